@@ -1,0 +1,3 @@
+"""What a notebook calls; the command line calls nothing else."""
+
+from __future__ import annotations

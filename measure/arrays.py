@@ -1,0 +1,39 @@
+"""One helper that checks array shapes and says expected *and* actual."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Floats: TypeAlias = NDArray[np.float64]
+Bools: TypeAlias = NDArray[np.bool_]
+Ints: TypeAlias = NDArray[np.int64]
+Bytes: TypeAlias = NDArray[np.uint8]
+
+
+def floats(name: str, values: ArrayLike, *shape: int | str) -> Floats:
+    """Return `values` as float64 after checking the trailing axes against `shape`.
+
+    Args:
+        name: what the array is called in the error message.
+        values: anything numpy can read.
+        *shape: sizes; a string names an axis of any size, and a leading "..." allows batch axes.
+
+    Raises:
+        ValueError: the shape differs; the message gives expected and actual.
+
+    Example:
+        >>> floats("points_world", [[1, 2, 3]], "n", 3).shape
+        (1, 3)
+    """
+    array = np.asarray(values, dtype=np.float64)
+    wanted = shape[1:] if shape[:1] == ("...",) else shape
+    actual = array.shape[array.ndim - len(wanted) :] if shape[:1] == ("...",) else array.shape
+    if len(actual) != len(wanted) or any(
+        isinstance(want, int) and want != have for want, have in zip(wanted, actual, strict=True)
+    ):
+        expected = ", ".join(str(axis) for axis in shape)
+        raise ValueError(f"{name}: expected shape ({expected}), got {array.shape}")
+    return array

@@ -1,0 +1,61 @@
+"""Uncertainty that travels: propagation, and rigid transforms that carry a 6x6 covariance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from measure.arrays import Floats, floats
+from measure.geometry.transform import RigidTransform, skew
+
+
+def propagate(jacobian: Floats, covariance: Floats) -> Floats:
+    """First-order propagation `J C J^T`, (..., m, n) and (..., n, n) to (..., m, m)."""
+    return jacobian @ covariance @ np.swapaxes(jacobian, -1, -2)
+
+
+def squared_mahalanobis(residuals: Floats, covariances: Floats) -> Floats:
+    """Squared Mahalanobis distances (...) of residuals (..., n) under covariances (..., n, n)."""
+    solved = np.linalg.solve(covariances, residuals[..., None])[..., 0]
+    return np.einsum("...i,...i->...", residuals, solved)
+
+
+@dataclass(frozen=True, eq=False)
+class UncertainTransform:
+    """A rigid transform with the covariance of its `perturb` chart.
+
+    Attributes:
+        transform: target_from_source, a single one.
+        covariance: (6, 6), order x y z (mm), rotation vector (rad), both in the target frame.
+    """
+
+    transform: RigidTransform
+    covariance: Floats
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "covariance", floats("covariance", self.covariance, 6, 6))
+
+    def inverse(self) -> UncertainTransform:
+        """source_from_target with its covariance to first order."""
+        back = self.transform.inverse()
+        # t' = -R^T t; R -> exp(w) R gives R'^T -> R^T exp(-w): dw' = -R^T w, dt' = -R^T (dt + t x w).
+        jacobian = np.zeros((6, 6))
+        jacobian[:3, :3] = jacobian[3:, 3:] = -back.rotation
+        jacobian[:3, 3:] = -back.rotation @ skew(self.transform.translation)
+        return UncertainTransform(back, propagate(jacobian, self.covariance))
+
+    def __matmul__(self, other: UncertainTransform) -> UncertainTransform:
+        """Composition of two independent uncertain transforms."""
+        rotation = self.transform.rotation
+        left = np.eye(6)
+        left[:3, 3:] = -skew(rotation @ other.transform.translation)
+        right = np.zeros((6, 6))
+        right[:3, :3] = right[3:, 3:] = rotation
+        covariance = propagate(left, self.covariance) + propagate(right, other.covariance)
+        return UncertainTransform(self.transform @ other.transform, covariance)
+
+    def point_covariance(self, point: Floats) -> Floats:
+        """Covariance (3, 3) in mm^2 of the image, in the target frame, of an exact source point (3,)."""
+        jacobian = np.hstack([np.eye(3), -skew(self.transform.rotate(point))])
+        return propagate(jacobian, self.covariance)

@@ -1,0 +1,124 @@
+"""Rigid transforms, named `target_from_source` wherever they appear."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from measure.arrays import Floats, floats
+
+
+def skew(vectors: ArrayLike) -> Floats:
+    """Cross-product matrices: `skew(a) @ b == cross(a, b)`.
+
+    Args:
+        vectors: (..., 3).
+
+    Returns:
+        (..., 3, 3).
+    """
+    v = floats("vectors", vectors, "...", 3)
+    out = np.zeros((*v.shape, 3))
+    out[..., 0, 1], out[..., 0, 2] = -v[..., 2], v[..., 1]
+    out[..., 1, 0], out[..., 1, 2] = v[..., 2], -v[..., 0]
+    out[..., 2, 0], out[..., 2, 1] = -v[..., 1], v[..., 0]
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class RigidTransform:
+    """A rotation followed by a translation, or a batch of them.
+
+    Points go `points_target = rotation @ points_source + translation`; transforms compose by cancelling
+    the inner names: `world_from_body = world_from_camera @ camera_from_body`.
+
+    Attributes:
+        rotation: (..., 3, 3) proper rotation matrices.
+        translation: (..., 3) in mm.
+    """
+
+    rotation: Floats
+    translation: Floats
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rotation", floats("rotation", self.rotation, "...", 3, 3))
+        object.__setattr__(self, "translation", floats("translation", self.translation, "...", 3))
+
+    @classmethod
+    def identity(cls) -> RigidTransform:
+        """The transform that moves nothing."""
+        return cls(np.eye(3), np.zeros(3))
+
+    @classmethod
+    def from_quat_wxyz(cls, quat_wxyz: ArrayLike, translation: ArrayLike) -> RigidTransform:
+        """From quaternions (..., 4), scalar first, of any length but zero; and translations (..., 3) in mm."""
+        rotation = Rotation.from_quat(floats("quat_wxyz", quat_wxyz, "...", 4), scalar_first=True)
+        return cls(rotation.as_matrix(), floats("translation", translation, "...", 3))
+
+    @classmethod
+    def from_rotvec(
+        cls, rotvec: ArrayLike, translation: ArrayLike = (0.0, 0.0, 0.0)
+    ) -> RigidTransform:
+        """From rotation vectors (..., 3) in rad and translations (..., 3) in mm."""
+        rotation = Rotation.from_rotvec(floats("rotvec", rotvec, "...", 3))
+        return cls(rotation.as_matrix(), floats("translation", translation, "...", 3))
+
+    @property
+    def quat_wxyz(self) -> Floats:
+        """Unit quaternions (..., 4), scalar first and not negative."""
+        return np.asarray(
+            Rotation.from_matrix(self.rotation).as_quat(canonical=True, scalar_first=True)
+        )
+
+    @property
+    def rotvec(self) -> Floats:
+        """Rotation vectors (..., 3) in rad, of length at most pi."""
+        return np.asarray(Rotation.from_matrix(self.rotation).as_rotvec())
+
+    @property
+    def matrix(self) -> Floats:
+        """Homogeneous matrices (..., 4, 4)."""
+        out = np.zeros((*self.translation.shape[:-1], 4, 4))
+        out[..., :3, :3], out[..., :3, 3], out[..., 3, 3] = self.rotation, self.translation, 1.0
+        return out
+
+    def __matmul__(self, other: RigidTransform) -> RigidTransform:
+        return RigidTransform(self.rotation @ other.rotation, self.apply(other.translation))
+
+    def __getitem__(self, index: int | slice) -> RigidTransform:
+        return RigidTransform(self.rotation[index], self.translation[index])
+
+    def apply(self, points: ArrayLike) -> Floats:
+        """Move points (..., 3) from the source frame to the target frame."""
+        p = floats("points", points, "...", 3)
+        return np.einsum("...ij,...j->...i", self.rotation, p) + self.translation
+
+    def rotate(self, vectors: ArrayLike) -> Floats:
+        """Turn free vectors (..., 3), which know no origin, into the target frame."""
+        return np.einsum("...ij,...j->...i", self.rotation, floats("vectors", vectors, "...", 3))
+
+    def inverse(self) -> RigidTransform:
+        """The transform the other way: `source_from_target`."""
+        rotation = np.swapaxes(self.rotation, -1, -2)
+        return RigidTransform(rotation, -np.einsum("...ij,...j->...i", rotation, self.translation))
+
+    def perturb(self, delta: ArrayLike) -> RigidTransform:
+        """The neighbour at `delta` = (dx dy dz mm, rotation vector rad), both in the target frame.
+
+        This is the chart every 6x6 covariance of this project is written in (docs/conventions.md): the
+        translation moves by `delta[:3]`, and the rotation is multiplied on the left by exp(`delta[3:]`).
+        """
+        d = floats("delta", delta, "...", 6)
+        turn = Rotation.from_rotvec(d[..., 3:]).as_matrix()
+        return RigidTransform(turn @ self.rotation, self.translation + d[..., :3])
+
+    def difference(self, reference: RigidTransform) -> Floats:
+        """The `delta` (..., 6) with `reference.perturb(delta) == self`."""
+        turn = self.rotation @ np.swapaxes(reference.rotation, -1, -2)
+        shift, turn = np.broadcast_arrays(
+            self.translation - reference.translation, Rotation.from_matrix(turn).as_rotvec()
+        )
+        return np.concatenate([shift, turn], axis=-1)

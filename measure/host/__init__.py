@@ -1,0 +1,28 @@
+"""Everything a plugin author needs to read: the interfaces, the four hooks, and how plugins are found."""
+
+from measure.host.discovery import Broken, Distribution, Loaded, discover
+from measure.host.estimator import Correction, Estimator
+from measure.host.hooks import ENTRY_POINT_GROUP, hookimpl
+from measure.host.interfaces import Detector, Plugin, PoseSolver, Triangulator
+from measure.host.registry import Registry
+from measure.host.settings import Setting, Settings, describe_settings, setting
+
+__all__ = [
+    "ENTRY_POINT_GROUP",
+    "Broken",
+    "Correction",
+    "Detector",
+    "Distribution",
+    "Estimator",
+    "Loaded",
+    "Plugin",
+    "PoseSolver",
+    "Registry",
+    "Setting",
+    "Settings",
+    "Triangulator",
+    "describe_settings",
+    "discover",
+    "hookimpl",
+    "setting",
+]

@@ -1,0 +1,52 @@
+"""The four hooks. A hook only registers: it returns classes and runs nothing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pluggy
+
+from measure.host.estimator import Estimator
+from measure.host.interfaces import Detector, Plugin, PoseSolver, Triangulator
+
+ENTRY_POINT_GROUP = "measure"
+
+hookspec = pluggy.HookspecMarker("measure")
+hookimpl = pluggy.HookimplMarker("measure")
+
+
+@hookspec
+def measure_detectors() -> list[type[Detector]]:  # type: ignore[empty-body]
+    """Return detector classes."""
+
+
+@hookspec
+def measure_triangulators() -> list[type[Triangulator]]:  # type: ignore[empty-body]
+    """Return triangulator classes."""
+
+
+@hookspec
+def measure_pose_solvers() -> list[type[PoseSolver]]:  # type: ignore[empty-body]
+    """Return pose-solver classes."""
+
+
+@hookspec
+def measure_estimators() -> list[type[Estimator]]:  # type: ignore[empty-body]
+    """Return estimator classes."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of plugin: its name for users, its hook, and what its classes must be."""
+
+    name: str
+    hook: str
+    interface: type[Plugin]
+
+
+KINDS = (
+    Kind("detector", "measure_detectors", Detector),
+    Kind("triangulator", "measure_triangulators", Triangulator),
+    Kind("solver", "measure_pose_solvers", PoseSolver),
+    Kind("estimator", "measure_estimators", Estimator),
+)

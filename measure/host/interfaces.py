@@ -1,0 +1,99 @@
+"""What a detector, a triangulator and a pose solver are.
+
+A plugin is a class with a `name`, a `Config` and one method. Built-ins and strangers are treated alike; a
+class need not live in this project, only keep this contract (`measure.testing` checks it).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
+
+from measure.host.settings import Settings
+from measure.model import Body, Camera, Detection, Expectation, Fix, Image, Motion, Pose
+
+
+class Plugin(ABC):
+    """What all kinds share.
+
+    Attributes:
+        name: how a user selects it; lower case, words joined by "-".
+        Config: its settings, a frozen pydantic model.
+    """
+
+    name: ClassVar[str]
+    Config: ClassVar[type[Settings]] = Settings
+
+
+class Detector(Plugin):
+    """Finds the balls of a body in one camera's images. Keeps no state between calls."""
+
+    def __init__(self, config: Settings, body: Body, camera: Camera) -> None:
+        self.config = config
+        self.body = body
+        self.camera = camera
+
+    @abstractmethod
+    def detect(self, image: Image, expected: Sequence[Expectation]) -> list[Detection]:
+        """Find balls.
+
+        Args:
+            image: BGR uint8 pixels of size `camera.intrinsics.size_wh`, with time and name.
+            expected: at most one per ball; a ball without one is searched for in the whole frame.
+
+        Returns:
+            Detections. A ball that is not seen is simply absent. For an expected ball there is at most one;
+            for a searched ball there may be several candidates, the best score first, and geometry decides.
+        """
+
+
+class Triangulator(Plugin):
+    """Turns detections of one ball in several cameras into its centre in the world."""
+
+    def __init__(self, config: Settings) -> None:
+        self.config = config
+
+    @abstractmethod
+    def triangulate(
+        self, detections: Sequence[Detection], cameras: Mapping[str, Camera]
+    ) -> Fix | None:
+        """Locate one ball.
+
+        Args:
+            detections: of one ball, at most one per camera, all effective.
+            cameras: by name.
+
+        Returns:
+            The fix, or None if the detections do not determine one (fewer than two cameras, parallel rays).
+        """
+
+
+class PoseSolver(Plugin):
+    """Turns what was seen of all balls into the body's pose."""
+
+    def __init__(self, config: Settings, body: Body) -> None:
+        self.config = config
+        self.body = body
+
+    @abstractmethod
+    def solve(
+        self,
+        fixes: Sequence[Fix],
+        detections: Sequence[Detection],
+        cameras: Mapping[str, Camera],
+        time_s: float,
+        prior: Motion | None = None,
+    ) -> Pose | None:
+        """Locate the body.
+
+        Args:
+            fixes: at most one per ball.
+            detections: every effective detection; a solver may fit these and skip the fixes.
+            cameras: by name.
+            time_s: the instant the pose shall hold for; each detection has its own `time_s`.
+            prior: where the body is expected and how it moves, if known.
+
+        Returns:
+            The pose, or None if there is too little to determine one.
+        """

@@ -1,0 +1,77 @@
+"""The registry: plugins by kind and name, refusing what is unknown, broken or ambiguous."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any, TypeVar, cast
+
+from measure.errors import PluginError
+from measure.host.discovery import Broken, Loaded, discover
+from measure.host.interfaces import Plugin
+from measure.host.settings import read_settings
+
+P = TypeVar("P", bound=Plugin)
+
+
+class Registry:
+    """All plugins of this environment. Built once by whoever starts a command, and passed on."""
+
+    def __init__(self, found: Sequence[Loaded | Broken]) -> None:
+        self.loaded = [item for item in found if isinstance(item, Loaded)]
+        self.broken = [item for item in found if isinstance(item, Broken)]
+
+    @classmethod
+    def discover(cls, disabled: Collection[str] = ()) -> Registry:
+        """Look at every installed distribution, less the entry points or distributions in `disabled`."""
+        return cls(discover(disabled))
+
+    def names(self, kind: str) -> list[str]:
+        """Names of all usable plugins of a kind, sorted."""
+        return sorted({item.name for item in self.loaded if item.kind == kind})
+
+    def find(self, kind: str, name: str) -> Loaded:
+        """The one plugin of this kind and name.
+
+        Raises:
+            PluginError: unknown (with near names), broken (with the reason), or two distributions claim it.
+        """
+        matches = [item for item in self.loaded if item.kind == kind and item.name == name]
+        if len(matches) > 1:
+            owners = " and ".join(str(item.distribution) for item in matches)
+            raise PluginError(
+                f"{kind} '{name}' is offered by {owners}: uninstall one, or leave one out with --disable DISTRIBUTION"
+            )
+        if matches:
+            return matches[0]
+        for item in self.broken:
+            if item.name == name:
+                raise PluginError(f"{kind} '{name}' of {item.distribution} is broken: {item.error}")
+        raise PluginError(f"no {kind} is called '{name}'; {self._suggest(kind, name)}")
+
+    def clashes(self) -> list[tuple[Loaded, ...]]:
+        """Groups of plugins that claim one kind and name."""
+        groups: dict[tuple[str, str], list[Loaded]] = {}
+        for item in self.loaded:
+            groups.setdefault((item.kind, item.name), []).append(item)
+        return [tuple(group) for group in groups.values() if len(group) > 1]
+
+    def create(
+        self, kind: str, name: str, interface: type[P], settings: Mapping[str, Any], **context: Any
+    ) -> P:
+        """Build a plugin: its settings are validated, `context` goes to its constructor.
+
+        Raises:
+            PluginError: as `find`, or its constructor fails.
+            ConfigError: the settings do not fit.
+        """
+        loaded = self.find(kind, name)
+        config = read_settings(loaded.plugin.Config, settings, f"{kind} '{name}'")
+        return cast("P", cast("Any", loaded.plugin)(config, **context))
+
+    def _suggest(self, kind: str, name: str) -> str:
+        known = self.names(kind)
+        near = difflib.get_close_matches(name, known, n=3)
+        if near:
+            return f"did you mean {' or '.join(repr(n) for n in near)}?"
+        return f"there is {', '.join(known)}" if known else f"no {kind} is installed"

@@ -1,0 +1,25 @@
+"""What is measured (body), with what (cameras), and what was seen (detections, fixes, poses)."""
+
+from measure.model.body import Ball, Body
+from measure.model.camera import Camera, Intrinsics
+from measure.model.color import BallColor, ColorRange
+from measure.model.frames import FrameSet, Image
+from measure.model.motion import Motion
+from measure.model.observations import BallView, Detection, Expectation, Fix, Pose
+
+__all__ = [
+    "Ball",
+    "BallColor",
+    "BallView",
+    "Body",
+    "Camera",
+    "ColorRange",
+    "Detection",
+    "Expectation",
+    "Fix",
+    "FrameSet",
+    "Image",
+    "Intrinsics",
+    "Motion",
+    "Pose",
+]

@@ -1,0 +1,83 @@
+"""The body: the rigid thing that is measured, known by its balls."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from measure.arrays import Floats, floats
+from measure.errors import DegenerateGeometryError
+from measure.model.color import BallColor
+
+MIN_BREADTH_RATIO = 0.02
+"""Balls whose second extent is below this share of the first count as collinear."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ball:
+    """One ball: its name, colour, centre (3,) in the body frame in mm, and radius in mm."""
+
+    name: str
+    color: BallColor
+    center_mm: Floats
+    radius_mm: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(
+            self, "center_mm", floats(f"ball {self.name}: center_mm", self.center_mm, 3)
+        )
+        if not self.radius_mm > 0:
+            raise ValueError(f"ball {self.name}: radius_mm must be positive, got {self.radius_mm}")
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """At least three balls, not on one line.
+
+    Raises:
+        DegenerateGeometryError: fewer than three balls, or collinear ones.
+    """
+
+    name: str
+    balls: tuple[Ball, ...]
+
+    def __post_init__(self) -> None:
+        if len(self.balls) < 3:
+            raise DegenerateGeometryError(
+                f"body '{self.name}' has {len(self.balls)} balls: a pose needs at least 3"
+            )
+        spread = np.linalg.svd(self.centers - self.centers.mean(axis=0), compute_uv=False)
+        if spread[1] < MIN_BREADTH_RATIO * spread[0]:
+            raise DegenerateGeometryError(
+                f"body '{self.name}': the balls lie on one line (extents {spread[0]:.1f} and {spread[1]:.2f} mm), "
+                "so a turn about it cannot be seen; move one ball off the line"
+            )
+
+    @cached_property
+    def centers(self) -> Floats:
+        """Ball centres (k, 3) in the body frame, mm."""
+        return np.stack([ball.center_mm for ball in self.balls])
+
+    @cached_property
+    def radii(self) -> Floats:
+        """Ball radii (k,) in mm."""
+        return np.array([ball.radius_mm for ball in self.balls])
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Ball names, in order."""
+        return tuple(ball.name for ball in self.balls)
+
+    def index(self, name: str) -> int:
+        """Position of the ball called `name`."""
+        return self.names.index(name)
+
+    def distances(self) -> dict[tuple[str, str], float]:
+        """Centre-to-centre distance in mm of every pair of balls."""
+        return {
+            (a.name, b.name): float(np.linalg.norm(a.center_mm - b.center_mm))
+            for i, a in enumerate(self.balls)
+            for b in self.balls[i + 1 :]
+        }

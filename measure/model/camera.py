@@ -1,0 +1,164 @@
+"""The camera: OpenCV's pinhole with distortion, standing somewhere in the world."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from measure.arrays import Bools, Floats, floats
+from measure.geometry import Rays, RigidTransform, UncertainTransform, skew
+from measure.model.distortion import distort, undistort
+
+MIN_DEPTH_MM = 1e-6
+"""Points nearer to the camera's plane than this, or behind it, have no image."""
+
+
+@dataclass(frozen=True, eq=False)
+class Intrinsics:
+    """The lens and sensor of one camera.
+
+    Attributes:
+        size_wh: image width and height in px.
+        matrix: (3, 3) camera matrix [[fx, skew, cx], [0, fy, cy], [0, 0, 1]] in px, pixel centres at integers.
+        distortion: (8,) k1 k2 p1 p2 k3 k4 k5 k6; shorter OpenCV vectors (0, 4, 5 or 8) are filled with zeros.
+        covariance: (12, 12) of fx fy cx cy and the eight coefficients, or None if unknown.
+    """
+
+    size_wh: tuple[int, int]
+    matrix: Floats
+    distortion: Floats = field(default_factory=lambda: np.zeros(8))
+    covariance: Floats | None = None
+
+    def __post_init__(self) -> None:
+        given = np.asarray(self.distortion, dtype=np.float64).reshape(-1)
+        if given.size not in (0, 4, 5, 8):
+            raise ValueError(f"distortion: expected 0, 4, 5 or 8 coefficients, got {given.size}")
+        object.__setattr__(self, "distortion", np.pad(given, (0, 8 - given.size)))
+        object.__setattr__(self, "matrix", floats("matrix", self.matrix, 3, 3))
+        if self.covariance is not None:
+            object.__setattr__(self, "covariance", floats("covariance", self.covariance, 12, 12))
+
+    @property
+    def focal_px(self) -> float:
+        """Mean focal length in px."""
+        return float((self.matrix[0, 0] + self.matrix[1, 1]) / 2)
+
+    def project(self, points_camera: ArrayLike) -> Floats:
+        """Pixels (n, 2) of points (n, 3) in the camera frame; NaN for points not in front of it."""
+        return self.project_with_jacobians(points_camera)[0]
+
+    def project_with_jacobians(self, points_camera: ArrayLike) -> tuple[Floats, Floats, Floats]:
+        """Project, with analytic derivatives.
+
+        Args:
+            points_camera: (n, 3) in mm (any common unit).
+
+        Returns:
+            Pixels (n, 2); their Jacobian by the point (n, 2, 3); and by fx fy cx cy and the eight
+            distortion coefficients (n, 2, 12).
+        """
+        p = floats("points_camera", points_camera, "n", 3)
+        depth = np.where(p[:, 2] > MIN_DEPTH_MM, p[:, 2], np.nan)
+        ideal = p[:, :2] / depth[:, None]
+        bent, by_ideal, by_coefficient = distort(ideal, self.distortion)
+        affine, centre = self.matrix[:2, :2], self.matrix[:2, 2]
+        ideal_by_point = np.zeros((len(p), 2, 3))
+        ideal_by_point[:, 0, 0] = ideal_by_point[:, 1, 1] = 1 / depth
+        ideal_by_point[:, :, 2] = -ideal / depth[:, None]
+        by_intrinsics = np.zeros((len(p), 2, 12))
+        by_intrinsics[:, 0, 0], by_intrinsics[:, 1, 1] = bent[:, 0], bent[:, 1]
+        by_intrinsics[:, 0, 2] = by_intrinsics[:, 1, 3] = 1.0
+        by_intrinsics[:, :, 4:] = affine @ by_coefficient
+        return bent @ affine.T + centre, affine @ by_ideal @ ideal_by_point, by_intrinsics
+
+    def unproject(self, pixels: ArrayLike) -> Floats:
+        """Unit bearings (n, 3) in the camera frame of pixels (n, 2); NaN where the lens model has no inverse.
+
+        Points are undistorted, never images: resampling blurs the very edges that are measured.
+        """
+        uv = floats("pixels", pixels, "n", 2)
+        affine = np.linalg.inv(self.matrix[:2, :2])
+        bent: Floats = (uv - self.matrix[:2, 2]) @ affine.T
+        ideal = undistort(bent, self.distortion)
+        rays = np.column_stack([ideal, np.ones(len(ideal))])
+        return rays / np.linalg.norm(rays, axis=1, keepdims=True)
+
+    def contains(self, pixels: Floats, margin_px: float = 0.0) -> Bools:
+        """Which pixels (n, 2) lie in the image, at least `margin_px` from its border."""
+        upper = np.asarray(self.size_wh) - 1 - margin_px
+        with np.errstate(invalid="ignore"):
+            return np.all((pixels >= margin_px) & (pixels <= upper), axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A calibrated camera.
+
+    Attributes:
+        name: as in the session and the calibration.
+        intrinsics: lens and sensor.
+        world_from_camera: pose; the camera looks along its +z, x right, y down.
+        pose_covariance: (6, 6) of `world_from_camera` in its `perturb` chart, or None if unknown.
+        reprojection_rms_px: of the calibration, or None if unknown.
+    """
+
+    name: str
+    intrinsics: Intrinsics
+    world_from_camera: RigidTransform
+    pose_covariance: Floats | None = None
+    reprojection_rms_px: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.pose_covariance is not None:
+            object.__setattr__(
+                self, "pose_covariance", floats("pose_covariance", self.pose_covariance, 6, 6)
+            )
+
+    @cached_property
+    def camera_from_world(self) -> RigidTransform:
+        """The inverse of the pose."""
+        return self.world_from_camera.inverse()
+
+    @property
+    def center(self) -> Floats:
+        """The projection centre (3,) in the world, mm."""
+        return self.world_from_camera.translation
+
+    @property
+    def uncertain_pose(self) -> UncertainTransform | None:
+        """The pose with its covariance, or None if that is unknown."""
+        if self.pose_covariance is None:
+            return None
+        return UncertainTransform(self.world_from_camera, self.pose_covariance)
+
+    def project(self, points_world: ArrayLike) -> Floats:
+        """Pixels (n, 2) of world points (n, 3); NaN for points not in front of the camera."""
+        return self.intrinsics.project(
+            self.camera_from_world.apply(floats("points_world", points_world, "n", 3))
+        )
+
+    def project_with_jacobians(
+        self, points_world: ArrayLike
+    ) -> tuple[Floats, Floats, Floats, Floats]:
+        """Project, with analytic derivatives.
+
+        Returns:
+            Pixels (n, 2); Jacobians by the world point (n, 2, 3), by the pose's `perturb` chart (n, 2, 6), and
+            by the intrinsics (n, 2, 12).
+        """
+        world = floats("points_world", points_world, "n", 3)
+        pixels, by_camera, by_intrinsics = self.intrinsics.project_with_jacobians(
+            self.camera_from_world.apply(world)
+        )
+        by_world = by_camera @ self.camera_from_world.rotation
+        # Moving the camera by (dt, w) moves the point, as the camera sees it, by -dt - w x (X - t).
+        by_pose = np.concatenate([-by_world, by_world @ skew(world - self.center)], axis=2)
+        return pixels, by_world, by_pose, by_intrinsics
+
+    def rays(self, pixels: ArrayLike) -> Rays:
+        """World rays of pixels (n, 2)."""
+        directions = self.world_from_camera.rotate(self.intrinsics.unproject(pixels))
+        return Rays(np.broadcast_to(self.center, directions.shape), directions)

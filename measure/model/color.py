@@ -1,0 +1,126 @@
+"""What colour a ball is: a range in HSV or Lab, learnt from samples or given."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike
+
+from measure.arrays import Bools, Bytes, Floats, floats
+
+ColorSpace = Literal["hsv", "lab"]
+_TO_SPACE = {"hsv": cv2.COLOR_BGR2HSV, "lab": cv2.COLOR_BGR2LAB}
+_HUE_PERIOD = 180
+
+
+@dataclass(frozen=True)
+class ColorRange:
+    """A box in OpenCV's 8-bit HSV (hue 0-179, may wrap round) or Lab.
+
+    Attributes:
+        space: "hsv" or "lab".
+        low: three lower bounds, inclusive; `low[0] > high[0]` is a hue range across red.
+        high: three upper bounds, inclusive.
+    """
+
+    space: ColorSpace
+    low: tuple[int, int, int]
+    high: tuple[int, int, int]
+
+    def mask(self, converted: Bytes) -> Bytes:
+        """255 where pixels (h, w, 3), already in `space`, lie in the range."""
+        if self.low[0] <= self.high[0]:
+            return np.asarray(cv2.inRange(converted, self.low, self.high), dtype=np.uint8)
+        upper = cv2.inRange(converted, self.low, (255, *self.high[1:]))
+        lower = cv2.inRange(converted, (0, *self.low[1:]), self.high)
+        return np.asarray(cv2.bitwise_or(upper, lower), dtype=np.uint8)
+
+
+@dataclass(frozen=True)
+class BallColor:
+    """A ball's colour: any of some ranges.
+
+    Attributes:
+        name: as the body file gives it ("green"), or "samples" / "range".
+        ranges: the boxes; a pixel matches if it is in one of them.
+    """
+
+    name: str
+    ranges: tuple[ColorRange, ...]
+
+    def mask(self, bgr: Bytes) -> Bytes:
+        """255 where pixels of a BGR image (h, w, 3) match."""
+        converted = {r.space: cv2.cvtColor(bgr, _TO_SPACE[r.space]) for r in self.ranges}
+        out = np.zeros(bgr.shape[:2], np.uint8)
+        for r in self.ranges:
+            out |= r.mask(np.asarray(converted[r.space], dtype=np.uint8))
+        return out
+
+    def matches(self, bgr: ArrayLike) -> Bools:
+        """Which of n BGR samples (n, 3) match."""
+        samples = np.clip(np.rint(floats("bgr", bgr, "n", 3)), 0, 255).astype(np.uint8)
+        return self.mask(samples[:, None, :])[:, 0] > 0
+
+    @classmethod
+    def named(cls, name: str) -> BallColor:
+        """One of the common colours in `NAMED_RANGES`.
+
+        Raises:
+            KeyError: the name is not one of them.
+        """
+        return cls(name, NAMED_RANGES[name.lower()])
+
+    @classmethod
+    def from_samples(cls, bgr: ArrayLike, hue_margin: int = 6, level_margin: int = 30) -> BallColor:
+        """Learn a range from BGR samples (n, 3), 0-255, taken on the ball under the light of the recording.
+
+        The hue's range is the shortest arc that holds the central 90 % of the samples by saturation weight,
+        widened by `hue_margin`; saturation and value run from the samples' 5 % quantile less `level_margin` up.
+        """
+        samples = np.clip(floats("bgr", bgr, "n", 3), 0, 255).astype(np.uint8)[:, None, :]
+        hsv = np.asarray(cv2.cvtColor(samples, cv2.COLOR_BGR2HSV), dtype=np.float64)[:, 0, :]
+        low_hue, high_hue = _hue_arc(hsv[:, 0], hsv[:, 1] * hsv[:, 2])
+        saturation, value = np.quantile(hsv[:, 1:], 0.05, axis=0) - level_margin
+        low = (
+            int(low_hue - hue_margin) % _HUE_PERIOD,
+            max(int(saturation), 25),
+            max(int(value), 20),
+        )
+        high = (int(high_hue + hue_margin) % _HUE_PERIOD, 255, 255)
+        return cls("samples", (ColorRange("hsv", low, high),))
+
+
+def _hue_arc(hues: Floats, weights: Floats) -> tuple[float, float]:
+    """Weighted 5 % and 95 % quantiles of circular hues (n,) about their circular mean, unwrapped."""
+    angle = hues * (2 * np.pi / _HUE_PERIOD)
+    weights = weights + 1e-9
+    mean = np.angle(np.sum(weights * np.exp(1j * angle)))
+    offset = np.angle(np.exp(1j * (angle - mean)))
+    order = np.argsort(offset)
+    cumulated = np.cumsum(weights[order]) / np.sum(weights)
+    low, high = np.interp([0.05, 0.95], cumulated, offset[order])
+    centre = mean * _HUE_PERIOD / (2 * np.pi)
+    return centre + low * _HUE_PERIOD / (2 * np.pi), centre + high * _HUE_PERIOD / (2 * np.pi)
+
+
+def _hsv(hue: tuple[int, int], saturation: int, value: int) -> ColorRange:
+    return ColorRange("hsv", (hue[0], saturation, value), (hue[1], 255, 255))
+
+
+NAMED_RANGES: dict[str, tuple[ColorRange, ...]] = {
+    "red": (_hsv((168, 8), 90, 30),),
+    "orange": (_hsv((6, 17), 110, 40),),
+    "yellow": (_hsv((17, 36), 80, 40),),
+    "green": (_hsv((38, 88), 60, 25),),
+    "cyan": (_hsv((80, 100), 70, 40),),
+    "blue": (_hsv((98, 130), 70, 30),),
+    "purple": (_hsv((128, 158), 50, 30),),
+    "magenta": (_hsv((145, 172), 60, 35),),
+    "pink": (_hsv((150, 176), 40, 60),),
+    "white": (ColorRange("hsv", (0, 0, 120), (179, 60, 255)),),
+    "black": (ColorRange("hsv", (0, 0, 0), (179, 255, 45)),),
+}
+"""Ranges wide enough for ordinary light; samples from the recording are always better."""

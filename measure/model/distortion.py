@@ -1,0 +1,90 @@
+"""OpenCV's rational radial + tangential lens distortion, with its Jacobians, and its inverse.
+
+Normalised image coordinates x = (X/Z, Y/Z); coefficients in OpenCV's order k1 k2 p1 p2 k3 k4 k5 k6 (Brown 1966;
+OpenCV calib3d, "Detailed description").
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from measure.arrays import Floats
+
+_NEWTON_STEPS = 20
+_NEWTON_TOLERANCE = 1e-12
+
+
+def distort(points: Floats, coefficients: Floats) -> tuple[Floats, Floats, Floats]:
+    """Distort normalised points.
+
+    Args:
+        points: (n, 2) ideal normalised coordinates.
+        coefficients: (8,) k1 k2 p1 p2 k3 k4 k5 k6.
+
+    Returns:
+        Distorted points (n, 2), their Jacobian by the points (n, 2, 2), and by the coefficients (n, 2, 8).
+    """
+    k1, k2, p1, p2, k3, k4, k5, k6 = coefficients
+    x, y = points[:, 0], points[:, 1]
+    r2 = x * x + y * y
+    r4, r6 = r2 * r2, r2 * r2 * r2
+    above = 1 + k1 * r2 + k2 * r4 + k3 * r6
+    below = 1 + k4 * r2 + k5 * r4 + k6 * r6
+    radial = above / below
+    slope = ((k1 + 2 * k2 * r2 + 3 * k3 * r4) - radial * (k4 + 2 * k5 * r2 + 3 * k6 * r4)) / below
+    out = np.stack(
+        [
+            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+        ],
+        axis=1,
+    )
+    by_point = np.empty((len(x), 2, 2))
+    by_point[:, 0, 0] = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
+    by_point[:, 0, 1] = by_point[:, 1, 0] = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
+    by_point[:, 1, 1] = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
+    by_coefficient = np.empty((len(x), 2, 8))
+    for column, gain in zip(
+        (0, 1, 4, 5, 6, 7),
+        (r2, r4, r6, -radial * r2, -radial * r4, -radial * r6),
+        strict=True,
+    ):
+        by_coefficient[:, :, column] = points * (gain / below)[:, None]
+    by_coefficient[:, 0, 2], by_coefficient[:, 1, 2] = 2 * x * y, r2 + 2 * y * y
+    by_coefficient[:, 0, 3], by_coefficient[:, 1, 3] = r2 + 2 * x * x, 2 * x * y
+    return out, by_point, by_coefficient
+
+
+def undistort(points: Floats, coefficients: Floats) -> Floats:
+    """Invert `distort` by Newton's method.
+
+    Args:
+        points: (n, 2) distorted normalised coordinates.
+        coefficients: (8,).
+
+    Returns:
+        (n, 2) ideal coordinates; NaN where the model has no inverse (far outside the calibrated image).
+    """
+    if not np.any(coefficients):
+        return points.copy()
+    ideal = points.copy()
+    step = np.full_like(points, np.inf)
+    with np.errstate(all="ignore"):
+        for _ in range(_NEWTON_STEPS):
+            forward, slope, _ = distort(ideal, coefficients)
+            determinant = slope[:, 0, 0] * slope[:, 1, 1] - slope[:, 0, 1] * slope[:, 1, 0]
+            error = points - forward
+            step = np.stack(
+                [
+                    slope[:, 1, 1] * error[:, 0] - slope[:, 0, 1] * error[:, 1],
+                    slope[:, 0, 0] * error[:, 1] - slope[:, 1, 0] * error[:, 0],
+                ],
+                axis=1,
+            )
+            step /= determinant[:, None]
+            ideal = ideal + step
+            if not np.any(np.abs(step) > _NEWTON_TOLERANCE):
+                break
+        failed = ~(np.max(np.abs(step), axis=1) < 1e-9) | ~(determinant > 0)
+    ideal[failed] = np.nan
+    return ideal

@@ -1,0 +1,39 @@
+"""Where the body is and how it moves: what tracking knows before it looks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from measure.arrays import Floats, floats
+from measure.geometry import RigidTransform
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A pose at a time, with a velocity in the pose's `perturb` chart.
+
+    Attributes:
+        world_from_body: the pose at `time_s`.
+        time_s: the instant.
+        velocity: (6,) mm/s and rad/s, both in the world.
+        covariance: (6, 6) of the pose at `time_s`; None if unknown.
+    """
+
+    world_from_body: RigidTransform
+    time_s: float
+    velocity: Floats
+    covariance: Floats | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "velocity", floats("velocity", self.velocity, 6))
+
+    @classmethod
+    def at_rest(cls, world_from_body: RigidTransform, time_s: float) -> Motion:
+        """A body that does not move."""
+        return cls(world_from_body, time_s, np.zeros(6))
+
+    def at(self, time_s: float) -> RigidTransform:
+        """The pose at another time, by constant velocity."""
+        return self.world_from_body.perturb(self.velocity * (time_s - self.time_s))

@@ -1,0 +1,156 @@
+"""What was seen: expectations, detections, their state, fixes and poses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.geometry import RigidTransform
+
+
+@dataclass(frozen=True, eq=False)
+class Expectation:
+    """Where a detector should look for one ball; a ball without one is searched for in the whole frame.
+
+    Attributes:
+        ball: name of the ball.
+        center_px: (2,) predicted projection of the sphere's centre.
+        radius_px: (smallest, largest) outline radius.
+        min_distance_px: least distance between the centres of two circles of one colour.
+        reach_px: how far the true centre may be from `center_px`.
+        tolerance: 1 normally; larger while tracking recovers (the paper's raised parameter range).
+        center_camera: (3,) predicted sphere centre in the camera frame in mm, where a 3-D prediction exists.
+    """
+
+    ball: str
+    center_px: Floats
+    radius_px: tuple[float, float]
+    min_distance_px: float
+    reach_px: float
+    tolerance: float = 1.0
+    center_camera: Floats | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Detection:
+    """One ball in one image.
+
+    Attributes:
+        ball: name of the ball.
+        camera: name of the camera.
+        time_s: middle of the exposure.
+        center_px: (2,) projection of the *sphere's centre* where the detector knows it, else the circle's centre.
+        radius_px: mean outline radius.
+        covariance_px: (2, 2) of `center_px`.
+        score: 0 to 1, the detector's own confidence.
+        color_match: share of samples inside the border that have the ball's colour, or NaN if not checked.
+        outline_px: (n, 2) outline points, or None.
+        outline_sd_px: (n,) standard deviations of the outline points along the normal, or None.
+    """
+
+    ball: str
+    camera: str
+    time_s: float
+    center_px: Floats
+    radius_px: float
+    covariance_px: Floats
+    score: float = 1.0
+    color_match: float = float("nan")
+    outline_px: Floats | None = None
+    outline_sd_px: Floats | None = None
+
+
+class State(StrEnum):
+    """The paper's two states of one ball in one camera (section II.D)."""
+
+    EFFECTIVE = "effective"
+    SUSPENDED = "suspended"
+
+
+class Reason(StrEnum):
+    """Why a ball is suspended in a camera."""
+
+    NONE = ""
+    JUMPED = "moved too far between frames"
+    COLOR = "colour check failed"
+    NOT_FOUND = "not found"
+    INCONSISTENT = "disagrees with the other cameras"
+    RECOVERING = "good again, but not yet for long enough"
+    NO_IMAGE = "no image"
+
+
+@dataclass(frozen=True, eq=False)
+class BallView:
+    """One ball in one camera at one instant: its state, why, and the detection if there is one."""
+
+    ball: str
+    camera: str
+    state: State
+    reason: Reason = Reason.NONE
+    detection: Detection | None = None
+
+    @property
+    def effective(self) -> bool:
+        """Whether the detection may be used."""
+        return self.state is State.EFFECTIVE and self.detection is not None
+
+
+@dataclass(frozen=True, eq=False)
+class Fix:
+    """A ball's centre in the world.
+
+    Attributes:
+        ball: name of the ball.
+        time_s: the instant.
+        center: (3,) in mm.
+        covariance: (3, 3) in mm^2.
+        cameras: names of the cameras used.
+        residuals_mm: distance of each used camera's ray from `center`, in the order of `cameras`.
+        dropped: cameras left out as outliers.
+    """
+
+    ball: str
+    time_s: float
+    center: Floats
+    covariance: Floats
+    cameras: tuple[str, ...]
+    residuals_mm: Floats
+    dropped: tuple[str, ...] = ()
+
+    @property
+    def rms_mm(self) -> float:
+        """Root mean square of the residuals."""
+        return float(np.sqrt(np.mean(np.square(self.residuals_mm))))
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """The body's pose.
+
+    Attributes:
+        time_s: the instant it holds for.
+        world_from_body: the pose.
+        covariance: (6, 6) in the pose's `perturb` chart: x y z mm, rotation vector rad, in the world.
+        residual_mm: RMS distance between fixes and the body's balls, NaN if not applicable.
+        rms_px: RMS reprojection error.
+        cameras: names of the cameras used.
+        balls: names of the balls used.
+        flags: reasons to doubt it, empty if none.
+    """
+
+    time_s: float
+    world_from_body: RigidTransform
+    covariance: Floats
+    residual_mm: float
+    rms_px: float
+    cameras: tuple[str, ...]
+    balls: tuple[str, ...]
+    flags: tuple[str, ...] = field(default=())
+
+    @property
+    def position_sd_mm(self) -> float:
+        """Standard deviation of the 3-D position: root of the trace of its covariance."""
+        return float(np.sqrt(np.trace(self.covariance[:3, :3])))

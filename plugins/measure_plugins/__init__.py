@@ -1,0 +1,1 @@
+"""The built-in plugins: one a file, found by entry point like anybody's."""
