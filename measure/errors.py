@@ -1,7 +1,9 @@
 """The one family of errors a user is meant to read.
 
-A message says what is wrong, where (file, line, camera, frame) and what to do about it. The command line
-prints it in one line and exits with 2; any other exception is a defect of ours and keeps its traceback.
+A message says what is wrong, where (file, line, camera, frame) and what to do about it. The command
+line
+prints it in one line and exits with 2; any other exception is a defect of ours and keeps its
+traceback.
 """
 
 from __future__ import annotations
@@ -32,7 +34,7 @@ class RunError(MeasureError):
 
 
 class DegenerateGeometryError(MeasureError):
-    """Geometry that does not determine the answer (parallel rays, collinear balls, rank deficit)."""
+    """Geometry that does not determine the answer (parallel rays, collinear balls)."""
 
 
 class EstimatorError(MeasureError):

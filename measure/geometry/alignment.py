@@ -32,7 +32,8 @@ def align_points(
     u, s, vt = np.linalg.svd((w[:, None] * (q - q0)).T @ (p - p0))
     if len(p) < 3 or s[1] < 1e-9 * max(s[0], 1e-300):
         raise DegenerateGeometryError(
-            f"{len(p)} points on one line (singular values {s[0]:.3g}, {s[1]:.3g} mm^2) leave a turn about it free"
+            f"{len(p)} points on one line (singular values {s[0]:.3g}, {s[1]:.3g} mm^2) "
+            "leave a turn about it free"
         )
     flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
     rotation = u @ flip @ vt

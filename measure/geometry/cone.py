@@ -1,9 +1,13 @@
 """The cone of rays tangent to a sphere: its outline, exactly.
 
-A camera sees a sphere of radius R at distance D along the unit vector `a` as the cone of bearings v with
-`v . a = cos(alpha)`, `sin(alpha) = R / D`. With w = a / cos(alpha) that reads `v . w = 1`: linear in three
-unknowns, so the fit needs no start. The ellipse's centre in the image is *not* the image of the sphere's centre;
-the cone's axis is. (Shiu and Ahmad 1989; the linear form is in notes on the projected sphere, e.g. Zhang,
+A camera sees a sphere of radius R at distance D along the unit vector `a` as the cone of bearings v
+with
+`v . a = cos(alpha)`, `sin(alpha) = R / D`. With w = a / cos(alpha) that reads `v . w = 1`: linear
+in three
+unknowns, so the fit needs no start. The ellipse's centre in the image is *not* the image of the
+sphere's centre;
+the cone's axis is. (Shiu and Ahmad 1989; the linear form is in notes on the projected sphere, e.g.
+Zhang,
 Wong and Zhang 2007.)
 """
 
@@ -91,7 +95,8 @@ def fit_cone(bearings: ArrayLike, weights: ArrayLike | None = None) -> Cone:
     u, s, vt = np.linalg.svd(design, full_matrices=False)
     if s[-1] < 1e-9 * s[0]:
         raise DegenerateGeometryError(
-            f"{len(v)} outline points lie on one line of sight: rank {int(np.sum(s > 1e-9 * s[0]))} of 3"
+            f"{len(v)} outline points lie on one line of sight: "
+            f"rank {int(np.sum(s > 1e-9 * s[0]))} of 3"
         )
     solution = vt.T @ ((u.T @ root) / s)
     residual = root - design @ solution

@@ -39,7 +39,7 @@ class UncertainTransform:
     def inverse(self) -> UncertainTransform:
         """source_from_target with its covariance to first order."""
         back = self.transform.inverse()
-        # t' = -R^T t; R -> exp(w) R gives R'^T -> R^T exp(-w): dw' = -R^T w, dt' = -R^T (dt + t x w).
+        # t' = -R^T t and R' = R^T; R -> exp(w) R gives dw' = -R^T w, dt' = -R^T (dt + t x w).
         jacobian = np.zeros((6, 6))
         jacobian[:3, :3] = jacobian[3:, 3:] = -back.rotation
         jacobian[:3, 3:] = -back.rotation @ skew(self.transform.translation)
@@ -56,6 +56,6 @@ class UncertainTransform:
         return UncertainTransform(self.transform @ other.transform, covariance)
 
     def point_covariance(self, point: Floats) -> Floats:
-        """Covariance (3, 3) in mm^2 of the image, in the target frame, of an exact source point (3,)."""
+        """Covariance (3, 3) in mm^2 of where an exact source point (3,) lands."""
         jacobian = np.hstack([np.eye(3), -skew(self.transform.rotate(point))])
         return propagate(jacobian, self.covariance)

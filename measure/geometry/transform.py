@@ -32,7 +32,8 @@ def skew(vectors: ArrayLike) -> Floats:
 class RigidTransform:
     """A rotation followed by a translation, or a batch of them.
 
-    Points go `points_target = rotation @ points_source + translation`; transforms compose by cancelling
+    Points go `points_target = rotation @ points_source + translation`; transforms compose by
+    cancelling
     the inner names: `world_from_body = world_from_camera @ camera_from_body`.
 
     Attributes:
@@ -54,7 +55,7 @@ class RigidTransform:
 
     @classmethod
     def from_quat_wxyz(cls, quat_wxyz: ArrayLike, translation: ArrayLike) -> RigidTransform:
-        """From quaternions (..., 4), scalar first, of any length but zero; and translations (..., 3) in mm."""
+        """From quaternions (..., 4), scalar first, any length; and translations (..., 3) in mm."""
         rotation = Rotation.from_quat(floats("quat_wxyz", quat_wxyz, "...", 4), scalar_first=True)
         return cls(rotation.as_matrix(), floats("translation", translation, "...", 3))
 
@@ -108,8 +109,10 @@ class RigidTransform:
     def perturb(self, delta: ArrayLike) -> RigidTransform:
         """The neighbour at `delta` = (dx dy dz mm, rotation vector rad), both in the target frame.
 
-        This is the chart every 6x6 covariance of this project is written in (docs/conventions.md): the
-        translation moves by `delta[:3]`, and the rotation is multiplied on the left by exp(`delta[3:]`).
+        This is the chart every 6x6 covariance of this project is written in (docs/conventions.md):
+        the
+        translation moves by `delta[:3]`, and the rotation is multiplied on the left by
+        exp(`delta[3:]`).
         """
         d = floats("delta", delta, "...", 6)
         turn = Rotation.from_rotvec(d[..., 3:]).as_matrix()

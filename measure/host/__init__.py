@@ -1,4 +1,4 @@
-"""Everything a plugin author needs to read: the interfaces, the four hooks, and how plugins are found."""
+"""All a plugin author needs to read: interfaces, the four hooks, and how plugins are found."""
 
 from measure.host.discovery import Broken, Distribution, Loaded, discover
 from measure.host.estimator import Correction, Estimator

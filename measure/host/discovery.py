@@ -1,4 +1,4 @@
-"""Finding plugins, one entry point at a time. A failure is a value: one broken stranger stops nobody."""
+"""Finding plugins, one entry point at a time; a broken stranger stops nobody."""
 
 from __future__ import annotations
 

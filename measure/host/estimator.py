@@ -1,4 +1,4 @@
-"""What an estimator is: it learns a robot's position error and then corrects it, one state at a time."""
+"""What an estimator is: it learns a robot's position error and corrects it, state by state."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Correction:
 
 
 class Estimator(Plugin):
-    """Corrects a robot's reported position from its own state. Streaming: history is kept inside."""
+    """Corrects a robot's reported position from its own state; history is kept inside."""
 
     def __init__(self, config: Settings) -> None:
         self.config = config
@@ -37,4 +37,4 @@ class Estimator(Plugin):
 
     @abstractmethod
     def update(self, state: Floats, time_s: float) -> Correction:
-        """Take the next state (features,) in the order it was trained with, and estimate the error."""
+        """Take the next state (features,), ordered as in training, and estimate the error."""

@@ -1,6 +1,7 @@
 """What a detector, a triangulator and a pose solver are.
 
-A plugin is a class with a `name`, a `Config` and one method. Built-ins and strangers are treated alike; a
+A plugin is a class with a `name`, a `Config` and one method. Built-ins and strangers are treated
+alike; a
 class need not live in this project, only keep this contract (`measure.testing` checks it).
 """
 
@@ -43,8 +44,10 @@ class Detector(Plugin):
             expected: at most one per ball; a ball without one is searched for in the whole frame.
 
         Returns:
-            Detections. A ball that is not seen is simply absent. For an expected ball there is at most one;
-            for a searched ball there may be several candidates, the best score first, and geometry decides.
+            Detections. A ball that is not seen is simply absent. For an expected ball there is at
+            most one;
+            for a searched ball there may be several candidates, the best score first, and geometry
+            decides.
         """
 
 
@@ -65,7 +68,8 @@ class Triangulator(Plugin):
             cameras: by name.
 
         Returns:
-            The fix, or None if the detections do not determine one (fewer than two cameras, parallel rays).
+            The fix, or None if the detections do not determine one (fewer than two cameras,
+            parallel rays).
         """
 
 

@@ -23,7 +23,7 @@ class Registry:
 
     @classmethod
     def discover(cls, disabled: Collection[str] = ()) -> Registry:
-        """Look at every installed distribution, less the entry points or distributions in `disabled`."""
+        """Look at every installed distribution but the entry points or distributions `disabled`."""
         return cls(discover(disabled))
 
     def names(self, kind: str) -> list[str]:
@@ -34,13 +34,15 @@ class Registry:
         """The one plugin of this kind and name.
 
         Raises:
-            PluginError: unknown (with near names), broken (with the reason), or two distributions claim it.
+            PluginError: unknown (with near names), broken (with the reason), or two distributions
+                claim it.
         """
         matches = [item for item in self.loaded if item.kind == kind and item.name == name]
         if len(matches) > 1:
             owners = " and ".join(str(item.distribution) for item in matches)
             raise PluginError(
-                f"{kind} '{name}' is offered by {owners}: uninstall one, or leave one out with --disable DISTRIBUTION"
+                f"{kind} '{name}' is offered by {owners}: "
+                "uninstall one, or leave one out with --disable DISTRIBUTION"
             )
         if matches:
             return matches[0]
@@ -67,7 +69,9 @@ class Registry:
         """
         loaded = self.find(kind, name)
         config = read_settings(loaded.plugin.Config, settings, f"{kind} '{name}'")
-        return cast("P", cast("Any", loaded.plugin)(config, **context))
+        plugin: Any = loaded.plugin
+        assert issubclass(plugin, interface)
+        return cast("P", plugin(config, **context))
 
     def _suggest(self, kind: str, name: str) -> str:
         known = self.names(kind)

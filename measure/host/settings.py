@@ -1,4 +1,4 @@
-"""A plugin's settings: one pydantic model serves validation, `measure plugins show` and the docs."""
+"""A plugin's settings: one pydantic model for validation, `measure plugins show` and docs."""
 
 from __future__ import annotations
 
@@ -73,7 +73,8 @@ def read_settings(config: type[C], values: Mapping[str, Any], owner: str) -> C:
         owner: whose settings they are ("detector 'hough'"), for the message.
 
     Raises:
-        ConfigError: an unknown name (the message lists the known ones) or a value that does not fit.
+        ConfigError: an unknown name (the message lists the known ones) or a value that does not
+            fit.
     """
     try:
         return config.model_validate(dict(values))

@@ -51,7 +51,8 @@ class Body:
         spread = np.linalg.svd(self.centers - self.centers.mean(axis=0), compute_uv=False)
         if spread[1] < MIN_BREADTH_RATIO * spread[0]:
             raise DegenerateGeometryError(
-                f"body '{self.name}': the balls lie on one line (extents {spread[0]:.1f} and {spread[1]:.2f} mm), "
+                f"body '{self.name}': the balls lie on one line "
+                f"(extents {spread[0]:.1f} and {spread[1]:.2f} mm), "
                 "so a turn about it cannot be seen; move one ball off the line"
             )
 

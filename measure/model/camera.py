@@ -22,8 +22,10 @@ class Intrinsics:
 
     Attributes:
         size_wh: image width and height in px.
-        matrix: (3, 3) camera matrix [[fx, skew, cx], [0, fy, cy], [0, 0, 1]] in px, pixel centres at integers.
-        distortion: (8,) k1 k2 p1 p2 k3 k4 k5 k6; shorter OpenCV vectors (0, 4, 5 or 8) are filled with zeros.
+        matrix: (3, 3) camera matrix [[fx, skew, cx], [0, fy, cy], [0, 0, 1]] in px, pixel centres
+            at integers.
+        distortion: (8,) k1 k2 p1 p2 k3 k4 k5 k6; shorter OpenCV vectors (0, 4, 5 or 8) are filled
+            with zeros.
         covariance: (12, 12) of fx fy cx cy and the eight coefficients, or None if unknown.
     """
 
@@ -75,7 +77,7 @@ class Intrinsics:
         return bent @ affine.T + centre, affine @ by_ideal @ ideal_by_point, by_intrinsics
 
     def unproject(self, pixels: ArrayLike) -> Floats:
-        """Unit bearings (n, 3) in the camera frame of pixels (n, 2); NaN where the lens model has no inverse.
+        """Unit bearings (n, 3) of pixels (n, 2); NaN where the lens model has no inverse.
 
         Points are undistorted, never images: resampling blurs the very edges that are measured.
         """
@@ -146,7 +148,8 @@ class Camera:
         """Project, with analytic derivatives.
 
         Returns:
-            Pixels (n, 2); Jacobians by the world point (n, 2, 3), by the pose's `perturb` chart (n, 2, 6), and
+            Pixels (n, 2); Jacobians by the world point (n, 2, 3), by the pose's `perturb` chart (n,
+            2, 6), and
             by the intrinsics (n, 2, 12).
         """
         world = floats("points_world", points_world, "n", 3)

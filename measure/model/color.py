@@ -75,10 +75,12 @@ class BallColor:
 
     @classmethod
     def from_samples(cls, bgr: ArrayLike, hue_margin: int = 6, level_margin: int = 30) -> BallColor:
-        """Learn a range from BGR samples (n, 3), 0-255, taken on the ball under the light of the recording.
+        """Learn a range from BGR samples (n, 3), 0-255, taken under the light of the recording.
 
-        The hue's range is the shortest arc that holds the central 90 % of the samples by saturation weight,
-        widened by `hue_margin`; saturation and value run from the samples' 5 % quantile less `level_margin` up.
+        The hue's range is the shortest arc that holds the central 90 % of the samples by saturation
+        weight,
+        widened by `hue_margin`; saturation and value run from the samples' 5 % quantile less
+        `level_margin` up.
         """
         samples = np.clip(floats("bgr", bgr, "n", 3), 0, 255).astype(np.uint8)[:, None, :]
         hsv = np.asarray(cv2.cvtColor(samples, cv2.COLOR_BGR2HSV), dtype=np.float64)[:, 0, :]
@@ -94,7 +96,7 @@ class BallColor:
 
 
 def _hue_arc(hues: Floats, weights: Floats) -> tuple[float, float]:
-    """Weighted 5 % and 95 % quantiles of circular hues (n,) about their circular mean, unwrapped."""
+    """Weighted 5 % and 95 % quantiles of hues (n,) about their circular mean, unwrapped."""
     angle = hues * (2 * np.pi / _HUE_PERIOD)
     weights = weights + 1e-9
     mean = np.angle(np.sum(weights * np.exp(1j * angle)))

@@ -1,6 +1,7 @@
 """OpenCV's rational radial + tangential lens distortion, with its Jacobians, and its inverse.
 
-Normalised image coordinates x = (X/Z, Y/Z); coefficients in OpenCV's order k1 k2 p1 p2 k3 k4 k5 k6 (Brown 1966;
+Normalised image coordinates x = (X/Z, Y/Z); coefficients in OpenCV's order k1 k2 p1 p2 k3 k4 k5 k6
+(Brown 1966;
 OpenCV calib3d, "Detailed description").
 """
 
@@ -22,7 +23,8 @@ def distort(points: Floats, coefficients: Floats) -> tuple[Floats, Floats, Float
         coefficients: (8,) k1 k2 p1 p2 k3 k4 k5 k6.
 
     Returns:
-        Distorted points (n, 2), their Jacobian by the points (n, 2, 2), and by the coefficients (n, 2, 8).
+        Distorted points (n, 2), their Jacobian by the points (n, 2, 2), and by the coefficients (n,
+        2, 8).
     """
     k1, k2, p1, p2, k3, k4, k5, k6 = coefficients
     x, y = points[:, 0], points[:, 1]
@@ -63,7 +65,8 @@ def undistort(points: Floats, coefficients: Floats) -> Floats:
         coefficients: (8,).
 
     Returns:
-        (n, 2) ideal coordinates; NaN where the model has no inverse (far outside the calibrated image).
+        (n, 2) ideal coordinates; NaN where the model has no inverse (far outside the calibrated
+        image).
     """
     if not np.any(coefficients):
         return points.copy()

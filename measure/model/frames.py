@@ -17,7 +17,8 @@ class Image:
         camera: the camera's name.
         frame: its number in that camera's recording.
         time_s: the middle of its exposure, on the session's clock.
-        decode: returns the pixels, BGR (h, w, 3) uint8; called at most once, maybe in another thread.
+        decode: returns the pixels, BGR (h, w, 3) uint8; called at most once, maybe in another
+            thread.
         encoded: the original JPEG bytes where there are any (for the viewer), else None.
     """
 

@@ -13,7 +13,7 @@ from measure.geometry import RigidTransform
 
 @dataclass(frozen=True, eq=False)
 class Expectation:
-    """Where a detector should look for one ball; a ball without one is searched for in the whole frame.
+    """Where to look for one ball; a ball without one is searched for in the whole frame.
 
     Attributes:
         ball: name of the ball.
@@ -22,7 +22,8 @@ class Expectation:
         min_distance_px: least distance between the centres of two circles of one colour.
         reach_px: how far the true centre may be from `center_px`.
         tolerance: 1 normally; larger while tracking recovers (the paper's raised parameter range).
-        center_camera: (3,) predicted sphere centre in the camera frame in mm, where a 3-D prediction exists.
+        center_camera: (3,) predicted sphere centre in the camera frame in mm, where a 3-D
+            prediction exists.
     """
 
     ball: str
@@ -42,11 +43,13 @@ class Detection:
         ball: name of the ball.
         camera: name of the camera.
         time_s: middle of the exposure.
-        center_px: (2,) projection of the *sphere's centre* where the detector knows it, else the circle's centre.
+        center_px: (2,) projection of the *sphere's centre* where the detector knows it, else the
+            circle's centre.
         radius_px: mean outline radius.
         covariance_px: (2, 2) of `center_px`.
         score: 0 to 1, the detector's own confidence.
-        color_match: share of samples inside the border that have the ball's colour, or NaN if not checked.
+        color_match: share of samples inside the border that have the ball's colour, or NaN if not
+            checked.
         outline_px: (n, 2) outline points, or None.
         outline_sd_px: (n,) standard deviations of the outline points along the normal, or None.
     """
@@ -133,7 +136,8 @@ class Pose:
     Attributes:
         time_s: the instant it holds for.
         world_from_body: the pose.
-        covariance: (6, 6) in the pose's `perturb` chart: x y z mm, rotation vector rad, in the world.
+        covariance: (6, 6) in the pose's `perturb` chart: x y z mm, rotation vector rad, in the
+            world.
         residual_mm: RMS distance between fixes and the body's balls, NaN if not applicable.
         rms_px: RMS reprojection error.
         cameras: names of the cameras used.
