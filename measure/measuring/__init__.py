@@ -1,1 +1,7 @@
-"""."""
+"""From frame sets to detections, states, fixes and poses. No files, no pictures drawn, no printing."""
+
+from measure.measuring.measurement import Measurement, Status
+from measure.measuring.pipeline import Pipeline, Stages
+from measure.measuring.profile import Profile
+
+__all__ = ["Measurement", "Pipeline", "Profile", "Stages", "Status"]

@@ -1,0 +1,44 @@
+"""What the pipeline says about one frame set."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from measure.model import BallView, Fix, Pose
+
+
+class Status(StrEnum):
+    """How a frame set ended."""
+
+    OK = "ok"
+    FLAGGED = "flagged"
+    LOST = "lost"
+    SKIPPED = "skipped"
+
+
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """One frame set, measured.
+
+    Attributes:
+        index: number of the frame set in the session.
+        time_s: the instant the fixes and the pose hold for.
+        frames: frame number of each camera's image, by camera name.
+        views: the state of every ball in every camera, with its detection if there is one.
+        fixes: at most one per ball.
+        pose: the body's pose, None unless `status` is OK or FLAGGED.
+        status: OK; FLAGGED (a pose to doubt, see its flags); LOST (no pose); SKIPPED (not looked at).
+        reason: why it is not OK, in words; empty otherwise.
+        searched: names of the cameras in which the whole frame was searched for some ball.
+    """
+
+    index: int
+    time_s: float
+    frames: dict[str, int]
+    views: tuple[BallView, ...]
+    fixes: tuple[Fix, ...]
+    pose: Pose | None
+    status: Status
+    reason: str = ""
+    searched: tuple[str, ...] = field(default=())

@@ -1,0 +1,168 @@
+"""The way of an image: detector -> tracking -> triangulator -> pose solver."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from measure.host import Detector, PoseSolver, Triangulator
+from measure.measuring.instants import detection_at
+from measure.measuring.measurement import Measurement, Status
+from measure.measuring.tracking import Tracker
+from measure.model import (
+    BallView,
+    Body,
+    Camera,
+    Detection,
+    Expectation,
+    Fix,
+    FrameSet,
+    Motion,
+    Pose,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Stages:
+    """The parts a pipeline is made of.
+
+    Attributes:
+        detectors: one per camera, by name.
+        tracker: holds the state between frame sets.
+        triangulator: locates single balls.
+        solver: locates the body.
+        own_times: whether each image counts at its own time.
+        neighbours: whether a pose is solved again with the velocity its neighbours give.
+    """
+
+    detectors: Mapping[str, Detector]
+    tracker: Tracker
+    triangulator: Triangulator
+    solver: PoseSolver
+    own_times: bool
+    neighbours: bool
+
+
+class Pipeline:
+    """Measures frame sets one after the other; cameras side by side."""
+
+    def __init__(self, body: Body, cameras: Sequence[Camera], stages: Stages) -> None:
+        self._body = body
+        self._cameras = {camera.name: camera for camera in cameras}
+        self._stages = stages
+
+    def measure(self, frame_sets: Iterable[FrameSet]) -> Iterator[Measurement]:
+        """Measure frame sets in order of time; yields one measurement for each, in the same order."""
+        with ThreadPoolExecutor(max_workers=len(self._cameras)) as pool:
+            first_pass = (self._measure_one(frame_set, pool) for frame_set in frame_sets)
+            if self._stages.neighbours:
+                yield from self._with_neighbours(first_pass)
+            else:
+                yield from first_pass
+
+    def _measure_one(self, frame_set: FrameSet, pool: Executor) -> Measurement:
+        tracker = self._stages.tracker
+        frames = {name: image.frame for name, image in frame_set.images.items()}
+        expected = tracker.expect(frame_set)
+        if expected is None:
+            return Measurement(
+                frame_set.index,
+                frame_set.time_s,
+                frames,
+                (),
+                (),
+                None,
+                Status.SKIPPED,
+                "restarting",
+            )
+        views = tracker.judge(frame_set, self._detect(frame_set, expected, pool))
+        time_s = self._instant(frame_set)
+        fixes = self._triangulate(views, time_s)
+        pose = self._solve(views, fixes, time_s, tracker.motion(time_s))
+        verdict = tracker.conclude(frame_set, views, fixes, pose)
+        status = Status.LOST
+        if verdict.pose is not None:
+            status = Status.FLAGGED if verdict.pose.flags else Status.OK
+        return Measurement(
+            index=frame_set.index,
+            time_s=time_s,
+            frames=frames,
+            views=views,
+            fixes=fixes,
+            pose=verdict.pose,
+            status=status,
+            reason=verdict.reason,
+            searched=tuple(n for n in frames if len(expected.get(n, ())) < len(self._body.balls)),
+        )
+
+    def _detect(
+        self, frame_set: FrameSet, expected: Mapping[str, Sequence[Expectation]], pool: Executor
+    ) -> dict[str, list[Detection]]:
+        names = list(frame_set.images)
+
+        def detect(name: str) -> list[Detection]:
+            return self._stages.detectors[name].detect(
+                frame_set.images[name], expected.get(name, ())
+            )
+
+        return dict(zip(names, pool.map(detect, names), strict=True))
+
+    def _instant(self, frame_set: FrameSet) -> float:
+        """With own times: the middle of the images' times, where moving them costs least."""
+        if not self._stages.own_times or not frame_set.images:
+            return frame_set.time_s
+        return float(np.mean([image.time_s for image in frame_set.images.values()]))
+
+    def _triangulate(self, views: Sequence[BallView], time_s: float) -> tuple[Fix, ...]:
+        motion = self._stages.tracker.motion(time_s) if self._stages.own_times else None
+        fixes = []
+        for name in self._body.names:
+            seen = [v.detection for v in views if v.ball == name and v.effective and v.detection]
+            if motion is not None:
+                seen = [detection_at(d, time_s, motion, self._body, self._cameras) for d in seen]
+            if len(seen) < 2:
+                continue
+            fix = self._stages.triangulator.triangulate(seen, self._cameras)
+            if fix is not None:
+                fixes.append(replace(fix, time_s=time_s))
+        return tuple(fixes)
+
+    def _solve(
+        self, views: Sequence[BallView], fixes: Sequence[Fix], time_s: float, prior: Motion | None
+    ) -> Pose | None:
+        seen = [v.detection for v in views if v.effective and v.detection is not None]
+        if not seen:
+            return None
+        return self._stages.solver.solve(fixes, seen, self._cameras, time_s, prior)
+
+    def _with_neighbours(self, measured: Iterable[Measurement]) -> Iterator[Measurement]:
+        """Solve each pose again with the velocity between the poses before and after it."""
+        before: Measurement | None = None
+        current: Measurement | None = None
+        for after in measured:
+            if current is not None:
+                yield self._again(before, current, after)
+            before, current = current, after
+        if current is not None:
+            yield self._again(before, current, None)
+
+    def _again(
+        self, before: Measurement | None, current: Measurement, after: Measurement | None
+    ) -> Measurement:
+        if current.pose is None:
+            return current
+        around = [m.pose for m in (before, current, after) if m is not None and m.pose is not None]
+        if len(around) < 2:
+            return current
+        first, last = around[0], around[-1]
+        step = last.world_from_body.difference(first.world_from_body)
+        motion = Motion(
+            current.pose.world_from_body, current.time_s, step / (last.time_s - first.time_s)
+        )
+        pose = self._solve(current.views, current.fixes, current.time_s, motion)
+        if pose is None:
+            return current
+        return replace(current, pose=replace(pose, flags=current.pose.flags))

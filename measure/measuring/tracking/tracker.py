@@ -1,0 +1,48 @@
+"""The contract between the pipeline and a way of tracking."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from measure.model import BallView, Detection, Expectation, Fix, FrameSet, Motion, Pose
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """Whether a pose is believed: the pose (maybe with flags added) or None, and why in words."""
+
+    pose: Pose | None
+    reason: str = ""
+
+
+class Tracker(Protocol):
+    """Holds the state between frame sets; called in this order for each of them.
+
+    `expect` -> (detectors run) -> `judge` -> (triangulator, solver) -> `conclude`.
+    """
+
+    def expect(self, frame_set: FrameSet) -> Mapping[str, Sequence[Expectation]] | None:
+        """Where each camera should look for each ball, by camera name.
+
+        A ball without an expectation is searched for in the whole frame; an empty mapping searches
+        everything. None: this frame set is skipped (the paper's "skips a few frames and restarts").
+        """
+
+    def judge(
+        self, frame_set: FrameSet, detections: Mapping[str, Sequence[Detection]]
+    ) -> tuple[BallView, ...]:
+        """The state of every ball in every camera, each with at most one detection."""
+
+    def motion(self, time_s: float) -> Motion | None:
+        """Where the body is expected around `time_s` and how fast it moves, if known."""
+
+    def conclude(
+        self,
+        frame_set: FrameSet,
+        views: Sequence[BallView],
+        fixes: Sequence[Fix],
+        pose: Pose | None,
+    ) -> Verdict:
+        """Learn from the result, and say whether the pose is believed."""
