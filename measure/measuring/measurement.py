@@ -28,7 +28,7 @@ class Measurement:
         views: the state of every ball in every camera, with its detection if there is one.
         fixes: at most one per ball.
         pose: the body's pose, None unless `status` is OK or FLAGGED.
-        status: OK; FLAGGED (a pose to doubt, see its flags); LOST (no pose); SKIPPED (not looked at).
+        status: OK; FLAGGED (a pose to doubt, see its flags); LOST (no pose); SKIPPED (not tried).
         reason: why it is not OK, in words; empty otherwise.
         searched: names of the cameras in which the whole frame was searched for some ball.
     """

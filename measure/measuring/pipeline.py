@@ -55,7 +55,7 @@ class Pipeline:
         self._stages = stages
 
     def measure(self, frame_sets: Iterable[FrameSet]) -> Iterator[Measurement]:
-        """Measure frame sets in order of time; yields one measurement for each, in the same order."""
+        """Measure frame sets in order of time; yields one measurement for each, in order."""
         with ThreadPoolExecutor(max_workers=len(self._cameras)) as pool:
             first_pass = (self._measure_one(frame_set, pool) for frame_set in frame_sets)
             if self._stages.neighbours:

@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-STAGES = ("detector", "triangulator", "solver", "tracking")
+Stage = Literal["detector", "triangulator", "solver", "tracking"]
 
 
 class Profile(BaseModel):
@@ -17,9 +17,9 @@ class Profile(BaseModel):
         detector: name of the detector plugin.
         triangulator: name of the triangulator plugin.
         solver: name of the pose-solver plugin.
-        tracking: "frame-update" (the paper's section II.D) or "predictive" (constant velocity in SE(3)).
+        tracking: "frame-update" (the paper's section II.D) or "predictive" (in SE(3)).
         own_times: whether each image counts at its own time (else a frame set is one instant).
-        neighbours: whether a pose is solved again once the next one gives its velocity (one frame late).
+        neighbours: whether a pose is solved again when the next one gives its velocity.
         settings: by stage name, the settings that differ from the defaults.
     """
 
@@ -32,17 +32,15 @@ class Profile(BaseModel):
     tracking: Literal["frame-update", "predictive"]
     own_times: bool
     neighbours: bool
-    settings: dict[Literal["detector", "triangulator", "solver", "tracking"], dict[str, Any]] = (
-        Field(default_factory=dict)
-    )
+    settings: dict[Stage, dict[str, Any]] = Field(default_factory=dict)
 
-    def with_stage(self, stage: str, name: str) -> Profile:
-        """The same profile with another plugin for one stage, and that stage's settings at default."""
+    def with_stage(self, stage: Stage, name: str) -> Profile:
+        """The same profile with another plugin for one stage, at its default settings."""
         settings = {key: value for key, value in self.settings.items() if key != stage}
         return self.model_copy(update={stage: name, "settings": settings})
 
-    def with_setting(self, stage: str, name: str, value: Any) -> Profile:
+    def with_setting(self, stage: Stage, name: str, value: Any) -> Profile:
         """The same profile with one setting changed."""
         settings = {key: dict(values) for key, values in self.settings.items()}
-        settings.setdefault(stage, {})[name] = value  # type: ignore[call-overload]
+        settings.setdefault(stage, {})[name] = value
         return self.model_copy(update={"settings": settings})
