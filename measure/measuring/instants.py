@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from measure.model import Body, Camera, Detection, Motion
+from measure.arrays import Floats
+from measure.model import BallView, Body, Camera, Detection, Motion
 
 
 def detection_at(
@@ -21,3 +22,24 @@ def detection_at(
     then, now = motion.at(detection.time_s).apply(center), motion.at(time_s).apply(center)
     before, after = camera.project([then, now])
     return replace(detection, center_px=detection.center_px + (after - before), time_s=time_s)
+
+
+def center_residuals(
+    views: Sequence[BallView], motion: Motion, body: Body, cameras: Mapping[str, Camera]
+) -> dict[tuple[str, str], Floats]:
+    """Detected minus predicted sphere centre (2,) in px of every effective view, by (ball, camera).
+
+    Args:
+        views: of one frame set.
+        motion: the measured pose, with the velocity that carries it to each image's own time.
+        body: the body.
+        cameras: by name.
+    """
+    residuals = {}
+    for view in views:
+        if view.effective and view.detection is not None:
+            center = body.balls[body.index(view.ball)].center_mm
+            there = motion.at(view.detection.time_s).apply(center)
+            predicted = cameras[view.camera].project(there[None])[0]
+            residuals[view.ball, view.camera] = view.detection.center_px - predicted
+    return residuals

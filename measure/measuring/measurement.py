@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+from measure.arrays import Floats
 from measure.model import BallView, Fix, Pose
 
 
@@ -28,8 +29,10 @@ class Measurement:
         views: the state of every ball in every camera, with its detection if there is one.
         fixes: at most one per ball.
         pose: the body's pose, None unless `status` is OK or FLAGGED.
-        status: OK; FLAGGED (a pose to doubt, see its flags); LOST (no pose); SKIPPED (not tried).
+        status: OK; FLAGGED (a pose to doubt); LOST (no pose); SKIPPED (not tried).
         reason: why it is not OK, in words; empty otherwise.
+        residuals_px: by (ball, camera), detected minus predicted centre (2,) in px, for every
+            effective view of a frame set with a pose.
         searched: names of the cameras in which the whole frame was searched for some ball.
     """
 
@@ -41,4 +44,5 @@ class Measurement:
     pose: Pose | None
     status: Status
     reason: str = ""
-    searched: tuple[str, ...] = field(default=())
+    residuals_px: dict[tuple[str, str], Floats] = field(default_factory=dict)
+    searched: tuple[str, ...] = ()

@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from measure.arrays import Floats
 from measure.host import Detector, PoseSolver, Triangulator
-from measure.measuring.instants import detection_at
+from measure.measuring.instants import center_residuals, detection_at
 from measure.measuring.measurement import Measurement, Status
 from measure.measuring.tracking import Tracker
 from measure.model import (
@@ -81,8 +82,10 @@ class Pipeline:
         views = tracker.judge(frame_set, self._detect(frame_set, expected, pool))
         time_s = self._instant(frame_set)
         fixes = self._triangulate(views, time_s)
-        pose = self._solve(views, fixes, time_s, tracker.motion(time_s))
-        verdict = tracker.conclude(frame_set, views, fixes, pose)
+        prior = tracker.motion(time_s)
+        verdict = tracker.conclude(
+            frame_set, views, fixes, self._solve(views, fixes, time_s, prior)
+        )
         status = Status.LOST
         if verdict.pose is not None:
             status = Status.FLAGGED if verdict.pose.flags else Status.OK
@@ -95,6 +98,7 @@ class Pipeline:
             pose=verdict.pose,
             status=status,
             reason=verdict.reason,
+            residuals_px=self._residuals(views, verdict.pose, prior),
             searched=tuple(n for n in frames if len(expected.get(n, ())) < len(self._body.balls)),
         )
 
@@ -165,4 +169,17 @@ class Pipeline:
         pose = self._solve(current.views, current.fixes, current.time_s, motion)
         if pose is None:
             return current
-        return replace(current, pose=replace(pose, flags=current.pose.flags))
+        pose = replace(pose, flags=current.pose.flags)
+        residuals = self._residuals(current.views, pose, motion)
+        return replace(current, pose=pose, residuals_px=residuals)
+
+    def _residuals(
+        self, views: Sequence[BallView], pose: Pose | None, prior: Motion | None
+    ) -> dict[tuple[str, str], Floats]:
+        if pose is None:
+            return {}
+        if prior is None or not self._stages.own_times:
+            still = Motion.at_rest(pose.world_from_body, pose.time_s)
+            return center_residuals(views, still, self._body, self._cameras)
+        moving = Motion(pose.world_from_body, pose.time_s, prior.velocity)
+        return center_residuals(views, moving, self._body, self._cameras)
