@@ -49,7 +49,19 @@ class Registry:
         for item in self.broken:
             if item.name == name:
                 raise PluginError(f"{kind} '{name}' of {item.distribution} is broken: {item.error}")
-        raise PluginError(f"no {kind} is called '{name}'; {self._suggest(kind, name)}")
+        raise PluginError(f"no {kind} is called '{name}'; {_suggest(name, self.names(kind), kind)}")
+
+    def named(self, name: str) -> list[Loaded | Broken]:
+        """Every plugin of this name, whatever its kind, and broken entry points called so.
+
+        Raises:
+            PluginError: there is none (with near names).
+        """
+        everything: list[Loaded | Broken] = [*self.loaded, *self.broken]
+        if found := [item for item in everything if item.name == name]:
+            return found
+        known = sorted({item.name for item in everything})
+        raise PluginError(f"no plugin is called '{name}'; {_suggest(name, known, 'plugin')}")
 
     def clashes(self) -> list[tuple[Loaded, ...]]:
         """Groups of plugins that claim one kind and name."""
@@ -73,9 +85,9 @@ class Registry:
         assert issubclass(plugin, interface)
         return cast("P", plugin(config, **context))
 
-    def _suggest(self, kind: str, name: str) -> str:
-        known = self.names(kind)
-        near = difflib.get_close_matches(name, known, n=3)
-        if near:
-            return f"did you mean {' or '.join(repr(n) for n in near)}?"
-        return f"there is {', '.join(known)}" if known else f"no {kind} is installed"
+
+def _suggest(name: str, known: Sequence[str], kind: str) -> str:
+    near = difflib.get_close_matches(name, known, n=3)
+    if near:
+        return f"did you mean {' or '.join(repr(n) for n in near)}?"
+    return f"there is {', '.join(known)}" if known else f"no {kind} is installed"

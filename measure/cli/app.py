@@ -1,0 +1,139 @@
+"""The frame around all sub-commands: global options, error lines and exit codes."""
+
+from __future__ import annotations
+
+import difflib
+import errno
+import os
+import sys
+from collections.abc import Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import App, CycloptsError, Group, Parameter, UnknownCommandError
+
+from measure.cli.commands import GROUPS
+from measure.errors import MeasureError
+
+DONE, DEFECT, MISTAKE, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 130, 141
+"""Exit codes. An exception we did not foresee is a defect: python prints it and exits with 1."""
+
+_MACHINE_FAULTS = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EMFILE}
+"""Errors of the operating system that are never ours: full or read-only disks, permissions."""
+
+
+def main(tokens: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code.
+
+    Args:
+        tokens: the words after `measure`; those of the process if omitted.
+    """
+    try:
+        code = _dispatch(sys.argv[1:] if tokens is None else list(tokens))
+        sys.stdout.flush()
+    except MeasureError as error:
+        return _mistake(str(error))
+    except BrokenPipeError:
+        # Whoever read our output has gone (`measure ... | head`): nobody is left to complain to.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return PIPE_CLOSED
+    except OSError as error:
+        if error.errno not in _MACHINE_FAULTS:
+            raise
+        where = f"{error.filename}: " if error.filename else ""
+        return _mistake(f"{where}{error.strerror}")
+    except KeyboardInterrupt:
+        print("measure: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    return code
+
+
+def build_app() -> App:
+    """The tree of sub-commands, none of them imported yet."""
+    app = App(
+        name="measure",
+        help="The 6-DoF pose of a body with coloured balls on it, seen by cheap cameras.",
+        version=lambda: f"measure {metadata.version('triball')}",
+        help_format="plaintext",
+        default_parameter=Parameter(negative=(), show_default=_worth_showing),
+        suppress_keyboard_interrupt=False,
+    )
+    for title, commands in GROUPS.items():
+        group = Group.create_ordered(title)
+        for command in commands:
+            if (Path(__file__).parent / f"{command.name}.py").exists():
+                app.command(
+                    command.import_path, name=command.name, help=command.summary, group=group
+                )
+    app["--help"].group = app["--version"].group = Group.create_ordered("Options")
+    app.meta.group_parameters = Group.create_ordered("Options")
+    app.meta.suppress_keyboard_interrupt = False
+    return app
+
+
+def _worth_showing(default: object) -> Any:
+    """A default as the help shows it: None, nothing at all, for "off", "none" and "empty"."""
+    return None if default is False or default in (None, (), []) else str(default)
+
+
+def _dispatch(tokens: list[str]) -> int:
+    app = build_app()
+
+    @app.meta.default
+    def launch(
+        *words: Annotated[str, Parameter(show=False, allow_leading_hyphen=True)],
+        disable: Annotated[tuple[str, ...], Parameter(show_default=False)] = (),
+    ) -> int:
+        """Run a command.
+
+        Args:
+            words: the command and its arguments.
+            disable: Leave out a plugin or a distribution, without importing it; may be repeated.
+        """
+        command, bound, ignored = app.parse_args(words, exit_on_error=False, print_error=False)
+        injected = _injected(ignored, disable)
+        result = command(*bound.args, **bound.kwargs, **injected)
+        return result if isinstance(result, int) else DONE
+
+    try:
+        return int(
+            app.meta(tokens, exit_on_error=False, print_error=False, result_action="return_value")
+            or DONE
+        )
+    except CycloptsError as error:
+        return _mistake(_explain(error, tokens))
+
+
+def _injected(wanted: dict[str, Any], disabled: Sequence[str]) -> dict[str, Any]:
+    """What a command asked to be given rather than typed."""
+    if "registry" not in wanted:
+        return {}
+    from measure.host import Registry
+
+    return {"registry": Registry.discover(disabled)}
+
+
+def _explain(error: CycloptsError, tokens: Sequence[str]) -> str:
+    """A usage error in one line, with near names and where to read on."""
+    chain = " ".join(error.command_chain or ())
+    if isinstance(error, UnknownCommandError) and not chain:
+        # Not str(error): it imports every command to list them.
+        known = [command.name for commands in GROUPS.values() for command in commands]
+        known += ["--disable", "--help", "--version"]
+        unknown = (error.unused_tokens or list(tokens))[0]
+        near = difflib.get_close_matches(unknown, known, n=3)
+        hint = f" Did you mean {' or '.join(near)}?" if near else ""
+        what = "option" if unknown.startswith("-") else "command"
+        text = f"there is no {what} '{unknown}'.{hint}"
+    else:
+        error.verbose = False
+        text = str(error)
+        text = text[:1].lower() + text[1:]
+    return f"{text} See `{' '.join(f'measure {chain}'.split())} --help`."
+
+
+def _mistake(message: str) -> int:
+    sys.stdout.flush()
+    print(f"measure: {' '.join(message.split())}", file=sys.stderr)
+    return MISTAKE

@@ -1,0 +1,153 @@
+"""What commands say: progress on stderr, tables or one JSON object on stdout."""
+
+from __future__ import annotations
+
+import dataclasses
+import json as json_library
+import math
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import PurePath
+from typing import Annotated, Any, TextIO
+
+from cyclopts import Parameter
+from rich.console import Console
+from rich.table import Table
+
+JsonFlag = Annotated[bool, Parameter(name="--json", help="Print one JSON object and nothing else.")]
+"""Type of every command's `json` option."""
+
+Report = Callable[[int, int | None], None]
+"""Told how much is done, of how much (None: nobody knows)."""
+
+_LINE_EVERY_S = 5.0
+_PIPE_WIDTH = 120
+
+
+def print_json(value: Any) -> None:
+    """Print one JSON object; arrays become lists, NaN becomes null, dataclasses objects."""
+    print(json_library.dumps(_plain(value), allow_nan=False, ensure_ascii=False, indent=2))
+
+
+def print_text(text: str) -> None:
+    """Print plain text, never wrapped, coloured or re-interpreted."""
+    print(text)
+
+
+def print_table(columns: Sequence[str], rows: Iterable[Sequence[object]], title: str = "") -> None:
+    """Print a table; numbers are aligned right.
+
+    Args:
+        columns: headings, with units where there are any ("x_mm").
+        rows: cells; floats are shown with four significant digits, None as an empty cell.
+        title: a line above the table.
+    """
+    rows = [list(row) for row in rows]
+    table = Table(title=title or None, title_justify="left", title_style="bold", box=None)
+    for index, heading in enumerate(columns):
+        numeric = all(isinstance(row[index], int | float | None) for row in rows)
+        table.add_column(heading, justify="right" if numeric and rows else "left", overflow="fold")
+    for row in rows:
+        table.add_row(*map(_cell, row))
+    console = Console(highlight=False, markup=False)
+    if not console.is_terminal:
+        console = Console(highlight=False, markup=False, width=_PIPE_WIDTH)
+    console.print(table)
+
+
+@contextmanager
+def progress(
+    label: str, unit: str = "frame sets", stream: TextIO | None = None
+) -> Iterator[Report]:
+    """Show how far long work is, with the time left, on stderr.
+
+    On a terminal it is a bar; elsewhere a line every few seconds.
+
+    Args:
+        label: what is being done ("measuring").
+        unit: what is counted, plural.
+        stream: where to; stderr if omitted.
+
+    Yields:
+        A function to call with what is done and the total.
+    """
+    out = sys.stderr if stream is None else stream
+    if out.isatty():
+        with _bar(label, unit, out) as report:
+            yield report
+    else:
+        yield _Lines(label, unit, out)
+
+
+@contextmanager
+def _bar(label: str, unit: str, out: TextIO) -> Iterator[Report]:
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn(unit),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(file=out), transient=True) as bar:
+        task = bar.add_task(label, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+class _Lines:
+    """Progress as lines of text, at most one every few seconds."""
+
+    def __init__(
+        self, label: str, unit: str, out: TextIO, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._label, self._unit, self._out, self._clock = label, unit, out, clock
+        self._start = self._last = clock()
+
+    def __call__(self, done: int, total: int | None) -> None:
+        now = self._clock()
+        if now - self._last < _LINE_EVERY_S:
+            return
+        self._last = now
+        rate = done / (now - self._start)
+        count = f"{done} {self._unit}" if total is None else f"{done}/{total} {self._unit}"
+        left = f", {(total - done) / rate:.0f} s left" if total is not None and rate > 0 else ""
+        print(f"{self._label}: {count}, {rate:.3g} per s{left}", file=self._out, flush=True)
+
+
+def _cell(value: object) -> str:
+    if value is None:
+        return ""
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _plain(value: Any) -> Any:
+    """Turn a result into what JSON knows."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    if hasattr(value, "model_dump"):
+        return _plain(value.model_dump())
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if hasattr(value, "tolist"):
+        return _plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, str | bool | int):
+        return value
+    if isinstance(value, PurePath):
+        return str(value)
+    if isinstance(value, Iterable):
+        return [_plain(item) for item in value]
+    raise TypeError(f"{type(value).__name__} has no form in JSON")

@@ -1,0 +1,152 @@
+"""The frame: exit codes, one-line errors, lazy imports."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import subprocess
+import sys
+
+import pytest
+from cyclopts import App
+
+from measure.cli import build_app, main
+from measure.cli.commands import GROUPS
+from measure.errors import SessionError
+
+
+def _register(monkeypatch: pytest.MonkeyPatch, function) -> None:
+    """Add a sub-command "try" that calls `function`."""
+
+    def built():
+        app = build_app()
+        app.command(function, name="try")
+        return app
+
+    monkeypatch.setattr("measure.cli.app.build_app", built)
+
+
+def _raise(error: BaseException):
+    def function() -> None:
+        raise error
+
+    return function
+
+
+def test_a_mistake_is_one_line_and_exit_code_2(monkeypatch, capsys):
+    _register(monkeypatch, _raise(SessionError("session.toml, line 3:\n  no such camera 'cam9'")))
+    assert main(["try"]) == 2
+    out, err = capsys.readouterr()
+    assert (out, err) == ("", "measure: session.toml, line 3: no such camera 'cam9'\n")
+
+
+def test_a_defect_keeps_its_traceback(monkeypatch):
+    _register(monkeypatch, _raise(ZeroDivisionError("ours")))
+    with pytest.raises(ZeroDivisionError, match="ours"):
+        main(["try"])
+
+
+def test_ctrl_c_is_one_line_and_exit_code_130(monkeypatch, capsys):
+    _register(monkeypatch, _raise(KeyboardInterrupt()))
+    assert main(["try"]) == 130
+    assert capsys.readouterr().err == "measure: interrupted\n"
+
+
+def test_a_full_disk_is_a_mistake_that_names_the_file(monkeypatch, capsys):
+    _register(monkeypatch, _raise(OSError(28, "No space left on device", "run/poses.parquet")))
+    assert main(["try"]) == 2
+    assert capsys.readouterr().err == "measure: run/poses.parquet: No space left on device\n"
+
+
+def test_other_errors_of_the_system_are_defects(monkeypatch):
+    _register(monkeypatch, _raise(FileNotFoundError(2, "No such file", "ours.bin")))
+    with pytest.raises(FileNotFoundError):
+        main(["try"])
+
+
+def test_the_integer_a_command_returns_is_the_exit_code(monkeypatch):
+    _register(monkeypatch, lambda: 3)
+    assert main(["try"]) == 3
+
+
+@pytest.mark.parametrize(
+    ("tokens", "message"),
+    [
+        (["rnu"], "there is no command 'rnu'. Did you mean run?"),
+        (["--disabel", "x"], "there is no option '--disabel'. Did you mean --disable?"),
+        (["plugins", "--jsno"], "unknown option: --jsno. Did you mean --json?"),
+        (["plugins", "show"], "NAME requires an argument"),
+        (["plugins", "show", "a", "b"], "'b'"),
+    ],
+)
+def test_usage_errors_are_one_line_and_exit_code_2(capsys, tokens, message):
+    assert main(tokens) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert message in err
+    assert err.startswith("measure: ")
+    assert err.count("\n") == 1
+    assert "--help`." in err
+
+
+@pytest.mark.parametrize("tokens", [[], ["--help"], ["plugins", "--help"], ["--version"]])
+def test_help_and_version_succeed(capsys, tokens):
+    assert main(tokens) == 0
+    out, err = capsys.readouterr()
+    assert "measure" in out
+    assert err == ""
+
+
+def _python(*arguments: str, **options) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, *arguments], capture_output=True, text=True, check=False, **options
+    )
+
+
+def test_help_imports_nothing_heavy():
+    code = (
+        "import sys, json; from measure.cli import main; main(['--help']);"
+        "print(json.dumps(sorted(sys.modules)))"
+    )
+    modules = set(json.loads(_python("-c", code).stdout.splitlines()[-1]))
+    assert "cyclopts" in modules
+    assert not modules & {
+        "numpy", "cv2", "scipy", "rerun", "plotly", "pydantic", "pluggy", "torch", "numba", "av",
+        "pyarrow", "onnxruntime", "measure.host", "measure.api",
+    }  # fmt: skip
+
+
+def _cpu_s(*arguments: str) -> float:
+    """Least CPU time of five runs, children of children not counted."""
+    code = (
+        "import resource, subprocess, sys;"
+        "subprocess.run(sys.argv[1:], stdout=subprocess.DEVNULL, check=True);"
+        "used = resource.getrusage(resource.RUSAGE_CHILDREN);"
+        "print(used.ru_utime + used.ru_stime)"
+    )
+    command = ("-c", code, sys.executable, *arguments)
+    return min(float(_python(*command).stdout) for _ in range(5))
+
+
+def test_help_costs_little_cpu():
+    """0.3 s where an empty python takes 0.03 s; a slow or busy machine stretches both."""
+    empty = _cpu_s("-c", "pass")
+    assert _cpu_s("-m", "measure.cli", "--help") < max(0.3, 10 * empty)
+
+
+def test_a_closed_pipe_is_quiet():
+    command = f"{sys.executable} -m measure.cli plugins list --json | true"
+    done = subprocess.run(
+        ["bash", "-c", f"set -o pipefail; {command}"], capture_output=True, text=True, check=False
+    )
+    assert done.stderr == ""
+    assert done.returncode in (0, 141)
+
+
+@pytest.mark.parametrize("command", [c for commands in GROUPS.values() for c in commands])
+def test_a_command_says_of_itself_what_the_table_says(command):
+    if command.name not in build_app():
+        pytest.skip("not written yet")
+    target = getattr(importlib.import_module(f"measure.cli.{command.name}"), command.name)
+    own = target.help if isinstance(target, App) else target.__doc__
+    assert own.partition("\n")[0] == command.summary
