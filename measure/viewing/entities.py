@@ -1,0 +1,114 @@
+"""Where everything stands in a Rerun recording, and in which colour: the one list of names."""
+
+from __future__ import annotations
+
+from measure.model import BallView
+from measure.model.observations import Reason, State
+
+WORLD = "world"
+BODY = "world/body"
+TRAIL = "world/trail"
+UNCERTAINTY = "world/uncertainty_x100"
+UNCERTAINTY_SCALE = 100.0
+STATUS = "status"
+SUMMARY = "summary"
+TIMELINE_FRAME = "frame"
+TIMELINE_TIME = "time"
+
+ERROR_AXES = ("x", "y", "z", "3d")
+ERROR_COLORS = {
+    "x": (229, 83, 83),
+    "y": (96, 180, 90),
+    "z": (80, 130, 235),
+    "3d": (240, 200, 60),
+}
+EFFECTIVE_COLOR = (80, 220, 120)
+REASON_COLORS = {
+    Reason.JUMPED: (255, 140, 0),
+    Reason.COLOR: (220, 80, 220),
+    Reason.NOT_FOUND: (150, 150, 150),
+    Reason.INCONSISTENT: (255, 60, 60),
+    Reason.RECOVERING: (90, 190, 255),
+    Reason.NO_IMAGE: (110, 110, 110),
+}
+_NAMED_COLORS = {
+    "red": (214, 40, 40),
+    "orange": (244, 140, 30),
+    "yellow": (240, 200, 40),
+    "green": (50, 160, 70),
+    "cyan": (60, 190, 200),
+    "blue": (50, 100, 220),
+    "purple": (130, 70, 180),
+    "magenta": (210, 60, 160),
+    "pink": (240, 130, 180),
+    "white": (235, 235, 235),
+    "black": (60, 60, 60),
+}
+_PALETTE = ((50, 160, 70), (240, 200, 40), (214, 40, 40), (50, 100, 220), (130, 70, 180))
+
+
+def camera(name: str) -> str:
+    """A camera's pinhole and pose."""
+    return f"world/cameras/{name}"
+
+
+def image(name: str) -> str:
+    """A camera's picture."""
+    return f"world/cameras/{name}/image"
+
+
+def centers(name: str) -> str:
+    """Detected centres in a camera's picture."""
+    return f"world/cameras/{name}/image/centers"
+
+
+def outlines(name: str) -> str:
+    """Detected circles in a camera's picture, in the colour of their state."""
+    return f"world/cameras/{name}/image/outlines"
+
+
+def edges(name: str) -> str:
+    """Outline points the detector measured in a camera's picture."""
+    return f"world/cameras/{name}/image/edges"
+
+
+def ball(name: str) -> str:
+    """A ball's fix."""
+    return f"world/balls/{name}"
+
+
+def rays(name: str) -> str:
+    """The rays of a ball's effective detections."""
+    return f"world/rays/{name}"
+
+
+def residual(name: str) -> str:
+    """RMS reprojection residual of a camera."""
+    return f"plots/residual_px/{name}"
+
+
+def distance(first: str, second: str) -> str:
+    """Measured minus nominal distance of two balls."""
+    return f"plots/distance_mm/{first}-{second}"
+
+
+def error(axis: str) -> str:
+    """Position error against truth: x, y, z or 3d."""
+    return f"plots/error_mm/{axis}"
+
+
+ROTATION_ERROR = "plots/error_deg/rotation"
+POSITION_SD = "plots/position_sd_mm/3d"
+EFFECTIVE_CAMERAS = "plots/effective_cameras/count"
+
+
+def ball_color(name: str, index: int) -> tuple[int, int, int]:
+    """RGB for a ball whose colour is called `name`; a palette serves colours given as samples."""
+    return _NAMED_COLORS.get(name.lower(), _PALETTE[index % len(_PALETTE)])
+
+
+def view_color(view: BallView) -> tuple[int, int, int]:
+    """RGB for the state of a ball in a camera."""
+    if view.state is State.EFFECTIVE:
+        return EFFECTIVE_COLOR
+    return REASON_COLORS.get(view.reason, (150, 150, 150))

@@ -1,0 +1,235 @@
+"""A run as a Rerun recording: cameras, pictures, states, rays, balls, pose, uncertainty, traces."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+import rerun as rr
+
+from measure.arrays import Floats
+from measure.geometry import RigidTransform
+from measure.measuring import Measurement, Status
+from measure.model import BallView, Body, Camera, FrameSet, Pose
+from measure.viewing import entities
+from measure.viewing.blueprint import run_blueprint
+from measure.viewing.columns import ColumnLog
+
+FLUSH_ROWS = 60
+_CIRCLE = np.linspace(0.0, 2 * np.pi, 33)
+_LEVELS = {Status.OK: "INFO", Status.FLAGGED: "WARN", Status.LOST: "ERROR", Status.SKIPPED: "WARN"}
+
+
+class RunRecording:
+    """Takes measurements as they come; use it as a context manager.
+
+    Args:
+        stream: an open recording (see `recording_to_file`).
+        body: the body.
+        cameras: the calibrated cameras.
+        image_every: log the pictures of every n-th frame set; 0 logs none.
+    """
+
+    def __init__(
+        self, stream: rr.RecordingStream, body: Body, cameras: Sequence[Camera], image_every: int
+    ) -> None:
+        self._stream = stream
+        self._body = body
+        self._cameras = {camera.name: camera for camera in cameras}
+        self._image_every = image_every
+        self._columns = ColumnLog(stream, FLUSH_ROWS)
+        self._status = ""
+        self._log_rig()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Send what is held back and close the file."""
+        self._columns.flush()
+        self._stream.flush()
+        self._stream.disconnect()
+
+    def add(
+        self,
+        measured: Measurement,
+        frame_set: FrameSet | None = None,
+        truth: RigidTransform | None = None,
+    ) -> None:
+        """Log one measurement.
+
+        Args:
+            measured: the measurement.
+            frame_set: its images, where they shall be logged.
+            truth: the true world_from_body at the measurement's time, where it is known.
+        """
+        self._columns.begin(measured.index, measured.time_s)
+        self._log_status(measured)
+        pictures = bool(frame_set and self._image_every and not measured.index % self._image_every)
+        if frame_set is not None and pictures:
+            self._log_images(measured, frame_set)
+        self._log_views(measured, outlines=pictures)
+        self._log_fixes(measured)
+        self._log_pose(measured.pose)
+        self._log_traces(measured)
+        if truth is not None:
+            self._log_error(measured.pose, truth)
+
+    def summary(self, text: str) -> None:
+        """A page of Markdown about the run."""
+        self._stream.log(
+            entities.SUMMARY, rr.TextDocument(text, media_type="text/markdown"), static=True
+        )
+
+    def _log_rig(self) -> None:
+        log = self._stream.log
+        log(entities.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        for camera in self._cameras.values():
+            pose, lens = camera.world_from_camera, camera.intrinsics
+            log(
+                entities.camera(camera.name),
+                rr.Transform3D(translation=pose.translation, mat3x3=pose.rotation),
+                rr.Pinhole(
+                    image_from_camera=lens.matrix,
+                    resolution=lens.size_wh,
+                    camera_xyz=rr.ViewCoordinates.RDF,
+                    image_plane_distance=90.0,
+                ),
+                static=True,
+            )
+        for index, ball in enumerate(self._body.balls):
+            color = entities.ball_color(ball.color.name, index)
+            shape = rr.Ellipsoids3D.from_fields(
+                half_sizes=[[ball.radius_mm] * 3],
+                colors=[color],
+                fill_mode="solid",
+                labels=[ball.name],
+                show_labels=False,
+            )
+            log(entities.ball(ball.name), shape, static=True)
+            rays = rr.LineStrips3D.from_fields(colors=[(*color, 150)], radii=[0.25])
+            log(entities.rays(ball.name), rays, static=True)
+        log(entities.BODY, rr.TransformAxes3D(40.0), static=True)
+        trail = rr.Points3D.from_fields(colors=[(120, 200, 255)], radii=[0.6])
+        log(entities.TRAIL, trail, static=True)
+        haze = rr.Ellipsoids3D.from_fields(colors=[(255, 255, 255)], fill_mode="majorwireframe")
+        log(entities.UNCERTAINTY, haze, static=True)
+        for axis, color in entities.ERROR_COLORS.items():
+            style = rr.SeriesLines(colors=[color], names=[axis], widths=[1.5])
+            log(entities.error(axis), style, static=True)
+
+    def _log_status(self, measured: Measurement) -> None:
+        text = ": ".join(part for part in (measured.status.value, measured.reason) if part)
+        if measured.pose is not None and measured.pose.flags:
+            text += f" ({'; '.join(measured.pose.flags)})"
+        if text != self._status:
+            self._set_time(measured)
+            entry = rr.TextLog(text, level=_LEVELS[measured.status])
+            self._stream.log(entities.STATUS, entry)
+            self._status = text
+
+    def _set_time(self, measured: Measurement) -> None:
+        self._stream.set_time(entities.TIMELINE_FRAME, sequence=measured.index)
+        self._stream.set_time(entities.TIMELINE_TIME, duration=measured.time_s)
+
+    def _log_images(self, measured: Measurement, frame_set: FrameSet) -> None:
+        self._set_time(measured)
+        for name, image in frame_set.images.items():
+            if image.encoded is not None:
+                picture = rr.EncodedImage(contents=image.encoded, media_type="image/jpeg")
+                self._stream.log(entities.image(name), picture)
+            else:
+                raw = rr.Image(image.pixels, color_model="BGR")
+                self._stream.log(entities.image(name), raw.compress(jpeg_quality=90))
+
+    def _log_views(self, measured: Measurement, outlines: bool) -> None:
+        for name in self._cameras:
+            seen = [v for v in measured.views if v.camera == name and v.detection is not None]
+            colors = [entities.view_color(view) for view in seen]
+            centers = np.array([v.detection.center_px for v in seen if v.detection]).reshape(-1, 2)
+            self._columns.points2d(entities.centers(name), centers, colors)
+            if outlines:
+                self._columns.strips2d(entities.outlines(name), [_circle(v) for v in seen], colors)
+                edges = [v.detection.outline_px for v in seen if v.detection]
+                points = np.concatenate([np.zeros((0, 2)), *(e for e in edges if e is not None)])
+                white = [(255, 255, 255)] * len(points)
+                self._columns.points2d(entities.edges(name), points, white)
+
+    def _log_fixes(self, measured: Measurement) -> None:
+        fixes = {fix.ball: fix for fix in measured.fixes}
+        for ball in self._body.balls:
+            fix = fixes.get(ball.name)
+            center = np.zeros((0, 3)) if fix is None else fix.center[None]
+            self._columns.ellipsoids(entities.ball(ball.name), center)
+            used = [] if fix is None else [self._cameras[name].center for name in fix.cameras]
+            segments = np.array([[start, center[0]] for start in used]).reshape(-1, 2, 3)
+            self._columns.strips3d(entities.rays(ball.name), segments)
+        for (first, second), nominal in self._body.distances().items():
+            value = np.nan
+            if first in fixes and second in fixes:
+                apart = np.linalg.norm(fixes[first].center - fixes[second].center)
+                value = float(apart) - nominal
+            self._columns.scalar(entities.distance(first, second), value)
+
+    def _log_pose(self, pose: Pose | None) -> None:
+        self._columns.scalar(entities.POSITION_SD, np.nan if pose is None else pose.position_sd_mm)
+        if pose is None:
+            self._columns.points3d(entities.TRAIL, np.zeros((0, 3)))
+            return
+        place = pose.world_from_body
+        quat_xyzw = np.roll(place.quat_wxyz, -1)
+        self._columns.transform(entities.BODY, place.translation, quat_xyzw)
+        self._columns.points3d(entities.TRAIL, place.translation[None])
+        values, axes = np.linalg.eigh(pose.covariance[:3, :3])
+        if np.linalg.det(axes) < 0:
+            axes[:, 0] = -axes[:, 0]
+        turn = np.roll(RigidTransform(axes, np.zeros(3)).quat_wxyz, -1)
+        half = entities.UNCERTAINTY_SCALE * np.sqrt(np.maximum(values, 0.0))
+        self._columns.uncertainty(entities.UNCERTAINTY, place.translation, half, turn)
+
+    def _log_traces(self, measured: Measurement) -> None:
+        effective = {view.camera for view in measured.views if view.effective}
+        self._columns.scalar(entities.EFFECTIVE_CAMERAS, len(effective))
+        for name in self._cameras:
+            seen = [r for (_, camera), r in measured.residuals_px.items() if camera == name]
+            rms = float(np.sqrt(np.mean(np.square(seen)) * 2)) if seen else np.nan
+            self._columns.scalar(entities.residual(name), rms)
+
+    def _log_error(self, pose: Pose | None, truth: RigidTransform) -> None:
+        delta = np.full(6, np.nan) if pose is None else pose.world_from_body.difference(truth)
+        values = (*delta[:3], float(np.linalg.norm(delta[:3])))
+        for axis, value in zip(entities.ERROR_AXES, values, strict=True):
+            self._columns.scalar(entities.error(axis), float(value))
+        turn = float(np.degrees(np.linalg.norm(delta[3:])))
+        self._columns.scalar(entities.ROTATION_ERROR, turn)
+
+
+def _circle(view: BallView) -> Floats:
+    assert view.detection is not None
+    around = np.column_stack([np.cos(_CIRCLE), np.sin(_CIRCLE)])
+    return view.detection.center_px + view.detection.radius_px * around
+
+
+def recording_to_file(path: Path, name: str, cameras: Sequence[str]) -> rr.RecordingStream:
+    """A recording that is written to `path` as it goes; needs no viewer.
+
+    Args:
+        path: the .rrd file, overwritten.
+        name: shown in the viewer.
+        cameras: names of the cameras, for the layout that travels inside.
+    """
+    stream = rr.RecordingStream("triball")
+    stream.save(path, default_blueprint=run_blueprint(cameras))
+    stream.send_recording_name(name)
+    return stream

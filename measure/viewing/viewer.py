@@ -1,0 +1,79 @@
+"""Opening recordings in the Rerun viewer, native or in a browser, always on ports that are free."""
+
+from __future__ import annotations
+
+import socket
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+from measure.errors import RunError
+
+LOOPBACK = "127.0.0.1"
+
+
+@dataclass(frozen=True)
+class Viewer:
+    """A viewer that runs.
+
+    Attributes:
+        process: the viewer itself, no wrapper: ending it ends the viewer.
+        address: where a browser finds it; None for the native window.
+    """
+
+    process: subprocess.Popen[bytes]
+    address: str | None
+
+
+def open_viewer(recordings: Sequence[Path], web: bool = False, bind: str = LOOPBACK) -> Viewer:
+    """Start the viewer on .rrd files.
+
+    Rerun hands a recording to whatever viewer listens on its default port and quits without a word;
+    therefore each viewer gets free ports of its own.
+
+    Args:
+        recordings: the files.
+        web: serve the viewer over HTTP instead of opening a window.
+        bind: address to listen on; loopback unless told otherwise.
+
+    Raises:
+        RunError: a file is missing, or the viewer's program is.
+    """
+    for path in recordings:
+        if not path.is_file():
+            raise RunError(
+                f"{path}: no such recording; `measure run` writes run.rrd into its folder"
+            )
+    grpc_port, web_port = _free_ports(bind, 2)
+    command = [_program(), *map(str, recordings), "--bind", bind, "--port", str(grpc_port)]
+    address = None
+    if web:
+        command += ["--serve-web", "--web-viewer-port", str(web_port)]
+        server = f"rerun%2Bhttp://{bind}:{grpc_port}/proxy"
+        address = f"http://{bind}:{web_port}?url={server}"
+    return Viewer(subprocess.Popen(command, stdout=sys.stderr), address)
+
+
+def _program() -> str:
+    spec = find_spec("rerun_cli")
+    places = spec.submodule_search_locations if spec is not None else None
+    for place in places or ():
+        for name in ("rerun", "rerun.exe"):
+            if (Path(place) / name).is_file():
+                return str(Path(place) / name)
+    raise RunError("the Rerun viewer is not installed; mend with: pip install rerun-sdk")
+
+
+def _free_ports(bind: str, count: int) -> list[int]:
+    """Ports that nothing listens on; held together so that they differ."""
+    sockets = [socket.socket(socket.AF_INET, socket.SOCK_STREAM) for _ in range(count)]
+    try:
+        for each in sockets:
+            each.bind((bind, 0))
+        return [int(each.getsockname()[1]) for each in sockets]
+    finally:
+        for each in sockets:
+            each.close()
