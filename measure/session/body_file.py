@@ -1,0 +1,170 @@
+"""The body file: balls with their places, radii and colours, read and written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import cv2
+import numpy as np
+from pydantic import Field, FiniteFloat, ValidationInfo, field_validator, model_validator
+
+from measure.arrays import Floats
+from measure.errors import DegenerateGeometryError, SessionError
+from measure.model import Ball, BallColor, Body, ColorRange
+from measure.model.color import NAMED_RANGES
+from measure.session.files import FileModel, load_toml
+from measure.session.pictures import read_picture
+from measure.session.toml_text import dump_toml
+
+Level = Annotated[int, Field(ge=0, le=255)]
+Triple = tuple[Level, Level, Level]
+
+
+class RangeModel(FileModel):
+    """Bounds in OpenCV's 8-bit scales: `low` and `high`, inclusive."""
+
+    low: Triple
+    high: Triple
+
+    def range(self, space: Literal["hsv", "lab"]) -> ColorRange:
+        """As a range of the model; in HSV a hue from high to low runs across red."""
+        return ColorRange(space, self.low, self.high)
+
+
+class CropModel(FileModel):
+    """A patch of a picture that shows nothing but the ball."""
+
+    image: str
+    crop_xywh: tuple[int, int, Annotated[int, Field(ge=2)], Annotated[int, Field(ge=2)]]
+
+
+class ColorModel(FileModel):
+    """A colour that is not a common name: exactly one of these."""
+
+    samples_bgr: list[Triple] | None = None
+    samples: CropModel | None = None
+    hsv: RangeModel | list[RangeModel] | None = None
+    lab: RangeModel | list[RangeModel] | None = None
+
+    @model_validator(mode="after")
+    def _exactly_one(self) -> ColorModel:
+        given = [name for name in type(self).model_fields if getattr(self, name) is not None]
+        if len(given) != 1:
+            found = " and ".join(given) or "none"
+            raise ValueError(f"give one of samples_bgr, samples, hsv or lab, not {found}")
+        if self.samples_bgr is not None and len(self.samples_bgr) < 3:
+            raise ValueError(f"samples_bgr needs at least 3 samples, got {len(self.samples_bgr)}")
+        return self
+
+    def color(self, folder: Path) -> BallColor:
+        """As the model's colour; pictures are looked for relative to `folder`."""
+        if self.samples_bgr is not None:
+            return BallColor.from_samples(self.samples_bgr)
+        if self.samples is not None:
+            return BallColor.from_samples(_crop_samples(self.samples, folder))
+        space: Literal["hsv", "lab"] = "hsv" if self.hsv is not None else "lab"
+        boxes = self.hsv if self.hsv is not None else self.lab
+        assert boxes is not None
+        boxes = boxes if isinstance(boxes, list) else [boxes]
+        return BallColor("range", tuple(box.range(space) for box in boxes))
+
+
+class BallModel(FileModel):
+    """One `[[balls]]` table."""
+
+    name: Annotated[str, Field(min_length=1)]
+    color: str | ColorModel
+    center_mm: tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+    radius_mm: Annotated[FiniteFloat, Field(gt=0)]
+
+    @field_validator("color", mode="before")
+    @classmethod
+    def _known_color(cls, value: Any, info: ValidationInfo) -> Any:  # noqa: ARG003 -- pydantic's
+        if isinstance(value, str) and value.lower() not in NAMED_RANGES:
+            known = ", ".join(NAMED_RANGES)
+            raise ValueError(
+                f"'{value}' is not a colour known by name ({known}); "
+                "or give {samples_bgr = [[b, g, r], ...]} or {hsv = {low = [...], high = [...]}}"
+            )
+        return value if not isinstance(value, str) else value.lower()
+
+
+class BodyModel(FileModel):
+    """A body file, or the `[body]` table of a session."""
+
+    name: str = "body"
+    balls: list[BallModel]
+
+    @model_validator(mode="after")
+    def _names_differ(self) -> BodyModel:
+        names = [ball.name for ball in self.balls]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"two balls are called '{name}'; each needs a name of its own")
+        return self
+
+    def body(self, source: Path) -> Body:
+        """As the model's body.
+
+        Raises:
+            SessionError: the balls do not determine a pose, or a picture of samples cannot be used.
+        """
+        try:
+            return Body(self.name, tuple(_ball(ball, source.parent) for ball in self.balls))
+        except DegenerateGeometryError as problem:
+            raise SessionError(f"{source}: {problem}") from None
+
+
+def read_body(path: Path | str) -> Body:
+    """Read a body file.
+
+    Raises:
+        SessionError: with file, line and key where the file cannot be used; collinear balls.
+    """
+    return load_toml(path, BodyModel).body(Path(path))
+
+
+def write_body(path: Path | str, body: Body) -> None:
+    """Write a body file that `read_body` reads back; learnt colours become their ranges."""
+    balls = [
+        {
+            "name": ball.name,
+            "color": _color_values(ball.color),
+            "center_mm": ball.center_mm,
+            "radius_mm": float(ball.radius_mm),
+        }
+        for ball in body.balls
+    ]
+    Path(path).write_text(dump_toml({"name": body.name, "balls": balls}), encoding="utf-8")
+
+
+def _ball(given: BallModel, folder: Path) -> Ball:
+    if isinstance(given.color, str):
+        color = BallColor.named(given.color)
+    else:
+        color = given.color.color(folder)
+    return Ball(given.name, color, np.array(given.center_mm), given.radius_mm)
+
+
+def _crop_samples(samples: CropModel, folder: Path) -> Floats:
+    picture = read_picture(folder / samples.image)
+    x, y, width, height = samples.crop_xywh
+    crop = picture[max(y, 0) : y + height, max(x, 0) : x + width]
+    if crop.shape[:2] != (height, width):
+        raise SessionError(
+            f"{folder / samples.image}: the crop at ({x}, {y}) of {width}x{height} px "
+            f"leaves the picture of {picture.shape[1]}x{picture.shape[0]} px"
+        )
+    small = cv2.resize(crop, (min(width, 64), min(height, 64)), interpolation=cv2.INTER_AREA)
+    return np.asarray(small, dtype=np.float64).reshape(-1, 3)
+
+
+def _color_values(color: BallColor) -> Any:
+    if NAMED_RANGES.get(color.name) == color.ranges:
+        return color.name
+    spaces = {r.space for r in color.ranges}
+    if len(spaces) != 1:
+        raise SessionError(f"colour '{color.name}' mixes HSV and Lab ranges: a file holds only one")
+    boxes = [{"low": list(r.low), "high": list(r.high)} for r in color.ranges]
+    return {spaces.pop(): boxes[0] if len(boxes) == 1 else boxes}

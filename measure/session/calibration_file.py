@@ -1,0 +1,169 @@
+"""`calibration.toml`: cameras, their poses and how well these are known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import Field, FiniteFloat, field_validator, model_validator
+
+from measure.errors import CalibrationError
+from measure.geometry import RigidTransform
+from measure.model import Camera, Intrinsics
+from measure.session.files import FileModel, load_toml
+from measure.session.toml_text import dump_toml
+
+Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+Row = list[FiniteFloat]
+UNIT_TOLERANCE = 1e-3
+"""How far the length of a written quaternion may be from 1."""
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """Calibrated cameras.
+
+    Attributes:
+        cameras: in the order of the file.
+        provenance: where it comes from: program, version, date, capture, judgement; free.
+    """
+
+    cameras: tuple[Camera, ...]
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The cameras' names."""
+        return tuple(camera.name for camera in self.cameras)
+
+    def camera(self, name: str) -> Camera:
+        """The camera called `name`.
+
+        Raises:
+            CalibrationError: there is none.
+        """
+        for camera in self.cameras:
+            if camera.name == name:
+                return camera
+        raise CalibrationError(
+            f"no calibration of camera '{name}'; there is one of {', '.join(self.names)}"
+        )
+
+
+class CameraModel(FileModel):
+    """One `[[cameras]]` table; the pose is world_from_camera."""
+
+    name: Annotated[str, Field(min_length=1)]
+    size_wh: tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]]
+    matrix: tuple[Triple, Triple, Triple]
+    distortion: Annotated[Row, Field(default_factory=list)]
+    quat_wxyz: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
+    translation_mm: Triple
+    reprojection_rms_px: Annotated[FiniteFloat, Field(ge=0)] | None = None
+    pose_covariance: list[Row] | None = None
+    intrinsics_covariance: list[Row] | None = None
+
+    @field_validator("matrix")
+    @classmethod
+    def _is_camera_matrix(cls, value: tuple[Triple, ...]) -> tuple[Triple, ...]:
+        matrix = np.array(value)
+        lower = np.abs([matrix[1, 0], matrix[2, 0], matrix[2, 1], matrix[2, 2] - 1]).max()
+        if not (matrix[0, 0] > 0 and matrix[1, 1] > 0 and lower < 1e-9):
+            raise ValueError("not a camera matrix [[fx, skew, cx], [0, fy, cy], [0, 0, 1]]")
+        return value
+
+    @field_validator("distortion")
+    @classmethod
+    def _is_opencv_distortion(cls, value: Row) -> Row:
+        if len(value) not in (0, 4, 5, 8):
+            raise ValueError(f"expected 0, 4, 5 or 8 coefficients, got {len(value)}")
+        return value
+
+    @field_validator("quat_wxyz")
+    @classmethod
+    def _is_rotation(cls, value: tuple[float, ...]) -> tuple[float, ...]:
+        length = float(np.linalg.norm(value))
+        if abs(length - 1) > UNIT_TOLERANCE:
+            raise ValueError(f"not a rotation: the quaternion's length is {length:.4g}, not 1")
+        return value
+
+    @field_validator("pose_covariance", "intrinsics_covariance")
+    @classmethod
+    def _is_covariance(cls, value: list[Row] | None) -> list[Row] | None:
+        return value if value is None else _checked_covariance(value)
+
+    @model_validator(mode="after")
+    def _sizes_fit(self) -> CameraModel:
+        for name, size in (("pose_covariance", 6), ("intrinsics_covariance", 12)):
+            value = getattr(self, name)
+            if value is not None and len(value) != size:
+                raise ValueError(f"{name} must be {size}x{size}, got {len(value)}x{len(value)}")
+        return self
+
+    def camera(self) -> Camera:
+        """As the model's camera."""
+        covariance = self.intrinsics_covariance
+        intrinsics = Intrinsics(
+            self.size_wh,
+            np.array(self.matrix),
+            np.array(self.distortion),
+            None if covariance is None else np.array(covariance),
+        )
+        pose = RigidTransform.from_quat_wxyz(self.quat_wxyz, self.translation_mm)
+        known = None if self.pose_covariance is None else np.array(self.pose_covariance)
+        return Camera(self.name, intrinsics, pose, known, self.reprojection_rms_px)
+
+
+class CalibrationModel(FileModel):
+    """A whole `calibration.toml`."""
+
+    cameras: Annotated[list[CameraModel], Field(min_length=1)]
+    provenance: Annotated[dict[str, Any], Field(default_factory=dict)]
+
+
+def read_own_calibration(path: Path) -> Calibration:
+    """Read our own format.
+
+    Raises:
+        CalibrationError: with file, line and key where it cannot be used.
+    """
+    given = load_toml(path, CalibrationModel, CalibrationError)
+    return Calibration(tuple(camera.camera() for camera in given.cameras), given.provenance)
+
+
+def write_own_calibration(path: Path | str, calibration: Calibration) -> None:
+    """Write `calibration.toml`; `read_calibration` gives back the same numbers."""
+    values = {
+        "cameras": [_camera_values(camera) for camera in calibration.cameras],
+        "provenance": dict(calibration.provenance) or None,
+    }
+    Path(path).write_text(dump_toml(values), encoding="utf-8")
+
+
+def _camera_values(camera: Camera) -> dict[str, Any]:
+    return {
+        "name": camera.name,
+        "size_wh": list(camera.intrinsics.size_wh),
+        "matrix": camera.intrinsics.matrix,
+        "distortion": camera.intrinsics.distortion,
+        "quat_wxyz": camera.world_from_camera.quat_wxyz,
+        "translation_mm": camera.world_from_camera.translation,
+        "reprojection_rms_px": camera.reprojection_rms_px,
+        "pose_covariance": camera.pose_covariance,
+        "intrinsics_covariance": camera.intrinsics.covariance,
+    }
+
+
+def _checked_covariance(value: list[Row]) -> list[Row]:
+    if any(len(row) != len(value) for row in value):
+        raise ValueError(f"not square: {len(value)} rows of {len(value[0])}")
+    matrix = np.array(value)
+    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    if np.abs(matrix - matrix.T).max() > 1e-6 * np.abs(matrix).max():
+        raise ValueError("a covariance must be symmetric")
+    if np.diag(matrix).min() < 0 or np.linalg.eigvalsh(matrix / np.outer(scale, scale))[0] < -1e-6:
+        raise ValueError("a covariance must not have negative eigenvalues")
+    return value

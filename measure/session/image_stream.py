@@ -1,0 +1,141 @@
+"""A camera's frames as numbered picture files."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from measure.arrays import Bytes, Floats, Ints
+from measure.errors import SessionError
+from measure.model import Image
+from measure.session.files import missing_message
+from measure.session.pictures import JPEG_START, decode_picture, read_bytes
+from measure.session.streams import Stream
+from measure.session.timestamps import Stamps
+
+
+class ImageStream(Stream):
+    """Picture files, one a frame."""
+
+    def __init__(
+        self,
+        name: str,
+        source: str,
+        files: list[Path],
+        frames: Ints,
+        times_s: Floats,
+        notes: tuple[str, ...] = (),
+    ) -> None:
+        first = decode_picture(read_bytes(files[0], f"camera '{name}': "), str(files[0]))
+        super().__init__(name, source, (first.shape[1], first.shape[0]), frames, times_s, notes)
+        self.files = files
+
+    def read(self, index: int) -> Image:
+        """The frame at position `index`: the file is read now, the pixels decode on first use."""
+        self.check_index(index)
+        where = f"{self.place(index)}: "
+        data = read_bytes(self.files[index], where)
+
+        def decode() -> Bytes:
+            pixels = decode_picture(data, f"{where}{self.files[index]}")
+            if pixels.shape[1::-1] != self.size_wh:
+                raise SessionError(
+                    f"{where}{self.files[index]} is {pixels.shape[1]}x{pixels.shape[0]} px, "
+                    f"the first image {self.size_wh[0]}x{self.size_wh[1]}"
+                )
+            return pixels
+
+        return Image(
+            self.name,
+            int(self.frames[index]),
+            float(self.times_s[index]),
+            decode,
+            data if data.startswith(JPEG_START) else None,
+        )
+
+
+def open_image_stream(
+    name: str, folder: Path, pattern: str, stamps: Stamps, stamps_path: Path, offset_s: float
+) -> ImageStream:
+    """The files that fit `pattern` in `folder`, matched with their stamps.
+
+    The number in a file's name is its frame number. Where names carry no number of their own, files
+    and rows are matched in order and must be equally many.
+
+    Raises:
+        SessionError: no file fits, a file is empty, or files and rows do not belong together.
+    """
+    files = _find(name, folder, pattern)
+    source = str(folder / pattern)
+    for file in files:
+        if file.stat().st_size == 0:
+            raise SessionError(f"camera '{name}': {file}: the file is empty (0 bytes)")
+    numbers = [_number(file) for file in files]
+    if None in numbers or len(set(numbers)) != len(files):
+        if len(files) != len(stamps.frames):
+            raise SessionError(_count_message(name, source, len(files), stamps_path, stamps))
+        return ImageStream(name, source, files, stamps.frames, stamps.times_s + offset_s)
+    by_number = dict(zip(numbers, files, strict=True))
+    _refuse_unstamped(name, source, by_number, stamps_path, stamps)
+    present = np.array([int(frame) in by_number for frame in stamps.frames])
+    gone = stamps.frames[~present]
+    lost = f"camera '{name}': {len(gone)} of {len(present)} frames have no image in {source}"
+    notes = (f"{lost} (frame {_some(gone)})",) if len(gone) else ()
+    frames = stamps.frames[present]
+    ordered = [by_number[int(frame)] for frame in frames]
+    return ImageStream(name, source, ordered, frames, stamps.times_s[present] + offset_s, notes)
+
+
+def _find(name: str, folder: Path, pattern: str) -> list[Path]:
+    files = sorted(file for file in folder.glob(pattern) if file.is_file())
+    if files:
+        return files
+    place = (folder / pattern).parent
+    if any(sign in str(place) for sign in "*?["):
+        raise SessionError(f"camera '{name}': no image fits {folder / pattern}")
+    if not place.is_dir():
+        raise SessionError(f"camera '{name}': {missing_message(place)}")
+    here = [file for file in place.iterdir() if file.is_file()]
+    kinds = sorted({f"*{file.suffix}" for file in here})
+    hint = f": try {' or '.join(kinds)}" if kinds else ""
+    raise SessionError(
+        f"camera '{name}': no image fits {folder / pattern}; the folder has {len(here)} files{hint}"
+    )
+
+
+def _number(file: Path) -> int | None:
+    found = re.findall(r"\d+", file.stem)
+    return int(found[-1]) if found else None
+
+
+def _refuse_unstamped(
+    name: str, source: str, by_number: dict[int | None, Path], path: Path, stamps: Stamps
+) -> None:
+    known = set(stamps.frames.tolist())
+    unstamped = [number for number in by_number if number not in known]
+    if not unstamped:
+        return
+    if len(unstamped) == len(by_number) or len(by_number) == len(known):
+        raise SessionError(
+            f"camera '{name}': the numbers of the files {source} ({_some(list(by_number))}) are "
+            f"not the frame numbers of {path} ({_some(stamps.frames)})"
+        )
+    raise SessionError(
+        f"camera '{name}': {len(unstamped)} of {len(by_number)} images have no row in {path} "
+        f"(frame {_some(unstamped)}): without a time they cannot be used; "
+        "add the rows or remove the files"
+    )
+
+
+def _count_message(name: str, source: str, count: int, path: Path, stamps: Stamps) -> str:
+    return (
+        f"camera '{name}': {source} has {count} images but {path} has {len(stamps.frames)} rows; "
+        "which belong together cannot be told, because the file names carry no frame numbers"
+    )
+
+
+def _some(numbers: object) -> str:
+    values = [str(n) for n in np.asarray(numbers)]
+    return ", ".join(values[:4]) + (f", ... {values[-1]}" if len(values) > 4 else "")

@@ -1,0 +1,106 @@
+"""Which images of the cameras belong to one instant."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from measure.arrays import Bools, Floats, Ints
+
+GAP_PERIODS = 1.5
+"""A step of the reference clock longer than this many periods holds missing frames."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pairing:
+    """Frame sets as positions in the streams.
+
+    Attributes:
+        positions: (sets, cameras) position in each camera's stream, -1 for no image.
+        times_s: (sets,) mean time of each set's images, increasing.
+        reference: index of the camera whose clock set the instants.
+        tolerance_s: the largest accepted distance from an instant.
+    """
+
+    positions: Ints
+    times_s: Floats
+    reference: int
+    tolerance_s: float
+
+
+def pair_nearest(
+    times_s: Sequence[Floats], tolerance_s: float | None = None, reference: int | None = None
+) -> Pairing:
+    """Pair images by nearest time.
+
+    The instants are the stamps of the reference camera: the one whose median period is the median
+    of all cameras' (the first of equals), so that neither a slow camera thins the others out nor a
+    fast one makes sets of its own. Instants it missed (gaps, and the time before it started or
+    after it ended) are filled in at its period where at least two other cameras have an image.
+    Each image goes to the instant nearest to it, each instant takes the nearest of a camera's
+    images, and no image is used twice.
+
+    Args:
+        times_s: per camera, (n,) increasing.
+        tolerance_s: half the reference camera's median period if omitted.
+        reference: index of the reference camera, to overrule the choice.
+    """
+    periods = [float(np.median(np.diff(t))) if len(t) > 1 else np.inf for t in times_s]
+    if reference is None:
+        middle = sorted(periods)[(len(periods) - 1) // 2]
+        reference = periods.index(middle)
+    period = periods[reference]
+    if tolerance_s is None:
+        tolerance_s = period / 2
+    instants, real = _instants(times_s, reference, period)
+    positions = np.stack([_nearest(t, instants, tolerance_s) for t in times_s], axis=1)
+    count = (positions >= 0).sum(axis=1)
+    keep = (real & (count > 0)) | (count >= 2)
+    positions = positions[keep]
+    return Pairing(positions, _mean_times(times_s, positions), reference, float(tolerance_s))
+
+
+def _instants(times_s: Sequence[Floats], reference: int, period: float) -> tuple[Floats, Bools]:
+    own = times_s[reference]
+    if not np.isfinite(period):
+        return own, np.ones(len(own), bool)
+    start, end = min(t[0] for t in times_s), max(t[-1] for t in times_s)
+    before = own[0] - period * np.arange(int((own[0] - start) / period + 0.5), 0, -1)
+    after = own[-1] + period * np.arange(1, int((end - own[-1]) / period + 0.5) + 1)
+    between = [
+        np.linspace(a, b, round((b - a) / period) + 1)[1:-1]
+        for a, b in pairwise(own)
+        if b - a > GAP_PERIODS * period
+    ]
+    virtual = np.concatenate([before, after, *between])
+    instants = np.concatenate([own, virtual])
+    real = np.arange(len(instants)) < len(own)
+    order = np.argsort(instants, kind="stable")
+    return instants[order], real[order]
+
+
+def _nearest(times: Floats, instants: Floats, tolerance_s: float) -> Ints:
+    """For each instant the position of its image, or -1."""
+    right = np.clip(np.searchsorted(instants, times), 1, max(len(instants) - 1, 1))
+    right = np.minimum(right, len(instants) - 1)
+    left = np.maximum(right - 1, 0)
+    closer_left = np.abs(times - instants[left]) <= np.abs(times - instants[right])
+    home = np.where(closer_left, left, right)
+    distance = np.abs(times - instants[home])
+    out = np.full(len(instants), -1, dtype=np.int64)
+    # Written from the farthest to the nearest, so the nearest of several stays.
+    for i in np.argsort(-distance, kind="stable"):
+        if distance[i] <= tolerance_s * (1 + 1e-9):
+            out[home[i]] = i
+    return out
+
+
+def _mean_times(times_s: Sequence[Floats], positions: Ints) -> Floats:
+    stacked = np.full(positions.shape, np.nan)
+    for camera, times in enumerate(times_s):
+        used = positions[:, camera] >= 0
+        stacked[used, camera] = times[positions[used, camera]]
+    return np.nanmean(stacked, axis=1) if len(stacked) else np.zeros(0)

@@ -1,0 +1,72 @@
+"""What `session.toml` may hold."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, FiniteFloat, model_validator
+
+from measure.session.body_file import BodyModel
+from measure.session.files import FileModel
+
+
+class SessionTable(FileModel):
+    """The `[session]` table; every path is relative to the file."""
+
+    name: str = ""
+    description: str = ""
+    body: str | None = None
+    calibration: str | None = None
+    truth: str | None = None
+
+
+class CameraTable(FileModel):
+    """One `[[cameras]]` table."""
+
+    name: Annotated[str, Field(min_length=1)]
+    images: str | None = None
+    video: str | None = None
+    timestamps: str | None = None
+    time_offset_s: FiniteFloat = 0.0
+
+    @model_validator(mode="after")
+    def _one_source(self) -> CameraTable:
+        if (self.images is None) == (self.video is None):
+            raise ValueError(f"camera '{self.name}' needs either images or video")
+        if self.images is not None and self.timestamps is None:
+            raise ValueError(
+                f"camera '{self.name}': images carry no time; give timestamps = \"....csv\""
+            )
+        return self
+
+
+class RobotTable(FileModel):
+    """The `[robot]` table."""
+
+    log: str
+
+
+class SessionModel(FileModel):
+    """A whole `session.toml`."""
+
+    session: SessionTable
+    cameras: Annotated[list[CameraTable], Field(default_factory=list)]
+    body: BodyModel | None = None
+    robot: RobotTable | None = None
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> SessionModel:
+        if (self.body is None) == (self.session.body is None):
+            raise ValueError('give the body once: body = "body.toml" in [session], or [body]')
+        names = [camera.name for camera in self.cameras]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"two cameras are called '{name}'")
+        if len(names) < 2:
+            raise ValueError(
+                f"a measurement needs at least two cameras, the session has {len(names)}"
+            )
+        return self
+
+
+Pairing = Literal["nearest"]

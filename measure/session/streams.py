@@ -1,0 +1,74 @@
+"""One camera's recording, whatever it is kept in."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+
+from measure.arrays import Floats, Ints
+from measure.errors import SessionError
+from measure.model import Image
+
+
+class Stream(ABC):
+    """The frames of one camera, in the order of their times.
+
+    Attributes:
+        name: the camera's name.
+        source: the folder, glob or video file, for messages.
+        size_wh: width and height of its images in px.
+        frames: (n,) frame numbers.
+        times_s: (n,) middles of the exposures on the session's clock, increasing.
+        serial: frames are best read in order (video); else any thread may read any frame.
+        notes: what a user should know: missing frames and the like.
+    """
+
+    serial = False
+
+    def __init__(
+        self,
+        name: str,
+        source: str,
+        size_wh: tuple[int, int],
+        frames: Ints,
+        times_s: Floats,
+        notes: tuple[str, ...] = (),
+    ) -> None:
+        self.name = name
+        self.source = source
+        self.size_wh = size_wh
+        self.frames = frames
+        self.times_s = times_s
+        self.notes = notes
+
+    def __len__(self) -> int:
+        return len(self.times_s)
+
+    @property
+    def period_s(self) -> float:
+        """Median time between frames; infinite for a single one."""
+        return float(np.median(np.diff(self.times_s))) if len(self) > 1 else float("inf")
+
+    @abstractmethod
+    def read(self, index: int) -> Image:
+        """The frame at position `index` (not its number); its pixels decode on first use.
+
+        Raises:
+            SessionError: with camera, file and frame if it cannot be read.
+        """
+
+    def close(self) -> None:  # noqa: B027 -- most streams hold nothing open
+        """Let go of open files."""
+
+    def place(self, index: int) -> str:
+        """Camera and frame, for messages."""
+        return f"camera '{self.name}', frame {self.frames[index]}"
+
+    def check_index(self, index: int) -> None:
+        """Refuse a position outside the recording."""
+        if not 0 <= index < len(self):
+            raise SessionError(
+                f"camera '{self.name}': there is no frame at position {index}; "
+                f"{self.source} has {len(self)}"
+            )

@@ -1,0 +1,115 @@
+"""When each frame was taken: `frame,time_s`, the middle of the exposure, one clock for all."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from measure.arrays import Floats, Ints
+from measure.errors import MeasureError, SessionError
+from measure.session.files import read_text
+
+
+@dataclass(frozen=True, eq=False)
+class Stamps:
+    """Times of a camera's frames.
+
+    Attributes:
+        frames: (n,) frame numbers, increasing.
+        times_s: (n,) increasing.
+    """
+
+    frames: Ints
+    times_s: Floats
+
+
+def read_stamps(path: Path, camera: str) -> Stamps:
+    """Read a file of `frame,time_s`.
+
+    Raises:
+        SessionError: with camera, file and line where a value is missing, is no number, is NaN, or
+            goes backwards.
+    """
+    table = read_number_table(path, ("frame", "time_s"), f"camera '{camera}': ")
+    frames, times = table.columns["frame"], table.columns["time_s"]
+    where = f"camera '{camera}': {path}"
+    for i in np.flatnonzero(~np.isfinite(times) | ~np.isfinite(frames) | (frames % 1 != 0)):
+        raise SessionError(
+            f"{where}:{table.lines[i]}: frame {frames[i]:g} has the time {times[i]:g}; "
+            "both must be numbers, the frame a whole one"
+        )
+    for i in np.flatnonzero(np.diff(times) <= 0):
+        raise SessionError(
+            f"{where}:{table.lines[i + 1]}: time goes backwards, from {times[i]:.6f} s (frame "
+            f"{frames[i]:g}) to {times[i + 1]:.6f} s (frame {frames[i + 1]:g})"
+        )
+    for i in np.flatnonzero(np.diff(frames) <= 0):
+        raise SessionError(
+            f"{where}:{table.lines[i + 1]}: frame {frames[i + 1]:g} follows frame {frames[i]:g}; "
+            "frame numbers must increase"
+        )
+    return Stamps(frames.astype(np.int64), times)
+
+
+@dataclass(frozen=True, eq=False)
+class NumberTable:
+    """Columns of numbers by name, each (n,), and the line of the file each row stands on."""
+
+    columns: dict[str, Floats]
+    lines: list[int]
+
+
+def read_number_table(
+    path: Path,
+    needed: tuple[str, ...],
+    prefix: str = "",
+    error: type[MeasureError] = SessionError,
+    *,
+    empty_is_nan: bool = False,
+) -> NumberTable:
+    """Read the columns `needed` of a CSV file with a header line; others are passed over.
+
+    Raises:
+        error: a column is missing, or a value is no number; the message starts with `prefix`, file
+            and line.
+    """
+    text = read_text(path, error)
+    reader = csv.reader(text.splitlines())
+    header = [name.strip() for name in next(reader, [])]
+    if missing := [name for name in needed if name not in header]:
+        raise error(
+            f"{prefix}{path}:1: the header lacks {', '.join(missing)}; "
+            f"it must hold {','.join(needed)}, it holds {','.join(header)[:80] or 'nothing'}"
+        )
+    where = [header.index(name) for name in needed]
+    rows, lines = [], []
+    for row in reader:
+        if any(cell.strip() for cell in row):
+            place = f"{prefix}{path}:{reader.line_num}"
+            rows.append(_numbers(row, where, needed, place, error, empty_is_nan))
+            lines.append(reader.line_num)
+    if not rows:
+        raise error(f"{prefix}{path}: has a header but no rows")
+    values = np.array(rows, dtype=np.float64)
+    return NumberTable({name: values[:, i] for i, name in enumerate(needed)}, lines)
+
+
+def _numbers(
+    row: list[str],
+    where: list[int],
+    needed: tuple[str, ...],
+    place: str,
+    error: type[MeasureError],
+    empty_is_nan: bool,
+) -> list[float]:
+    out = []
+    for index, name in zip(where, needed, strict=True):
+        cell = row[index].strip() if index < len(row) else ""
+        try:
+            out.append(float("nan") if empty_is_nan and not cell else float(cell))
+        except ValueError:
+            raise error(f"{place}: {name} is {cell!r}, not a number") from None
+    return out
