@@ -1,6 +1,7 @@
 """Transforms, rays, cones and covariances: pure mathematics, no cameras, no pictures, no files."""
 
 from measure.geometry.alignment import align_points
+from measure.geometry.chi_square import chi_square_quantile
 from measure.geometry.cone import Cone, fit_cone, tangent_cone
 from measure.geometry.covariance import UncertainTransform, propagate, squared_mahalanobis
 from measure.geometry.rays import Rays, common_perpendicular, nearest_point
@@ -12,6 +13,7 @@ __all__ = [
     "RigidTransform",
     "UncertainTransform",
     "align_points",
+    "chi_square_quantile",
     "common_perpendicular",
     "fit_cone",
     "nearest_point",

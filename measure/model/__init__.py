@@ -6,6 +6,7 @@ from measure.model.color import BallColor, ColorRange
 from measure.model.frames import FrameSet, Image
 from measure.model.motion import Motion
 from measure.model.observations import BallView, Detection, Expectation, Fix, Pose
+from measure.model.rig import Rig
 
 __all__ = [
     "Ball",
@@ -22,4 +23,5 @@ __all__ = [
     "Intrinsics",
     "Motion",
     "Pose",
+    "Rig",
 ]

@@ -1,0 +1,73 @@
+"""Does what was seen look like the body in the file? Distances, and handedness."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.errors import DegenerateGeometryError
+from measure.geometry import align_points
+from measure.model import Body
+
+_SIGMAS = 4.0
+_MIRROR_GAIN = 0.5
+"""A mirrored body must fit this much better (ratio of RMS) to be called mirrored."""
+_FLAT_MM = 1.0
+"""A body thinner than this about its plane is its own mirror image."""
+
+
+def layout_flags(
+    body: Body, balls: Sequence[str], centers: Floats, covariances: Floats, tolerance_mm: float
+) -> tuple[str, ...]:
+    """Reasons to doubt that `centers` are this body's balls.
+
+    Args:
+        body: as its file says.
+        balls: names of the n balls, in the order of `centers`.
+        centers: (n, 3) in mm, in one frame.
+        covariances: (n, 3, 3) of `centers`.
+        tolerance_mm: how far a distance may be off beyond four of its standard deviations.
+    """
+    flags = []
+    for i, j in combinations(range(len(balls)), 2):
+        between = centers[i] - centers[j]
+        measured = float(np.linalg.norm(between))
+        along = between / max(measured, 1e-9)
+        sd = float(np.sqrt(along @ (covariances[i] + covariances[j]) @ along))
+        a, b = body.index(balls[i]), body.index(balls[j])
+        expected = float(np.linalg.norm(body.centers[a] - body.centers[b]))
+        if abs(measured - expected) > _SIGMAS * sd + tolerance_mm:
+            flags.append(
+                f"balls {balls[i]} and {balls[j]} are {measured:.1f} mm apart, "
+                f"the body says {expected:.1f} mm"
+            )
+    points_body = body.centers[[body.index(name) for name in balls]]
+    if looks_mirrored(points_body, centers):
+        flags.append("the balls form the mirror image of the body")
+    return tuple(flags)
+
+
+def looks_mirrored(points_body: Floats, centers: Floats) -> bool:
+    """Whether the mirror image of the body fits (n, 3) centres much better than the body does.
+
+    Never for balls in one plane: such a body turned over is its own mirror image.
+    """
+    if len(points_body) < 4 or thickness(points_body) < _FLAT_MM:
+        return False
+    try:
+        rms = [
+            float(np.sqrt(np.mean((centers - align_points(centers, p).apply(p)) ** 2)))
+            for p in (points_body, points_body * [1.0, 1.0, -1.0])
+        ]
+    except DegenerateGeometryError:
+        return False
+    return rms[1] < _MIRROR_GAIN * rms[0]
+
+
+def thickness(points_body: Floats) -> float:
+    """RMS distance in mm of points (n, 3) from their best plane."""
+    centred = points_body - points_body.mean(axis=0)
+    return float(np.linalg.svd(centred, compute_uv=False)[2] / np.sqrt(len(centred)))

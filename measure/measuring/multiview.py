@@ -1,0 +1,192 @@
+"""One point seen by several cameras: least squares on the reprojection, and its sensitivities.
+
+Each camera contributes its pixel with a 2x2 covariance: the detection's, plus what an uncertain
+camera pose and lens add (Hartley and Zisserman 2004, sections 5.2 and 12.5). One observation per
+camera and cameras calibrated independently make that sum the exact weight.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.errors import DegenerateGeometryError
+from measure.geometry import nearest_point, propagate, skew, squared_mahalanobis
+from measure.model import Camera, Detection, Rig
+
+_STEPS = 12
+_STEP_TOLERANCE_MM = 1e-7
+
+
+@dataclass(frozen=True, eq=False)
+class Views:
+    """One ball's pixels in n cameras.
+
+    Attributes:
+        cameras: the n cameras.
+        rig: the same, stacked.
+        pixels: (n, 2).
+        noise: (n, 2, 2) covariances of the pixels alone.
+        shifts: (n, 3) where each camera saw the point, relative to where it is at the common
+            instant, mm: zero for simultaneous pictures.
+    """
+
+    cameras: tuple[Camera, ...]
+    rig: Rig
+    pixels: Floats
+    noise: Floats
+    shifts: Floats
+
+    @classmethod
+    def of(
+        cls,
+        detections: Sequence[Detection],
+        cameras: Mapping[str, Camera],
+        shifts: Floats | None = None,
+    ) -> Views:
+        """Stack `detections` of one ball."""
+        used = tuple(cameras[d.camera] for d in detections)
+        return cls(
+            used,
+            Rig.of(used),
+            np.stack([d.center_px for d in detections]),
+            np.stack([d.covariance_px for d in detections]),
+            np.zeros((len(used), 3)) if shifts is None else shifts,
+        )
+
+    def __len__(self) -> int:
+        return len(self.pixels)
+
+    def take(self, rows: list[int]) -> Views:
+        """Only some of the views."""
+        return Views(
+            tuple(self.cameras[i] for i in rows),
+            self.rig.take(rows),
+            self.pixels[rows],
+            self.noise[rows],
+            self.shifts[rows],
+        )
+
+    def start(self) -> Floats:
+        """The point (3,) nearest to all rays, mm.
+
+        Raises:
+            DegenerateGeometryError: fewer than two views, or parallel rays.
+        """
+        if len(self) < 2:
+            raise DegenerateGeometryError(f"{len(self)} view does not determine a point")
+        rays = self.rig.rays(self.pixels)
+        return nearest_point(type(rays)(rays.origins - self.shifts, rays.directions))
+
+    def sensitivity(self, point: Floats) -> tuple[Floats, Floats, Floats]:
+        """Residuals (n, 2), Jacobians by the point (n, 2, 3) and by the camera poses (n, 2, 6)."""
+        seen = point + self.shifts
+        predicted, by_point = self.rig.project(seen)
+        by_pose = np.concatenate([-by_point, by_point @ skew(seen - self.rig.centers)], axis=2)
+        return self.pixels - predicted, by_point, by_pose
+
+    def pose_noise(self, point: Floats) -> Floats:
+        """What uncertain camera poses add to the pixels' covariances (n, 2, 2)."""
+        out = np.zeros((len(self), 2, 2))
+        if all(camera.pose_covariance is None for camera in self.cameras):
+            return out
+        _, _, by_pose = self.sensitivity(point)
+        for row, camera in enumerate(self.cameras):
+            if camera.pose_covariance is not None:
+                out[row] = propagate(by_pose[row], camera.pose_covariance)
+        return out
+
+    def lens_noise(self, point: Floats) -> Floats:
+        """What uncertain intrinsics add to the pixels' covariances (n, 2, 2)."""
+        out = np.zeros((len(self), 2, 2))
+        for row, camera in enumerate(self.cameras):
+            if camera.intrinsics.covariance is not None:
+                by_lens = camera.project_with_jacobians((point + self.shifts[row])[None])[3]
+                out[row] = propagate(by_lens[0], camera.intrinsics.covariance)
+        return out
+
+    def total_noise(self, point: Floats) -> Floats:
+        """The pixels' covariances (n, 2, 2), calibration included."""
+        return self.noise + self.pose_noise(point) + self.lens_noise(point)
+
+
+@dataclass(frozen=True, eq=False)
+class PointFit:
+    """A fitted point.
+
+    Attributes:
+        point: (3,) mm.
+        covariance: (3, 3) mm^2 from the weights, calibration included.
+        residuals_px: (n, 2).
+        chi_square: of the residuals under the weights, 2 n - 3 degrees of freedom.
+    """
+
+    point: Floats
+    covariance: Floats
+    residuals_px: Floats
+    chi_square: float
+
+
+def fit_point(views: Views) -> PointFit:
+    """Gauss-Newton on the reprojection error of n >= 2 views, weighted by full covariances.
+
+    Raises:
+        DegenerateGeometryError: parallel rays, or the point is not in front of every camera.
+    """
+    point = views.start()
+    weight = _weights(views, point)
+    for _ in range(_STEPS):
+        residuals, by_point, _ = views.sensitivity(point)
+        if not np.all(np.isfinite(residuals)):
+            raise DegenerateGeometryError(
+                f"the rays of {', '.join(views.rig.names)} meet behind a camera"
+            )
+        gain = np.swapaxes(by_point, 1, 2) @ weight
+        step = np.linalg.solve(
+            (gain @ by_point).sum(axis=0), np.einsum("nij,nj->i", gain, residuals)
+        )
+        point = point + step
+        if np.max(np.abs(step)) < _STEP_TOLERANCE_MM:
+            break
+    residuals, by_point, _ = views.sensitivity(point)
+    information = (np.swapaxes(by_point, 1, 2) @ weight @ by_point).sum(axis=0)
+    chi_square = float(np.einsum("ni,nij,nj->", residuals, weight, residuals))
+    return PointFit(point, np.linalg.inv(information), residuals, chi_square)
+
+
+def ray_distances(views: Views, point: Floats) -> Floats:
+    """Distances (n,) in mm of the views' rays from `point`."""
+    return views.rig.rays(views.pixels).distances(point + views.shifts)
+
+
+def leverage(views: Views, fit: PointFit) -> tuple[Floats, Floats]:
+    """How a fitted point reacts to its inputs.
+
+    Returns:
+        By the pixels (n, 3, 2), and by the camera poses (n, 3, 6): if the true pose of camera i is
+        `world_from_camera.perturb(d)`, the fitted point errs by `by_pose[i] @ d`.
+    """
+    weight = _weights(views, fit.point)
+    _, by_point, by_pose = views.sensitivity(fit.point)
+    gain = np.swapaxes(by_point, 1, 2) @ weight
+    by_pixel = np.linalg.inv((gain @ by_point).sum(axis=0)) @ gain
+    return by_pixel, by_pixel @ by_pose
+
+
+def disagreement(views: Views, fit: PointFit, extra_px: float) -> Floats:
+    """Squared Mahalanobis distances (n,) of the residuals, 2 degrees of freedom each.
+
+    Args:
+        views: as fitted.
+        fit: the fit.
+        extra_px: added to every pixel's standard deviation in quadrature.
+    """
+    noise = views.total_noise(fit.point) + extra_px**2 * np.eye(2)
+    return squared_mahalanobis(fit.residuals_px, noise)
+
+
+def _weights(views: Views, point: Floats) -> Floats:
+    return np.asarray(np.linalg.inv(views.total_noise(point)), dtype=np.float64)

@@ -1,0 +1,209 @@
+"""`kabsch`: the rigid fit of the body to its triangulated balls.
+
+The closed form by singular values (Kabsch 1976; Umeyama 1991) starts it; Gauss-Newton with the
+fixes' full covariances and a robust loss finishes it. Calibration errors shift all fixes together,
+so their part of the covariance is carried per camera, not per ball.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.errors import DegenerateGeometryError
+from measure.geometry import RigidTransform, align_points, chi_square_quantile, propagate, skew
+from measure.host import PoseSolver, Settings, hookimpl, setting
+from measure.measuring.body_checks import layout_flags
+from measure.measuring.multiview import PointFit, Views, fit_point, leverage
+from measure.model import Camera, Detection, Fix, Motion, Pose
+
+_STEPS = 10
+_STEP_TOLERANCE = 1e-10
+
+
+class KabschConfig(Settings):
+    """Settings of the `kabsch` solver."""
+
+    distance_tolerance_mm: float = setting(
+        0.5,
+        "How far a distance between two balls may be from the body file's, beyond what the fixes' "
+        "covariances explain, before the pose is flagged.",
+        unit="mm",
+        ge=0,
+    )
+    huber: float = setting(
+        3.0, "A fix further than this many standard deviations off gets a smaller weight.", gt=0
+    )
+
+
+class KabschSolver(PoseSolver):
+    """Weighted rigid alignment of three or more fixes."""
+
+    name = "kabsch"
+    Config = KabschConfig
+    config: KabschConfig
+
+    def solve(
+        self,
+        fixes: Sequence[Fix],
+        detections: Sequence[Detection],
+        cameras: Mapping[str, Camera],
+        time_s: float,
+        prior: Motion | None = None,
+    ) -> Pose | None:
+        """Locate the body from its fixes; None for fewer than three, or balls on one line."""
+        if len(fixes) < 3:
+            return None
+        at = [self._at(fix, detections, cameras, time_s, prior) for fix in fixes]
+        points_body = self.body.centers[[self.body.index(fix.ball) for fix in fixes]]
+        centers = np.stack([fit.point for fit, _ in at])
+        covariances = np.stack([fit.covariance for fit, _ in at])
+        try:
+            start = align_points(centers, points_body, 1 / np.trace(covariances, axis1=1, axis2=2))
+        except DegenerateGeometryError:
+            return None
+        weights = _robust_fit(start, centers, covariances, points_body, self.config.huber)
+        world_from_body, weight, chi_square = weights
+        residuals = centers - world_from_body.apply(points_body)
+        return Pose(
+            time_s=time_s,
+            world_from_body=world_from_body,
+            covariance=_covariance(world_from_body, points_body, weight, at, chi_square),
+            residual_mm=float(np.sqrt(np.mean(np.sum(residuals**2, axis=1)))),
+            rms_px=_rms_px(at, world_from_body.apply(points_body)),
+            cameras=tuple(sorted({name for fix in fixes for name in fix.cameras})),
+            balls=tuple(fix.ball for fix in fixes),
+            flags=layout_flags(
+                self.body,
+                [f.ball for f in fixes],
+                centers,
+                covariances,
+                self.config.distance_tolerance_mm,
+            ),
+        )
+
+    def _at(
+        self,
+        fix: Fix,
+        detections: Sequence[Detection],
+        cameras: Mapping[str, Camera],
+        time_s: float,
+        prior: Motion | None,
+    ) -> tuple[PointFit, Views | None]:
+        """The fix at `time_s`: each camera's pixel is where a moving ball was at its own time."""
+        used = [d for d in detections if d.ball == fix.ball and d.camera in fix.cameras]
+        if len(used) < 2:
+            return PointFit(fix.center, fix.covariance, np.zeros((0, 2)), 0.0), None
+        velocity = np.zeros(3)
+        if prior is not None:
+            arm = prior.world_from_body.rotate(self.body.centers[self.body.index(fix.ball)])
+            velocity = prior.velocity[:3] + np.cross(prior.velocity[3:], arm)
+        times = np.array([d.time_s for d in used])
+        views = Views.of(used, cameras, (times - time_s)[:, None] * velocity)
+        if not np.any(views.shifts):
+            return PointFit(fix.center, fix.covariance, views.sensitivity(fix.center)[0], 0), views
+        try:
+            fit = fit_point(views)
+        except DegenerateGeometryError:
+            return PointFit(fix.center, fix.covariance, np.zeros((0, 2)), 0.0), None
+        # What the triangulator found doubtful stays doubtful.
+        wider = max(1.0, float(np.trace(fix.covariance) / np.trace(fit.covariance)))
+        return PointFit(fit.point, fit.covariance * wider, fit.residuals_px, 0.0), views
+
+
+def _jacobians(world_from_body: RigidTransform, points_body: Floats) -> Floats:
+    """How the balls (n, 3) move with the pose's `perturb` chart (n, 3, 6)."""
+    arms = world_from_body.rotate(points_body)
+    return np.concatenate([np.broadcast_to(np.eye(3), (len(arms), 3, 3)), -skew(arms)], axis=2)
+
+
+def _robust_fit(
+    start: RigidTransform, centers: Floats, covariances: Floats, points_body: Floats, huber: float
+) -> tuple[RigidTransform, Floats, float]:
+    """Gauss-Newton with Huber weights; the pose, the weights (n, 3, 3) and the chi-square."""
+    inverse = np.linalg.inv(covariances)
+    pose, weight = start, inverse
+    for _ in range(_STEPS):
+        residuals = centers - pose.apply(points_body)
+        distance = np.sqrt(np.einsum("ni,nij,nj->n", residuals, inverse, residuals))
+        factor = np.minimum(1.0, huber / np.maximum(distance, 1e-12))
+        weight = inverse * factor[:, None, None]
+        jacobians = _jacobians(pose, points_body)
+        gain = np.swapaxes(jacobians, 1, 2) @ weight
+        step = np.linalg.solve(
+            (gain @ jacobians).sum(axis=0), np.einsum("nij,nj->i", gain, residuals)
+        )
+        pose = pose.perturb(step)
+        if np.max(np.abs(step)) < _STEP_TOLERANCE:
+            break
+    residuals = centers - pose.apply(points_body)
+    return pose, np.asarray(weight), float(np.einsum("ni,nij,nj->", residuals, weight, residuals))
+
+
+def _covariance(
+    pose: RigidTransform,
+    points_body: Floats,
+    weight: Floats,
+    fits: Sequence[tuple[PointFit, Views | None]],
+    chi_square: float,
+) -> Floats:
+    """(6, 6): pixel noise ball by ball, and each camera's pose error over all balls at once."""
+    jacobians = _jacobians(pose, points_body)
+    gain = np.swapaxes(jacobians, 1, 2) @ weight
+    by_fix = np.linalg.inv((gain @ jacobians).sum(axis=0)) @ gain
+    out = np.zeros((6, 6))
+    by_camera: dict[str, Floats] = {}
+    known: dict[str, Floats] = {}
+    for (fit, views), lever in zip(fits, by_fix, strict=True):
+        own, levers = _parts(views, fit)
+        for camera, sensitivity in levers:
+            assert camera.pose_covariance is not None
+            known[camera.name] = camera.pose_covariance
+            by_camera[camera.name] = by_camera.get(camera.name, 0.0) + lever @ sensitivity
+        out += lever @ own @ lever.T
+    degrees = 3 * len(points_body) - 6
+    if chi_square > chi_square_quantile(0.99, degrees):
+        out = out * (chi_square / degrees)
+    for name, total in by_camera.items():
+        out += total @ known[name] @ total.T
+    return (out + out.T) / 2
+
+
+def _parts(views: Views | None, fit: PointFit) -> tuple[Floats, list[tuple[Camera, Floats]]]:
+    """A fix's own covariance (3, 3), and how it reacts to each uncertain camera pose (3, 6).
+
+    Where the triangulator doubts a fix (a covariance beyond what pixels and calibration explain),
+    the own part is wider by the same ratio.
+    """
+    if views is None or all(camera.pose_covariance is None for camera in views.cameras):
+        return fit.covariance, []
+    by_pixel, by_pose = leverage(views, fit)
+    own = propagate(by_pixel, views.noise + views.lens_noise(fit.point)).sum(axis=0)
+    shared = propagate(by_pixel, views.pose_noise(fit.point)).sum(axis=0)
+    doubt = max(1.0, float(np.trace(fit.covariance) / np.trace(own + shared)))
+    levers = [
+        (camera, sensitivity)
+        for camera, sensitivity in zip(views.cameras, by_pose, strict=True)
+        if camera.pose_covariance is not None
+    ]
+    return own * doubt, levers
+
+
+def _rms_px(fits: Sequence[tuple[PointFit, Views | None]], centers: Floats) -> float:
+    """RMS distance in px of the body's balls, as posed, from their detections; NaN if none."""
+    errors = [
+        views.sensitivity(center)[0]
+        for (_, views), center in zip(fits, centers, strict=True)
+        if views is not None
+    ]
+    if not errors:
+        return float("nan")
+    return float(np.sqrt(np.mean(np.sum(np.concatenate(errors) ** 2, axis=1))))
+
+
+@hookimpl
+def measure_pose_solvers() -> list[type[PoseSolver]]:
+    """Register `kabsch`."""
+    return [KabschSolver]

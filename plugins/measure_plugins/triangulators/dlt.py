@@ -1,0 +1,79 @@
+"""`dlt`: the textbook's linear triangulation, kept as a reference to compare with.
+
+Each pixel gives two equations linear in the homogeneous point (Hartley and Zisserman 2004, section
+12.2); here in undistorted coordinates, scaled by the focal length so that residuals are in px. It
+minimises an algebraic error, weights all cameras alike and drops none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.geometry import propagate
+from measure.host import Settings, Triangulator, hookimpl
+from measure.measuring.multiview import Views, ray_distances
+from measure.model import Camera, Detection, Fix
+
+_PARALLEL = 1e-4
+"""Third singular value over the first, below which the rays are parallel."""
+
+
+class DltTriangulator(Triangulator):
+    """Linear least squares on the homogeneous point."""
+
+    name = "dlt"
+    Config = Settings
+
+    def triangulate(
+        self, detections: Sequence[Detection], cameras: Mapping[str, Camera]
+    ) -> Fix | None:
+        """Locate one ball; None for fewer than two cameras or parallel rays."""
+        if len(detections) < 2:
+            return None
+        views = Views.of(detections, cameras)
+        point = _linear_point(views)
+        if point is None:
+            return None
+        residuals, by_point, _ = views.sensitivity(point)
+        if not np.all(np.isfinite(residuals)):
+            return None
+        noise = views.total_noise(point)
+        by_pixel = np.linalg.inv(by_point.reshape(-1, 3).T @ by_point.reshape(-1, 3)) @ np.swapaxes(
+            by_point, 1, 2
+        )
+        covariance = propagate(by_pixel, noise).sum(axis=0)
+        return Fix(
+            ball=detections[0].ball,
+            time_s=float(np.mean([d.time_s for d in detections])),
+            center=point,
+            covariance=covariance,
+            cameras=views.rig.names,
+            residuals_mm=ray_distances(views, point),
+        )
+
+
+def _linear_point(views: Views) -> Floats | None:
+    """The point (3,) in mm that solves the stacked equations, or None for parallel rays."""
+    rays = views.rig.rays(views.pixels)
+    # Everything in units of the distance to the cameras' centroid: an even spread of magnitudes.
+    origin = views.rig.centers.mean(axis=0)
+    scale = float(np.max(np.linalg.norm(views.rig.centers - origin, axis=1))) or 1.0
+    local = np.einsum("nji,nj->ni", views.rig.rotation, rays.directions)
+    bearings = local[:, :2] / local[:, 2:]
+    axes = np.swapaxes(views.rig.rotation, 1, 2)
+    moved = -np.einsum("nij,nj->ni", axes, (views.rig.centers - origin) / scale)
+    rows = np.concatenate([axes, moved[:, :, None]], axis=2)
+    design = bearings[:, :, None] * rows[:, 2:, :] - rows[:, :2, :]
+    _, s, vt = np.linalg.svd(design.reshape(-1, 4))
+    if not s[2] > _PARALLEL * s[0] or abs(vt[3, 3]) < _PARALLEL:
+        return None
+    return origin + scale * vt[3, :3] / vt[3, 3]
+
+
+@hookimpl
+def measure_triangulators() -> list[type[Triangulator]]:
+    """Register `dlt`."""
+    return [DltTriangulator]

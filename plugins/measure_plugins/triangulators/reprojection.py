@@ -1,0 +1,124 @@
+"""`reprojection`: covariance-weighted least squares on the pixels of all cameras, robust.
+
+The maximum-likelihood estimate for Gaussian pixels (Hartley and Sturm 1997; Hartley and Zisserman
+2004, section 12.5). A camera that disagrees with the others is left out, by name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.errors import DegenerateGeometryError
+from measure.geometry import chi_square_quantile
+from measure.host import Settings, Triangulator, hookimpl, setting
+from measure.measuring.multiview import PointFit, Views, disagreement, fit_point, ray_distances
+from measure.model import Camera, Detection, Fix
+
+
+class ReprojectionConfig(Settings):
+    """Settings of the `reprojection` triangulator."""
+
+    confidence: float = setting(
+        0.999,
+        "Residuals rarer than this, by the detections' own covariances, cost a camera its say.",
+        gt=0.5,
+        lt=1,
+    )
+    tolerance_px: float = setting(
+        0.5,
+        "Disagreement always tolerated, added to every detection's standard deviation before a "
+        "camera is dropped; it does not enter the weights.",
+        unit="px",
+        ge=0,
+    )
+    max_dropped: int = setting(2, "Most cameras to leave out of one fix.", ge=0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """A fit on some of the views, and how far beyond the gate its residuals are (<= 1: inside)."""
+
+    rows: list[int]
+    fit: PointFit
+    excess: float
+
+
+class ReprojectionTriangulator(Triangulator):
+    """Covariance-weighted N-view least squares that names the camera it drops."""
+
+    name = "reprojection"
+    Config = ReprojectionConfig
+    config: ReprojectionConfig
+
+    def triangulate(
+        self, detections: Sequence[Detection], cameras: Mapping[str, Camera]
+    ) -> Fix | None:
+        """Locate one ball; None for fewer than two cameras or parallel rays."""
+        if len(detections) < 2:
+            return None
+        views = Views.of(detections, cameras)
+        chosen, rivals = self._choose(views)
+        if chosen is None:
+            return None
+        kept = views.take(chosen.rows)
+        return Fix(
+            ball=detections[0].ball,
+            time_s=float(np.mean([detections[row].time_s for row in chosen.rows])),
+            center=chosen.fit.point,
+            covariance=_honest_covariance(chosen, rivals),
+            cameras=kept.rig.names,
+            residuals_mm=ray_distances(kept, chosen.fit.point),
+            dropped=tuple(n for i, n in enumerate(views.rig.names) if i not in chosen.rows),
+        )
+
+    def _choose(self, views: Views) -> tuple[_Candidate | None, list[_Candidate]]:
+        """The fit to use, and the other fits that leave as many cameras out and pass the gate."""
+        best = self._try(views, list(range(len(views))))
+        rivals: list[_Candidate] = []
+        for _ in range(min(self.config.max_dropped, len(views) - 2)):
+            if best is not None and best.excess <= 1:
+                break
+            rows = best.rows if best is not None else list(range(len(views)))
+            tried = [self._try(views, [r for r in rows if r != out]) for out in rows]
+            ranked = sorted((c for c in tried if c is not None), key=lambda c: c.excess)
+            if not ranked or (best is not None and ranked[0].excess >= best.excess):
+                break
+            best, *others = ranked
+            rivals = [c for c in others if c.excess <= 1]
+        return best, rivals
+
+    def _try(self, views: Views, rows: list[int]) -> _Candidate | None:
+        some = views.take(rows)
+        try:
+            fit = fit_point(some)
+        except DegenerateGeometryError:
+            return None
+        distance = disagreement(some, fit, self.config.tolerance_px).sum()
+        gate = chi_square_quantile(self.config.confidence, 2 * len(rows) - 3)
+        return _Candidate(rows, fit, float(distance) / gate)
+
+
+def _honest_covariance(chosen: _Candidate, rivals: Sequence[_Candidate]) -> Floats:
+    """The fit's covariance; wider where the cameras disagree or another choice is as good.
+
+    Beyond the 99 % quantile the covariance grows with the residuals (Birge ratio). If leaving out a
+    different camera passes as well, nobody can tell which one errs: the distance between the two
+    answers becomes part of the uncertainty.
+    """
+    fit = chosen.fit
+    degrees = 2 * len(chosen.rows) - 3
+    covariance = fit.covariance
+    if fit.chi_square > chi_square_quantile(0.99, degrees):
+        covariance = covariance * (fit.chi_square / degrees)
+    apart = [rival.fit.point - fit.point for rival in rivals]
+    return covariance + sum((np.outer(d, d) for d in apart), np.zeros((3, 3)))
+
+
+@hookimpl
+def measure_triangulators() -> list[type[Triangulator]]:
+    """Register `reprojection`."""
+    return [ReprojectionTriangulator]
