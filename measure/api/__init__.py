@@ -1,3 +1,9 @@
-"""What a notebook calls; the command line calls nothing else."""
+"""What a notebook calls; the command line calls nothing else.
 
-from __future__ import annotations
+One file an action. Heavy libraries load when an action is called, not with this package.
+"""
+
+from measure.api.measuring import measure_session
+from measure.api.profiles import build_pipeline, choose, load_profile, profile_names
+
+__all__ = ["build_pipeline", "choose", "load_profile", "measure_session", "profile_names"]

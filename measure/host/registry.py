@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any, TypeVar, cast
+from typing import Any, cast
 
-from measure.errors import PluginError
+from measure.errors import MeasureError, PluginError
 from measure.host.discovery import Broken, Loaded, discover
-from measure.host.interfaces import Plugin
+from measure.host.estimator import Estimator
+from measure.host.interfaces import Detector, Plugin, PoseSolver, Triangulator
 from measure.host.settings import read_settings
-
-P = TypeVar("P", bound=Plugin)
+from measure.model import Body, Camera
 
 
 class Registry:
@@ -70,20 +70,42 @@ class Registry:
             groups.setdefault((item.kind, item.name), []).append(item)
         return [tuple(group) for group in groups.values() if len(group) > 1]
 
-    def create(
-        self, kind: str, name: str, interface: type[P], settings: Mapping[str, Any], **context: Any
-    ) -> P:
-        """Build a plugin: its settings are validated, `context` goes to its constructor.
+    def detector(
+        self, name: str, settings: Mapping[str, Any], body: Body, camera: Camera
+    ) -> Detector:
+        """Build a detector for one camera.
 
         Raises:
-            PluginError: as `find`, or its constructor fails.
+            PluginError: as `find`; or the plugin cannot be built, or refuses the body.
             ConfigError: the settings do not fit.
         """
+        return cast("Detector", self._build("detector", name, settings, body=body, camera=camera))
+
+    def triangulator(self, name: str, settings: Mapping[str, Any]) -> Triangulator:
+        """Build a triangulator; raises as `detector` does."""
+        return cast("Triangulator", self._build("triangulator", name, settings))
+
+    def solver(self, name: str, settings: Mapping[str, Any], body: Body) -> PoseSolver:
+        """Build a pose solver; raises as `detector` does."""
+        return cast("PoseSolver", self._build("solver", name, settings, body=body))
+
+    def estimator(self, name: str, settings: Mapping[str, Any]) -> Estimator:
+        """Build an estimator; raises as `detector` does."""
+        return cast("Estimator", self._build("estimator", name, settings))
+
+    def _build(self, kind: str, name: str, settings: Mapping[str, Any], **context: Any) -> Plugin:
         loaded = self.find(kind, name)
         config = read_settings(loaded.plugin.Config, settings, f"{kind} '{name}'")
         plugin: Any = loaded.plugin
-        assert issubclass(plugin, interface)
-        return cast("P", plugin(config, **context))
+        try:
+            return cast("Plugin", plugin(config, **context))
+        except MeasureError:
+            raise
+        except Exception as error:
+            raise PluginError(
+                f"{kind} '{name}' of {loaded.distribution} cannot be built: "
+                f"{type(error).__name__}: {error}"
+            ) from error
 
 
 def _suggest(name: str, known: Sequence[str], kind: str) -> str:

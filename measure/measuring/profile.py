@@ -17,7 +17,7 @@ class Profile(BaseModel):
         detector: name of the detector plugin.
         triangulator: name of the triangulator plugin.
         solver: name of the pose-solver plugin.
-        tracking: "frame-update" (the paper's section II.D) or "predictive" (in SE(3)).
+        tracking: "frame-update" (the paper's section II.D), "predictive" or "memoryless".
         own_times: whether each image counts at its own time (else a frame set is one instant).
         neighbours: whether a pose is solved again when the next one gives its velocity.
         settings: by stage name, the settings that differ from the defaults.
@@ -29,7 +29,7 @@ class Profile(BaseModel):
     detector: str
     triangulator: str
     solver: str
-    tracking: Literal["frame-update", "predictive"]
+    tracking: str
     own_times: bool
     neighbours: bool
     settings: dict[Stage, dict[str, Any]] = Field(default_factory=dict)

@@ -1,5 +1,13 @@
 """What tracking knows from earlier frames, and how it judges what the detectors say."""
 
+from typing import Any
+
+from measure.measuring.tracking.memoryless import Memoryless
 from measure.measuring.tracking.tracker import Tracker, Verdict
 
-__all__ = ["Tracker", "Verdict"]
+TRACKERS: dict[str, type[Any]] = {
+    "memoryless": Memoryless,
+}
+"""By the name a profile gives; each is built as (config, body, cameras) and is a `Tracker`."""
+
+__all__ = ["TRACKERS", "Tracker", "Verdict"]

@@ -1,0 +1,44 @@
+"""Measuring an opened session, one frame set after the other."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator
+
+from measure.host import Registry
+from measure.measuring import Measurement, Profile
+from measure.model import FrameSet
+from measure.session import Session
+
+
+def measure_session(
+    session: Session, profile: Profile, registry: Registry, start: int = 0
+) -> Iterator[tuple[FrameSet, Measurement]]:
+    """Measure a session's frame sets in order.
+
+    Args:
+        session: an open session.
+        profile: the stages and their settings.
+        registry: where the plugins come from.
+        start: index of the first frame set.
+
+    Yields:
+        Each frame set with its measurement, as soon as that is final.
+
+    Raises:
+        PluginError: a plugin that is unknown, broken or ambiguous, or refuses the body.
+        ConfigError: settings that do not fit.
+        SessionError: an image that cannot be read.
+    """
+    from measure.api.profiles import build_pipeline
+
+    pipeline = build_pipeline(profile, registry, session.body, session.cameras)
+    waiting: deque[FrameSet] = deque()
+
+    def remember(frame_sets: Iterable[FrameSet]) -> Iterator[FrameSet]:
+        for frame_set in frame_sets:
+            waiting.append(frame_set)
+            yield frame_set
+
+    for measured in pipeline.measure(remember(session.frame_sets(start=start))):
+        yield waiting.popleft(), measured

@@ -1,0 +1,119 @@
+"""Profiles: read by name or file, changed by a user's choices, built into a pipeline."""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any, get_args
+
+from measure.errors import ConfigError
+from measure.host import Registry
+from measure.host.settings import read_settings
+from measure.measuring import Pipeline, Profile, Stages
+from measure.measuring.profile import Stage
+from measure.measuring.tracking import TRACKERS
+from measure.model import Body, Camera
+from measure.session import load_toml
+
+DEFAULT_PROFILE = "precise"
+
+
+def profile_names() -> list[str]:
+    """Names of the profiles that come with the program."""
+    folder = resources.files("measure") / "profiles"
+    return sorted(Path(f.name).stem for f in folder.iterdir() if f.name.endswith(".toml"))
+
+
+def load_profile(name: str = DEFAULT_PROFILE) -> Profile:
+    """A profile that comes with the program, by name, or any by the path of its TOML file.
+
+    Raises:
+        ConfigError: no profile of that name; or its file is broken.
+    """
+    if name.endswith(".toml"):
+        return load_toml(Path(name), Profile, ConfigError)
+    if name not in profile_names():
+        near = difflib.get_close_matches(name, profile_names(), n=1)
+        hint = f"did you mean '{near[0]}'?" if near else f"there is {', '.join(profile_names())}"
+        raise ConfigError(
+            f"no profile is called '{name}'; {hint}; or give the path of a .toml file"
+        )
+    with resources.as_file(resources.files("measure") / "profiles" / f"{name}.toml") as path:
+        return load_toml(path, Profile, ConfigError)
+
+
+def choose(
+    profile: Profile, stages: Mapping[Stage, str | None], settings: Iterable[str] = ()
+) -> Profile:
+    """Apply a user's choices.
+
+    Args:
+        profile: to start from.
+        stages: plugin names by stage; None keeps the profile's.
+        settings: "STAGE.NAME=VALUE" each, VALUE in TOML's notation or bare text.
+
+    Raises:
+        ConfigError: a setting that is not of that form, or of an unknown stage.
+    """
+    for stage, name in stages.items():
+        if name is not None and name != getattr(profile, stage):
+            profile = profile.with_stage(stage, name)
+    for text in settings:
+        profile = profile.with_setting(*_parse_setting(text))
+    return profile
+
+
+def _parse_setting(text: str) -> tuple[Stage, str, Any]:
+    key, equals, value = text.partition("=")
+    stage, dot, name = key.strip().partition(".")
+    known: tuple[Stage, ...] = get_args(Stage)
+    if not (equals and dot and name):
+        raise ConfigError(f"--set {text}: expected STAGE.NAME=VALUE, such as detector.rays=128")
+    for candidate in known:
+        if candidate == stage:
+            return candidate, name, _parse_value(value.strip())
+    raise ConfigError(f"--set {text}: no stage is called '{stage}'; there is {', '.join(known)}")
+
+
+def _parse_value(text: str) -> Any:
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
+def build_pipeline(
+    profile: Profile, registry: Registry, body: Body, cameras: Sequence[Camera]
+) -> Pipeline:
+    """Build every stage of a profile for a body and its cameras.
+
+    Raises:
+        PluginError: a plugin that is unknown, broken or ambiguous, or refuses the body.
+        ConfigError: settings that do not fit.
+    """
+    settings = profile.settings
+    if profile.tracking not in TRACKERS:
+        raise ConfigError(
+            f"no tracking is called '{profile.tracking}'; there is {', '.join(sorted(TRACKERS))}"
+        )
+    tracker = TRACKERS[profile.tracking]
+    tracking = read_settings(
+        tracker.Config, settings.get("tracking", {}), f"tracking '{profile.tracking}'"
+    )
+    stages = Stages(
+        detectors={
+            camera.name: registry.detector(
+                profile.detector, settings.get("detector", {}), body, camera
+            )
+            for camera in cameras
+        },
+        tracker=tracker(tracking, body, cameras),
+        triangulator=registry.triangulator(profile.triangulator, settings.get("triangulator", {})),
+        solver=registry.solver(profile.solver, settings.get("solver", {}), body),
+        own_times=profile.own_times,
+        neighbours=profile.neighbours,
+    )
+    return Pipeline(body, cameras, stages)

@@ -1,0 +1,66 @@
+"""No tracking at all: every frame is searched anew. A baseline, and for pictures without order."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
+
+from measure.host.settings import Settings
+from measure.measuring.tracking.tracker import Verdict
+from measure.model import (
+    BallView,
+    Body,
+    Camera,
+    Detection,
+    Expectation,
+    Fix,
+    FrameSet,
+    Motion,
+    Pose,
+)
+from measure.model.observations import Reason, State
+
+
+class Memoryless:
+    """Takes the best detection of every ball and believes every pose."""
+
+    Config: ClassVar[type[Settings]] = Settings
+
+    def __init__(self, config: Settings, body: Body, cameras: Sequence[Camera]) -> None:
+        self.config = config
+        self._pairs = [(ball, camera.name) for camera in cameras for ball in body.names]
+
+    def expect(self, frame_set: FrameSet) -> Mapping[str, Sequence[Expectation]]:
+        """Search everything."""
+        return dict.fromkeys(frame_set.images, ())
+
+    def judge(
+        self, frame_set: FrameSet, detections: Mapping[str, Sequence[Detection]]
+    ) -> tuple[BallView, ...]:
+        """The first (best) detection of each ball is effective."""
+        views = []
+        for ball, camera in self._pairs:
+            seen = next((d for d in detections.get(camera, ()) if d.ball == ball), None)
+            if seen is not None:
+                views.append(BallView(ball, camera, State.EFFECTIVE, detection=seen))
+            else:
+                missing = Reason.NOT_FOUND if camera in frame_set.images else Reason.NO_IMAGE
+                views.append(BallView(ball, camera, State.SUSPENDED, missing))
+        return tuple(views)
+
+    def motion(self, time_s: float) -> Motion | None:  # noqa: ARG002
+        """Nothing is known."""
+        return None
+
+    def conclude(
+        self,
+        frame_set: FrameSet,  # noqa: ARG002
+        views: Sequence[BallView],
+        fixes: Sequence[Fix],
+        pose: Pose | None,
+    ) -> Verdict:
+        """Believe the pose; say what was missing if there is none."""
+        if pose is not None:
+            return Verdict(pose)
+        effective = sum(view.effective for view in views)
+        return Verdict(None, f"{len(fixes)} balls located from {effective} views")
