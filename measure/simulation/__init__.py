@@ -1,1 +1,27 @@
-"""."""
+"""Ball scenes with exact truth: pictures of rigs that never existed."""
+
+from measure.simulation.renderer import Renderer, render
+from measure.simulation.scene import Actor, Scene
+from measure.simulation.sensor import Sensor
+from measure.simulation.shading import Light, Lighting, Material
+from measure.simulation.shapes import Box, Capsule, Sphere
+from measure.simulation.trajectory import MotionLimits, Sines, Still, Trajectory, random_motion
+
+__all__ = [
+    "Actor",
+    "Box",
+    "Capsule",
+    "Light",
+    "Lighting",
+    "Material",
+    "MotionLimits",
+    "Renderer",
+    "Scene",
+    "Sensor",
+    "Sines",
+    "Sphere",
+    "Still",
+    "Trajectory",
+    "random_motion",
+    "render",
+]

@@ -1,0 +1,117 @@
+"""A scene: what moves, what stands, who looks on, in what light."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from measure.errors import ConfigError
+from measure.model import Body, Camera
+from measure.simulation.sensor import Sensor
+from measure.simulation.shading import Lighting, Material, Rgb
+from measure.simulation.shapes import Shape, Sphere
+from measure.simulation.trajectory import Trajectory
+
+BALL_ALBEDO: dict[str, Rgb] = {
+    "red": (0.45, 0.012, 0.02),
+    "orange": (0.70, 0.20, 0.012),
+    "yellow": (0.72, 0.42, 0.012),
+    "green": (0.015, 0.22, 0.045),
+    "cyan": (0.02, 0.42, 0.45),
+    "blue": (0.015, 0.07, 0.42),
+    "purple": (0.16, 0.03, 0.34),
+    "magenta": (0.45, 0.03, 0.25),
+    "pink": (0.65, 0.22, 0.35),
+    "white": (0.80, 0.80, 0.78),
+    "black": (0.015, 0.015, 0.015),
+}
+"""Linear reflectance of plastic of the common colours."""
+
+
+@dataclass(frozen=True, eq=False)
+class Actor:
+    """Shapes that move together.
+
+    Attributes:
+        shapes: in the actor's own frame.
+        trajectory: world_from_actor at any time.
+    """
+
+    shapes: tuple[Shape, ...]
+    trajectory: Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Everything a picture depends on.
+
+    Attributes:
+        name: of the scene, and of the session written from it.
+        body: the measured body; its balls are drawn.
+        cameras: with their true calibration.
+        trajectory: world_from_body at any time.
+        lighting: lamps and ambient light.
+        finish: what the balls are made of; the colour comes from the body.
+        attached: stems and shafts that move with the body, in its frame.
+        actors: other moving things.
+        fixed: things that stand in the room and may hide or be hidden.
+        backdrop: walls, floor and posters: behind everything else.
+        sensor: how the cameras turn light into files.
+        sensors: per camera name, where a camera's sensor differs.
+        phases_s: per camera name, how much later than the others it exposes.
+        seed: of the noise.
+        balls_shown: whether the balls of `body` are in view at all.
+        description: one line for the session file.
+    """
+
+    name: str
+    body: Body
+    cameras: tuple[Camera, ...]
+    trajectory: Trajectory
+    lighting: Lighting
+    finish: Material = field(default_factory=lambda: Material((1.0, 1.0, 1.0), 0.04))
+    attached: tuple[Shape, ...] = ()
+    actors: tuple[Actor, ...] = ()
+    fixed: tuple[Shape, ...] = ()
+    backdrop: tuple[Shape, ...] = ()
+    sensor: Sensor = field(default_factory=Sensor)
+    sensors: dict[str, Sensor] = field(default_factory=dict)
+    phases_s: dict[str, float] = field(default_factory=dict)
+    seed: int = 0
+    balls_shown: bool = True
+    description: str = "simulated; exact truth"
+
+    def camera(self, name: str) -> Camera:
+        """The camera called `name`.
+
+        Raises:
+            ConfigError: there is none.
+        """
+        for camera in self.cameras:
+            if camera.name == name:
+                return camera
+        names = ", ".join(camera.name for camera in self.cameras)
+        raise ConfigError(f"scene '{self.name}' has no camera '{name}'; it has {names}")
+
+    def sensor_of(self, name: str) -> Sensor:
+        """The sensor of the camera called `name`."""
+        return self.sensors.get(name, self.sensor)
+
+    def moving(self) -> tuple[Actor, ...]:
+        """Everything that moves, the measured body first."""
+        balls = ball_shapes(self.body, self.finish) if self.balls_shown else ()
+        return (Actor((*balls, *self.attached), self.trajectory), *self.actors)
+
+
+def ball_shapes(body: Body, finish: Material) -> tuple[Sphere, ...]:
+    """The balls of a body, in its frame, in its colours."""
+    return tuple(
+        Sphere(ball.center_mm, ball.radius_mm, painted(finish, ball.color.name))
+        for ball in body.balls
+    )
+
+
+def painted(finish: Material, color: str) -> Material:
+    """A material in one of the common colours; grey where the colour has no common name."""
+    return Material(
+        BALL_ALBEDO.get(color, (0.4, 0.4, 0.4)), finish.reflectance, finish.roughness_rad
+    )

@@ -1,0 +1,105 @@
+"""How a body moves: a pose at any time, exactly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from measure.arrays import Floats
+from measure.geometry import RigidTransform
+
+
+class Trajectory(Protocol):
+    """Anything that knows the pose at any time."""
+
+    def at(self, times_s: ArrayLike) -> RigidTransform:
+        """world_from_body at times (...), a batch of the same shape."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Still:
+    """A body that does not move."""
+
+    world_from_body: RigidTransform
+
+    def at(self, times_s: ArrayLike) -> RigidTransform:
+        """world_from_body at times (...), a batch of the same shape."""
+        shape = np.shape(times_s)
+        return RigidTransform(
+            np.broadcast_to(self.world_from_body.rotation, (*shape, 3, 3)),
+            np.broadcast_to(self.world_from_body.translation, (*shape, 3)),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Sines:
+    """A smooth motion: every coordinate a sum of sines.
+
+    Attributes:
+        middle: pose about which the body moves.
+        amplitudes: (k, 6) mm and rad, of x y z and the rotation vector.
+        frequencies_hz: (k, 6).
+        phases: (k, 6) in rad.
+    """
+
+    middle: RigidTransform
+    amplitudes: Floats
+    frequencies_hz: Floats
+    phases: Floats
+
+    def at(self, times_s: ArrayLike) -> RigidTransform:
+        """world_from_body at times (...), a batch of the same shape."""
+        times = np.asarray(times_s, dtype=np.float64)[..., None, None]
+        turn = 2 * np.pi * self.frequencies_hz * times + self.phases
+        delta = np.sum(self.amplitudes * np.sin(turn), axis=-2)
+        return self.middle.perturb(delta)
+
+
+@dataclass(frozen=True)
+class MotionLimits:
+    """What `random_motion` keeps to.
+
+    Attributes:
+        reach_mm: largest distance from the middle along x, y and z.
+        angle_rad: largest rotation from the middle.
+        speed_mm_s: largest speed of the body's origin.
+        turn_rad_s: largest angular speed.
+        slowest_hz: lowest frequency of the sines.
+        fastest_hz: highest frequency of the sines.
+    """
+
+    reach_mm: tuple[float, float, float] = (50.0, 50.0, 30.0)
+    angle_rad: float = field(default=np.deg2rad(60.0))
+    speed_mm_s: float = 60.0
+    turn_rad_s: float = 1.0
+    slowest_hz: float = 0.05
+    fastest_hz: float = 0.5
+
+
+def random_motion(
+    seed: int, middle: RigidTransform, limits: MotionLimits | None = None, terms: int = 4
+) -> Sines:
+    """A smooth random motion about `middle` that never exceeds `limits`.
+
+    The bounds are those of the sums of amplitudes, so they hold at all times.
+    """
+    limits = limits or MotionLimits()
+    rng = np.random.default_rng(seed)
+    frequencies = rng.uniform(limits.slowest_hz, limits.fastest_hz, (terms, 6))
+    amplitudes = rng.uniform(0.3, 1.0, (terms, 6)) / frequencies
+    amplitudes /= amplitudes.sum(axis=0)
+    amplitudes[:, :3] *= limits.reach_mm
+    amplitudes[:, 3:] *= limits.angle_rad / np.sqrt(3)
+    peaks = np.sum(2 * np.pi * frequencies * amplitudes, axis=0)
+    # A slower clock keeps the reach and lowers the speed.
+    slower = max(
+        float(np.linalg.norm(peaks[:3])) / limits.speed_mm_s,
+        float(np.linalg.norm(peaks[3:])) / limits.turn_rad_s,
+        1.0,
+    )
+    phases = rng.uniform(0, 2 * np.pi, (terms, 6))
+    return Sines(middle, amplitudes, frequencies / slower, phases)
