@@ -1,0 +1,146 @@
+"""Robot logs: states over time, from Parquet, CSV, ROS 1/2 bags and MCAP."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from measure.arrays import Floats, floats
+from measure.errors import EstimatorError
+from measure.robots.psm import psm_schema
+from measure.robots.raven import raven_schema
+from measure.robots.schema import StateSchema
+
+TIME = "time_s"
+SCHEMAS: dict[str, Callable[[], StateSchema]] = {
+    "raven": lambda: raven_schema("left"),
+    "raven-right": lambda: raven_schema("right"),
+    "dvrk-psm": psm_schema,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class RobotLog:
+    """States of one robot on the robot's own clock.
+
+    Attributes:
+        schema: what the columns of `states` are.
+        times_s: (n,) strictly increasing.
+        states: (n, features).
+    """
+
+    schema: StateSchema
+    times_s: Floats
+    states: Floats
+
+    def __post_init__(self) -> None:
+        count = len(floats("times_s", self.times_s, "n"))
+        floats("states", self.states, count, len(self.schema.features))
+
+
+def find_schema(name: str) -> StateSchema:
+    """The schema called `raven`, `raven-right`, `dvrk-psm`, or described by a TOML file.
+
+    Raises:
+        EstimatorError: there is no such schema.
+    """
+    if name in SCHEMAS:
+        return SCHEMAS[name]()
+    if name.endswith(".toml"):
+        from measure.robots.generic import read_schema
+
+        return read_schema(Path(name))
+    raise EstimatorError(
+        f"no robot schema '{name}': there is {', '.join(SCHEMAS)}, or give a robot.toml"
+    )
+
+
+def read_log(path: Path, schema: StateSchema, *, topic: str | None = None) -> RobotLog:
+    """Read a log.
+
+    Args:
+        path: `.parquet`, `.csv`, `.bag`, `.mcap`, or a ROS 2 bag folder.
+        schema: which features are needed.
+        topic: of the state messages in a bag; the only `raven_state` topic if absent.
+
+    Raises:
+        EstimatorError: the file is missing or unreadable, lacks features (they are named), or its
+            clock runs backwards.
+    """
+    if not path.exists():
+        raise EstimatorError(f"{path}: no such robot log")
+    if path.suffix in (".parquet", ".csv"):
+        times, states = _read_table(path, schema)
+    else:
+        from measure.robots.bags import read_bag
+
+        times, states = read_bag(path, schema, topic)
+    return _checked(path, RobotLog(schema, times, states))
+
+
+def write_log(path: Path, log: RobotLog) -> None:
+    """Write Parquet, CSV, ROS 1 `.bag`, `.mcap` or a ROS 2 bag folder, by the name's suffix.
+
+    Raises:
+        EstimatorError: only RAVEN-II states can be written as messages.
+    """
+    if path.suffix not in (".parquet", ".csv"):
+        from measure.robots.bags import write_bag
+
+        write_bag(path, log)
+        return
+    import pyarrow as pa
+
+    columns = {TIME: log.times_s}
+    for index, name in enumerate(log.schema.names):
+        columns[name] = log.states[:, index].astype(np.float32)
+    table = pa.table(columns)
+    if path.suffix == ".csv":
+        from pyarrow import csv
+
+        csv.write_csv(table, path)
+    else:
+        from pyarrow import parquet
+
+        parquet.write_table(table, path, compression="zstd")
+
+
+def read_columns(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
+    """Columns of a Parquet or CSV file.
+
+    Raises:
+        EstimatorError: columns are missing (they are named) or the file cannot be read.
+    """
+    import pyarrow as pa
+    from pyarrow import csv, parquet
+
+    try:
+        table = csv.read_csv(path) if path.suffix == ".csv" else parquet.read_table(path)
+    except (pa.ArrowException, OSError) as error:
+        raise EstimatorError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from None
+    if missing := [name for name in names if name not in table.column_names]:
+        raise EstimatorError(
+            f"{path}: lacks {len(missing)} of {len(names)} columns: {', '.join(missing[:12])}"
+            f"{', ...' if len(missing) > 12 else ''}; it has {', '.join(table.column_names[:8])}"
+        )
+    return {name: table[name].to_numpy() for name in names}
+
+
+def _read_table(path: Path, schema: StateSchema) -> tuple[Floats, Floats]:
+    columns = read_columns(path, (TIME, *schema.names))
+    states = np.stack([columns[name].astype(np.float64) for name in schema.names], axis=1)
+    return columns[TIME].astype(np.float64), states
+
+
+def _checked(path: Path, log: RobotLog) -> RobotLog:
+    if len(log.times_s) < 2:
+        raise EstimatorError(f"{path}: holds {len(log.times_s)} states; a log needs at least two")
+    step = np.diff(log.times_s)
+    if np.any(step < 0):
+        row = int(np.argmax(step < 0)) + 1
+        raise EstimatorError(f"{path}: time runs backwards at row {row}: split the log there")
+    keep = np.concatenate([[True], step > 0])
+    return RobotLog(log.schema, log.times_s[keep], log.states[keep])

@@ -1,0 +1,95 @@
+"""What the numbers of a robot's state mean: names, units, where its position and joints stand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from measure.arrays import Floats
+from measure.errors import EstimatorError
+from measure.robots.chain import SerialChain
+
+
+@dataclass(frozen=True)
+class Feature:
+    """One number of the state: a column's name and its unit ("deg", "um", "" for a bare number)."""
+
+    name: str
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A quantity in mm or rad, read from features: `value = sum(scale * feature)`."""
+
+    terms: tuple[tuple[str, float], ...]
+
+    @classmethod
+    def of(cls, feature: str, scale: float = 1.0) -> Reading:
+        """The quantity of one feature."""
+        return cls(((feature, scale),))
+
+
+@dataclass(frozen=True, eq=False)
+class StateSchema:
+    """A robot's state.
+
+    Attributes:
+        robot: name; a model trained for one robot refuses another's states.
+        features: in the order of the state vector.
+        position: three readings in mm: the tip as the robot reports it.
+        joints: readings in rad or mm, in the order of `chain`; may be empty.
+        coupled: indices into `joints` of joints that share cables (a wrist).
+        chain: the forward kinematics, if known.
+        groups: names of groups of features, for ablation.
+    """
+
+    robot: str
+    features: tuple[Feature, ...]
+    position: tuple[Reading, Reading, Reading]
+    joints: tuple[Reading, ...] = ()
+    coupled: tuple[int, ...] = ()
+    chain: SerialChain | None = None
+    groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the features."""
+        return tuple(feature.name for feature in self.features)
+
+    def index(self, names: Sequence[str]) -> list[int]:
+        """Positions of features in the state vector.
+
+        Raises:
+            EstimatorError: some are not there; the message names them.
+        """
+        where = {name: index for index, name in enumerate(self.names)}
+        if missing := [name for name in names if name not in where]:
+            raise EstimatorError(
+                f"{self.robot}: no feature {', '.join(missing)}; "
+                f"its {len(self.features)} features begin {', '.join(self.names[:8])}"
+            )
+        return [where[name] for name in names]
+
+    def read(self, states: ArrayLike, readings: Sequence[Reading]) -> Floats:
+        """Quantities (..., readings) from states (..., features)."""
+        return np.asarray(states, dtype=np.float64) @ self.reading_matrix(readings)
+
+    def reading_matrix(self, readings: Sequence[Reading]) -> Floats:
+        """The matrix (features, readings) that `read` multiplies states with."""
+        out = np.zeros((len(self.features), len(readings)))
+        for column, reading in enumerate(readings):
+            rows = self.index([name for name, _ in reading.terms])
+            out[rows, column] = [scale for _, scale in reading.terms]
+        return out
+
+    def position_mm(self, states: ArrayLike) -> Floats:
+        """The reported tip (..., 3)."""
+        return self.read(states, self.position)
+
+    def joint_positions(self, states: ArrayLike) -> Floats:
+        """Joint positions (..., joints) in rad and mm."""
+        return self.read(states, self.joints)

@@ -1,0 +1,123 @@
+"""What the simulated RAVEN-II is made of. Every constant has a source or is marked an assumption.
+
+Seven drives: shoulder, elbow (rad), insertion (m), roll, wrist, jaw 1, jaw 2 (rad); SI units.
+
+Sources:
+  [S] the robot's public control software: gravity (grav_comp.cpp), amplifiers (defines.h),
+      motor and gear data (motor.h).
+  [L] a fit to a real 1 kHz log, DAC = a acc + b vel + c sign(vel): R^2 0.96, 0.97, 0.87.
+  [B] single-joint backlash measured on another cable-driven arm with this kind of tool (Hwang et
+      al., RA-L 2020): play of half-width about 2, 6 and 10 degrees (roll, pitch, yaw).
+  [A] assumption. Chosen so that the reported position errs by as much as the literature says
+      (several millimetres, up to about 10), not fitted to any data set.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from measure.arrays import Floats
+
+STEP_S = 1e-3  # [S] controller period
+
+# Motors, per drive. RE40 on the first three, RE30 on the tool's four.
+TORQUE_PER_AMP = np.array([0.0603, 0.0603, 0.0603, 0.0538, 0.0538, 0.0538, 0.0538])  # [S] N m/A
+COUNTS_PER_AMP = np.array([2730.0] * 3 + [5461.0] * 4)  # [S] values; which amplifier where: [A]
+COUNTS_PER_TORQUE = COUNTS_PER_AMP / TORQUE_PER_AMP
+MAX_COUNTS = np.array([5000.0, 5000.0, 4000.0, 3000.0, 3000.0, 3800.0, 3800.0])  # [S]
+INERTIA = np.array([1.24, 0.88, 0.32, 0.2, 0.2, 0.2, 0.2])  # counts s^2/rad: [L]; tool: [A]
+VISCOUS = np.array([5.5, 9.0, 10.5, 5.0, 5.0, 5.0, 5.0])  # counts s/rad: [L]; tool: [A]
+COULOMB = np.array([176.0, 300.0, 257.0, 150.0, 150.0, 150.0, 150.0])  # counts: [L]; tool: [A]
+
+# Gravity on the first three links. [S]
+LINK_MASS_KG = (0.494, 0.750, 0.231)
+LINK_CENTRE_LEFT_MM = ((6.5, 97.75, -137.71), (-2.0, -182.74, -230.53), (0.0, 0.0, 0.0))
+LINK_CENTRE_RIGHT_MM = ((-6.5, -97.75, 137.71), (-2.0, -182.74, 230.53), (0.0, 0.0, 0.0))
+GRAVITY_BASE = np.array([-9.8, 0.0, 0.0])  # m/s^2 in the arm's base frame
+
+CONTROL_HZ = np.array([8.0, 8.0, 8.0, 12.0, 12.0, 12.0, 12.0])  # [A] closed-loop bandwidth
+CONTROL_DAMPING = 0.9  # [A]
+VELOCITY_FILTER_HZ = 20.0  # [A] low pass behind mvel and jvel
+
+DEGREE = np.pi / 180.0
+
+
+@dataclass(frozen=True)
+class Cables:
+    """Cables, pulleys and links between the motors and the tip; all [A] unless marked.
+
+    Attributes:
+        stiffness: N m/rad (N/m) of each cable at small load.
+        stiffening: how much stiffer at `load`, relative: cables stiffen with tension.
+        load: N m (N) at which `stiffening` is reached.
+        backlash: half-width, rad (m). Roll and wrist: [B].
+        friction: Coulomb friction of links and pulleys behind the cable, N m (N).
+        bristle: motion over which friction builds up (Dahl), rad (m).
+        inertia: of the links, kg m^2 (kg).
+        damping: ratio of the link on its cable.
+        homing: fixed error of each drive's zero, rad (m).
+        restart_sd: SD of the zero's further error after each restart, rad (m).
+        registration_mm: where the robot believes its base to be, minus where it is.
+        registration_rotvec_deg: the same for its orientation.
+    """
+
+    stiffness: tuple[float, ...] = (220.0, 160.0, 9000.0, 2.0, 1.5, 1.5, 1.5)
+    stiffening: float = 0.6
+    load: tuple[float, ...] = (3.0, 3.0, 10.0, 0.05, 0.05, 0.05, 0.05)
+    backlash: tuple[float, ...] = (
+        0.05 * DEGREE,
+        0.05 * DEGREE,
+        1e-4,
+        2.0 * DEGREE,
+        6.0 * DEGREE,
+        5.0 * DEGREE,
+        5.0 * DEGREE,
+    )
+    friction: tuple[float, ...] = (0.9, 0.8, 4.0, 0.02, 0.02, 0.02, 0.02)
+    bristle: tuple[float, ...] = (1e-3, 1e-3, 1e-4, 6e-3, 6e-3, 6e-3, 6e-3)
+    inertia: tuple[float, ...] = (0.08, 0.06, 0.35, 1e-4, 6e-5, 6e-5, 6e-5)
+    damping: float = 0.25
+    homing: tuple[float, ...] = (
+        1.2 * DEGREE,
+        -1.4 * DEGREE,
+        2.5e-3,
+        3.0 * DEGREE,
+        -2.0 * DEGREE,
+        0.0,
+        0.0,
+    )
+    restart_sd: tuple[float, ...] = (
+        0.08 * DEGREE,
+        0.08 * DEGREE,
+        1.5e-4,
+        1.0 * DEGREE,
+        1.0 * DEGREE,
+        1.0 * DEGREE,
+        1.0 * DEGREE,
+    )
+    registration_mm: tuple[float, float, float] = (1.5, -1.0, 2.0)
+    registration_rotvec_deg: tuple[float, float, float] = (0.3, -0.4, 0.2)
+    wear: float = field(default=1.0)
+
+    def __post_init__(self) -> None:
+        if not 0.1 <= self.wear <= 3.0:
+            raise ValueError(f"wear is a factor on slack and friction, 0.1 to 3, got {self.wear}")
+
+    def packed(self) -> Floats:
+        """(8, 7) for the integrator: k, stiffening, load, backlash, friction, bristle, I, c."""
+        stiffness, inertia = np.array(self.stiffness) / self.wear, np.array(self.inertia)
+        damping = 2.0 * self.damping * np.sqrt(stiffness * inertia)
+        ones = np.ones(len(stiffness))
+        rows = (
+            stiffness,
+            self.stiffening * ones,
+            self.load,
+            self.wear * np.array(self.backlash),
+            self.wear * np.array(self.friction),
+            self.bristle,
+            inertia,
+            damping,
+        )
+        return np.array([np.asarray(row, dtype=np.float64) for row in rows])
