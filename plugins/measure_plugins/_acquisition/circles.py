@@ -1,0 +1,182 @@
+"""Circles in a patch of colour, also where part of the ball is hidden or two balls touch.
+
+Three points of a patch's border make a circle; it is judged by how much of its circumference parts
+colour inside from other outside (RANSAC, Fischler and Bolles 1981, with fixed instead of random
+samples). A circle bent the wrong way, round something in front of the ball, finds no support.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from measure.arrays import Bytes, Floats, Ints
+
+_ANGLES = 48
+_COSINES = np.cos(2 * np.pi * np.arange(_ANGLES) / _ANGLES)
+_SINES = np.sin(2 * np.pi * np.arange(_ANGLES) / _ANGLES)
+_REACH = 1.5
+"""Inside and outside are looked up this far from the circle, in reduced pixels."""
+_LEAST_ARC = 2.0
+"""A circle needs this much arc in sight, in reduced pixels over 2 pi: 13 pixels of border."""
+_SPANS = (3, 5, 8, 13, 21, 34, 55)
+"""Border pixels between the three points."""
+
+
+@njit(cache=True)
+def circles_along(
+    border: Ints,
+    mask: Bytes,
+    smallest: float,
+    largest: float,
+    least: float,
+    best: Floats,
+) -> None:
+    """Look for circles along the border of one patch, and keep the best ones found so far.
+
+    Args:
+        border: (n, 2) pixels x, y along the patch's border, in order.
+        mask: (h, w), not zero where the picture has the colour.
+        smallest: least radius in reduced pixels.
+        largest: greatest radius in reduced pixels.
+        least: least share of a circle that must be seen.
+        best: (k, 4) centre x, y, radius, share seen (0: free row); changed in place.
+    """
+    n = len(border)
+    for span in _SPANS:
+        if 2 * span >= n + span:
+            break
+        stride = max(1, span // 3)
+        for i in range(0, n, stride):
+            a, b, c = border[i], border[(i + span) % n], border[(i + 2 * span) % n]
+            x, y, r = _through(a, b, c)
+            if not smallest <= r <= largest or 2 * span > 5 * r:
+                continue
+            if not (_parts(mask, a, x, y) and _parts(mask, b, x, y) and _parts(mask, c, x, y)):
+                continue
+            seen = _share_seen(mask, x, y, r)
+            if seen >= max(least, _LEAST_ARC / r):
+                _keep(best, x, y, r, seen)
+
+
+@njit(cache=True)
+def refine(mask: Bytes, circle: Floats) -> Floats:
+    """Fit a circle (x, y, r, seen) to the colour's edge near it; returns the same columns."""
+    x, y, r, seen = circle[0], circle[1], circle[2], circle[3]
+    for reach in (3.0, 2.0, 1.5):
+        normal, right = np.zeros((3, 3)), np.zeros(3)
+        row = np.ones(3)
+        hits = 0
+        for k in range(_ANGLES):
+            offset = _edge(mask, x, y, r, k, reach)
+            if np.isnan(offset):
+                continue
+            row[0], row[1] = _COSINES[k], _SINES[k]
+            hits += 1
+            for a in range(3):
+                right[a] += row[a] * offset
+                for b in range(3):
+                    normal[a, b] += row[a] * row[b]
+        if hits < 6:
+            break
+        for a in range(3):
+            normal[a, a] += 0.02  # a short arc: stay near what three points said
+        step = np.linalg.solve(normal, right)
+        x, y, r = x + step[0], y + step[1], r + step[2]
+        seen = hits / _ANGLES
+    return np.array([x, y, r, seen])
+
+
+@njit(cache=True)
+def share_filled(mask: Bytes, x: float, y: float, r: float) -> float:
+    """Share of the circle's inside, a tenth in from its edge, that has the colour."""
+    inside = 0
+    matching = 0
+    limit = (0.9 * r) ** 2
+    for row in range(max(0, int(y - r)), min(mask.shape[0], int(y + r) + 2)):
+        for column in range(max(0, int(x - r)), min(mask.shape[1], int(x + r) + 2)):
+            if (column - x) ** 2 + (row - y) ** 2 <= limit:
+                inside += 1
+                if mask[row, column]:
+                    matching += 1
+    return matching / inside if inside else 0.0
+
+
+@njit(cache=True)
+def _through(a: Ints, b: Ints, c: Ints) -> tuple[float, float, float]:
+    """Centre and radius of the circle through three points; radius -1 if they lie on a line."""
+    bx, by = float(b[0] - a[0]), float(b[1] - a[1])
+    cx, cy = float(c[0] - a[0]), float(c[1] - a[1])
+    twice = 2 * (bx * cy - by * cx)
+    if abs(twice) < 1e-6:
+        return 0.0, 0.0, -1.0
+    b2, c2 = bx * bx + by * by, cx * cx + cy * cy
+    x, y = (cy * b2 - by * c2) / twice, (bx * c2 - cx * b2) / twice
+    # Border pixels are the last ones inside: the edge is half a pixel further out.
+    return a[0] + x, a[1] + y, np.sqrt(x * x + y * y) + 0.5
+
+
+@njit(cache=True)
+def _at(mask: Bytes, x: float, y: float) -> int:
+    """1 inside the colour, 0 outside, -1 off the picture."""
+    column, row = int(np.floor(x + 0.5)), int(np.floor(y + 0.5))
+    if column < 0 or row < 0 or column >= mask.shape[1] or row >= mask.shape[0]:
+        return -1
+    return 1 if mask[row, column] else 0
+
+
+@njit(cache=True)
+def _parts(mask: Bytes, point: Ints, x: float, y: float) -> bool:
+    """Whether colour lies on the side of a border point that faces (x, y), and none beyond."""
+    dx, dy = point[0] - x, point[1] - y
+    distance = np.sqrt(dx * dx + dy * dy) + 1e-9
+    dx, dy = dx / distance, dy / distance
+    if _at(mask, point[0] + 2.0 * dx, point[1] + 2.0 * dy) != 0:
+        return False
+    return _at(mask, point[0] - 1.0 * dx, point[1] - 1.0 * dy) == 1
+
+
+@njit(cache=True)
+def _share_seen(mask: Bytes, x: float, y: float, r: float) -> float:
+    hits = 0
+    for k in range(_ANGLES):
+        c, s = _COSINES[k], _SINES[k]
+        if _at(mask, x + (r + _REACH) * c, y + (r + _REACH) * s) == 0:
+            hits += _at(mask, x + (r - _REACH) * c, y + (r - _REACH) * s) == 1
+    return hits / _ANGLES
+
+
+@njit(cache=True)
+def _edge(mask: Bytes, x: float, y: float, r: float, k: int, reach: float) -> float:
+    """Where the colour ends along one radius, relative to `r`; NaN if not within `reach`."""
+    c, s = _COSINES[k], _SINES[k]
+    if _at(mask, x + (r - reach) * c, y + (r - reach) * s) != 1:
+        return np.nan
+    offset = -reach
+    while offset < reach:
+        offset += 0.25
+        here = _at(mask, x + (r + offset) * c, y + (r + offset) * s)
+        if here < 0:
+            return np.nan
+        if here == 0:
+            return offset - 0.125
+    return np.nan
+
+
+@njit(cache=True)
+def _keep(best: Floats, x: float, y: float, r: float, seen: float) -> None:
+    """Put a circle into `best`: in place of its double if better, else of the worst."""
+    merit = seen * np.sqrt(r)
+    worst, worst_merit = 0, np.inf
+    for i in range(len(best)):
+        other_merit = best[i, 3] * np.sqrt(best[i, 2])
+        if best[i, 3] > 0:
+            apart = np.sqrt((best[i, 0] - x) ** 2 + (best[i, 1] - y) ** 2)
+            if apart < 0.5 * max(r, best[i, 2]):
+                if merit > other_merit:
+                    best[i] = (x, y, r, seen)
+                return
+        if other_merit < worst_merit:
+            worst, worst_merit = i, other_merit
+    if merit > worst_merit:
+        best[worst] = (x, y, r, seen)

@@ -1,0 +1,100 @@
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from scenes import FOUR, RAVEN, ring
+
+from measure.model import Image
+from measure_plugins._acquisition import AcquisitionSettings, find_candidates
+
+BGR = {
+    "green": (60, 140, 40),
+    "yellow": (30, 190, 210),
+    "red": (35, 30, 180),
+    "white": (225, 230, 228),
+    "blue": (170, 80, 30),
+    "orange": (20, 110, 235),
+}
+CAMERA = ring()["cam0"]
+
+
+def picture(discs, background=(28, 28, 28), noise=3.0, seed=0, gain=1.0):
+    """An image of flat discs (colour, x, y, radius), the later ones in front."""
+    pixels = np.full((720, 1280, 3), background, np.uint8)
+    for color, x, y, radius in discs:
+        bgr = BGR.get(color, color)
+        cv2.circle(
+            pixels, (round(x * 16), round(y * 16)), round(radius * 16), bgr, -1, cv2.LINE_AA, 4
+        )
+    noisy = pixels * gain + np.random.default_rng(seed).normal(scale=noise, size=pixels.shape)
+    return Image("cam0", 0, 0.5, lambda: np.clip(noisy, 0, 255).astype(np.uint8))
+
+
+def search(image, body=RAVEN, **settings):
+    found = find_candidates(image, body, CAMERA, AcquisitionSettings(**settings))
+    return {ball.name: [d for d in found if d.ball == ball.name] for ball in body.balls}
+
+
+def assert_at(detection, x, y, radius, within):
+    assert np.linalg.norm(detection.center_px - [x, y]) < within
+    assert detection.radius_px == pytest.approx(radius, rel=0.08, abs=2)
+    assert np.sqrt(detection.covariance_px[0, 0]) > 0.3
+
+
+@pytest.mark.parametrize("radius", [14.0, 45.0, 120.0])
+@pytest.mark.parametrize("gain", [0.35, 1.0], ids=["dim", "bright"])
+def test_finds_each_ball_first(radius, gain):
+    at = {"green": (300.3, 350.6), "yellow": (640.2, 300.9), "red": (980.7, 420.1)}
+    image = picture([(c, x, y, radius) for c, (x, y) in at.items()], gain=gain)
+    for name, candidates in search(image).items():
+        assert_at(candidates[0], *at[name], radius, 1.5)
+        assert candidates[0].camera == "cam0"
+        assert candidates[0].time_s == 0.5
+
+
+def test_hidden_behind_another_ball():
+    found = search(picture([("green", 600, 300, 60), ("yellow", 650, 330, 60)]))
+    assert_at(found["yellow"][0], 650, 330, 60, 1.5)
+    assert_at(found["green"][0], 600, 300, 60, 4.0)
+    assert found["green"][0].covariance_px[0, 0] > found["yellow"][0].covariance_px[0, 0]
+
+
+def test_two_touching_balls_of_one_colour_are_two_candidates():
+    found = search(picture([("red", 600, 300, 50), ("red", 670, 330, 45)]))["red"]
+    assert len(found) >= 2
+    assert_at(found[0], 600, 300, 50, 3.0)
+    assert_at(found[1], 670, 330, 45, 3.0)
+
+
+def test_four_balls_white_among_them():
+    at = {"white": (300, 300), "blue": (500, 420), "orange": (700, 250), "green": (900, 400)}
+    image = picture([(c, x, y, 40) for c, (x, y) in at.items()])
+    for name, candidates in search(image, FOUR).items():
+        assert_at(candidates[0], *at[name], 40, 1.5)
+
+
+def test_a_highlight_and_a_rod_in_front_do_not_split_a_ball():
+    rod = [((40, 40, 42), 500 + 3 * i, 200 + 8 * i, 5) for i in range(40)]
+    found = search(picture([("green", 570, 360, 60), ((250, 250, 250), 555, 340, 9), *rod]))
+    assert_at(found["green"][0], 570, 360, 60, 3.0)
+
+
+def test_no_ball_no_candidate():
+    assert search(picture([])) == {"green": [], "yellow": [], "red": []}
+    assert search(picture([("blue", 500, 300, 50)]))["red"] == []
+
+
+def test_a_box_is_a_worse_candidate_than_a_ball():
+    image = picture([("red", 300, 400, 35)])
+    pixels = image.pixels.copy()
+    pixels[200:400, 700:850] = BGR["red"]
+    found = search(Image("cam0", 0, 0.0, lambda: pixels))["red"]
+    assert_at(found[0], 300, 400, 35, 1.5)
+
+
+def test_other_image_sizes():
+    image = picture([("green", 320, 180, 60)])
+    small = cv2.resize(image.pixels, (640, 360), interpolation=cv2.INTER_AREA)
+    found = search(Image("cam0", 0, 0.0, lambda: small))
+    assert_at(found["green"][0], 160 - 0.25, 90 - 0.25, 30, 1.0)
