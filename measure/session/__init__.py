@@ -2,14 +2,15 @@
 
 from measure.session.body_file import read_body, write_body
 from measure.session.calibration_file import Calibration
-from measure.session.calibration_file import write_own_calibration as write_calibration
-from measure.session.calibrations import read_calibration
+from measure.session.calibrations import read_calibration, read_intrinsics, write_calibration
 from measure.session.files import FileModel, load_toml
 from measure.session.pairing import Pairing, pair_nearest
 from measure.session.pictures import decode_picture, read_picture
 from measure.session.session import Session, open_session
 from measure.session.streams import Stream
 from measure.session.toml_text import dump_toml
+from measure.session.trajectory import Trajectory, read_trajectory
+from measure.session.video_stream import VideoStream, open_video_stream
 
 __all__ = [
     "Calibration",
@@ -17,14 +18,19 @@ __all__ = [
     "Pairing",
     "Session",
     "Stream",
+    "Trajectory",
+    "VideoStream",
     "decode_picture",
     "dump_toml",
     "load_toml",
     "open_session",
+    "open_video_stream",
     "pair_nearest",
     "read_body",
     "read_calibration",
+    "read_intrinsics",
     "read_picture",
+    "read_trajectory",
     "write_body",
     "write_calibration",
 ]

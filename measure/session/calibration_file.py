@@ -134,13 +134,13 @@ def read_own_calibration(path: Path) -> Calibration:
     return Calibration(tuple(camera.camera() for camera in given.cameras), given.provenance)
 
 
-def write_own_calibration(path: Path | str, calibration: Calibration) -> None:
+def write_own_calibration(path: Path, calibration: Calibration) -> None:
     """Write `calibration.toml`; `read_calibration` gives back the same numbers."""
     values = {
         "cameras": [_camera_values(camera) for camera in calibration.cameras],
         "provenance": dict(calibration.provenance) or None,
     }
-    Path(path).write_text(dump_toml(values), encoding="utf-8")
+    path.write_text(dump_toml(values), encoding="utf-8")
 
 
 def _camera_values(camera: Camera) -> dict[str, Any]:

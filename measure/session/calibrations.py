@@ -2,37 +2,104 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from measure.errors import CalibrationError
-from measure.session.calibration_file import Calibration, read_own_calibration
+from measure.model import Intrinsics
+from measure.session.calibration_file import (
+    Calibration,
+    read_own_calibration,
+    write_own_calibration,
+)
+from measure.session.files import read_text
+from measure.session.interchange_opencv import (
+    is_opencv,
+    read_opencv,
+    read_opencv_intrinsics,
+    write_opencv,
+)
+from measure.session.interchange_toml import (
+    Unit,
+    is_foreign_toml,
+    read_foreign_toml,
+    write_anipose,
+    write_caliscope,
+)
 
-METRES_SPREAD = 3.0
-"""Cameras all within this many "mm" were surely written in metres."""
+Format = Literal["triball", "anipose", "caliscope", "opencv"]
+
+METRES_SPREAD_MM = 3.0
+"""Cameras all within this many "mm" of the first were surely written in metres."""
 
 
-def read_calibration(path: Path | str) -> Calibration:
-    """Read a calibration file.
+def read_calibration(path: Path | str, unit: Unit | None = None) -> Calibration:
+    """Read a calibration: ours, aniposelib's, caliscope's or OpenCV's, told apart by content.
+
+    Args:
+        path: the file.
+        unit: of the translations in a file of another program that does not say it; ours are mm.
 
     Raises:
         CalibrationError: the file cannot be used, two cameras share a name, or the translations
-            are in metres.
+            cannot be in the unit taken.
     """
-    calibration = read_own_calibration(Path(path))
+    path = Path(path)
+    text = read_text(path, CalibrationError)
+    if is_opencv(text):
+        calibration = read_opencv(path, text, unit)
+    elif (values := _toml(text)) is not None and is_foreign_toml(values):
+        calibration = read_foreign_toml(path, text, values, unit)
+    else:
+        calibration = read_own_calibration(path)
     check_calibration(calibration, str(path))
     return calibration
+
+
+def read_intrinsics(path: Path | str) -> dict[str, Intrinsics]:
+    """The lenses alone, by camera name; an OpenCV file needs no poses for that.
+
+    Raises:
+        CalibrationError: the file cannot be used.
+    """
+    text = read_text(path, CalibrationError)
+    if is_opencv(text):
+        return read_opencv_intrinsics(Path(path), text)
+    return {camera.name: camera.intrinsics for camera in read_calibration(path).cameras}
+
+
+def write_calibration(
+    path: Path | str, calibration: Calibration, file_format: Format = "triball"
+) -> None:
+    """Write a calibration; only our own format holds covariances and provenance.
+
+    Args:
+        path: the file; for "opencv" its ending chooses YAML, XML or JSON.
+        calibration: what to write.
+        file_format: "triball", "anipose" (mm), "caliscope" (m) or "opencv" (mm).
+    """
+    writers = {
+        "triball": write_own_calibration,
+        "anipose": write_anipose,
+        "caliscope": write_caliscope,
+        "opencv": write_opencv,
+    }
+    writers[file_format](Path(path), calibration)
 
 
 def check_calibration(calibration: Calibration, source: str) -> None:
     """Refuse what cannot be right.
 
     Raises:
-        CalibrationError: two cameras share a name, or stand so close together that their
+        CalibrationError: no camera, two of one name, or all so close together that their
             translations must be metres.
     """
     names = calibration.names
+    if not names:
+        raise CalibrationError(f"{source}: holds no calibrated camera")
     for name in names:
         if names.count(name) > 1:
             raise CalibrationError(f"{source}: camera '{name}' is there {names.count(name)} times")
@@ -40,8 +107,16 @@ def check_calibration(calibration: Calibration, source: str) -> None:
         return
     centers = np.stack([camera.center for camera in calibration.cameras])
     spread = float(np.linalg.norm(centers - centers[0], axis=1).max())
-    if spread < METRES_SPREAD:
+    if spread < METRES_SPREAD_MM:
         raise CalibrationError(
-            f"{source}: the cameras stand within {spread:.3g} mm of each other: "
-            "translation_mm must be in mm (these look like metres)"
+            f"{source}: the cameras stand within {spread:.3g} mm of each other: the translations "
+            "look like metres; write mm, or for another program's file say calibration_unit = "
+            '"m" in [session]'
         )
+
+
+def _toml(text: str) -> dict[str, object] | None:
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        return None

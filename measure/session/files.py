@@ -40,7 +40,7 @@ def load_toml(path: Path | str, model: type[M], error: type[MeasureError] = Sess
     except tomllib.TOMLDecodeError as problem:
         raise error(_syntax_message(Path(path), text, str(problem))) from None
     except ValidationError as problem:
-        raise error(_validation_message(Path(path), text, problem, model)) from None
+        raise error(validation_message(Path(path), text, problem, model)) from None
 
 
 def read_text(path: Path | str, error: type[MeasureError] = SessionError) -> str:
@@ -66,7 +66,7 @@ def missing_message(path: Path) -> str:
     if not folder.is_dir():
         return f"{path}: no such file; the folder {folder} does not exist either"
     names = sorted(entry.name for entry in folder.iterdir())
-    near = difflib.get_close_matches(path.name, names, n=3, cutoff=0.5)
+    near = difflib.get_close_matches(path.name, names, n=3, cutoff=0.7)
     if near:
         return f"{path}: no such file; did you mean {' or '.join(near)}?"
     shown = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
@@ -81,17 +81,30 @@ def _syntax_message(path: Path, text: str, problem: str) -> str:
     return f"{path}:{line}: not valid TOML: {what[:1].lower()}{what[1:]}"
 
 
-def _validation_message(
-    path: Path, text: str, problem: ValidationError, model: type[BaseModel]
+def validation_message(
+    path: Path,
+    text: str,
+    problem: ValidationError,
+    model: type[BaseModel],
+    within: tuple[int | str, ...] = (),
 ) -> str:
+    """The first problem of a pydantic error in one line, with file, line and key.
+
+    Args:
+        path: the file.
+        text: its content, to find the line.
+        problem: what pydantic says.
+        model: the model that was not met.
+        within: keys of the table that was validated, if it was not the whole file.
+    """
     first = problem.errors(include_url=False)[0]
-    keys = first["loc"]
+    keys = (*within, *first["loc"])
     line = find_line(text, keys)
     where = f"{path}:{line}" if line else str(path)
     name = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in keys).lstrip(".")
     more = f" (and {problem.error_count() - 1} more)" if problem.error_count() > 1 else ""
     if first["type"] == "extra_forbidden":
-        return f"{where}: unknown key '{name}'{_near(str(keys[-1]), keys, model)}{more}"
+        return f"{where}: unknown key '{name}'{_near(str(keys[-1]), first['loc'], model)}{more}"
     if first["type"] == "missing":
         return f"{where}: '{name}' is missing{more}"
     what = first["msg"].removeprefix("Value error, ")

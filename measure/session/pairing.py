@@ -36,12 +36,12 @@ def pair_nearest(
 ) -> Pairing:
     """Pair images by nearest time.
 
-    The instants are the stamps of the reference camera: the one whose median period is the median
-    of all cameras' (the first of equals), so that neither a slow camera thins the others out nor a
-    fast one makes sets of its own. Instants it missed (gaps, and the time before it started or
-    after it ended) are filled in at its period where at least two other cameras have an image.
-    Each image goes to the instant nearest to it, each instant takes the nearest of a camera's
-    images, and no image is used twice.
+    The instants are the stamps of the reference camera: the first whose median period is within 1 %
+    of the median (of an even number the longer) of all cameras' periods, so that neither a slow
+    camera thins the others out nor a fast one makes sets of its own. Instants it missed (gaps, and
+    the time before it started or after it ended) are filled in at its period where at least two
+    other cameras have an image. Each image goes to the instant nearest to it, each instant takes
+    the nearest of a camera's images, and no image is used twice.
 
     Args:
         times_s: per camera, (n,) increasing.
@@ -50,8 +50,9 @@ def pair_nearest(
     """
     periods = [float(np.median(np.diff(t))) if len(t) > 1 else np.inf for t in times_s]
     if reference is None:
-        middle = sorted(periods)[(len(periods) - 1) // 2]
-        reference = periods.index(middle)
+        middle = sorted(periods)[len(periods) // 2]
+        alike = [p == middle or 0.99 < p / middle < 1.01 for p in periods]
+        reference = alike.index(True)
     period = periods[reference]
     if tolerance_s is None:
         tolerance_s = period / 2

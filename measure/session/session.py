@@ -21,6 +21,7 @@ from measure.session.prefetch import DEFAULT_PREFETCH, stream_frame_sets
 from measure.session.settings import CameraTable, SessionModel
 from measure.session.streams import Stream
 from measure.session.timestamps import read_stamps
+from measure.session.video_stream import open_video_stream
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,7 +199,7 @@ def _calibration_path(given: SessionModel, file: Path, override: Path | str | No
 
 
 def _cameras(given: SessionModel, path: Path, file: Path) -> tuple[Camera, ...]:
-    calibration = read_calibration(path)
+    calibration = read_calibration(path, given.session.calibration_unit)
     out = []
     for table in given.cameras:
         if table.name not in calibration.names:
@@ -213,13 +214,18 @@ def _cameras(given: SessionModel, path: Path, file: Path) -> tuple[Camera, ...]:
 def _open_stream(table: CameraTable, folder: Path, camera: Camera, calibrated: Path) -> Stream:
     stamps_path = folder / table.timestamps if table.timestamps else None
     stamps = read_stamps(stamps_path, table.name) if stamps_path else None
-    if table.images is None:
-        raise SessionError("video is not read yet")
-    assert stamps is not None
-    assert stamps_path is not None
-    stream = open_image_stream(
-        table.name, folder, table.images, stamps, stamps_path, table.time_offset_s
-    )
+    stream: Stream
+    if table.video is not None:
+        stream = open_video_stream(
+            table.name, folder / table.video, stamps, stamps_path, table.time_offset_s
+        )
+    else:
+        assert table.images is not None
+        assert stamps is not None
+        assert stamps_path is not None
+        stream = open_image_stream(
+            table.name, folder, table.images, stamps, stamps_path, table.time_offset_s
+        )
     if stream.size_wh != tuple(camera.intrinsics.size_wh):
         have, want = stream.size_wh, camera.intrinsics.size_wh
         stream.close()

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import Field, FiniteFloat, model_validator
 
 from measure.session.body_file import BodyModel
 from measure.session.files import FileModel
+from measure.session.interchange_toml import Unit
 
 
 class SessionTable(FileModel):
@@ -17,6 +18,7 @@ class SessionTable(FileModel):
     description: str = ""
     body: str | None = None
     calibration: str | None = None
+    calibration_unit: Unit | None = None
     truth: str | None = None
 
 
@@ -67,6 +69,3 @@ class SessionModel(FileModel):
                 f"a measurement needs at least two cameras, the session has {len(names)}"
             )
         return self
-
-
-Pairing = Literal["nearest"]

@@ -63,7 +63,7 @@ def jpeg(level: int, size_wh: tuple[int, int] = SIZE_WH) -> bytes:
 
 
 def write_recording(path: Path, cameras: int = 3, frames: int = 6) -> Recording:
-    """Frames at 10 Hz whose grey level is 20 times the frame number."""
+    """Frames at 10 Hz whose grey level is 20 times the frame number (modulo 12)."""
     recording = Recording(path)
     path.mkdir(parents=True, exist_ok=True)
     session = '[session]\nname = "small"\nbody = "body.toml"\ncalibration = "calibration.toml"\n'
@@ -80,7 +80,7 @@ def write_recording(path: Path, cameras: int = 3, frames: int = 6) -> Recording:
         )
         (path / name).mkdir(exist_ok=True)
         for k in range(frames):
-            (path / name / f"{k:06d}.jpg").write_bytes(jpeg(20 * k))
+            (path / name / f"{k:06d}.jpg").write_bytes(jpeg(20 * (k % 12)))
         recording.stamp(name, [0.1 * k for k in range(frames)])
     (path / "session.toml").write_text(session)
     (path / "calibration.toml").write_text(calibration)

@@ -1,0 +1,145 @@
+"""OpenCV's calibration files (YAML, XML or JSON of `cv2.FileStorage`)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from measure.arrays import Floats
+from measure.errors import CalibrationError
+from measure.geometry import RigidTransform
+from measure.model import Camera, Intrinsics
+from measure.session.calibration_file import Calibration
+from measure.session.interchange_toml import (
+    MM_PER,
+    Unit,
+    distortion8,
+    opencv_distortion,
+    rotation_matrix,
+)
+
+_MATRIX_NAMES = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "K")
+_DISTORTION_NAMES = ("distortion_coefficients", "Distortion_Coefficients", "distCoeffs", "D")
+_ROTATION_NAMES = ("rotation", "R", "rvec")
+_TRANSLATION_NAMES = ("translation", "T", "tvec", "t")
+
+
+def is_opencv(text: str) -> bool:
+    """Whether text is what `cv2.FileStorage` writes."""
+    start = text.lstrip()
+    return start.startswith(("%YAML", "<?xml", "<opencv_storage", "{"))
+
+
+def read_opencv(path: Path, text: str, unit: Unit | None) -> Calibration:
+    """Read a file of one camera, or of several under `cameras`, with their poses.
+
+    Args:
+        path: for messages; its stem names a camera that has no `camera_name`.
+        text: the file's content.
+        unit: of the translations; what the file's `unit` says, else mm.
+
+    Raises:
+        CalibrationError: not such a file, or a camera without matrix, image size or pose.
+    """
+    storage = _parse(path, text)
+    stated = storage.getNode("unit").string()
+    scale = MM_PER[unit or (stated if stated in MM_PER else "mm")]
+    cameras = []
+    for node, name in _camera_nodes(storage, path):
+        rotation = _first(node, _ROTATION_NAMES)
+        translation = _first(node, _TRANSLATION_NAMES)
+        if rotation is None or translation is None or translation.size != 3:
+            raise CalibrationError(
+                f"{path}: camera '{name}' has intrinsics but no pose (R and T, camera from world); "
+                "locate it with measure calibrate"
+            )
+        try:
+            pose = RigidTransform(rotation_matrix(rotation), scale * translation.reshape(3))
+        except CalibrationError as problem:
+            raise CalibrationError(f"{path}: camera '{name}': {problem}") from None
+        error = node.getNode("avg_reprojection_error")
+        rms = None if error.empty() else float(error.real())
+        cameras.append(Camera(name, _intrinsics(node, path, name), pose.inverse(), None, rms))
+    return Calibration(tuple(cameras), {"format": "opencv"})
+
+
+def read_opencv_intrinsics(path: Path, text: str) -> dict[str, Intrinsics]:
+    """Read the lenses alone, by camera name.
+
+    Raises:
+        CalibrationError: not such a file, or a camera without matrix or image size.
+    """
+    storage = _parse(path, text)
+    return {name: _intrinsics(node, path, name) for node, name in _camera_nodes(storage, path)}
+
+
+def write_opencv(path: Path, calibration: Calibration) -> None:
+    """Write OpenCV YAML, XML or JSON, as the name ends; poses are camera_from_world in mm."""
+    out = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    if not out.isOpened():
+        raise CalibrationError(f"{path}: cannot be written as OpenCV YAML, XML or JSON")
+    out.write("unit", "mm")
+    out.startWriteStruct("cameras", cv2.FILE_NODE_SEQ)
+    for camera in calibration.cameras:
+        out.startWriteStruct("", cv2.FILE_NODE_MAP)
+        out.write("camera_name", camera.name)
+        out.write("image_width", int(camera.intrinsics.size_wh[0]))
+        out.write("image_height", int(camera.intrinsics.size_wh[1]))
+        out.write("camera_matrix", camera.intrinsics.matrix)
+        out.write("distortion_coefficients", opencv_distortion(camera).reshape(-1, 1))
+        out.write("R", camera.camera_from_world.rotation)
+        out.write("T", camera.camera_from_world.translation.reshape(3, 1))
+        if camera.reprojection_rms_px is not None:
+            out.write("avg_reprojection_error", camera.reprojection_rms_px)
+        out.endWriteStruct()
+    out.endWriteStruct()
+    out.release()
+
+
+def _parse(path: Path, text: str) -> Any:
+    try:
+        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+    except (cv2.error, SystemError) as problem:
+        cause = str(problem.__cause__ or problem).strip().splitlines()[-1]
+        raise CalibrationError(f"{path}: not a file OpenCV can read ({cause})") from None
+    return storage
+
+
+def _camera_nodes(storage: Any, path: Path) -> list[tuple[Any, str]]:
+    nodes = storage.getNode("cameras")
+    if nodes.isSeq():
+        found = [nodes.at(i) for i in range(nodes.size())]
+        return [(n, n.getNode("camera_name").string() or f"cam{i}") for i, n in enumerate(found)]
+    if _first(storage, _MATRIX_NAMES) is None:
+        known = ", ".join(storage.root().keys()) or "nothing"
+        raise CalibrationError(f"{path}: no camera_matrix in it; it holds {known}")
+    return [(storage, storage.getNode("camera_name").string() or path.stem)]
+
+
+def _first(node: Any, names: tuple[str, ...]) -> Floats | None:
+    for name in names:
+        found = node.getNode(name)
+        if not found.empty() and found.isMap():
+            return np.asarray(found.mat(), dtype=np.float64)
+    return None
+
+
+def _intrinsics(node: Any, path: Path, name: str) -> Intrinsics:
+    matrix = _first(node, _MATRIX_NAMES)
+    distortion = _first(node, _DISTORTION_NAMES)
+    width, height = node.getNode("image_width"), node.getNode("image_height")
+    if matrix is None or matrix.shape != (3, 3):
+        raise CalibrationError(f"{path}: camera '{name}' has no 3x3 camera_matrix")
+    if width.empty() or height.empty():
+        raise CalibrationError(
+            f"{path}: camera '{name}' has no image_width and image_height, "
+            "without which its fit to the images cannot be checked"
+        )
+    try:
+        coefficients = distortion8(np.zeros(0) if distortion is None else distortion)
+    except CalibrationError as problem:
+        raise CalibrationError(f"{path}: camera '{name}': {problem}") from None
+    return Intrinsics((int(width.real()), int(height.real())), matrix, coefficients)

@@ -1,0 +1,165 @@
+"""Poses over time, read from files and asked for between their samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from measure.arrays import Bools, Floats, Ints
+from measure.errors import MeasureError, SessionError
+from measure.geometry import RigidTransform
+from measure.session.files import read_text
+from measure.session.timestamps import read_number_table
+
+COLUMNS = ("time_s", "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
+MAX_GAP_PERIODS = 5.0
+"""Between samples farther apart than this many median periods nothing is interpolated."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Poses at increasing times.
+
+    Attributes:
+        times_s: (n,).
+        world_from_body: a batch of n.
+        source: the file, for messages.
+    """
+
+    times_s: Floats
+    world_from_body: RigidTransform
+    source: str = "trajectory"
+
+    def __len__(self) -> int:
+        return len(self.times_s)
+
+    def covers(self, times_s: ArrayLike) -> Bools:
+        """At which times (m,) a pose can be told: between samples, and in no gap."""
+        wanted = np.atleast_1d(np.asarray(times_s, dtype=np.float64))
+        left, fraction = self._interval(wanted)
+        inside = (wanted >= self.times_s[0]) & (wanted <= self.times_s[-1])
+        on_sample = (fraction == 0) | (fraction == 1)
+        return inside & (on_sample | ~self._gaps()[np.minimum(left, max(len(self) - 2, 0))])
+
+    def at(self, times_s: ArrayLike) -> RigidTransform:
+        """The poses at times (m,), as a batch of m.
+
+        Positions run along a cubic through the samples (slopes by second-order differences),
+        rotations along the great arc between two.
+
+        Raises:
+            SessionError: a time lies outside the samples or in a gap between them.
+        """
+        wanted = np.atleast_1d(np.asarray(times_s, dtype=np.float64))
+        if not np.all(self.covers(wanted)):
+            first = wanted[~self.covers(wanted)][0]
+            raise SessionError(
+                f"{self.source} has no pose at {first:.6f} s: it runs from {self.times_s[0]:.6f} "
+                f"to {self.times_s[-1]:.6f} s"
+                + (", with gaps" if np.any(self._gaps()[: max(len(self) - 1, 0)]) else "")
+            )
+        left, fraction = self._interval(wanted)
+        right = np.minimum(left + 1, len(self) - 1)
+        return RigidTransform(
+            self._rotations(left, right, fraction), self._positions(left, right, fraction)
+        )
+
+    def _interval(self, wanted: Floats) -> tuple[Ints, Floats]:
+        last = max(len(self) - 2, 0)
+        left = np.clip(np.searchsorted(self.times_s, wanted, side="right") - 1, 0, last)
+        right = np.minimum(left + 1, len(self) - 1)
+        span = self.times_s[right] - self.times_s[left]
+        fraction = (wanted - self.times_s[left]) / np.where(span > 0, span, 1.0)
+        return left.astype(np.int64), fraction
+
+    def _gaps(self) -> Bools:
+        steps = np.diff(self.times_s)
+        if not len(steps):
+            return np.zeros(1, bool)
+        return steps > MAX_GAP_PERIODS * np.median(steps)
+
+    def _rotations(self, left: Ints, right: Ints, fraction: Floats) -> Floats:
+        start = Rotation.from_matrix(self.world_from_body.rotation[left])
+        end = Rotation.from_matrix(self.world_from_body.rotation[right])
+        turn = (end * start.inv()).as_rotvec() * fraction[:, None]
+        return np.asarray((Rotation.from_rotvec(turn) * start).as_matrix())
+
+    def _positions(self, left: Ints, right: Ints, fraction: Floats) -> Floats:
+        # Cubic Hermite basis on each interval.
+        position, slope = self.world_from_body.translation, self._slopes()
+        span = (self.times_s[right] - self.times_s[left])[:, None]
+        u = fraction[:, None]
+        start = (1 + 2 * u) * (1 - u) ** 2 * position[left] + u * (1 - u) ** 2 * span * slope[left]
+        end = u**2 * (3 - 2 * u) * position[right] + u**2 * (u - 1) * span * slope[right]
+        return start + end
+
+    def _slopes(self) -> Floats:
+        out = np.zeros_like(self.world_from_body.translation)
+        breaks = np.flatnonzero(self._gaps()) + 1 if len(self) > 1 else np.zeros(0, int)
+        for part in np.split(np.arange(len(self)), breaks):
+            if len(part) > 1:
+                position = self.world_from_body.translation[part]
+                edge: Literal[1, 2] = 2 if len(part) > 2 else 1
+                out[part] = np.gradient(position, self.times_s[part], axis=0, edge_order=edge)
+        return out
+
+
+def read_trajectory(path: Path | str, error: type[MeasureError] = SessionError) -> Trajectory:
+    """Read poses over time.
+
+    Our CSV (`time_s,x_mm,y_mm,z_mm,qw,qx,qy,qz`: truth.csv, poses.csv; rows without a pose are
+    passed over) or TUM (`time_s x y z qx qy qz qw`, metres), told apart by content.
+
+    Raises:
+        error: the file cannot be used; with file and line where a value is wrong or the time does
+            not increase.
+    """
+    path = Path(path)
+    first = next((line for line in read_text(path, error).splitlines() if line.strip()), "")
+    if first.startswith("#") or ("," not in first and len(first.split()) == 8):
+        values, lines = _read_tum(path, error)
+    else:
+        table = read_number_table(path, COLUMNS, "", error, empty_is_nan=True)
+        values, lines = np.stack([table.columns[name] for name in COLUMNS], axis=1), table.lines
+    here = np.flatnonzero(~np.isnan(values[:, 1:]).all(axis=1))
+    return _checked(path, values[here], [lines[i] for i in here], error)
+
+
+def _read_tum(path: Path, error: type[MeasureError]) -> tuple[Floats, list[int]]:
+    rows, lines = [], []
+    for number, line in enumerate(read_text(path, error).splitlines(), start=1):
+        if not line.strip() or line.startswith("#"):
+            continue
+        try:
+            row = [float(cell) for cell in line.split()]
+        except ValueError:
+            raise error(f"{path}:{number}: not eight numbers: {line[:60]!r}") from None
+        if len(row) != 8:
+            raise error(f"{path}:{number}: a TUM line has eight numbers, this one {len(row)}")
+        rows.append([row[0], *(1000 * v for v in row[1:4]), row[7], *row[4:7]])
+        lines.append(number)
+    return np.array(rows, dtype=np.float64).reshape(-1, 8), lines
+
+
+def _checked(path: Path, values: Floats, lines: list[int], error: type[MeasureError]) -> Trajectory:
+    if not len(values):
+        raise error(f"{path}: holds no pose")
+    for i in np.flatnonzero(~np.isfinite(values).all(axis=1)):
+        raise error(f"{path}:{lines[i]}: a value is missing or not finite")
+    for i in np.flatnonzero(np.diff(values[:, 0]) <= 0):
+        raise error(
+            f"{path}:{lines[i + 1]}: time does not increase, from {values[i, 0]:.6f} s to "
+            f"{values[i + 1, 0]:.6f} s"
+        )
+    lengths = np.linalg.norm(values[:, 4:], axis=1)
+    for i in np.flatnonzero(np.abs(lengths - 1) > 1e-2):
+        raise error(
+            f"{path}:{lines[i]}: not a rotation: the quaternion's length is {lengths[i]:.4g}, not 1"
+        )
+    poses = RigidTransform.from_quat_wxyz(values[:, 4:], values[:, 1:4])
+    return Trajectory(values[:, 0], poses, str(path))

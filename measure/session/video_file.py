@@ -1,0 +1,242 @@
+"""A video file: its frames in presentation order with the times the container gives them."""
+
+from __future__ import annotations
+
+import threading
+from bisect import bisect_right
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from measure.arrays import Bytes, Floats
+from measure.errors import SessionError
+from measure.session.files import missing_message
+
+_COUNTED_CONTAINERS = ("avi",)
+"""These store no presentation time: the n-th picture shown gets the n-th time."""
+_RAW_CONTAINERS = ("h264", "hevc", "m4v", "mjpeg", "mpeg", "rawvideo")
+"""Bare streams without any time; a reader that gives some invents them."""
+
+
+@dataclass(frozen=True, eq=False)
+class VideoIndex:
+    """What a container says, without decoding.
+
+    Attributes:
+        stamps: presentation times in units of the time base, increasing, one a frame.
+        key_stamps: those of the frames that decode by themselves, increasing.
+        time_base: seconds a unit.
+        size_wh: width and height in px.
+        motion_jpeg: every packet is a JPEG.
+        counted: the container gives no presentation times; stamps belong to frames by order.
+    """
+
+    stamps: list[int]
+    key_stamps: list[int]
+    time_base: Fraction
+    size_wh: tuple[int, int]
+    motion_jpeg: bool
+    counted: bool
+
+    @property
+    def times_s(self) -> Floats:
+        """Presentation times (n,) in seconds, exact to the time base."""
+        return np.array([float(stamp * self.time_base) for stamp in self.stamps])
+
+
+def index_video(path: Path, where: str) -> VideoIndex:
+    """Read a video's packets, not its pictures.
+
+    Raises:
+        SessionError: missing, empty, truncated, without pictures or without times; the message
+            starts with `where`.
+    """
+    _refuse_no_file(path, where)
+    with _open(path, where) as container:
+        stream = _video_of(container, path, where)
+        packets = list(_packets(container, stream, path, where))
+        _refuse_truncated(container, stream, packets, f"{where}{path}")
+        packets = [packet for packet in packets if not packet[3]]
+        if not packets:
+            raise SessionError(f"{where}{path}: the video has no frames")
+        name = container.format.name
+        timeless = any(kind in name.split(",") for kind in _RAW_CONTAINERS)
+        counted = any(kind in name for kind in _COUNTED_CONTAINERS)
+        times = [dts if counted else pts for pts, dts, _, _ in packets]
+        if timeless or None in times:
+            raise SessionError(
+                f"{where}{path}: a bare {name} stream has no times; put it in an mp4 or mkv file"
+            )
+        stamps = sorted(times)
+        keys = sorted(time for time, packet in zip(times, packets, strict=True) if packet[2])
+        if len(set(stamps)) != len(stamps):
+            raise SessionError(f"{where}{path}: two frames have the same time")
+        context = stream.codec_context
+        size = (int(context.width), int(context.height))
+        motion_jpeg = context.name == "mjpeg"
+        return VideoIndex(stamps, keys, stream.time_base, size, motion_jpeg, counted)
+
+
+class VideoReader:
+    """Gives the frames of an indexed video by position; fast when asked in order.
+
+    Safe to call from several threads; one frame is decoded at a time.
+    """
+
+    def __init__(self, path: Path, index: VideoIndex) -> None:
+        self.path = path
+        self.index = index
+        self._lock = threading.Lock()
+        self._container: Any = None
+        self._frames: Iterator[tuple[int, Any]] | None = None
+        self._next = 0
+
+    def picture(self, position: int, where: str) -> Bytes:
+        """BGR pixels (h, w, 3) of the frame at `position`.
+
+        Raises:
+            SessionError: it cannot be decoded; the message starts with `where`.
+        """
+        frame = self._advance(position, where, packets=False)
+        # The default conversion repeats each chroma sample over two columns, which moves a coloured
+        # edge by up to half a pixel depending on where it falls; this interpolates.
+        return np.asarray(frame.to_ndarray(format="bgr24", interpolation=_interpolation()))
+
+    def jpeg(self, position: int, where: str) -> bytes:
+        """The JPEG at `position` of a motion-JPEG video, as it was recorded."""
+        return bytes(self._advance(position, where, packets=True))
+
+    def close(self) -> None:
+        """Close the file."""
+        with self._lock:
+            self._close()
+
+    def _close(self) -> None:
+        if self._container is not None:
+            self._container.close()
+        self._container = self._frames = None
+
+    def _advance(self, position: int, where: str, packets: bool) -> Any:
+        with self._lock:
+            if self._frames is None or not self._reachable(position):
+                self._seek(position, where, packets)
+            assert self._frames is not None
+            target = self.index.stamps[position]
+            try:
+                for count, (stamp, item) in enumerate(self._frames, start=self._next):
+                    if count == position if self.index.counted else stamp == target:
+                        self._next = position + 1
+                        return item
+                    if not self.index.counted and stamp > target:
+                        break
+            except Exception as problem:
+                self._close()
+                raise SessionError(
+                    f"{where}{self.path}: the frame cannot be decoded ({_reason(problem)})"
+                ) from None
+            self._close()
+            raise SessionError(f"{where}{self.path}: the frame cannot be decoded (data missing)")
+
+    def _reachable(self, position: int) -> bool:
+        """Whether decoding on is right: ahead of us, with no later frame to jump to."""
+        if position <= self._next or self.index.counted:
+            return position == self._next or (self.index.counted and position > self._next)
+        return self._key_before(position) <= self.index.stamps[self._next]
+
+    def _key_before(self, position: int) -> int:
+        target = self.index.stamps[position]
+        before = bisect_right(self.index.key_stamps, target)
+        return self.index.key_stamps[before - 1] if before else self.index.stamps[0]
+
+    def _seek(self, position: int, where: str, packets: bool) -> None:
+        self._close()
+        self._container = _open(self.path, where)
+        stream = _video_of(self._container, self.path, where)
+        stream.codec_context.options = {"err_detect": "explode"}
+        self._next = 0
+        if position > 0 and not self.index.counted:
+            self._container.seek(self._key_before(position), stream=stream, backward=True)
+        self._frames = self._items(stream, packets)
+
+    def _items(self, stream: Any, packets: bool) -> Iterator[tuple[int, Any]]:
+        for packet in self._container.demux(stream):
+            if packets:
+                if packet.size:
+                    yield packet.pts if not self.index.counted else packet.dts, packet
+                continue
+            for frame in packet.decode():
+                if frame.is_corrupt:
+                    raise SessionError("broken data")
+                yield frame.pts, frame
+
+
+def _interpolation() -> int:
+    from av.video.reformatter import Interpolation
+
+    return int(Interpolation.BILINEAR | Interpolation.FULL_CHR_H_INT | Interpolation.ACCURATE_RND)
+
+
+def _open(path: Path, where: str) -> Any:
+    import av
+
+    try:
+        return av.open(str(path))
+    except (av.error.FFmpegError, OSError) as problem:
+        raise SessionError(
+            f"{where}{path}: not a video that can be read, or its recording was cut off "
+            f"({_reason(problem)})"
+        ) from None
+
+
+def _reason(problem: BaseException) -> str:
+    text = getattr(problem, "strerror", None) or str(problem)
+    return text[:1].lower() + text[1:].rstrip(".")
+
+
+def _refuse_no_file(path: Path, where: str) -> None:
+    if not path.exists():
+        raise SessionError(where + missing_message(path))
+    if path.stat().st_size == 0:
+        raise SessionError(f"{where}{path}: the video is empty (0 bytes)")
+
+
+def _video_of(container: Any, path: Path, where: str) -> Any:
+    if not container.streams.video:
+        raise SessionError(f"{where}{path}: the file holds no video, or was cut off")
+    return container.streams.video[0]
+
+
+def _packets(
+    container: Any, stream: Any, path: Path, where: str
+) -> Iterator[tuple[Any, Any, bool, bool]]:
+    try:
+        for packet in container.demux(stream):
+            if packet.is_corrupt:
+                raise SessionError("broken data")
+            if packet.size:
+                yield packet.pts, packet.dts, packet.is_keyframe, packet.is_discard
+    except Exception as problem:
+        raise SessionError(
+            f"{where}{path}: the video is cut off or damaged ({_reason(problem)})"
+        ) from None
+
+
+def _refuse_truncated(container: Any, stream: Any, packets: list[Any], source: str) -> None:
+    promised = int(stream.frames or 0)
+    if promised > len(packets) > 0:
+        raise SessionError(
+            f"{source}: the video is cut off: {len(packets)} of {promised} frames are there"
+        )
+    # Matroska promises no number of frames, but a duration; with sound it may be the sound's.
+    stamps = [packet[0] for packet in packets if packet[0] is not None]
+    if promised or not container.duration or not stamps or len(container.streams) > 1:
+        return
+    start, end = (float(stamp * stream.time_base) for stamp in (min(stamps), max(stamps)))
+    step = (end - start) / (len(stamps) - 1) if len(stamps) > 1 else 0.1
+    missing = container.duration / 1e6 - end - step
+    if missing > 0.75 * step + 0.002:
+        raise SessionError(f"{source}: the video is cut off: its last {missing:.2f} s are missing")

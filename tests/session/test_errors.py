@@ -1,0 +1,313 @@
+"""Every mistake in a session ends in one line that says what, where and what to do."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from measure.errors import CalibrationError, MeasureError, SessionError
+from measure.session import open_session
+from tests.session.conftest import Recording, jpeg
+from tests.session.videos import write_video
+
+Break = Callable[[Recording], object]
+
+
+def _remove(name: str) -> Break:
+    return lambda r: (r.path / name).unlink()
+
+
+def _replace(file: str, old: str, new: str) -> Break:
+    return lambda r: r.replace(file, old, new)
+
+
+def _write(name: str, data: bytes) -> Break:
+    return lambda r: (r.path / name).write_bytes(data)
+
+
+def _stamp(camera: str, times: list[float], frames: list[int] | None = None) -> Break:
+    return lambda r: r.stamp(camera, times, frames)
+
+
+def _video(recording: Recording, rows: int) -> None:
+    write_video(recording.path / "cam1.mp4", "libx264", frames=6)
+    recording.replace("session.toml", 'images = "cam1/*.jpg"', 'video = "cam1.mp4"')
+    recording.stamp("cam1", [0.1 * k for k in range(rows)])
+
+
+NAN = float("nan")
+CASES: dict[str, tuple[Break, type[MeasureError], list[str]]] = {
+    "no session file": (
+        _remove("session.toml"),
+        SessionError,
+        ["is not a session: it has no session.toml"],
+    ),
+    "broken TOML": (
+        _replace("session.toml", 'name = "small"', 'name = "small'),
+        SessionError,
+        ["session.toml:2: not valid TOML"],
+    ),
+    "broken TOML at the end": (
+        lambda r: (r.path / "session.toml").write_text('[session]\nname = """'),
+        SessionError,
+        ["session.toml:2: not valid TOML"],
+    ),
+    "unknown key": (
+        _replace("session.toml", "images =", "image ="),
+        SessionError,
+        ["session.toml:8: unknown key 'cameras[0].image'; did you mean images?"],
+    ),
+    "wrong type": (
+        _replace("body.toml", "radius_mm = 20.0", 'radius_mm = "big"'),
+        SessionError,
+        ["body.toml:7: 'balls[0].radius_mm'", "got 'big'"],
+    ),
+    "unknown colour": (
+        _replace("body.toml", 'color = "red"', 'color = "rod"'),
+        SessionError,
+        ["body.toml:17: 'balls[2].color", "'rod' is not a colour known by name"],
+    ),
+    "missing body": (
+        lambda r: (r.path / "body.toml").rename(r.path / "bodyy.toml"),
+        SessionError,
+        ["body.toml: no such file; did you mean bodyy.toml?"],
+    ),
+    "collinear balls": (
+        _replace("body.toml", "[0.0, 38.0, 0.0]", "[0.0, 0.1, 0.0]"),
+        SessionError,
+        ["body.toml: body 'triangle': the balls lie on one line"],
+    ),
+    "two balls of one name": (
+        _replace("body.toml", 'name = "red"', 'name = "green"'),
+        SessionError,
+        ["two balls are called 'green'"],
+    ),
+    "missing calibration": (
+        _remove("calibration.toml"),
+        CalibrationError,
+        ["calibration.toml: no such file; ", " holds body.toml, cam0,"],
+    ),
+    "camera without calibration": (
+        _replace("calibration.toml", 'name = "cam1"', 'name = "other"'),
+        CalibrationError,
+        ["camera 'cam1' of", "has no calibration in", "there is one of cam0, other, cam2"],
+    ),
+    "camera calibrated twice": (
+        _replace("calibration.toml", 'name = "cam1"', 'name = "cam0"'),
+        CalibrationError,
+        ["camera 'cam0' is there 2 times"],
+    ),
+    "calibration of another size": (
+        _replace("calibration.toml", "size_wh = [64, 48]", "size_wh = [640, 480]"),
+        CalibrationError,
+        ["camera 'cam0': the images", "are 64x48 px", "calibrates 640x480 px"],
+    ),
+    "calibration in metres": (
+        lambda r: [
+            r.replace("calibration.toml", f"[{200.0 * i}, 0.0, 500.0]", f"[{0.2 * i}, 0.0, 0.5]")
+            for i in range(3)
+        ],
+        CalibrationError,
+        ["calibration.toml: the cameras stand within 0.4 mm", "metres"],
+    ),
+    "calibration is not a rotation": (
+        _replace("calibration.toml", "[0.0, 1.0, 0.0, 0.0]", "[0.0, 1.0, 0.5, 0.0]"),
+        CalibrationError,
+        ["calibration.toml:6: 'cameras[0].quat_wxyz': not a rotation", "length is 1.118"],
+    ),
+    "calibration is not finite": (
+        _replace("calibration.toml", "[0.0, 0.0, 500.0]", "[0.0, nan, 500.0]"),
+        CalibrationError,
+        ["calibration.toml:7: 'cameras[0].translation_mm", "finite"],
+    ),
+    "impossible camera matrix": (
+        _replace("calibration.toml", "[[70.0,", "[[-70.0,"),
+        CalibrationError,
+        ["calibration.toml:4: 'cameras[0].matrix': not a camera matrix"],
+    ),
+    "one camera": (
+        lambda r: (r.path / "session.toml").write_text(
+            "\n".join((r.path / "session.toml").read_text().splitlines()[:9])
+        ),
+        SessionError,
+        ["at least two cameras, the session has 1"],
+    ),
+    "two cameras of one name": (
+        _replace("session.toml", 'name = "cam1"', 'name = "cam0"'),
+        SessionError,
+        ["two cameras are called 'cam0'"],
+    ),
+    "no source": (
+        _replace("session.toml", 'images = "cam1/*.jpg"\n', ""),
+        SessionError,
+        ["camera 'cam1' needs either images or video"],
+    ),
+    "no stamps": (
+        _replace("session.toml", 'timestamps = "cam1.csv"\n', ""),
+        SessionError,
+        ["camera 'cam1': images carry no time"],
+    ),
+    "missing image folder": (
+        _replace("session.toml", "cam1/*.jpg", "cam9/*.jpg"),
+        SessionError,
+        ["camera 'cam1'", "cam9: no such file", "cam1"],
+    ),
+    "no image fits": (
+        _replace("session.toml", "cam1/*.jpg", "cam1/*.png"),
+        SessionError,
+        ["camera 'cam1': no image fits", "the folder has 6 files: try *.jpg"],
+    ),
+    "empty JPEG": (
+        _write("cam1/000000.jpg", b""),
+        SessionError,
+        ["camera 'cam1'", "000000.jpg: the file is empty"],
+    ),
+    "truncated first JPEG": (
+        _write("cam1/000000.jpg", jpeg(0)[:-40]),
+        SessionError,
+        ["000000.jpg: truncated JPEG"],
+    ),
+    "not a picture": (
+        _write("cam1/000000.jpg", b"hello"),
+        SessionError,
+        ["000000.jpg: not a picture"],
+    ),
+    "missing stamps file": (
+        _remove("cam1.csv"),
+        SessionError,
+        ["cam1.csv: no such file; did you mean"],
+    ),
+    "wrong header": (
+        _replace("cam1.csv", "frame,time_s", "frame,time_ms"),
+        SessionError,
+        ["camera 'cam1': ", "cam1.csv:1: the header lacks time_s"],
+    ),
+    "no rows": (
+        _write("cam1.csv", b"frame,time_s\n"),
+        SessionError,
+        ["cam1.csv: has a header but no rows"],
+    ),
+    "no number": (
+        _write("cam1.csv", b"frame,time_s\n0,0.0\n\n1,now\n"),
+        SessionError,
+        ["cam1.csv:4: time_s is 'now', not a number"],
+    ),
+    "NaN stamp": (
+        _stamp("cam1", [0.0, 0.1, NAN, 0.3, 0.4, 0.5]),
+        SessionError,
+        ["camera 'cam1': ", "cam1.csv:4: frame 2 has the time nan"],
+    ),
+    "clock goes backwards": (
+        _stamp("cam1", [0.0, 0.1, 0.05, 0.3, 0.4, 0.5]),
+        SessionError,
+        ["cam1.csv:4: time goes backwards, from 0.100000 s (frame 1) to 0.050000 s (frame 2)"],
+    ),
+    "frame numbers go backwards": (
+        _stamp("cam1", [0.0, 0.1, 0.2, 0.3, 0.4, 0.5], [0, 1, 1, 3, 4, 5]),
+        SessionError,
+        ["cam1.csv:4: frame 1 follows frame 1"],
+    ),
+    "images without rows": (
+        _stamp("cam1", [0.0, 0.1, 0.2, 0.3]),
+        SessionError,
+        ["camera 'cam1': 2 of 6 images have no row in", "(frame 4, 5)"],
+    ),
+    "rows counted from one": (
+        _stamp("cam1", [0.0, 0.1, 0.2, 0.3, 0.4, 0.5], [1, 2, 3, 4, 5, 6]),
+        SessionError,
+        ["camera 'cam1': the numbers of the files", "are not the frame numbers"],
+    ),
+    "video and rows differ": (
+        lambda r: _video(r, rows=5),
+        SessionError,
+        ["camera 'cam1': ", "cam1.mp4 has 6 frames but ", "cam1.csv has 5 rows"],
+    ),
+    "no common time": (
+        _stamp("cam1", [100.0, 100.1, 100.2, 100.3, 100.4, 100.5]),
+        SessionError,
+        ["camera 'cam1' was recorded from 100.000 to 100.500 s", "one clock"],
+    ),
+    "missing truth": (
+        _replace("session.toml", 'name = "small"', 'name = "small"\ntruth = "truth.csv"'),
+        SessionError,
+        ["truth.csv: no such file"],
+    ),
+    "body twice": (
+        lambda r: (r.path / "session.toml").write_text(
+            (r.path / "session.toml").read_text() + "\n[body]\nballs = []\n"
+        ),
+        SessionError,
+        ["give the body once"],
+    ),
+    "unknown key at the top": (
+        lambda r: (r.path / "session.toml").write_text(
+            (r.path / "session.toml").read_text() + "\n[robott]\nlog = 'x'\n"
+        ),
+        SessionError,
+        ["session.toml:21: unknown key 'robott'; did you mean robot?"],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_mistake_is_explained_in_one_line(recording: Recording, name: str) -> None:
+    spoil, kind, expected = CASES[name]
+    with open_session(recording.path):
+        pass  # the control: unspoilt it opens
+    spoil(recording)
+    with pytest.raises(kind) as caught:
+        open_session(recording.path)
+    message = str(caught.value)
+    assert "\n" not in message
+    for part in expected:
+        assert part in message, message
+
+
+def test_a_missing_folder_is_named_with_near_names(recording: Recording) -> None:
+    with pytest.raises(SessionError, match="did you mean rec"):
+        open_session(recording.path.with_name("recc"))
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
+def test_an_unreadable_file_is_named(recording: Recording) -> None:
+    (recording.path / "body.toml").chmod(0)
+    with pytest.raises(SessionError, match=r"body\.toml: cannot be read: Permission denied"):
+        open_session(recording.path)
+
+
+def test_an_unreadable_file_is_named_whoever_reads(
+    recording: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read_text = Path.read_text
+
+    def refuse(path: Path, *args: object, **kwargs: object) -> str:
+        if path.name == "body.toml":
+            raise PermissionError(13, "Permission denied", str(path))
+        return read_text(path, *args, **kwargs)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Path, "read_text", refuse)
+    with pytest.raises(SessionError, match=r"body\.toml: cannot be read: Permission denied"):
+        open_session(recording.path)
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (jpeg(60)[:-40], "truncated JPEG"),
+        (jpeg(60, (32, 24)), "is 32x24 px, the first image 64x48"),
+        (b"hello", "not a picture"),
+    ],
+)
+def test_a_bad_image_raises_at_its_own_frame(recording: Recording, data: bytes, words: str) -> None:
+    (recording.path / "cam2/000003.jpg").write_bytes(data)
+    done = []
+    with (
+        open_session(recording.path) as session,
+        pytest.raises(SessionError, match=r"camera 'cam2', frame 3: .*000003\.jpg") as caught,
+    ):
+        done.extend(frame_set.index for frame_set in session.frame_sets(prefetch=4))
+    assert done == [0, 1, 2]
+    assert words in str(caught.value)

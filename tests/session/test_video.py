@@ -1,0 +1,129 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from measure.errors import SessionError
+from measure.session import open_video_stream
+from tests.session.videos import level, write_video
+
+H264 = ("libx264", {"bf": "2", "g": "12"})
+MJPEG = ("mjpeg", {"q:v": "3"})
+TICKS = np.cumsum(np.random.default_rng(3).integers(2600, 3400, 24))
+TICKS = (TICKS - TICKS[0]).tolist()
+
+
+def _levels(stream, positions) -> list[float]:
+    return [float(stream.read(i).pixels.mean()) for i in positions]
+
+
+@pytest.mark.parametrize("codec", [H264, MJPEG], ids=["h264", "mjpeg"])
+@pytest.mark.parametrize("ending", ["mp4", "mkv", "avi"])
+def test_frames_come_in_the_order_shown(tmp_path: Path, codec, ending: str) -> None:
+    path = tmp_path / f"cam.{ending}"
+    write_video(path, codec[0], options=codec[1])
+    stream = open_video_stream("cam", path)
+    assert len(stream) == 24
+    assert stream.size_wh == (64, 48)
+    assert np.allclose(np.diff(stream.times_s), 1 / 30, atol=1.1e-3)
+    wanted = [level(k) for k in range(24)]
+    assert np.allclose(_levels(stream, range(24)), wanted, atol=4)
+    jumps = [13, 2, 20, 21, 5, 23, 0, 12, 11]
+    assert np.allclose(_levels(stream, jumps), [wanted[i] for i in jumps], atol=4)
+
+
+@pytest.mark.parametrize("codec", [H264, MJPEG], ids=["h264", "mjpeg"])
+def test_mp4_times_are_exact_in_the_time_base(tmp_path: Path, codec) -> None:
+    write_video(tmp_path / "cam.mp4", codec[0], TICKS, options=codec[1])
+    stream = open_video_stream("cam", tmp_path / "cam.mp4", offset_s=-1.0)
+    assert np.array_equal(stream.times_s, np.array([t / 90000 for t in TICKS]) - 1.0)
+
+
+def test_mkv_times_are_those_of_its_milliseconds(tmp_path: Path) -> None:
+    write_video(tmp_path / "cam.mkv", "libx264", TICKS, options=H264[1])
+    stream = open_video_stream("cam", tmp_path / "cam.mkv")
+    assert np.abs(stream.times_s - np.array(TICKS) / 90000).max() < 1.01e-3
+    assert np.abs(1000 * stream.times_s - np.rint(1000 * stream.times_s)).max() < 1e-9
+
+
+def test_motion_jpeg_keeps_the_recorded_bytes(tmp_path: Path) -> None:
+    write_video(tmp_path / "cam.avi", "mjpeg")
+    stream = open_video_stream("cam", tmp_path / "cam.avi")
+    encoded = stream.read(7).encoded
+    assert encoded is not None
+    assert encoded in (tmp_path / "cam.avi").read_bytes()
+    write_video(tmp_path / "cam.mp4", "libx264")
+    assert open_video_stream("cam", tmp_path / "cam.mp4").read(7).encoded is None
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9])
+@pytest.mark.parametrize(
+    ("name", "codec", "container"),
+    [
+        ("plain.mp4", H264, {}),
+        ("faststart.mp4", H264, {"movflags": "faststart"}),
+        ("faststart_mjpeg.mp4", MJPEG, {"movflags": "faststart"}),
+        ("h264.mkv", H264, {}),
+        ("mjpeg.mkv", MJPEG, {}),
+        ("h264.avi", H264, {}),
+        ("mjpeg.avi", MJPEG, {}),
+    ],
+)
+def test_a_cut_video_is_refused_by_name(
+    tmp_path: Path, name: str, codec, container: dict[str, str], share: float
+) -> None:
+    path = tmp_path / name
+    write_video(path, codec[0], options=codec[1], container=container)
+    open_video_stream("left", path)
+    data = path.read_bytes()
+    path.write_bytes(data[: int(share * len(data))])
+    with pytest.raises(SessionError) as caught:
+        open_video_stream("left", path)
+    message = str(caught.value)
+    assert message.startswith(f"camera 'left': {path}: ")
+    assert "\n" not in message
+    assert any(word in message for word in ("empty", "cut off", "no frames"))
+
+
+def test_damage_within_a_video_names_the_frame(tmp_path: Path) -> None:
+    path = tmp_path / "cam.mp4"
+    write_video(path, "mjpeg", container={"movflags": "faststart"})
+    stream = open_video_stream("left", path)
+    encoded = stream.read(9).encoded
+    assert encoded is not None
+    data = bytearray(path.read_bytes())
+    start = data.index(encoded)
+    data[start : start + len(encoded)] = bytes(len(encoded))
+    path.write_bytes(data)
+    stream.close()
+    stream = open_video_stream("left", path)
+    assert stream.read(8).pixels.shape == (48, 64, 3)
+    with pytest.raises(SessionError, match=r"camera 'left', frame 9: .*cam\.mp4"):
+        _ = stream.read(9).pixels
+    assert abs(stream.read(10).pixels.mean() - level(10)) < 4
+
+
+def test_a_file_without_video_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "cam.mp4").write_text("no video at all")
+    with pytest.raises(SessionError, match="not a video that can be read"):
+        open_video_stream("left", tmp_path / "cam.mp4")
+    with pytest.raises(SessionError, match=r"did you mean cam\.mp4"):
+        open_video_stream("left", tmp_path / "can.mp4")
+
+
+def test_a_bare_stream_has_no_times(tmp_path: Path) -> None:
+    write_video(tmp_path / "cam.h264", "libx264")
+    with pytest.raises(SessionError, match="has no times"):
+        open_video_stream("left", tmp_path / "cam.h264")
+
+
+def test_real_webcams(shared: Path) -> None:
+    folder = shared / "data/caliscope_4cam/prerecorded_intrinsic"
+    for path in sorted(folder.glob("*.mp4")):
+        stream = open_video_stream(path.stem, path)
+        assert stream.size_wh == (1280, 720)
+        assert len(stream) == 48
+        assert np.all(np.diff(stream.times_s) > 0)
+        assert stream.read(30).pixels.shape == (720, 1280, 3)
