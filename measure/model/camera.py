@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from measure.arrays import Bools, Floats, floats
 from measure.geometry import Rays, RigidTransform, UncertainTransform, skew
-from measure.model.distortion import distort, undistort
+from measure.model.distortion import bend, distort, undistort
 
 MIN_DEPTH_MM = 1e-6
 """Points nearer to the camera's plane than this, or behind it, have no image."""
@@ -50,7 +50,10 @@ class Intrinsics:
 
     def project(self, points_camera: ArrayLike) -> Floats:
         """Pixels (n, 2) of points (n, 3) in the camera frame; NaN for points not in front of it."""
-        return self.project_with_jacobians(points_camera)[0]
+        p = floats("points_camera", points_camera, "n", 3)
+        depth = np.where(p[:, 2] > MIN_DEPTH_MM, p[:, 2], np.nan)
+        bent, _ = bend(p[:, :2] / depth[:, None], self.distortion)
+        return bent @ self.matrix[:2, :2].T + self.matrix[:2, 2]
 
     def project_with_jacobians(self, points_camera: ArrayLike) -> tuple[Floats, Floats, Floats]:
         """Project, with analytic derivatives.

@@ -20,31 +20,19 @@ def distort(points: Floats, coefficients: Floats) -> tuple[Floats, Floats, Float
 
     Args:
         points: (n, 2) ideal normalised coordinates.
-        coefficients: (8,) k1 k2 p1 p2 k3 k4 k5 k6.
+        coefficients: (8,) k1 k2 p1 p2 k3 k4 k5 k6, or (8, n) to give each point its own.
 
     Returns:
         Distorted points (n, 2), their Jacobian by the points (n, 2, 2), and by the coefficients (n,
         2, 8).
     """
-    k1, k2, p1, p2, k3, k4, k5, k6 = coefficients
+    out, by_point = bend(points, coefficients)
+    k4, k5, k6 = coefficients[5:]
     x, y = points[:, 0], points[:, 1]
     r2 = x * x + y * y
     r4, r6 = r2 * r2, r2 * r2 * r2
-    above = 1 + k1 * r2 + k2 * r4 + k3 * r6
     below = 1 + k4 * r2 + k5 * r4 + k6 * r6
-    radial = above / below
-    slope = ((k1 + 2 * k2 * r2 + 3 * k3 * r4) - radial * (k4 + 2 * k5 * r2 + 3 * k6 * r4)) / below
-    out = np.stack(
-        [
-            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
-        ],
-        axis=1,
-    )
-    by_point = np.empty((len(x), 2, 2))
-    by_point[:, 0, 0] = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
-    by_point[:, 0, 1] = by_point[:, 1, 0] = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
-    by_point[:, 1, 1] = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
+    radial = (1 + coefficients[0] * r2 + coefficients[1] * r4 + coefficients[4] * r6) / below
     by_coefficient = np.empty((len(x), 2, 8))
     for column, gain in zip(
         (0, 1, 4, 5, 6, 7),
@@ -55,6 +43,27 @@ def distort(points: Floats, coefficients: Floats) -> tuple[Floats, Floats, Float
     by_coefficient[:, 0, 2], by_coefficient[:, 1, 2] = 2 * x * y, r2 + 2 * y * y
     by_coefficient[:, 0, 3], by_coefficient[:, 1, 3] = r2 + 2 * x * x, 2 * x * y
     return out, by_point, by_coefficient
+
+
+def bend(points: Floats, coefficients: Floats) -> tuple[Floats, Floats]:
+    """As `distort`, without the Jacobian by the coefficients: (n, 2) and (n, 2, 2)."""
+    k1, k2, p1, p2, k3, k4, k5, k6 = coefficients
+    x, y = points[:, 0], points[:, 1]
+    r2 = x * x + y * y
+    below = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
+    radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / below
+    slope = (
+        (k1 + r2 * (2 * k2 + 3 * k3 * r2)) - radial * (k4 + r2 * (2 * k5 + 3 * k6 * r2))
+    ) / below
+    cross = 2 * x * y
+    out = np.empty((len(x), 2))
+    out[:, 0] = x * radial + p1 * cross + p2 * (r2 + 2 * x * x)
+    out[:, 1] = y * radial + p1 * (r2 + 2 * y * y) + p2 * cross
+    by_point = np.empty((len(x), 2, 2))
+    by_point[:, 0, 0] = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
+    by_point[:, 0, 1] = by_point[:, 1, 0] = cross * slope + 2 * p1 * x + 2 * p2 * y
+    by_point[:, 1, 1] = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
+    return out, by_point
 
 
 def undistort(points: Floats, coefficients: Floats) -> Floats:
@@ -74,7 +83,7 @@ def undistort(points: Floats, coefficients: Floats) -> Floats:
     step = np.full_like(points, np.inf)
     with np.errstate(all="ignore"):
         for _ in range(_NEWTON_STEPS):
-            forward, slope, _ = distort(ideal, coefficients)
+            forward, slope = bend(ideal, coefficients)
             determinant = slope[:, 0, 0] * slope[:, 1, 1] - slope[:, 0, 1] * slope[:, 1, 0]
             error = points - forward
             step = np.stack(

@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from measure.arrays import Floats
 from measure.geometry import Rays
 from measure.model.camera import MIN_DEPTH_MM, Camera
-from measure.model.distortion import distort, undistort
+from measure.model.distortion import bend, undistort
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +50,7 @@ class Rig:
     def __len__(self) -> int:
         return len(self.names)
 
-    def take(self, rows: Floats | list[int]) -> Rig:
+    def take(self, rows: ArrayLike) -> Rig:
         """The cameras of some `rows`, in that order."""
         index = np.asarray(rows, dtype=np.int64)
         return Rig(
@@ -74,7 +75,7 @@ class Rig:
         p = np.einsum("nji,nj->ni", self.rotation, from_center)
         depth = np.where(p[:, 2] > MIN_DEPTH_MM, p[:, 2], np.nan)
         ideal = p[:, :2] / depth[:, None]
-        bent, by_ideal, _ = distort(ideal, self.distortion)
+        bent, by_ideal = bend(ideal, self.distortion)
         ideal_by_point = np.zeros((len(self), 2, 3))
         ideal_by_point[:, 0, 0] = ideal_by_point[:, 1, 1] = 1 / depth
         ideal_by_point[:, :, 2] = -ideal / depth[:, None]

@@ -1,0 +1,247 @@
+"""Finding the body among the candidates of all cameras, or saying why it cannot be told.
+
+Rays of two cameras that meet at the distance the outlines' sizes tell make possible ball centres;
+three of them as far apart as in the body make a pose; the pose that most candidates agree with is
+the body, unless another, different pose is about as good: then nobody can tell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.errors import DegenerateGeometryError
+from measure.geometry import RigidTransform
+from measure.host.settings import Settings, setting
+from measure.measuring.association.points import Candidates, by_ball, meeting_points
+from measure.measuring.association.poses import (
+    Support,
+    poses_from_pairs,
+    poses_from_triples,
+    support,
+)
+from measure.measuring.pose_fit import Sightings, fit_pose
+from measure.model import Body, Camera, Detection
+
+_ROUNDS = 2
+_TOLERANCE = 1e-3
+"""Steps, in mm and rad, that no longer change who agrees."""
+
+
+class AssociationSettings(Settings):
+    """When candidates of several cameras count as one body."""
+
+    sigmas: float = setting(
+        3.5, "Candidates agree with a pose within this many standard deviations.", gt=0
+    )
+    extra_px: float = setting(
+        1.5, "Added to every candidate's standard deviation in quadrature.", unit="px", ge=0
+    )
+    range_ratio: float = setting(
+        1.4, "How far an outline's size may mislead about the distance, as a factor.", gt=1
+    )
+    min_views: int = setting(5, "Least number of ball sightings, over all cameras.", ge=4)
+    min_share: float = setting(
+        0.4, "Least share of the balls in view, over all cameras, that must be found.", ge=0, le=1
+    )
+    rival_score: float = setting(
+        0.7,
+        "Another pose whose score is this share of the best one's makes the answer ambiguous.",
+        gt=0,
+        le=1,
+    )
+    rival_mm: float = setting(
+        8.0, "Poses count as different if some ball is this far apart.", unit="mm", gt=0
+    )
+    max_points: int = setting(40, "Most possible centres kept per ball.", ge=3)
+
+
+@dataclass(frozen=True, eq=False)
+class Association:
+    """The body among the candidates.
+
+    Attributes:
+        world_from_body: the pose, or None if there is none or more than one.
+        covariance: (6, 6) of the pose; None without one.
+        detections: the chosen candidates, at most one per ball and camera.
+        rms_px: RMS distance of the chosen candidates from the pose.
+        reason: why there is no pose, in words; empty if there is one.
+    """
+
+    world_from_body: RigidTransform | None
+    covariance: Floats | None = None
+    detections: tuple[Detection, ...] = ()
+    rms_px: float = float("nan")
+    reason: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """What every step of one search needs."""
+
+    body: Body
+    cameras: Sequence[Camera]
+    candidates: Sequence[Candidates]
+    settings: AssociationSettings
+
+    def support(self, poses: RigidTransform) -> Support:
+        return support(
+            poses,
+            self.body,
+            self.cameras,
+            self.candidates,
+            self.settings.sigmas,
+            self.settings.extra_px,
+        )
+
+    def chosen(self, agreeing: Support, row: int) -> list[Detection]:
+        return [
+            self.candidates[ball].detections[index]
+            for ball, by_camera in enumerate(agreeing.chosen[row])
+            for index in by_camera
+            if index >= 0
+        ]
+
+
+def associate(
+    body: Body,
+    cameras: Sequence[Camera],
+    detections: Mapping[str, Sequence[Detection]],
+    settings: AssociationSettings | None = None,
+) -> Association:
+    """Find the body.
+
+    Args:
+        body: what to look for; colours may repeat.
+        cameras: all cameras.
+        detections: candidates by camera name; several per ball, wrong ones among them.
+        settings: tolerances.
+    """
+    settings = settings or AssociationSettings()
+    candidates = by_ball(detections, body.balls, cameras)
+    search = _Search(body, cameras, candidates, settings)
+    points = [
+        meeting_points(c, settings.sigmas, settings.range_ratio, settings.max_points)
+        for c in candidates
+    ]
+    for propose in (poses_from_triples, poses_from_pairs):
+        found = _best(search, propose(body, points, settings.sigmas))
+        if found is not None:
+            return found
+    return Association(None, reason=_why_none(body, candidates, [len(p.points) for p in points]))
+
+
+def _best(search: _Search, poses: RigidTransform) -> Association | None:
+    """The accepted pose, or the statement that there are two; None if none is acceptable."""
+    if not len(poses.translation):
+        return None
+    rough = search.support(poses)
+    order = np.argsort(-rough.score, kind="stable")
+    finalists: list[tuple[float, Association]] = []
+    for row in _different(search, poses, rough, order.tolist()):
+        refined = _refined(search, poses[int(row)], rough, int(row))
+        if refined is not None and _is_new(search, refined[1], finalists):
+            finalists.append(refined)
+    if not finalists:
+        return None
+    finalists.sort(key=lambda item: -item[0])
+    best_score, best = finalists[0]
+    if len(finalists) > 1 and finalists[1][0] >= search.settings.rival_score * best_score:
+        return Association(None, reason=_ambiguous(best, finalists[1][1]))
+    return best
+
+
+def _different(search: _Search, poses: RigidTransform, rough: Support, order: Floats) -> list[int]:
+    """The best few poses that differ from each other, of those that enough candidates back."""
+    centers = np.einsum("mij,kj->mki", poses.rotation, search.body.centers)
+    centers = centers + poses.translation[:, None]
+    least = max(search.settings.min_views, 0)
+    kept: list[int] = []
+    floor = 0.5 * search.settings.rival_score * float(np.max(rough.score))
+    for row in order:
+        if rough.count[row] < least or rough.score[row] < floor:
+            continue
+        apart = [np.max(np.linalg.norm(centers[row] - centers[k], axis=1)) for k in kept]
+        if not apart or min(apart) > search.settings.rival_mm:
+            kept.append(int(row))
+        if len(kept) == 6:
+            break
+    return kept
+
+
+def _refined(
+    search: _Search, pose: RigidTransform, agreeing: Support, row: int
+) -> tuple[float, Association] | None:
+    """Fit the pose to its candidates, look again who agrees, and accept it or not."""
+    settings = search.settings
+    by_name = {camera.name: camera for camera in search.cameras}
+    covariance = np.eye(6)
+    for _ in range(_ROUNDS):
+        chosen = search.chosen(agreeing, row)
+        if len(chosen) < settings.min_views:
+            return None
+        time_s = float(np.mean([d.time_s for d in chosen]))
+        try:
+            seen = Sightings.of(chosen, search.body, by_name, time_s, settings.extra_px)
+            fit = fit_pose(pose, seen, tolerance=_TOLERANCE)
+        except DegenerateGeometryError:
+            return None
+        pose, covariance, row = fit.world_from_body, fit.covariance, 0
+        agreeing = search.support(RigidTransform(pose.rotation[None], pose.translation[None]))
+    chosen = search.chosen(agreeing, 0)
+    enough = len(chosen) >= settings.min_views
+    share = len(chosen) / max(1, int(agreeing.expected[0]))
+    if not enough or share < settings.min_share or not _determined(chosen):
+        return None
+    rms = float(np.sqrt(np.mean(np.sum(fit.residuals_px**2, axis=1))))
+    return float(agreeing.score[0]), Association(pose, covariance, tuple(chosen), rms)
+
+
+def _determined(chosen: Sequence[Detection]) -> bool:
+    """At least three balls, and at least two of them in two cameras."""
+    count: dict[str, int] = {}
+    for detection in chosen:
+        count[detection.ball] = count.get(detection.ball, 0) + 1
+    return len(count) >= 3 and sum(n >= 2 for n in count.values()) >= 2
+
+
+def _is_new(
+    search: _Search, found: Association, others: Sequence[tuple[float, Association]]
+) -> bool:
+    assert found.world_from_body is not None
+    mine = found.world_from_body.apply(search.body.centers)
+    for _, other in others:
+        assert other.world_from_body is not None
+        theirs = other.world_from_body.apply(search.body.centers)
+        if np.max(np.linalg.norm(mine - theirs, axis=1)) < search.settings.rival_mm:
+            return False
+    return True
+
+
+def _ambiguous(best: Association, rival: Association) -> str:
+    places = []
+    for found in (best, rival):
+        assert found.world_from_body is not None
+        x, y, z = found.world_from_body.translation
+        places.append(f"({x:.0f}, {y:.0f}, {z:.0f}) mm")
+    if places[0] == places[1]:
+        return f"two poses of the body fit equally well at {places[0]}: nobody can tell which"
+    return f"two bodies fit equally well, at {places[0]} and {places[1]}: take one out of view"
+
+
+def _why_none(body: Body, candidates: Sequence[Candidates], meeting: Sequence[int]) -> str:
+    unseen = [b.name for b, c in zip(body.balls, candidates, strict=True) if not len(c)]
+    if len(unseen) == len(body.balls):
+        return "no ball in view of any camera"
+    if len(body.balls) - len(unseen) < 3:
+        return f"too few balls in view: no candidate for {', '.join(unseen)}"
+    apart = [b.name for b, n in zip(body.balls, meeting, strict=True) if not n]
+    if len(body.balls) - len(apart) < 2:
+        return (
+            f"no two cameras agree on where {', '.join(apart)} "
+            f"{'is' if len(apart) == 1 else 'are'}: check the calibration"
+        )
+    return "no three candidates are as far apart as the body's balls"
