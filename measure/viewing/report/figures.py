@@ -1,0 +1,202 @@
+"""The figures of a run's report: arrays in, plotly figures out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import plotly.graph_objects as go
+
+from measure.arrays import Floats, Ints
+from measure.viewing.report import style
+
+MAX_POINTS = 4000
+"""Curves longer than this are thinned for drawing; extremes survive."""
+
+ARROW_SCALE = 60.0
+"""How much residual arrows are magnified."""
+
+
+def trajectory(
+    positions: Floats, sd_mm: Floats, camera_centers: Floats, camera_names: Sequence[str]
+) -> go.Figure:
+    """Where the body went, coloured by its uncertainty, among the cameras.
+
+    Args:
+        positions: (n, 3) in mm.
+        sd_mm: (n,) standard deviation of each position.
+        camera_centers: (m, 3) in mm.
+        camera_names: m names.
+    """
+    keep = _thinned(len(positions))
+    colors = {
+        "color": sd_mm[keep],
+        "colorscale": "Viridis",
+        "size": 3,
+        "colorbar": {"title": "SD [mm]", "thickness": 12},
+    }
+    path = go.Scatter3d(
+        x=positions[keep, 0],
+        y=positions[keep, 1],
+        z=positions[keep, 2],
+        mode="markers+lines",
+        marker=colors,
+        line={"color": style.INK, "width": 1},
+        name="body",
+    )
+    rig = go.Scatter3d(
+        x=camera_centers[:, 0],
+        y=camera_centers[:, 1],
+        z=camera_centers[:, 2],
+        mode="markers+text",
+        marker={"size": 5, "symbol": "diamond", "color": style.ACCENT},
+        text=list(camera_names),
+        name="cameras",
+    )
+    axis = {"backgroundcolor": "rgba(0,0,0,0)", "gridcolor": style.GRID, "color": style.INK}
+    scene = {f"{name}axis": {**axis, "title": f"{name} [mm]"} for name in "xyz"}
+    figure = style.figure(480, scene={**scene, "aspectmode": "data"})
+    figure.add_traces([path, rig])
+    return figure
+
+
+def over_time(
+    times_s: Floats,
+    curves: Mapping[str, Floats],
+    label: str,
+    colors: Mapping[str, str] | None = None,
+) -> go.Figure:
+    """Curves over time; NaN leaves a gap.
+
+    Args:
+        times_s: (n,).
+        curves: (n,) each, by name.
+        label: of the vertical axis, with its unit.
+        colors: by curve name; a palette serves the others.
+    """
+    figure = style.figure()
+    for index, (name, values) in enumerate(curves.items()):
+        color = (colors or {}).get(name, style.PALETTE[index % len(style.PALETTE)])
+        keep = _thinned(len(values), values)
+        figure.add_trace(
+            go.Scattergl(
+                x=times_s[keep], y=values[keep], name=name, mode="lines", line={"color": color}
+            )
+        )
+    figure.update_xaxes(title="time [s]")
+    figure.update_yaxes(title=label)
+    return figure
+
+
+def histograms(values: Floats, names: Sequence[str], label: str) -> go.Figure:
+    """One histogram per column of values (n, k), overlaid."""
+    figure = style.figure(barmode="overlay")
+    for column, name in zip(values.T, names, strict=True):
+        finite = column[np.isfinite(column)]
+        counts, edges = (
+            np.histogram(finite, bins=40) if len(finite) else (np.zeros(1), np.arange(2))
+        )
+        figure.add_trace(
+            go.Bar(
+                x=(edges[:-1] + edges[1:]) / 2,
+                y=counts,
+                width=np.diff(edges),
+                name=name,
+                opacity=0.6,
+                marker={"color": style.AXIS_COLORS.get(name, style.ACCENT), "line": {"width": 0}},
+            )
+        )
+    figure.update_xaxes(title=label)
+    figure.update_yaxes(title="frame sets")
+    return figure
+
+
+def residual_map(
+    centers_px: Floats, residuals_px: Floats, size_wh: tuple[int, int], name: str
+) -> go.Figure:
+    """Residuals of one camera where they occurred in its image.
+
+    Args:
+        centers_px: (n, 2) detected centres.
+        residuals_px: (n, 2) detected minus predicted.
+        size_wh: of the image.
+        name: of the camera.
+    """
+    keep = _thinned(len(centers_px))
+    start, arrows = centers_px[keep], residuals_px[keep] * ARROW_SCALE
+    gaps = np.full(len(start), np.nan)
+    figure = style.figure(280, title={"text": name, "font": {"size": 13}}, showlegend=False)
+    figure.add_trace(
+        go.Scattergl(
+            x=np.column_stack([start[:, 0], start[:, 0] + arrows[:, 0], gaps]).ravel(),
+            y=np.column_stack([start[:, 1], start[:, 1] + arrows[:, 1], gaps]).ravel(),
+            mode="lines",
+            line={"color": style.INK, "width": 1},
+            hoverinfo="skip",
+        )
+    )
+    size = np.linalg.norm(residuals_px[keep], axis=1)
+    marker = {"color": size, "colorscale": "Turbo", "size": 5, "cmin": 0.0}
+    marker["colorbar"] = {"title": "px", "thickness": 10}
+    figure.add_trace(
+        go.Scattergl(x=start[:, 0], y=start[:, 1], mode="markers", marker=marker, text=size)
+    )
+    figure.update_xaxes(range=[0, size_wh[0]], title="u [px]", constrain="domain")
+    figure.update_yaxes(range=[size_wh[1], 0], title="v [px]", scaleanchor="x", constrain="domain")
+    return figure
+
+
+def state_timeline(
+    times_s: Floats, codes: Ints, views: Sequence[str], reasons: Sequence[str]
+) -> go.Figure:
+    """Who saw what when.
+
+    Args:
+        times_s: (n,).
+        codes: (views, n) index into `reasons`, 0 meaning effective.
+        views: one name per row ("red in cam0").
+        reasons: what each code says.
+    """
+    keep = _every(len(times_s))
+    colors = (style.GOOD, style.DOUBTFUL, "#b05fc4", "#9aa4ae", style.BAD, style.ACCENT, "#6b7480")
+    top = max(len(reasons) - 1, 1)
+    scale = []
+    for code in range(len(reasons)):
+        color = colors[code % len(colors)]
+        scale += [(code / (top + 1), color), ((code + 1) / (top + 1), color)]
+    figure = style.figure(60 + 22 * len(views))
+    figure.add_trace(
+        go.Heatmap(
+            x=times_s[keep],
+            y=list(views),
+            z=codes[:, keep].astype(np.int8),
+            zmin=-0.5,
+            zmax=top + 0.5,
+            colorscale=scale,
+            ygap=2,
+            colorbar={
+                "tickvals": list(range(len(reasons))),
+                "ticktext": list(reasons),
+                "thickness": 12,
+            },
+        )
+    )
+    figure.update_xaxes(title="time [s]")
+    figure.update_yaxes(autorange="reversed")
+    return figure
+
+
+def _every(count: int) -> Ints:
+    return np.unique(np.linspace(0, max(count - 1, 0), min(count, MAX_POINTS)).astype(np.int64))
+
+
+def _thinned(count: int, values: Floats | None = None) -> Ints:
+    """Indices to draw: all if few, else evenly spaced ones plus the extreme of each stretch."""
+    keep = _every(count)
+    if values is None or count <= MAX_POINTS:
+        return keep
+    finite = np.where(np.isfinite(values), values, -np.inf)
+    stretches = np.array_split(finite, MAX_POINTS // 2)
+    starts = np.cumsum([0, *(len(stretch) for stretch in stretches[:-1])])
+    peaks = starts + np.array([int(np.argmax(stretch)) for stretch in stretches])
+    return np.unique(np.concatenate([keep, peaks]))

@@ -1,0 +1,124 @@
+"""The page: sections of words, tables and figures in one self-contained HTML file."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+import plotly.graph_objects as go
+import plotly.io as pio
+from plotly.offline import get_plotlyjs
+
+_CSS = """
+:root { color-scheme: light dark; --ink:#1d2733; --soft:#5d6b7a; --paper:#fbfcfd; --card:#fff;
+  --line:#dde3ea; --good:#2f7d3b; --doubtful:#9a6a10; --bad:#b03535; }
+@media (prefers-color-scheme: dark) { :root { --ink:#e6ebf0; --soft:#9aa7b4; --paper:#12171d;
+  --card:#1a2129; --line:#2c3641; --good:#6fce7e; --doubtful:#e6b455; --bad:#f08a8a; } }
+* { box-sizing: border-box; }
+body { margin:0; background:var(--paper); color:var(--ink);
+  font:15px/1.5 system-ui,"Segoe UI",Roboto,"Noto Sans",sans-serif; }
+main { max-width:1120px; margin:0 auto; padding:20px 16px 60px; }
+h1 { font-size:1.5rem; margin:.2em 0; } h2 { font-size:1.1rem; margin:0 0 .5em; }
+.verdict { font-size:1.15rem; margin:.4em 0 1em; padding:.7em 1em;
+  border-left:4px solid var(--soft);
+  background:var(--card); border-radius:0 8px 8px 0; }
+.good { border-color:var(--good); } .doubtful { border-color:var(--doubtful); }
+.bad { border-color:var(--bad); }
+section { background:var(--card); border:1px solid var(--line); border-radius:10px;
+  padding:14px 16px; margin:14px 0; overflow:hidden; }
+p { margin:.3em 0 .7em; color:var(--soft); max-width:75ch; }
+.facts { display:grid; grid-template-columns:repeat(auto-fit,minmax(150px,1fr)); gap:10px; }
+.facts div { border:1px solid var(--line); border-radius:8px; padding:8px 10px; }
+.facts b { display:block; font-size:1.15rem; overflow-wrap:anywhere; }
+.facts span { color:var(--soft); font-size:.85rem; }
+.scroll { overflow-x:auto; } table { border-collapse:collapse; font-variant-numeric:tabular-nums; }
+th,td { text-align:right; padding:3px 12px 3px 0; border-bottom:1px solid var(--line);
+  white-space:nowrap; } th:first-child,td:first-child { text-align:left; }
+pre { overflow-x:auto; background:var(--paper); padding:10px; border-radius:8px; font-size:.85rem; }
+.pair { display:grid; gap:10px;
+  grid-template-columns:repeat(auto-fit,minmax(min(100%,420px),1fr)); }
+.pair > * { min-width:0; }
+footer { color:var(--soft); font-size:.85rem; margin-top:24px; }
+"""
+
+
+@dataclass
+class Page:
+    """Gathers sections, then renders.
+
+    Attributes:
+        title: of the page.
+        verdict: one sentence that says it all.
+        tone: "good", "doubtful" or "bad".
+    """
+
+    title: str
+    verdict: str
+    tone: str
+    _parts: list[str] = field(default_factory=list)
+    _figures: int = 0
+
+    def facts(self, facts: Iterable[tuple[str, str]]) -> None:
+        """A row of (label, value) tiles."""
+        tiles = "".join(
+            f"<div><b>{html.escape(value)}</b><span>{html.escape(label)}</span></div>"
+            for label, value in facts
+        )
+        self._parts.append(f'<div class="facts">{tiles}</div>')
+
+    def figures(self, heading: str, words: str, *figures: go.Figure) -> None:
+        """A section of one or more figures side by side."""
+        drawn = "".join(f"<div>{self._draw(figure)}</div>" for figure in figures)
+        body = f'<div class="pair">{drawn}</div>' if len(figures) > 1 else drawn
+        self._section(heading, words, body)
+
+    def table(
+        self, heading: str, words: str, columns: Sequence[str], rows: Iterable[Sequence[object]]
+    ) -> None:
+        """A section with one table; floats get four significant digits."""
+        head = "".join(f"<th>{html.escape(column)}</th>" for column in columns)
+        body = "".join(
+            "<tr>" + "".join(f"<td>{_cell(value)}</td>" for value in row) + "</tr>" for row in rows
+        )
+        table = f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+        self._section(heading, words, f'<div class="scroll">{table}</div>')
+
+    def text(self, heading: str, words: str, preformatted: str = "") -> None:
+        """A section of words, and perhaps a block as typed."""
+        block = f"<pre>{html.escape(preformatted)}</pre>" if preformatted else ""
+        self._section(heading, words, block)
+
+    def render(self, footer: str) -> str:
+        """The whole page; plotly is embedded once and nothing is fetched."""
+        script = f"<script>{get_plotlyjs()}</script>" if self._figures else ""
+        return (
+            '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+            '<meta name="viewport" content="width=device-width,initial-scale=1">'
+            f"<title>{html.escape(self.title)}</title><style>{_CSS}</style>{script}</head>"
+            f"<body><main><h1>{html.escape(self.title)}</h1>"
+            f'<div class="verdict {self.tone}">{html.escape(self.verdict)}</div>'
+            f"{''.join(self._parts)}<footer>{html.escape(footer)}</footer></main></body></html>"
+        )
+
+    def _section(self, heading: str, words: str, body: str) -> None:
+        explained = f"<p>{html.escape(words)}</p>" if words else ""
+        self._parts.append(f"<section><h2>{html.escape(heading)}</h2>{explained}{body}</section>")
+
+    def _draw(self, figure: go.Figure) -> str:
+        self._figures += 1
+        return str(
+            pio.to_html(
+                figure,
+                full_html=False,
+                include_plotlyjs=False,
+                div_id=f"figure-{self._figures}",
+                config={"responsive": True, "displaylogo": False, "displayModeBar": "hover"},
+            )
+        )
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, float):
+        return "–" if value != value else f"{value:.4g}"
+    return html.escape(str(value))
