@@ -158,3 +158,8 @@ class Pose:
     def position_sd_mm(self) -> float:
         """Standard deviation of the 3-D position: root of the trace of its covariance."""
         return float(np.sqrt(np.trace(self.covariance[:3, :3])))
+
+    @property
+    def rotation_sd_deg(self) -> float:
+        """Standard deviation of the 3-D rotation: root of the trace of its covariance, in deg."""
+        return float(np.degrees(np.sqrt(np.trace(self.covariance[3:, 3:]))))

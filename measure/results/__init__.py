@@ -1,1 +1,17 @@
-"""."""
+"""The run folder: written row by row, read back, evaluated, exported."""
+
+from measure.results.provenance import Provenance, digest, digest_folder, versions
+from measure.results.run import Run, read_run
+from measure.results.summary import Summary
+from measure.results.writer import RunWriter
+
+__all__ = [
+    "Provenance",
+    "Run",
+    "RunWriter",
+    "Summary",
+    "digest",
+    "digest_folder",
+    "read_run",
+    "versions",
+]

@@ -1,0 +1,94 @@
+"""Where a run comes from: enough to repeat it, and to tell whether it may be resumed."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+_LIBRARIES = ("triball", "numpy", "scipy", "opencv-python-headless", "numba", "av")
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """What a run is made from.
+
+    Attributes:
+        session: its absolute path.
+        session_digest: SHA-256 of its description, clocks and the names and sizes of its pictures.
+        calibration: path of the calibration used.
+        calibration_digest: SHA-256 of that file.
+        body_digest: SHA-256 of the body as used.
+        profile: the resolved stages with all their settings, defaults included.
+        plugins: by stage, "NAME of DISTRIBUTION VERSION".
+    """
+
+    session: str
+    session_digest: str
+    calibration: str
+    calibration_digest: str
+    body_digest: str
+    profile: Mapping[str, Any]
+    plugins: Mapping[str, str]
+
+    def values(self) -> dict[str, Any]:
+        """As written to `run.toml`."""
+        return {
+            "run": {"started": datetime.now(UTC).isoformat(timespec="seconds")},
+            "session": {"path": self.session, "sha256": self.session_digest},
+            "calibration": {"path": self.calibration, "sha256": self.calibration_digest},
+            "body": {"sha256": self.body_digest},
+            "profile": self.profile,
+            "plugins": dict(self.plugins),
+            "versions": versions(),
+        }
+
+    def differences(self, written: Mapping[str, Any]) -> list[str]:
+        """What differs between this and the values of an earlier run's `run.toml`."""
+        ours = self.values()
+        changed = [
+            name
+            for name in ("session", "calibration", "body")
+            if ours[name]["sha256"] != written.get(name, {}).get("sha256")
+        ]
+        changed += [
+            f"profile.{key}"
+            for key in sorted({*self.profile, *written.get("profile", {})})
+            if self.profile.get(key) != written.get("profile", {}).get(key)
+        ]
+        return changed + [
+            f"plugin {stage}"
+            for stage, plugin in self.plugins.items()
+            if written.get("plugins", {}).get(stage) != plugin
+        ]
+
+
+def versions() -> dict[str, str]:
+    """Versions of the program, of Python and of the libraries a result depends on."""
+    return {"python": platform.python_version()} | {
+        name: metadata.version(name) for name in _LIBRARIES
+    }
+
+
+def digest(parts: Iterable[bytes]) -> str:
+    """SHA-256 of byte strings, hexadecimal; their boundaries count."""
+    sha = hashlib.sha256()
+    for part in parts:
+        sha.update(len(part).to_bytes(8, "big"))
+        sha.update(part)
+    return sha.hexdigest()
+
+
+def digest_folder(folder: Path) -> str:
+    """SHA-256 of a recording: text files by content, all others by name and size."""
+    parts = []
+    for path in sorted(p for p in folder.rglob("*") if p.is_file()):
+        name = path.relative_to(folder).as_posix().encode()
+        text = path.suffix in {".toml", ".csv"} and path.name != "truth.csv"
+        parts += [name, path.read_bytes() if text else str(path.stat().st_size).encode()]
+    return digest(parts)

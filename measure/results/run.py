@@ -1,0 +1,104 @@
+"""A run read back, finished or not."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from measure.arrays import Bools, Floats
+from measure.errors import RunError
+from measure.geometry import RigidTransform
+from measure.model import Body, Camera
+from measure.results.journal import read_table
+from measure.results.summary import Summary, summarise
+from measure.results.tables import SCHEMAS
+from measure.session import read_body, read_calibration
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A run.
+
+    Attributes:
+        path: its folder.
+        provenance: the values of `run.toml`.
+        body: as measured.
+        cameras: as used.
+        detections: one row per frame set, camera and ball (see `measure.results.tables`).
+        balls: one row per fix.
+        poses: one row per frame set, also where there is no pose.
+        finished: whether it came to its end.
+    """
+
+    path: Path
+    provenance: dict[str, Any]
+    body: Body
+    cameras: tuple[Camera, ...]
+    detections: pa.Table
+    balls: pa.Table
+    poses: pa.Table
+    finished: bool
+
+    @cached_property
+    def summary(self) -> Summary:
+        """The run in a few numbers."""
+        return summarise(self.detections, self.poses)
+
+    @property
+    def times_s(self) -> Floats:
+        """Instants (n,) of the frame sets."""
+        return np.asarray(self.poses["time_s"].to_numpy(), dtype=np.float64)
+
+    @cached_property
+    def has_pose(self) -> Bools:
+        """Which frame sets (n,) have a pose."""
+        return np.asarray(np.isfinite(self.poses["x_mm"].to_numpy()))
+
+    @cached_property
+    def world_from_body(self) -> RigidTransform:
+        """The poses of the frame sets that have one, in order."""
+        columns = [self.poses[name].to_numpy()[self.has_pose] for name in _PLACE]
+        place = np.stack(columns, axis=1) if columns else np.zeros((0, 7))
+        return RigidTransform.from_quat_wxyz(place[:, 3:], place[:, :3])
+
+    @cached_property
+    def covariances(self) -> Floats:
+        """Covariances (m, 6, 6) of the poses there are."""
+        rows = self.poses["covariance"].filter(pa.array(self.has_pose)).to_pylist()
+        return np.asarray(rows, dtype=np.float64).reshape(-1, 6, 6)
+
+
+_PLACE = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
+
+
+def read_run(folder: Path) -> Run:
+    """Read a run folder; of an unfinished run, what was measured so far.
+
+    Raises:
+        RunError: the folder is no run, or a file of it is damaged.
+    """
+    file = folder / "run.toml"
+    if not file.exists():
+        what = "no such folder" if not folder.exists() else "it has no run.toml"
+        raise RunError(f"{folder} is no run: {what}; `measure run` makes one")
+    try:
+        provenance = tomllib.loads(file.read_text("utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise RunError(f"{file}: {error}") from error
+    tables = {name: read_table(folder, name, schema) for name, schema in SCHEMAS.items()}
+    return Run(
+        path=folder,
+        provenance=provenance,
+        body=read_body(folder / "body.toml"),
+        cameras=read_calibration(folder / "calibration.toml").cameras,
+        detections=tables["detections"],
+        balls=tables["balls"],
+        poses=tables["poses"],
+        finished=not (folder / "poses.arrows").exists(),
+    )

@@ -1,0 +1,83 @@
+"""A run in a few numbers."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections import Counter
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What `summary.json` says.
+
+    Attributes:
+        frame_sets: how many there are.
+        ok: with a pose that is believed.
+        flagged: with a pose to doubt.
+        lost: without a pose.
+        skipped: not tried, while tracking restarts.
+        position_sd_mm: median standard deviation of the position, NaN without a pose.
+        rotation_sd_deg: likewise of the rotation.
+        rms_px: median reprojection error.
+        effective: share of frame sets in which a camera saw a ball effectively, by "ball@camera".
+        suspended: how often each reason suspended a view.
+        reasons: how often each reason kept a frame set from being "ok".
+    """
+
+    frame_sets: int
+    ok: int
+    flagged: int
+    lost: int
+    skipped: int
+    position_sd_mm: float
+    rotation_sd_deg: float
+    rms_px: float
+    effective: dict[str, float]
+    suspended: dict[str, int]
+    reasons: dict[str, int]
+
+    def values(self) -> dict[str, Any]:
+        """As written: NaN becomes null."""
+        return {
+            key: None if isinstance(value, float) and math.isnan(value) else value
+            for key, value in dataclasses.asdict(self).items()
+        }
+
+
+def summarise(detections: pa.Table, poses: pa.Table) -> Summary:
+    """Count and average the tables of a run."""
+    statuses = Counter(poses["status"].to_pylist())
+    doubts = Counter(text for text in poses["reason"].to_pylist() if text)
+    seen = detections.group_by(["ball", "camera", "state"], use_threads=False)
+    effective = {
+        f"{row['ball']}@{row['camera']}": row["index_count"] / poses.num_rows
+        for row in seen.aggregate([("index", "count")]).to_pylist()
+        if row["state"] == "effective"
+    }
+    suspended = detections.filter(pc.equal(detections["state"], "suspended"))
+    return Summary(
+        frame_sets=poses.num_rows,
+        ok=statuses["ok"],
+        flagged=statuses["flagged"],
+        lost=statuses["lost"],
+        skipped=statuses["skipped"],
+        position_sd_mm=_median(poses["position_sd_mm"]),
+        rotation_sd_deg=_median(poses["rotation_sd_deg"]),
+        rms_px=_median(poses["rms_px"]),
+        effective=dict(sorted(effective.items())),
+        suspended=dict(Counter(suspended["reason"].to_pylist()).most_common()),
+        reasons=dict(doubts.most_common()),
+    )
+
+
+def _median(column: pa.ChunkedArray) -> float:
+    values = column.to_numpy()
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if len(finite) else float("nan")

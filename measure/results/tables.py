@@ -1,0 +1,175 @@
+"""The three tables of a run: what their columns are, and how a measurement becomes rows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from measure.measuring import Measurement
+from measure.model import BallView
+
+_F, _I, _S = pa.float64(), pa.int32(), pa.string()
+_WORDS = pa.list_(pa.string())
+
+SCHEMAS = {
+    "detections": pa.schema(
+        [
+            ("index", _I),
+            ("camera", _S),
+            ("ball", _S),
+            ("frame", _I),
+            ("time_s", _F),
+            ("state", _S),
+            ("reason", _S),
+            *((name, _F) for name in ("u_px", "v_px", "radius_px")),
+            *((name, _F) for name in ("var_uu_px2", "var_uv_px2", "var_vv_px2")),
+            *((name, _F) for name in ("score", "color_match", "residual_u_px", "residual_v_px")),
+        ]
+    ),
+    "balls": pa.schema(
+        [
+            ("index", _I),
+            ("ball", _S),
+            ("time_s", _F),
+            *((name, _F) for name in ("x_mm", "y_mm", "z_mm")),
+            ("covariance_mm2", pa.list_(_F, 9)),
+            ("rms_mm", _F),
+            ("cameras", _WORDS),
+            ("dropped", _WORDS),
+        ]
+    ),
+    "poses": pa.schema(
+        [
+            ("index", _I),
+            ("time_s", _F),
+            *((name, _F) for name in ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")),
+            ("covariance", pa.list_(_F, 36)),
+            ("position_sd_mm", _F),
+            ("rotation_sd_deg", _F),
+            ("residual_mm", _F),
+            ("rms_px", _F),
+            ("cameras", _WORDS),
+            ("balls", _WORDS),
+            ("flags", _WORDS),
+            ("status", _S),
+            ("reason", _S),
+        ]
+    ),
+}
+"""By table. `covariance` is the 6x6 of docs/conventions.md, row by row: mm^2, mm rad, rad^2."""
+
+CSV_COLUMNS = (
+    "frame",
+    "time_s",
+    "x_mm",
+    "y_mm",
+    "z_mm",
+    "qw",
+    "qx",
+    "qy",
+    "qz",
+    "position_sd_mm",
+    "rotation_sd_deg",
+    "rms_px",
+    "cameras",
+    "status",
+    "reason",
+)
+
+
+def rows_of(measured: Measurement) -> dict[str, list[dict[str, Any]]]:
+    """A measurement as rows, by table; a frame set without a pose has a row all the same."""
+    return {
+        "detections": [_detection_row(measured, view) for view in measured.views],
+        "balls": list(_ball_rows(measured)),
+        "poses": [_pose_row(measured)],
+    }
+
+
+def csv_row(measured: Measurement) -> list[str]:
+    """A measurement as the cells of `CSV_COLUMNS`; empty where there is no pose."""
+    row = {**_pose_row(measured), "frame": measured.index}
+    cells = []
+    for name in CSV_COLUMNS:
+        value = row[name]
+        if isinstance(value, float):
+            cells.append(f"{value:.9g}" if np.isfinite(value) else "")
+        else:
+            cells.append(" ".join(value) if isinstance(value, tuple) else str(value))
+    return cells
+
+
+def _detection_row(measured: Measurement, view: BallView) -> dict[str, Any]:
+    row: dict[str, Any] = {
+        "index": measured.index,
+        "camera": view.camera,
+        "ball": view.ball,
+        "frame": measured.frames.get(view.camera),
+        "state": view.state.value,
+        "reason": view.reason.value,
+    }
+    if view.detection is None:
+        return row
+    seen = view.detection
+    residual = measured.residuals_px.get((view.ball, view.camera), np.full(2, np.nan))
+    return row | {
+        "time_s": seen.time_s,
+        "u_px": seen.center_px[0],
+        "v_px": seen.center_px[1],
+        "radius_px": seen.radius_px,
+        "var_uu_px2": seen.covariance_px[0, 0],
+        "var_uv_px2": seen.covariance_px[0, 1],
+        "var_vv_px2": seen.covariance_px[1, 1],
+        "score": seen.score,
+        "color_match": seen.color_match,
+        "residual_u_px": residual[0],
+        "residual_v_px": residual[1],
+    }
+
+
+def _ball_rows(measured: Measurement) -> Iterator[dict[str, Any]]:
+    for fix in measured.fixes:
+        yield {
+            "index": measured.index,
+            "ball": fix.ball,
+            "time_s": fix.time_s,
+            **dict(zip(("x_mm", "y_mm", "z_mm"), map(float, fix.center), strict=True)),
+            "covariance_mm2": fix.covariance.ravel(),
+            "rms_mm": fix.rms_mm,
+            "cameras": fix.cameras,
+            "dropped": fix.dropped,
+        }
+
+
+def _pose_row(measured: Measurement) -> dict[str, Any]:
+    names = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
+    row: dict[str, Any] = {
+        "index": measured.index,
+        "time_s": measured.time_s,
+        "cameras": (),
+        "balls": (),
+        "flags": (),
+        "status": measured.status.value,
+        "reason": measured.reason,
+    }
+    pose = measured.pose
+    if pose is None:
+        numbers = (*names, "position_sd_mm", "rotation_sd_deg", "residual_mm", "rms_px")
+        return row | dict.fromkeys(numbers, float("nan"))
+    place = (*pose.world_from_body.translation, *pose.world_from_body.quat_wxyz)
+    doubts = "; ".join(part for part in (measured.reason, *pose.flags) if part)
+    return row | {
+        **dict(zip(names, map(float, place), strict=True)),
+        "covariance": pose.covariance.ravel(),
+        "position_sd_mm": pose.position_sd_mm,
+        "rotation_sd_deg": pose.rotation_sd_deg,
+        "residual_mm": float(pose.residual_mm),
+        "rms_px": float(pose.rms_px),
+        "cameras": pose.cameras,
+        "balls": pose.balls,
+        "flags": pose.flags,
+        "reason": doubts,
+    }
