@@ -58,7 +58,9 @@ class Journal:
         self._file.flush()
 
     def close(self) -> None:
-        """End the stream."""
+        """End the stream; closing twice does no harm."""
+        if self._file.closed:
+            return
         try:
             self.flush()
             self._stream.close()

@@ -6,6 +6,7 @@ import csv
 import json
 import tomllib
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -65,6 +66,9 @@ class RunWriter:
                 for name, schema in SCHEMAS.items()
             }
             self._csv = _open_csv(folder / "poses.csv", kept.get("poses"))
+        self._files = ExitStack()
+        for file in (self._csv, *self._journals.values()):
+            self._files.callback(file.close)
         self.next_index = kept["poses"].num_rows if earlier else 0
         self._unflushed = 0
 
@@ -78,9 +82,7 @@ class RunWriter:
         trace: TracebackType | None,
     ) -> None:
         with writing(self._folder):
-            self._csv.close()
-            for journal in self._journals.values():
-                journal.close()
+            self._files.close()
 
     def append(self, measured: Measurement) -> None:
         """Write one measurement, which must be the next.
