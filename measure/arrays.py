@@ -22,13 +22,16 @@ def floats(name: str, values: ArrayLike, *shape: int | str) -> Floats:
         *shape: sizes; a string names an axis of any size, and a leading "..." allows batch axes.
 
     Raises:
-        ValueError: the shape differs; the message gives expected and actual.
+        ValueError: no numbers, or another shape; the message gives expected and actual.
 
     Example:
         >>> floats("points_world", [[1, 2, 3]], "n", 3).shape
         (1, 3)
     """
-    array = np.asarray(values, dtype=np.float64)
+    try:
+        array = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name}: {error}") from None
     wanted = shape[1:] if shape[:1] == ("...",) else shape
     actual = array.shape[array.ndim - len(wanted) :] if shape[:1] == ("...",) else array.shape
     if len(actual) != len(wanted) or any(

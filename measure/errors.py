@@ -1,9 +1,8 @@
 """The one family of errors a user is meant to read.
 
-A message says what is wrong, where (file, line, camera, frame) and what to do about it. The command
-line
-prints it in one line and exits with 2; any other exception is a defect of ours and keeps its
-traceback.
+A message says what is wrong, where (file, line, camera, frame) and what to do about it. The
+command line prints it in one line and exits with 2; any other exception is a defect of ours and
+keeps its traceback.
 """
 
 from __future__ import annotations

@@ -1,14 +1,70 @@
+"""What many tests need: the shared data, the paper's body, a rig of four cameras."""
+
 from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
+from hypothesis import HealthCheck, settings
+
+from measure.geometry import RigidTransform
+from measure.model import Ball, BallColor, Body, Camera, Intrinsics
+
+_CALM = [HealthCheck.too_slow, HealthCheck.function_scoped_fixture]
+
+# A red build means a change, not a lucky draw. `pytest --hypothesis-profile=search` looks further.
+settings.register_profile(
+    "suite", deadline=None, derandomize=True, max_examples=60, suppress_health_check=_CALM
+)
+settings.register_profile("search", deadline=None, max_examples=1500, suppress_health_check=_CALM)
+settings.load_profile("suite")
 
 
 @pytest.fixture(scope="session")
 def shared() -> Path:
-    """Real and rendered recordings beside the repository; tests skip where they are absent."""
-    folder = Path(__file__).parents[2] / "shared"
-    if not folder.exists():
-        pytest.skip(f"no {folder}")
+    """The folder of recordings that lies beside the repository."""
+    folder = Path(__file__).resolve().parents[2] / "shared"
+    if not folder.is_dir():
+        pytest.skip("the recordings in ../shared are not part of the project")
     return folder
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(20200531)
+
+
+@pytest.fixture(scope="session")
+def paper_body() -> Body:
+    """The paper's three balls: 20 mm in radius, 38 mm from the end effector."""
+    balls = (("green", (38, 0, 0)), ("yellow", (0, 38, 0)), ("red", (-38, 0, 0)))
+    return Body(
+        "paper",
+        tuple(Ball(name, BallColor.named(name), np.array(c), 20.0) for name, c in balls),
+    )
+
+
+@pytest.fixture(scope="session")
+def webcam() -> Intrinsics:
+    """A 1280x720 webcam with some distortion; its centre is not the image's."""
+    matrix = [[1420.0, 0, 652.3], [0, 1417.0, 349.1], [0, 0, 1]]
+    return Intrinsics((1280, 720), np.array(matrix), np.array([0.06, -0.12, 4e-4, -6e-4]))
+
+
+@pytest.fixture(scope="session")
+def rig(webcam: Intrinsics) -> tuple[Camera, ...]:
+    """Four such webcams, 450 mm from the origin and 25 deg up, looking at it."""
+    return tuple(
+        Camera(f"cam{k}", webcam, looking_at_origin(450.0, np.pi / 4 + k * np.pi / 2, 0.436))
+        for k in range(4)
+    )
+
+
+def looking_at_origin(distance_mm: float, azimuth: float, elevation: float) -> RigidTransform:
+    """world_from_camera of an upright camera (x right, y down, z forward) that sees the origin."""
+    level = np.cos(elevation)
+    out = np.array([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)])
+    right = np.cross(-out, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    return RigidTransform(np.stack([right, np.cross(-out, right), -out], axis=1), distance_mm * out)

@@ -3,18 +3,21 @@
 from measure.geometry.alignment import align_points
 from measure.geometry.chi_square import chi_square_quantile
 from measure.geometry.cone import Cone, fit_cone, tangent_cone
+from measure.geometry.conic import Ellipse, ellipse_of_conic
 from measure.geometry.covariance import UncertainTransform, propagate, squared_mahalanobis
 from measure.geometry.rays import Rays, common_perpendicular, nearest_point
 from measure.geometry.transform import RigidTransform, skew
 
 __all__ = [
     "Cone",
+    "Ellipse",
     "Rays",
     "RigidTransform",
     "UncertainTransform",
     "align_points",
     "chi_square_quantile",
     "common_perpendicular",
+    "ellipse_of_conic",
     "fit_cone",
     "nearest_point",
     "propagate",

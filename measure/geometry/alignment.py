@@ -23,14 +23,20 @@ def align_points(
         weights: (n,) inverse variances up to a factor; all equal if omitted.
 
     Raises:
-        DegenerateGeometryError: fewer than three points, or all on one line.
+        DegenerateGeometryError: fewer than three points, all on one line, or some not finite.
     """
     q, p = floats("target", target, "n", 3), floats("source", source, len(np.atleast_2d(target)), 3)
     w = np.ones(len(p)) if weights is None else floats("weights", weights, len(p))
+    finite = np.isfinite(q).all(axis=1) & np.isfinite(p).all(axis=1) & np.isfinite(w)
+    if len(p) < 3 or not finite.all():
+        raise DegenerateGeometryError(
+            f"aligning needs 3 points with finite coordinates, got {np.count_nonzero(finite)} "
+            f"of {len(p)}"
+        )
     w = w / w.sum()
     q0, p0 = w @ q, w @ p
     u, s, vt = np.linalg.svd((w[:, None] * (q - q0)).T @ (p - p0))
-    if len(p) < 3 or s[1] < 1e-9 * max(s[0], 1e-300):
+    if s[1] < 1e-9 * max(s[0], 1e-300):
         raise DegenerateGeometryError(
             f"{len(p)} points on one line (singular values {s[0]:.3g}, {s[1]:.3g} mm^2) "
             "leave a turn about it free"

@@ -1,14 +1,10 @@
 """The cone of rays tangent to a sphere: its outline, exactly.
 
-A camera sees a sphere of radius R at distance D along the unit vector `a` as the cone of bearings v
-with
-`v . a = cos(alpha)`, `sin(alpha) = R / D`. With w = a / cos(alpha) that reads `v . w = 1`: linear
-in three
-unknowns, so the fit needs no start. The ellipse's centre in the image is *not* the image of the
-sphere's centre;
-the cone's axis is. (Shiu and Ahmad 1989; the linear form is in notes on the projected sphere, e.g.
-Zhang,
-Wong and Zhang 2007.)
+A camera sees a sphere of radius R at distance D along the unit vector `a` as the cone of bearings
+v with `v . a = cos(alpha)`, `sin(alpha) = R / D`. With w = a / cos(alpha) that reads `v . w = 1`:
+linear in three unknowns, so the fit needs no start. The centre of the ellipse in the image is *not*
+the image of the sphere's centre; the cone's axis is. (Shiu and Ahmad 1989; the linear form is in
+notes on the projected sphere, e.g. Zhang, Wong and Zhang 2007.)
 """
 
 from __future__ import annotations
@@ -20,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from measure.arrays import Floats, floats
 from measure.errors import DegenerateGeometryError
+from measure.geometry.conic import Ellipse, ellipse_of_conic
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +44,22 @@ class Cone:
         around = np.cos(phi) * e1 + np.sin(phi) * e2
         return np.cos(self.half_angle) * self.axis + np.sin(self.half_angle) * around
 
+    def ellipse(self) -> Ellipse:
+        """The outline in the plane z = 1 of an ideal camera that looks along +z.
+
+        Raises:
+            DegenerateGeometryError: the cone reaches the plane z = 0, so the outline is no ellipse.
+        """
+        off_axis = np.arccos(np.clip(self.axis[2], -1, 1))
+        if off_axis + self.half_angle >= np.pi / 2:
+            raise DegenerateGeometryError(
+                f"the outline of a ball {np.degrees(self.half_angle):.1f} deg in radius and "
+                f"{np.degrees(off_axis):.1f} deg off the optical axis is no ellipse"
+            )
+        # v . a = |v| cos(alpha), squared: v^T (a a^T - cos(alpha)^2 I) v = 0.
+        square = np.cos(self.half_angle) ** 2
+        return ellipse_of_conic(square * np.eye(3) - np.outer(self.axis, self.axis))
+
     def residuals(self, bearings: Floats) -> Floats:
         """Angles (n,) in rad by which bearings (n, 3) lie outside the cone (negative: inside)."""
         off_axis = np.linalg.norm(np.cross(bearings, self.axis), axis=-1)
@@ -72,15 +85,17 @@ def fit_cone(bearings: ArrayLike, weights: ArrayLike | None = None) -> Cone:
     """Least-squares cone through n >= 3 bearings (n, 3), any arc of the outline.
 
     Args:
-        bearings: (n, 3) directions of outline points, any length.
+        bearings: (n, 3) directions of outline points, any length; rows with NaN are left out.
         weights: (n,) inverse variances up to a factor; all equal if omitted.
 
     Raises:
         DegenerateGeometryError: fewer than three bearings, an arc too short, or no such cone.
     """
     v = floats("bearings", bearings, "n", 3)
+    root = np.ones(len(v)) if weights is None else np.sqrt(floats("weights", weights, len(v)))
+    seen = np.isfinite(v).all(axis=1)
+    v, root = v[seen], root[seen]
     v = v / np.linalg.norm(v, axis=1, keepdims=True)
-    root = np.ones(len(v)) if weights is None else np.sqrt(floats("weights", weights, "n"))
     if np.count_nonzero(root) < 3:
         raise DegenerateGeometryError(
             f"a cone needs 3 outline points, got {np.count_nonzero(root)}"

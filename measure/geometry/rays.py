@@ -19,7 +19,10 @@ class Rays:
 
     Attributes:
         origins: (..., 3) in mm.
-        directions: (..., 3), unit length (normalised on construction).
+        directions: (..., 3), unit length (normalised on construction); NaN where there is no ray.
+
+    Raises:
+        DegenerateGeometryError: a direction has no length.
     """
 
     origins: Floats
@@ -29,6 +32,10 @@ class Rays:
         origins = floats("origins", self.origins, "...", 3)
         directions = floats("directions", self.directions, "...", 3)
         norms = np.linalg.norm(directions, axis=-1, keepdims=True)
+        if np.any(norms == 0):
+            raise DegenerateGeometryError(
+                f"{np.count_nonzero(norms == 0)} of {norms.size} rays have a direction of length 0"
+            )
         object.__setattr__(self, "origins", origins)
         object.__setattr__(self, "directions", directions / norms)
 
@@ -60,9 +67,11 @@ def nearest_point(rays: Rays, weights: Floats | None = None) -> Floats:
     """The point (3,) with the least (weighted) sum of squared distances from n >= 2 lines.
 
     Raises:
-        DegenerateGeometryError: all lines are parallel.
+        DegenerateGeometryError: fewer than two lines, or all of them parallel.
     """
     d = rays.directions
+    if len(d) < 2:
+        raise DegenerateGeometryError(f"a point needs 2 rays, got {len(d)}")
     across = np.eye(3) - d[:, :, None] * d[:, None, :]
     if weights is not None:
         across = across * weights[:, None, None]

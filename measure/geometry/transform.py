@@ -10,6 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from measure.arrays import Floats, floats
 
+ROTATION_TOLERANCE = 1e-6
+"""A matrix from a file is a rotation if R R^T is the identity within this, entry by entry."""
+
 
 def skew(vectors: ArrayLike) -> Floats:
     """Cross-product matrices: `skew(a) @ b == cross(a, b)`.
@@ -33,20 +36,26 @@ class RigidTransform:
     """A rotation followed by a translation, or a batch of them.
 
     Points go `points_target = rotation @ points_source + translation`; transforms compose by
-    cancelling
-    the inner names: `world_from_body = world_from_camera @ camera_from_body`.
+    cancelling the inner names: `world_from_body = world_from_camera @ camera_from_body`.
 
     Attributes:
-        rotation: (..., 3, 3) proper rotation matrices.
-        translation: (..., 3) in mm.
+        rotation: (..., 3, 3) proper rotation matrices; taken as they are, so that composing stays
+            cheap. What comes from outside enters by `from_quat_wxyz` or `from_matrix`.
+        translation: (..., 3) in mm. Batch axes of the two are broadcast against each other.
     """
 
     rotation: Floats
     translation: Floats
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "rotation", floats("rotation", self.rotation, "...", 3, 3))
-        object.__setattr__(self, "translation", floats("translation", self.translation, "...", 3))
+        rotation = floats("rotation", self.rotation, "...", 3, 3)
+        translation = floats("translation", self.translation, "...", 3)
+        if rotation.shape[:-2] != translation.shape[:-1]:
+            batch = np.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1])
+            rotation = np.broadcast_to(rotation, (*batch, 3, 3))
+            translation = np.broadcast_to(translation, (*batch, 3))
+        object.__setattr__(self, "rotation", rotation)
+        object.__setattr__(self, "translation", translation)
 
     @classmethod
     def identity(cls) -> RigidTransform:
@@ -58,6 +67,26 @@ class RigidTransform:
         """From quaternions (..., 4), scalar first, any length; and translations (..., 3) in mm."""
         rotation = Rotation.from_quat(floats("quat_wxyz", quat_wxyz, "...", 4), scalar_first=True)
         return cls(rotation.as_matrix(), floats("translation", translation, "...", 3))
+
+    @classmethod
+    def from_matrix(cls, matrix: ArrayLike) -> RigidTransform:
+        """From homogeneous matrices (..., 4, 4), as found in files.
+
+        Raises:
+            ValueError: the upper left part scales, shears or mirrors.
+        """
+        m = floats("matrix", matrix, "...", 4, 4)
+        rotation = m[..., :3, :3]
+        defect = np.abs(rotation @ np.swapaxes(rotation, -1, -2) - np.eye(3)).max(initial=0.0)
+        handed = np.sum(
+            np.cross(rotation[..., 0, :], rotation[..., 1, :]) * rotation[..., 2, :], -1
+        )
+        if not (defect < ROTATION_TOLERANCE and np.all(handed > 0)):
+            raise ValueError(
+                "matrix: its upper left 3x3 is not a rotation (R R^T differs from the identity by "
+                f"{defect:.2g}, determinant {np.min(handed):.3g})"
+            )
+        return cls(rotation, m[..., :3, 3])
 
     @classmethod
     def from_rotvec(
@@ -109,10 +138,9 @@ class RigidTransform:
     def perturb(self, delta: ArrayLike) -> RigidTransform:
         """The neighbour at `delta` = (dx dy dz mm, rotation vector rad), both in the target frame.
 
-        This is the chart every 6x6 covariance of this project is written in (docs/conventions.md):
-        the
-        translation moves by `delta[:3]`, and the rotation is multiplied on the left by
-        exp(`delta[3:]`).
+        This is the chart every 6x6 covariance of this project is written in
+        (docs/conventions.md): the translation moves by `delta[:3]`, and the rotation is multiplied
+        on the left by exp(`delta[3:]`).
         """
         d = floats("delta", delta, "...", 6)
         turn = Rotation.from_rotvec(d[..., 3:]).as_matrix()

@@ -28,16 +28,19 @@ class Ball:
         object.__setattr__(
             self, "center_mm", floats(f"ball {self.name}: center_mm", self.center_mm, 3)
         )
-        if not self.radius_mm > 0:
+        if not np.isfinite(self.center_mm).all():
+            raise ValueError(f"ball {self.name}: center_mm must be finite, got {self.center_mm}")
+        if not 0 < self.radius_mm < np.inf:
             raise ValueError(f"ball {self.name}: radius_mm must be positive, got {self.radius_mm}")
 
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """At least three balls, not on one line.
+    """At least three balls, each with a name of its own, not on one line.
 
     Raises:
         DegenerateGeometryError: fewer than three balls, or collinear ones.
+        ValueError: two balls have one name.
     """
 
     name: str
@@ -48,6 +51,9 @@ class Body:
             raise DegenerateGeometryError(
                 f"body '{self.name}' has {len(self.balls)} balls: a pose needs at least 3"
             )
+        if twice := {name for name in self.names if self.names.count(name) > 1}:
+            names = " and ".join(f"'{name}'" for name in sorted(twice))
+            raise ValueError(f"body '{self.name}': more than one ball is called {names}")
         spread = np.linalg.svd(self.centers - self.centers.mean(axis=0), compute_uv=False)
         if spread[1] < MIN_BREADTH_RATIO * spread[0]:
             raise DegenerateGeometryError(

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from measure.arrays import Bools, Floats, floats
-from measure.geometry import Rays, RigidTransform, UncertainTransform, skew
-from measure.model.distortion import bend, distort, undistort
+from measure.geometry import Cone, Rays, RigidTransform, UncertainTransform, skew, tangent_cone
+from measure.model.distortion import bend, distort, fold_radius, undistort
 
 MIN_DEPTH_MM = 1e-6
 """Points nearer to the camera's plane than this, or behind it, have no image."""
@@ -48,12 +48,26 @@ class Intrinsics:
         """Mean focal length in px."""
         return float((self.matrix[0, 0] + self.matrix[1, 1]) / 2)
 
+    @cached_property
+    def reach(self) -> float:
+        """Ideal (undistorted, normalised) radius beyond which the lens model folds back."""
+        return fold_radius(self.distortion)
+
     def project(self, points_camera: ArrayLike) -> Floats:
-        """Pixels (n, 2) of points (n, 3) in the camera frame; NaN for points not in front of it."""
-        p = floats("points_camera", points_camera, "n", 3)
-        depth = np.where(p[:, 2] > MIN_DEPTH_MM, p[:, 2], np.nan)
-        bent, _ = bend(p[:, :2] / depth[:, None], self.distortion)
+        """Pixels (n, 2) of points (n, 3) in the camera frame.
+
+        NaN for points not in front of it, or so far aside that the lens model folds.
+        """
+        ideal, _ = self._ideal(floats("points_camera", points_camera, "n", 3))
+        bent, _ = bend(ideal, self.distortion)
         return bent @ self.matrix[:2, :2].T + self.matrix[:2, 2]
+
+    def _ideal(self, p: Floats) -> tuple[Floats, Floats]:
+        """Undistorted normalised points (n, 2) and depths (n,); NaN where there is no image."""
+        depth = np.where(p[:, 2] > MIN_DEPTH_MM, p[:, 2], np.nan)
+        ideal = p[:, :2] / depth[:, None]
+        seen = np.sum(ideal**2, axis=1, keepdims=True) < self.reach**2
+        return np.where(seen, ideal, np.nan), depth
 
     def project_with_jacobians(self, points_camera: ArrayLike) -> tuple[Floats, Floats, Floats]:
         """Project, with analytic derivatives.
@@ -66,8 +80,7 @@ class Intrinsics:
             distortion coefficients (n, 2, 12).
         """
         p = floats("points_camera", points_camera, "n", 3)
-        depth = np.where(p[:, 2] > MIN_DEPTH_MM, p[:, 2], np.nan)
-        ideal = p[:, :2] / depth[:, None]
+        ideal, depth = self._ideal(p)
         bent, by_ideal, by_coefficient = distort(ideal, self.distortion)
         affine, centre = self.matrix[:2, :2], self.matrix[:2, 2]
         ideal_by_point = np.zeros((len(p), 2, 3))
@@ -87,9 +100,13 @@ class Intrinsics:
         uv = floats("pixels", pixels, "n", 2)
         affine = np.linalg.inv(self.matrix[:2, :2])
         bent: Floats = (uv - self.matrix[:2, 2]) @ affine.T
-        ideal = undistort(bent, self.distortion)
+        ideal = undistort(bent, self.distortion, self.reach)
         rays = np.column_stack([ideal, np.ones(len(ideal))])
         return rays / np.linalg.norm(rays, axis=1, keepdims=True)
+
+    def outline(self, cone: Cone, count: int = 72) -> Floats:
+        """The outline of a sphere, distortion and all: `count` pixels (count, 2) around it."""
+        return self.project(cone.bearings(np.arange(count) * (2 * np.pi / count)))
 
     def contains(self, pixels: Floats, margin_px: float = 0.0) -> Bools:
         """Which pixels (n, 2) lie in the image, at least `margin_px` from its border."""
@@ -140,7 +157,7 @@ class Camera:
         return UncertainTransform(self.world_from_camera, self.pose_covariance)
 
     def project(self, points_world: ArrayLike) -> Floats:
-        """Pixels (n, 2) of world points (n, 3); NaN for points not in front of the camera."""
+        """Pixels (n, 2) of world points (n, 3); NaN for points without an image."""
         return self.intrinsics.project(
             self.camera_from_world.apply(floats("points_world", points_world, "n", 3))
         )
@@ -151,9 +168,8 @@ class Camera:
         """Project, with analytic derivatives.
 
         Returns:
-            Pixels (n, 2); Jacobians by the world point (n, 2, 3), by the pose's `perturb` chart (n,
-            2, 6), and
-            by the intrinsics (n, 2, 12).
+            Pixels (n, 2); Jacobians by the world point (n, 2, 3), by the pose's `perturb` chart
+            (n, 2, 6), and by the intrinsics (n, 2, 12).
         """
         world = floats("points_world", points_world, "n", 3)
         pixels, by_camera, by_intrinsics = self.intrinsics.project_with_jacobians(
@@ -168,3 +184,12 @@ class Camera:
         """World rays of pixels (n, 2)."""
         directions = self.world_from_camera.rotate(self.intrinsics.unproject(pixels))
         return Rays(np.broadcast_to(self.center, directions.shape), directions)
+
+    def outline(self, center_world: ArrayLike, radius_mm: float, count: int = 72) -> Floats:
+        """The outline (count, 2) in px of a sphere in the world; NaN where it has no image.
+
+        Raises:
+            DegenerateGeometryError: the camera is inside the sphere.
+        """
+        center = self.camera_from_world.apply(floats("center_world", center_world, 3))
+        return self.intrinsics.outline(tangent_cone(center, radius_mm), count)

@@ -14,6 +14,8 @@ from measure.arrays import Bools, Bytes, Floats, floats
 ColorSpace = Literal["hsv", "lab"]
 _TO_SPACE = {"hsv": cv2.COLOR_BGR2HSV, "lab": cv2.COLOR_BGR2LAB}
 _HUE_PERIOD = 180
+_LEAST_SATURATION = 45
+"""Samples whose median saturation (of 255) is lower have no hue worth learning."""
 
 
 @dataclass(frozen=True)
@@ -77,22 +79,40 @@ class BallColor:
     def from_samples(cls, bgr: ArrayLike, hue_margin: int = 6, level_margin: int = 30) -> BallColor:
         """Learn a range from BGR samples (n, 3), 0-255, taken under the light of the recording.
 
-        The hue's range is the shortest arc that holds the central 90 % of the samples by saturation
-        weight,
-        widened by `hue_margin`; saturation and value run from the samples' 5 % quantile less
-        `level_margin` up.
+        The hue's range is the shortest arc that holds the central 90 % of the samples by
+        saturation weight, widened by `hue_margin`; saturation and value run from the samples' 5 %
+        quantile less `level_margin` up. Samples without colour (white, grey, black) are told by
+        their brightness instead.
+
+        Raises:
+            ValueError: there are no samples.
         """
         samples = np.clip(floats("bgr", bgr, "n", 3), 0, 255).astype(np.uint8)[:, None, :]
+        if not len(samples):
+            raise ValueError("there are no colour samples")
         hsv = np.asarray(cv2.cvtColor(samples, cv2.COLOR_BGR2HSV), dtype=np.float64)[:, 0, :]
-        low_hue, high_hue = _hue_arc(hsv[:, 0], hsv[:, 1] * hsv[:, 2])
-        saturation, value = np.quantile(hsv[:, 1:], 0.05, axis=0) - level_margin
-        low = (
-            int(low_hue - hue_margin) % _HUE_PERIOD,
-            max(int(saturation), 25),
-            max(int(value), 20),
-        )
-        high = (int(high_hue + hue_margin) % _HUE_PERIOD, 255, 255)
-        return cls("samples", (ColorRange("hsv", low, high),))
+        learn = _colored_range if np.median(hsv[:, 1]) >= _LEAST_SATURATION else _colorless_range
+        return cls("samples", (learn(hsv, hue_margin, level_margin),))
+
+
+def _colored_range(hsv: Floats, hue_margin: int, level_margin: int) -> ColorRange:
+    first, last = _hue_arc(hsv[:, 0], hsv[:, 1] * hsv[:, 2])
+    first, last = np.floor(first - hue_margin), np.ceil(last + hue_margin)
+    if last - first >= _HUE_PERIOD - 1:
+        hues = (0, _HUE_PERIOD - 1)
+    else:
+        hues = (int(first) % _HUE_PERIOD, int(last) % _HUE_PERIOD)
+    saturation, value = np.quantile(hsv[:, 1:], 0.05, axis=0) - level_margin
+    low = (hues[0], max(int(saturation), 25), max(int(value), 20))
+    return ColorRange("hsv", low, (hues[1], 255, 255))
+
+
+def _colorless_range(hsv: Floats, _hue_margin: int, level_margin: int) -> ColorRange:
+    saturation = int(np.quantile(hsv[:, 1], 0.95)) + level_margin
+    darkest, brightest = np.quantile(hsv[:, 2], [0.05, 0.95])
+    low = (0, 0, max(int(darkest) - level_margin, 0))
+    high = (_HUE_PERIOD - 1, min(saturation, 255), min(int(brightest) + level_margin, 255))
+    return ColorRange("hsv", low, high)
 
 
 def _hue_arc(hues: Floats, weights: Floats) -> tuple[float, float]:

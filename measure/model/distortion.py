@@ -1,8 +1,8 @@
 """OpenCV's rational radial + tangential lens distortion, with its Jacobians, and its inverse.
 
 Normalised image coordinates x = (X/Z, Y/Z); coefficients in OpenCV's order k1 k2 p1 p2 k3 k4 k5 k6
-(Brown 1966;
-OpenCV calib3d, "Detailed description").
+(Brown 1966; OpenCV calib3d, "Detailed description"). Beyond some radius the polynomial folds the
+plane back over the image: points there have no image, and nothing was calibrated there.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ def distort(points: Floats, coefficients: Floats) -> tuple[Floats, Floats, Float
         coefficients: (8,) k1 k2 p1 p2 k3 k4 k5 k6, or (8, n) to give each point its own.
 
     Returns:
-        Distorted points (n, 2), their Jacobian by the points (n, 2, 2), and by the coefficients (n,
-        2, 8).
+        Distorted points (n, 2), their Jacobian by the points (n, 2, 2), and by the coefficients
+        (n, 2, 8).
     """
     out, by_point = bend(points, coefficients)
     k4, k5, k6 = coefficients[5:]
@@ -66,12 +66,29 @@ def bend(points: Floats, coefficients: Floats) -> tuple[Floats, Floats]:
     return out, by_point
 
 
-def undistort(points: Floats, coefficients: Floats) -> Floats:
+def fold_radius(coefficients: Floats) -> float:
+    """The ideal radius up to which the radial distortion grows; infinite if it always does.
+
+    With s = r^2 the distorted radius is r A(s) / B(s); it turns back where its derivative's
+    numerator A B + 2 s (A' B - A B') or the denominator B vanishes.
+    """
+    k1, k2, _, _, k3, k4, k5, k6 = coefficients
+    above, below = np.poly1d([k3, k2, k1, 1.0]), np.poly1d([k6, k5, k4, 1.0])
+    twice_s = np.poly1d([2.0, 0.0])
+    slope = above * below + twice_s * (above.deriv() * below - above * below.deriv())
+    # Both are 1 at s = 0. In t = 1 / s they start with 1 and stay tame if coefficients vanish.
+    roots = np.concatenate([np.roots(p.coeffs[::-1]) for p in (slope, below)])
+    real = roots.real[(np.abs(roots.imag) < 1e-9 * np.abs(roots)) & (roots.real > 0)]
+    return float(1 / np.sqrt(real.max())) if real.size else float("inf")
+
+
+def undistort(points: Floats, coefficients: Floats, reach: float | Floats = np.inf) -> Floats:
     """Invert `distort` by Newton's method.
 
     Args:
         points: (n, 2) distorted normalised coordinates.
-        coefficients: (8,).
+        coefficients: (8,), or (8, n) for a lens of its own for each point.
+        reach: the ideal radius up to which there is an inverse, `fold_radius(coefficients)`.
 
     Returns:
         (n, 2) ideal coordinates; NaN where the model has no inverse (far outside the calibrated
@@ -97,6 +114,7 @@ def undistort(points: Floats, coefficients: Floats) -> Floats:
             ideal = ideal + step
             if not np.any(np.abs(step) > _NEWTON_TOLERANCE):
                 break
-        failed = ~(np.max(np.abs(step), axis=1) < 1e-9) | ~(determinant > 0)
+        beyond = ~(np.sum(ideal**2, axis=1) < reach**2)
+        failed = ~(np.max(np.abs(step), axis=1) < 1e-9) | ~(determinant > 0) | beyond
     ideal[failed] = np.nan
     return ideal

@@ -23,6 +23,7 @@ class Rig:
         affine: (n, 2, 2) upper left parts of the camera matrices, px.
         principal: (n, 2) principal points, px.
         distortion: (8, n) coefficients, one column per camera.
+        reach: (n,) ideal radii beyond which the lens models fold back.
         rotation: (n, 3, 3) world_from_camera rotations.
         centers: (n, 3) projection centres in the world, mm.
     """
@@ -31,6 +32,7 @@ class Rig:
     affine: Floats
     principal: Floats
     distortion: Floats
+    reach: Floats
     rotation: Floats
     centers: Floats
 
@@ -43,6 +45,7 @@ class Rig:
             matrices[:, :2, :2],
             matrices[:, :2, 2],
             np.stack([camera.intrinsics.distortion for camera in cameras], axis=1),
+            np.array([camera.intrinsics.reach for camera in cameras]),
             np.stack([camera.world_from_camera.rotation for camera in cameras]),
             np.stack([camera.center for camera in cameras]),
         )
@@ -58,6 +61,7 @@ class Rig:
             self.affine[index],
             self.principal[index],
             self.distortion[:, index],
+            self.reach[index],
             self.rotation[index],
             self.centers[index],
         )
@@ -69,12 +73,14 @@ class Rig:
             points_world: (n, 3) in mm, or one point (3,) for all cameras.
 
         Returns:
-            Pixels (n, 2) and their Jacobians by the world point (n, 2, 3); NaN behind the camera.
+            Pixels (n, 2) and their Jacobians by the world point (n, 2, 3); NaN for
+            points without an image.
         """
         from_center = np.broadcast_to(points_world, (len(self), 3)) - self.centers
         p = np.einsum("nji,nj->ni", self.rotation, from_center)
         depth = np.where(p[:, 2] > MIN_DEPTH_MM, p[:, 2], np.nan)
         ideal = p[:, :2] / depth[:, None]
+        ideal[np.sum(ideal**2, axis=1) >= self.reach**2] = np.nan
         bent, by_ideal = bend(ideal, self.distortion)
         ideal_by_point = np.zeros((len(self), 2, 3))
         ideal_by_point[:, 0, 0] = ideal_by_point[:, 1, 1] = 1 / depth
@@ -87,6 +93,6 @@ class Rig:
         """World rays of pixel i (n, 2) in camera i; NaN where the lens has no inverse."""
         centred = (pixels - self.principal)[:, :, None]
         bent: Floats = (np.linalg.inv(self.affine) @ centred)[:, :, 0]
-        ideal = undistort(bent, self.distortion)
+        ideal = undistort(bent, self.distortion, self.reach)
         bearings = np.column_stack([ideal, np.ones(len(ideal))])
         return Rays(self.centers, np.einsum("nij,nj->ni", self.rotation, bearings))
