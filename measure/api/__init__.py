@@ -5,5 +5,15 @@ One file an action. Heavy libraries load when an action is called, not with this
 
 from measure.api.measuring import measure_session
 from measure.api.profiles import build_pipeline, choose, load_profile, profile_names
+from measure.api.run import RunOptions, parse_images, run
 
-__all__ = ["build_pipeline", "choose", "load_profile", "measure_session", "profile_names"]
+__all__ = [
+    "RunOptions",
+    "build_pipeline",
+    "choose",
+    "load_profile",
+    "measure_session",
+    "parse_images",
+    "profile_names",
+    "run",
+]

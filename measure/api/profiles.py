@@ -85,6 +85,17 @@ def _parse_value(text: str) -> Any:
         return text
 
 
+def find_tracker(name: str) -> type[Any]:
+    """The way of tracking called `name`.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    if name not in TRACKERS:
+        raise ConfigError(f"no tracking is called '{name}'; there is {', '.join(sorted(TRACKERS))}")
+    return TRACKERS[name]
+
+
 def build_pipeline(
     profile: Profile, registry: Registry, body: Body, cameras: Sequence[Camera]
 ) -> Pipeline:
@@ -95,11 +106,7 @@ def build_pipeline(
         ConfigError: settings that do not fit.
     """
     settings = profile.settings
-    if profile.tracking not in TRACKERS:
-        raise ConfigError(
-            f"no tracking is called '{profile.tracking}'; there is {', '.join(sorted(TRACKERS))}"
-        )
-    tracker = TRACKERS[profile.tracking]
+    tracker = find_tracker(profile.tracking)
     tracking = read_settings(
         tracker.Config, settings.get("tracking", {}), f"tracking '{profile.tracking}'"
     )

@@ -43,6 +43,23 @@ class Summary:
     suspended: dict[str, int]
     reasons: dict[str, int]
 
+    def sentence(self) -> str:
+        """The run in one sentence; never more than the data say."""
+        parts = [f"{self.ok} of {self.frame_sets} frame sets measured"]
+        for count, what in (
+            (self.flagged, "with a pose to doubt"),
+            (self.lost, "without a pose"),
+            (self.skipped, "skipped"),
+        ):
+            parts += [f"{count} {what}"] if count else []
+        text = ", ".join(parts)
+        if math.isnan(self.position_sd_mm):
+            return f"{text}; no position is known"
+        return (
+            f"{text}; position known to {self.position_sd_mm:.2g} mm, rotation to "
+            f"{self.rotation_sd_deg:.2g} deg (median standard deviation)"
+        )
+
     def values(self) -> dict[str, Any]:
         """As written: NaN becomes null."""
         return {

@@ -1,0 +1,173 @@
+"""Measuring a session into a run folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self, get_args
+
+from measure.api.measuring import measure_session
+from measure.api.profiles import find_tracker
+from measure.errors import ConfigError, MeasureError
+from measure.geometry import RigidTransform
+from measure.host import Registry
+from measure.host.settings import read_settings
+from measure.measuring import Profile
+from measure.measuring.profile import Stage
+from measure.results import Provenance, RunWriter, Summary, digest, digest_folder
+from measure.session import Session, open_session
+
+Report = Callable[[int, int | None], None]
+"""Told how many frame sets are done, and of how many."""
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """How a run is written.
+
+    Attributes:
+        image_every: pictures of every n-th frame set go into `run.rrd`; 0 for none.
+        recording: whether to write `run.rrd` at all.
+        resume: go on where an earlier run of the same ended.
+        overwrite: throw an earlier run away.
+        calibration: a calibration file to use instead of the session's own.
+        body: a body file to use instead of the session's own.
+    """
+
+    image_every: int = 0
+    recording: bool = True
+    resume: bool = False
+    overwrite: bool = False
+    calibration: Path | None = None
+    body: Path | None = None
+
+
+def parse_images(text: str) -> int:
+    """Read none, all or a number N as `RunOptions.image_every`.
+
+    Raises:
+        ConfigError: anything else.
+    """
+    known = {"none": 0, "all": 1}
+    if text in known:
+        return known[text]
+    if text.isdecimal() and int(text) > 0:
+        return int(text)
+    raise ConfigError(f"--images {text}: expected none, all, or a number N for every N-th set")
+
+
+def run(
+    session_path: Path,
+    out: Path,
+    profile: Profile,
+    registry: Registry,
+    options: RunOptions | None = None,
+    report: Report | None = None,
+) -> Summary:
+    """Measure a session; every frame set becomes a row of the run, with or without a pose.
+
+    Args:
+        session_path: the session's folder, which is only read.
+        out: the run's folder.
+        profile: the stages and their settings.
+        registry: where the plugins come from.
+        options: how the run is written.
+        report: told about progress.
+
+    Raises:
+        MeasureError: whatever is wrong with the session, calibration, plugins or settings; what was
+            measured before it was met is kept.
+    """
+    options = options or RunOptions()
+    with ExitStack() as stack:
+        session = stack.enter_context(open_session(session_path, options.calibration, options.body))
+        total = len(session.pair().times_s)
+        made_from = provenance(session, profile, registry)
+        writer = stack.enter_context(
+            RunWriter(
+                out, made_from, session.body, session.cameras, options.resume, options.overwrite
+            )
+        )
+        measured = measure_session(session, profile, registry, start=writer.next_index)
+        log = stack.enter_context(_Recording(session, out, options)) if options.recording else None
+        for frame_set, measurement in measured:
+            writer.append(measurement)
+            if log is not None:
+                log.add(measurement, frame_set)
+            if report is not None:
+                report(measurement.index + 1, total)
+        return writer.finish()
+
+
+def provenance(session: Session, profile: Profile, registry: Registry) -> Provenance:
+    """Everything a run of this session with this profile is made from."""
+    body = session.body
+    described = [f"{ball!r}" for ball in body.balls]
+    plugins = {}
+    for stage in ("detector", "triangulator", "solver"):
+        loaded = registry.find(stage, getattr(profile, stage))
+        plugins[stage] = f"{loaded.name} of {loaded.distribution}"
+    return Provenance(
+        session=str(session.path.resolve()),
+        session_digest=digest_folder(session.path),
+        calibration=str(session.calibration_path.resolve()),
+        calibration_digest=digest([session.calibration_path.read_bytes()]),
+        body_digest=digest([text.encode() for text in described]),
+        profile=resolved(profile, registry),
+        plugins=plugins,
+    )
+
+
+def resolved(profile: Profile, registry: Registry) -> Mapping[str, Any]:
+    """A profile with the defaults of all its settings written out."""
+    settings = {}
+    for stage in get_args(Stage):
+        name = getattr(profile, stage)
+        if stage == "tracking":
+            config = find_tracker(name).Config
+        else:
+            config = registry.find(stage, name).plugin.Config
+        values = read_settings(config, profile.settings.get(stage, {}), f"{stage} '{name}'")
+        settings[stage] = values.model_dump(mode="json")
+    return profile.model_dump(exclude={"settings"}) | {"settings": settings}
+
+
+class _Recording:
+    """`run.rrd`, with the error against truth where the session has one."""
+
+    def __init__(self, session: Session, out: Path, options: RunOptions) -> None:
+        from measure.viewing.recording import RunRecording, recording_to_file
+
+        names = [camera.name for camera in session.cameras]
+        stream = recording_to_file(out / "run.rrd", session.name, names)
+        self._log = RunRecording(stream, session.body, session.cameras, options.image_every)
+        self._truth = _truth(session)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._log.close()
+
+    def add(self, measurement: Any, frame_set: Any) -> None:
+        self._log.add(measurement, frame_set, self._truth(measurement.time_s))
+
+
+def _truth(session: Session) -> Callable[[float], RigidTransform | None]:
+    """The true pose at a time, None where it is unknown; truth never stops a measurement."""
+    if session.truth_path is None:
+        return lambda _: None
+    try:
+        from measure.session import read_trajectory
+
+        trajectory = read_trajectory(session.truth_path)
+    except MeasureError:
+        return lambda _: None
+
+    def at(time_s: float) -> RigidTransform | None:
+        inside = trajectory.times_s[0] <= time_s <= trajectory.times_s[-1]
+        return trajectory.at(time_s) if inside else None
+
+    return at
