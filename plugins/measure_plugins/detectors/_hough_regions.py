@@ -1,0 +1,77 @@
+"""Which parts of a picture are worth searching: windows, and regions around colour segments."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from measure.arrays import Bytes, Floats, Ints
+
+_STRIDE = 4
+"""Segments are blurred shapes of many pixels: looking at every fourth one finds them all."""
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """A part of a picture: where it starts (x, y), and its pixels."""
+
+    origin: tuple[int, int]
+    bgr: Bytes
+
+
+Region = tuple[slice, slice]
+"""Rows and columns of a window."""
+
+
+def cut(bgr: Bytes, low: Floats, high: Floats) -> Window | None:
+    """The part of a picture between two corners (x, y); None if nothing of it is left."""
+    size = np.array([bgr.shape[1], bgr.shape[0]])
+    x0, y0 = np.clip(np.floor(low), 0, size).astype(int)
+    x1, y1 = np.clip(np.ceil(high) + 1, 0, size).astype(int)
+    if x1 - x0 < 3 or y1 - y0 < 3:
+        return None
+    return Window((int(x0), int(y0)), np.ascontiguousarray(bgr[y0:y1, x0:x1]))
+
+
+def regions(segments: Bytes, smallest_px: float, margin_px: float) -> list[Region]:
+    """Boxes that hold all segments of at least `smallest_px` extent, none overlapping another.
+
+    Args:
+        segments: (h, w), not zero inside segments.
+        smallest_px: segments that extend less in both directions cannot be a ball.
+        margin_px: room left around a segment for the centre of a partly hidden ball.
+    """
+    height, width = segments.shape
+    _, _, stats, _ = cv2.connectedComponentsWithStats(
+        np.ascontiguousarray(segments[::_STRIDE, ::_STRIDE])
+    )
+    box = np.asarray(stats, dtype=np.int64)[1:, :4] * _STRIDE
+    box = box[np.max(box[:, 2:], axis=1) >= smallest_px]
+    margin = int(np.ceil(margin_px)) + _STRIDE
+    low = np.maximum(box[:, :2] - margin, 0)
+    high = np.minimum(box[:, :2] + box[:, 2:] + margin, [width, height])
+    return [
+        (slice(int(y0), int(y1)), slice(int(x0), int(x1)))
+        for x0, y0, x1, y1 in _merged(np.concatenate([low, high], axis=1))
+    ]
+
+
+def _merged(boxes: Ints) -> Ints:
+    """Boxes (n, 4) x0 y0 x1 y1 with every two that overlap replaced by the box around both."""
+    out: list[Ints] = []
+    for box in boxes:
+        grown = True
+        while grown:
+            grown = False
+            for other in out:
+                if np.all(box[:2] < other[2:]) and np.all(other[:2] < box[2:]):
+                    out = [kept for kept in out if kept is not other]
+                    box = np.concatenate(
+                        [np.minimum(box[:2], other[:2]), np.maximum(box[2:], other[2:])]
+                    )
+                    grown = True
+                    break
+        out.append(box)
+    return np.array(out, dtype=np.int64).reshape(-1, 4)

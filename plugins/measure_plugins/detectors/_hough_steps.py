@@ -1,0 +1,111 @@
+"""The single steps of the paper's figure "Circle detection method", on one window."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from measure.arrays import Bytes, Floats
+
+
+def gray_edges(bgr: Bytes, sigma_px: float, threshold: float) -> Bytes:
+    """Steps 1 to 3: gray, Gaussian blur, Canny.
+
+    Args:
+        bgr: pixels (h, w, 3).
+        sigma_px: blur.
+        threshold: Canny's upper threshold; the lower one is half of it.
+
+    Returns:
+        (h, w), 255 on edges.
+    """
+    gray = cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY)
+    blurred = cv2.GaussianBlur(gray, (0, 0), sigma_px)
+    return np.asarray(cv2.Canny(blurred, threshold / 2, threshold), dtype=np.uint8)
+
+
+def enlarge(channel: Bytes, sigma_px: float, level: float) -> Bytes:
+    """Step 5: blur a colour channel and binarise it, which enlarges its segments.
+
+    Args:
+        channel: (h, w), 255 where the colour matches (step 4).
+        sigma_px: blur, 10 % of the radius.
+        level: share of 255 from which a blurred pixel counts; below one half the segments grow.
+
+    Returns:
+        (h, w), 1 inside the enlarged segments, else 0.
+    """
+    height, width = channel.shape
+    # A wide blur needs no fine grid: shrink until sigma is two or three pixels.
+    shrink = max(int(sigma_px / 2), 1)
+    small = cv2.resize(
+        channel,
+        (-(-width // shrink), -(-height // shrink)),
+        interpolation=cv2.INTER_AREA,
+    )
+    # As float32: OpenCV's exact 8-bit Gaussian is eight times slower.
+    blurred = cv2.GaussianBlur(small.astype(np.float32), (0, 0), sigma_px / shrink)
+    segments = np.asarray(blurred > 255.0 * level, dtype=np.uint8)
+    if shrink == 1:
+        return segments
+    return np.asarray(
+        cv2.resize(segments, (width, height), interpolation=cv2.INTER_NEAREST), dtype=np.uint8
+    )
+
+
+def refine_border(edges: Bytes, segments: Bytes) -> Bytes:
+    """Step 6: the element-wise product, edges (h, w) of step 3 inside segments (h, w) of step 5."""
+    return np.asarray(edges * segments, dtype=np.uint8)
+
+
+def hough_circles(
+    edges: Bytes,
+    threshold: int,
+    radius_px: tuple[float, float],
+    min_distance_px: float,
+    dp: float,
+    param1: float,
+) -> Floats:
+    """Step 7: OpenCV's gradient Hough transform.
+
+    Args:
+        edges: (h, w) of step 6.
+        threshold: `param2`, votes a centre needs.
+        radius_px: smallest and largest radius.
+        min_distance_px: least distance between centres.
+        dp: inverse resolution of the accumulator.
+        param1: upper threshold of the Canny step inside OpenCV.
+
+    Returns:
+        (n, 3) x, y, radius in px, the best supported first.
+    """
+    found = cv2.HoughCircles(
+        edges,
+        cv2.HOUGH_GRADIENT,
+        dp,
+        max(min_distance_px, 1.0),
+        param1=param1,
+        param2=threshold,
+        minRadius=max(int(np.floor(radius_px[0])), 1),
+        maxRadius=max(int(np.ceil(radius_px[1])), 2),
+    )
+    if found is None:
+        return np.zeros((0, 3))
+    return np.asarray(found, dtype=np.float64).reshape(-1, 3)
+
+
+def color_share(channel: Bytes, circle: Floats, samples: int, ring: tuple[float, float]) -> float:
+    """Step 8: the share of sample points near and inside the border that have the colour.
+
+    Args:
+        channel: (h, w), 255 where the colour matches.
+        circle: (3,) x, y, radius in px.
+        samples: number of directions; each is sampled at both ends of the ring.
+        ring: inner and outer end, as shares of the radius. Points outside the picture do not match.
+    """
+    angles = np.arange(samples) * (2 * np.pi / samples)
+    around = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    points = np.concatenate([circle[:2] + circle[2] * reach * around for reach in ring])
+    x, y = np.rint(points).astype(np.int64).T
+    inside = (x >= 0) & (x < channel.shape[1]) & (y >= 0) & (y < channel.shape[0])
+    return float(np.count_nonzero(channel[y[inside], x[inside]]) / len(points))

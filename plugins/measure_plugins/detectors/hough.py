@@ -1,0 +1,245 @@
+"""The paper's circle detector: Canny edges inside colour segments, Hough, colour check.
+
+Peng, Yang, Su, Hannaford (ICRA 2020), section II.C "Auto Hough Circle Detection" and its figure.
+The paper's weaknesses are kept: the outline is taken for a circle whose centre is the image of the
+ball's centre, and centres fall on whole pixels of the accumulator.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import combinations
+
+import numpy as np
+
+from measure.arrays import Bytes, Floats
+from measure.errors import ConfigError
+from measure.host import Detector, Settings, hookimpl, setting
+from measure.model import Ball, Body, Camera, Detection, Expectation, Image
+from measure_plugins.detectors import _hough_steps as steps
+from measure_plugins.detectors._hough_bisection import Find, tune_blur
+from measure_plugins.detectors._hough_regions import Window, cut, regions
+from measure_plugins.detectors._hough_search import Search, finder
+
+_SAME_COLOR_SHARE = 0.5
+"""Two colours of which one covers this share of the other cannot be told apart."""
+
+_FIRST_THRESHOLD = 64
+"""Votes at which the bisection starts in a whole frame, where low thresholds are slow to try."""
+
+
+class HoughSettings(Settings):
+    """Settings of `hough`."""
+
+    blur_sigma_px: float = setting(
+        1.5, "Gaussian blur of the gray image before Canny", unit="px", gt=0
+    )
+    blur_sigma_max_px: float = setting(
+        3.0, "largest tolerable blur; beyond it the search gives up", unit="px", gt=0
+    )
+    blur_sigma_step_px: float = setting(
+        0.75, "how much the blur is raised when the circle count jumps", unit="px", gt=0
+    )
+    edge_threshold: float = setting(
+        40.0, "upper threshold of Canny on the gray image; the lower one is half of it", gt=0
+    )
+    channel_blur_percent: float = setting(
+        10.0, "Gaussian blur of a colour channel, as a share of the radius", unit="%", gt=0
+    )
+    channel_level_percent: float = setting(
+        15.0, "level of the binarisation; lower enlarges the segments more", unit="%", gt=0, lt=100
+    )
+    dp: float = setting(1.0, "inverse resolution of the Hough accumulator", gt=0)
+    param1: float = setting(100.0, "upper Canny threshold inside the Hough transform", gt=0)
+    lowest_threshold: int = setting(
+        6, "lowest accumulator threshold (param2) the bisection may reach", unit="votes", ge=1
+    )
+    circles: int = setting(
+        1, "circles expected per colour when the whole frame is searched", ge=1, le=20
+    )
+    min_distance_radii: float = setting(
+        1.0, "least distance of two centres in a search of the whole frame, in radii", gt=0
+    )
+    nearest_mm: float = setting(
+        250.0, "least distance of a ball from the camera in a whole-frame search", unit="mm", gt=0
+    )
+    farthest_mm: float = setting(
+        900.0, "largest distance of a ball from the camera in a whole-frame search", unit="mm", gt=0
+    )
+    color_percent: float = setting(
+        25.0, "share of samples near the border that must have the colour", unit="%", ge=0, le=100
+    )
+    color_samples: int = setting(72, "directions sampled for the colour check", ge=8)
+    center_sd_px: float = setting(
+        1.0, "standard deviation of a fully visible circle's centre, per axis", unit="px", gt=0
+    )
+
+
+class HoughDetector(Detector):
+    """Hough circles with automatic threshold, one colour at a time.
+
+    A circle that fails the colour check is returned with `score` 0 and its `color_match` for an
+    expected ball, so that tracking can say why; for a searched ball it is dropped.
+
+    Raises:
+        ConfigError: two balls of the body have one colour.
+    """
+
+    name = "hough"
+    Config = HoughSettings
+    config: HoughSettings
+
+    def __init__(self, config: HoughSettings, body: Body, camera: Camera) -> None:
+        super().__init__(config, body, camera)
+        _refuse_one_color(body)
+        if config.nearest_mm >= config.farthest_mm:
+            raise ConfigError(
+                f"detector 'hough': nearest_mm ({config.nearest_mm:g}) must be less than "
+                f"farthest_mm ({config.farthest_mm:g})"
+            )
+
+    def detect(self, image: Image, expected: Sequence[Expectation]) -> list[Detection]:
+        """Find each ball in its window, or all over the picture; see `Detector.detect`."""
+        by_ball = {expectation.ball: expectation for expectation in expected}
+        whole = Window((0, 0), image.pixels)
+        edges = _remembering(lambda sigma: self._edges(whole, sigma))
+        found = []
+        for ball in self.body.balls:
+            expectation = by_ball.get(ball.name)
+            if expectation is None:
+                found += self._searched(ball, image, whole, edges)
+            else:
+                found += self._expected(ball, image, expectation)
+        return found
+
+    def _expected(self, ball: Ball, image: Image, expectation: Expectation) -> list[Detection]:
+        reach = expectation.reach_px + 1.1 * expectation.radius_px[1]
+        window = cut(image.pixels, expectation.center_px - reach, expectation.center_px + reach)
+        if window is None:
+            return []
+        search = Search(
+            expectation.radius_px,
+            expectation.min_distance_px,
+            circles=1,
+            first_threshold=2 * self.config.lowest_threshold,
+        )
+        channel = ball.color.mask(window.bgr)
+        return self._circles(
+            ball, image, window, channel, search, _remembering(lambda s: self._edges(window, s))
+        )
+
+    def _searched(
+        self, ball: Ball, image: Image, whole: Window, edges: Callable[[float], Bytes]
+    ) -> list[Detection]:
+        radius_px = self._plausible_radii(ball)
+        search = Search(
+            radius_px,
+            self.config.min_distance_radii * radius_px[0],
+            circles=self.config.circles,
+            first_threshold=_FIRST_THRESHOLD,
+        )
+        channel = ball.color.mask(whole.bgr)
+        found = self._circles(ball, image, whole, channel, search, edges)
+        return [detection for detection in found if detection.score > 0]
+
+    def _plausible_radii(self, ball: Ball) -> tuple[float, float]:
+        focal = self.camera.intrinsics.focal_px
+        near = max(self.config.nearest_mm, 1.05 * ball.radius_mm)
+        ranges = np.array([self.config.farthest_mm, near])
+        radii = focal * ball.radius_mm / np.sqrt(ranges**2 - ball.radius_mm**2)
+        return float(radii[0]), float(min(radii[1], max(self.camera.intrinsics.size_wh) / 2))
+
+    def _edges(self, window: Window, sigma_px: float) -> Bytes:
+        return steps.gray_edges(window.bgr, sigma_px, self.config.edge_threshold)
+
+    def _circles(
+        self,
+        ball: Ball,
+        image: Image,
+        window: Window,
+        channel: Bytes,
+        search: Search,
+        edges: Callable[[float], Bytes],
+    ) -> list[Detection]:
+        """Steps 5 to 8 in one window."""
+        config = self.config
+        sigma = config.channel_blur_percent / 100 * float(np.mean(search.radius_px))
+        segments = steps.enlarge(channel, sigma, config.channel_level_percent / 100)
+        parts = regions(segments, search.radius_px[0], search.radius_px[1] / 2)
+        if not parts:
+            return []
+
+        def find_with(sigma_px: float) -> Find:
+            border = steps.refine_border(edges(sigma_px), segments)
+            return finder(border, parts, search, config.dp, config.param1)
+
+        tuned = tune_blur(
+            find_with,
+            self._blurs(),
+            search.circles,
+            lowest=config.lowest_threshold,
+            start=search.first_threshold,
+        )
+        detections = [
+            self._detection(ball, image, window, channel, circle) for circle in tuned.circles
+        ]
+        return sorted(detections, key=lambda detection: -detection.score)
+
+    def _blurs(self) -> list[float]:
+        config = self.config
+        rises = int((config.blur_sigma_max_px - config.blur_sigma_px) / config.blur_sigma_step_px)
+        return [
+            config.blur_sigma_px + rise * config.blur_sigma_step_px
+            for rise in range(max(rises, 0) + 1)
+        ]
+
+    def _detection(
+        self, ball: Ball, image: Image, window: Window, channel: Bytes, circle: Floats
+    ) -> Detection:
+        share = steps.color_share(channel, circle, self.config.color_samples, (0.75, 0.9))
+        # The less of the border is seen, the less the votes hold the centre.
+        sd_px = self.config.center_sd_px / max(share, 0.1)
+        return Detection(
+            ball=ball.name,
+            camera=self.camera.name,
+            time_s=image.time_s,
+            center_px=circle[:2] + np.array(window.origin, dtype=np.float64),
+            radius_px=float(circle[2]),
+            covariance_px=np.eye(2) * sd_px**2,
+            score=share if 100 * share >= self.config.color_percent else 0.0,
+            color_match=share,
+        )
+
+
+@hookimpl
+def measure_detectors() -> list[type[Detector]]:
+    """Register the detector."""
+    return [HoughDetector]
+
+
+def _remembering(compute: Callable[[float], Bytes]) -> Callable[[float], Bytes]:
+    """The same function, computed once per argument."""
+    known: dict[float, Bytes] = {}
+
+    def remembered(sigma_px: float) -> Bytes:
+        if sigma_px not in known:
+            known[sigma_px] = compute(sigma_px)
+        return known[sigma_px]
+
+    return remembered
+
+
+def _refuse_one_color(body: Body) -> None:
+    levels = np.arange(0, 256, 15, dtype=np.uint8)
+    grid = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1).reshape(-1, 1, 3)
+    held = {ball.name: ball.color.mask(grid) > 0 for ball in body.balls}
+    for a, b in combinations(body.names, 2):
+        smaller = min(int(held[a].sum()), int(held[b].sum()))
+        common = int((held[a] & held[b]).sum())
+        same = body.balls[body.index(a)].color == body.balls[body.index(b)].color
+        if same or common > _SAME_COLOR_SHARE * max(smaller, 1):
+            raise ConfigError(
+                f"body '{body.name}': '{a}' and '{b}' are two balls of one colour, which the "
+                "detector 'hough' cannot tell apart; give one another colour, or use "
+                "--profile precise"
+            )
