@@ -2,10 +2,12 @@
 
 from typing import Any
 
+from measure.measuring.tracking.frame_update import FrameUpdate
 from measure.measuring.tracking.memoryless import Memoryless
 from measure.measuring.tracking.tracker import Tracker, Verdict
 
 TRACKERS: dict[str, type[Any]] = {
+    "frame-update": FrameUpdate,
     "memoryless": Memoryless,
 }
 """By the name a profile gives; each is built as (config, body, cameras) and is a `Tracker`."""

@@ -1,0 +1,107 @@
+"""Whether circles of one ball in several cameras can be one ball of the known size."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.errors import DegenerateGeometryError
+from measure.geometry import Rays, midpoints, usable_pairs
+from measure.model import Camera, Detection
+
+_MIN_ANGLE_RAD = np.radians(5.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """A circle with its ray in the world.
+
+    Attributes:
+        detection: the circle.
+        camera: the camera that saw it.
+        origin: (3,) the camera's centre in mm.
+        direction: (3,) unit vector through the circle's centre.
+    """
+
+    detection: Detection
+    camera: Camera
+    origin: Floats
+    direction: Floats
+
+    @classmethod
+    def of(cls, detection: Detection, cameras: Mapping[str, Camera]) -> Sighting:
+        """The sighting of a detection."""
+        camera = cameras[detection.camera]
+        ray = camera.rays(detection.center_px[None])
+        return cls(detection, camera, ray.origins[0], ray.directions[0])
+
+
+@dataclass(frozen=True)
+class Limits:
+    """How well circles must agree.
+
+    Attributes:
+        distance_mm: largest distance of a ray from the ball's centre.
+        radius_share: largest relative error of the circle's radius, given where the ball is.
+    """
+
+    distance_mm: float
+    radius_share: float
+
+
+def locate(sightings: Sequence[Sighting]) -> Floats | None:
+    """The mean (3,) of the midpoints of all pairs of rays; None if they do not determine one."""
+    if len(sightings) < 2:
+        return None
+    rays = Rays(
+        np.stack([sighting.origin for sighting in sightings]),
+        np.stack([sighting.direction for sighting in sightings]),
+    )
+    try:
+        pairs = usable_pairs(rays, _MIN_ANGLE_RAD)
+    except (DegenerateGeometryError, ValueError):
+        return None
+    return midpoints(rays.origins, rays.directions, pairs).mean
+
+
+def apparent_radius_px(camera: Camera, point: Floats, radius_mm: float) -> float:
+    """Outline radius of a ball at `point` (3,) in the world, near the middle of the picture."""
+    distance = max(float(np.linalg.norm(point - camera.center)), 1.01 * radius_mm)
+    return float(camera.intrinsics.focal_px * radius_mm / np.sqrt(distance**2 - radius_mm**2))
+
+
+def misfit(sighting: Sighting, point: Floats, radius_mm: float, limits: Limits) -> float:
+    """How badly a circle disagrees with a ball at `point` (3,): more than 1 is too badly."""
+    offset = point - sighting.origin
+    if offset @ sighting.direction <= 0:
+        return float("inf")
+    distance = float(np.linalg.norm(np.cross(offset, sighting.direction)))
+    expected = apparent_radius_px(sighting.camera, point, radius_mm)
+    radius_error = abs(sighting.detection.radius_px / expected - 1)
+    return max(distance / limits.distance_mm, radius_error / limits.radius_share)
+
+
+def disagreeing(
+    sightings: Sequence[Sighting], radius_mm: float, limits: Limits
+) -> tuple[Sighting, ...]:
+    """The fewest circles to leave out, worst first, until the others agree.
+
+    With two circles nobody can tell which of them is wrong: none is named.
+    """
+    kept, out = list(sightings), []
+    while len(kept) >= 3 and _worst(kept, radius_mm, limits) > 1:
+        rests = [[s for s in kept if s is not one] for one in kept]
+        best = int(np.argmin([_worst(rest, radius_mm, limits) for rest in rests]))
+        out.append(kept[best])
+        kept = rests[best]
+    return tuple(out)
+
+
+def _worst(sightings: Sequence[Sighting], radius_mm: float, limits: Limits) -> float:
+    point = locate(sightings)
+    if point is None:
+        return float("inf")
+    return max(misfit(sighting, point, radius_mm, limits) for sighting in sightings)
