@@ -1,0 +1,1 @@
+"""Sub-pixel outlines of balls: the compiled work behind the `outline` detector."""

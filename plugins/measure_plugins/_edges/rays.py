@@ -1,0 +1,143 @@
+"""Rays across a predicted outline: where they cross it, and what the picture shows along them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from measure.arrays import Bytes, Floats
+from measure_plugins._edges.jit import compiled
+from measure_plugins._edges.lens import to_pixel
+
+FREE, HIDDEN, OUTSIDE = 0, 1, 2
+"""What stands in a ray's way: nothing, a nearer ball, the picture's border."""
+
+_TILT = 1e-4
+"""Angle in rad over which the outline's normal and scale are taken."""
+
+
+@compiled
+def frame_about(axis: Floats) -> Floats:
+    """Rows e1, e2, axis: a right-handed frame about a unit vector (3,)."""
+    out = np.empty((3, 3))
+    k = 0
+    for i in range(1, 3):
+        if abs(axis[i]) < abs(axis[k]):
+            k = i
+    helper = np.zeros(3)
+    helper[k] = 1.0
+    e1 = np.cross(helper, axis)
+    out[0] = e1 / np.sqrt(np.sum(e1 * e1))
+    out[1] = np.cross(axis, out[0])
+    out[2] = axis
+    return out
+
+
+@compiled
+def cast_rays(
+    frame: Floats,
+    half_angle: float,
+    count: int,
+    lens: Floats,
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Evenly spaced rays across the outline of the cone `half_angle` about `frame[2]`.
+
+    Returns:
+        Outline points (n, 2), outward unit normals (n, 2) in px, px per rad along them (n,), and
+        cosine and sine of the angle around the axis (n, 2).
+    """
+    points, normals = np.empty((count, 2)), np.empty((count, 2))
+    scale, around = np.empty(count), np.empty((count, 2))
+    for i in range(count):
+        phi = 2 * np.pi * i / count
+        cosine, sine = np.cos(phi), np.sin(phi)
+        around[i, 0], around[i, 1] = cosine, sine
+        side = cosine * frame[0] + sine * frame[1]
+        at = np.cos(half_angle) * frame[2] + np.sin(half_angle) * side
+        u, v = to_pixel(at[0], at[1], at[2], lens)
+        wide = half_angle + _TILT
+        at = np.cos(wide) * frame[2] + np.sin(wide) * side
+        u2, v2 = to_pixel(at[0], at[1], at[2], lens)
+        length = np.sqrt((u2 - u) ** 2 + (v2 - v) ** 2)
+        points[i, 0], points[i, 1] = u, v
+        normals[i, 0], normals[i, 1] = (u2 - u) / length, (v2 - v) / length
+        scale[i] = length / _TILT
+    return points, normals, scale, around
+
+
+@compiled
+def ways(
+    frame: Floats,
+    half_angle: float,
+    scale: Floats,
+    around: Floats,
+    nearer: Floats,
+    reach: tuple[float, float],
+    margin_px: float,
+) -> Floats:
+    """Which rays pass within `margin_px` of a nearer ball.
+
+    Args:
+        frame: (3, 3) of the cone, see `frame_about`.
+        half_angle: of the cone, rad.
+        scale: (n,) px per rad.
+        around: (n, 2) cosine and sine around the axis.
+        nearer: (k, 4) unit axes and half angles of the outlines of nearer balls.
+        reach: start and end of the rays along the normal, px.
+        margin_px: distance to keep.
+
+    Returns:
+        (n,) FREE or HIDDEN.
+    """
+    out = np.zeros(len(scale))
+    for i in range(len(scale)):
+        side = around[i, 0] * frame[0] + around[i, 1] * frame[1]
+        for step in range(5):
+            s = reach[0] + (reach[1] - reach[0]) * step / 4
+            beta = half_angle + s / scale[i]
+            at = np.cos(beta) * frame[2] + np.sin(beta) * side
+            for k in range(len(nearer)):
+                cosine = at[0] * nearer[k, 0] + at[1] * nearer[k, 1] + at[2] * nearer[k, 2]
+                if cosine > np.cos(nearer[k, 3] + margin_px / scale[i]):
+                    out[i] = HIDDEN
+    return out
+
+
+@compiled
+def sample(
+    image: Bytes, table: Floats, points: Floats, normals: Floats, steps: Floats, free: Floats
+) -> Floats:
+    """Light along the rays, by bilinear interpolation of table values.
+
+    Args:
+        image: (h, w, 3) uint8.
+        table: (256,) light of each picture value.
+        points: (n, 2) px.
+        normals: (n, 2) unit vectors.
+        steps: (m,) px along the normals.
+        free: (n,) FREE to sample a ray; set to OUTSIDE in place where it leaves the picture.
+
+    Returns:
+        (n, m, 3); zeros where the ray is not free.
+    """
+    height, width = image.shape[:2]
+    out = np.zeros((len(points), len(steps), 3))
+    for i in range(len(points)):
+        if free[i] != FREE:
+            continue
+        for j in range(len(steps)):
+            u = points[i, 0] + steps[j] * normals[i, 0]
+            v = points[i, 1] + steps[j] * normals[i, 1]
+            if not (u >= 0 and v >= 0 and u < width - 1 and v < height - 1):
+                free[i] = OUTSIDE
+                break
+            x, y = int(u), int(v)
+            a, b = u - x, v - y
+            w00, w01, w10, w11 = (1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b
+            for c in range(3):
+                out[i, j, c] = (
+                    w00 * table[image[y, x, c]]
+                    + w01 * table[image[y, x + 1, c]]
+                    + w10 * table[image[y + 1, x, c]]
+                    + w11 * table[image[y + 1, x + 1, c]]
+                )
+    return out

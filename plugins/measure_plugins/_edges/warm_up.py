@@ -1,0 +1,23 @@
+"""A drawn picture to compile the hot loops with, before the first real one arrives."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from measure.model import Body, Camera, Expectation, Image
+
+_RADIUS_PX = 40.0
+
+
+def drawn_disc(body: Body, camera: Camera) -> tuple[Image, list[Expectation]]:
+    """A picture with one white disc in its middle, and the expectation of the first ball there."""
+    width, height = camera.intrinsics.size_wh
+    pixels = np.zeros((height, width, 3), np.uint8)
+    center = np.array([width / 2, height / 2])
+    cv2.circle(pixels, (width // 2, height // 2), int(_RADIUS_PX), (255, 255, 255), -1)
+    image = Image(camera.name, 0, 0.0, lambda: pixels)
+    expected = Expectation(
+        body.names[0], center, (_RADIUS_PX - 5, _RADIUS_PX + 5), 0.0, reach_px=3.0
+    )
+    return image, [expected]

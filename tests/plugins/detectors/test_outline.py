@@ -1,0 +1,163 @@
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from measure.geometry import RigidTransform
+from measure.model import Camera, Intrinsics
+from measure_plugins.detectors.outline import OutlineConfig, OutlineDetector
+from tests.plugins.detectors.drawing import BGR, draw, expect, image_of, to_picture
+from tests.scenes import LENS, RAVEN
+
+SIZE = (640, 480)
+
+
+@pytest.fixture(scope="module")
+def camera():
+    matrix = np.array([[1000.0, 0, 318.0], [0, 1003.0, 242.0], [0, 0, 1]])
+    return Camera("cam0", Intrinsics(SIZE, matrix, LENS), RigidTransform.identity())
+
+
+@pytest.fixture(scope="module")
+def detector(camera):
+    return OutlineDetector(OutlineConfig(), RAVEN, camera)
+
+
+def at_angle(angle_deg, azimuth_deg, distance=420.0):
+    a, b = np.radians(angle_deg), np.radians(azimuth_deg)
+    return distance * np.array([np.sin(a) * np.cos(b), np.sin(a) * np.sin(b), np.cos(a)])
+
+
+def picture(camera, center, color="red", **kwargs):
+    return to_picture(draw(camera, [center], [20.0], [BGR[color]], **kwargs))
+
+
+@pytest.mark.parametrize("angle_deg", [0.5, 6.0, 12.0])
+@pytest.mark.parametrize("background", [(30, 30, 30), (120, 110, 100)])
+def test_center_is_unbiased_off_axis(camera, detector, angle_deg, background):
+    errors = []
+    for azimuth in (20.0, 155.0):
+        center = at_angle(angle_deg, azimuth)
+        pixels = picture(camera, center, background=background)
+        (found,) = detector.detect(
+            image_of(camera, pixels),
+            [expect(camera, "red", center, 20.0, shift=(1, -1, 0.5)), *hidden_elsewhere(camera)],
+        )
+        true = camera.intrinsics.project(center[None])[0]
+        errors.append(found.center_px - true)
+        assert len(found.outline_px) > 60
+    assert np.max(np.abs(errors)) < 0.03
+
+
+def hidden_elsewhere(camera):
+    """Expectations for the other balls where there are none."""
+    return [
+        expect(camera, "green", np.array([-90.0, -60, 420]), 20.0),
+        expect(camera, "yellow", np.array([90.0, -60, 420]), 20.0),
+    ]
+
+
+def test_covariance_matches_scatter(camera, detector):
+    rng = np.random.default_rng(4)
+    center = at_angle(5.0, 40.0)
+    light = draw(camera, [center], [20.0], [BGR["green"]])
+    expected = [expect(camera, "green", center, 20.0, shift=(0.5, 0.5, 0))]
+    expected += [e for e in hidden_elsewhere(camera) if e.ball == "yellow"]
+    expected += [expect(camera, "red", np.array([-90.0, -60, 420]), 20.0)]
+    true = camera.intrinsics.project(center[None])[0]
+    errors, covariances = [], []
+    for _ in range(40):
+        pixels = to_picture(light, noise=4.0, rng=rng)
+        (found,) = detector.detect(image_of(camera, pixels), expected)
+        errors.append(found.center_px - true)
+        covariances.append(found.covariance_px)
+    scatter = np.sqrt(np.mean(np.var(errors, axis=0)))
+    reported = np.sqrt(np.trace(np.mean(covariances, axis=0)) / 2)
+    assert 0.5 < reported / scatter < 2.0
+    assert scatter < 0.03
+
+
+def test_unknown_occluder_does_not_move_the_center(camera, detector):
+    center = at_angle(4.0, 70.0)
+    light = draw(camera, [center], [20.0], [BGR["yellow"]])
+    x, y = camera.intrinsics.project(center[None])[0].astype(int)
+    pixels = to_picture(light)
+    cv2.line(pixels, (x - 60, y - 30), (x + 60, y + 25), (25, 25, 25), 22)
+    expected = [expect(camera, "yellow", center, 20.0, shift=(1, 1, 0))]
+    expected += [e for e in hidden_elsewhere(camera) if e.ball == "green"]
+    expected += [expect(camera, "red", np.array([90.0, -60, 420]), 20.0)]
+    (found,) = detector.detect(image_of(camera, pixels), expected)
+    assert np.linalg.norm(found.center_px - [*camera.intrinsics.project(center[None])[0]]) < 0.06
+
+
+def test_nearer_ball_hides_rays(camera, detector):
+    near, far = np.array([5.0, 0, 380.0]), np.array([25.0, 8.0, 440.0])
+    pixels = to_picture(draw(camera, [near, far], [20.0, 20.0], [BGR["red"], BGR["green"]]))
+    expected = [
+        expect(camera, "red", near, 20.0, shift=(0.5, 0, 0)),
+        expect(camera, "green", far, 20.0, shift=(0.5, 0, 0)),
+        expect(camera, "yellow", np.array([-90.0, -60, 420]), 20.0),
+    ]
+    found = {d.ball: d for d in detector.detect(image_of(camera, pixels), expected)}
+    assert set(found) == {"red", "green"}
+    for name, center in (("red", near), ("green", far)):
+        true = camera.intrinsics.project(center[None])[0]
+        assert np.linalg.norm(found[name].center_px - true) < 0.06
+    assert len(found["green"].outline_px) < 60 < len(found["red"].outline_px)
+
+
+def everything_expected(camera, name, center):
+    others = [n for n in RAVEN.names if n != name]
+    return [expect(camera, name, center, 20.0)] + [
+        expect(camera, other, np.array([x, -60.0, 420]), 20.0)
+        for other, x in zip(others, (-90.0, 90.0), strict=True)
+    ]
+
+
+def test_no_ball_no_detection(camera, detector):
+    pixels = np.full((SIZE[1], SIZE[0], 3), 30, np.uint8)
+    noisy = np.clip(pixels + np.random.default_rng(0).normal(0, 3, pixels.shape), 0, 255)
+    center = at_angle(3.0, 10.0)
+    for shown in (pixels, noisy.astype(np.uint8)):
+        expected = everything_expected(camera, "red", center)
+        assert detector.detect(image_of(camera, shown), expected) == []
+
+
+def test_wrong_color_is_rejected(camera, detector):
+    center = at_angle(3.0, 10.0)
+    expected = everything_expected(camera, "red", center)
+    assert detector.detect(image_of(camera, picture(camera, center, "green")), expected) == []
+    found = detector.detect(image_of(camera, picture(camera, center, "red")), expected)
+    assert [d.ball for d in found] == ["red"]
+    assert found[0].color_match > 0.9
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 30.0])
+def test_square_is_rejected(camera, detector, turn_deg):
+    center = at_angle(3.0, 10.0)
+    middle = camera.intrinsics.project(center[None])[0]
+    pixels = np.full((SIZE[1], SIZE[0], 3), 30, np.uint8)
+    box = cv2.boxPoints(((float(middle[0]), float(middle[1])), (92.0, 92.0), turn_deg))
+    cv2.fillPoly(pixels, [np.rint(box).astype(np.int32)], BGR["red"])
+    pixels = cv2.GaussianBlur(pixels, (0, 0), 0.8)
+    assert (
+        detector.detect(image_of(camera, pixels), everything_expected(camera, "red", center)) == []
+    )
+
+
+def test_whole_frame_is_searched_without_expectations(camera, detector):
+    center = at_angle(3.0, 200.0)
+    found = detector.detect(image_of(camera, picture(camera, center)), [])
+    assert {d.ball for d in found} == {"red"}
+    true = camera.intrinsics.project(center[None])[0]
+    assert np.linalg.norm(found[0].center_px - true) < 0.05
+
+
+def test_same_picture_same_bits(camera, detector):
+    center = at_angle(5.0, 100.0)
+    pixels = picture(camera, center)
+    expected = everything_expected(camera, "red", center)
+    first, second = (detector.detect(image_of(camera, pixels), expected)[0] for _ in range(2))
+    assert np.array_equal(first.outline_px, second.outline_px)
+    assert np.array_equal(first.covariance_px, second.covariance_px)

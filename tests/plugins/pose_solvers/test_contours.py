@@ -1,0 +1,174 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from measure.geometry import RigidTransform, squared_mahalanobis, tangent_cone
+from measure.model import Detection, Motion
+from measure_plugins.pose_solvers.contours import ContoursConfig, ContoursSolver
+from tests.scenes import FOUR, RAVEN, ring
+
+POSE = RigidTransform.from_rotvec([0.1, -0.2, 0.3], [5.0, -8.0, 247.0])
+OFF = np.array([0.8, -0.6, 0.5, 0.01, -0.012, 0.008])
+ANGLES = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+
+
+def see(body, camera, name, pose, sd=0.05, rng=None, offset=0.0, shift=(0, 0), angles=ANGLES):
+    """An exact outline, with noise and an offset along its normals, as a detection."""
+    ball = body.balls[body.index(name)]
+    center = camera.camera_from_world.apply(pose.apply(ball.center_mm))
+    cone = tangent_cone(center, ball.radius_mm)
+    points = camera.intrinsics.project(cone.bearings(angles))
+    wider = camera.intrinsics.project(
+        type(cone)(cone.axis, cone.half_angle + 1e-4).bearings(angles)
+    )
+    normals = (wider - points) / np.linalg.norm(wider - points, axis=1, keepdims=True)
+    along = np.full(len(points), offset)
+    if rng is not None:
+        along = along + sd * rng.standard_normal(len(points))
+    points = points + along[:, None] * normals + np.asarray(shift)
+    return Detection(
+        name,
+        camera.name,
+        0.0,
+        camera.intrinsics.project(center[None])[0],
+        60.0,
+        0.01 * np.eye(2),
+        outline_px=points,
+        outline_sd_px=np.full(len(points), sd),
+    )
+
+
+def see_all(body, cameras, pose, skip=(), **kwargs):
+    return [
+        see(body, camera, name, pose, **kwargs)
+        for camera in cameras.values()
+        for name in body.names
+        if (camera.name, name) not in skip
+    ]
+
+
+def solve(body, detections, cameras, prior=None, **config):
+    return ContoursSolver(ContoursConfig(**config), body).solve([], detections, cameras, 0.0, prior)
+
+
+@pytest.mark.parametrize("body", [RAVEN, FOUR], ids=["raven", "four"])
+@pytest.mark.parametrize("offset", [0.0, -0.6])
+def test_exact_outlines_give_the_exact_pose(body, offset):
+    cameras = ring()
+    seen = see_all(body, cameras, POSE, offset=offset)
+    pose = solve(body, seen, cameras, Motion.at_rest(POSE.perturb(OFF), 0.0))
+    error = pose.world_from_body.difference(POSE)
+    assert np.max(np.abs(error[:3])) < 2e-4
+    assert np.max(np.abs(error[3:])) < 1e-5
+    assert pose.flags == ()
+
+
+def test_starts_without_a_prior_and_from_one_camera():
+    cameras = ring()
+    seen = see_all(RAVEN, cameras, POSE)
+    pose = solve(RAVEN, seen, cameras)
+    assert np.linalg.norm(pose.world_from_body.difference(POSE)[:3]) < 1e-3
+    alone = [d for d in seen if d.camera == "cam1"]
+    pose = solve(RAVEN, alone, cameras)
+    assert np.linalg.norm(pose.world_from_body.difference(POSE)[:3]) < 0.1
+    assert any("one camera" in flag for flag in pose.flags)
+
+
+def test_each_picture_counts_at_its_own_time():
+    cameras = ring()
+    velocity = np.array([50.0, -30, 20, 0.3, 0.2, -0.4])
+    seen = []
+    for i, camera in enumerate(cameras.values()):
+        time_s = 0.01 * i - 0.015
+        moved = Motion(POSE, 0.0, velocity).at(time_s)
+        for name in RAVEN.names:
+            d = see(RAVEN, camera, name, moved)
+            seen.append(type(d)(**{**d.__dict__, "time_s": time_s}))
+    prior = Motion(POSE.perturb(OFF), 0.0, velocity)
+    error = solve(RAVEN, seen, cameras, prior).world_from_body.difference(POSE)
+    assert np.linalg.norm(error[:3]) < 2e-3
+    still = solve(RAVEN, seen, cameras, Motion.at_rest(POSE.perturb(OFF), 0.0))
+    assert np.linalg.norm(still.world_from_body.difference(POSE)[:3]) > 0.05
+
+
+def test_a_ball_in_one_camera_counts_and_two_balls_say_how_well():
+    cameras = ring()
+    only_once = {(c, "red") for c in ("cam1", "cam2", "cam3")}
+    seen = see_all(RAVEN, cameras, POSE, skip=only_once)
+    prior = Motion.at_rest(POSE.perturb(OFF), 0.0)
+    pose = solve(RAVEN, seen, cameras, prior)
+    assert np.linalg.norm(pose.world_from_body.difference(POSE)[:3]) < 2e-3
+    two = [d for d in seen if d.ball != "red"]
+    assert solve(RAVEN, two, cameras, prior) is None
+    known = np.diag([1.0, 1, 1, 0.01**2, 0.01**2, 0.01**2])
+    pose = solve(RAVEN, two, cameras, Motion(prior.world_from_body, 0.0, np.zeros(6), known))
+    error = pose.world_from_body.difference(POSE)
+    assert any("only 2 balls" in flag for flag in pose.flags)
+    # The turn about the line of the two balls stays as uncertain as it was.
+    axis = POSE.rotate(RAVEN.centers[0] - RAVEN.centers[1])
+    axis /= np.linalg.norm(axis)
+    assert 0.008 < np.sqrt(axis @ pose.covariance[3:, 3:] @ axis) < 0.012
+    assert squared_mahalanobis(error, pose.covariance) < 17
+
+
+def test_covariance_holds_the_truth():
+    cameras = ring()
+    rng = np.random.default_rng(1)
+    distances = []
+    for _ in range(60):
+        seen = [
+            see(RAVEN, camera, name, POSE, rng=rng, shift=0.1 * rng.standard_normal(2))
+            for camera in cameras.values()
+            for name in RAVEN.names
+        ]
+        pose = solve(RAVEN, seen, cameras, Motion.at_rest(POSE.perturb(OFF), 0.0))
+        error = pose.world_from_body.difference(POSE)
+        distances.append(float(squared_mahalanobis(error, pose.covariance)))
+    inside = np.mean(np.array(distances) < 12.59)  # 95 % of chi-square with 6 degrees
+    assert 0.85 <= inside <= 1.0
+    assert 3.0 < np.mean(distances) < 10.0
+
+
+def test_uncertain_cameras_widen_the_covariance():
+    known = np.diag([0.2**2] * 3 + [0.0005**2] * 3)
+    prior = Motion.at_rest(POSE, 0.0)
+    exact = solve(RAVEN, see_all(RAVEN, ring(), POSE), ring(), prior)
+    cameras = ring(pose_covariance=known)
+    seen = see_all(RAVEN, cameras, POSE)
+    assert solve(RAVEN, seen, cameras, prior).position_sd_mm > 3 * exact.position_sd_mm
+    # Monte Carlo: the same outlines, read with cameras moved by their covariance.
+    rng = np.random.default_rng(3)
+    errors, covariances = [], []
+    for _ in range(40):
+        moved = {
+            name: type(camera)(
+                camera.name,
+                camera.intrinsics,
+                camera.world_from_camera.perturb(rng.multivariate_normal(np.zeros(6), known)),
+                known,
+            )
+            for name, camera in cameras.items()
+        }
+        pose = solve(RAVEN, seen, moved, prior)
+        errors.append(pose.world_from_body.difference(POSE))
+        covariances.append(np.diag(pose.covariance))
+    ratio = np.sqrt(np.mean(covariances, axis=0) / np.mean(np.square(errors), axis=0))
+    assert np.all((ratio > 0.6) & (ratio < 2.0))
+
+
+def test_a_wrong_ball_is_flagged_and_does_not_pull():
+    cameras = ring()
+    rng = np.random.default_rng(2)
+    seen = see_all(RAVEN, cameras, POSE, rng=rng, skip={("cam2", "red")})
+    seen.append(see(RAVEN, cameras["cam2"], "red", POSE, shift=(9.0, 4.0)))
+    pose = solve(RAVEN, seen, cameras, Motion.at_rest(POSE.perturb(OFF), 0.0))
+    assert any("red in cam2" in flag for flag in pose.flags)
+    assert np.linalg.norm(pose.world_from_body.difference(POSE)[:3]) < 0.05
+
+
+def test_too_little_is_no_pose():
+    cameras = ring()
+    assert solve(RAVEN, [], cameras) is None
+    few = [see(RAVEN, cameras["cam0"], "red", POSE, angles=ANGLES[:4])]
+    assert solve(RAVEN, few, cameras, Motion.at_rest(POSE, 0.0)) is None
