@@ -1,5 +1,7 @@
 """Ball scenes with exact truth: pictures of rigs that never existed."""
 
+from measure.simulation.catalogue import scene_catalogue
+from measure.simulation.recording import write_session
 from measure.simulation.renderer import Renderer, render
 from measure.simulation.scene import Actor, Scene
 from measure.simulation.sensor import Sensor
@@ -24,4 +26,6 @@ __all__ = [
     "Trajectory",
     "random_motion",
     "render",
+    "scene_catalogue",
+    "write_session",
 ]

@@ -18,7 +18,7 @@ Index: TypeAlias = tuple[slice, slice]
 _BLOCK_PX = 8
 _MIDDLE = _BLOCK_PX // 2 + 1  # in the grid, which begins one pixel before the picture
 _BLOCK_MARGIN_PX = 0.75 * _BLOCK_PX + 2.0
-_TEXTURE_STEP = 0.02
+_TEXTURE_STEP = 0.05
 """Neighbours on a flat face that differ by this share of the brighter one are sampled finely."""
 _MOST_EDGES = 4096
 """Edge pixels sampled at once: bounds the memory."""
@@ -153,6 +153,16 @@ def ideal_grid(intrinsics: Intrinsics) -> Floats:
     return np.stack(
         [RectBivariateSpline(v, u, ideal[..., k])(rows, columns) for k in range(2)], axis=-1
     )
+
+
+def reduced(intrinsics: Intrinsics, factor: int) -> Intrinsics:
+    """The same lens with pixels `factor` times as large."""
+    width, height = intrinsics.size_wh
+    matrix = intrinsics.matrix / factor
+    matrix[:2, 2] -= (factor - 1) / (2 * factor)
+    matrix[2, 2] = 1.0
+    size = (-(-width // factor), -(-height // factor))
+    return Intrinsics(size, matrix, intrinsics.distortion)
 
 
 def _knots(length: int) -> Floats:

@@ -8,7 +8,7 @@ from measure.arrays import Floats
 from measure.geometry import RigidTransform
 from measure.model import Ball, BallColor, Body, Camera, Intrinsics
 from measure.simulation.shading import Light, Lighting, Material, Rgb
-from measure.simulation.shapes import Box, Capsule, Shape
+from measure.simulation.shapes import Capsule, Shape
 
 WORKSPACE_MM = np.array([0.0, 0.0, 250.0])
 """The middle of the workspace; the world's origin is on the floor below it."""
@@ -131,37 +131,3 @@ def plain_lighting(seed: int = 1, ambient: float = 0.2) -> Lighting:
     """Two lamps and as much ambient light as a lit room gives."""
     grey = (ambient, ambient, ambient)
     return Lighting(lamps(seed), grey, (0.15, 0.15, 0.15))
-
-
-def room(
-    floor: Material, walls: Material, half_mm: float = 1400.0, height_mm: float = 2400.0
-) -> tuple[Shape, ...]:
-    """A floor at z = 0 and four walls."""
-    flat = 20.0
-    shapes: list[Shape] = [
-        Box(
-            RigidTransform(np.eye(3), np.array([0, 0, -flat / 2])),
-            (4 * half_mm, 4 * half_mm, flat),
-            floor,
-        )
-    ]
-    for k in range(4):
-        turn = RigidTransform.from_rotvec([0, 0, k * np.pi / 2])
-        place = RigidTransform(np.eye(3), np.array([half_mm, 0, height_mm / 2 - 100]))
-        shapes.append(Box(turn @ place, (flat, 2 * half_mm, height_mm), walls))
-    return tuple(shapes)
-
-
-def cloth(level: float, seed: int = 0, unevenness: float = 0.35) -> Material:
-    """A grey cloth with soft folds."""
-    rng = np.random.default_rng(seed)
-    waves = rng.normal(0, 1 / 180, (12, 3)) * rng.uniform(0.3, 3, (12, 1))
-    phases = rng.uniform(0, 2 * np.pi, 12)
-
-    def texture(points: Floats) -> Floats:
-        folds = np.sin(points @ waves.T + phases).sum(axis=1) / np.sqrt(12)
-        return np.repeat(
-            level * (1 + unevenness * np.clip(folds, -1.5, 1.5) / 1.5)[:, None], 3, axis=1
-        )
-
-    return Material((level, level, level), texture=texture)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from functools import cached_property
 
+import cv2
 import numpy as np
 
 from measure.arrays import Bytes, Floats
 from measure.model import Camera
-from measure.simulation.canvas import Canvas
+from measure.simulation.canvas import Canvas, reduced
 from measure.simulation.caster import Stage
 from measure.simulation.scene import Scene
 from measure.simulation.sensor import Linear, develop
@@ -99,11 +100,14 @@ class Renderer:
 
     @cached_property
     def _backdrop(self) -> Linear:
-        """The picture of walls, floor and posters alone."""
+        """The picture of walls, floor and posters alone, drawn coarsely and enlarged."""
         shapes = tuple(s.moved(self.camera.camera_from_world) for s in self.scene.backdrop)
-        stage = Stage(shapes, self._lighting, self._focal_px)
-        nothing = self._canvas.empty()
-        return self._canvas.draw(stage, len(shapes), _BACKDROP_SAMPLES, nothing, nothing)
+        lens = reduced(self.camera.intrinsics, self.scene.backdrop_px)
+        coarse, stage = Canvas(lens), Stage(shapes, self._lighting, lens.focal_px)
+        nothing = coarse.empty()
+        drawn = coarse.draw(stage, len(shapes), _BACKDROP_SAMPLES, nothing, nothing)
+        size = self.camera.intrinsics.size_wh
+        return np.asarray(cv2.resize(drawn, size, interpolation=cv2.INTER_LINEAR), np.float32)
 
     @cached_property
     def _still_picture(self) -> Linear:

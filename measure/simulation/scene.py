@@ -55,11 +55,14 @@ class Scene:
         actors: other moving things.
         fixed: things that stand in the room and may hide or be hidden.
         backdrop: walls, floor and posters: behind everything else.
+        backdrop_px: of the backdrop, only every such pixel is computed; the rest is interpolated.
         sensor: how the cameras turn light into files.
         sensors: per camera name, where a camera's sensor differs.
         phases_s: per camera name, how much later than the others it exposes.
         seed: of the noise.
-        balls_shown: whether the balls of `body` are in view at all.
+        shown: names of the balls that are drawn; None for all.
+        stated_cameras: what the session's calibration file claims, if that is not the truth.
+        stated_body: what the session's body file claims, if that is not the truth.
         description: one line for the session file.
     """
 
@@ -73,11 +76,14 @@ class Scene:
     actors: tuple[Actor, ...] = ()
     fixed: tuple[Shape, ...] = ()
     backdrop: tuple[Shape, ...] = ()
+    backdrop_px: int = 4
     sensor: Sensor = field(default_factory=Sensor)
     sensors: dict[str, Sensor] = field(default_factory=dict)
     phases_s: dict[str, float] = field(default_factory=dict)
     seed: int = 0
-    balls_shown: bool = True
+    shown: tuple[str, ...] | None = None
+    stated_cameras: tuple[Camera, ...] | None = None
+    stated_body: Body | None = None
     description: str = "simulated; exact truth"
 
     def camera(self, name: str) -> Camera:
@@ -98,15 +104,18 @@ class Scene:
 
     def moving(self) -> tuple[Actor, ...]:
         """Everything that moves, the measured body first."""
-        balls = ball_shapes(self.body, self.finish) if self.balls_shown else ()
+        balls = ball_shapes(self.body, self.finish, self.shown)
         return (Actor((*balls, *self.attached), self.trajectory), *self.actors)
 
 
-def ball_shapes(body: Body, finish: Material) -> tuple[Sphere, ...]:
-    """The balls of a body, in its frame, in its colours."""
+def ball_shapes(
+    body: Body, finish: Material, shown: tuple[str, ...] | None = None
+) -> tuple[Sphere, ...]:
+    """The balls of a body (those named in `shown`, or all), in its frame, in its colours."""
     return tuple(
         Sphere(ball.center_mm, ball.radius_mm, painted(finish, ball.color.name))
         for ball in body.balls
+        if shown is None or ball.name in shown
     )
 
 

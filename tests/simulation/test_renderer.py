@@ -33,7 +33,7 @@ def white_scene(position: tuple[float, float, float] = (0.0, 0.0, 250.0), **chan
         FLAT_LIGHT,
         fixed=(ball,),
         sensor=Sensor(blur_px=0.0),
-        balls_shown=False,
+        shown=(),
     )
     return replace(scene, **changes)
 
@@ -118,7 +118,7 @@ def test_moving_and_standing_balls_are_drawn_alike() -> None:
 def test_pictures_repeat_with_the_seed_and_differ_between_frames() -> None:
     scene = replace(
         white_scene(),
-        balls_shown=True,
+        shown=None,
         finish=PLASTIC,
         lighting=plain_lighting(),
         sensor=Sensor(level_noise=2.0),

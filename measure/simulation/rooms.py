@@ -1,0 +1,135 @@
+"""Surroundings: cloths, walls, posters, boxes and balls that are none of ours."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.geometry import RigidTransform
+from measure.simulation.scene import BALL_ALBEDO, painted
+from measure.simulation.shading import Material, Rgb
+from measure.simulation.shapes import Box, Capsule, Shape, Sphere
+
+_FLAT_MM = 20.0
+
+
+def room(
+    floor: Material, walls: tuple[Material, ...], half_mm: float = 1400.0, height_mm: float = 2400.0
+) -> tuple[Shape, ...]:
+    """A floor at z = 0 and four walls, which take the given materials in turn."""
+    ground = RigidTransform(np.eye(3), np.array([0.0, 0.0, -_FLAT_MM / 2]))
+    shapes: list[Shape] = [Box(ground, (4 * half_mm, 4 * half_mm, _FLAT_MM), floor)]
+    for k in range(4):
+        turn = RigidTransform.from_rotvec([0.0, 0.0, k * np.pi / 2])
+        place = RigidTransform(np.eye(3), np.array([half_mm, 0.0, height_mm / 2 - 100]))
+        size = (_FLAT_MM, 2 * half_mm, height_mm)
+        shapes.append(Box(turn @ place, size, walls[k % len(walls)]))
+    return tuple(shapes)
+
+
+def cloth_room(level: float, seed: int = 0) -> tuple[Shape, ...]:
+    """Floor and walls hung with cloth of one reflectance."""
+    return room(cloth(level, seed), (cloth(level, seed + 1), cloth(1.2 * level, seed + 2)))
+
+
+def coloured_room(seed: int = 0) -> tuple[Shape, ...]:
+    """A wooden floor with coloured rugs, and walls full of posters."""
+    paints: tuple[Rgb, ...] = ((0.10, 0.14, 0.22), (0.26, 0.17, 0.17), (0.18, 0.22, 0.14))
+    walls = tuple(patches(plain(paint), seed + k, (1, 2)) for k, paint in enumerate(paints))
+    return room(patches(planks(seed), seed + 9, (0, 1), 40), walls, half_mm=900.0)
+
+
+def cloth(level: float, seed: int = 0, unevenness: float = 0.35) -> Material:
+    """A grey cloth with soft folds."""
+    rng = np.random.default_rng(seed)
+    waves = rng.normal(0, 1 / 180, (12, 3)) * rng.uniform(0.3, 3, (12, 1))
+    phases = rng.uniform(0, 2 * np.pi, 12)
+
+    def texture(points: Floats) -> Floats:
+        folds = np.sin(points @ waves.T + phases).sum(axis=1) / np.sqrt(12)
+        grey = level * (1 + unevenness * np.clip(folds, -1.5, 1.5) / 1.5)
+        return np.repeat(grey[:, None], 3, axis=1)
+
+    return Material((level, level, level), texture=texture)
+
+
+def planks(seed: int = 0, width_mm: float = 160.0) -> Material:
+    """A wooden floor."""
+    rng = np.random.default_rng(seed)
+    shades = rng.uniform(0.75, 1.15, 64)
+    wood = np.array([0.30, 0.19, 0.10])
+
+    def texture(points: Floats) -> Floats:
+        across = points[:, 1] / width_mm
+        plank = np.floor(across).astype(int) % len(shades)
+        grain = 1 + 0.06 * np.sin(points[:, 1] / 3 + 4 * np.sin(points[:, 0] / 200 + plank))
+        gap = np.where(np.abs(across - np.rint(across)) < 0.012, 0.4, 1.0)
+        return wood * (shades[plank] * grain * gap)[:, None]
+
+    return Material((0.3, 0.19, 0.1), texture=texture)
+
+
+def plain(paint: Rgb) -> Material:
+    """One colour all over."""
+    return Material(paint, texture=lambda points: np.tile(np.array(paint), (len(points), 1)))
+
+
+def patches(
+    ground: Material, seed: int = 0, plane: tuple[int, int] = (1, 2), count: int = 60
+) -> Material:
+    """Ellipses and rectangles in the colours of balls, on a textured ground.
+
+    Args:
+        ground: what they lie on.
+        seed: of their places, sizes and colours.
+        plane: the two axes of the box's frame that they lie in.
+        count: how many.
+    """
+    under = ground.texture
+    assert under is not None
+    rng = np.random.default_rng(seed)
+    names = list(BALL_ALBEDO)
+    centers = rng.uniform(-900, 900, (count, 2))
+    halves = rng.uniform((30, 25), (150, 90), (count, 2))
+    colours = [np.array(BALL_ALBEDO[names[k]]) for k in rng.integers(0, len(names), count)]
+    rounds = rng.random(count) < 0.5
+
+    def texture(points: Floats) -> Floats:
+        out = under(points)
+        for center, half, colour, is_round in zip(centers, halves, colours, rounds, strict=True):
+            off = (points[:, plane] - center) / half
+            inside = np.sum(off * off, axis=1) < 1 if is_round else np.abs(off).max(axis=1) < 1
+            out[inside] = colour
+        return out
+
+    return Material(ground.albedo_rgb, texture=texture)
+
+
+def clutter(seed: int, colors: tuple[str, ...], radius_mm: float = 20.0) -> tuple[Shape, ...]:
+    """Boxes, columns, and balls on sticks in the given colours, round about the workspace."""
+    rng = np.random.default_rng(seed)
+    shapes: list[Shape] = []
+    names = list(BALL_ALBEDO)
+    for k in range(10):
+        x, y = _beside(rng, k / 10, (560.0, 850.0))
+        color = Material(BALL_ALBEDO[names[int(rng.integers(len(names)))]])
+        high = rng.uniform(80, 260)
+        turn = RigidTransform.from_rotvec([0.0, 0.0, rng.uniform(0, np.pi)], [x, y, high / 2])
+        if k % 3 == 2:
+            shapes.append(Capsule(np.array([x, y, 0.0]), np.array([x, y, high]), 45.0, color))
+        else:
+            shapes.append(Box(turn, (rng.uniform(80, 150), rng.uniform(80, 150), high), color))
+    for k, name in enumerate((*colors, *colors)):
+        x, y = _beside(rng, (k + 0.5) / (2 * len(colors)), (260.0, 420.0))
+        top = np.array([x, y, rng.uniform(150, 300)])
+        stick = Material((0.02, 0.02, 0.02), 0.04, 0.1)
+        shapes.append(Capsule(np.array([x, y, 0.0]), top, 7.0, stick))
+        gloss = painted(Material((1.0, 1.0, 1.0), 0.04, 0.06), name)
+        shapes.append(Sphere(top, radius_mm * rng.uniform(0.8, 1.15), gloss))
+    return tuple(shapes)
+
+
+def _beside(rng: np.random.Generator, turn: float, range_mm: tuple[float, float]) -> Floats:
+    """A place (2,) on the floor, at a share of a full turn, a random distance off."""
+    angle = 2 * np.pi * (turn + rng.uniform(-0.03, 0.03))
+    return rng.uniform(*range_mm) * np.array([np.cos(angle), np.sin(angle)])

@@ -1,0 +1,139 @@
+"""Session folders written from scenes are read back as they were meant."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from measure.session import open_session
+from measure.simulation import Sensor, scene_catalogue, write_session
+from measure.simulation.catalogue import async_scene, plain_scene
+from measure.simulation.degraded import (
+    misstated_body,
+    moved_camera,
+    swapped_calibrations,
+    upside_down,
+    with_balls,
+    without_balls,
+)
+from measure.simulation.renderer import Renderer
+from measure.simulation.scene import Scene
+
+
+def small(scene: Scene) -> Scene:
+    """The same scene through cameras of a quarter of the size."""
+    from measure.simulation.canvas import reduced
+
+    cameras = tuple(replace(c, intrinsics=reduced(c.intrinsics, 4)) for c in scene.cameras)
+    return replace(scene, cameras=cameras)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    scene = small(async_scene())
+    folder = tmp_path_factory.mktemp("async")
+    seen = []
+    write_session(scene, np.arange(3) / 30, folder, progress=lambda *counts: seen.append(counts))
+    assert sorted(seen) == [(k, 12) for k in range(1, 13)]
+    return scene, folder
+
+
+def test_session_reads_back(recorded) -> None:
+    scene, folder = recorded
+    session = open_session(folder)
+    assert session.name == "async"
+    assert session.body.names == scene.body.names
+    assert np.array_equal(session.body.centers, scene.body.centers)
+    for read, true in zip(session.cameras, scene.cameras, strict=True):
+        points = np.array([[0.0, 0.0, 250.0], [50.0, -40.0, 280.0]])
+        assert np.abs(read.project(points) - true.project(points)).max() < 1e-9
+
+
+def test_stamps_are_nominal_times_and_phase(recorded) -> None:
+    scene, folder = recorded
+    for name, phase in scene.phases_s.items():
+        rows = np.loadtxt(folder / f"{name}.csv", delimiter=",", skiprows=1)
+        assert np.abs(rows[:, 1] - (np.arange(3) / 30 + phase)).max() < 1e-9
+
+
+def test_pictures_are_the_rendered_ones(recorded) -> None:
+    scene, folder = recorded
+    name = scene.cameras[1].name
+    phase = scene.phases_s[name]
+    written = cv2.imread(str(folder / name / "000002.jpg"))
+    assert written is not None
+    rendered = Renderer(scene, name).picture(2 / 30 + phase, 2)
+    assert np.abs(written.astype(int) - rendered).mean() < 3
+
+
+def test_truth_interpolates_to_the_exact_pose(recorded) -> None:
+    scene, folder = recorded
+    rows = np.loadtxt(folder / "truth.csv", delimiter=",", skiprows=1)
+    assert np.diff(rows[:, 0]) == pytest.approx(1 / 480)
+    times = np.linspace(0.0, 0.09, 50)
+    exact = scene.trajectory.at(times)
+    for axis in range(3):
+        linear = np.interp(times, rows[:, 0], rows[:, 1 + axis])
+        assert np.abs(linear - exact.translation[:, axis]).max() < 2e-3
+    near = np.abs(rows[:, :1] - times).argmin(axis=0)
+    at_rows = scene.trajectory.at(rows[near, 0])
+    assert np.abs(at_rows.quat_wxyz - rows[near, 4:]).max() < 1e-8
+
+
+@pytest.mark.parametrize("container", ["mp4", "mkv"])
+def test_videos_keep_the_stamps(tmp_path, container) -> None:
+    import av
+
+    scene = small(async_scene())
+    write_session(scene, np.arange(4) / 30, tmp_path, video=container, workers=1)
+    with av.open(str(tmp_path / f"cam2.{container}")) as video:
+        times = [float(f.pts * f.time_base) for f in video.decode(video=0)]
+    expected = np.arange(4) / 30 + scene.phases_s["cam2"]
+    assert np.abs(np.array(times) - expected).max() < 1e-3
+    assert len(open_session(tmp_path).cameras) == 4
+
+
+def test_catalogue_varies_and_every_scene_renders() -> None:
+    scenes = scene_catalogue()
+    assert {"still", "occluded", "clutter", "async", "matt", "four-balls"} <= set(scenes)
+    for scene in scenes.values():
+        little = small(scene)
+        views = [Renderer(little, c.name).picture(0.5) for c in little.cameras]
+        assert {view.shape for view in views} == {(180, 320, 3)}
+        # The balls are there: pixels of every ball's colour.
+        for ball in scene.body.balls:
+            assert sum(np.count_nonzero(ball.color.mask(v)) for v in views) > 100, ball.name
+
+
+def test_degraded_scenes_hide_what_they_should(tmp_path) -> None:
+    scene = replace(small(plain_scene()), sensor=Sensor(blur_px=0.0))
+    masks = {b.name: b.color for b in scene.body.balls}
+
+    def count(of: Scene, ball: str) -> int:
+        return int(np.count_nonzero(masks[ball].mask(Renderer(of, "cam0").picture(0.0))))
+
+    assert count(scene, "green") > 50
+    assert count(without_balls(scene), "green") == 0
+    only = with_balls(scene, "red")
+    assert count(only, "green") == 0
+    assert count(only, "red") > 50
+
+
+def test_degraded_calibrations_are_stated_not_true(tmp_path) -> None:
+    scene = small(plain_scene())
+    turned = upside_down(scene, "cam1")
+    point = np.array([[10.0, 5.0, 255.0]])
+    true, stated = turned.camera("cam1"), turned.stated_cameras[1]
+    centre = true.intrinsics.matrix[:2, 2]
+    assert np.abs((true.project(point) + stated.project(point)) / 2 - centre).max() < 0.1
+    swapped = swapped_calibrations(scene, "cam0", "cam2")
+    assert np.array_equal(swapped.stated_cameras[0].center, scene.cameras[2].center)
+    moved = moved_camera(scene, "cam0", 0.5)
+    shift = moved.camera("cam0").project(point) - scene.camera("cam0").project(point)
+    assert np.linalg.norm(shift) == pytest.approx(np.tan(np.deg2rad(0.5)) * 355, rel=0.1)
+    wrong = misstated_body(scene, {"green": (33.0, 0.0, 0.0)})
+    write_session(wrong, [0.0], tmp_path)
+    assert open_session(tmp_path).body.centers[0, 0] == 33.0
