@@ -1,0 +1,229 @@
+"""A run's report: from its tables to one page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from measure.arrays import Floats, Ints
+from measure.results import Run, Summary
+from measure.session import dump_toml
+from measure.viewing.report import figures, style
+from measure.viewing.report.page import Page
+
+SUB_MM = 1.0
+"""A median position SD above this many mm makes the verdict doubtful."""
+
+CHI2_3D_95 = 7.8147
+"""95 % quantile of the chi-square distribution with 3 degrees of freedom."""
+
+
+def run_report(run: Run, errors: Floats | None = None) -> str:
+    """The report as HTML.
+
+    Args:
+        run: finished or not; one without any pose has a report too.
+        errors: (n, 4) x y z in mm and rotation in deg against truth, NaN where there is no pose.
+    """
+    tone, verdict = _verdict(run)
+    page = Page(f"Run {run.path.resolve().name}", verdict, tone)
+    page.facts(_facts(run))
+    if errors is not None:
+        _add_errors(page, run, errors)
+    if run.has_pose.any():
+        _add_poses(page, run)
+    if run.detections.num_rows:
+        _add_views(page, run)
+    _add_distances(page, run)
+    _add_provenance(page, run)
+    return page.render("Made by measure report. Everything on this page is inside this file.")
+
+
+def write_report(run: Run, path: Path, errors: Floats | None = None) -> None:
+    """Write the report to a file."""
+    path.write_text(run_report(run, errors), encoding="utf-8")
+
+
+def _verdict(run: Run) -> tuple[str, str]:
+    """How it went, in a word and in a sentence."""
+    summary = run.summary
+    if not run.has_pose.any():
+        causes = "; ".join(list(summary.reasons)[:2])
+        return "bad", f"No pose in {summary.frame_sets} frame sets. {causes}".strip()
+    # The radius that holds 95 % of a 3-D Gaussian of this covariance, its longest axis taken.
+    widest = np.sqrt(np.linalg.eigvalsh(run.covariances[:, :3, :3])[:, -1] * CHI2_3D_95)
+    known = f"Position known to {np.median(widest):.2g} mm (95 %)"
+    missing = summary.frame_sets - int(run.has_pose.sum())
+    parts = [known, _who_carries(run)]
+    parts += [f"{missing} of {summary.frame_sets} frame sets without a pose"] if missing else []
+    parts += [f"{summary.flagged} flagged"] if summary.flagged else []
+    parts += [] if run.finished else ["the run is not finished"]
+    doubtful = missing or summary.flagged or np.median(widest) > SUB_MM or not run.finished
+    return ("doubtful" if doubtful else "good"), ", ".join(parts) + "."
+
+
+def _who_carries(run: Run) -> str:
+    used = [set(cameras) for cameras in run.poses["cameras"].to_pylist() if cameras]
+    share = {c.name: np.mean([c.name in names for names in used]) for c in run.cameras}
+    carrying = [name for name, part in share.items() if part > 0.5]
+    return f"{len(carrying)} of {len(share)} cameras carry it"
+
+
+def _facts(run: Run) -> Iterator[tuple[str, str]]:
+    summary: Summary = run.summary
+    yield "frame sets", str(summary.frame_sets)
+    yield "ok / flagged", f"{summary.ok} / {summary.flagged}"
+    yield "lost / skipped", f"{summary.lost} / {summary.skipped}"
+    yield "median position SD", _number(summary.position_sd_mm, "mm")
+    yield "median rotation SD", _number(summary.rotation_sd_deg, "deg")
+    yield "median reprojection RMS", _number(summary.rms_px, "px")
+    if run.poses.num_rows:
+        yield "duration", f"{run.times_s[-1] - run.times_s[0]:.1f} s"
+
+
+def _number(value: float, unit: str) -> str:
+    return f"{value:.3g} {unit}" if np.isfinite(value) else "unknown"
+
+
+def _add_errors(page: Page, run: Run, errors: Floats) -> None:
+    curves = dict(zip(("x", "y", "z"), errors[:, :3].T, strict=True))
+    curves["3d"] = np.linalg.norm(errors[:, :3], axis=1)
+    page.figures(
+        "Error against truth",
+        "Measured minus true position, in world axes; gaps are frame sets without a pose.",
+        figures.over_time(run.times_s, curves, "error [mm]", style.AXIS_COLORS),
+        figures.over_time(run.times_s, {"rotation": errors[:, 3]}, "error [deg]"),
+        figures.histograms(errors[:, :3], ("x", "y", "z"), "error [mm]"),
+    )
+
+
+def _add_poses(page: Page, run: Run) -> None:
+    place, has = run.world_from_body.translation, run.has_pose
+    sd = run.poses["position_sd_mm"].to_numpy()
+    centers = np.stack([camera.center for camera in run.cameras])
+    names = [camera.name for camera in run.cameras]
+    page.figures(
+        "Trajectory",
+        "Where the body's origin went, and how well each position is known.",
+        figures.trajectory(place, sd[has], centers, names),
+    )
+    axes = np.full((len(has), 3), np.nan)
+    axes[has] = np.sqrt(np.diagonal(run.covariances, axis1=1, axis2=2)[:, :3])
+    curves = dict(zip(("x", "y", "z"), axes.T, strict=True)) | {"3d": sd}
+    turn = run.poses["rotation_sd_deg"].to_numpy()
+    page.figures(
+        "Uncertainty",
+        "Reported standard deviations; a gap is a frame set without a pose.",
+        figures.over_time(run.times_s, curves, "SD [mm]", style.AXIS_COLORS),
+        figures.over_time(run.times_s, {"rotation": turn}, "SD [deg]"),
+    )
+    xyz = np.full((len(has), 3), np.nan)
+    xyz[has] = place
+    page.figures(
+        "Position",
+        "In world axes.",
+        figures.over_time(
+            run.times_s,
+            dict(zip(("x", "y", "z"), xyz.T, strict=True)),
+            "position [mm]",
+            style.AXIS_COLORS,
+        ),
+        figures.histograms(xyz - np.nanmean(xyz, axis=0), ("x", "y", "z"), "about the mean [mm]"),
+    )
+
+
+def _add_views(page: Page, run: Run) -> None:
+    codes, views, reasons = _states(run)
+    page.figures(
+        "Who saw what when",
+        "Each ball in each camera: effective, or suspended and why.",
+        figures.state_timeline(run.times_s, codes, views, reasons),
+    )
+    seen = {name: run.detections[name].to_numpy(zero_copy_only=False) for name in _RESIDUAL}
+    maps = []
+    for camera in run.cameras:
+        mine = (seen["camera"] == camera.name) & np.isfinite(seen["residual_u_px"])
+        if mine.any():
+            center = np.column_stack([seen["u_px"][mine], seen["v_px"][mine]])
+            off = np.column_stack([seen["residual_u_px"][mine], seen["residual_v_px"][mine]])
+            maps.append(figures.residual_map(center, off, camera.intrinsics.size_wh, camera.name))
+    if maps:
+        page.figures(
+            "Residuals in the images",
+            f"Detected minus predicted ball centres, arrows {figures.ARROW_SCALE:.0f} times longer "
+            "than they are. A pattern that stays is systematic: calibration, body or light.",
+            *maps,
+        )
+
+
+_RESIDUAL = ("camera", "u_px", "v_px", "residual_u_px", "residual_v_px")
+
+
+def _states(run: Run) -> tuple[Ints, list[str], list[str]]:
+    """Code of every ball and camera over the frame sets; code 0 is effective."""
+    reasons = ["effective", *sorted({r for r in run.detections["reason"].to_pylist() if r})]
+    views = [f"{ball} in {camera.name}" for camera in run.cameras for ball in run.body.names]
+    rows = {view: index for index, view in enumerate(views)}
+    columns = {index: at for at, index in enumerate(run.poses["index"].to_pylist())}
+    # A skipped frame set has no views: shown as the last code, "not looked at".
+    reasons.append("not looked at")
+    codes = np.full((len(views), run.poses.num_rows), len(reasons) - 1, dtype=np.int64)
+    names = ("ball", "camera", "index", "reason")
+    for ball, camera, index, reason in zip(
+        *(run.detections[name].to_pylist() for name in names), strict=True
+    ):
+        codes[rows[f"{ball} in {camera}"], columns[index]] = reasons.index(reason or "effective")
+    return codes, views, reasons
+
+
+def _add_distances(page: Page, run: Run) -> None:
+    """The body measured with itself: its balls' distances against the body file."""
+    at = {name: np.full((run.poses.num_rows, 3), np.nan) for name in run.body.names}
+    place = np.column_stack([run.balls[name].to_numpy() for name in ("x_mm", "y_mm", "z_mm")])
+    columns = {index: row for row, index in enumerate(run.poses["index"].to_pylist())}
+    for ball, index, center in zip(
+        run.balls["ball"].to_pylist(), run.balls["index"].to_pylist(), place, strict=True
+    ):
+        at[ball][columns[index]] = center
+    rows, curves = [], {}
+    for (first, second), nominal in run.body.distances().items():
+        apart = np.linalg.norm(at[first] - at[second], axis=1)
+        known = apart[np.isfinite(apart)]
+        curves[f"{first}-{second}"] = apart - nominal
+        mean = float(known.mean()) if len(known) else np.nan
+        error = float(known.std() / np.sqrt(len(known))) if len(known) else np.nan
+        rows.append((f"{first}-{second}", nominal, mean, mean - nominal, error, len(known)))
+    page.table(
+        "Ball distances",
+        "Measured against the body file; a difference far above its standard error means that the "
+        "file, the calibration or the detector is off by that much.",
+        ("balls", "nominal mm", "measured mm", "difference mm", "standard error mm", "frame sets"),
+        rows,
+    )
+    if run.balls.num_rows:
+        page.figures(
+            "Ball distances over time",
+            "Measured minus nominal.",
+            figures.over_time(run.times_s, curves, "difference [mm]"),
+        )
+
+
+def _add_provenance(page: Page, run: Run) -> None:
+    page.table(
+        "Cameras",
+        "As used; the run's folder holds the calibration and the body.",
+        ("camera", "x mm", "y mm", "z mm", "focal px", "reprojection RMS px"),
+        (
+            (c.name, *map(float, c.center), c.intrinsics.focal_px, c.reprojection_rms_px or "–")
+            for c in run.cameras
+        ),
+    )
+    session = run.provenance.get("session", {}).get("path", "SESSION")
+    name = run.provenance.get("profile", {}).get("name", "precise")
+    page.text(
+        "Settings and versions",
+        f"To repeat it: measure run {session} --out NEW --profile {name}",
+        dump_toml(run.provenance),
+    )
