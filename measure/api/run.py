@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self, get_args
 
+import numpy as np
+
 from measure.api.measuring import measure_session
 from measure.api.profiles import find_tracker
 from measure.errors import ConfigError, MeasureError
@@ -167,7 +169,7 @@ def _truth(session: Session) -> Callable[[float], RigidTransform | None]:
         return lambda _: None
 
     def at(time_s: float) -> RigidTransform | None:
-        inside = trajectory.times_s[0] <= time_s <= trajectory.times_s[-1]
-        return trajectory.at(time_s) if inside else None
+        wanted = np.array([time_s])
+        return trajectory.at(wanted)[0] if trajectory.covers(wanted).all() else None
 
     return at
