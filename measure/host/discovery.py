@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import difflib
 import inspect
+import re
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
 from importlib import metadata
 
 import pluggy
 
+from measure.errors import PluginError
 from measure.host import hooks
 from measure.host.interfaces import Plugin
 from measure.host.settings import Settings
@@ -48,31 +51,55 @@ def discover(disabled: Collection[str] = ()) -> list[Loaded | Broken]:
     """Load every entry point of the group "measure".
 
     Args:
-        disabled: names of entry points or distributions to leave out, without importing them.
+        disabled: what to leave out: names of entry points or distributions, which are then not even
+            imported, or of single plugins. Case, "-", "_" and "." make no difference.
+
+    Raises:
+        PluginError: a name in `disabled` is nobody's (with near names).
     """
+    left_out = {_canonical(name): name for name in disabled}
+    known: set[str] = set()
     manager = pluggy.PluginManager("measure")
     manager.add_hookspecs(hooks)
     found: list[Loaded | Broken] = []
     for distribution, entry_point in _entry_points():
-        if entry_point.name in disabled or distribution.name in disabled:
+        names = {_canonical(entry_point.name), _canonical(distribution.name)}
+        known |= names
+        if names & left_out.keys():
             continue
         try:
             found += _load(manager, distribution, entry_point)
         except (Exception, SystemExit) as error:
             reason = " ".join(f"{type(error).__name__}: {error}".split())
             found.append(Broken(entry_point.name, distribution, reason))
-    return found
+    known |= {_canonical(item.name) for item in found}
+    for name in left_out.keys() - known:
+        hint = suggestion(name, known, "plugin")
+        raise PluginError(f"cannot disable '{left_out[name]}': there is no such plugin; {hint}")
+    return [item for item in found if _canonical(item.name) not in left_out]
+
+
+def suggestion(name: str, known: Collection[str], what: str) -> str:
+    """Half a sentence for who mistyped `name`: near names, or all there are."""
+    if near := difflib.get_close_matches(name, known, n=3):
+        return f"did you mean {' or '.join(repr(n) for n in near)}?"
+    return f"there is {', '.join(sorted(known))}" if known else f"no {what} is installed"
+
+
+def _canonical(name: str) -> str:
+    """Names as the packaging tools compare them."""
+    return re.sub(r"[-_.]+", "-", name).lower()
 
 
 def _entry_points() -> Iterator[tuple[Distribution, metadata.EntryPoint]]:
     seen: set[str] = set()
     for installed in metadata.distributions():
-        name = str(installed.metadata["Name"])
-        if (
-            name in seen
-        ):  # found again further down the path: the first one is the one that is imported
+        # The remains of an interrupted installation have no name. A name found again further down
+        # the path is shadowed: the first one is the one that is imported.
+        name = str(installed.metadata["Name"] or "") if installed.metadata else ""
+        if not name or _canonical(name) in seen:
             continue
-        seen.add(name)
+        seen.add(_canonical(name))
         for entry_point in installed.entry_points:
             if entry_point.group == hooks.ENTRY_POINT_GROUP:
                 yield Distribution(name, installed.version), entry_point
@@ -83,8 +110,8 @@ def _load(
 ) -> Iterable[Loaded]:
     module = entry_point.load()
     identity = f"{distribution.name}:{entry_point.name}"
-    manager.register(module, identity)
     try:
+        manager.register(module, identity)
         manager.check_pending()
         loaded = [
             Loaded(kind.name, plugin.name, distribution, plugin)
@@ -93,10 +120,12 @@ def _load(
         ]
         if not loaded:
             raise TypeError(
-                f"implements none of the hooks {', '.join(kind.hook for kind in hooks.KINDS)}"
+                f"implements none of the hooks {', '.join(kind.hook for kind in hooks.KINDS)} "
+                "(a hook is a function of that name, decorated with measure.host.hookimpl)"
             )
-    except Exception:
-        manager.unregister(module)
+    except BaseException:
+        if manager.has_plugin(identity):
+            manager.unregister(name=identity)
         raise
     return loaded
 

@@ -1,8 +1,7 @@
 """What a detector, a triangulator and a pose solver are.
 
 A plugin is a class with a `name`, a `Config` and one method. Built-ins and strangers are treated
-alike; a
-class need not live in this project, only keep this contract (`measure.testing` checks it).
+alike; a class need not live in this project, only keep this contract (`measure.testing` checks it).
 """
 
 from __future__ import annotations
@@ -45,9 +44,8 @@ class Detector(Plugin):
 
         Returns:
             Detections. A ball that is not seen is simply absent. For an expected ball there is at
-            most one;
-            for a searched ball there may be several candidates, the best score first, and geometry
-            decides.
+            most one; for a searched ball there may be several candidates, the best score first, and
+            geometry decides.
         """
 
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any, cast
 
 from measure.errors import MeasureError, PluginError
-from measure.host.discovery import Broken, Loaded, discover
+from measure.host.discovery import Broken, Loaded, discover, suggestion
 from measure.host.estimator import Estimator
 from measure.host.interfaces import Detector, Plugin, PoseSolver, Triangulator
 from measure.host.settings import read_settings
@@ -23,7 +22,7 @@ class Registry:
 
     @classmethod
     def discover(cls, disabled: Collection[str] = ()) -> Registry:
-        """Look at every installed distribution but the entry points or distributions `disabled`."""
+        """Look at every installed distribution, leaving out what is `disabled` (see `discover`)."""
         return cls(discover(disabled))
 
     def names(self, kind: str) -> list[str]:
@@ -49,7 +48,9 @@ class Registry:
         for item in self.broken:
             if item.name == name:
                 raise PluginError(f"{kind} '{name}' of {item.distribution} is broken: {item.error}")
-        raise PluginError(f"no {kind} is called '{name}'; {_suggest(name, self.names(kind), kind)}")
+        raise PluginError(
+            f"no {kind} is called '{name}'; {suggestion(name, self.names(kind), kind)}"
+        )
 
     def named(self, name: str) -> list[Loaded | Broken]:
         """Every plugin of this name, whatever its kind, and broken entry points called so.
@@ -61,7 +62,7 @@ class Registry:
         if found := [item for item in everything if item.name == name]:
             return found
         known = sorted({item.name for item in everything})
-        raise PluginError(f"no plugin is called '{name}'; {_suggest(name, known, 'plugin')}")
+        raise PluginError(f"no plugin is called '{name}'; {suggestion(name, known, 'plugin')}")
 
     def clashes(self) -> list[tuple[Loaded, ...]]:
         """Groups of plugins that claim one kind and name."""
@@ -106,10 +107,3 @@ class Registry:
                 f"{kind} '{name}' of {loaded.distribution} cannot be built: "
                 f"{type(error).__name__}: {error}"
             ) from error
-
-
-def _suggest(name: str, known: Sequence[str], kind: str) -> str:
-    near = difflib.get_close_matches(name, known, n=3)
-    if near:
-        return f"did you mean {' or '.join(repr(n) for n in near)}?"
-    return f"there is {', '.join(known)}" if known else f"no {kind} is installed"

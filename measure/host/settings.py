@@ -12,9 +12,9 @@ from measure.errors import ConfigError
 
 
 class Settings(BaseModel):
-    """Base of every plugin's `Config`: frozen, and a misspelt field is an error."""
+    """Base of every plugin's `Config`: frozen; a misspelt field, NaN or infinity is an error."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 def setting(default: Any, description: str, *, unit: str = "", **limits: Any) -> Any:
