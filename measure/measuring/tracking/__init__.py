@@ -4,11 +4,13 @@ from typing import Any
 
 from measure.measuring.tracking.frame_update import FrameUpdate
 from measure.measuring.tracking.memoryless import Memoryless
+from measure.measuring.tracking.predictive import PredictiveTracker
 from measure.measuring.tracking.tracker import Tracker, Verdict
 
 TRACKERS: dict[str, type[Any]] = {
     "frame-update": FrameUpdate,
     "memoryless": Memoryless,
+    "predictive": PredictiveTracker,
 }
 """By the name a profile gives; each is built as (config, body, cameras) and is a `Tracker`."""
 

@@ -1,0 +1,102 @@
+"""Reasons to doubt a pose that the solver was content with."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from measure.measuring.association import Association
+from measure.measuring.body_checks import layout_flags
+from measure.model import BallView, Body, Camera, Detection, Fix, Pose
+from measure.model.observations import Reason
+
+_GOOD_CANDIDATE = 0.5
+_MOST_CAMERAS = 0.5
+_SIGMAS = 2.0
+
+
+def contradictions(
+    pose: Pose,
+    fixes: Sequence[Fix],
+    views: Sequence[BallView],
+    body: Body,
+    tolerance_mm: float,
+    max_rms_px: float,
+) -> tuple[str, ...]:
+    """What shows that a pose is wrong: ball distances, residuals, cameras at odds.
+
+    Args:
+        pose: the pose.
+        fixes: the balls' centres.
+        views: what was seen and believed.
+        body: as its file says.
+        tolerance_mm: error of a distance between balls that is not worth a word.
+        max_rms_px: largest reprojection error that is not, beyond the detections' own noise.
+    """
+    found: tuple[str, ...] = ()
+    if len(fixes) >= 2:
+        found += layout_flags(
+            body,
+            [fix.ball for fix in fixes],
+            np.stack([fix.center for fix in fixes]),
+            np.stack([fix.covariance for fix in fixes]),
+            tolerance_mm,
+        )
+    noise = [np.trace(v.detection.covariance_px) for v in views if v.effective and v.detection]
+    if pose.rms_px > np.hypot(max_rms_px, _SIGMAS * np.sqrt(np.mean(noise or [0.0]))):
+        found += (f"reprojection errors of {pose.rms_px:.1f} px",)
+    used = {view.camera for view in views if view.effective}
+    at_odds = cameras_at_odds(views)
+    if at_odds and len(at_odds) >= _MOST_CAMERAS * len(used | set(at_odds)):
+        found += (f"cameras {', '.join(at_odds)} contradict the others: nobody can tell who errs",)
+    return found
+
+
+def weaknesses(pose: Pose, views: Sequence[BallView], max_sd_mm: float) -> tuple[str, ...]:
+    """What makes a pose less sure than usual, or points at a camera to look after."""
+    found: tuple[str, ...] = ()
+    effective = [view for view in views if view.effective]
+    used = sorted({view.camera for view in effective})
+    if len(used) == 1:
+        found += (f"one camera only ({used[0]}): its distance rests on outline sizes",)
+    if len({view.ball for view in effective}) < 3:
+        found += ("fewer than three balls in sight",)
+    if not pose.position_sd_mm <= max_sd_mm:
+        found += (f"position known to {pose.position_sd_mm:.1f} mm only",)
+    return found + tuple(
+        f"camera {name} contradicts the others on every ball: check its calibration"
+        for name in cameras_at_odds(views)
+    )
+
+
+def strangers(
+    found: Association,
+    body: Body,
+    cameras: Sequence[Camera],
+    detections: Mapping[str, Sequence[Detection]],
+) -> tuple[str, ...]:
+    """Cameras that see two or more balls well, but none where the body found should appear."""
+    assert found.world_from_body is not None
+    centers = found.world_from_body.apply(body.centers)
+    agreeing = {d.camera for d in found.detections}
+    out = []
+    for camera in cameras:
+        if camera.name in agreeing:
+            continue
+        in_view = int(np.sum(camera.intrinsics.contains(camera.project(centers))))
+        good = {d.ball for d in detections.get(camera.name, ()) if d.score >= _GOOD_CANDIDATE}
+        if len(good) >= 2 and (in_view >= 2 or in_view == 0):
+            out.append(camera.name)
+    return tuple(out)
+
+
+def cameras_at_odds(views: Sequence[BallView]) -> list[str]:
+    """Cameras with two or more detections, none of them believed for where it is."""
+    out = []
+    for name in dict.fromkeys(view.camera for view in views):
+        seen = [v for v in views if v.camera == name and v.detection is not None]
+        doubted = [v for v in seen if v.reason in (Reason.INCONSISTENT, Reason.JUMPED)]
+        if len(seen) >= 2 and len(doubted) == len(seen):
+            out.append(name)
+    return out

@@ -1,0 +1,282 @@
+"""Tracking in space: a predicted pose says where to look and what to believe.
+
+The states are the paper's (section II.D): a ball is effective in a camera or suspended, with the
+reason. Gates come from covariances. Without a prediction the whole frame is searched, and geometry
+tells the body from whatever else has its colours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.geometry import chi_square_quantile
+from measure.host.settings import Settings, setting
+from measure.measuring.association import Association, AssociationSettings, associate
+from measure.measuring.tracking.doubts import contradictions, strangers, weaknesses
+from measure.measuring.tracking.gates import agree_with_each_other, agree_with_prediction
+from measure.measuring.tracking.motion_filter import MotionState
+from measure.measuring.tracking.tracker import Verdict
+from measure.measuring.tracking.windows import Windows, predict_windows
+from measure.model import (
+    BallView,
+    Body,
+    Camera,
+    Detection,
+    Expectation,
+    Fix,
+    FrameSet,
+    Motion,
+    Pose,
+)
+from measure.model.observations import Reason, State
+
+_LEFT_OUT_MM, _LEFT_OUT_RAD = 0.02, 0.0005
+"""Errors of a pose that its covariance does not tell, for the filter."""
+_SUSPICIOUS = (Reason.JUMPED, Reason.COLOR, Reason.INCONSISTENT)
+
+
+class PredictiveConfig(Settings):
+    """Settings of tracking in SE(3)."""
+
+    acceleration_mm_s2: float = setting(
+        1500.0, "Standard deviation of the body's acceleration.", unit="mm/s^2", gt=0
+    )
+    turning_rad_s2: float = setting(
+        15.0, "Standard deviation of its angular acceleration.", unit="rad/s^2", gt=0
+    )
+    speed_mm_s: float = setting(
+        60.0, "Standard deviation of the speed of a body just found.", unit="mm/s", gt=0
+    )
+    turning_rad_s: float = setting(
+        0.7, "Standard deviation of its turning rate.", unit="rad/s", gt=0
+    )
+    confidence: float = setting(
+        0.9999, "Detections less likely than the rest are not believed.", gt=0.5, lt=1
+    )
+    model_px: float = setting(
+        0.5,
+        "Systematic error of a detection, added to its standard deviation in every gate.",
+        unit="px",
+        ge=0,
+    )
+    reach_sigmas: float = setting(3.5, "Standard deviations of the prediction to search.", gt=0)
+    reach_floor_px: float = setting(3.0, "Least reach of a search.", unit="px", gt=0)
+    size_slack: float = setting(0.15, "Relative error of an outline's radius.", gt=0, lt=1)
+    recover_frames: int = setting(
+        1, "Frames a detection must be good again after it was not believed.", ge=0
+    )
+    lost_after: int = setting(3, "Frames without a believed pose before all is searched.", ge=1)
+    max_gap_s: float = setting(0.5, "A longer pause than this ends the prediction.", unit="s", gt=0)
+    min_color_match: float = setting(
+        0.15, "Least share of a ball's inside that has its colour, where that is checked.", ge=0
+    )
+    max_rms_px: float = setting(
+        2.5, "A pose with larger reprojection errors is flagged.", unit="px", gt=0
+    )
+    max_sd_mm: float = setting(
+        2.0, "A pose with a larger standard deviation is flagged.", unit="mm", gt=0
+    )
+    distance_tolerance_mm: float = setting(
+        1.0, "Error of a distance between two balls that is not worth a flag.", unit="mm", ge=0
+    )
+
+
+class PredictiveTracker:
+    """Predicts, gates, judges, and starts again when lost."""
+
+    Config: ClassVar[type[Settings]] = PredictiveConfig
+
+    def __init__(self, config: PredictiveConfig, body: Body, cameras: Sequence[Camera]) -> None:
+        self.config = config
+        self._body = body
+        self._cameras = tuple(cameras)
+        self._acceleration = _chart(config.acceleration_mm_s2, config.turning_rad_s2)
+        self._state: MotionState | None = None
+        self._windows: Windows | None = None
+        self._found: Association | None = None
+        self._strangers: tuple[str, ...] = ()
+        self._waiting: dict[tuple[str, str], int] = {}
+        self._misses = 0
+
+    def expect(self, frame_set: FrameSet) -> Mapping[str, Sequence[Expectation]]:
+        """Windows from the predicted pose at each image's own time; the whole frame without one."""
+        self._windows = self._found = None
+        if self._state is not None and frame_set.images:
+            latest = max(image.time_s for image in frame_set.images.values())
+            if latest - self._state.time_s > self.config.max_gap_s:
+                self._forget()
+        if self._state is None or not frame_set.images:
+            return dict.fromkeys(frame_set.images, ())
+        states = {
+            name: self._state.at(image.time_s, self._acceleration)
+            for name, image in frame_set.images.items()
+        }
+        self._windows = predict_windows(states, self._body, self._cameras)
+        c = self.config
+        return self._windows.expectations(c.reach_sigmas, c.reach_floor_px, c.size_slack)
+
+    def judge(
+        self, frame_set: FrameSet, detections: Mapping[str, Sequence[Detection]]
+    ) -> tuple[BallView, ...]:
+        """Association across cameras while searching; gates while tracking."""
+        if self._windows is None:
+            return self._search(frame_set, detections)
+        return self._track(frame_set, self._windows, detections)
+
+    def motion(self, time_s: float) -> Motion | None:
+        """The predicted motion at `time_s`; right after a search, the pose found, at rest."""
+        if self._state is None:
+            return None
+        return self._state.at(time_s, self._acceleration).motion()
+
+    def conclude(
+        self,
+        frame_set: FrameSet,  # noqa: ARG002
+        views: Sequence[BallView],
+        fixes: Sequence[Fix],
+        pose: Pose | None,
+    ) -> Verdict:
+        """Flag what contradicts itself, learn from the rest."""
+        if pose is None:
+            reason = self._found.reason if self._found is not None else ""
+            self._missed()
+            return Verdict(None, reason or "too few balls agree with the prediction")
+        c = self.config
+        wrong = contradictions(
+            pose, fixes, views, self._body, c.distance_tolerance_mm, c.max_rms_px
+        )
+        weak = weaknesses(pose, views, c.max_sd_mm) + self._still_strange(views)
+        flags = tuple(dict.fromkeys((*pose.flags, *wrong, *weak)))
+        if wrong:
+            self._missed()
+        elif self._state is not None:
+            self._misses = 0
+            extra = _chart(_LEFT_OUT_MM, _LEFT_OUT_RAD)
+            self._state = self._state.updated(pose, extra, self._acceleration)
+        return Verdict(replace(pose, flags=flags))
+
+    def _search(
+        self, frame_set: FrameSet, detections: Mapping[str, Sequence[Detection]]
+    ) -> tuple[BallView, ...]:
+        present = [camera for camera in self._cameras if camera.name in frame_set.images]
+        self._found = found = associate(self._body, present, detections, AssociationSettings())
+        self._waiting = {}
+        if found.world_from_body is not None:
+            assert found.covariance is not None
+            time_s = float(np.mean([d.time_s for d in found.detections]))
+            speed = _chart(self.config.speed_mm_s, self.config.turning_rad_s)
+            self._state = MotionState.begin(found.world_from_body, found.covariance, time_s, speed)
+            self._strangers = strangers(found, self._body, present, detections)
+        chosen = {(d.camera, d.ball): d for d in found.detections}
+        return tuple(
+            self._searched(frame_set, camera.name, ball, chosen, detections)
+            for camera in self._cameras
+            for ball in self._body.names
+        )
+
+    def _searched(
+        self,
+        frame_set: FrameSet,
+        camera: str,
+        ball: str,
+        chosen: Mapping[tuple[str, str], Detection],
+        detections: Mapping[str, Sequence[Detection]],
+    ) -> BallView:
+        if (detection := chosen.get((camera, ball))) is not None:
+            return BallView(ball, camera, State.EFFECTIVE, detection=detection)
+        if camera not in frame_set.images:
+            return BallView(ball, camera, State.SUSPENDED, Reason.NO_IMAGE)
+        seen = any(d.ball == ball for d in detections.get(camera, ()))
+        return BallView(
+            ball, camera, State.SUSPENDED, Reason.INCONSISTENT if seen else Reason.NOT_FOUND
+        )
+
+    def _track(
+        self,
+        frame_set: FrameSet,
+        windows: Windows,
+        detections: Mapping[str, Sequence[Detection]],
+    ) -> tuple[BallView, ...]:
+        best = {(d.camera, d.ball): d for some in detections.values() for d in reversed(some)}
+        rows = [row for row, key in enumerate(windows.keys) if key in best]
+        reasons = self._gate(windows, rows, [best[windows.keys[row]] for row in rows])
+        judged = {windows.keys[row]: reason for row, reason in zip(rows, reasons, strict=True)}
+        views = []
+        for camera in self._cameras:
+            for ball in self._body.names:
+                key = (camera.name, ball)
+                missing = Reason.NOT_FOUND if camera.name in frame_set.images else Reason.NO_IMAGE
+                reason = self._patience(key, judged.get(key, missing))
+                state = State.EFFECTIVE if reason is Reason.NONE else State.SUSPENDED
+                views.append(BallView(ball, camera.name, state, reason, best.get(key)))
+        return tuple(views)
+
+    def _gate(
+        self, windows: Windows, rows: Sequence[int], seen: Sequence[Detection]
+    ) -> list[Reason]:
+        """Why each detection is not believed, or `Reason.NONE`."""
+        if not seen:
+            return []
+        assert self._state is not None
+        gate = chi_square_quantile(self.config.confidence, 2)
+        noise = np.stack([d.covariance_px for d in seen]) + self.config.model_px**2 * np.eye(2)
+        innovations = np.stack([d.center_px for d in seen]) - windows.centers_px[rows]
+        near = agree_with_prediction(innovations, windows.covariances_px[rows], noise, gate)
+        colored = np.array([not d.color_match < self.config.min_color_match for d in seen])
+        usable = np.nonzero(near & colored)[0]
+        agreeing = np.zeros(len(seen), np.bool_)
+        if len(usable):
+            some = np.asarray(rows)[usable]
+            agreeing[usable] = agree_with_each_other(
+                innovations[usable],
+                windows.jacobians[some],
+                noise[usable],
+                self._state.at(seen[0].time_s, self._acceleration).covariance[:6, :6],
+                gate,
+            )
+        return [
+            Reason.JUMPED
+            if not n
+            else Reason.COLOR
+            if not c
+            else Reason.NONE
+            if a
+            else Reason.INCONSISTENT
+            for n, c, a in zip(near, colored, agreeing, strict=True)
+        ]
+
+    def _patience(self, key: tuple[str, str], reason: Reason) -> Reason:
+        """A detection that was not believed must be good for some frames before it counts."""
+        if reason in _SUSPICIOUS:
+            self._waiting[key] = self.config.recover_frames
+        elif reason is Reason.NONE and self._waiting.get(key, 0) > 0:
+            self._waiting[key] -= 1
+            return Reason.RECOVERING
+        return reason
+
+    def _still_strange(self, views: Sequence[BallView]) -> tuple[str, ...]:
+        """Cameras that saw balls, but not these, when the body was found, and still do not."""
+        back = {view.camera for view in views if view.effective}
+        self._strangers = tuple(name for name in self._strangers if name not in back)
+        return tuple(
+            f"camera {name} sees balls, but none where the others do: check its calibration"
+            for name in self._strangers
+        )
+
+    def _missed(self) -> None:
+        """A body just found that contradicts itself is not followed at all."""
+        self._misses += 1
+        if self._found is not None or self._misses >= self.config.lost_after:
+            self._forget()
+
+    def _forget(self) -> None:
+        self._state, self._misses, self._waiting = None, 0, {}
+
+
+def _chart(millimetres: float, radians: float) -> Floats:
+    return np.repeat([millimetres, radians], 3)
