@@ -11,6 +11,8 @@ from hypothesis import HealthCheck, settings
 from measure.geometry import RigidTransform
 from measure.model import Ball, BallColor, Body, Camera, Intrinsics
 
+pytest_plugins = ["tests.strangers"]
+
 _CALM = [HealthCheck.too_slow, HealthCheck.function_scoped_fixture]
 
 # A red build means a change, not a lucky draw. `pytest --hypothesis-profile=search` looks further.

@@ -6,7 +6,7 @@ import pytest
 
 from measure.errors import PluginError
 from measure.host import Broken, Detector, Loaded, discover
-from tests.host.conftest import detector_source, strangers, the_broken
+from tests.strangers import detector_source, strangers, the_broken
 
 
 def test_a_stranger_is_found_with_its_distribution(install):

@@ -17,7 +17,7 @@ from measure.host import (
     Triangulator,
     setting,
 )
-from tests.host.conftest import detector_source
+from tests.strangers import detector_source
 
 
 class TallConfig(Settings):
