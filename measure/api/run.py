@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self, get_args
 
-import numpy as np
-
 from measure.api.measuring import measure_session
 from measure.api.profiles import find_tracker
 from measure.errors import ConfigError, MeasureError
@@ -18,7 +16,7 @@ from measure.host import Registry
 from measure.host.settings import read_settings
 from measure.measuring import Profile
 from measure.measuring.profile import Stage
-from measure.results import Provenance, RunWriter, Summary, digest, digest_folder
+from measure.results import Provenance, RunWriter, Summary, digest
 from measure.session import Session, open_session
 
 Report = Callable[[int, int | None], None]
@@ -113,7 +111,7 @@ def provenance(session: Session, profile: Profile, registry: Registry) -> Proven
         plugins[stage] = f"{loaded.name} of {loaded.distribution}"
     return Provenance(
         session=str(session.path.resolve()),
-        session_digest=digest_folder(session.path),
+        session_digest=session.digest(),
         calibration=str(session.calibration_path.resolve()),
         calibration_digest=digest([session.calibration_path.read_bytes()]),
         body_digest=digest([text.encode() for text in described]),
@@ -169,7 +167,6 @@ def _truth(session: Session) -> Callable[[float], RigidTransform | None]:
         return lambda _: None
 
     def at(time_s: float) -> RigidTransform | None:
-        wanted = np.array([time_s])
-        return trajectory.at(wanted)[0] if trajectory.covers(wanted).all() else None
+        return trajectory.at(time_s) if trajectory.covers(time_s)[0] else None
 
     return at

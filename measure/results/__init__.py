@@ -1,6 +1,6 @@
 """The run folder: written row by row, read back, evaluated, exported."""
 
-from measure.results.provenance import Provenance, digest, digest_folder, versions
+from measure.results.provenance import Provenance, digest, versions
 from measure.results.run import Run, read_run
 from measure.results.summary import Summary
 from measure.results.writer import RunWriter
@@ -11,7 +11,6 @@ __all__ = [
     "RunWriter",
     "Summary",
     "digest",
-    "digest_folder",
     "read_run",
     "versions",
 ]

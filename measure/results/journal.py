@@ -1,9 +1,11 @@
-"""Tables that survive a kill: Arrow streams appended as the rows come, Parquet at the end."""
+"""Tables that survive a kill: Arrow streams that grow by whole batches, Parquet at the end."""
 
 from __future__ import annotations
 
+import errno
+import os
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +21,43 @@ def writing(folder: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+        what = "the disk is full" if full else f"cannot write ({error.strerror or error})"
         raise RunError(
-            f"{folder}: cannot write ({error.strerror or error}); everything measured before is "
-            "kept: mend that and go on with --resume"
+            f"{folder}: {what}; everything measured before is kept: mend that and go on with "
+            "--resume"
         ) from error
+
+
+class GrowingFile:
+    """A file that only grows, by whole pieces: one that does not fit leaves no trace."""
+
+    def __init__(self, path: Path, keep: int = 0) -> None:
+        """Open the file and cut off all but its first `keep` bytes."""
+        self._file: Any = path.open("r+b" if path.exists() else "w+b", buffering=0)
+        self._file.truncate(keep)
+        self._file.seek(keep)
+
+    def append(self, data: bytes) -> None:
+        """Hand bytes to the operating system, where a kill of this process no longer matters.
+
+        Raises:
+            OSError: they cannot be written; the file is as before.
+        """
+        start = self._file.tell()
+        try:
+            done = 0
+            while done < len(data):
+                done += self._file.write(data[done:])
+        except OSError:
+            with suppress(OSError):
+                self._file.truncate(start)
+            os.lseek(self._file.fileno(), start, os.SEEK_SET)
+            raise
+
+    def close(self) -> None:
+        """Close it; closing twice does no harm."""
+        self._file.close()
 
 
 class Journal:
@@ -35,37 +70,41 @@ class Journal:
     """
 
     def __init__(self, path: Path, schema: pa.Schema, kept: pa.Table | None = None) -> None:
-        self._path = path
         self._schema = schema
         self._rows: list[dict[str, Any]] = []
+        # The kept rows take the old file's place in one step: never are there fewer than before.
         fresh = path.with_suffix(".new")
-        self._file = fresh.open("wb")
-        self._stream = pa.ipc.new_stream(self._file, schema)
-        if kept is not None and kept.num_rows:
-            self._stream.write_table(kept)
-        self._file.flush()
+        out = GrowingFile(fresh)
+        try:
+            out.append(bytes(schema.serialize()))
+            for batch in kept.combine_chunks().to_batches() if kept is not None else ():
+                out.append(bytes(batch.serialize()))
+        except OSError:
+            fresh.unlink(missing_ok=True)
+            raise
+        finally:
+            out.close()
         fresh.replace(path)
+        self._file = GrowingFile(path, keep=path.stat().st_size)
 
     def append(self, rows: Sequence[Mapping[str, Any]]) -> None:
         """Take rows; they are written by the next `flush`."""
         self._rows += map(dict, rows)
 
     def flush(self) -> None:
-        """Hand all rows to the operating system."""
+        """Hand all rows to the operating system, as one batch.
+
+        Raises:
+            OSError: they cannot be written; they are kept for another try.
+        """
         if self._rows:
-            self._stream.write_batch(pa.RecordBatch.from_pylist(self._rows, self._schema))
+            batch = pa.RecordBatch.from_pylist(self._rows, self._schema)
+            self._file.append(bytes(batch.serialize()))
             self._rows = []
-        self._file.flush()
 
     def close(self) -> None:
-        """End the stream; closing twice does no harm."""
-        if self._file.closed:
-            return
-        try:
-            self.flush()
-            self._stream.close()
-        finally:
-            self._file.close()
+        """Close the file; rows that were not flushed are lost."""
+        self._file.close()
 
 
 def read_table(folder: Path, name: str, schema: pa.Schema) -> pa.Table:
@@ -97,8 +136,16 @@ def _whole_batches(path: Path, schema: pa.Schema) -> pa.Table:
 
 
 def finish(folder: Path, name: str, table: pa.Table) -> None:
-    """Write a table as Parquet in one step, and drop its stream."""
+    """Write a table as Parquet in one step, and drop its stream.
+
+    Raises:
+        OSError: it cannot be written; the stream is still there.
+    """
     fresh = folder / f"{name}.parquet.new"
-    pq.write_table(table, fresh, compression="zstd")
+    try:
+        pq.write_table(table, fresh, compression="zstd")
+    except OSError:
+        fresh.unlink(missing_ok=True)
+        raise
     fresh.replace(folder / f"{name}.parquet")
     (folder / f"{name}.arrows").unlink(missing_ok=True)

@@ -8,7 +8,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib import metadata
-from pathlib import Path
 from typing import Any
 
 _LIBRARIES = ("triball", "numpy", "scipy", "opencv-python-headless", "numba", "av")
@@ -49,23 +48,32 @@ class Provenance:
         }
 
     def differences(self, written: Mapping[str, Any]) -> list[str]:
-        """What differs between this and the values of an earlier run's `run.toml`."""
+        """What differs between this and the values of an earlier run's `run.toml`, in words."""
         ours = self.values()
         changed = [
             name
             for name in ("session", "calibration", "body")
             if ours[name]["sha256"] != written.get(name, {}).get("sha256")
         ]
-        changed += [
-            f"profile.{key}"
-            for key in sorted({*self.profile, *written.get("profile", {})})
-            if self.profile.get(key) != written.get("profile", {}).get(key)
-        ]
-        return changed + [
-            f"plugin {stage}"
-            for stage, plugin in self.plugins.items()
-            if written.get("plugins", {}).get(stage) != plugin
-        ]
+        for part in ("profile", "plugins"):
+            now, then = _flat(ours[part], part), _flat(written.get(part, {}), part)
+            changed += [
+                f"{key} ({then.get(key, 'unset')} then, {now.get(key, 'unset')} now)"
+                for key in sorted({*now, *then})
+                if now.get(key) != then.get(key)
+            ]
+        return changed
+
+
+def _flat(values: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """Nested values by dotted name, as TOML gives them back: no None, no tuples."""
+    out: dict[str, Any] = {}
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            out |= _flat(value, f"{name}.{key}")
+        elif value is not None:
+            out[f"{name}.{key}"] = list(value) if isinstance(value, tuple) else value
+    return out
 
 
 def versions() -> dict[str, str]:
@@ -82,13 +90,3 @@ def digest(parts: Iterable[bytes]) -> str:
         sha.update(len(part).to_bytes(8, "big"))
         sha.update(part)
     return sha.hexdigest()
-
-
-def digest_folder(folder: Path) -> str:
-    """SHA-256 of a recording: text files by content, all others by name and size."""
-    parts = []
-    for path in sorted(p for p in folder.rglob("*") if p.is_file()):
-        name = path.relative_to(folder).as_posix().encode()
-        text = path.suffix in {".toml", ".csv"} and path.name != "truth.csv"
-        parts += [name, path.read_bytes() if text else str(path.stat().st_size).encode()]
-    return digest(parts)

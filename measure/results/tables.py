@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import csv
+from collections.abc import Iterator, Mapping
+from io import StringIO
 from typing import Any
 
 import numpy as np
@@ -78,6 +80,7 @@ CSV_COLUMNS = (
     "status",
     "reason",
 )
+_NINE_DECIMALS = {"time_s", "qw", "qx", "qy", "qz"}
 
 
 def rows_of(measured: Measurement) -> dict[str, list[dict[str, Any]]]:
@@ -89,17 +92,21 @@ def rows_of(measured: Measurement) -> dict[str, list[dict[str, Any]]]:
     }
 
 
-def csv_row(measured: Measurement) -> list[str]:
-    """A measurement as the cells of `CSV_COLUMNS`; empty where there is no pose."""
-    row = {**_pose_row(measured), "frame": measured.index}
-    cells = []
-    for name in CSV_COLUMNS:
-        value = row[name]
-        if isinstance(value, float):
-            cells.append(f"{value:.9g}" if np.isfinite(value) else "")
-        else:
-            cells.append(" ".join(value) if isinstance(value, tuple) else str(value))
-    return cells
+def csv_line(row: Mapping[str, Any]) -> bytes:
+    """A row of the table of poses as a line of `poses.csv`; empty cells where there is no pose."""
+    cells = [_cell(name, row["index" if name == "frame" else name]) for name in CSV_COLUMNS]
+    line = StringIO()
+    csv.writer(line, lineterminator="\n").writerow(cells)
+    return line.getvalue().encode()
+
+
+def _cell(name: str, value: Any) -> str:
+    if value is None or (isinstance(value, float) and not np.isfinite(value)):
+        return ""
+    if isinstance(value, float):
+        # Times may count from 1970: no significant digits, but nanoseconds.
+        return f"{value:.9f}" if name in _NINE_DECIMALS else f"{value:.6f}"
+    return " ".join(value) if isinstance(value, tuple | list) else str(value)
 
 
 def _detection_row(measured: Measurement, view: BallView) -> dict[str, Any]:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import csv
 import json
+import time
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -17,14 +17,14 @@ import pyarrow.compute as pc
 from measure.errors import RunError
 from measure.measuring import Measurement
 from measure.model import Body, Camera
-from measure.results.journal import Journal, finish, read_table, writing
+from measure.results.journal import GrowingFile, Journal, finish, read_table, writing
 from measure.results.provenance import Provenance
 from measure.results.summary import Summary, summarise
-from measure.results.tables import CSV_COLUMNS, SCHEMAS, csv_row, rows_of
+from measure.results.tables import CSV_COLUMNS, SCHEMAS, csv_line, rows_of
 from measure.session import Calibration, dump_toml, write_body, write_calibration
 
-FLUSH_EVERY = 10
-"""Frame sets that a kill may cost at most."""
+FLUSH_EVERY_S = 0.5
+"""How much of the work a kill may cost; `poses.csv` loses nothing."""
 
 _OWN_FILES = ("run.toml", "poses.csv", "summary.json", "run.rrd", "report.html", "body.toml")
 
@@ -39,9 +39,11 @@ class RunWriter:
         cameras: likewise.
         resume: go on where an earlier run of the same ended.
         overwrite: throw an earlier run away.
+        clock: seconds, for the rhythm of writing.
 
     Raises:
-        RunError: the folder holds something else, or an earlier run of something else.
+        RunError: the folder holds something else, or an earlier run of something else, or cannot
+            be written.
     """
 
     def __init__(
@@ -52,8 +54,10 @@ class RunWriter:
         cameras: Sequence[Camera],
         resume: bool = False,
         overwrite: bool = False,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._folder = folder
+        self._clock = clock
         with writing(folder):
             earlier = _prepare(folder, provenance, resume, overwrite)
             if not earlier:
@@ -67,10 +71,12 @@ class RunWriter:
             }
             self._csv = _open_csv(folder / "poses.csv", kept.get("poses"))
         self._files = ExitStack()
-        for file in (self._csv, *self._journals.values()):
-            self._files.callback(file.close)
+        self._files.callback(self._csv.close)
+        for journal in self._journals.values():
+            self._files.callback(journal.close)
         self.next_index = kept["poses"].num_rows if earlier else 0
-        self._unflushed = 0
+        self._flushed_s = clock()
+        self._finished = False
 
     def __enter__(self) -> Self:
         return self
@@ -81,7 +87,15 @@ class RunWriter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        with writing(self._folder):
+        try:
+            if not self._finished:
+                with writing(self._folder):
+                    self._flush()
+        except RunError:
+            # The failure that ended the block is the one to tell, unless there was none.
+            if kind is None:
+                raise
+        finally:
             self._files.close()
 
     def append(self, measured: Measurement) -> None:
@@ -91,20 +105,20 @@ class RunWriter:
             RunError: it cannot be written (disk full); what was written before is kept.
         """
         with writing(self._folder):
-            for name, rows in rows_of(measured).items():
-                self._journals[name].append(rows)
-            csv.writer(self._csv).writerow(csv_row(measured))
-            self._unflushed += 1
-            if self._unflushed >= FLUSH_EVERY:
+            rows = rows_of(measured)
+            for name, journal in self._journals.items():
+                journal.append(rows[name])
+            self._csv.append(csv_line(rows["poses"][0]))
+            self.next_index += 1
+            if self._clock() - self._flushed_s >= FLUSH_EVERY_S:
                 self._flush()
-        self.next_index += 1
 
     def finish(self) -> Summary:
         """Turn the streams into Parquet and write `summary.json`."""
         with writing(self._folder):
             self._flush()
-            for journal in self._journals.values():
-                journal.close()
+            self._files.close()
+            self._finished = True
             tables = {name: read_table(self._folder, name, s) for name, s in SCHEMAS.items()}
             summary = summarise(tables["detections"], tables["poses"])
             text = json.dumps(summary.values(), indent=2, allow_nan=False, ensure_ascii=False)
@@ -117,8 +131,7 @@ class RunWriter:
         # In this order a pose's row never stands without the rows it was made from.
         for name in ("detections", "balls", "poses"):
             self._journals[name].flush()
-        self._csv.flush()
-        self._unflushed = 0
+        self._flushed_s = self._clock()
 
 
 def _prepare(folder: Path, provenance: Provenance, resume: bool, overwrite: bool) -> bool:
@@ -153,14 +166,11 @@ def _kept_rows(folder: Path) -> dict[str, pa.Table]:
     return {name: t.filter(pc.less(t["index"], complete)) for name, t in tables.items()}
 
 
-def _open_csv(path: Path, kept: pa.Table | None) -> Any:
-    """`poses.csv` with its heading and, of a resumed run, the rows that are kept."""
-    lines: list[list[str]] = []
-    if kept is not None and path.exists():
-        with path.open(newline="", encoding="utf-8") as file:
-            lines = list(csv.reader(file))[1 : kept.num_rows + 1]
-    out = path.open("w", newline="", encoding="utf-8")
-    writer = csv.writer(out)
-    writer.writerow(CSV_COLUMNS)
-    writer.writerows(lines)
-    return out
+def _open_csv(path: Path, kept: pa.Table | None) -> GrowingFile:
+    """`poses.csv` with its heading and, of a resumed run, the rows of the table that is kept."""
+    lines = [",".join(CSV_COLUMNS).encode() + b"\n"]
+    lines += [csv_line(row) for row in kept.to_pylist()] if kept is not None else []
+    fresh = path.with_suffix(".csv.new")
+    fresh.write_bytes(b"".join(lines))
+    fresh.replace(path)
+    return GrowingFile(path, keep=path.stat().st_size)

@@ -29,8 +29,9 @@ class ImageStream(Stream):
         notes: tuple[str, ...] = (),
     ) -> None:
         first = decode_picture(read_bytes(files[0], f"camera '{name}': "), str(files[0]))
-        super().__init__(name, source, (first.shape[1], first.shape[0]), frames, times_s, notes)
-        self.files = files
+        super().__init__(
+            name, source, (first.shape[1], first.shape[0]), frames, times_s, files, notes
+        )
 
     def read(self, index: int) -> Image:
         """The frame at position `index`: the file is read now, the pixels decode on first use."""

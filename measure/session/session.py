@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -70,6 +71,15 @@ class Session:
     def camera(self, name: str) -> Camera:
         """The camera called `name`."""
         return next(camera for camera in self.cameras if camera.name == name)
+
+    def digest(self) -> str:
+        """A fingerprint: changes when the body, the clocks, or any picture's name or size does."""
+        fingerprint = hashlib.sha256(repr(_body_values(self.body)).encode())
+        for stream in self.streams.values():
+            sizes = [(file.name, file.stat().st_size) for file in stream.files]
+            fingerprint.update(repr((stream.name, stream.size_wh, sizes)).encode())
+            fingerprint.update(stream.frames.tobytes() + stream.times_s.tobytes())
+        return fingerprint.hexdigest()
 
     def pair(self, tolerance_s: float | None = None, reference: str | None = None) -> Pairing:
         """Which frames form frame sets (see `pair_nearest`); columns in the order of `streams`.
@@ -165,6 +175,10 @@ def open_session(
         description=given.session.description,
         notes=tuple(note for stream in streams.values() for note in stream.notes),
     )
+
+
+def _body_values(body: Body) -> list[object]:
+    return [(b.name, b.color, b.center_mm.tolist(), b.radius_mm) for b in body.balls]
 
 
 def _session_file(path: Path) -> Path:

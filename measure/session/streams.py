@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -21,6 +23,7 @@ class Stream(ABC):
         frames: (n,) frame numbers.
         times_s: (n,) middles of the exposures on the session's clock, increasing.
         serial: frames are best read in order (video); else any thread may read any frame.
+        files: the files it is kept in.
         notes: what a user should know: missing frames and the like.
     """
 
@@ -33,6 +36,7 @@ class Stream(ABC):
         size_wh: tuple[int, int],
         frames: Ints,
         times_s: Floats,
+        files: Sequence[Path],
         notes: tuple[str, ...] = (),
     ) -> None:
         self.name = name
@@ -40,6 +44,7 @@ class Stream(ABC):
         self.size_wh = size_wh
         self.frames = frames
         self.times_s = times_s
+        self.files = list(files)
         self.notes = notes
 
     def __len__(self) -> int:

@@ -47,7 +47,7 @@ class Trajectory:
         return inside & (on_sample | ~self._gaps()[np.minimum(left, max(len(self) - 2, 0))])
 
     def at(self, times_s: ArrayLike) -> RigidTransform:
-        """The poses at times (m,), as a batch of m.
+        """The poses at times (m,), as a batch of m; or the one pose at a time.
 
         Positions run along a cubic through the samples (slopes by second-order differences),
         rotations along the great arc between two.
@@ -65,9 +65,10 @@ class Trajectory:
             )
         left, fraction = self._interval(wanted)
         right = np.minimum(left + 1, len(self) - 1)
-        return RigidTransform(
+        poses = RigidTransform(
             self._rotations(left, right, fraction), self._positions(left, right, fraction)
         )
+        return poses if np.ndim(times_s) else poses[0]
 
     def _interval(self, wanted: Floats) -> tuple[Ints, Floats]:
         last = max(len(self) - 2, 0)

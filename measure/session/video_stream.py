@@ -23,7 +23,9 @@ class VideoStream(Stream):
     def __init__(
         self, name: str, path: Path, index: VideoIndex, stamps: Stamps, offset_s: float
     ) -> None:
-        super().__init__(name, str(path), index.size_wh, stamps.frames, stamps.times_s + offset_s)
+        super().__init__(
+            name, str(path), index.size_wh, stamps.frames, stamps.times_s + offset_s, [path]
+        )
         self._reader = VideoReader(path, index)
         self._motion_jpeg = index.motion_jpeg
 

@@ -21,7 +21,9 @@ class Watched(Stream):
     """Counts the decoded images that are alive, and notes in which order frames were asked for."""
 
     def __init__(self, inner: Stream, serial: bool, alive: weakref.WeakSet[Image]) -> None:
-        super().__init__(inner.name, inner.source, inner.size_wh, inner.frames, inner.times_s)
+        super().__init__(
+            inner.name, inner.source, inner.size_wh, inner.frames, inner.times_s, inner.files
+        )
         self.inner, self.serial, self.alive = inner, serial, alive
         self.asked: list[int] = []
         self.most = 0

@@ -1,0 +1,120 @@
+"""Runs of a body that moves as we say, seen by exact cameras with errors we choose."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from measure.arrays import Floats
+from measure.geometry import RigidTransform
+from measure.measuring import Measurement, Status
+from measure.model import (
+    Ball,
+    BallColor,
+    BallView,
+    Body,
+    Camera,
+    Detection,
+    Fix,
+    Intrinsics,
+    Pose,
+)
+from measure.model.observations import Reason, State
+from measure.results import Provenance
+
+BODY = Body(
+    "triangle",
+    (
+        Ball("green", BallColor.named("green"), np.array([38.0, 0.0, 0.0]), 20.0),
+        Ball("yellow", BallColor.named("yellow"), np.array([0.0, 38.0, 0.0]), 20.0),
+        Ball("red", BallColor.named("red"), np.array([-38.0, 0.0, 0.0]), 20.0),
+    ),
+)
+PERIOD_S = 1 / 30
+
+
+def look_at(name: str, center: tuple[float, float, float]) -> Camera:
+    """A camera at `center` that looks at the world's origin."""
+    forward = -np.array(center) / np.linalg.norm(center)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(forward, right), forward], axis=1)
+    matrix = np.array([[1400.0, 0, 639.5], [0, 1400.0, 359.5], [0, 0, 1]])
+    pose = RigidTransform(rotation, np.array(center))
+    return Camera(name, Intrinsics((1280, 720), matrix), pose, np.eye(6) * 1e-6, 0.1)
+
+
+CAMERAS = tuple(
+    look_at(f"cam{i}", c)
+    for i, c in enumerate([(400.0, 300, 300), (-400.0, 300, 300), (-400.0, -300, 300)])
+)
+
+
+def true_pose(time_s: float) -> RigidTransform:
+    """A smooth motion of some tens of mm and degrees."""
+    turn = np.array([0.3 * np.sin(time_s), 0.2 * np.cos(2 * time_s), 0.5 * time_s])
+    shift = 30 * np.array([np.sin(2 * time_s), np.cos(1.5 * time_s), 0.5 * np.sin(3 * time_s)])
+    return RigidTransform.from_rotvec(turn, shift)
+
+
+def measurement(
+    index: int,
+    error: Floats | None = None,
+    covariance: Floats | None = None,
+    pixel_error: Floats | None = None,
+    lost: bool = False,
+) -> Measurement:
+    """A frame set whose pose is off by `error` (6,) and whose centres are off by `pixel_error`."""
+    time_s = index * PERIOD_S
+    exact = true_pose(time_s)
+    error = np.zeros(6) if error is None else error
+    covariance = np.diag([0.01] * 3 + [1e-6] * 3) if covariance is None else covariance
+    pixel_error = np.zeros(2) if pixel_error is None else pixel_error
+    frames = {camera.name: index for camera in CAMERAS}
+    if lost:
+        return Measurement(index, time_s, frames, (), (), None, Status.LOST, "too few balls")
+    views = []
+    for camera in CAMERAS:
+        centers = camera.project(exact.apply(BODY.centers)) + pixel_error
+        for ball, center in zip(BODY.balls, centers, strict=True):
+            seen = Detection(ball.name, camera.name, time_s, center, 50.0, np.eye(2) * 0.01)
+            views.append(BallView(ball.name, camera.name, State.EFFECTIVE, Reason.NONE, seen))
+    fixes = tuple(
+        Fix(ball.name, time_s, center, covariance[:3, :3], ("cam0", "cam1"), np.array([0.1, 0.1]))
+        for ball, center in zip(BODY.balls, exact.apply(BODY.centers) + error[:3], strict=True)
+    )
+    names = tuple(camera.name for camera in CAMERAS)
+    pose = Pose(time_s, exact.perturb(error), covariance, 0.1, 0.2, names, BODY.names)
+    residuals = {(v.ball, v.camera): pixel_error for v in views}
+    return Measurement(
+        index, time_s, frames, tuple(views), fixes, pose, Status.OK, residuals_px=residuals
+    )
+
+
+def made_from(**settings: object) -> Provenance:
+    return Provenance(
+        session="/s",
+        session_digest="d",
+        calibration="/c",
+        calibration_digest="c",
+        body_digest="b",
+        profile={"name": "paper", "settings": {"detector": {"rays": 64}}, **settings},
+        plugins={"detector": "hough of triball 0.1"},
+    )
+
+
+def write_truth(path: Path, end_s: float, rate_hz: float = 240.0) -> Path:
+    lines = ["time_s,x_mm,y_mm,z_mm,qw,qx,qy,qz"]
+    for k in range(int(end_s * rate_hz) + 2):
+        pose = true_pose(k / rate_hz)
+        numbers = [k / rate_hz, *pose.translation, *pose.quat_wxyz]
+        lines.append(",".join(f"{v:.12f}" for v in numbers))
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return tmp_path / "run"
