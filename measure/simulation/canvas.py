@@ -10,7 +10,8 @@ import numpy as np
 from measure.arrays import Bools, Floats, Ints
 from measure.errors import ConfigError
 from measure.model import Intrinsics
-from measure.simulation.caster import NOTHING, Stage, spread
+from measure.simulation.caster import Stage, spread
+from measure.simulation.kernels import NOTHING
 from measure.simulation.sensor import Linear
 from measure.simulation.shapes import Box
 
@@ -57,9 +58,10 @@ class Canvas:
         if not rows.size:
             return out
         ideal, delays = self._ideal[rows + 1, columns + 1], self._delays(rows)
-        first, depth = stage.trace(ideal, near, delays)
-        seen = stage.colours(ideal, first, depth, delays)
-        seen[first == NOTHING] = backdrop[rows, columns][first == NOTHING]
+        seen, met = stage.colours(ideal[:, None], near, delays)
+        first = met[:, 0]
+        missed = first == NOTHING
+        seen[missed] = backdrop[rows[missed], columns[missed]]
         out[rows, columns] = seen
         fine = stage.silhouettes(ideal, near) | self._steps(stage, rows, columns, first, seen)
         for part in np.array_split(np.flatnonzero(fine), np.count_nonzero(fine) // _MOST_EDGES + 1):
@@ -91,10 +93,12 @@ class Canvas:
         ids = np.full(shape, NOTHING - 1, np.int16)
         r, c = rows - top, columns - left
         ids[r, c] = first
-        step = _beside(
-            lambda a, b: (ids[a] != ids[b]) & (np.minimum(ids[a], ids[b]) >= NOTHING), shape
-        )
+        # Where a round shape ends is known exactly; here are the seams between shapes, and boxes.
         flat = np.array([isinstance(s, Box) for s in stage.shapes] + [False])
+        lowest = NOTHING if flat[first].any() else 0
+        step = _beside(
+            lambda a, b: (ids[a] != ids[b]) & (np.minimum(ids[a], ids[b]) >= lowest), shape
+        )
         if flat[first].any():
             grey = np.zeros(shape)
             grey[r, c] = seen.sum(axis=1) * flat[first]
@@ -117,17 +121,12 @@ class Canvas:
         ideal = self._ideal[r, c][:, None] + (
             offset[:, :1] * by_column[:, None] + offset[:, 1:] * by_row[:, None]
         )
-        ideal = ideal.reshape(-1, 2)
-        delays = self._delays(np.repeat(rows, samples))
-        first, depth = stage.trace(ideal, np.repeat(near, samples, axis=1), delays)
-        seen = stage.colours(ideal, first, depth, delays).reshape(-1, samples, 3)
-        missed = (first == NOTHING).reshape(-1, samples).mean(axis=1)
-        return seen.mean(axis=1) + missed[:, None] * backdrop[rows, columns]
+        seen, first = stage.colours(ideal, near, self._delays(rows))
+        missed = np.mean(first == NOTHING, axis=1)
+        return seen + missed[:, None] * backdrop[rows, columns]
 
-    def _delays(self, rows: Ints) -> Floats | None:
+    def _delays(self, rows: Ints) -> Floats:
         """When rows (n,) are exposed, after the middle one."""
-        if self.row_time_s == 0:
-            return None
         return np.asarray((rows - (self.height - 1) / 2) * self.row_time_s, dtype=np.float64)
 
 

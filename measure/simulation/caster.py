@@ -1,16 +1,18 @@
-"""Casting rays: which shape each pixel sees, exactly at the edges."""
+"""Casting rays at the shapes a camera sees."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from measure.arrays import Bools, Floats, Ints
-from measure.simulation.shading import Lighting, Surface, shade
-from measure.simulation.shapes import Box, Shape, Sphere
+from measure.simulation import kernels
+from measure.simulation.kernels import NOTHING
+from measure.simulation.shading import Lighting
+from measure.simulation.shapes import Box, Capsule, Shape, Sphere
 
-NOTHING = -1
 _GOLDEN = (np.sqrt(5) - 1) / 2
 _EDGE_PX = 0.75
 """An outline crosses a pixel only if it passes its centre nearer than this."""
@@ -34,58 +36,40 @@ class Stage:
     velocities: Floats | None = None
     longest_delay_s: float = 0.0
 
-    def trace(
-        self, ideal: Floats, near: Bools, delays_s: Floats | None = None
-    ) -> tuple[Ints, Floats]:
-        """What rays hit first.
+    def colours(self, ideal: Floats, near: Bools, delays_s: Floats) -> tuple[Floats, Ints]:
+        """What rays see.
 
         Args:
-            ideal: (n, 2) undistorted normalised image coordinates.
-            near: (k, n) which shapes a ray may meet.
-            delays_s: (n,) when each ray is cast, relative to the time the shapes are given for.
+            ideal: (m, s, 2) undistorted normalised image coordinates of s rays through m pixels.
+            near: (k, m) which shapes a pixel's rays may meet.
+            delays_s: (m,) when a pixel is exposed, after the time the shapes are given for.
 
         Returns:
-            Index of the shape (n,), `NOTHING` for none; and the depth (n,).
+            Mean linear radiance (m, 3) of a pixel's rays, B G R, where nothing counts 0; and the
+            shapes met (m, s), `NOTHING` for none.
         """
-        directions = np.column_stack([ideal, np.ones(len(ideal))])
-        first, depth = np.full(len(ideal), NOTHING), np.full(len(ideal), np.inf)
-        for k, shape in enumerate(self.shapes):
-            rows = np.flatnonzero(near[k])
-            if not rows.size:
-                continue
-            d = shape.cast(self._origins(k, delays_s, rows), directions[rows])
-            closer = d < depth[rows]
-            depth[rows[closer]], first[rows[closer]] = d[closer], k
-        return first, depth
-
-    def colours(
-        self, ideal: Floats, first: Ints, depth: Floats, delays_s: Floats | None = None
-    ) -> Floats:
-        """Linear radiance (n, 3), B G R, of what `trace` found; 0 where nothing."""
-        out = np.zeros((len(ideal), 3))
-        balls = [s for s in self.shapes if isinstance(s, Sphere)] if self.lighting.shadows else []
-        for k, shape in enumerate(self.shapes):
-            rows = np.flatnonzero(first == k)
-            if not rows.size:
-                continue
-            points = depth[rows, None] * np.column_stack([ideal[rows], np.ones(rows.size)])
-            points = points + self._origins(k, delays_s, rows)
-            surface = Surface(
-                points, shape.normals(points), shape.albedo(points)[..., ::-1], shape.material
-            )
-            blockers = tuple((b.anchor, b.radius_mm) for b in balls if b is not shape)
-            out[rows] = shade(surface, self.lighting, blockers)
-        return out
+        pixels, rays = ideal.shape[:2]
+        flat = np.ascontiguousarray(ideal.reshape(-1, 2))
+        first, depth = np.empty(len(flat), np.int64), np.empty(len(flat))
+        rows = np.ascontiguousarray(near.T)
+        kernels.trace(flat, rows, rays, delays_s, self._packed, first, depth)
+        out = np.empty((pixels, 3))
+        albedo, by_ray = self._albedo(flat, first, depth)
+        lighting = (self._lamps, *self._surroundings, self._blockers)
+        kernels.shade(
+            flat, rays, delays_s, first, depth, self._packed, albedo, by_ray, *lighting, out
+        )
+        return out, first.reshape(pixels, rays)
 
     def gaps_px(self, k: int, ideal: Floats) -> Floats:
-        """How far (n,) in px rays pass the silhouette of shape k; negative inside."""
+        """How far (n,) in px rays (n, 2) pass the silhouette of shape k; negative inside."""
         directions = np.column_stack([ideal, np.ones(len(ideal))])
         length2 = np.einsum("ij,ij->i", directions, directions)
-        # One radian is f px on the axis and f / cos^2 off it.
+        # One radian is f px on the axis and at most f / cos^2 off it.
         return self.shapes[k].clearance(directions) * self.focal_px * length2
 
     def silhouettes(self, ideal: Floats, near: Bools) -> Bools:
-        """Whether the outline of a round shape crosses the pixel of each ray (n,)."""
+        """Whether the outline of a round shape crosses the pixel of each ray (n, 2)."""
         found = np.zeros(len(ideal), bool)
         for k, shape in enumerate(self.shapes):
             if isinstance(shape, Box):
@@ -98,15 +82,57 @@ class Stage:
         """How far a rolling shutter may move shape k's outline."""
         if self.velocities is None or self.longest_delay_s == 0:
             return 0.0
-        shape = self.shapes[k]
-        speed = np.linalg.norm(self.velocities[k]) / np.linalg.norm(shape.anchor)
+        speed = np.linalg.norm(self.velocities[k]) / np.linalg.norm(self.shapes[k].anchor)
         return float(speed) * self.longest_delay_s * self.focal_px
 
-    def _origins(self, k: int, delays_s: Floats | None, rows: Ints) -> Floats:
-        """Where rays start in the frame that moves along with shape k."""
-        if delays_s is None or self.velocities is None:
-            return np.zeros(3)
-        return -np.multiply.outer(delays_s[rows], self.velocities[k])
+    def _albedo(self, flat: Floats, first: Ints, depth: Floats) -> tuple[Floats, bool]:
+        """Reflectance, B G R, per shape (k, 3), or per ray (n, 3) where a texture is seen."""
+        plain = np.array([shape.material.albedo_rgb[::-1] for shape in self.shapes]).reshape(-1, 3)
+        textured = [k for k, s in enumerate(self.shapes) if s.material.texture is not None]
+        if not textured:
+            return plain, False
+        by_ray = np.where((first == NOTHING)[:, None], 0.0, plain[first])
+        for k in textured:
+            shape = self.shapes[k]
+            rows = np.flatnonzero(first == k)
+            if rows.size and isinstance(shape, Box) and shape.material.texture is not None:
+                points = depth[rows, None] * np.column_stack([flat[rows], np.ones(rows.size)])
+                by_ray[rows] = shape.material.texture(shape.local(points))[:, ::-1]
+        return by_ray, True
+
+    @cached_property
+    def _packed(self) -> Floats:
+        rows = np.zeros((len(self.shapes), kernels.ROW))
+        for row, shape in zip(rows, self.shapes, strict=True):
+            _pack(row, shape)
+        if self.velocities is not None:
+            rows[:, kernels.VELOCITY : kernels.VELOCITY + 3] = self.velocities
+        return rows
+
+    @cached_property
+    def _lamps(self) -> Floats:
+        return np.array(
+            [
+                [*lamp.position_mm, *lamp.irradiance_rgb[::-1], lamp.radius_mm]
+                for lamp in self.lighting.lights
+            ]
+        ).reshape(-1, kernels.LAMP_ROW)
+
+    @cached_property
+    def _surroundings(self) -> tuple[Floats, Floats, Floats]:
+        """Ambient light, mirrored surroundings, and the way up with the share from below."""
+        light = self.lighting
+        return (
+            np.array(light.ambient_rgb[::-1]),
+            np.array(light.surround_rgb[::-1]),
+            np.array([*light.up, light.below]),
+        )
+
+    @cached_property
+    def _blockers(self) -> Ints:
+        if not self.lighting.shadows:
+            return np.zeros(0, np.int64)
+        return np.flatnonzero([isinstance(shape, Sphere) for shape in self.shapes])
 
 
 def spread(count: int) -> Floats:
@@ -117,3 +143,19 @@ def spread(count: int) -> Floats:
     """
     i = np.arange(count)
     return np.column_stack([(i + 0.5) / count, (i * _GOLDEN + 0.5 / count) % 1]) - 0.5
+
+
+def _pack(row: Floats, shape: Shape) -> None:
+    """Fill a shape's row of numbers."""
+    a, b = slice(kernels.A, kernels.A + 3), slice(kernels.B, kernels.B + 3)
+    row[kernels.REFLECTANCE] = shape.material.reflectance
+    row[kernels.ROUGHNESS] = shape.material.roughness_rad
+    if isinstance(shape, Box):
+        row[kernels.KIND], row[a], row[b] = kernels.BOX, shape.anchor, np.array(shape.size_mm) / 2
+        row[kernels.TURN : kernels.TURN + 9] = shape.frame_from_box.rotation.ravel()
+        return
+    row[kernels.RADIUS] = shape.radius_mm
+    if isinstance(shape, Capsule):
+        row[kernels.KIND], row[a], row[b] = kernels.CAPSULE, shape.start_mm, shape.end_mm
+    else:
+        row[kernels.KIND], row[a] = kernels.SPHERE, shape.center_mm

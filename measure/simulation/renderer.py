@@ -40,7 +40,7 @@ class Renderer:
 
         The noise depends on the scene's seed, the camera and `frame`, and on nothing else.
         """
-        rng = np.random.default_rng([self.scene.seed, self._index, frame])
+        rng = np.random.Generator(np.random.SFC64([self.scene.seed, self._index, frame]))
         return develop(self.radiance(time_s), self.sensor, rng)
 
     def radiance(self, time_s: float) -> Linear:

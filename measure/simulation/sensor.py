@@ -9,7 +9,8 @@ Every stage can be switched off.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from functools import lru_cache
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -19,7 +20,7 @@ from measure.arrays import Bytes, Floats
 from measure.errors import ConfigError
 
 Linear = NDArray[np.float32]
-_TONE_STEPS = 1 << 14
+_TONE_STEPS = 1 << 16
 _CHROMA = {
     "444": cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444,
     "422": cv2.IMWRITE_JPEG_SAMPLING_FACTOR_422,
@@ -76,13 +77,14 @@ def develop(radiance: Linear, sensor: Sensor, rng: np.random.Generator) -> Bytes
     levels = tone_curve(sensor.tone)[_indices(light)]
     if sensor.sharpen > 0:
         soft = cv2.GaussianBlur(levels, (0, 0), sensor.sharpen_px)
-        levels = levels + np.float32(sensor.sharpen) * (levels - soft)
+        levels = levels + np.float32(sensor.sharpen) * (levels - np.asarray(soft, np.float32))
     if sensor.level_noise > 0:
         noise = rng.standard_normal(levels.shape, dtype=np.float32)
-        levels = levels + np.float32(sensor.level_noise) * noise
-    return np.clip(np.rint(levels), 0, 255).astype(np.uint8)
+        return _mixed(levels, 1.0, noise, sensor.level_noise, cv2.CV_8U)
+    return _mixed(levels, 1.0, levels, 0.0, cv2.CV_8U)
 
 
+@lru_cache
 def tone_curve(tone: str) -> Linear:
     """Encoded levels 0-255 of `_TONE_STEPS` linear values from 0 to 1.
 
@@ -105,7 +107,9 @@ def tone_curve(tone: str) -> Linear:
             raise ConfigError(
                 f"tone '{tone}': expected linear, srgb, bent or a gamma such as 2.2"
             ) from None
-    return (255 * y).astype(np.float32)
+    levels = (255 * y).astype(np.float32)
+    levels.flags.writeable = False
+    return levels
 
 
 def encode(picture: Bytes, sensor: Sensor) -> bytes:
@@ -131,16 +135,20 @@ def _srgb(x: Floats) -> Floats:
 
 def _indices(light: Linear) -> NDArray[np.uint16]:
     """Linear light as indices into the tone curve."""
-    scaled = light * np.float32(_TONE_STEPS - 1) + np.float32(0.5)
-    return np.clip(scaled, 0, _TONE_STEPS - 1).astype(np.uint16)
+    return _mixed(light, float(_TONE_STEPS - 1), light, 0.0, cv2.CV_16U)
+
+
+def _mixed(a: Linear, gain_a: float, b: Linear, gain_b: float, depth: int) -> NDArray[Any]:
+    """`gain_a * a + gain_b * b`, rounded and clipped to an integer type."""
+    return np.asarray(cv2.addWeighted(a, gain_a, b, gain_b, 0.0, dtype=depth))
 
 
 def _noisy(light: Linear, sensor: Sensor, rng: np.random.Generator) -> Linear:
     """Add shot and read noise to linear light of any shape."""
     if sensor.electrons > 0:
-        variance = np.maximum(light, 0) / sensor.electrons
-        variance += (sensor.read_noise / sensor.electrons) ** 2
-        sigma = np.sqrt(variance).astype(np.float32)
+        sigma = np.maximum(light, 0) * np.float32(1 / sensor.electrons)
+        sigma += np.float32((sensor.read_noise / sensor.electrons) ** 2)
+        np.sqrt(sigma, out=sigma)
     elif sensor.read_noise > 0:
         sigma = np.full_like(light, sensor.read_noise)
     else:
