@@ -10,7 +10,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
 from measure.geometry import Rays, midpoints, usable_pairs
-from measure.model import Camera, Detection
+from measure.model import Camera, Detection, Rig
 
 _MIN_ANGLE_RAD = np.radians(5.0)
 
@@ -31,12 +31,20 @@ class Sighting:
     origin: Floats
     direction: Floats
 
-    @classmethod
-    def of(cls, detection: Detection, cameras: Mapping[str, Camera]) -> Sighting:
-        """The sighting of a detection."""
-        camera = cameras[detection.camera]
-        ray = camera.rays(detection.center_px[None])
-        return cls(detection, camera, ray.origins[0], ray.directions[0])
+
+def sightings(
+    detections: Sequence[Detection], cameras: Mapping[str, Camera]
+) -> tuple[Sighting, ...]:
+    """The detections with their rays; one beyond the lens model's reach is left out."""
+    if not detections:
+        return ()
+    used = [cameras[detection.camera] for detection in detections]
+    rays = Rig.of(used).rays(np.stack([detection.center_px for detection in detections]))
+    return tuple(
+        Sighting(*parts)
+        for parts in zip(detections, used, rays.origins, rays.directions, strict=True)
+        if np.all(np.isfinite(parts[3]))
+    )
 
 
 @dataclass(frozen=True)
@@ -52,17 +60,14 @@ class Limits:
     radius_share: float
 
 
-def locate(sightings: Sequence[Sighting]) -> Floats | None:
+def locate(seen: Sequence[Sighting]) -> Floats | None:
     """The mean (3,) of the midpoints of all pairs of rays; None if they do not determine one."""
-    if len(sightings) < 2:
+    if len(seen) < 2:
         return None
-    rays = Rays(
-        np.stack([sighting.origin for sighting in sightings]),
-        np.stack([sighting.direction for sighting in sightings]),
-    )
+    rays = Rays(np.stack([s.origin for s in seen]), np.stack([s.direction for s in seen]))
     try:
         pairs = usable_pairs(rays, _MIN_ANGLE_RAD)
-    except (DegenerateGeometryError, ValueError):
+    except DegenerateGeometryError:
         return None
     return midpoints(rays.origins, rays.directions, pairs).mean
 
@@ -84,14 +89,12 @@ def misfit(sighting: Sighting, point: Floats, radius_mm: float, limits: Limits) 
     return max(distance / limits.distance_mm, radius_error / limits.radius_share)
 
 
-def disagreeing(
-    sightings: Sequence[Sighting], radius_mm: float, limits: Limits
-) -> tuple[Sighting, ...]:
+def disagreeing(seen: Sequence[Sighting], radius_mm: float, limits: Limits) -> tuple[Sighting, ...]:
     """The fewest circles to leave out, worst first, until the others agree.
 
     With two circles nobody can tell which of them is wrong: none is named.
     """
-    kept, out = list(sightings), []
+    kept, out = list(seen), []
     while len(kept) >= 3 and _worst(kept, radius_mm, limits) > 1:
         rests = [[s for s in kept if s is not one] for one in kept]
         best = int(np.argmin([_worst(rest, radius_mm, limits) for rest in rests]))
@@ -100,8 +103,8 @@ def disagreeing(
     return tuple(out)
 
 
-def _worst(sightings: Sequence[Sighting], radius_mm: float, limits: Limits) -> float:
-    point = locate(sightings)
+def _worst(seen: Sequence[Sighting], radius_mm: float, limits: Limits) -> float:
+    point = locate(seen)
     if point is None:
         return float("inf")
-    return max(misfit(sighting, point, radius_mm, limits) for sighting in sightings)
+    return max(misfit(sighting, point, radius_mm, limits) for sighting in seen)

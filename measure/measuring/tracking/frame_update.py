@@ -15,11 +15,11 @@ from measure.arrays import Floats
 from measure.host.settings import Settings
 from measure.measuring.tracking.agreement import (
     Limits,
-    Sighting,
     apparent_radius_px,
     disagreeing,
     locate,
     misfit,
+    sightings,
 )
 from measure.measuring.tracking.circle_state import Circle, Evidence, advance, remember
 from measure.measuring.tracking.frame_update_settings import FrameUpdateSettings
@@ -200,13 +200,14 @@ class FrameUpdate:
         self, frame_set: FrameSet, detections: Mapping[str, Sequence[Detection]]
     ) -> list[BallView]:
         """All circles that can be the body's balls are effective."""
-        sightings = [
-            Sighting.of(detection, self._cameras)
+        candidates = [
+            detection
             for name in frame_set.images
             for detection in detections.get(name, ())
             if self._sound(detection)
         ]
-        chosen = choose(self._body, sightings, self._limits(), 2 * self.config.consistency_mm)
+        seen = sightings(candidates, self._cameras)
+        chosen = choose(self._body, seen, self._limits(), 2 * self.config.consistency_mm)
         views = []
         for ball, camera in self._circles:
             members = chosen[ball].members if ball in chosen else {}
@@ -265,15 +266,13 @@ class FrameUpdate:
         evidence: Mapping[str, Evidence],
     ) -> dict[str, Evidence]:
         """Fill in whether each circle agrees with the 3-D centre from effective circles."""
-        sightings = {
-            name: Sighting.of(detection, self._cameras)
-            for name, detection in found.items()
-            if detection is not None and evidence[name].color_ok
-        }
+        sound = [d for name, d in found.items() if d is not None and evidence[name].color_ok]
+        seen = sightings(sound, self._cameras)
         trusted = [
             sighting
-            for name, sighting in sightings.items()
-            if self._circles[ball.name, name].effective and not evidence[name].moved_too_far
+            for sighting in seen
+            if self._circles[ball.name, sighting.camera.name].effective
+            and not evidence[sighting.camera.name].moved_too_far
         ]
         outliers = disagreeing(trusted, ball.radius_mm, self._limits())
         kept = [sighting for sighting in trusted if sighting not in outliers]
@@ -281,7 +280,8 @@ class FrameUpdate:
         if point is None and len(self._body.balls) > 3:
             point = self._predicted(ball)
         out = dict(evidence)
-        for name, sighting in sightings.items():
+        for sighting in seen:
+            name = sighting.camera.name
             if sighting in outliers:
                 out[name] = replace(evidence[name], consistent=False)
             elif point is not None and sighting not in kept:

@@ -41,8 +41,8 @@ class FrameUpdateSettings(Settings):
         2.0, "tolerance from which a restart searches whole frames", ge=1
     )
     flag_residual_mm: float = setting(
-        1.5, "RMS misfit of the balls to the body from which a pose is flagged", unit="mm", gt=0
+        1.0, "RMS misfit of the balls to the body from which a pose is flagged", unit="mm", gt=0
     )
     max_residual_mm: float = setting(
-        4.0, "RMS misfit of the balls to the body from which a pose is refused", unit="mm", gt=0
+        3.0, "RMS misfit of the balls to the body from which a pose is refused", unit="mm", gt=0
     )

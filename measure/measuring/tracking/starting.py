@@ -41,17 +41,17 @@ class Hypothesis:
 
 
 def choose(
-    body: Body, sightings: Sequence[Sighting], limits: Limits, distance_tolerance_mm: float
+    body: Body, seen: Sequence[Sighting], limits: Limits, distance_tolerance_mm: float
 ) -> dict[str, Hypothesis]:
     """The best hypothesis for as many balls as possible, by ball.
 
     Args:
         body: its radii and its distances between balls decide.
-        sightings: all candidates, any number per ball and camera.
+        seen: all candidates, any number per ball and camera.
         limits: how well circles of one ball must agree.
         distance_tolerance_mm: how far the distance of two balls may be off.
     """
-    offered = {ball.name: _hypotheses(ball, sightings, limits) for ball in body.balls}
+    offered = {ball.name: _hypotheses(ball, seen, limits) for ball in body.balls}
     best: dict[str, Hypothesis] = {}
     for chosen in _combinations(body, offered, distance_tolerance_mm):
         if _value(chosen) > _value(best):
@@ -64,9 +64,9 @@ def _value(chosen: Mapping[str, Hypothesis]) -> tuple[int, int, float]:
     return len(chosen), views, -sum(hypothesis.misfit for hypothesis in chosen.values())
 
 
-def _hypotheses(ball: Ball, sightings: Sequence[Sighting], limits: Limits) -> list[Hypothesis]:
+def _hypotheses(ball: Ball, seen: Sequence[Sighting], limits: Limits) -> list[Hypothesis]:
     """Every two circles of different cameras that agree, with all others that agree with them."""
-    mine = [sighting for sighting in sightings if sighting.detection.ball == ball.name]
+    mine = [sighting for sighting in seen if sighting.detection.ball == ball.name]
     found: dict[frozenset[int], Hypothesis] = {}
     for first, second in combinations(mine, 2):
         if first.camera is second.camera:
@@ -111,11 +111,10 @@ def _combinations(
             for hypothesis in offered[name]
             if all(
                 abs(
-                    float(np.linalg.norm(hypothesis.point - other.point))
-                    - distances.get((seen, name), distances.get((name, seen), 0.0))
+                    float(np.linalg.norm(hypothesis.point - other.point)) - distances[earlier, name]
                 )
                 <= tolerance_mm
-                for seen, other in before.items()
+                for earlier, other in before.items()
             )
         ]
     return chosen

@@ -58,7 +58,7 @@ class HoughSettings(Settings):
         1, "circles expected per colour when the whole frame is searched", ge=1, le=20
     )
     min_distance_radii: float = setting(
-        1.0, "least distance of two centres in a search of the whole frame, in radii", gt=0
+        2.0, "least distance of two centres in a search of the whole frame, in radii", gt=0
     )
     nearest_mm: float = setting(
         250.0, "least distance of a ball from the camera in a whole-frame search", unit="mm", gt=0

@@ -23,7 +23,7 @@ class SimplexSettings(Settings):
     first_step_mm: float = setting(1.0, "size of the first simplex in position", unit="mm", gt=0)
     first_step_deg: float = setting(1.5, "size of the first simplex in angle", unit="deg", gt=0)
     tolerance: float = setting(
-        1e-6, "extent of the simplex, in mm and rad, at which the search ends", gt=0
+        1e-5, "extent of the simplex, in mm and rad, at which the search ends", gt=0
     )
     max_evaluations: int = setting(4000, "most evaluations of the cost function", ge=100)
 

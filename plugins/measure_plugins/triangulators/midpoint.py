@@ -15,10 +15,13 @@ from measure.arrays import Floats, Ints
 from measure.errors import DegenerateGeometryError
 from measure.geometry import Rays, midpoints, propagate, usable_pairs
 from measure.host import Settings, Triangulator, hookimpl, setting
-from measure.model import Camera, Detection, Fix
+from measure.model import Camera, Detection, Fix, Rig
 
 _STEP_PX = 0.25
 """Half the step of the central differences; the midpoint is smooth over many pixels."""
+
+_STEP_POSE = 1e-3
+"""The same for a camera's pose, in mm and rad."""
 
 
 class MidpointSettings(Settings):
@@ -44,10 +47,13 @@ class MidpointTriangulator(Triangulator):
         The covariance holds what the detections' covariances and, where they are known, those of
         the camera poses do to the mean of the midpoints.
         """
-        seen = [d for d in detections if np.all(np.isfinite(_ray(d, cameras).directions))]
-        if len(seen) < 2:
+        if len(detections) < 2:
             return None
-        rays = _stack([_ray(d, cameras) for d in seen])
+        rig = Rig.of([cameras[d.camera] for d in detections])
+        rays, moved = _rays(rig, np.stack([d.center_px for d in detections]))
+        kept = np.flatnonzero(np.all(np.isfinite(rays.directions), axis=1)).tolist()
+        seen = [detections[row] for row in kept]
+        rays, moved = Rays(rays.origins[kept], rays.directions[kept]), moved[kept]
         try:
             pairs = usable_pairs(rays, np.radians(self.config.min_angle_deg))
         except DegenerateGeometryError:
@@ -61,7 +67,7 @@ class MidpointTriangulator(Triangulator):
             ball=seen[0].ball,
             time_s=float(np.mean([seen[row].time_s for row in used])),
             center=center,
-            covariance=_covariance([cameras[d.camera] for d in seen], seen, rays, pairs),
+            covariance=_covariance([cameras[d.camera] for d in seen], seen, rays, moved, pairs),
             cameras=tuple(seen[row].camera for row in used),
             residuals_mm=rays.distances(center)[used],
             dropped=tuple(d.camera for row, d in enumerate(seen) if row not in used),
@@ -74,48 +80,60 @@ def measure_triangulators() -> list[type[Triangulator]]:
     return [MidpointTriangulator]
 
 
-def _ray(detection: Detection, cameras: Mapping[str, Camera]) -> Rays:
-    return cameras[detection.camera].rays(detection.center_px[None])
-
-
-def _stack(rays: Sequence[Rays]) -> Rays:
-    return Rays(
-        np.concatenate([ray.origins for ray in rays]),
-        np.concatenate([ray.directions for ray in rays]),
-    )
+def _rays(rig: Rig, pixels: Floats) -> tuple[Rays, Floats]:
+    """Rays of pixels (n, 2), and directions (n, 4, 3) with each pixel moved by +x, -x, +y, -y."""
+    count = len(pixels)
+    shifts = _STEP_PX * np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    rows = np.repeat(np.arange(count), len(shifts))
+    rays = rig.take(rows).rays((pixels[:, None] + shifts).reshape(-1, 2))
+    origins = rays.origins.reshape(count, len(shifts), 3)
+    directions = rays.directions.reshape(count, len(shifts), 3)
+    return Rays(origins[:, 0], directions[:, 0]), directions[:, 1:]
 
 
 def _covariance(
-    cameras: Sequence[Camera], seen: Sequence[Detection], rays: Rays, pairs: Ints
+    cameras: Sequence[Camera],
+    seen: Sequence[Detection],
+    rays: Rays,
+    moved: Floats,
+    pairs: Ints,
 ) -> Floats:
     """(3, 3) in mm^2, to first order, by central differences of the mean of midpoints."""
-    total = np.zeros((3, 3))
-    for row, (camera, detection) in enumerate(zip(cameras, seen, strict=True)):
-        shifts = _STEP_PX * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-        moved = camera.rays(detection.center_px + shifts)
-        by_pixel = _differences(rays, row, moved, pairs) / (2 * _STEP_PX)
-        total += propagate(by_pixel, detection.covariance_px)
-        if camera.pose_covariance is not None:
-            step = 1e-3
-            by_pose = _differences(rays, row, _perturbed(rays, row, step), pairs) / (2 * step)
-            total += propagate(by_pose, camera.pose_covariance)
-    return total
+    by_pixel = _differences(rays, rays.origins[:, None].repeat(4, axis=1), moved, pairs)
+    noise = np.stack([detection.covariance_px for detection in seen])
+    total = propagate(by_pixel / (2 * _STEP_PX), noise).sum(axis=0)
+    if any(camera.pose_covariance is not None for camera in cameras):
+        by_pose = _differences(rays, *_perturbed(rays), pairs) / (2 * _STEP_POSE)
+        known = [c.pose_covariance for c in cameras]
+        poses = np.stack([np.zeros((6, 6)) if c is None else c for c in known])
+        total = total + propagate(by_pose, poses).sum(axis=0)
+    return np.asarray(total)
 
 
-def _differences(rays: Rays, row: int, moved: Rays, pairs: Ints) -> Floats:
-    """Columns (3, m): the mean with ray `row` as `moved[2 j]` less that with `moved[2 j + 1]`."""
-    count = len(moved.directions)
-    origins = np.repeat(rays.origins[None], count, axis=0)
-    directions = np.repeat(rays.directions[None], count, axis=0)
-    origins[:, row], directions[:, row] = moved.origins, moved.directions
-    means = midpoints(origins, directions, pairs).mean
-    return np.asarray((means[0::2] - means[1::2]).T)
+def _differences(rays: Rays, origins: Floats, directions: Floats, pairs: Ints) -> Floats:
+    """How the mean of midpoints moves, (n, 3, m), when one ray at a time is replaced.
+
+    Args:
+        rays: n of them.
+        origins: (n, 2 m, 3) of the replacements of each ray, in pairs: the second is subtracted.
+        directions: (n, 2 m, 3) of the same.
+        pairs: (p, 2) as in `midpoints`.
+    """
+    count, replacements = directions.shape[:2]
+    all_origins = np.tile(rays.origins, (count, replacements, 1, 1))
+    all_directions = np.tile(rays.directions, (count, replacements, 1, 1))
+    rows = np.arange(count)
+    all_origins[rows, :, rows] = origins
+    all_directions[rows, :, rows] = directions
+    means = midpoints(all_origins, all_directions, pairs).mean
+    return np.swapaxes(means[:, 0::2] - means[:, 1::2], 1, 2)
 
 
-def _perturbed(rays: Rays, row: int, step: float) -> Rays:
-    """Ray `row` with its camera moved by plus and minus `step` (mm, rad) along each of six axes."""
-    origin, direction = rays.origins[row], rays.directions[row]
-    signed = np.stack([np.eye(3) * step, -np.eye(3) * step], axis=1).reshape(6, 3)
-    still = np.repeat(direction[None], 6, axis=0)
-    origins = np.concatenate([origin + signed, np.repeat(origin[None], 6, axis=0)])
-    return Rays(origins, np.concatenate([still, still + np.cross(signed, direction)]))
+def _perturbed(rays: Rays) -> tuple[Floats, Floats]:
+    """Each ray with its camera moved by plus and minus a step along each of six axes (n, 12, 3)."""
+    signed = _STEP_POSE * np.stack([np.eye(3), -np.eye(3)], axis=1).reshape(6, 3)
+    origins = rays.origins[:, None].repeat(12, axis=1)
+    directions = rays.directions[:, None].repeat(12, axis=1)
+    origins[:, :6] += signed
+    directions[:, 6:] += np.cross(signed, rays.directions[:, None])
+    return origins, directions / np.linalg.norm(directions, axis=-1, keepdims=True)

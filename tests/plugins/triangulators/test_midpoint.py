@@ -1,0 +1,145 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import RAVEN, TARGET, a_pose, look_at, moved, of_ball, ring, see
+
+from measure.errors import DegenerateGeometryError
+from measure.geometry import (
+    RigidTransform,
+    common_perpendicular,
+    midpoints,
+    squared_mahalanobis,
+    usable_pairs,
+)
+from measure.geometry.rays import Rays
+from measure_plugins.triangulators.midpoint import MidpointSettings, MidpointTriangulator
+
+MIDPOINT = MidpointTriangulator(MidpointSettings())
+
+
+@pytest.mark.parametrize("count", [2, 3, 4, 8])
+def test_exact_without_noise(count):
+    cameras = ring(count) if count != 2 else dict(list(ring(4).items())[:2])
+    pose = a_pose(np.random.default_rng(3))
+    fix = MIDPOINT.triangulate(of_ball(see(cameras, RAVEN, pose), "green"), cameras)
+    np.testing.assert_allclose(fix.center, pose.apply(RAVEN.centers)[0], atol=1e-6)
+    assert fix.cameras == tuple(cameras)
+    assert fix.dropped == ()
+    assert fix.rms_mm < 1e-6
+
+
+def test_two_skew_rays_meet_in_the_middle_of_their_common_perpendicular():
+    rays = Rays(np.array([[0.0, 0, 0], [0, 5.0, 4.0]]), np.array([[1.0, 0, 0], [0, 1.0, 0]]))
+    found = midpoints(rays.origins, rays.directions, usable_pairs(rays))
+    np.testing.assert_allclose(found.mean, [0, 0, 2.0], atol=1e-12)
+    np.testing.assert_allclose(found.gaps, [4.0])
+
+
+def test_the_mean_is_taken_over_all_pairs():
+    rng = np.random.default_rng(5)
+    rays = Rays(rng.normal(size=(4, 3)) * 300, rng.normal(size=(4, 3)))
+    pairs = usable_pairs(rays)
+    assert len(pairs) == 6
+    expected = []
+    for first, second in pairs:
+        two = Rays(rays.origins[[first, second]], rays.directions[[first, second]])
+        expected.append(common_perpendicular(two)[0].mean(axis=0))
+    found = midpoints(rays.origins, rays.directions, pairs)
+    np.testing.assert_allclose(found.points, expected, atol=1e-9)
+    np.testing.assert_allclose(found.mean, np.mean(expected, axis=0), atol=1e-9)
+
+
+def test_one_camera_is_not_enough():
+    cameras = ring(4)
+    seen = of_ball(see(cameras, RAVEN, a_pose(np.random.default_rng(0))), "red")
+    assert MIDPOINT.triangulate(seen[:1], cameras) is None
+    assert MIDPOINT.triangulate([], cameras) is None
+
+
+def beside(camera, angle_deg):
+    """A camera whose rays meet those of `camera` at the target at `angle_deg`."""
+    away = camera.center - TARGET
+    turned = RigidTransform.from_rotvec([0, 0, np.radians(angle_deg)]).rotate(away)
+    return replace(moved(camera, look_at(TARGET + turned)), name="beside")
+
+
+@pytest.mark.parametrize(("angle_deg", "used"), [(1.0, False), (20.0, True)])
+def test_a_nearly_parallel_pair_is_left_out(angle_deg, used):
+    cameras = {"cam0": ring(4)["cam0"]}
+    cameras["beside"] = beside(cameras["cam0"], angle_deg)
+    seen = of_ball(see(cameras, RAVEN, RigidTransform(np.eye(3), TARGET)), "yellow")
+    assert (MIDPOINT.triangulate(seen, cameras) is not None) == used
+
+
+def test_near_parallel_cameras_still_pair_with_a_third():
+    cameras = ring(4)
+    cameras = {"cam0": cameras["cam0"], "beside": beside(cameras["cam0"], 1.0), **cameras}
+    cameras = {name: cameras[name] for name in ("cam0", "beside", "cam1")}
+    rng = np.random.default_rng(2)
+    errors = []
+    for _ in range(200):
+        pose = a_pose(rng)
+        fix = MIDPOINT.triangulate(of_ball(see(cameras, RAVEN, pose, 0.5, rng), "red"), cameras)
+        assert fix.cameras == ("cam0", "beside", "cam1")
+        errors.append(fix.center - pose.apply(RAVEN.centers)[2])
+    # The pair at one degree alone would err by more than 10 mm along the view.
+    assert np.sqrt(np.mean(np.square(errors))) < 0.4
+
+
+def test_parallel_rays_are_refused_with_the_angle():
+    rays = Rays(np.array([[0.0, 0, 0], [10.0, 0, 0]]), np.array([[0.0, 0, 1], [0, 0, 1.0]]))
+    with pytest.raises(DegenerateGeometryError, match=r"none of 1 pairs .* 5.00 deg"):
+        usable_pairs(rays, np.radians(5.0))
+
+
+def test_rays_that_meet_behind_a_camera_give_no_fix():
+    cameras = {name: ring(4)[name] for name in ("cam0", "cam1")}
+    behind = look_at(cameras["cam1"].center, 2 * cameras["cam1"].center - TARGET)
+    turned = {**cameras, "cam1": moved(cameras["cam1"], behind)}
+    seen = of_ball(see(cameras, RAVEN, RigidTransform(np.eye(3), TARGET)), "yellow")
+    assert MIDPOINT.triangulate(seen, cameras) is not None
+    assert MIDPOINT.triangulate(seen, turned) is None
+
+
+@pytest.mark.parametrize("count", [2, 3, 4])
+def test_reported_covariance_is_the_scatter(count):
+    cameras = dict(list(ring(4).items())[:count])
+    pose = a_pose(np.random.default_rng(8))
+    truth = pose.apply(RAVEN.centers)[1]
+    rng = np.random.default_rng(9)
+    errors, covariances = [], []
+    for _ in range(800):
+        fix = MIDPOINT.triangulate(of_ball(see(cameras, RAVEN, pose, 0.6, rng), "yellow"), cameras)
+        errors.append(fix.center - truth)
+        covariances.append(fix.covariance)
+    scatter = np.cov(np.array(errors).T)
+    reported = np.mean(covariances, axis=0)
+    ratio = np.linalg.eigvals(np.linalg.solve(scatter, reported)).real
+    assert ratio.min() > 0.82
+    assert ratio.max() < 1.22
+    distances = squared_mahalanobis(np.array(errors), np.array(covariances))
+    assert distances.mean() == pytest.approx(3.0, rel=0.12)
+
+
+def test_camera_pose_covariance_counts():
+    covariance = np.diag([0.4, 0.4, 0.4, 8e-4, 8e-4, 8e-4]) ** 2
+    cameras = ring(4, pose_covariance=covariance)
+    pose = a_pose(np.random.default_rng(8))
+    truth = pose.apply(RAVEN.centers)[1]
+    rng = np.random.default_rng(10)
+    errors, distances = [], []
+    for _ in range(400):
+        off = {
+            name: moved(
+                camera,
+                camera.world_from_camera.perturb(rng.multivariate_normal(np.zeros(6), covariance)),
+            )
+            for name, camera in cameras.items()
+        }
+        fix = MIDPOINT.triangulate(of_ball(see(off, RAVEN, pose, 0.05, rng), "yellow"), cameras)
+        errors.append(fix.center - truth)
+        distances.append(squared_mahalanobis(errors[-1], fix.covariance))
+    assert np.mean(distances) == pytest.approx(3.0, rel=0.15)
