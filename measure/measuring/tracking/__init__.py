@@ -14,4 +14,4 @@ TRACKERS: dict[str, type[Any]] = {
 }
 """By the name a profile gives; each is built as (config, body, cameras) and is a `Tracker`."""
 
-__all__ = ["TRACKERS", "Tracker", "Verdict"]
+__all__ = ["TRACKERS", "FrameUpdate", "Tracker", "Verdict"]
