@@ -3,14 +3,18 @@
 One file an action. Heavy libraries load when an action is called, not with this package.
 """
 
+from measure.api.evaluate import evaluate
 from measure.api.measuring import measure_session
 from measure.api.profiles import build_pipeline, choose, load_profile, profile_names
 from measure.api.run import RunOptions, parse_images, run
+from measure.results.evaluation_table import evaluation_tables
 
 __all__ = [
     "RunOptions",
     "build_pipeline",
     "choose",
+    "evaluate",
+    "evaluation_tables",
     "load_profile",
     "measure_session",
     "parse_images",

@@ -1,16 +1,22 @@
 """The run folder: written row by row, read back, evaluated, exported."""
 
+from measure.results.evaluation import Evaluation, evaluate
+from measure.results.marks import Marks, read_marks
 from measure.results.provenance import Provenance, digest, versions
 from measure.results.run import Run, read_run
 from measure.results.summary import Summary
 from measure.results.writer import RunWriter
 
 __all__ = [
+    "Evaluation",
+    "Marks",
     "Provenance",
     "Run",
     "RunWriter",
     "Summary",
     "digest",
+    "evaluate",
+    "read_marks",
     "read_run",
     "versions",
 ]

@@ -6,7 +6,7 @@ from measure.session.calibrations import read_calibration, read_intrinsics, writ
 from measure.session.files import FileModel, load_toml
 from measure.session.pairing import Pairing, pair_nearest
 from measure.session.pictures import decode_picture, read_picture
-from measure.session.session import Session, open_session
+from measure.session.session import Session, open_session, session_truth
 from measure.session.streams import Stream
 from measure.session.toml_text import dump_toml
 from measure.session.trajectory import Trajectory, read_trajectory
@@ -31,6 +31,7 @@ __all__ = [
     "read_intrinsics",
     "read_picture",
     "read_trajectory",
+    "session_truth",
     "write_body",
     "write_calibration",
 ]

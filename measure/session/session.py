@@ -181,6 +181,16 @@ def _body_values(body: Body) -> list[object]:
     return [(b.name, b.color, b.center_mm.tolist(), b.radius_mm) for b in body.balls]
 
 
+def session_truth(path: Path | str) -> Path | None:
+    """The file of known poses that a session names, if it names one; nothing else is opened.
+
+    Raises:
+        SessionError: no session, a broken one, or the file it names is missing.
+    """
+    file = _session_file(Path(path))
+    return _optional(file.parent, load_toml(file, SessionModel).session.truth, file)
+
+
 def _session_file(path: Path) -> Path:
     if not path.exists():
         raise SessionError(missing_message(path))

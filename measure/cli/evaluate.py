@@ -1,0 +1,45 @@
+"""`measure evaluate`: a run against the truth."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+from measure.cli import console
+from measure.cli.console import JsonFlag
+
+
+def evaluate(
+    run: Path,
+    /,
+    *,
+    truth: Path | None = None,
+    calibration: Path | None = None,
+    marks: Path | None = None,
+    json: JsonFlag = False,
+) -> None:
+    """Compare a run with the truth.
+
+    Prints the error of single balls and of the body as in the paper's Table I (RMS about zero, SD
+    about the mean), how many frame sets have no pose, the rotation, each kind of error alone, and
+    whether the reported covariances hold. A pose is compared at its own time; the truth is
+    interpolated.
+
+    Args:
+        run: the run's folder.
+        truth: poses over time (time_s,x_mm,...,qz; or TUM); those of the session if omitted.
+        calibration: where the cameras really are, if known: tells errors of detection from errors
+            of camera localisation.
+        marks: ball centres marked by hand (camera,frame,ball,u_px,v_px) to compare detection with.
+    """
+    from measure import api
+
+    found = api.evaluate(run, truth, calibration, marks)
+    if json:
+        console.print_json({"run": str(run), **dataclasses.asdict(found)})
+        return
+    for table in api.evaluation_tables(found):
+        console.print_table(table.columns, table.rows, table.title)
+        console.print_text("")
+    for note in found.notes:
+        console.print_text(f"note: {note}")

@@ -1,0 +1,244 @@
+"""A run against the truth: the paper's Table I, and what it leaves out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.errors import DegenerateGeometryError, RunError
+from measure.geometry import RigidTransform, align_points
+from measure.model import Camera
+from measure.results.columns import integers, matrices, numbers, texts
+from measure.results.marks import Marks
+from measure.results.run import Run
+from measure.results.single_errors import (
+    SingleErrors,
+    detection_errors_by_marks,
+    detection_errors_by_truth,
+    localisation_errors_by_truth,
+)
+from measure.results.statistics import (
+    Consistency,
+    PositionErrors,
+    RotationErrors,
+    consistency,
+    position_errors,
+    rotation_errors,
+)
+from measure.session import Trajectory
+
+FAR_MM = 30.0
+"""A median error beyond this asks whether the truth is of this session."""
+
+
+@dataclass(frozen=True)
+class Aligned:
+    """Errors after the one rigid motion of the world that fits the run to the truth best.
+
+    Attributes:
+        body: position errors that are left.
+        rotation: rotation errors that are left.
+        shift_mm: length of the motion's shift at the middle of the positions.
+        turn_deg: angle of the motion's rotation.
+    """
+
+    body: PositionErrors
+    rotation: RotationErrors
+    shift_mm: float
+    turn_deg: float
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """How good a run is.
+
+    Attributes:
+        frame_sets: of the run.
+        compared: with a pose at a time at which the truth is known.
+        without_pose: frame sets at such times without a pose; `failure_rate` is their share.
+        outside_truth: frame sets at times at which the truth is not known.
+        failure_rate: see `without_pose`.
+        rms_all_frames_mm: RMS in 3-D over all frame sets the truth covers: infinite as soon as one
+            of them has no pose, for a missing pose is no small error.
+        body: errors of the body's origin, over the frame sets compared.
+        body_ok: the same, without those the run itself flags as doubtful.
+        ball: errors of single ball centres as triangulated, all balls together.
+        balls: the same, by ball.
+        rotation: errors of the body's rotation.
+        position_consistency: of the positions with their covariances.
+        pose_consistency: of the whole poses with their 6x6 covariances.
+        ball_consistency: of the single balls.
+        aligned: errors relative to the best rigid motion of the world.
+        detection: errors of detection alone.
+        localisation: errors of camera localisation alone; None if the true cameras are not given.
+        notes: what to doubt about this comparison.
+    """
+
+    frame_sets: int
+    compared: int
+    without_pose: int
+    outside_truth: int
+    failure_rate: float
+    rms_all_frames_mm: float
+    body: PositionErrors | None
+    body_ok: PositionErrors | None
+    ball: PositionErrors | None
+    balls: dict[str, PositionErrors | None]
+    rotation: RotationErrors | None
+    position_consistency: Consistency | None
+    pose_consistency: Consistency | None
+    ball_consistency: Consistency | None
+    aligned: Aligned | None
+    detection: SingleErrors | None
+    localisation: SingleErrors | None
+    notes: tuple[str, ...] = ()
+
+
+def evaluate(
+    run: Run,
+    truth: Trajectory,
+    true_cameras: Sequence[Camera] | None = None,
+    marks: Marks | None = None,
+) -> Evaluation:
+    """Compare a run with the truth; each pose at its own time, the truth interpolated.
+
+    Args:
+        run: finished or not.
+        truth: world_from_body.
+        true_cameras: where the cameras really are, if that is known better than by the run's own
+            calibration; separates errors of detection from errors of localisation.
+        marks: ball centres marked by hand (see `read_marks`): detection is compared with these.
+
+    Raises:
+        RunError: the truth is of another time or in another unit, or the true cameras lack one.
+    """
+    covered = truth.covers(run.times_s)
+    if not covered.any():
+        raise RunError(
+            f"{truth.source} runs from {truth.times_s[0]:.3f} to {truth.times_s[-1]:.3f} s, at no "
+            f"time together with {run.path} ({_range(run.times_s)}): it is not its truth"
+        )
+    here = covered & run.has_pose
+    which = covered[run.has_pose]
+    poses = run.world_from_body
+    measured = RigidTransform(poses.rotation[which], poses.translation[which])
+    true = truth.at(run.times_s[here])
+    _refuse_other_unit(run, truth, measured.translation, true.translation)
+    errors = measured.difference(true)
+    covariances = run.covariances[which]
+    missing = int((covered & ~run.has_pose).sum())
+    believed = texts(run.poses, "status")[here] == "ok"
+    ball_names, ball_errors, ball_covariances = _ball_errors(run, truth)
+    body = position_errors(errors[:, :3])
+    cameras = _checked_cameras(run, true_cameras)
+    return Evaluation(
+        frame_sets=len(run.times_s),
+        compared=int(here.sum()),
+        without_pose=missing,
+        outside_truth=int((~covered).sum()),
+        failure_rate=missing / int(covered.sum()),
+        rms_all_frames_mm=float("inf") if missing or body is None else body.rms_3d_mm,
+        body=body,
+        body_ok=position_errors(errors[believed, :3]),
+        ball=position_errors(ball_errors),
+        balls={n: position_errors(ball_errors[ball_names == n]) for n in run.body.names},
+        rotation=rotation_errors(errors[:, 3:]),
+        position_consistency=consistency(errors[:, :3], covariances[:, :3, :3]),
+        pose_consistency=consistency(errors, covariances),
+        ball_consistency=consistency(ball_errors, ball_covariances),
+        aligned=_aligned(run, measured, true),
+        detection=detection_errors_by_marks(run, marks)
+        if marks is not None
+        else detection_errors_by_truth(run, truth, cameras or run.cameras),
+        localisation=localisation_errors_by_truth(run, truth, cameras) if cameras else None,
+        notes=_notes(run, body, missing, marks is None and cameras is None),
+    )
+
+
+def _range(times_s: Floats) -> str:
+    return f"{times_s[0]:.3f} to {times_s[-1]:.3f} s" if len(times_s) else "no frame set"
+
+
+def _refuse_other_unit(run: Run, truth: Trajectory, measured: Floats, true: Floats) -> None:
+    """Positions a hundred times as large, or less than a hundredth, are in another unit."""
+    if not len(measured):
+        return
+    ours, theirs = (float(np.median(np.linalg.norm(p, axis=1))) for p in (measured, true))
+    if max(ours, theirs) > 1.0 and not 0.01 < (ours + 1e-3) / (theirs + 1e-3) < 100:
+        raise RunError(
+            f"{truth.source} has positions of about {theirs:.3g}, {run.path} of {ours:.3g} mm: "
+            "the truth must be in mm (x_mm, y_mm, z_mm)"
+        )
+
+
+def _ball_errors(run: Run, truth: Trajectory) -> tuple[np.ndarray, Floats, Floats]:
+    table = run.balls
+    times = numbers(table, "time_s")
+    known = truth.covers(times) if len(times) else np.zeros(0, bool)
+    names = texts(table, "ball")[known]
+    found = numbers(table, "x_mm", "y_mm", "z_mm")[known]
+    covariances = matrices(table, "covariance_mm2", 3)[known]
+    if not len(found):
+        return names, found.reshape(-1, 3), covariances
+    places = run.body.centers[[run.body.index(name) for name in names]]
+    return names, found - truth.at(times[known]).apply(places), covariances
+
+
+def _aligned(run: Run, measured: RigidTransform, true: RigidTransform) -> Aligned | None:
+    if len(measured.translation) < 3:
+        return None
+    ours = np.concatenate([measured.apply(center) for center in run.body.centers])
+    theirs = np.concatenate([true.apply(center) for center in run.body.centers])
+    try:
+        world_from_run = align_points(theirs, ours)
+    except DegenerateGeometryError:
+        return None
+    left = (world_from_run @ measured).difference(true)
+    body, rotation = position_errors(left[:, :3]), rotation_errors(left[:, 3:])
+    assert body is not None
+    assert rotation is not None
+    middle = measured.translation.mean(axis=0)
+    shift = np.linalg.norm(world_from_run.apply(middle) - middle)
+    turn = np.rad2deg(np.linalg.norm(world_from_run.rotvec))
+    return Aligned(body, rotation, float(shift), float(turn))
+
+
+def _checked_cameras(run: Run, cameras: Sequence[Camera] | None) -> Sequence[Camera] | None:
+    if cameras is None:
+        return None
+    names = [camera.name for camera in cameras]
+    for camera in run.cameras:
+        if camera.name not in names:
+            raise RunError(
+                f"the true cameras lack '{camera.name}' of {run.path}; there is {', '.join(names)}"
+            )
+    return cameras
+
+
+def _notes(
+    run: Run, body: PositionErrors | None, missing: int, cameras_unknown: bool
+) -> tuple[str, ...]:
+    notes = []
+    if missing:
+        notes.append(
+            f"{missing} frame sets have no pose: the RMS over the others says nothing about them"
+        )
+    if body is not None and body.median_3d_mm > FAR_MM:
+        notes.append(
+            f"half of the poses are more than {body.median_3d_mm:.0f} mm off: is this the truth of "
+            "this session?"
+        )
+    if cameras_unknown:
+        notes.append("detection alone: the run's own cameras are taken as exact")
+    if not run.finished:
+        notes.append("the run is not finished")
+    flagged = int((texts(run.poses, "status") == "flagged").sum())
+    if flagged:
+        notes.append(f"{flagged} poses are flagged as doubtful by the run itself")
+    first = integers(run.poses, "index")
+    if len(first) and first[0] != 0:
+        notes.append(f"the run begins at frame set {first[0]}")
+    return tuple(notes)
