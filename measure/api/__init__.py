@@ -6,6 +6,7 @@ One file an action. Heavy libraries load when an action is called, not with this
 from measure.api.evaluate import evaluate
 from measure.api.measuring import measure_session
 from measure.api.profiles import build_pipeline, choose, load_profile, profile_names
+from measure.api.report import report
 from measure.api.run import RunOptions, parse_images, run
 from measure.results.evaluation_table import evaluation_tables
 
@@ -19,5 +20,6 @@ __all__ = [
     "measure_session",
     "parse_images",
     "profile_names",
+    "report",
     "run",
 ]

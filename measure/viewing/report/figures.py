@@ -60,6 +60,45 @@ def trajectory(
     return figure
 
 
+def plan(
+    positions: Floats, camera_centers: Floats, camera_names: Sequence[str], axes: tuple[int, int]
+) -> go.Figure:
+    """The trajectory seen along one axis; drawn also where a browser has no 3-D.
+
+    Args:
+        positions: (n, 3) in mm.
+        camera_centers: (m, 3) in mm.
+        camera_names: m names.
+        axes: which two world axes to draw.
+    """
+    across, up = axes
+    keep = _thinned(len(positions))
+    figure = style.figure(380, showlegend=False)
+    figure.add_trace(
+        go.Scatter(
+            x=positions[keep, across],
+            y=positions[keep, up],
+            mode="lines+markers",
+            marker={"size": 4, "color": style.ACCENT},
+            name="body",
+        )
+    )
+    figure.add_trace(
+        go.Scatter(
+            x=camera_centers[:, across],
+            y=camera_centers[:, up],
+            mode="markers+text",
+            marker={"size": 9, "symbol": "diamond", "color": style.DOUBTFUL},
+            text=list(camera_names),
+            textposition="top center",
+            name="cameras",
+        )
+    )
+    figure.update_xaxes(title=f"{'xyz'[across]} [mm]")
+    figure.update_yaxes(title=f"{'xyz'[up]} [mm]", scaleanchor="x")
+    return figure
+
+
 def over_time(
     times_s: Floats,
     curves: Mapping[str, Floats],

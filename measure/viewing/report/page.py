@@ -43,6 +43,16 @@ footer { color:var(--soft); font-size:.85rem; margin-top:24px; }
 """
 
 
+# Drawn once the page is laid out: a figure takes the width of its place, which is not known before.
+_DRAW = """
+document.querySelectorAll("script.spec").forEach((spec) => {
+  const figure = JSON.parse(spec.textContent);
+  Plotly.newPlot(spec.dataset.for, figure.data, figure.layout,
+    {responsive: true, displaylogo: false, displayModeBar: false});
+});
+"""
+
+
 @dataclass
 class Page:
     """Gathers sections, then renders.
@@ -91,14 +101,16 @@ class Page:
 
     def render(self, footer: str) -> str:
         """The whole page; plotly is embedded once and nothing is fetched."""
-        script = f"<script>{get_plotlyjs()}</script>" if self._figures else ""
+        library = f"<script>{get_plotlyjs()}</script>" if self._figures else ""
+        draw = f"<script>{_DRAW}</script>" if self._figures else ""
         return (
             '<!doctype html><html lang="en"><head><meta charset="utf-8">'
             '<meta name="viewport" content="width=device-width,initial-scale=1">'
-            f"<title>{html.escape(self.title)}</title><style>{_CSS}</style>{script}</head>"
+            f"<title>{html.escape(self.title)}</title><style>{_CSS}</style>{library}</head>"
             f"<body><main><h1>{html.escape(self.title)}</h1>"
             f'<div class="verdict {self.tone}">{html.escape(self.verdict)}</div>'
-            f"{''.join(self._parts)}<footer>{html.escape(footer)}</footer></main></body></html>"
+            f"{''.join(self._parts)}<footer>{html.escape(footer)}</footer></main>"
+            f"{draw}</body></html>"
         )
 
     def _section(self, heading: str, words: str, body: str) -> None:
@@ -107,14 +119,13 @@ class Page:
 
     def _draw(self, figure: go.Figure) -> str:
         self._figures += 1
-        return str(
-            pio.to_html(
-                figure,
-                full_html=False,
-                include_plotlyjs=False,
-                div_id=f"figure-{self._figures}",
-                config={"responsive": True, "displaylogo": False, "displayModeBar": "hover"},
-            )
+        name = f"figure-{self._figures}"
+        # "</" would end the script in the middle of a label.
+        spec = str(pio.to_json(figure, validate=False)).replace("</", "<\\/")
+        height = int(figure.layout.height)
+        return (
+            f'<div id="{name}" class="figure" style="height:{height}px"></div>'
+            f'<script type="application/json" class="spec" data-for="{name}">{spec}</script>'
         )
 
 

@@ -106,8 +106,11 @@ def _add_poses(page: Page, run: Run) -> None:
     names = [camera.name for camera in run.cameras]
     page.figures(
         "Trajectory",
-        "Where the body's origin went, and how well each position is known.",
+        "Where the body's origin went, and how well each position is known; from above, and from "
+        "the side.",
         figures.trajectory(place, sd[has], centers, names),
+        figures.plan(place, centers, names, (0, 1)),
+        figures.plan(place, centers, names, (0, 2)),
     )
     axes = np.full((len(has), 3), np.nan)
     axes[has] = np.sqrt(np.diagonal(run.covariances, axis1=1, axis2=2)[:, :3])

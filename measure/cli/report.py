@@ -1,0 +1,26 @@
+"""`measure report`: a run as one HTML file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from measure.cli import console
+
+
+def report(
+    run: Path, /, *, out: Annotated[Path | None, Parameter(name=("--out", "-o"))] = None
+) -> None:
+    """Write a run's report as one HTML file.
+
+    Everything is inside the file: it can be mailed, and opens without a network.
+
+    Args:
+        run: the run's folder.
+        out: the file to write; report.html in the run's folder if omitted.
+    """
+    from measure import api
+
+    console.print_text(str(api.report(run, out)))
