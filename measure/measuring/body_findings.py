@@ -1,0 +1,126 @@
+"""Explanations, a line each, for a body that does not look like its file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations, permutations
+
+import numpy as np
+
+from measure.measuring.body_checks import thickness
+from measure.model import Body
+
+_SIGMAS = 4.0
+_TOLERANCE_MM = 0.5
+_FLAT_MM = 1.0
+_SAME_MM = 1.0
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One length of the body: as measured, and as the file says."""
+
+    what: tuple[str, ...]
+    measured_mm: float
+    sd_mm: float
+    file_mm: float
+    frames: int
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the difference is explained by the uncertainty, or too small to matter."""
+        return abs(self.measured_mm - self.file_mm) <= _SIGMAS * self.sd_mm + _TOLERANCE_MM
+
+
+def layout_findings(distances: Sequence[Compared], body: Body) -> list[str]:
+    """One line for the simplest explanation of distances that disagree."""
+    wrong = [d for d in distances if not d.agrees]
+    if not wrong:
+        return []
+    if len(distances) == len(body.balls) * (len(body.balls) - 1) // 2:
+        if (swap := _swap(distances, body)) is not None:
+            return [swap]
+        if (scale := _scale(distances, body)) is not None:
+            return [scale]
+    if len(wrong) > 1 and (shared := set.intersection(*(set(d.what) for d in wrong))):
+        name = shared.pop()
+        apart = ", ".join(_said(d) for d in wrong)
+        return [f"ball {name} is not where the body file says: {apart}"]
+    return [_said(d) for d in wrong]
+
+
+def _said(d: Compared) -> str:
+    return (
+        f"{d.measured_mm:.1f} +- {d.sd_mm:.2f} mm between {d.what[0]} and {d.what[1]}, "
+        f"the file says {d.file_mm:.1f} mm"
+    )
+
+
+def _swap(distances: Sequence[Compared], body: Body) -> str | None:
+    """The exchange of colours that explains all distances, if there is one."""
+    length = {frozenset(d.what): d.file_mm for d in distances}
+    names = body.names
+    if len(names) > 6:
+        return None
+    ways = sorted(
+        permutations(names), key=lambda p: sum(a != b for a, b in zip(names, p, strict=True))
+    )
+    for way in ways[1:]:
+        new = dict(zip(names, way, strict=True))
+        if all(
+            abs(d.measured_mm - length[frozenset((new[d.what[0]], new[d.what[1]]))])
+            <= _SIGMAS * d.sd_mm + _TOLERANCE_MM
+            for d in distances
+        ):
+            moved = [name for name in names if new[name] != name]
+            return (
+                f"the colours of {', '.join(moved[:-1])} and {moved[-1]} are exchanged "
+                "in the body file: the distances fit when they change places"
+            )
+    return None
+
+
+def _scale(distances: Sequence[Compared], body: Body) -> str | None:
+    """One factor that explains all distances, if there is one."""
+    weights = np.array([(d.file_mm / max(d.sd_mm, 0.05)) ** 2 for d in distances])
+    ratios = np.array([d.measured_mm / d.file_mm for d in distances])
+    factor = float(np.average(ratios, weights=weights))
+    fits = all(
+        abs(d.measured_mm - factor * d.file_mm) <= _SIGMAS * d.sd_mm + _TOLERANCE_MM
+        for d in distances
+    )
+    if not fits:
+        return None
+    first = distances[0]
+    arm = float(np.linalg.norm(body.centers[0]))
+    return (
+        f"the balls are {factor:.3f} times as far apart as the body file says "
+        f"({first.what[0]} to {first.what[1]}: {first.measured_mm:.1f} +- {first.sd_mm:.2f} mm "
+        f"instead of {first.file_mm:.1f} mm; {body.names[0]} then lies {factor * arm:.1f} mm "
+        f"from the origin, not {arm:.1f} mm)"
+    )
+
+
+def radius_findings(radii: Sequence[Compared]) -> list[str]:
+    """One line for every ball whose radius disagrees."""
+    return [
+        f"ball {r.what[0]} has a radius of {r.measured_mm:.1f} +- {r.sd_mm:.1f} mm, "
+        f"the file says {r.file_mm:.1f} mm"
+        for r in radii
+        if not r.agrees
+    ]
+
+
+def blind_to(body: Body) -> tuple[str, ...]:
+    """Mistakes in the file that leave all distances as they are."""
+    out = []
+    for a, b in combinations(range(len(body.balls)), 2):
+        order = list(range(len(body.balls)))
+        order[a], order[b] = b, a
+        before = np.linalg.norm(body.centers[:, None] - body.centers[None], axis=2)
+        if np.max(np.abs(before - before[np.ix_(order, order)])) < _SAME_MM:
+            out.append(f"an exchange of {body.names[a]} and {body.names[b]}")
+    if thickness(body.centers) < _FLAT_MM:
+        out.append("a mirrored layout: the balls lie in one plane")
+    return tuple(out)
