@@ -30,7 +30,9 @@ def evaluate(
         RunError: no run, no truth, or a truth of another time or unit.
     """
     opened = read_run(Path(run))
-    path = Path(truth) if truth is not None else _truth_of(opened)
+    path = Path(truth) if truth is not None else truth_of(opened)
+    if path is None:
+        raise RunError(f"the session of {run} has no truth: give one with --truth")
     cameras = None if calibration is None else read_calibration(calibration).cameras
     return evaluate_run(
         opened,
@@ -40,9 +42,7 @@ def evaluate(
     )
 
 
-def _truth_of(run: Run) -> Path:
+def truth_of(run: Run) -> Path | None:
+    """The truth of the session a run was made from, None if there is none."""
     session = Path(run.provenance.get("session", {}).get("path", ""))
-    found = session_truth(session) if session.is_dir() else None
-    if found is None:
-        raise RunError(f"the session of {run.path} ({session}) has no truth: give one with --truth")
-    return found
+    return session_truth(session) if session.is_dir() else None

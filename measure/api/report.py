@@ -5,23 +5,30 @@ from __future__ import annotations
 from pathlib import Path
 
 
-def report(run_path: Path, out: Path | None = None) -> Path:
+def report(run_path: Path, out: Path | None = None, truth: Path | None = None) -> Path:
     """Write the report of a run as one self-contained HTML file.
 
     Args:
         run_path: the run's folder.
         out: the file; `report.html` in the run's folder if omitted.
+        truth: poses over time; those of the run's session if omitted and there are any.
 
     Returns:
         Where it was written.
 
     Raises:
-        RunError: the folder is no run.
+        RunError: the folder is no run, or the truth given cannot be read.
     """
+    from measure.api.evaluate import truth_of
+    from measure.errors import RunError
     from measure.results import read_run
+    from measure.results.evaluation import pose_errors
+    from measure.session import read_trajectory
     from measure.viewing.report.run_report import write_report
 
     run = read_run(run_path)
+    truth = truth or truth_of(run)
+    errors = None if truth is None else pose_errors(run, read_trajectory(truth, RunError))
     path = out or run_path / "report.html"
-    write_report(run, path)
+    write_report(run, path, errors)
     return path

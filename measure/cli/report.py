@@ -11,7 +11,11 @@ from measure.cli import console
 
 
 def report(
-    run: Path, /, *, out: Annotated[Path | None, Parameter(name=("--out", "-o"))] = None
+    run: Path,
+    /,
+    *,
+    out: Annotated[Path | None, Parameter(name=("--out", "-o"))] = None,
+    truth: Path | None = None,
 ) -> None:
     """Write a run's report as one HTML file.
 
@@ -20,7 +24,8 @@ def report(
     Args:
         run: the run's folder.
         out: the file to write; report.html in the run's folder if omitted.
+        truth: a trajectory to compare with; the session's own if omitted.
     """
     from measure import api
 
-    console.print_text(str(api.report(run, out)))
+    console.print_text(str(api.report(run, out, truth)))

@@ -127,7 +127,7 @@ def evaluate(
     measured = RigidTransform(poses.rotation[which], poses.translation[which])
     true = truth.at(run.times_s[here])
     _refuse_other_unit(run, truth, measured.translation, true.translation)
-    errors = measured.difference(true)
+    errors = pose_errors(run, truth)[here]
     covariances = run.covariances[which]
     missing = int((covered & ~run.has_pose).sum())
     believed = texts(run.poses, "status")[here] == "ok"
@@ -156,6 +156,21 @@ def evaluate(
         localisation=localisation_errors_by_truth(run, truth, cameras) if cameras else None,
         notes=_notes(run, body, missing, marks is None and cameras is None),
     )
+
+
+def pose_errors(run: Run, truth: Trajectory) -> Floats:
+    """Measured against true poses of all frame sets (n, 6) in the `perturb` chart.
+
+    NaN where a frame set has no pose or lies outside the truth's time.
+    """
+    here = truth.covers(run.times_s) & run.has_pose
+    which = here[run.has_pose]
+    poses = run.world_from_body
+    measured = RigidTransform(poses.rotation[which], poses.translation[which])
+    errors = np.full((len(here), 6), np.nan)
+    if here.any():
+        errors[here] = measured.difference(truth.at(run.times_s[here]))
+    return errors
 
 
 def _range(times_s: Floats) -> str:

@@ -31,7 +31,7 @@ def _figures(page):
 
 
 def test_a_good_run_says_how_well_the_position_is_known(tmp_path):
-    page = run_report(_run(tmp_path / "run", 40), errors=np.full((40, 4), 0.01))
+    page = run_report(_run(tmp_path / "run", 40), errors=np.full((40, 6), 0.01))
     assert "Position known to 0.028 mm (95 %), 2 of 2 cameras carry it." in page
     assert 'class="verdict good"' in page
     for heading in ("Error against truth", "Trajectory", "Who saw what when", "Ball distances"):
@@ -78,7 +78,7 @@ def test_every_figure_is_drawn_without_error_or_request(tmp_path):
     if chromium is None:
         pytest.skip("no chromium on this machine")
     path = tmp_path / "report.html"
-    path.write_text(run_report(_run(tmp_path / "run", 40), errors=np.full((40, 4), 0.01)), "utf-8")
+    path.write_text(run_report(_run(tmp_path / "run", 40), errors=np.full((40, 6), 0.01)), "utf-8")
     shown = subprocess.run(
         [
             chromium,

@@ -25,7 +25,7 @@ def run_report(run: Run, errors: Floats | None = None) -> str:
 
     Args:
         run: finished or not; one without any pose has a report too.
-        errors: (n, 4) x y z in mm and rotation in deg against truth, NaN where there is no pose.
+        errors: (n, 6) of the poses against truth in the `perturb` chart, NaN where unknown.
     """
     tone, verdict = _verdict(run)
     page = Page(f"Run {run.path.resolve().name}", verdict, tone)
@@ -90,11 +90,12 @@ def _number(value: float, unit: str) -> str:
 def _add_errors(page: Page, run: Run, errors: Floats) -> None:
     curves = dict(zip(("x", "y", "z"), errors[:, :3].T, strict=True))
     curves["3d"] = np.linalg.norm(errors[:, :3], axis=1)
+    turn = np.degrees(np.linalg.norm(errors[:, 3:], axis=1))
     page.figures(
         "Error against truth",
         "Measured minus true position, in world axes; gaps are frame sets without a pose.",
         figures.over_time(run.times_s, curves, "error [mm]", style.AXIS_COLORS),
-        figures.over_time(run.times_s, {"rotation": errors[:, 3]}, "error [deg]"),
+        figures.over_time(run.times_s, {"rotation": turn}, "error [deg]"),
         figures.histograms(errors[:, :3], ("x", "y", "z"), "error [mm]"),
     )
 
