@@ -1,6 +1,7 @@
 """Ball scenes with exact truth: pictures of rigs that never existed."""
 
 from measure.simulation.catalogue import scene_catalogue
+from measure.simulation.observations import Observation, simulate_observations
 from measure.simulation.recording import write_session
 from measure.simulation.renderer import Renderer, render
 from measure.simulation.scene import Actor, Scene
@@ -17,6 +18,7 @@ __all__ = [
     "Lighting",
     "Material",
     "MotionLimits",
+    "Observation",
     "Renderer",
     "Scene",
     "Sensor",
@@ -27,5 +29,6 @@ __all__ = [
     "random_motion",
     "render",
     "scene_catalogue",
+    "simulate_observations",
     "write_session",
 ]

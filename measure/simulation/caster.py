@@ -52,12 +52,12 @@ class Stage:
         flat = np.ascontiguousarray(ideal.reshape(-1, 2))
         first, depth = np.empty(len(flat), np.int64), np.empty(len(flat))
         rows = np.ascontiguousarray(near.T)
-        kernels.trace(flat, rows, rays, delays_s, self._packed, first, depth)
+        kernels.trace(flat, rows, rays, delays_s, self.packed, first, depth)
         out = np.empty((pixels, 3))
         albedo, by_ray = self._albedo(flat, first, depth)
         lighting = (self._lamps, *self._surroundings, self._blockers)
         kernels.shade(
-            flat, rays, delays_s, first, depth, self._packed, albedo, by_ray, *lighting, out
+            flat, rays, delays_s, first, depth, self.packed, albedo, by_ray, *lighting, out
         )
         return out, first.reshape(pixels, rays)
 
@@ -101,7 +101,8 @@ class Stage:
         return by_ray, True
 
     @cached_property
-    def _packed(self) -> Floats:
+    def packed(self) -> Floats:
+        """The shapes as rows of numbers (k, ROW), as the kernels read them."""
         rows = np.zeros((len(self.shapes), kernels.ROW))
         for row, shape in zip(rows, self.shapes, strict=True):
             _pack(row, shape)
