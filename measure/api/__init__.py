@@ -4,6 +4,7 @@ One file an action. Heavy libraries load when an action is called, not with this
 """
 
 from measure.api.evaluate import evaluate
+from measure.api.export import export
 from measure.api.measuring import measure_session
 from measure.api.profiles import build_pipeline, choose, load_profile, profile_names
 from measure.api.report import report
@@ -16,6 +17,7 @@ __all__ = [
     "choose",
     "evaluate",
     "evaluation_tables",
+    "export",
     "load_profile",
     "measure_session",
     "parse_images",

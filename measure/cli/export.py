@@ -1,0 +1,38 @@
+"""`measure export`: a run in another program's format."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from measure.cli import console
+from measure.cli.console import JsonFlag
+
+
+def export(
+    run: Path,
+    /,
+    *,
+    format_: Annotated[str, Parameter(name=("--format", "-f"))],
+    out: Annotated[Path | None, Parameter(name=("--out", "-o"))] = None,
+    overwrite: bool = False,
+    json: JsonFlag = False,
+) -> None:
+    """Write a run in another program's format.
+
+    Args:
+        run: the run's folder.
+        format_: csv (poses with covariances), tum (evo; metres), trc (OpenSim markers), c3d
+            (markers) or mcap (ROS 2; metres).
+        out: the file to write; export.FORMAT in the run's folder if omitted.
+        overwrite: replace a file that is there.
+    """
+    from measure import api
+
+    path = api.export(run, format_, out, overwrite)
+    if json:
+        console.print_json({"run": str(run), "format": format_, "file": str(path)})
+    else:
+        console.print_text(f"written to {path}")

@@ -1,0 +1,69 @@
+"""A run in other programs' formats; one file a format.
+
+Each module holds `write(run, path)`. Libraries a format needs are imported when it is written.
+"""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+from dataclasses import dataclass
+from pathlib import Path
+
+from measure.errors import ConfigError, RunError
+from measure.results.run import Run
+
+
+@dataclass(frozen=True)
+class Format:
+    """A format: the module that writes it, what it holds, and the extra that must be installed."""
+
+    module: str
+    holds: str
+    extra: str = ""
+
+
+FORMATS = {
+    "csv": Format("csv_poses", "poses with covariances, one row a frame set"),
+    "tum": Format("tum", "poses for evo: metres, frame sets with a pose only"),
+    "trc": Format("trc", "ball centres and the body's origin as markers, for OpenSim"),
+    "c3d": Format("c3d", "ball centres and the body's origin as points", extra="c3d"),
+    "mcap": Format("mcap", "ROS 2 poses with covariance, transforms and ball centres", extra="ros"),
+}
+
+
+def export_run(run: Run, file_format: str, path: Path, overwrite: bool = False) -> Path:
+    """Write a run in another program's format.
+
+    Args:
+        run: finished or not.
+        file_format: one of `FORMATS`.
+        path: the file to write.
+        overwrite: replace a file that is there.
+
+    Returns:
+        The file written.
+
+    Raises:
+        ConfigError: no such format, or its library is not installed.
+        RunError: the file is there already, cannot be written, or the run holds no pose.
+    """
+    if file_format not in FORMATS:
+        near = difflib.get_close_matches(file_format, FORMATS, n=1)
+        hint = f"did you mean {near[0]}?" if near else f"there is {', '.join(FORMATS)}"
+        raise ConfigError(f"no export format is called '{file_format}'; {hint}")
+    if path.exists() and not overwrite:
+        raise RunError(f"{path} is there already; --overwrite replaces it")
+    if not run.has_pose.any():
+        raise RunError(f"{run.path} holds no pose: there is nothing to export")
+    chosen = FORMATS[file_format]
+    try:
+        importlib.import_module(f"{__name__}.{chosen.module}").write(run, path)
+    except ModuleNotFoundError as problem:
+        raise ConfigError(
+            f"writing {file_format} needs {problem.name}: install it with "
+            f'pip install "triball[{chosen.extra}]"'
+        ) from None
+    except OSError as problem:
+        raise RunError(f"{path}: cannot be written: {problem.strerror or problem}") from None
+    return path

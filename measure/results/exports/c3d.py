@@ -1,0 +1,39 @@
+"""C3D, the binary marker format of motion laboratories, written by ezc3d."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from measure.results.exports.markers import markers_of
+from measure.results.run import Run
+
+CHANNELS = ("time_s", "frame")
+
+
+def write(run: Run, path: Path) -> None:
+    """Write every frame set; a marker that was not located is invalid there.
+
+    C3D knows a rate, but no times: those since the first frame set stand in the analog channel
+    `time_s`, the frame set's number in `frame`.
+    """
+    import ezc3d
+
+    markers = markers_of(run)
+    count = len(markers.times_s)
+    file = ezc3d.c3d()
+    points = file["parameters"]["POINT"]
+    points["RATE"]["value"] = [markers.rate_hz]
+    points["LABELS"]["value"] = list(markers.names)
+    points["UNITS"]["value"] = ["mm"]
+    homogeneous = np.ones((4, len(markers.names), count))
+    homogeneous[:3] = markers.points_mm.transpose(2, 1, 0)
+    file["data"]["points"] = homogeneous
+    analog = file["parameters"]["ANALOG"]
+    analog["RATE"]["value"] = [markers.rate_hz]
+    analog["LABELS"]["value"] = list(CHANNELS)
+    analog["UNITS"]["value"] = ["s", ""]
+    channels = np.stack([markers.times_s - markers.times_s[0], np.arange(count)])
+    file["data"]["analogs"] = channels[None]
+    file.write(str(path))

@@ -1,0 +1,46 @@
+"""CSV: every pose with its covariance, a row for every frame set."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from measure.results.columns import matrices, numbers
+from measure.results.run import Run
+
+_WORDS = ("cameras", "balls", "flags")
+_NUMBERS = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
+_QUALITY = ("position_sd_mm", "rotation_sd_deg", "residual_mm", "rms_px")
+_AXES = ("x_mm", "y_mm", "z_mm", "rx_rad", "ry_rad", "rz_rad")
+
+
+def write(run: Run, path: Path) -> None:
+    """Write `frame, time_s`, the pose, its quality, and the 21 entries of its covariance."""
+    upper = np.triu_indices(6)
+    pairs = [f"cov_{_AXES[i]}_{_AXES[j]}" for i, j in zip(*upper, strict=True)]
+    table = run.poses
+    values = numbers(table, *_NUMBERS, *_QUALITY)
+    covariances = matrices(table, "covariance", 6)[:, upper[0], upper[1]]
+    words = {name: table[name].to_pylist() for name in (*_WORDS, "status", "reason")}
+    indices = table["index"].to_pylist()
+    with path.open("w", newline="", encoding="utf-8") as file:
+        out = csv.writer(file, lineterminator="\n")
+        out.writerow(["frame", "time_s", *_NUMBERS, *_QUALITY, *_WORDS, "status", "reason", *pairs])
+        for row, index in enumerate(indices):
+            out.writerow(
+                [
+                    index,
+                    f"{run.times_s[row]:.9f}",
+                    *map(_cell, values[row]),
+                    *(" ".join(words[name][row] or ()) for name in _WORDS),
+                    words["status"][row],
+                    words["reason"][row],
+                    *map(_cell, covariances[row]),
+                ]
+            )
+
+
+def _cell(value: float) -> str:
+    return f"{value:.12g}" if np.isfinite(value) else ""

@@ -1,0 +1,124 @@
+"""MCAP with ROS 2 messages, as `ros2 bag` and Foxglove read it; metres and radians."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.results.columns import numbers, texts
+from measure.results.run import Run
+
+WORLD, BODY = "world", "body"
+POSE_TOPIC, BALL_TOPIC, TF_TOPIC = "/body/pose", "/balls", "/tf"
+_POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+_POINT = "geometry_msgs/msg/PointStamped"
+_TF = "tf2_msgs/msg/TFMessage"
+_METRES = np.array([1e-3] * 3 + [1.0] * 3)
+
+
+def write(run: Run, path: Path) -> None:
+    """Write the poses with covariance, their transforms, and every located ball.
+
+    ROS orders a pose covariance as we do (x y z, then rotations about the fixed axes).
+    """
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_JAZZY)
+    with tempfile.TemporaryDirectory(dir=path.parent) as scratch:
+        bag = Path(scratch) / "bag"
+        with Writer(bag, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+            out = _Topics(writer, store)
+            _write_poses(run, out)
+            _write_balls(run, out)
+        shutil.move(str(next(bag.glob("*.mcap"))), path)
+
+
+class _Topics:
+    """Serialises messages and opens each topic when its first message comes."""
+
+    def __init__(self, writer: Any, store: Any) -> None:
+        self._writer, self._store, self._open = writer, store, {}  # type: ignore[var-annotated]
+
+    def message(self, kind: str, **fields: Any) -> Any:
+        """A message of a type such as "geometry_msgs/msg/Point"."""
+        return self._store.types[kind](**fields)
+
+    def header(self, time_s: float) -> Any:
+        """A header in the world frame."""
+        sec, nanosec = divmod(_nanoseconds(time_s), 10**9)
+        stamp = self.message("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
+        return self.message("std_msgs/msg/Header", stamp=stamp, frame_id=WORLD)
+
+    def send(self, topic: str, kind: str, time_s: float, message: Any) -> None:
+        """Append a message."""
+        if topic not in self._open:
+            self._open[topic] = self._writer.add_connection(topic, kind, typestore=self._store)
+        data = self._store.serialize_cdr(message, kind)
+        self._writer.write(self._open[topic], _nanoseconds(time_s), data)
+
+
+def _write_poses(run: Run, out: _Topics) -> None:
+    poses = run.world_from_body
+    quats, covariances = poses.quat_wxyz, run.covariances * np.outer(_METRES, _METRES)
+    for k, time_s in enumerate(run.times_s[run.has_pose].tolist()):
+        position, quat = poses.translation[k] / 1000, quats[k]
+        turn = _rotation(out, quat)
+        pose = out.message(
+            "geometry_msgs/msg/Pose", position=_point(out, position), orientation=turn
+        )
+        uncertain = out.message(
+            "geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariances[k].reshape(36)
+        )
+        stamped = out.message(_POSE, header=out.header(time_s), pose=uncertain)
+        out.send(POSE_TOPIC, _POSE, time_s, stamped)
+        out.send(TF_TOPIC, _TF, time_s, _transform(out, time_s, position, turn))
+
+
+def _write_balls(run: Run, out: _Topics) -> None:
+    table = run.balls
+    centers = numbers(table, "x_mm", "y_mm", "z_mm") / 1000
+    times, names = numbers(table, "time_s"), texts(table, "ball")
+    for time_s, name, center in zip(times.tolist(), names.tolist(), centers, strict=True):
+        point = out.message(_POINT, header=out.header(time_s), point=_point(out, center))
+        out.send(f"{BALL_TOPIC}/{_topic_name(name)}", _POINT, time_s, point)
+
+
+def _transform(out: _Topics, time_s: float, position: Floats, turn: Any) -> Any:
+    shift = out.message(
+        "geometry_msgs/msg/Vector3", **dict(zip("xyz", position.tolist(), strict=True))
+    )
+    transform = out.message("geometry_msgs/msg/Transform", translation=shift, rotation=turn)
+    stamped = out.message(
+        "geometry_msgs/msg/TransformStamped",
+        header=out.header(time_s),
+        child_frame_id=BODY,
+        transform=transform,
+    )
+    return out.message(_TF, transforms=[stamped])
+
+
+def _point(out: _Topics, position: Floats) -> Any:
+    return out.message(
+        "geometry_msgs/msg/Point", **dict(zip("xyz", position.tolist(), strict=True))
+    )
+
+
+def _rotation(out: _Topics, quat_wxyz: Floats) -> Any:
+    parts = dict(zip("wxyz", quat_wxyz.tolist(), strict=True))
+    return out.message("geometry_msgs/msg/Quaternion", **parts)
+
+
+def _topic_name(name: str) -> str:
+    """A ball's name as ROS allows it in a topic."""
+    word = "".join(c if c.isalnum() and c.isascii() else "_" for c in name)
+    return word if word[:1].isalpha() else f"ball_{word}"
+
+
+def _nanoseconds(time_s: float) -> int:
+    return round(time_s * 1e9)

@@ -1,0 +1,172 @@
+"""Every export is read back by a program that is not ours."""
+
+from __future__ import annotations
+
+import builtins
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from measure.errors import ConfigError, RunError
+from measure.results import Run, RunWriter, read_run
+from measure.results.exports import FORMATS, export_run
+from tests.results.conftest import BODY, CAMERAS, made_from, measurement, true_pose
+
+LOST = (3, 4)
+COUNT = 12
+HERE = [i for i in range(COUNT) if i not in LOST]
+
+
+@pytest.fixture
+def run(folder: Path) -> Run:
+    with RunWriter(folder, made_from(), BODY, CAMERAS) as writer:
+        for i in range(COUNT):
+            writer.append(measurement(i, lost=i in LOST))
+        writer.finish()
+    return read_run(folder)
+
+
+def _truth():
+    return [true_pose(i / 30) for i in HERE]
+
+
+def test_csv(run: Run, tmp_path: Path) -> None:
+    path = export_run(run, "csv", tmp_path / "x.csv")
+    with path.open() as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["frame"]) for row in rows] == list(range(COUNT))
+    assert rows[3]["x_mm"] == rows[3]["cov_x_mm_x_mm"] == ""
+    assert rows[3]["status"] == "lost"
+    for row, pose in zip([rows[i] for i in HERE], _truth(), strict=True):
+        found = [float(row[name]) for name in ("x_mm", "y_mm", "z_mm")]
+        assert np.allclose(found, pose.translation, atol=1e-8)
+        assert float(row["cov_x_mm_x_mm"]) == 0.01
+        assert float(row["cov_rz_rad_rz_rad"]) == 1e-6
+
+
+def test_tum(run: Run, tmp_path: Path) -> None:
+    path = export_run(run, "tum", tmp_path / "x.tum")
+    values = np.loadtxt(path)
+    assert values.shape == (len(HERE), 8)
+    assert np.allclose(values[:, 0], np.array(HERE) / 30)
+    for row, pose in zip(values, _truth(), strict=True):
+        assert np.allclose(1000 * row[1:4], pose.translation, atol=1e-8)
+        turn = Rotation.from_quat(row[4:]) * Rotation.from_matrix(pose.rotation).inv()
+        assert turn.magnitude() < 1e-8
+
+
+def test_tum_is_read_by_evo(run: Run, tmp_path: Path) -> None:
+    file_interface = pytest.importorskip("evo.tools.file_interface")
+    path = export_run(run, "tum", tmp_path / "x.tum")
+    trajectory = file_interface.read_tum_trajectory_file(str(path))
+    assert trajectory.check()[0]
+    assert trajectory.num_poses == len(HERE)
+
+
+def test_trc(run: Run, tmp_path: Path) -> None:
+    lines = export_run(run, "trc", tmp_path / "x.trc").read_text().splitlines()
+    head = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=True))
+    assert (head["NumFrames"], head["NumMarkers"], head["Units"]) == ("12", "4", "mm")
+    assert float(head["DataRate"]) == pytest.approx(30)
+    names = [name for name in lines[3].split("\t")[2:] if name]
+    assert names == ["green", "yellow", "red", "body_origin"]
+    assert lines[4].split("\t")[2:5] == ["X1", "Y1", "Z1"]
+    rows = [line.split("\t") for line in lines[6:]]
+    assert len(rows) == COUNT
+    assert rows[3][2:] == [""] * 12
+    for i, pose in zip(HERE, _truth(), strict=True):
+        values = np.array(rows[i], dtype=float)
+        assert values[0] == i + 1
+        assert np.allclose(values[2:].reshape(4, 3)[:3], pose.apply(BODY.centers), atol=1e-5)
+        assert np.allclose(values[11:], pose.translation, atol=1e-5)
+
+
+def test_c3d(run: Run, tmp_path: Path) -> None:
+    c3d = pytest.importorskip("c3d")
+    path = export_run(run, "c3d", tmp_path / "x.c3d")
+    with path.open("rb") as file:
+        reader = c3d.Reader(file)
+        assert reader.point_rate == pytest.approx(30)
+        assert [label.strip() for label in reader.point_labels] == [*BODY.names, "body_origin"]
+        assert [label.strip() for label in reader.analog_labels] == ["time_s", "frame"]
+        assert reader.get("POINT:UNITS").string_array[0].strip() == "mm"
+        frames = list(reader.read_frames())
+    assert len(frames) == COUNT
+    for i, (_, points, analog) in enumerate(frames):
+        assert float(analog[0, 0]) == pytest.approx(i / 30, abs=1e-6)
+        assert float(analog[1, 0]) == i
+        if i in LOST:
+            assert np.all(points[:, 3] < 0), "an unlocated marker is invalid"
+            continue
+        pose = true_pose(i / 30)
+        assert np.all(points[:, 3] >= 0)
+        assert np.allclose(points[:3, :3], pose.apply(BODY.centers), atol=1e-4)
+        assert np.allclose(points[3, :3], pose.translation, atol=1e-4)
+
+
+def test_mcap(run: Run, tmp_path: Path) -> None:
+    reader = pytest.importorskip("mcap.reader")
+    decoder = pytest.importorskip("mcap_ros2.decoder")
+    pytest.importorskip("rosbags")
+    path = export_run(run, "mcap", tmp_path / "x.mcap")
+    seen: dict[str, list] = {}
+    with path.open("rb") as file:
+        opened = reader.make_reader(file, decoder_factories=[decoder.DecoderFactory()])
+        for _, channel, message, decoded in opened.iter_decoded_messages():
+            seen.setdefault(channel.topic, []).append((message.log_time, decoded))
+    assert sorted(seen) == ["/balls/green", "/balls/red", "/balls/yellow", "/body/pose", "/tf"]
+    assert len(seen["/body/pose"]) == len(HERE)
+    for (stamp, message), i in zip(seen["/body/pose"], HERE, strict=True):
+        pose = true_pose(i / 30)
+        assert stamp == pytest.approx(i / 30 * 1e9, abs=1)
+        place = message.pose.pose.position
+        assert np.allclose([place.x, place.y, place.z], pose.translation / 1000, atol=1e-12)
+        q = message.pose.pose.orientation
+        assert np.allclose([q.w, q.x, q.y, q.z], pose.quat_wxyz, atol=1e-12)
+        covariance = np.array(message.pose.covariance).reshape(6, 6)
+        assert np.allclose(np.diag(covariance), [1e-8] * 3 + [1e-6] * 3)
+        assert message.header.frame_id == "world"
+    tf = seen["/tf"][0][1].transforms[0]
+    assert (tf.header.frame_id, tf.child_frame_id) == ("world", "body")
+    green = seen["/balls/green"][0][1].point
+    expected = true_pose(0.0).apply(BODY.centers)[0] / 1000
+    assert np.allclose([green.x, green.y, green.z], expected, atol=1e-9)
+
+
+def test_what_cannot_be_exported_is_explained(run: Run, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="no export format is called 'c3'; did you mean c3d"):
+        export_run(run, "c3", tmp_path / "x")
+    export_run(run, "tum", tmp_path / "x.tum")
+    with pytest.raises(RunError, match=r"x\.tum is there already; --overwrite"):
+        export_run(run, "tum", tmp_path / "x.tum")
+    export_run(run, "tum", tmp_path / "x.tum", overwrite=True)
+    with pytest.raises(RunError, match="cannot be written"):
+        export_run(run, "tum", tmp_path / "none" / "x.tum")
+
+
+def test_a_run_without_a_pose_is_refused(folder: Path, tmp_path: Path) -> None:
+    with RunWriter(folder, made_from(), BODY, CAMERAS) as writer:
+        writer.append(measurement(0, lost=True))
+        writer.finish()
+    for name in FORMATS:
+        with pytest.raises(RunError, match="holds no pose"):
+            export_run(read_run(folder), name, tmp_path / "x")
+
+
+@pytest.mark.parametrize(("name", "library"), [("c3d", "ezc3d"), ("mcap", "rosbags")])
+def test_a_missing_library_is_named_with_its_extra(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, library: str
+) -> None:
+    real = builtins.__import__
+
+    def without(wanted: str, *args, **kwargs):
+        if wanted.split(".")[0] == library:
+            raise ModuleNotFoundError(f"No module named '{library}'", name=library)
+        return real(wanted, *args, **kwargs)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    with pytest.raises(ConfigError, match=rf'needs {library}: .*"triball\[{FORMATS[name].extra}\]'):
+        export_run(run, name, tmp_path / "x")
