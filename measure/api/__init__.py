@@ -3,6 +3,7 @@
 One file an action. Heavy libraries load when an action is called, not with this package.
 """
 
+from measure.api.calibrating import CalibrationResult, calibrate
 from measure.api.evaluate import evaluate
 from measure.api.export import export
 from measure.api.measuring import measure_session
@@ -12,8 +13,10 @@ from measure.api.run import RunOptions, parse_images, run
 from measure.results.evaluation_table import evaluation_tables
 
 __all__ = [
+    "CalibrationResult",
     "RunOptions",
     "build_pipeline",
+    "calibrate",
     "choose",
     "evaluate",
     "evaluation_tables",

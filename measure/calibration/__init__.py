@@ -1,1 +1,49 @@
-"""."""
+"""Calibration: targets, lenses, camera poses, refinement from motion, and how good it all is."""
+
+from measure.calibration.boards import Board, Charuco, Chessboard, Corners
+from measure.calibration.capture import Capture, open_capture
+from measure.calibration.extrinsics import RigFit, Sights, Tolerances, fit_rig
+from measure.calibration.intrinsics import LensCalibration, calibrate_lens
+from measure.calibration.judgement import Finding, Workspace, body_cost, body_pose_sd, paper_body
+from measure.calibration.markers import find_markers
+from measure.calibration.paper import fit_rig_by_paper
+from measure.calibration.procedure import Method, RigCalibration, calibrate_capture
+from measure.calibration.report import calibration_report, camera_rows
+from measure.calibration.targets import MarkerField, read_board, read_markers
+from measure.calibration.verdict import Verdict, judge, provenance
+from measure.calibration.views import choose_views, find_views
+
+__all__ = [
+    "Board",
+    "Capture",
+    "Charuco",
+    "Chessboard",
+    "Corners",
+    "Finding",
+    "LensCalibration",
+    "MarkerField",
+    "Method",
+    "RigCalibration",
+    "RigFit",
+    "Sights",
+    "Tolerances",
+    "Verdict",
+    "Workspace",
+    "body_cost",
+    "body_pose_sd",
+    "calibrate_capture",
+    "calibrate_lens",
+    "calibration_report",
+    "camera_rows",
+    "choose_views",
+    "find_markers",
+    "find_views",
+    "fit_rig",
+    "fit_rig_by_paper",
+    "judge",
+    "open_capture",
+    "paper_body",
+    "provenance",
+    "read_board",
+    "read_markers",
+]

@@ -1,0 +1,231 @@
+"""Boards: flat patterns whose corners are known, and how they are found in a picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Literal, Protocol
+
+import cv2
+import numpy as np
+
+from measure.arrays import Bytes, Floats, Ints
+from measure.errors import CalibrationError
+
+_CHARUCO_MIN_CORNERS = 6
+
+
+CornerRule = Literal["pattern", "gradient"]
+"""How corners are localised: by the detector's own sub-pixel fit, or by the grey gradient around
+each. Which is better depends on noise, sharpening and compression: the data decide."""
+
+
+@dataclass(frozen=True, eq=False)
+class Corners:
+    """Board corners seen in one picture.
+
+    Attributes:
+        ids: (n,) which of the board's points.
+        pixels: (n, 2) sub-pixel places.
+        sharpness: steepest slope across the pattern's edges as a share of their contrast, per px:
+            about 0.5 in focus, below 0.2 blurred.
+        source: the picture, for messages.
+        by_gradient: (n, 2) the same corners by another rule (see `refine_by_gradient`), or None.
+    """
+
+    ids: Ints
+    pixels: Floats
+    sharpness: float
+    source: str = ""
+    by_gradient: Floats | None = None
+
+    def localised(self, rule: CornerRule) -> Corners:
+        """The same view with the corners of one rule."""
+        if rule == "pattern" or self.by_gradient is None:
+            return self
+        return replace(self, pixels=self.by_gradient)
+
+
+class Board(Protocol):
+    """A flat pattern in the plane z = 0 of the board frame, z pointing away from the viewer."""
+
+    @property
+    def points(self) -> Floats:
+        """All corners (n, 3) in mm."""
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether the pattern looks the same after half a turn, so that its origin is ambiguous."""
+
+    def find(self, gray: Bytes, source: str = "") -> Corners | None:
+        """The corners in a grey picture (h, w), or None where there is no board."""
+
+
+def _grid(inner_corners: tuple[int, int], square_mm: float) -> Floats:
+    columns, rows = inner_corners
+    y, x = np.mgrid[:rows, :columns]
+    return np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]) * square_mm
+
+
+@dataclass(frozen=True)
+class Chessboard:
+    """A chessboard.
+
+    Origin at one outermost inner corner, x along the first count, y along the second. The outer
+    square diagonal to the origin is black; where the opposite one is white that tells the ends
+    apart.
+
+    Attributes:
+        inner_corners: along x and along y.
+        square_mm: side of a square.
+    """
+
+    inner_corners: tuple[int, int]
+    square_mm: float
+
+    @cached_property
+    def points(self) -> Floats:
+        """All corners (n, 3) in mm."""
+        return _grid(self.inner_corners, self.square_mm)
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether half a turn leaves the pattern as it was."""
+        return (self.inner_corners[0] + self.inner_corners[1]) % 2 == 0
+
+    def find(self, gray: Bytes, source: str = "") -> Corners | None:
+        """The corners in a grey picture (h, w), or None where there is no board."""
+        for extra in (0, cv2.CALIB_CB_NORMALIZE_IMAGE):
+            found, raw = cv2.findChessboardCornersSB(
+                gray, self.inner_corners, flags=cv2.CALIB_CB_ACCURACY | extra
+            )
+            if found:
+                break
+        else:
+            return None
+        pixels = self._oriented(np.asarray(raw, dtype=np.float64).reshape(-1, 2), gray)
+        return _corners(np.arange(len(pixels)), pixels, gray, source)
+
+    def _oriented(self, pixels: Floats, gray: Bytes) -> Floats:
+        columns, rows = self.inner_corners
+        grid = pixels.reshape(rows, columns, 2)
+        along, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
+        if along[0] * down[1] - along[1] * down[0] < 0:  # x to the right, y down: never mirrored
+            grid = grid[:, ::-1]
+        half_turn = grid[::-1, ::-1]
+        if not self.symmetric and _outer_level(half_turn, gray) < _outer_level(grid, gray):
+            grid = half_turn
+        return np.ascontiguousarray(grid.reshape(-1, 2))
+
+
+def _outer_level(grid: Floats, gray: Bytes) -> float:
+    """Mean grey of the outer square diagonal to the first corner of a grid (rows, columns, 2)."""
+    first = grid[0, 0]
+    centre = first - (grid[0, 1] - first) / 2 - (grid[1, 0] - first) / 2
+    patch = cv2.getRectSubPix(gray, (5, 5), (float(centre[0]), float(centre[1])))
+    return float(np.mean(patch))
+
+
+@dataclass(frozen=True)
+class Charuco:
+    """A chessboard with ArUco markers in its white squares: partial views count, ends are known.
+
+    Attributes:
+        inner_corners: along x and along y.
+        square_mm: side of a square.
+        marker_mm: side of a marker.
+        dictionary: OpenCV's name, such as "DICT_4X4_1000".
+        inverted: printed white on black.
+        legacy: OpenCV's pattern before 4.6 (differs for an even number of rows of squares).
+    """
+
+    inner_corners: tuple[int, int]
+    square_mm: float
+    marker_mm: float
+    dictionary: str = "DICT_4X4_100"
+    inverted: bool = False
+    legacy: bool = False
+
+    @property
+    def squares(self) -> tuple[int, int]:
+        """Squares along x and along y."""
+        return self.inner_corners[0] + 1, self.inner_corners[1] + 1
+
+    @cached_property
+    def pattern(self) -> Any:
+        """OpenCV's description of this board."""
+        code = getattr(cv2.aruco, self.dictionary)
+        pattern = cv2.aruco.CharucoBoard(
+            self.squares,
+            float(self.square_mm),
+            float(self.marker_mm),
+            cv2.aruco.getPredefinedDictionary(code),
+        )
+        pattern.setLegacyPattern(self.legacy)
+        return pattern
+
+    @cached_property
+    def points(self) -> Floats:
+        """All corners (n, 3) in mm, in the order of OpenCV's corner numbers."""
+        return np.asarray(self.pattern.getChessboardCorners(), dtype=np.float64).reshape(-1, 3)
+
+    @property
+    def symmetric(self) -> bool:
+        """Never: the markers carry numbers."""
+        return False
+
+    def find(self, gray: Bytes, source: str = "") -> Corners | None:
+        """The corners in a grey picture (h, w), or None where there is no board."""
+        corners = self._find(gray, source)
+        mirrored = np.ascontiguousarray(gray[:, ::-1])
+        if corners is None and self._find(mirrored, source) is not None:
+            raise CalibrationError(
+                f"{source or 'picture'}: the ChArUco board decodes only in a mirror: switch "
+                "off the "
+                "camera's mirror (selfie) mode and record again"
+            )
+        return corners
+
+    def _find(self, gray: Bytes, source: str) -> Corners | None:
+        picture = np.asarray(255 - gray if self.inverted else gray, dtype=np.uint8)
+        parameters = cv2.aruco.CharucoParameters()
+        pixels, ids, _, _ = cv2.aruco.CharucoDetector(self.pattern, parameters).detectBoard(picture)
+        if ids is None or np.size(ids) < _CHARUCO_MIN_CORNERS:
+            return None
+        numbers = np.asarray(ids, dtype=np.int64).reshape(-1)
+        places = np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
+        return _corners(numbers, places, picture, source)
+
+
+def _corners(ids: Ints, pixels: Floats, gray: Bytes, source: str) -> Corners:
+    refined = refine_by_gradient(gray, pixels)
+    return Corners(ids, pixels, sharpness(gray, pixels), source, refined)
+
+
+def refine_by_gradient(gray: Bytes, pixels: Floats) -> Floats:
+    """Corners (n, 2) where the grey gradients around each are perpendicular to the way there.
+
+    Förstner 1987, in OpenCV's `cornerSubPix`; the window reaches a third of the way to the nearest
+    other corner.
+    """
+    apart = np.linalg.norm(pixels[:, None] - pixels[None], axis=2) + np.diag(
+        np.full(len(pixels), 1e9)
+    )
+    half = int(np.clip(np.min(apart) / 3, 3, 15))
+    start = np.ascontiguousarray(pixels.reshape(-1, 1, 2), dtype=np.float32)
+    refined = cv2.cornerSubPix(gray, start, (half, half), (-1, -1), (3, 50, 1e-3))
+    return np.asarray(refined, dtype=np.float64).reshape(-1, 2)
+
+
+def sharpness(gray: Bytes, pixels: Floats, half: int = 6) -> float:
+    """Median over corners (n, 2) of the steepest slope as a share of the local contrast, per px."""
+    slopes = []
+    for u, v in np.rint(pixels).astype(int):
+        patch = gray[max(v - half, 0) : v + half + 1, max(u - half, 0) : u + half + 1]
+        if min(patch.shape) < half:
+            continue
+        values = patch.astype(np.float64)
+        low, high = np.quantile(values, (0.1, 0.9))
+        gx, gy = np.gradient(values)
+        slopes.append(np.quantile(np.hypot(gx, gy), 0.98) / max(high - low, 1.0))
+    return float(np.median(slopes)) if slopes else 0.0

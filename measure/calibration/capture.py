@@ -1,0 +1,214 @@
+"""The capture folder: what was photographed to calibrate a rig, and where things stood."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field, FiniteFloat, model_validator
+
+from measure.arrays import Bytes, Floats
+from measure.calibration.boards import Board
+from measure.calibration.markers import MarkerKind
+from measure.calibration.targets import MarkerField, read_board, read_markers, read_marks
+from measure.errors import CalibrationError
+from measure.geometry import RigidTransform
+from measure.model import Intrinsics
+from measure.session import FileModel, load_toml, open_video_stream, read_intrinsics, read_picture
+
+_VIDEO_ENDINGS = {".mp4", ".mkv", ".avi", ".mov", ".webm", ".m4v"}
+_VIDEO_FRAMES = 80
+
+Tolerance = Annotated[FiniteFloat, Field(ge=0)]
+
+
+class CaptureTable(FileModel):
+    """`[capture]`."""
+
+    name: str
+    description: str = ""
+    board: str | None = None
+    markers: str | None = None
+    marks: str | None = None
+    marker_kind: MarkerKind = "dot"
+    marker_tolerance_mm: Tolerance | None = None
+    board_tolerance_mm: Tolerance | None = None
+    board_tolerance_deg: Tolerance | None = None
+    mark_sd_px: Annotated[FiniteFloat, Field(gt=0)] | None = None
+    common_views: bool = False
+    floor_z_mm: FiniteFloat | None = None
+
+
+class CameraTable(FileModel):
+    """`[[cameras]]`."""
+
+    name: Annotated[str, Field(min_length=1)]
+    intrinsics: str | None = None
+    calibration: str | None = None
+    board_image: str | None = None
+    board_quat_wxyz: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat] | None = None
+    board_translation_mm: tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None = None
+    marker_image: str | None = None
+
+    @model_validator(mode="after")
+    def _complete(self) -> CameraTable:
+        if (self.intrinsics is None) == (self.calibration is None):
+            raise ValueError("give either intrinsics (pictures or a video) or calibration (a file)")
+        pose = (self.board_quat_wxyz is None, self.board_translation_mm is None)
+        if pose[0] != pose[1]:
+            raise ValueError("board_quat_wxyz and board_translation_mm belong together")
+        if self.board_image is not None and pose[0]:
+            raise ValueError(
+                "board_image needs the board's pose: board_quat_wxyz and board_translation_mm "
+                "(world_from_board)"
+            )
+        if self.board_quat_wxyz and abs(np.linalg.norm(self.board_quat_wxyz) - 1) > 1e-3:
+            raise ValueError("board_quat_wxyz must have length 1")
+        return self
+
+
+class CaptureFile(FileModel):
+    """`capture.toml`."""
+
+    capture: CaptureTable
+    cameras: Annotated[list[CameraTable], Field(min_length=1)]
+
+
+@dataclass(frozen=True, eq=False)
+class CameraCapture:
+    """What one camera contributes.
+
+    Attributes:
+        name: of the camera.
+        pictures: name and reader of each board view for the lens (a video: one for all frames).
+        known: its lens, if that is given.
+        board_image: picture of the board of known pose.
+        world_from_board: that pose.
+        marker_image: picture of the markers.
+        marks: hand marks, by marker name (2,) px.
+    """
+
+    name: str
+    folder: Path
+    pictures: str | None
+    known: Intrinsics | None
+    board_image: Path | None
+    world_from_board: RigidTransform | None
+    marker_image: Path | None
+    marks: dict[str, Floats] = field(default_factory=dict)
+
+    def views(self) -> Iterator[tuple[str, Bytes]]:
+        """The pictures of the board for the lens: name and BGR pixels.
+
+        Raises:
+            CalibrationError: there are none.
+            SessionError: one cannot be read.
+        """
+        assert self.pictures is not None
+        if Path(self.pictures).suffix.lower() in _VIDEO_ENDINGS:
+            yield from self._video(self.folder / self.pictures)
+            return
+        files = sorted(self.folder.glob(self.pictures), key=_natural)
+        if not files:
+            raise CalibrationError(
+                f"camera {self.name}: no picture matches {self.folder / self.pictures}"
+            )
+        for file in files:
+            yield file.name, read_picture(file)
+
+    def _video(self, path: Path) -> Iterator[tuple[str, Bytes]]:
+        stream = open_video_stream(self.name, path)
+        try:
+            picked = np.unique(np.linspace(0, len(stream) - 1, _VIDEO_FRAMES).astype(int))
+            for index in picked:
+                yield f"{path.name} frame {stream.frames[index]}", stream.read(int(index)).pixels
+        finally:
+            stream.close()
+
+
+@dataclass(frozen=True, eq=False)
+class Capture:
+    """A capture folder, opened.
+
+    Attributes:
+        path: of its capture.toml.
+        settings: the `[capture]` table.
+        board: the board, if there is one.
+        markers: the marker field, maybe empty.
+        cameras: in the order of the file.
+    """
+
+    path: Path
+    settings: CaptureTable
+    board: Board | None
+    markers: MarkerField
+    cameras: tuple[CameraCapture, ...]
+
+
+def open_capture(path: Path | str) -> Capture:
+    """Open a capture folder or its capture.toml.
+
+    Raises:
+        CalibrationError: with file, line and key of whatever cannot be used.
+    """
+    path = Path(path)
+    file = path / "capture.toml" if path.is_dir() else path
+    given = load_toml(file, CaptureFile, CalibrationError)
+    folder, settings = file.parent, given.capture
+    board = None if settings.board is None else read_board(folder / settings.board)
+    markers = MarkerField()
+    if settings.markers is not None:
+        markers = read_markers(folder / settings.markers, settings.marker_tolerance_mm)
+    marks = {} if settings.marks is None else read_marks(folder / settings.marks, markers)
+    names = [table.name for table in given.cameras]
+    for name in names:
+        if names.count(name) > 1:
+            raise CalibrationError(f"{file}: camera '{name}' is there {names.count(name)} times")
+    for name in marks:
+        if name not in names:
+            raise CalibrationError(
+                f"{folder / str(settings.marks)}: no camera is called '{name}'; "
+                f"there is {', '.join(names)}"
+            )
+    cameras = tuple(_camera(folder, table, marks.get(table.name, {})) for table in given.cameras)
+    if board is None and any(c.pictures or c.board_image for c in cameras):
+        raise CalibrationError(
+            f'{file}: pictures of a board need board = "board.toml" in [capture]'
+        )
+    return Capture(file, settings, board, markers, cameras)
+
+
+def _camera(folder: Path, table: CameraTable, marks: dict[str, Floats]) -> CameraCapture:
+    known = None
+    if table.calibration is not None:
+        lenses = read_intrinsics(folder / table.calibration)
+        known = lenses.get(table.name) or (
+            next(iter(lenses.values())) if len(lenses) == 1 else None
+        )
+        if known is None:
+            raise CalibrationError(
+                f"{folder / table.calibration}: no camera is called '{table.name}'; "
+                f"there is {', '.join(lenses)}"
+            )
+    pose = None
+    if table.board_quat_wxyz is not None and table.board_translation_mm is not None:
+        pose = RigidTransform.from_quat_wxyz(table.board_quat_wxyz, table.board_translation_mm)
+    return CameraCapture(
+        table.name,
+        folder,
+        table.intrinsics,
+        known,
+        None if table.board_image is None else folder / table.board_image,
+        pose,
+        None if table.marker_image is None else folder / table.marker_image,
+        marks,
+    )
+
+
+def _natural(path: Path) -> list[tuple[int, str]]:
+    """Order of file names in which 2 comes before 10."""
+    return [(int(p), "") if p.isdigit() else (-1, p) for p in re.split(r"(\d+)", path.name)]

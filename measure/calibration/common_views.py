@@ -1,0 +1,195 @@
+"""Cameras relative to each other, from one board that several of them see at the same instants."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from measure.arrays import Floats, Ints
+from measure.calibration.boards import Corners
+from measure.calibration.intrinsics import LensCalibration
+from measure.calibration.least_squares import Group, Huber, Linearised, Solution, solve
+from measure.calibration.lens import changed, stack
+from measure.calibration.single_camera import board_pose
+from measure.errors import CalibrationError
+from measure.geometry import RigidTransform, skew
+from measure.model import Camera
+
+_HUBER_REACH = 4.0
+_MIN_COMMON = 3
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    cameras: tuple[Camera, ...]
+    world_from_board: RigidTransform  # a batch, one an instant
+
+
+def fit_common_views(
+    points: Floats, lenses: Mapping[str, LensCalibration]
+) -> tuple[tuple[Camera, ...], Floats]:
+    """Fit all cameras, lenses included, with the first camera as the world.
+
+    Pictures of one instant carry the same number in their names.
+
+    Args:
+        points: (k, 3) the board's corners, mm.
+        lenses: each camera's lens and views.
+
+    Returns:
+        The cameras, and the board's corners in the world at all instants (n, 3) mm.
+
+    Raises:
+        CalibrationError: a camera shares fewer than three views with those already placed.
+    """
+    views = {
+        name: {_instant(v.source): v for v in lens.views.views} for name, lens in lenses.items()
+    }
+    cameras, boards = _start(points, lenses, views)
+    instants = sorted(boards)
+    sds = {name: lens.fit.sd_px for name, lens in lenses.items()}
+    free = {name: np.array(lens.model.free, dtype=np.int64) for name, lens in lenses.items()}
+    solution = _solve(cameras, boards, instants, points, views, sds, free)
+    poses = solution.state.world_from_board
+    corners = np.einsum("fij,nj->fni", poses.rotation, points) + poses.translation[:, None]
+    return _answer(solution, sds, free), corners.reshape(-1, 3)
+
+
+def _instant(source: str) -> int:
+    """The last number in a picture's name."""
+    numbers = re.findall(r"\d+", Path(source).stem)
+    if not numbers:
+        raise CalibrationError(f"{source}: common views need a number in the name of each picture")
+    return int(numbers[-1])
+
+
+def _start(
+    points: Floats,
+    lenses: Mapping[str, LensCalibration],
+    views: Mapping[str, Mapping[int, Corners]],
+) -> tuple[tuple[Camera, ...], dict[int, RigidTransform]]:
+    """Camera after camera, by the board poses it shares with those placed before."""
+    placed: dict[str, Camera] = {}
+    boards: dict[int, RigidTransform] = {}
+    waiting = list(lenses)
+    while waiting:
+        name = max(waiting, key=lambda n: len(views[n].keys() & boards.keys()))
+        if not placed:
+            name = waiting[0]
+        waiting.remove(name)
+        lens = lenses[name].intrinsics
+        from_board = {i: board_pose(lens, points[v.ids], v.pixels) for i, v in views[name].items()}
+        common = sorted(from_board.keys() & boards.keys())
+        if placed and len(common) < _MIN_COMMON:
+            raise CalibrationError(
+                f"camera {name}: shares {len(common)} board views with the other cameras, at least "
+                f"{_MIN_COMMON} are needed"
+            )
+        pose = RigidTransform.identity()
+        if placed:
+            guesses = stack([boards[i] @ from_board[i].inverse() for i in common])
+            distance = np.linalg.norm(
+                guesses.translation - np.median(guesses.translation, axis=0), axis=1
+            )
+            pose = guesses[int(np.argmin(distance))]
+        placed[name] = Camera(name, lens, pose)
+        boards |= {i: pose @ p for i, p in from_board.items() if i not in boards}
+    return tuple(placed[name] for name in lenses), boards
+
+
+def _solve(
+    cameras: tuple[Camera, ...],
+    boards: dict[int, RigidTransform],
+    instants: list[int],
+    points: Floats,
+    views: Mapping[str, Mapping[int, Corners]],
+    sds: Mapping[str, float],
+    free: Mapping[str, Ints],
+) -> Solution[_State]:
+    columns = _columns(cameras, free)
+    size = sum(len(c) for c in columns.values())
+    order = {instant: i for i, instant in enumerate(instants)}
+
+    def linearise(state: _State) -> Linearised:
+        groups = []
+        for number, camera in enumerate(state.cameras):
+            mine = sorted(views[camera.name].items())
+            block = np.concatenate([np.full(len(v.ids), order[i]) for i, v in mine])
+            ids = np.concatenate([v.ids for _, v in mine])
+            pixels = np.concatenate([v.pixels for _, v in mine])
+            poses = state.world_from_board
+            turned = np.einsum("nij,nj->ni", poses.rotation[block], points[ids])
+            predicted, by_world, by_pose, by_lens = camera.project_with_jacobians(
+                turned + poses.translation[block]
+            )
+            shared = (
+                [by_lens[:, :, free[camera.name]]]
+                if number == 0
+                else [
+                    by_pose,
+                    by_lens[:, :, free[camera.name]],
+                ]
+            )
+            sd = sds[camera.name]
+            own = np.concatenate([by_world, -by_world @ skew(turned)], axis=2)
+            groups.append(
+                Group(
+                    (pixels - predicted) / sd,
+                    columns[camera.name],
+                    np.concatenate(shared, axis=2) / sd,
+                    block,
+                    own / sd,
+                )
+            )
+        return Linearised(tuple(groups), size, len(instants), np.zeros(0), np.zeros((0, size)))
+
+    def step(state: _State, shared: Floats, blocks: Floats) -> _State:
+        cameras = []
+        for number, camera in enumerate(state.cameras):
+            part = shared[columns[camera.name]]
+            part = np.concatenate([np.zeros(6), part]) if number == 0 else part
+            cameras.append(changed(camera, part, free[camera.name]))
+        return _State(tuple(cameras), state.world_from_board.perturb(blocks))
+
+    start = _State(cameras, stack([boards[i] for i in instants]))
+    return solve(linearise, step, start, Huber(_HUBER_REACH))
+
+
+def _columns(cameras: tuple[Camera, ...], free: Mapping[str, Ints]) -> dict[str, Ints]:
+    columns, size = {}, 0
+    for number, camera in enumerate(cameras):
+        length = len(free[camera.name]) + (0 if number == 0 else 6)
+        columns[camera.name] = np.arange(size, size + length)
+        size += length
+    return columns
+
+
+def _answer(
+    solution: Solution[_State], sds: Mapping[str, float], free: Mapping[str, Ints]
+) -> tuple[Camera, ...]:
+    columns = _columns(solution.state.cameras, free)
+    factor = max(solution.variance_factor, 1.0)
+    out = []
+    for number, (camera, group) in enumerate(
+        zip(solution.state.cameras, solution.linearised.groups, strict=True)
+    ):
+        P = solution.covariance[np.ix_(columns[camera.name], columns[camera.name])] * factor
+        poses = 0 if number == 0 else 6
+        pose, lens = np.zeros((6, 6)), np.zeros((12, 12))
+        pose[:poses, :poses] = P[:poses, :poses]
+        lens[np.ix_(free[camera.name], free[camera.name])] = P[poses:, poses:]
+        residuals = group.residuals * sds[camera.name]
+        total = float(np.sum(residuals**2))
+        out.append(
+            replace(
+                camera,
+                intrinsics=replace(camera.intrinsics, covariance=lens),
+                pose_covariance=pose,
+                reprojection_rms_px=float(np.sqrt(total / len(residuals))),
+            )
+        )
+    return tuple(out)

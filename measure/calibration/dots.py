@@ -1,0 +1,153 @@
+"""Sub-pixel places of bright dots and balls, and of crosses.
+
+A marker head is a small shaded ball: its centroid lies a pixel or two towards the light, and its
+dark side fades into the background. So the whole picture of a shaded ball is fitted: intensity
+a + b . n over its disc (n the surface normal; light from all sides plus light from one), blurred
+by the lens, on a flat background, in linear light, with a robust loss because the post hides a
+part. A flat printed dot is the case b = 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from measure.arrays import Bytes, Floats
+
+_BLUR_PX = 0.7
+_SUPERSAMPLING = 3
+_ITERATIONS = 25
+_NUDGE_PX = 0.1
+_NOISE_FLOOR = 0.1
+_TUKEY = 4.7
+
+
+@dataclass(frozen=True, eq=False)
+class Dot:
+    """A dot found in a picture.
+
+    Attributes:
+        center_px: (2,).
+        radius_px: of its disc.
+        misfit: robust spread of the residuals as a share of its brightness.
+    """
+
+    center_px: Floats
+    radius_px: float
+    misfit: float
+
+
+def linear_light(bgr: Bytes) -> Floats:
+    """Luminance (h, w), 0 to 1, proportional to light (sRGB's curve undone)."""
+    code = np.arange(256) / 255.0
+    curve = np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
+    return curve[bgr] @ np.array([0.0722, 0.7152, 0.2126])
+
+
+def dot_candidates(light: Floats, radius_px: tuple[float, float] = (1.5, 25.0)) -> list[Dot]:
+    """Bright round spots that stand out from their surroundings.
+
+    Args:
+        light: (h, w) linear luminance.
+        radius_px: smallest and largest radius looked for.
+    """
+    reach = 2 * int(2 * radius_px[1]) + 1
+    background = cv2.blur(light, (reach, reach))
+    excess = light - background
+    spread = float(np.median(np.abs(excess))) * 1.4826
+    mask = (excess > max(8 * spread, 0.02)).astype(np.uint8)
+    _, labels, stats, centroids = cv2.connectedComponentsWithStats(mask, connectivity=8)
+    found = []
+    for label in range(1, len(stats)):
+        x, y, width, height, area = (int(v) for v in stats[label])
+        radius = float(np.sqrt(area / np.pi))
+        patch = np.where(labels[y : y + height, x : x + width] == label, 1, 0)
+        peak = float((light[y : y + height, x : x + width] * patch).max())
+        strong = patch * (light[y : y + height, x : x + width] > 0.25 * peak)
+        if not radius_px[0] <= radius <= radius_px[1] or max(width, height) > 3.2 * radius + 2:
+            continue
+        v, u = np.nonzero(strong)
+        place = np.array([x + u.mean(), y + v.mean()])
+        found.append(Dot(place, float(np.sqrt(strong.sum() / np.pi)), np.nan))
+    del centroids
+    return found
+
+
+def refine_dot(light: Floats, dot: Dot) -> Dot | None:
+    """Fit the picture of a shaded ball; None where that fails or runs away."""
+    half = int(np.ceil(dot.radius_px + 4))
+    u, v = (int(c) for c in np.rint(dot.center_px))
+    patch = light[max(v - half, 0) : v + half + 1, max(u - half, 0) : u + half + 1]
+    if patch.shape != (2 * half + 1, 2 * half + 1):
+        return None
+    values = patch.ravel() / patch.max()
+    offsets = np.arange(-half, half + 1)
+    near = np.hypot(*np.meshgrid(offsets, offsets)).ravel() < dot.radius_px + 3.5
+    root = near / np.sqrt(np.maximum(values, 0) + _NOISE_FLOOR)
+    start = np.array([*(dot.center_px - [u, v]), dot.radius_px])
+    unknowns, misfit = _fit(values, root, start, half)
+    moved = float(np.linalg.norm(unknowns[:2] - start[:2]))
+    if moved > 1.5 * dot.radius_px + 1 or not 0.4 < unknowns[2] / dot.radius_px < 2.5:
+        return None
+    return Dot(unknowns[:2] + np.array([u, v]), float(unknowns[2]), misfit)
+
+
+def _fit(values: Floats, root: Floats, start: Floats, half: int) -> tuple[Floats, float]:
+    """Gauss-Newton over (x, y, radius); shading and background follow linearly."""
+    unknowns, robust, misfit = start, np.ones_like(values), np.inf
+    for _ in range(_ITERATIONS):
+        weights = root**2 * robust
+        residuals = _residuals(values, weights, unknowns, half)
+        jacobian = np.column_stack(
+            [
+                (
+                    _residuals(values, weights, unknowns - nudge, half)
+                    - _residuals(values, weights, unknowns + nudge, half)
+                )
+                / (2 * _NUDGE_PX)
+                for nudge in np.eye(3) * _NUDGE_PX
+            ]
+        )
+        normal = (jacobian * weights[:, None]).T @ jacobian
+        normal[np.diag_indices(3)] *= 1.001
+        step = np.linalg.lstsq(normal, (jacobian * weights[:, None]).T @ residuals, rcond=None)[0]
+        step *= min(1.0, 0.7 / max(float(np.abs(step).max()), 1e-9))
+        unknowns = np.maximum(unknowns + step, [-half, -half, 0.7])
+        whitened = (_residuals(values, weights, unknowns, half) * root)[root > 0]
+        misfit = 1.4826 * float(np.median(np.abs(whitened))) + 1e-4
+        t = np.zeros_like(values)
+        t[root > 0] = np.minimum(np.abs(whitened) / (_TUKEY * misfit), 1)
+        robust = (1 - t**2) ** 2
+        if np.abs(step).max() < 2e-3:
+            break
+    return unknowns, misfit
+
+
+def _residuals(values: Floats, weights: Floats, unknowns: Floats, half: int) -> Floats:
+    basis = _basis(unknowns, half)
+    root = np.sqrt(weights)
+    amounts = np.linalg.lstsq(basis * root[:, None], values * root, rcond=None)[0]
+    return values - basis @ amounts
+
+
+def _basis(unknowns: Floats, half: int) -> Floats:
+    """Blurred pictures (pixels, 5) of the disc, of the normal's components on it, and of 1."""
+    side = 2 * half + 1
+    grid = (np.arange(side * _SUPERSAMPLING) + 0.5) / _SUPERSAMPLING - 0.5 - half
+    x, y = np.meshgrid((grid - unknowns[0]) / unknowns[2], (grid - unknowns[1]) / unknowns[2])
+    disc = (x**2 + y**2 < 1).astype(np.float64)
+    depth = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
+    layers = np.dstack([disc, x * disc, y * disc, depth])
+    blurred = cv2.GaussianBlur(layers, (0, 0), _BLUR_PX * _SUPERSAMPLING)
+    small = cv2.resize(blurred, (side, side), interpolation=cv2.INTER_AREA)
+    return np.column_stack([small.reshape(-1, 4), np.ones(side * side)])
+
+
+def refine_cross(light: Floats, place: Floats, half: int = 6) -> Floats:
+    """Centre (2,) of a cross or saddle near `place`, by the gradient rule of board corners."""
+    gray = np.asarray(light / max(float(light.max()), 1e-9), dtype=np.float32)
+    start = np.asarray(place, dtype=np.float32).reshape(1, 1, 2)
+    refined = cv2.cornerSubPix(gray, start, (half, half), (-1, -1), (3, 50, 1e-3))
+    return np.asarray(refined, dtype=np.float64).reshape(2)

@@ -1,0 +1,184 @@
+"""The lens of one camera from views of a board, as free as the views support and no freer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import get_args
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.calibration.boards import Board, CornerRule, Corners
+from measure.calibration.lens import LENS_MODELS, LensModel
+from measure.calibration.single_camera import (
+    SingleCameraFit,
+    board_pose,
+    fit_lens,
+    start_intrinsics,
+)
+from measure.calibration.views import MIN_VIEWS, ViewSet
+from measure.errors import CalibrationError
+from measure.model import Intrinsics
+
+_FOLDS = 5
+_WORST_VIEW_RATIO = 3.0
+_LEAST_GAIN = 0.005
+"""A freer model must lower the held-out error by this share to be believed."""
+MAX_FOCAL_SD = 0.01
+"""Focal lengths known worse than this share are refused."""
+MAX_RMS_PX = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class LensCalibration:
+    """A calibrated lens and why it is what it is.
+
+    Attributes:
+        fit: the fit to all kept views.
+        model: the chosen model.
+        held_out_px: RMS on views kept out of the fit, by model name, as far as they were tried.
+        reasons: why freer models were refused, in words.
+        views: the views used, with coverage and those left out.
+        corner_rule: how corners are localised, whichever fits held-out views better.
+    """
+
+    fit: SingleCameraFit
+    model: LensModel
+    held_out_px: dict[str, float]
+    reasons: tuple[str, ...]
+    views: ViewSet
+    corner_rule: CornerRule = "pattern"
+
+    @property
+    def intrinsics(self) -> Intrinsics:
+        """The lens with its covariance."""
+        return self.fit.intrinsics
+
+
+def calibrate_lens(board: Board, views: ViewSet, camera: str) -> LensCalibration:
+    """Calibrate a lens.
+
+    Raises:
+        CalibrationError: the views do not fit the board, are too few after bad ones went, or leave
+            the focal length undetermined.
+    """
+    views = _without_bad_views(board, views, camera)
+    views, rule = _better_corners(board.points, views)
+    model, held_out, reasons = _choose_model(board.points, views)
+    fit = fit_lens(
+        start_intrinsics(views.size_wh, board.points, views.views), board.points, views.views, model
+    )
+    _refuse_implausible(fit, camera)
+    return LensCalibration(fit, model, held_out, reasons, views, rule)
+
+
+def _without_bad_views(board: Board, views: ViewSet, camera: str) -> ViewSet:
+    """Leave out views whose corners do not fit what the other views say."""
+    kept, left_out = list(views.views), dict(views.left_out)
+    while True:
+        start = start_intrinsics(views.size_wh, board.points, tuple(kept))
+        fit = fit_lens(start, board.points, tuple(kept), LENS_MODELS[2], huber=1.0)
+        rms = fit.view_rms_px()
+        worst = int(np.argmax(rms))
+        if rms[worst] <= _WORST_VIEW_RATIO * np.median(rms) + 0.1:
+            return ViewSet(views.size_wh, tuple(kept), left_out)
+        left_out[kept[worst].source] = (
+            f"its corners miss by {rms[worst]:.2f} px, the others by {np.median(rms):.2f} px"
+        )
+        del kept[worst]
+        if len(kept) < MIN_VIEWS:
+            raise CalibrationError(
+                f"camera {camera}: the views contradict each other ({rms[worst]:.1f} px); check "
+                "the board's numbers of corners and that it is flat"
+            )
+
+
+def _better_corners(points: Floats, views: ViewSet) -> tuple[ViewSet, CornerRule]:
+    """The views with corners localised by whichever rule fits held-out views better."""
+    candidates: dict[CornerRule, ViewSet] = {
+        rule: replace(views, views=tuple(view.localised(rule) for view in views.views))
+        for rule in get_args(CornerRule)
+    }
+    errors = {r: _held_out_rms(points, v, LENS_MODELS[3]) for r, v in candidates.items()}
+    rule = min(errors, key=lambda name: errors[name])
+    return candidates[rule], rule
+
+
+def _choose_model(
+    points: Floats, views: ViewSet
+) -> tuple[LensModel, dict[str, float], tuple[str, ...]]:
+    """The stiffest model that no freer one beats on held-out views."""
+    held_out: dict[str, float] = {}
+    reasons: list[str] = []
+    best: LensModel | None = None
+    for model in LENS_MODELS:
+        try:
+            error = _held_out_rms(points, views, model)
+        except CalibrationError as problem:
+            reasons.append(f"{model.name} refused: {problem}")
+            continue
+        held_out[model.name] = error
+        if best is None or error < held_out[best.name] * (1 - _LEAST_GAIN):
+            best = model
+        else:
+            added = " ".join(model.parameters.split()[len(best.free) :])
+            reasons.append(
+                f"{model.name} refused: {added} changes the held-out error from "
+                f"{held_out[best.name]:.4f} to {error:.4f} px"
+            )
+    if best is None:
+        raise CalibrationError("; ".join(reasons))
+    return best, held_out, tuple(reasons)
+
+
+def _held_out_rms(points: Floats, views: ViewSet, model: LensModel) -> float:
+    """RMS of views that the lens was not fitted to (their board pose alone is), by folds."""
+    squares, count = 0.0, 0
+    for fold in range(min(_FOLDS, len(views.views))):
+        kept = tuple(v for i, v in enumerate(views.views) if i % _FOLDS != fold)
+        start = start_intrinsics(views.size_wh, points, kept)
+        lens = fit_lens(start, points, kept, model).intrinsics
+        for view in views.views[fold::_FOLDS]:
+            error = _view_residuals(lens, points, view)
+            squares, count = squares + float(np.sum(error**2)), count + len(error)
+    return float(np.sqrt(squares / count))
+
+
+def _view_residuals(lens: Intrinsics, points: Floats, view: Corners) -> Floats:
+    pose_only = LensModel("fixed", ())
+    return fit_lens(lens, points, (view,), pose_only).residuals
+
+
+def board_rms(lens: Intrinsics, points: Floats, view: Corners) -> float:
+    """RMS in px of a view under a known lens, its board pose fitted."""
+    error = _view_residuals(lens, points, view)
+    return float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
+
+
+def _refuse_implausible(fit: SingleCameraFit, camera: str) -> None:
+    covariance = fit.intrinsics.covariance
+    assert covariance is not None
+    focal = fit.intrinsics.focal_px
+    sd = float(np.sqrt(max(covariance[0, 0], covariance[1, 1])))
+    if not sd < MAX_FOCAL_SD * focal:
+        raise CalibrationError(
+            f"camera {camera}: the views leave the focal length at {focal:.0f} +- {sd:.0f} "
+            "px; tilt "
+            "the board by 30 to 45 degrees in several directions"
+        )
+    if fit.rms_px > MAX_RMS_PX:
+        raise CalibrationError(
+            f"camera {camera}: the board's corners miss by {fit.rms_px:.1f} px RMS; check "
+            "the board's "
+            "numbers of corners, that it is flat, and that focus and zoom did not change"
+        )
+    fx, fy = fit.intrinsics.matrix[0, 0], fit.intrinsics.matrix[1, 1]
+    if not 0.8 < fx / fy < 1.25:
+        raise CalibrationError(
+            f"camera {camera}: fx / fy = {fx / fy:.3f} is no camera's: are the board's "
+            "squares square, "
+            "and were the pictures resized?"
+        )
+
+
+__all__ = ["LensCalibration", "board_pose", "board_rms", "calibrate_lens"]

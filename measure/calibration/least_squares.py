@@ -1,0 +1,259 @@
+"""Levenberg-Marquardt for calibration: shared parameters plus many small blocks of their own.
+
+Cameras, lenses and marker positions are *shared*; the pose of one board view or of the body in one
+frame set is a *block* that only its own observations touch. Eliminating the blocks first (the Schur
+complement, Triggs et al. 2000, "Bundle Adjustment", section 6.3) leaves a dense system in the
+shared parameters, whose inverse is their covariance. Everything runs in a fixed order in one
+thread: the same input gives the same answer to the last digit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from measure.arrays import Floats, Ints
+from measure.errors import CalibrationError
+
+State = TypeVar("State")
+
+_MAX_DAMPING = 1e12
+_START_DAMPING = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Whitened observations that depend on the same shared parameters (as a rule: one camera's).
+
+    Attributes:
+        residuals: (n, k) observed minus predicted, divided by their standard deviations.
+        columns: (p,) which shared parameters they depend on.
+        by_shared: (n, k, p) derivative of the whitened prediction by those.
+        block: (n,) which block each depends on; empty if there are no blocks.
+        by_block: (n, k, b) derivative of the whitened prediction by that block.
+    """
+
+    residuals: Floats
+    columns: Ints
+    by_shared: Floats
+    block: Ints
+    by_block: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """A problem linearised at a state.
+
+    Attributes:
+        groups: the observations.
+        n_shared: number of shared parameters.
+        n_blocks: number of blocks.
+        prior_residuals: (m,) whitened residuals of the priors.
+        prior_by_shared: (m, n_shared) derivative of the whitened prior predictions.
+    """
+
+    groups: tuple[Group, ...]
+    n_shared: int
+    n_blocks: int
+    prior_residuals: Floats
+    prior_by_shared: Floats
+
+    @property
+    def residuals(self) -> Floats:
+        """All whitened observation residuals, flat."""
+        return np.concatenate([group.residuals.reshape(-1) for group in self.groups])
+
+    @property
+    def size_of_block(self) -> int:
+        """Parameters in a block."""
+        return self.groups[0].by_block.shape[2]
+
+
+@dataclass(frozen=True)
+class Huber:
+    """Huber's loss on the length of a whitened residual: squared up to `reach`, then linear."""
+
+    reach: float = np.inf
+
+    def cost(self, lengths: Floats) -> float:
+        """Sum of the losses of lengths (n,)."""
+        inside = np.minimum(lengths, self.reach)
+        return float(np.sum(inside * (2 * lengths - inside)))
+
+    def weights(self, lengths: Floats) -> Floats:
+        """Weights (n,) that make squares have the loss's slope."""
+        return (
+            self.reach / np.maximum(lengths, self.reach) if np.isfinite(self.reach) else lengths**0
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Solution(Generic[State]):
+    """Where Levenberg-Marquardt ended.
+
+    Attributes:
+        state: the optimum.
+        linearised: the problem there.
+        covariance: (n_shared, n_shared) of the shared parameters, for whitened residuals of
+            standard deviation 1.
+        cost: sum of losses and squared priors.
+        iterations: linear systems solved.
+    """
+
+    state: State
+    linearised: Linearised
+    covariance: Floats
+    cost: float
+    iterations: int
+
+    @property
+    def variance_factor(self) -> float:
+        """Sum of squared residuals over degrees of freedom: 1 where the stated sds are right."""
+        lin = self.linearised
+        squares = np.sum(lin.residuals**2) + np.sum(lin.prior_residuals**2)
+        rows = lin.residuals.size + lin.prior_residuals.size
+        unknowns = lin.n_shared + lin.n_blocks * lin.size_of_block
+        return float(squares / max(rows - unknowns, 1))
+
+
+def solve(
+    linearise: Callable[[State], Linearised],
+    step: Callable[[State, Floats, Floats], State],
+    start: State,
+    loss: Huber | None = None,
+    max_iterations: int = 100,
+) -> Solution[State]:
+    """Minimise the sum of losses of the whitened residuals plus the squared priors.
+
+    Args:
+        linearise: residuals and derivatives at a state.
+        step: the state after shared (n_shared,) and block (n_blocks, b) increments.
+        start: where to begin.
+        loss: robust loss on the length of each residual; squares if omitted.
+        max_iterations: limit on linear systems solved.
+
+    Raises:
+        CalibrationError: the start has no finite cost, the data leave parameters undetermined, or
+            the limit was reached.
+    """
+    loss = loss or Huber()
+    state, here = start, linearise(start)
+    cost = _cost(here, loss)
+    if not np.isfinite(cost):
+        raise CalibrationError("the calibration starts from a pose that cannot see its own targets")
+    damping = _START_DAMPING
+    for iteration in range(1, max_iterations + 1):
+        system = _normal_equations(here, loss)
+        shared, blocks, predicted = system.increment(damping)
+        candidate = step(state, shared, blocks)
+        there = linearise(candidate)
+        candidate_cost = _cost(there, loss)
+        done = predicted <= 1e-13 * cost + 1e-15
+        if np.isfinite(candidate_cost) and candidate_cost <= cost:
+            done = done or cost - candidate_cost <= 1e-12 * cost
+            state, here, cost = candidate, there, candidate_cost
+            damping = max(damping / 10, 1e-15)
+        else:
+            damping *= 10
+            done = done or damping > _MAX_DAMPING
+        if done:
+            return Solution(
+                state, here, _normal_equations(here, loss).covariance(), cost, iteration
+            )
+    raise CalibrationError(f"the calibration did not settle in {max_iterations} steps")
+
+
+def _cost(lin: Linearised, loss: Huber) -> float:
+    lengths = np.concatenate([np.linalg.norm(g.residuals, axis=1) for g in lin.groups])
+    return loss.cost(lengths) + float(lin.prior_residuals @ lin.prior_residuals)
+
+
+@dataclass(frozen=True, eq=False)
+class _NormalEquations:
+    """[[U, W^T], [W, V]] [shared, blocks] = [g, h], with V block diagonal."""
+
+    U: Floats
+    V: Floats
+    W: Floats
+    g: Floats
+    h: Floats
+
+    def increment(self, damping: float) -> tuple[Floats, Floats, float]:
+        """Shared (p,) and block (f, b) increments, and the decrease they promise."""
+        U = self.U + damping * np.diag(_scale(np.diag(self.U)))
+        V = self.V.copy()
+        diagonal = np.einsum("fii->fi", V)
+        diagonal += damping * _scale(diagonal)
+        solved = _solve_blocks(V, np.concatenate([self.W, self.h[:, :, None]], axis=2))
+        reduced = U - np.einsum("fbp,fbq->pq", self.W, solved[:, :, :-1], optimize=True)
+        right = self.g - np.einsum("fbp,fb->p", self.W, solved[:, :, -1])
+        shared = _solve_scaled(reduced, right) if len(right) else right
+        blocks = solved[:, :, -1] - solved[:, :, :-1] @ shared
+        return shared, blocks, float(self.g @ shared + np.sum(self.h * blocks))
+
+    def covariance(self) -> Floats:
+        """Inverse of the Schur complement (p, p)."""
+        solved = _solve_blocks(self.V, self.W)
+        reduced = self.U - np.einsum("fbp,fbq->pq", self.W, solved, optimize=True)
+        scale = 1 / np.sqrt(_scale(np.diag(reduced)))
+        scaled = reduced * scale[:, None] * scale
+        spread = np.linalg.eigvalsh(scaled) if len(scaled) else np.ones(1)
+        if not spread[0] > 1e-13 * spread[-1]:
+            raise CalibrationError(
+                f"the observations leave {int(np.sum(spread < 1e-13 * spread[-1]))} calibration "
+                "parameters undetermined: add views from other angles, or fix more of the lens"
+            )
+        return np.linalg.inv(scaled) * scale[:, None] * scale
+
+
+def _normal_equations(lin: Linearised, loss: Huber) -> _NormalEquations:
+    p, f, b = lin.n_shared, lin.n_blocks, lin.size_of_block
+    U = lin.prior_by_shared.T @ lin.prior_by_shared
+    g = lin.prior_by_shared.T @ lin.prior_residuals
+    V, W, h = np.zeros((f, b, b)), np.zeros((f, b, p)), np.zeros((f, b))
+    for group in lin.groups:
+        weights = loss.weights(np.linalg.norm(group.residuals, axis=1))
+        weighted = group.by_shared * weights[:, None, None]
+        rows = group.by_shared.reshape(group.residuals.size, len(group.columns))
+        U[np.ix_(group.columns, group.columns)] += rows.T @ weighted.reshape(rows.shape)
+        g[group.columns] += weighted.reshape(rows.shape).T @ group.residuals.reshape(-1)
+        if f:
+            own = group.by_block * weights[:, None, None]
+            np.add.at(V, group.block, np.einsum("nki,nkj->nij", own, group.by_block))
+            np.add.at(h, group.block, np.einsum("nki,nk->ni", own, group.residuals))
+            cross = np.zeros((f, b, len(group.columns)))
+            np.add.at(cross, group.block, np.einsum("nki,nkj->nij", own, group.by_shared))
+            W[:, :, group.columns] += cross
+    return _NormalEquations(U, V, W, g, h)
+
+
+def _scale(diagonal: Floats) -> Floats:
+    """A diagonal with its zeros replaced, so that untouched parameters stay put."""
+    return np.where(diagonal > 0, diagonal, 1.0)
+
+
+def _solve_blocks(V: Floats, right: Floats) -> Floats:
+    if not len(V):
+        return right
+    scale = 1 / np.sqrt(_scale(np.einsum("fii->fi", V)))
+    scaled = V * scale[:, :, None] * scale[:, None, :]
+    try:
+        return np.linalg.solve(scaled, right * scale[:, :, None]) * scale[:, :, None]
+    except np.linalg.LinAlgError:
+        raise CalibrationError(
+            "a view or frame has too few observations to fix its own pose"
+        ) from None
+
+
+def _solve_scaled(matrix: Floats, right: Floats) -> Floats:
+    scale = 1 / np.sqrt(_scale(np.diag(matrix)))
+    try:
+        return np.linalg.solve(matrix * scale[:, None] * scale, right * scale) * scale
+    except np.linalg.LinAlgError:
+        raise CalibrationError(
+            "the observations leave calibration parameters undetermined: "
+            "add views from other angles, or fix more of the lens"
+        ) from None

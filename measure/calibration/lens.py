@@ -1,0 +1,77 @@
+"""Lens models of growing freedom, and a camera whose free parameters are a plain vector."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from measure.arrays import Floats, Ints
+from measure.geometry import RigidTransform
+from measure.model import Camera, Intrinsics
+
+_NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+
+
+@dataclass(frozen=True)
+class LensModel:
+    """Which of fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6 are free; the rest stay as given.
+
+    Attributes:
+        name: as reported and stored.
+        free: indices of the free parameters.
+    """
+
+    name: str
+    free: tuple[int, ...]
+
+    @property
+    def parameters(self) -> str:
+        """Names of the free parameters."""
+        return " ".join(_NAMES[i] for i in self.free)
+
+
+LENS_MODELS: tuple[LensModel, ...] = (
+    LensModel("pinhole", (0, 1, 2, 3)),
+    LensModel("radial1", (0, 1, 2, 3, 4)),
+    LensModel("radial2", (0, 1, 2, 3, 4, 5)),
+    LensModel("tangential", (0, 1, 2, 3, 4, 5, 6, 7)),
+    LensModel("brown", (0, 1, 2, 3, 4, 5, 6, 7, 8)),
+)
+"""From the stiffest to the freest; each contains the one before."""
+
+
+def intrinsics_vector(intrinsics: Intrinsics) -> Floats:
+    """Fx fy cx cy and the eight distortion coefficients (12,)."""
+    m = intrinsics.matrix
+    return np.concatenate([[m[0, 0], m[1, 1], m[0, 2], m[1, 2]], intrinsics.distortion])
+
+
+def with_vector(intrinsics: Intrinsics, vector: Floats) -> Intrinsics:
+    """The intrinsics with fx fy cx cy and the distortion replaced by a vector (12,)."""
+    matrix = intrinsics.matrix.copy()
+    matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2] = vector[:4]
+    return replace(intrinsics, matrix=matrix, distortion=vector[4:])
+
+
+def shifted(intrinsics: Intrinsics, free: tuple[int, ...] | Ints, increment: Floats) -> Intrinsics:
+    """The intrinsics with `increment` (len(free),) added to the free parameters."""
+    vector = intrinsics_vector(intrinsics)
+    vector[list(free)] += increment
+    return with_vector(intrinsics, vector)
+
+
+def changed(camera: Camera, increment: Floats, free: tuple[int, ...] | Ints) -> Camera:
+    """The camera moved by the first six entries, its free lens parameters by the rest."""
+    return replace(
+        camera,
+        world_from_camera=camera.world_from_camera.perturb(increment[:6]),
+        intrinsics=shifted(camera.intrinsics, free, increment[6:]),
+    )
+
+
+def stack(transforms: list[RigidTransform]) -> RigidTransform:
+    """A batch of single transforms."""
+    return RigidTransform(
+        np.stack([t.rotation for t in transforms]), np.stack([t.translation for t in transforms])
+    )

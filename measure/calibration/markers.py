@@ -1,0 +1,139 @@
+"""Finding and naming markers in a picture from a rough camera pose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from measure.arrays import Bytes, Floats, Ints
+from measure.calibration.dots import Dot, dot_candidates, linear_light, refine_cross, refine_dot
+from measure.calibration.extrinsics import MarkSight, Sights, Tolerances, fit_rig
+from measure.calibration.targets import MarkerField
+from measure.errors import CalibrationError
+from measure.model import Camera
+
+MarkerKind = Literal["dot", "cross"]
+
+_FIRST_REACH_PX = 40.0
+_LAST_REACH_PX = 4.0
+_ROUNDS = 6
+_SIZE_RATIO = 1.35
+_MIN_MARKERS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class FoundMarkers:
+    """Markers found in one picture.
+
+    Attributes:
+        marks: by name (2,) px.
+        doubtful: left out, with the reason, by name.
+        radius_px: of each found dot, by name.
+    """
+
+    marks: dict[str, Floats]
+    doubtful: dict[str, str]
+    radius_px: dict[str, float]
+
+
+def find_markers(
+    bgr: Bytes, camera: Camera, markers: MarkerField, kind: MarkerKind = "dot"
+) -> FoundMarkers:
+    """Find the markers of a field in a picture.
+
+    Candidates are assigned to predicted places all at once (the least sum of squared distances,
+    nobody twice), the pose is refined from that, and so on with a shrinking reach.
+
+    Args:
+        bgr: the picture (h, w, 3).
+        camera: with a rough pose.
+        markers: the field.
+        kind: dots (or small balls), or crosses.
+
+    Raises:
+        CalibrationError: too few markers fit the pose.
+    """
+    light = linear_light(bgr)
+    candidates = dot_candidates(light)
+    if len(candidates) < _MIN_MARKERS:
+        raise CalibrationError(
+            f"camera {camera.name}: {len(candidates)} bright dots in the marker picture, at least "
+            f"{_MIN_MARKERS} are needed; mark them by hand in marks.csv"
+        )
+    rough = np.stack([dot.center_px for dot in candidates])
+    for reach in np.geomspace(_FIRST_REACH_PX, _LAST_REACH_PX, _ROUNDS):
+        ids, numbers = assign(camera.project(markers.points), rough, float(reach))
+        if len(ids) < _MIN_MARKERS:
+            raise CalibrationError(
+                f"camera {camera.name}: only {len(ids)} bright dots lie within {reach:.0f} "
+                "px of where "
+                "the board's pose puts the markers; are board and markers in the same world, is "
+                "the picture mirrored? (or mark them by hand in marks.csv)"
+            )
+        camera = _located(camera, markers, ids, rough[numbers])
+    return _refined(light, camera, markers, ids, [candidates[i] for i in numbers], kind)
+
+
+def assign(predicted: Floats, found: Floats, reach_px: float) -> tuple[Ints, Ints]:
+    """Pair predictions (k, 2) with finds (n, 2), nobody twice, at the least total squared distance.
+
+    Args:
+        predicted: NaN where a marker cannot be seen.
+        found: places in the picture.
+        reach_px: pairs farther apart are none.
+
+    Returns:
+        Numbers of the paired predictions and of their finds.
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    squared = np.sum((predicted[:, None] - found[None]) ** 2, axis=2)
+    squared = np.where(np.isfinite(squared), np.minimum(squared, reach_px**2), reach_px**2)
+    rows, columns = linear_sum_assignment(squared)
+    near = squared[rows, columns] < reach_px**2
+    return rows[near], columns[near]
+
+
+def _located(camera: Camera, markers: MarkerField, ids: Ints, pixels: Floats) -> Camera:
+    """The camera with its pose fitted robustly to marks, its lens held."""
+    held = replace(camera, intrinsics=replace(camera.intrinsics, covariance=None))
+    sights = Sights(
+        markers.points, marks={camera.name: MarkSight(ids, pixels)}, tolerances=Tolerances(0.0)
+    )
+    fitted = fit_rig((held,), sights).cameras[0]
+    return replace(camera, world_from_camera=fitted.world_from_camera)
+
+
+def _refined(
+    light: Floats,
+    camera: Camera,
+    markers: MarkerField,
+    ids: Ints,
+    dots: list[Dot],
+    kind: MarkerKind,
+) -> FoundMarkers:
+    marks: dict[str, Floats] = {}
+    doubtful: dict[str, str] = {}
+    sizes: dict[str, float] = {}
+    distance = np.linalg.norm(markers.points - camera.center, axis=1)
+    for number, dot in zip(ids, dots, strict=True):
+        name = markers.names[number]
+        fitted = refine_dot(light, dot)
+        if fitted is None:
+            doubtful[name] = "its picture is not that of a bright dot"
+            continue
+        marks[name] = fitted.center_px if kind == "dot" else refine_cross(light, dot.center_px)
+        sizes[name] = fitted.radius_px * float(distance[number])
+    usual = float(np.median(list(sizes.values()))) if sizes else 1.0
+    for name, size in sizes.items():
+        if not 1 / _SIZE_RATIO < size / usual < _SIZE_RATIO:
+            doubtful[name] = f"its size is {size / usual:.2f} times that of the other markers"
+            del marks[name]
+    visible = camera.intrinsics.contains(camera.project(markers.points), 5.0)
+    for number, name in enumerate(markers.names):
+        if visible[number] and name not in marks and name not in doubtful:
+            doubtful[name] = "no bright dot near its place"
+    radii = {n: s / float(distance[markers.index(n)]) for n, s in sizes.items() if n in marks}
+    return FoundMarkers(marks, doubtful, radii)

@@ -1,0 +1,266 @@
+"""From a capture folder to cameras: everything the capture offers, in order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from measure.arrays import Floats
+from measure.calibration.boards import Board, CornerRule
+from measure.calibration.capture import CameraCapture, Capture
+from measure.calibration.common_views import fit_common_views
+from measure.calibration.extrinsics import MarkSight, RigFit, Sights, Tolerances, fit_rig
+from measure.calibration.intrinsics import LensCalibration, calibrate_lens
+from measure.calibration.judgement import Finding
+from measure.calibration.markers import FoundMarkers, find_markers
+from measure.calibration.paper import fit_rig_by_paper
+from measure.calibration.starts import (
+    SeenBoard,
+    board_sight,
+    check_board_against_marks,
+    start_from_board,
+    start_from_marks,
+)
+from measure.calibration.targets import MarkerField
+from measure.calibration.tolerance import fit_rig_with_boards
+from measure.calibration.views import ALL_VIEWS, MAX_VIEWS, find_views
+from measure.errors import CalibrationError
+from measure.model import Camera, Intrinsics
+from measure.session import read_picture
+
+Method = Literal["joint", "paper"]
+Report = Callable[[int, int | None], None]
+
+FOUND_COMMON_SD_PX = 0.3
+"""Light from one side draws all dots of a picture one way by about this much."""
+
+
+@dataclass(frozen=True, eq=False)
+class RigCalibration:
+    """A calibrated rig and what was learnt on the way.
+
+    Attributes:
+        cameras: with covariances.
+        method: "joint" or "paper".
+        lenses: by camera name, where the lens was calibrated here.
+        fit: the joint fit, if there was one.
+        sights: boards and marks used.
+        markers: the marker field.
+        cameras_before: at their rough poses, lenses as calibrated by themselves.
+        found: markers found automatically, by camera name.
+        disagreement_mm: between board and markers at the markers, by camera name.
+        tolerances: as used; the board's as learnt where the capture does not state it.
+        findings: what the procedure noticed.
+        around: (n, 3) mm, what the cameras looked at, where there are no markers.
+    """
+
+    cameras: tuple[Camera, ...]
+    method: Method
+    lenses: dict[str, LensCalibration]
+    fit: RigFit | None
+    sights: Sights
+    markers: MarkerField
+    cameras_before: tuple[Camera, ...] = ()
+    found: dict[str, FoundMarkers] = field(default_factory=dict)
+    disagreement_mm: dict[str, float] = field(default_factory=dict)
+    tolerances: Tolerances = field(default_factory=Tolerances)
+    findings: tuple[Finding, ...] = ()
+    around: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+
+
+def calibrate_capture(
+    capture: Capture, method: Method = "joint", report: Report | None = None
+) -> RigCalibration:
+    """Calibrate all cameras of a capture.
+
+    Args:
+        capture: an open capture folder.
+        method: "joint" (all cameras, boards and markers at once) or "paper" (equation 3).
+        report: told how many cameras are done.
+
+    Raises:
+        CalibrationError: anything that cannot give a trustworthy calibration, with its cause.
+        SessionError: a picture or video that cannot be read.
+    """
+    lenses: dict[str, LensCalibration] = {}
+    known: dict[str, Intrinsics] = {}
+    for done, camera in enumerate(capture.cameras):
+        if report is not None:
+            report(done, len(capture.cameras))
+        if camera.known is not None:
+            known[camera.name] = camera.known
+        else:
+            assert capture.board is not None
+            views = find_views(capture.board, camera.views(), camera.name, _limit(capture))
+            lenses[camera.name] = calibrate_lens(capture.board, views, camera.name)
+            known[camera.name] = lenses[camera.name].intrinsics
+    if capture.settings.common_views:
+        return _relative(capture, lenses)
+    return _locate_all(capture, method, lenses, known)
+
+
+def _limit(capture: Capture) -> int:
+    """Common views are kept whatever they look like: the other camera may need them."""
+    return ALL_VIEWS if capture.settings.common_views else MAX_VIEWS
+
+
+def _relative(capture: Capture, lenses: dict[str, LensCalibration]) -> RigCalibration:
+    """Cameras relative to the first, from pictures of one board taken at the same instants."""
+    missing = [c.name for c in capture.cameras if c.name not in lenses]
+    if capture.board is None or missing:
+        raise CalibrationError(
+            f"{capture.path}: common_views needs pictures of the board for every camera"
+            + (f" (none for {', '.join(missing)})" if missing else "")
+        )
+    cameras, around = fit_common_views(capture.board.points, lenses)
+    return RigCalibration(
+        cameras, "joint", lenses, None, Sights(), capture.markers, cameras, around=around
+    )
+
+
+def _locate_all(
+    capture: Capture,
+    method: Method,
+    lenses: dict[str, LensCalibration],
+    known: dict[str, Intrinsics],
+) -> RigCalibration:
+    board, markers = capture.board, capture.markers
+    seen: dict[str, SeenBoard] = {}
+    for camera in capture.cameras:
+        if camera.board_image is not None and board is not None:
+            rule: CornerRule = "pattern"
+            if camera.name in lenses:
+                rule = lenses[camera.name].corner_rule
+            seen[camera.name] = _see_board(camera, board, rule)
+    starts: list[Camera] = []
+    marks: dict[str, MarkSight] = {}
+    found: dict[str, FoundMarkers] = {}
+    disagreement: dict[str, float] = {}
+    for camera in capture.cameras:
+        lens = known[camera.name]
+        start = None
+        if camera.name in seen and board is not None:
+            start = start_from_board(camera.name, lens, board, seen[camera.name])
+        start, sight, finds = _marks_of(camera, lens, start, markers, capture)
+        if finds is not None:
+            found[camera.name] = finds
+        if sight is not None:
+            marks[camera.name] = sight
+            if camera.name in seen and board is not None:
+                disagreement[camera.name] = check_board_against_marks(
+                    start, board, seen, markers, sight
+                )
+        starts.append(start)
+    sights = Sights(
+        markers.points,
+        {} if board is None else {name: board_sight(board, s) for name, s in seen.items()},
+        marks,
+        _stated_tolerances(capture),
+    )
+    base = RigCalibration(
+        tuple(starts),
+        method,
+        lenses,
+        None,
+        sights,
+        markers,
+        tuple(starts),
+        found,
+        disagreement,
+        sights.tolerances,
+    )
+    if method == "paper":
+        return replace(base, cameras=fit_rig_by_paper(tuple(starts), sights))
+    return _joint(base, capture)
+
+
+def _joint(base: RigCalibration, capture: Capture) -> RigCalibration:
+    settings = capture.settings
+    if settings.board_tolerance_mm is None and settings.board_tolerance_deg is None:
+        fit, tolerances = fit_rig_with_boards(base.cameras, base.sights, settings.mark_sd_px)
+    else:
+        fit = fit_rig(base.cameras, base.sights, mark_sd_px=settings.mark_sd_px)
+        tolerances = base.sights.tolerances
+    sights = replace(base.sights, tolerances=tolerances)
+    return replace(base, cameras=fit.cameras, fit=fit, tolerances=tolerances, sights=sights)
+
+
+def _stated_tolerances(capture: Capture) -> Tolerances:
+    settings = capture.settings
+    return Tolerances(
+        capture.markers.tolerance_mm,
+        settings.board_tolerance_mm or 0.0,
+        settings.board_tolerance_deg or 0.0,
+    )
+
+
+def _see_board(camera: CameraCapture, board: Board, rule: CornerRule) -> SeenBoard:
+    assert camera.board_image is not None
+    assert camera.world_from_board is not None
+    bgr = read_picture(camera.board_image)
+    gray = np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY), np.uint8)
+    corners = board.find(gray, camera.board_image.name)
+    if corners is None:
+        raise CalibrationError(
+            f"camera {camera.name}: no board found in {camera.board_image}; all of it must be in "
+            "view, sharp, and as board.toml describes it"
+        )
+    return SeenBoard(corners.localised(rule), camera.world_from_board)
+
+
+def _marks_of(
+    camera: CameraCapture,
+    lens: Intrinsics,
+    start: Camera | None,
+    markers: MarkerField,
+    capture: Capture,
+) -> tuple[Camera, MarkSight | None, FoundMarkers | None]:
+    """The rough camera, its marks by hand and by search (the hand wins), and the search's finds."""
+    by_hand = _sight(camera.marks, markers)
+    if start is None:
+        if by_hand is None:
+            raise CalibrationError(
+                f"camera {camera.name}: nothing tells where it stands: give board_image with the "
+                f"board's pose, or mark at least six markers in marks.csv ({capture.path})"
+            )
+        start = start_from_marks(camera.name, lens, markers, by_hand)
+    if camera.marker_image is None or not markers.names:
+        return start, by_hand, None
+    visible = lens.contains(start.project(markers.points), 5.0)
+    names = [name for name, seen in zip(markers.names, visible, strict=True) if seen]
+    if all(name in camera.marks for name in names):
+        return start, by_hand, None
+    return _searched(camera, start, by_hand, markers, capture)
+
+
+def _searched(
+    camera: CameraCapture,
+    start: Camera,
+    by_hand: MarkSight | None,
+    markers: MarkerField,
+    capture: Capture,
+) -> tuple[Camera, MarkSight | None, FoundMarkers | None]:
+    assert camera.marker_image is not None
+    picture = read_picture(camera.marker_image)
+    try:
+        finds = find_markers(picture, start, markers, capture.settings.marker_kind)
+    except CalibrationError:
+        if by_hand is None:
+            raise
+        return start, by_hand, None
+    sight = _sight({**finds.marks, **camera.marks}, markers)
+    if sight is not None and 2 * len(camera.marks) < len(sight.ids):
+        sight = replace(sight, common_sd_px=FOUND_COMMON_SD_PX)
+    return start, sight, finds
+
+
+def _sight(marks: dict[str, Floats], markers: MarkerField) -> MarkSight | None:
+    if not marks:
+        return None
+    names = [name for name in markers.names if name in marks]
+    ids = np.array([markers.index(name) for name in names], dtype=np.int64)
+    return MarkSight(ids, np.stack([marks[name] for name in names]))

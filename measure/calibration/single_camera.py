@@ -1,0 +1,170 @@
+"""One camera and many views of a flat board: pose starts, the least-squares problem, its answer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from measure.arrays import Floats, Ints
+from measure.calibration.boards import Corners
+from measure.calibration.least_squares import Group, Huber, Linearised, Solution, solve
+from measure.calibration.lens import LensModel, shifted, stack
+from measure.errors import CalibrationError
+from measure.geometry import RigidTransform, skew
+from measure.model import Intrinsics
+
+
+def board_pose(intrinsics: Intrinsics, points: Floats, pixels: Floats) -> RigidTransform:
+    """Pose camera_from_board from points (n, 3), n >= 4, and their pixels (n, 2).
+
+    Of the two poses a flat board allows, the one that reprojects better.
+
+    Raises:
+        CalibrationError: no pose puts the board in front of the camera.
+    """
+    bearings = intrinsics.unproject(pixels)
+    ideal = bearings[:, :2] / bearings[:, 2:]
+    flat = np.allclose(points[:, 2], 0.0)
+    count, rotations, shifts, _ = cv2.solvePnPGeneric(
+        np.ascontiguousarray(points),
+        np.ascontiguousarray(ideal),
+        np.eye(3),
+        np.zeros(0),
+        flags=cv2.SOLVEPNP_IPPE if flat else cv2.SOLVEPNP_SQPNP,
+    )
+    poses = [
+        RigidTransform.from_rotvec(np.ravel(rotations[i]), np.ravel(shifts[i]))
+        for i in range(count)
+    ]
+    errors = [_rms(intrinsics, pose, points, pixels) for pose in poses]
+    if not errors or not np.isfinite(np.min(errors)):
+        raise CalibrationError("no pose of the board explains its corners in the picture")
+    return poses[int(np.argmin(errors))]
+
+
+def _rms(intrinsics: Intrinsics, pose: RigidTransform, points: Floats, pixels: Floats) -> float:
+    error = intrinsics.project(pose.apply(points)) - pixels
+    value = float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
+    return value if np.isfinite(value) else np.inf
+
+
+def start_intrinsics(
+    size_wh: tuple[int, int], points: Floats, views: tuple[Corners, ...]
+) -> Intrinsics:
+    """Centre of the image and the focal length that the views' homographies ask for.
+
+    Zhang 2000, equation 3, for square pixels and a known principal point: every homography gives
+    two equations linear in 1 / f^2.
+    """
+    centre = (np.asarray(size_wh, dtype=np.float64) - 1) / 2
+    top, bottom = 0.0, 0.0
+    for view in views:
+        H, _ = cv2.findHomography(points[view.ids, :2], view.pixels - centre)
+        h = np.asarray(H, dtype=np.float64)
+        h = h / np.linalg.norm(h[:, :2])
+        a, b = h[:2, 0], h[:2, 1]
+        for left, right in (
+            (a @ b, -h[2, 0] * h[2, 1]),
+            (a @ a - b @ b, h[2, 1] ** 2 - h[2, 0] ** 2),
+        ):
+            top, bottom = top + float(left * left), bottom + float(left * right)
+    focal = float(np.sqrt(top / bottom)) if bottom > 0 else 1.2 * max(size_wh)
+    focal = float(np.clip(focal, 0.3 * max(size_wh), 10 * max(size_wh)))
+    return Intrinsics(
+        size_wh, np.array([[focal, 0, centre[0]], [0, focal, centre[1]], [0, 0, 1.0]])
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    intrinsics: Intrinsics
+    camera_from_board: RigidTransform  # a batch, one a view
+
+
+@dataclass(frozen=True, eq=False)
+class SingleCameraFit:
+    """A lens fitted to board views.
+
+    Attributes:
+        intrinsics: with covariance.
+        camera_from_board: batch of poses, one a view.
+        residuals: (n, 2) px, observed minus predicted.
+        view_of: (n,) which view each residual belongs to.
+        sd_px: standard deviation of a corner coordinate, from the residuals.
+    """
+
+    intrinsics: Intrinsics
+    camera_from_board: RigidTransform
+    residuals: Floats
+    view_of: Ints
+    sd_px: float
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square of the residuals' lengths (OpenCV's reprojection error)."""
+        return float(np.sqrt(np.mean(np.sum(self.residuals**2, axis=1))))
+
+    def view_rms_px(self) -> Floats:
+        """The same for each view (v,)."""
+        squares = np.sum(self.residuals**2, axis=1)
+        return np.sqrt(np.bincount(self.view_of, squares) / np.bincount(self.view_of))
+
+
+def fit_lens(
+    start: Intrinsics,
+    points: Floats,
+    views: tuple[Corners, ...],
+    model: LensModel,
+    huber: float = np.inf,
+) -> SingleCameraFit:
+    """Fit the free lens parameters and all board poses by least squares.
+
+    Args:
+        start: where to begin; parameters that are not free keep its values.
+        points: (k, 3) the board's corners, mm.
+        views: corners of each view.
+        model: which parameters are free.
+        huber: reach of the robust loss in px; squares if infinite.
+    """
+    poses = stack([board_pose(start, points[v.ids], v.pixels) for v in views])
+    ids = np.concatenate([v.ids for v in views])
+    pixels = np.concatenate([v.pixels for v in views])
+    view_of = np.repeat(np.arange(len(views)), [len(v.ids) for v in views])
+    free = np.array(model.free, dtype=np.int64)
+
+    def linearise(state: _State) -> Linearised:
+        group = _group(state, points[ids], pixels, view_of, free)
+        return Linearised((group,), len(free), len(views), np.zeros(0), np.zeros((0, len(free))))
+
+    def step(state: _State, shared: Floats, blocks: Floats) -> _State:
+        return _State(
+            shifted(state.intrinsics, free, shared), state.camera_from_board.perturb(blocks)
+        )
+
+    solution = solve(linearise, step, _State(start, poses), Huber(huber))
+    return _answer(solution, view_of, free)
+
+
+def _group(state: _State, points: Floats, pixels: Floats, view_of: Ints, free: Ints) -> Group:
+    poses = state.camera_from_board
+    turned = np.einsum("nij,nj->ni", poses.rotation[view_of], points)
+    predicted, by_point, by_lens = state.intrinsics.project_with_jacobians(
+        turned + poses.translation[view_of]
+    )
+    by_pose = np.concatenate([by_point, -by_point @ skew(turned)], axis=2)
+    return Group(pixels - predicted, np.arange(len(free)), by_lens[:, :, free], view_of, by_pose)
+
+
+def _answer(solution: Solution[_State], view_of: Ints, free: Ints) -> SingleCameraFit:
+    sd = float(np.sqrt(solution.variance_factor))
+    covariance = np.zeros((12, 12))
+    covariance[np.ix_(free, free)] = solution.covariance * sd**2
+    return SingleCameraFit(
+        replace(solution.state.intrinsics, covariance=covariance),
+        solution.state.camera_from_board,
+        solution.linearised.groups[0].residuals,
+        view_of,
+        sd,
+    )

@@ -1,0 +1,281 @@
+"""The verdict on a calibrated rig, as numbers and as text."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.calibration.extrinsics import MarkSight, Sights, fit_rig
+from measure.calibration.judgement import (
+    Finding,
+    Workspace,
+    accuracy_findings,
+    body_pose_sd,
+    plausibility,
+    residual_findings,
+    workspace_of,
+)
+from measure.calibration.procedure import RigCalibration
+from measure.calibration.starts import mm_per_px
+from measure.errors import CalibrationError
+from measure.geometry import Rays, RigidTransform, nearest_point
+from measure.model import Body, Camera
+
+_FOLDS = 4
+_LEAST_COVERAGE = 0.4
+_NOTED_DISAGREEMENT_MM = 0.5
+_SCALE_SDS = 4.0
+_LEAST_SCALE_ERROR = 0.002
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """How good a calibration is.
+
+    Attributes:
+        workspace: the box it was judged over.
+        position_sd_mm: (27,) expected error of the body's position across the box, 3-D, one
+            standard deviation, from the calibration alone.
+        rotation_sd_deg: (27,) the same for its rotation.
+        held_out_px: RMS of marks kept out of the fit; NaN if there are none.
+        held_out_mm: the same at the markers.
+        scale: size of the marker field as the boards see it, over its stated size; NaN unless both
+            are there.
+        worst_views: the three worst board views of each camera: name and RMS in px.
+        findings: everything a user should know, alarms first.
+    """
+
+    workspace: Workspace
+    position_sd_mm: Floats
+    rotation_sd_deg: Floats
+    held_out_px: float
+    held_out_mm: float
+    scale: float
+    worst_views: dict[str, list[tuple[str, float]]]
+    findings: tuple[Finding, ...]
+
+    @property
+    def trustworthy(self) -> bool:
+        """Whether there is no alarm."""
+        return all(f.level != "alarm" for f in self.findings)
+
+
+def judge(rig: RigCalibration, body: Body, floor_z_mm: float | None = None) -> Verdict:
+    """Judge a calibration over the workspace its markers (or cameras) enclose."""
+    around = rig.markers.points if len(rig.markers.points) else rig.around
+    workspace = workspace_of(rig.cameras, around)
+    poses = [RigidTransform(np.eye(3), point) for point in workspace.grid()]
+    joint = (None, None) if rig.fit is None else (rig.fit.covariance, rig.fit.columns)
+    position, rotation = body_pose_sd(rig.cameras, body, poses, *joint)
+    held_out_px, held_out_mm = _held_out(rig)
+    scale, scale_findings = _scale(rig)
+    findings = [*rig.findings, *plausibility(rig.cameras, workspace, _floor(rig, floor_z_mm))]
+    findings += _mark_findings(rig) + scale_findings + _lens_findings(rig)
+    findings += accuracy_findings(position)
+    order = {"alarm": 0, "warning": 1, "note": 2}
+    return Verdict(
+        workspace,
+        position,
+        np.rad2deg(rotation),
+        held_out_px,
+        held_out_mm,
+        scale,
+        {name: _worst(rig, name) for name in rig.lenses},
+        tuple(sorted(findings, key=lambda f: order[f.level])),
+    )
+
+
+def _floor(rig: RigCalibration, stated: float | None) -> float | None:
+    """The stated floor; else z = 0 if all markers stand above it."""
+    if stated is not None or not len(rig.markers.points):
+        return stated
+    return 0.0 if float(rig.markers.points[:, 2].min()) >= 0 else None
+
+
+def _held_out(rig: RigCalibration) -> tuple[float, float]:
+    """Marks kept out of the fit in turn, and missed by how much."""
+    if rig.fit is None or not rig.sights.marks:
+        return float("nan"), float("nan")
+    squares_px, squares_mm, count = 0.0, 0.0, 0
+    for fold in range(_FOLDS):
+        kept, left = _split(rig.sights.marks, fold)
+        try:
+            fit = fit_rig(
+                rig.cameras_before,
+                replace(rig.sights, marks=kept),
+                rig.fit.corner_sd_px,
+                rig.fit.mark_sd_px,
+            )
+        except CalibrationError:
+            return float("nan"), float("nan")
+        for camera in fit.cameras:
+            marks = left.get(camera.name)
+            if marks is None or not len(marks.ids):
+                continue
+            offset = fit.state.offsets.get(camera.name, np.zeros(2))
+            points = rig.sights.markers[marks.ids]
+            lengths = np.linalg.norm(marks.pixels - offset - camera.project(points), axis=1)
+            worth = np.linalg.norm(points - camera.center, axis=1) / camera.intrinsics.focal_px
+            squares_px += float(np.sum(lengths**2))
+            squares_mm += float(np.sum((lengths * worth) ** 2))
+            count += len(lengths)
+    return float(np.sqrt(squares_px / count)), float(np.sqrt(squares_mm / count))
+
+
+def _split(
+    marks: Mapping[str, MarkSight], fold: int
+) -> tuple[dict[str, MarkSight], dict[str, MarkSight]]:
+    kept, left = {}, {}
+    for name, sight in marks.items():
+        out = np.arange(len(sight.ids)) % _FOLDS == fold
+        kept[name] = replace(sight, ids=sight.ids[~out], pixels=sight.pixels[~out])
+        left[name] = replace(sight, ids=sight.ids[out], pixels=sight.pixels[out])
+    return kept, left
+
+
+def _scale(rig: RigCalibration) -> tuple[float, list[Finding]]:
+    """The marker field's size as cameras placed by their boards alone see it."""
+    if rig.fit is None or not rig.sights.boards or not rig.sights.marks:
+        return float("nan"), []
+    boards_only = tuple(c for c in rig.cameras_before if c.name in rig.sights.boards)
+    seen = _triangulated(boards_only, rig.sights)
+    if len(seen) < 4:
+        return float("nan"), []
+    ids = sorted(seen)
+    there, stated = np.stack([seen[i] for i in ids]), rig.sights.markers[ids]
+    a, b = there - there.mean(axis=0), stated - stated.mean(axis=0)
+    scale = float(np.sqrt(np.sum(a**2) / np.sum(b**2)))
+    turn = np.linalg.svd(a.T @ b)
+    rotation = turn[0] @ turn[2]
+    misfit = a - scale * b @ rotation.T
+    sd = float(np.sqrt(np.sum(misfit**2) / (3 * len(ids) - 7) / np.sum(b**2)))
+    if abs(scale - 1) > max(_SCALE_SDS * sd, _LEAST_SCALE_ERROR):
+        text = (
+            f"boards and markers disagree about size: by the boards the marker field is "
+            f"{scale:.4f} "
+            f"(+- {sd:.4f}) times its stated size; measure a printed square and the posts again"
+        )
+        return scale, [Finding("warning", "", text)]
+    return scale, []
+
+
+def _triangulated(cameras: tuple[Camera, ...], sights: Sights) -> dict[int, Floats]:
+    rays: dict[int, list[tuple[Floats, Floats]]] = {}
+    for camera in cameras:
+        marks = sights.marks.get(camera.name)
+        if marks is None:
+            continue
+        seen = camera.rays(marks.pixels)
+        for number, origin, direction in zip(marks.ids, seen.origins, seen.directions, strict=True):
+            rays.setdefault(int(number), []).append((origin, direction))
+    return {
+        number: nearest_point(Rays(np.stack([o for o, _ in r]), np.stack([d for _, d in r])))
+        for number, r in rays.items()
+        if len(r) >= 2
+    }
+
+
+def _mark_findings(rig: RigCalibration) -> list[Finding]:
+    findings: list[Finding] = []
+    for camera in rig.cameras:
+        marks = rig.sights.marks.get(camera.name)
+        if marks is not None:
+            residuals = _mark_residuals(rig, camera, marks)
+            worth = mm_per_px(camera, rig.sights.markers[marks.ids])
+            names = [rig.markers.names[i] for i in marks.ids]
+            findings += residual_findings(camera.name, residuals, worth, names)
+        for name, reason in sorted(_doubtful(rig, camera.name).items()):
+            findings.append(Finding("note", camera.name, f"marker {name} left out: {reason}"))
+        apart = rig.disagreement_mm.get(camera.name, 0.0)
+        if apart > _NOTED_DISAGREEMENT_MM:
+            text = (
+                f"board and markers disagree by {apart:.2f} mm: one of the two was not held exactly"
+            )
+            findings.append(Finding("warning", camera.name, text))
+    return findings
+
+
+def _mark_residuals(rig: RigCalibration, camera: Camera, marks: MarkSight) -> Floats:
+    if rig.fit is not None and camera.name in rig.fit.mark_residuals:
+        return rig.fit.mark_residuals[camera.name]
+    return marks.pixels - camera.project(rig.sights.markers[marks.ids])
+
+
+def _doubtful(rig: RigCalibration, camera: str) -> dict[str, str]:
+    found = rig.found.get(camera)
+    if found is None:
+        return {}
+    marked = {rig.markers.names[i] for i in rig.sights.marks[camera].ids}
+    return {name: reason for name, reason in found.doubtful.items() if name not in marked}
+
+
+def _lens_findings(rig: RigCalibration) -> list[Finding]:
+    findings = []
+    for name, lens in rig.lenses.items():
+        if lens.views.covered_share < _LEAST_COVERAGE:
+            text = (
+                f"the board was shown in {lens.views.covered_share:.0%} of the image only; "
+                "the lens "
+                "is extrapolated elsewhere"
+            )
+            findings.append(Finding("warning", name, text))
+        for picture, reason in lens.views.left_out.items():
+            findings.append(Finding("note", name, f"{picture} left out: {reason}"))
+        findings += [Finding("note", name, reason) for reason in lens.reasons]
+    return findings
+
+
+def _worst(rig: RigCalibration, name: str) -> list[tuple[str, float]]:
+    lens = rig.lenses[name]
+    rms = lens.fit.view_rms_px()
+    order = np.argsort(-rms)[:3]
+    return [(lens.views.views[i].source, float(rms[i])) for i in order]
+
+
+def provenance(rig: RigCalibration, verdict: Verdict, capture: str) -> dict[str, Any]:
+    """What `calibration.toml` says about where it comes from and how good it is."""
+    fit = rig.fit
+    return {
+        "capture": capture,
+        "method": rig.method,
+        "corner_sd_px": None if fit is None else fit.corner_sd_px,
+        "mark_sd_px": None if fit is None else fit.mark_sd_px,
+        "marker_tolerance_mm": rig.tolerances.marker_mm,
+        "board_tolerance_mm": rig.tolerances.board_mm,
+        "board_tolerance_deg": rig.tolerances.board_deg,
+        "judgement": {
+            "trustworthy": verdict.trustworthy,
+            "workspace_center_mm": verdict.workspace.center,
+            "workspace_half_mm": verdict.workspace.half,
+            "body_position_sd_mm": float(np.sqrt(np.mean(verdict.position_sd_mm**2))),
+            "body_position_sd_worst_mm": float(verdict.position_sd_mm.max()),
+            "body_rotation_sd_deg": float(np.sqrt(np.mean(verdict.rotation_sd_deg**2))),
+            "held_out_px": _finite(verdict.held_out_px),
+            "held_out_mm": _finite(verdict.held_out_mm),
+            "scale_of_markers_by_boards": _finite(verdict.scale),
+            "board_marker_disagreement_mm": dict(rig.disagreement_mm) or None,
+            "findings": [str(finding) for finding in verdict.findings],
+        },
+        "lenses": {name: _lens_values(rig, name) for name in rig.lenses} or None,
+    }
+
+
+def _lens_values(rig: RigCalibration, name: str) -> dict[str, Any]:
+    lens = rig.lenses[name]
+    return {
+        "model": lens.model.name,
+        "free": lens.model.parameters,
+        "corner_rule": lens.corner_rule,
+        "views": len(lens.views.views),
+        "rms_px": lens.fit.rms_px,
+        "held_out_px": lens.held_out_px[lens.model.name],
+        "covered_share": lens.views.covered_share,
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None

@@ -1,0 +1,162 @@
+"""Board views: which are sharp, which differ from each other, and how they cover the image."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from measure.arrays import Bytes, Floats
+from measure.calibration.boards import Board, Corners
+from measure.errors import CalibrationError
+
+MAX_VIEWS = 40
+ALL_VIEWS = 1000
+MIN_VIEWS = 5
+ALIKE_SHARE = 0.02
+"""Views whose corners moved by less than this share of the image diagonal are one view."""
+_BLURRED_SHARE = 0.5
+_COVERAGE_GRID = (8, 6)
+
+
+@dataclass(frozen=True, eq=False)
+class ViewSet:
+    """The views a lens is calibrated from.
+
+    Attributes:
+        size_wh: of the images, px.
+        views: the chosen ones.
+        left_out: reasons, by name of picture.
+    """
+
+    size_wh: tuple[int, int]
+    views: tuple[Corners, ...]
+    left_out: dict[str, str]
+
+    def coverage(self) -> Floats:
+        """Corners in each cell of an 8 x 6 map of the image (rows, columns)."""
+        pixels = np.concatenate([view.pixels for view in self.views])
+        columns, rows = _COVERAGE_GRID
+        counts, _, _ = np.histogram2d(
+            pixels[:, 1],
+            pixels[:, 0],
+            bins=(rows, columns),
+            range=((0, self.size_wh[1]), (0, self.size_wh[0])),
+        )
+        return np.asarray(counts, dtype=np.float64)
+
+    @property
+    def covered_share(self) -> float:
+        """Share of the map's cells that hold a corner."""
+        return float(np.mean(self.coverage() > 0))
+
+
+def find_views(
+    board: Board, pictures: Iterable[tuple[str, Bytes]], camera: str, limit: int = MAX_VIEWS
+) -> ViewSet:
+    """Find the board in pictures and choose views.
+
+    Args:
+        board: what to look for.
+        pictures: name and BGR pixels, in order.
+        camera: its name, for messages.
+        limit: most views to keep.
+
+    Raises:
+        CalibrationError: pictures of different sizes, no board in any, or too few different views.
+    """
+    seen: list[Corners] = []
+    left_out: dict[str, str] = {}
+    size: tuple[int, int] | None = None
+    for name, bgr in pictures:
+        here = (bgr.shape[1], bgr.shape[0])
+        if size is not None and here != size:
+            raise CalibrationError(
+                f"camera {camera}: {name} is {here[0]}x{here[1]} px, the others {size[0]}x{size[1]}"
+            )
+        size = here
+        corners = board.find(np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY), np.uint8), name)
+        if corners is None:
+            left_out[name] = "no board found"
+        else:
+            seen.append(corners)
+    if size is None or not seen:
+        raise CalibrationError(
+            f"camera {camera}: no board found in any of {len(left_out)} pictures; check that "
+            "board.toml describes the printed board (inner corners, not squares) and that all of "
+            "it is in view"
+        )
+    return choose_views(board, seen, size, camera, left_out, limit)
+
+
+def choose_views(
+    board: Board,
+    seen: list[Corners],
+    size_wh: tuple[int, int],
+    camera: str,
+    left_out: dict[str, str] | None = None,
+    limit: int = MAX_VIEWS,
+) -> ViewSet:
+    """Keep sharp views that differ from each other, the most different first.
+
+    Raises:
+        CalibrationError: too few, or all alike.
+    """
+    left_out = dict(left_out or {})
+    floor = _BLURRED_SHARE * float(np.median([view.sharpness for view in seen]))
+    sharp = []
+    for view in seen:
+        if view.sharpness < floor:
+            left_out[view.source] = (
+                f"blurred (sharpness {view.sharpness:.2f}, others {2 * floor:.2f})"
+            )
+        else:
+            sharp.append(view)
+    outlines = [_outline(board, view) for view in sharp]
+    diagonal = float(np.hypot(*size_wh))
+    chosen = [int(np.argmax([len(view.ids) for view in sharp]))]
+    nearest = np.full(len(sharp), np.inf)
+    while len(chosen) < min(limit, len(sharp)):
+        moved = [_rms(outline - outlines[chosen[-1]]) / diagonal for outline in outlines]
+        nearest = np.minimum(nearest, moved)
+        following = int(np.argmax(nearest))
+        if nearest[following] < ALIKE_SHARE and limit < ALL_VIEWS:
+            break
+        chosen.append(following)
+    for number, view in enumerate(sharp):
+        if number not in chosen:
+            left_out[view.source] = "much like another view"
+    different = int(np.sum(_first_different(outlines, diagonal)))
+    if different < MIN_VIEWS:
+        alike = len(sharp) - different
+        raise CalibrationError(
+            f"camera {camera}: {different} different sharp views of the board, at least "
+            f"{MIN_VIEWS} are needed"
+            + (f" ({alike} more are all alike)" if alike else "")
+            + "; tilt the board in several directions and move it into all corners of the image"
+        )
+    return ViewSet(size_wh, tuple(sharp[i] for i in sorted(chosen)), left_out)
+
+
+def _first_different(outlines: list[Floats], diagonal: float) -> list[bool]:
+    """Which views differ from all before them."""
+    return [
+        all(_rms(o - other) >= ALIKE_SHARE * diagonal for other in outlines[:i])
+        for i, o in enumerate(outlines)
+    ]
+
+
+def _outline(board: Board, view: Corners) -> Floats:
+    """Where the board's four outer corners would appear (4, 2), by the view's homography."""
+    flat = board.points[:, :2]
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    rectangle = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
+    H, _ = cv2.findHomography(flat[view.ids], view.pixels)
+    mapped = np.column_stack([rectangle, np.ones(4)]) @ np.asarray(H, dtype=np.float64).T
+    return mapped[:, :2] / mapped[:, 2:]
+
+
+def _rms(offsets: Floats) -> float:
+    return float(np.sqrt(np.mean(np.sum(offsets**2, axis=1))))

@@ -1,0 +1,60 @@
+"""`measure calibrate`: from a capture folder to `calibration.toml`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from cyclopts import Parameter
+
+from measure.cli import console
+from measure.cli.console import JsonFlag
+
+
+def calibrate(
+    capture: Path,
+    /,
+    *,
+    output: Annotated[Path, Parameter(name=("--output", "-o"))],
+    method: Literal["joint", "paper"] = "joint",
+    body: Path | None = None,
+    file_format: Annotated[
+        Literal["triball", "anipose", "caliscope", "opencv"], Parameter(name="--format")
+    ] = "triball",
+    report: Path | None = None,
+    json: JsonFlag = False,
+) -> None:
+    """Calibrate cameras from pictures of boards and markers.
+
+    Args:
+        capture: capture folder (docs/calibration.md), or its capture.toml.
+        output: the calibration to write.
+        method: "joint" solves all cameras at once; "paper" each from its markers (equation 3).
+        body: body to judge the calibration with; the paper's three-ball body if omitted.
+        file_format: of the output; only "triball" holds covariances and the judgement.
+        report: HTML report to write.
+    """
+    from measure.api import calibrate as run
+    from measure.calibration import calibration_report, camera_rows
+    from measure.session import write_calibration
+
+    with console.progress("calibrating", "cameras") as progress:
+        result = run(capture, method, body, progress)
+    write_calibration(output, result.calibration, file_format)
+    if report is not None:
+        page = calibration_report(str(capture), result.rig, result.verdict)
+        report.write_text(page, encoding="utf-8")
+    if json:
+        console.print_json({"output": output, **result.calibration.provenance})
+        return
+    console.print_table(
+        ("camera", "f_px", "position_sd_mm", "rotation_sd_deg", "rms_px"), camera_rows(result.rig)
+    )
+    verdict = result.verdict
+    for finding in verdict.findings:
+        console.print_text(str(finding))
+    console.print_text(
+        f"expected body position error {np.sqrt(np.mean(verdict.position_sd_mm**2)):.3f} mm "
+        f"(worst {verdict.position_sd_mm.max():.3f} mm) over the workspace; wrote {output}"
+    )
