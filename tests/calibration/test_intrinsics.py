@@ -1,0 +1,99 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from measure.calibration import Corners, calibrate_lens, choose_views
+from measure.calibration.lens import LENS_MODELS, intrinsics_vector
+from measure.calibration.single_camera import fit_lens, start_intrinsics
+from measure.errors import CalibrationError
+from measure.model import Intrinsics
+from tests.calibration.rigs import BOARD, SIZE, board_views, lens
+
+
+def test_matches_opencv_to_its_digits() -> None:
+    views = board_views(lens(0), np.random.default_rng(3))
+    start = start_intrinsics(SIZE, BOARD.points, views)
+    ours = fit_lens(start, BOARD.points, views, LENS_MODELS[4])
+    points = [BOARD.points.astype(np.float32)] * len(views)
+    pixels = [v.pixels.astype(np.float32) for v in views]
+    rms, matrix, _, _, _ = cv2.calibrateCamera(points, pixels, SIZE, None, None)
+    assert ours.rms_px == pytest.approx(rms, rel=1e-4)
+    np.testing.assert_allclose(ours.intrinsics.matrix, matrix, rtol=1e-4, atol=1e-9)
+
+
+def test_the_covariance_is_the_scatter() -> None:
+    true, model = lens(1), LENS_MODELS[3]
+    squares = []
+    for seed in range(25):
+        views = board_views(true, np.random.default_rng(seed))
+        fit = fit_lens(start_intrinsics(SIZE, BOARD.points, views), BOARD.points, views, model)
+        assert fit.intrinsics.covariance is not None
+        error = (intrinsics_vector(fit.intrinsics) - intrinsics_vector(true))[list(model.free)]
+        P = fit.intrinsics.covariance[np.ix_(model.free, model.free)]
+        squares.append(error @ np.linalg.solve(P, error) / len(error))
+    # The mean of 25 chi-squared / 8 has a standard deviation of 0.1.
+    assert 0.7 < np.mean(squares) < 1.35
+
+
+def test_freedom_the_views_do_not_support_is_refused_with_a_reason() -> None:
+    views = board_views(lens(0), np.random.default_rng(5))
+    found = calibrate_lens(BOARD, choose_views(BOARD, list(views), SIZE, "cam0"), "cam0")
+    assert found.model.name == "tangential"
+    assert any("brown refused: k3" in reason for reason in found.reasons)
+    views = board_views(Intrinsics(SIZE, lens(0).matrix), np.random.default_rng(6))
+    found = calibrate_lens(BOARD, choose_views(BOARD, list(views), SIZE, "cam0"), "cam0")
+    assert found.model.name == "pinhole"
+    assert any("tangential refused" in reason for reason in found.reasons)
+
+
+def test_repeats_to_the_last_digit() -> None:
+    views = board_views(lens(0), np.random.default_rng(7))
+    chosen = choose_views(BOARD, list(views), SIZE, "cam0")
+    first, second = (calibrate_lens(BOARD, chosen, "cam0").intrinsics for _ in range(2))
+    assert np.array_equal(intrinsics_vector(first), intrinsics_vector(second))
+
+
+def test_a_view_with_wrong_corners_is_left_out_and_named() -> None:
+    views = list(board_views(lens(0), np.random.default_rng(8)))
+    views[4] = replace(views[4], pixels=np.roll(views[4].pixels, 9, axis=0))
+    found = calibrate_lens(BOARD, choose_views(BOARD, views, SIZE, "cam0"), "cam0")
+    assert "view4.jpg" in found.views.left_out
+    assert abs(found.intrinsics.focal_px - lens(0).focal_px) < 2
+
+
+def test_too_few_views_are_refused() -> None:
+    views = board_views(lens(0), np.random.default_rng(0), count=4)
+    with pytest.raises(CalibrationError, match="4 different sharp views"):
+        choose_views(BOARD, list(views), SIZE, "cam0")
+
+
+def test_views_all_alike_are_refused() -> None:
+    rng = np.random.default_rng(0)
+    view = board_views(lens(0), rng, count=1)[0]
+    alike = [replace(view, pixels=view.pixels + rng.normal(0, 1, 2)) for _ in range(20)]
+    with pytest.raises(CalibrationError, match=r"1 different sharp views.*19 more are all alike"):
+        choose_views(BOARD, alike, SIZE, "cam0")
+
+
+def test_views_without_tilt_leave_the_focal_length_open() -> None:
+    views = []
+    for number in range(9):
+        shift = [number % 3 * 70.0 - 160, number // 3 * 40.0 - 100, 500.0]
+        pixels = lens(0).project(BOARD.points + shift)
+        noise = np.random.default_rng(number).normal(0, 0.05, pixels.shape)
+        views.append(Corners(np.arange(len(pixels)), pixels + noise, 0.4, f"{number}.jpg"))
+    chosen = choose_views(BOARD, views, SIZE, "cam0")
+    with pytest.raises(CalibrationError, match=r"focal length|undetermined|settle"):
+        calibrate_lens(BOARD, chosen, "cam0")
+
+
+def test_blurred_views_are_left_out() -> None:
+    views = list(board_views(lens(0), np.random.default_rng(2)))
+    views[3] = replace(views[3], sharpness=0.05)
+    chosen = choose_views(BOARD, views, SIZE, "cam0")
+    assert "blurred" in chosen.left_out["view3.jpg"]
+    assert chosen.coverage().sum() == 54 * 11
