@@ -20,12 +20,13 @@ from measure.model import Camera
 from tests.calibration.rigs import markers, rig
 
 LENS_SD = np.array([0.4, 0.4, 0.4, 0.4])
+TARGET = np.array([0.0, 0.0, 250.0])
 
 
 def poses() -> list[RigidTransform]:
     rng = np.random.default_rng(0)
     return [
-        RigidTransform.from_rotvec(rng.uniform(-0.6, 0.6, 3), rng.uniform(-40, 40, 3) + [0, 0, 250])
+        RigidTransform.from_rotvec(rng.uniform(-0.6, 0.6, 3), TARGET + rng.uniform(-40, 40, 3))
         for _ in range(10)
     ]
 
