@@ -15,7 +15,7 @@ from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
 from measure.model import Camera, Intrinsics
 from measure.session.calibration_file import Calibration, Row, Triple
-from measure.session.files import validation_message
+from measure.session.toml_errors import validation_message
 from measure.session.toml_text import dump_toml
 
 Unit = Literal["mm", "cm", "m"]
@@ -80,13 +80,16 @@ def read_foreign_toml(
         try:
             given = ForeignCamera.model_validate(table)
         except ValidationError as problem:
-            message = validation_message(path, text, problem, ForeignCamera, keys)
+            message = validation_message(path, text, problem, ForeignCamera, table, keys)
             raise CalibrationError(message) from None
         if given.fisheye:
             raise CalibrationError(f"{path}: camera {keys[-1]} has a fisheye lens: not supported")
         number = given.cam_id if given.cam_id is not None else given.port
         name = given.name or (keys[-1] if number is None else f"cam_{number}")
-        cameras.append(given.camera(name, MM_PER[unit]))
+        try:
+            cameras.append(given.camera(name, MM_PER[unit]))
+        except CalibrationError as problem:
+            raise CalibrationError(f"{path}: camera {keys[-1]}: {problem}") from None
     program = "caliscope" if caliscope else "aniposelib"
     return Calibration(tuple(cameras), {"format": program, "unit": unit})
 
