@@ -1,0 +1,24 @@
+"""The conformance kit: subclass one class, name your plugin, and pytest does the rest.
+
+    from measure.testing import DetectorConformance
+
+    class TestBlob(DetectorConformance):
+        plugin = BlobDetector
+
+Built-in plugins pass the same classes. `docs/writing_a_plugin.md` walks through an example.
+"""
+
+from measure.testing.detector import DetectorConformance
+from measure.testing.estimator import EstimatorConformance
+from measure.testing.pose_solver import PoseSolverConformance
+from measure.testing.scenes import Example, example
+from measure.testing.triangulator import TriangulatorConformance
+
+__all__ = [
+    "DetectorConformance",
+    "EstimatorConformance",
+    "Example",
+    "PoseSolverConformance",
+    "TriangulatorConformance",
+    "example",
+]

@@ -1,0 +1,120 @@
+"""What a triangulator owes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+
+from measure.geometry import squared_mahalanobis
+from measure.host import Triangulator
+from measure.model import Detection, Fix
+from measure.testing.rules import PluginConformance, assert_covariance, assert_same, frozen_copy
+from measure.testing.scenes import example
+
+
+class TriangulatorConformance(PluginConformance):
+    """Tests of a triangulator, on exact and on noisy detections of a known scene.
+
+    Attributes:
+        plugin: the class under test.
+        max_error_mm: how far a fix may be from the truth when the detections are exact.
+        max_ratio: how many times larger the mean squared error may be than the covariance says.
+    """
+
+    plugin: ClassVar[type[Triangulator]]
+    max_error_mm: ClassVar[float] = 0.01
+    max_ratio: ClassVar[float] = 2.0
+
+    def build(self) -> Triangulator:
+        """A fresh instance."""
+        return self.plugin(self.config)
+
+    def seen(self, sd_px: float = 0.0, seed: int = 0, ball: str = "") -> list[Detection]:
+        """Detections of one ball in four cameras; without noise their covariance is 0.1 px."""
+        scene, rng = example(), np.random.default_rng(seed)
+        chosen = ball or scene.body.names[0]
+        found = [d for d in scene.detections(rng, sd_px or 1e-12) if d.ball == chosen]
+        return [replace(d, covariance_px=(sd_px or 0.1) ** 2 * np.eye(2)) for d in found]
+
+    def test_exact_detections_give_the_exact_centre(self) -> None:
+        """With two, three and four cameras, for every ball."""
+        scene = example()
+        for ball, center in scene.centers.items():
+            for count in (2, 3, 4):
+                seen = self.seen(ball=ball)[:count]
+                fix = self.build().triangulate(seen, scene.cameras)
+                self.check_form(fix, seen)
+                assert fix is not None
+                off = float(np.linalg.norm(fix.center - center))
+                assert off <= self.max_error_mm, f"{ball}, {count} cameras: {off:.3g} mm off"
+
+    def test_too_little_gives_none(self) -> None:
+        """No camera, one camera: there is no depth."""
+        for count in (0, 1):
+            fix = self.build().triangulate(self.seen()[:count], example().cameras)
+            assert fix is None, f"a fix from {count} detections: {fix}"
+
+    def test_rays_without_parallax_give_none(self) -> None:
+        """Two cameras in one place see one ray twice."""
+        scene, seen = example(), self.seen()
+        twin = replace(scene.cameras[seen[0].camera], name="twin")
+        fix = self.build().triangulate(
+            [seen[0], replace(seen[0], camera="twin")], {**scene.cameras, "twin": twin}
+        )
+        assert fix is None, f"a fix from two equal rays: {fix}"
+
+    def test_the_order_of_the_detections_does_not_matter(self) -> None:
+        """They come as the cameras' threads finish."""
+        seen, cameras = self.seen(0.3, seed=4), example().cameras
+        one = self.build().triangulate(seen, cameras)
+        other = self.build().triangulate(seen[::-1], cameras)
+        assert one is not None, "no fix"
+        assert other is not None, "no fix in the other order"
+        assert np.allclose(one.center, other.center, atol=1e-6), "the order changes the fix"
+
+    def test_worse_detections_give_a_worse_fix(self) -> None:
+        """The covariance follows that of the detections."""
+        traces = []
+        for sd_px in (0.1, 1.0):
+            seen = [replace(d, covariance_px=sd_px**2 * np.eye(2)) for d in self.seen()]
+            fix = self.build().triangulate(seen, example().cameras)
+            assert fix is not None, "no fix"
+            traces.append(np.trace(fix.covariance))
+        assert traces[1] > 2 * traces[0], f"covariances of {traces} mm^2 for 0.1 and 1 px"
+
+    def test_the_covariance_is_honest(self) -> None:
+        """Over 150 draws of 0.3 px noise, the squared errors are about what it says."""
+        scene, ratios = example(), []
+        for seed in range(150):
+            fix = self.build().triangulate(self.seen(0.3, seed), scene.cameras)
+            assert fix is not None, "no fix"
+            error = fix.center - scene.centers[fix.ball]
+            ratios.append(squared_mahalanobis(error, fix.covariance) / 3)
+        ratio = float(np.mean(ratios))
+        assert ratio < self.max_ratio, f"errors {ratio:.1f} times larger (squared) than stated"
+
+    def test_it_keeps_no_state_and_changes_nothing(self) -> None:
+        """The same input gives the same answer, bit by bit, and is untouched."""
+        triangulator, cameras, seen = self.build(), example().cameras, self.seen(0.3)
+        before = frozen_copy(seen)
+        first = triangulator.triangulate(seen, cameras)
+        triangulator.triangulate(self.seen(2.0, seed=9), cameras)
+        assert_same(triangulator.triangulate(seen, cameras), first, "second answer")
+        assert_same(seen, before, "detections")
+
+    def check_form(self, fix: Fix | None, seen: list[Detection]) -> None:
+        """Types, shapes and names of a fix."""
+        assert isinstance(fix, Fix), f"not a Fix: {fix!r}"
+        assert fix.ball == seen[0].ball, f"a fix of {fix.ball!r}"
+        assert fix.center.shape == (3,), f"centre of shape {fix.center.shape}"
+        assert np.all(np.isfinite(fix.center)), f"centre {fix.center}"
+        assert_covariance(fix.covariance, 3, fix.ball)
+        names = {d.camera for d in seen}
+        assert set(fix.cameras) | set(fix.dropped) == names, "cameras neither used nor dropped"
+        assert not set(fix.cameras) & set(fix.dropped), "cameras both used and dropped"
+        assert len(fix.cameras) >= 2, "a fix from one camera"
+        assert fix.residuals_mm.shape == (len(fix.cameras),), "not one residual per camera"
+        times = [d.time_s for d in seen]
+        assert min(times) <= fix.time_s <= max(times), "the time is outside that of the detections"

@@ -1,0 +1,180 @@
+"""Every built-in plugin passes the kit that strangers' plugins are to pass, and the kit bites."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from measure.geometry import RigidTransform
+from measure.host import Registry
+from measure.model import Detection, Pose
+from measure.testing import (
+    DetectorConformance,
+    PoseSolverConformance,
+    TriangulatorConformance,
+)
+
+KITS = {
+    "detector": DetectorConformance,
+    "triangulator": TriangulatorConformance,
+    "solver": PoseSolverConformance,
+}
+
+
+def _kit(kind: str, plugin: type) -> type:
+    """A test class for one plugin, as its author would write it."""
+    return type(f"Test{plugin.__name__}", (KITS[kind],), {"plugin": plugin, "__module__": __name__})
+
+
+def _wrapped(test):
+    """The same test as a function of its own, so that a mark stays with one plugin."""
+
+    def wrapped(self):
+        test(self)
+
+    return wrapped
+
+
+# Weaknesses the kit has found and that are being worked on: a plugin, a test, and what is wrong.
+KNOWN = {
+    ("outline", "test_expected_balls_are_found_once_and_in_place"): "needs a prediction within 2 px"
+}
+
+for _item in Registry.discover().loaded:
+    if _item.distribution.name == "triball" and _item.kind in KITS:
+        _test_class = _kit(_item.kind, _item.plugin)
+        for (_name, _test), _why in KNOWN.items():
+            if _name == _item.name:
+                _mark = pytest.mark.xfail(reason=_why, strict=False)
+                setattr(_test_class, _test, _mark(_wrapped(getattr(_test_class, _test))))
+        globals()[_test_class.__name__] = _test_class
+del _test_class  # or pytest would collect the last one twice
+
+
+# -- negative controls: each of these breaks one promise, and one test must notice -----------------
+
+
+def _failures(kit: type, plugin: type) -> set[str]:
+    """Names of the kit's tests that a plugin fails."""
+    suite = type("Control", (kit,), {"plugin": plugin})()
+    failed = set()
+    for name in dir(suite):
+        if name.startswith("test_"):
+            try:
+                getattr(suite, name)()
+            except AssertionError:
+                failed.add(name)
+    return failed
+
+
+def _plugin(kind: str, name: str) -> type:
+    return Registry.discover().find(kind, name).plugin
+
+
+class Sloppy(_plugin("triangulator", "midpoint")):  # type: ignore[misc]
+    """claims too much"""
+
+    name = "Too Sure"
+
+    def triangulate(self, detections, cameras):
+        fix = super().triangulate(detections, cameras)
+        return fix and replace(fix, covariance=fix.covariance / 25)
+
+
+class Remembering(_plugin("triangulator", "midpoint")):  # type: ignore[misc]
+    """Averages with what it saw before."""
+
+    name = "remembering"
+    last = None
+
+    def triangulate(self, detections, cameras):
+        fix = super().triangulate(detections, cameras)
+        if fix is not None and self.last is not None:
+            fix = replace(fix, center=(fix.center + self.last) / 2)
+        self.last = None if fix is None else fix.center
+        return fix
+
+
+class Meddling(_plugin("triangulator", "midpoint")):  # type: ignore[misc]
+    """Rounds the detections it was lent."""
+
+    name = "meddling"
+
+    def triangulate(self, detections, cameras):
+        for detection in detections:
+            np.rint(detection.center_px, out=detection.center_px)
+        return super().triangulate(detections, cameras)
+
+
+class Guessing(_plugin("solver", "kabsch")):  # type: ignore[misc]
+    """Answers whatever it is asked."""
+
+    name = "guessing"
+
+    def solve(self, fixes, detections, cameras, time_s, prior=None):
+        pose = super().solve(fixes, detections, cameras, time_s, prior)
+        if pose is not None:
+            return replace(pose, flags=(), residual_mm=0.0, rms_px=0.0)
+        identity = RigidTransform.identity()
+        return Pose(time_s, identity, np.eye(6), 0.0, 0.0, tuple(cameras), self.body.names)
+
+
+class Everywhere(_plugin("detector", "hough")):  # type: ignore[misc]
+    """Sees the balls where they are expected, whatever the picture shows."""
+
+    name = "everywhere"
+
+    def detect(self, image, expected):
+        image.pixels[0, 0] = 255
+        return [
+            Detection(e.ball, image.camera, 0.0, e.center_px, e.radius_px[0], -np.eye(2))
+            for e in expected
+        ]
+
+
+@pytest.mark.parametrize(
+    ("kind", "plugin", "caught"),
+    [
+        (
+            "triangulator",
+            Sloppy,
+            {
+                "test_the_covariance_is_honest",
+                "test_its_name_can_be_typed",
+                "test_it_says_what_it_does",
+            },
+        ),
+        ("triangulator", Remembering, {"test_it_keeps_no_state_and_changes_nothing"}),
+        (
+            "triangulator",
+            Meddling,
+            {
+                "test_it_keeps_no_state_and_changes_nothing",
+                "test_exact_detections_give_the_exact_centre",
+            },
+        ),
+        (
+            "solver",
+            Guessing,
+            {
+                "test_nothing_seen_gives_none",
+                "test_one_ball_gives_none",
+                "test_a_body_of_another_shape_is_not_believed",
+            },
+        ),
+        (
+            "detector",
+            Everywhere,
+            {
+                "test_a_picture_without_balls_gives_nothing",
+                "test_flat_pictures_give_nothing",
+                "test_it_changes_nothing_it_is_given",
+                "test_balls_are_found_in_the_whole_frame",
+            },
+        ),
+    ],
+)
+def test_a_broken_promise_is_noticed(kind, plugin, caught):
+    assert caught <= _failures(KITS[kind], plugin)
