@@ -23,6 +23,7 @@ from measure.measuring.tracking.agreement import (
 )
 from measure.measuring.tracking.circle_state import Circle, Evidence, advance, remember
 from measure.measuring.tracking.frame_update_settings import FrameUpdateSettings
+from measure.measuring.tracking.misfits import misfits
 from measure.measuring.tracking.starting import choose
 from measure.measuring.tracking.tracker import Verdict
 from measure.model import (
@@ -111,9 +112,8 @@ class FrameUpdate:
         self._pose = pose
         self._starting = False
         self._tolerance = 1 + (self._tolerance - 1) * self.config.tolerance_decay
-        if pose.residual_mm > self.config.flag_residual_mm:
-            doubt = f"the balls miss the body's shape by {pose.residual_mm:.2f} mm RMS"
-            pose = replace(pose, flags=(*pose.flags, doubt))
+        against = misfits(fixes, pose, self.config.flag_residual_mm, self.config.flag_rays_mm)
+        pose = replace(pose, flags=(*pose.flags, *against))
         return Verdict(pose, "; ".join(pose.flags))
 
     def _problem(self, views: Sequence[BallView], fixes: Sequence[Fix], pose: Pose | None) -> str:

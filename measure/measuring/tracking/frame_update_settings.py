@@ -43,6 +43,12 @@ class FrameUpdateSettings(Settings):
     flag_residual_mm: float = setting(
         1.0, "RMS misfit of the balls to the body from which a pose is flagged", unit="mm", gt=0
     )
+    flag_rays_mm: float = setting(
+        1.0,
+        "RMS distance of all rays from their balls from which a pose is flagged",
+        unit="mm",
+        gt=0,
+    )
     max_residual_mm: float = setting(
         3.0, "RMS misfit of the balls to the body from which a pose is refused", unit="mm", gt=0
     )
