@@ -3,7 +3,7 @@
 One file an action. Heavy libraries load when an action is called, not with this package.
 """
 
-from measure.api.calibrating import CalibrationResult, calibrate
+from measure.api.calibrating import CalibrationResult, calibrate, draw_target
 from measure.api.evaluate import evaluate
 from measure.api.export import export
 from measure.api.measuring import measure_session
@@ -18,6 +18,7 @@ __all__ = [
     "build_pipeline",
     "calibrate",
     "choose",
+    "draw_target",
     "evaluate",
     "evaluation_tables",
     "export",

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from measure.calibration import Method, RigCalibration, Verdict
+from measure.calibration import Method, RigCalibration, Sheet, Verdict
 from measure.errors import ConfigError
 from measure.session import Calibration, read_body
 
@@ -55,3 +55,26 @@ def calibrate(
     verdict = judge(rig, measured_with, opened.settings.floor_z_mm)
     values = provenance(rig, verdict, opened.settings.name)
     return CalibrationResult(Calibration(rig.cameras, values), rig, verdict)
+
+
+def draw_target(target: Path | str, output: Path | str | None = None) -> tuple[Sheet, Path]:
+    """Draw a target file as a printable sheet.
+
+    Args:
+        target: TOML of a chessboard, ChArUco board, marker field or body.
+        output: .pdf or .svg; the target's name with .pdf in the current folder if omitted.
+
+    Returns:
+        The sheet and the file written.
+
+    Raises:
+        CalibrationError: the target file cannot be used.
+        ConfigError: an output of another kind.
+    """
+    from measure.calibration import target_sheet, write_sheet
+
+    path = Path(target)
+    written = Path(f"{path.stem}.pdf") if output is None else Path(output)
+    sheet = target_sheet(path)
+    write_sheet(sheet, written)
+    return sheet, written

@@ -2,11 +2,13 @@
 
 from measure.calibration.boards import Board, Charuco, Chessboard, Corners
 from measure.calibration.capture import Capture, open_capture
+from measure.calibration.drawing import Sheet, write_sheet
 from measure.calibration.extrinsics import RigFit, Sights, Tolerances, fit_rig
 from measure.calibration.intrinsics import LensCalibration, calibrate_lens
 from measure.calibration.judgement import Finding, Workspace, body_cost, body_pose_sd, paper_body
 from measure.calibration.markers import find_markers
 from measure.calibration.paper import fit_rig_by_paper
+from measure.calibration.printing import target_sheet
 from measure.calibration.procedure import Method, RigCalibration, calibrate_capture
 from measure.calibration.report import calibration_report, camera_rows
 from measure.calibration.targets import MarkerField, read_board, read_markers
@@ -25,6 +27,7 @@ __all__ = [
     "Method",
     "RigCalibration",
     "RigFit",
+    "Sheet",
     "Sights",
     "Tolerances",
     "Verdict",
@@ -46,4 +49,6 @@ __all__ = [
     "provenance",
     "read_board",
     "read_markers",
+    "target_sheet",
+    "write_sheet",
 ]

@@ -1,0 +1,142 @@
+"""Targets as printable sheets: what stands in a target's TOML, at its true size."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from measure.calibration.boards import Charuco, Chessboard
+from measure.calibration.drawing import Box, Disc, Label, Line, Shape, Sheet, lay_out
+from measure.calibration.targets import (
+    CharucoFile,
+    ChessboardFile,
+    MarkerFieldFile,
+    kind_of,
+    read_board,
+)
+from measure.errors import CalibrationError, ConfigError
+from measure.model import Body
+from measure.session import load_toml, read_body
+
+_CROSS_MM = 6.0
+
+
+def target_sheet(path: Path) -> Sheet:
+    """The sheet of a target file: a chessboard, ChArUco board, marker field or body.
+
+    Raises:
+        CalibrationError: the file cannot be used.
+        SessionError: a body file that cannot be used.
+    """
+    kind = kind_of(path)
+    if kind in ("chessboard", "charuco"):
+        board = read_board(path)
+        if isinstance(board, Chessboard):
+            return chessboard_sheet(board, load_toml(path, ChessboardFile, CalibrationError).name)
+        assert isinstance(board, Charuco)
+        return charuco_sheet(board, load_toml(path, CharucoFile, CalibrationError).name)
+    if kind == "markers":
+        return marker_sheet(load_toml(path, MarkerFieldFile, CalibrationError))
+    if kind == "body":
+        return body_sheet(read_body(path))
+    raise ConfigError(
+        f'{path}: kind = "{kind}" cannot be drawn; there is chessboard, charuco, markers, and '
+        "bodies (no kind)"
+    )
+
+
+def chessboard_sheet(board: Chessboard, name: str) -> Sheet:
+    """Squares, black at the top left: the one diagonal to the origin."""
+    columns, rows = (n + 1 for n in board.inner_corners)
+    side = board.square_mm
+    shapes: list[Shape] = [
+        Box(x * side, y * side, side, side)
+        for y in range(rows)
+        for x in range(columns)
+        if (x + y) % 2 == 0
+    ]
+    text = f"{name}: {board.inner_corners[0]} x {board.inner_corners[1]} inner corners, {side:g} mm"
+    return lay_out(shapes, (columns * side, rows * side), (side, side), text)
+
+
+def charuco_sheet(board: Charuco, name: str) -> Sheet:
+    """Squares with markers in the white ones, as OpenCV places and numbers them."""
+    (columns, rows), side = board.squares, board.square_mm
+    size = (columns * side, rows * side)
+    with_marker = set()
+    markers: list[Shape] = []
+    for number, corners in zip(
+        np.ravel(board.pattern.getIds()), board.pattern.getObjPoints(), strict=True
+    ):
+        left, top = np.asarray(corners, dtype=np.float64).reshape(4, 3)[:, :2].min(axis=0)
+        with_marker.add((int(left // side), int(top // side)))
+        markers += _marker(board, int(number), float(left), float(top))
+    shapes: list[Shape] = [Box(0, 0, *size, black=False)]
+    if board.inverted:
+        shapes = [Box(-4, -4, size[0] + 8, size[1] + 8)]
+    shapes += [
+        Box(x * side, y * side, side, side, black=not board.inverted)
+        for y in range(rows)
+        for x in range(columns)
+        if (x, y) not in with_marker
+    ]
+    text = f"{name}: {side:g} mm squares, {board.marker_mm:g} mm markers, {board.dictionary}"
+    return lay_out([*shapes, *markers], size, (side, side), text)
+
+
+def _marker(board: Charuco, number: int, left: float, top: float) -> list[Shape]:
+    """The black cells of a marker, merged along rows; one box in the background colour below."""
+    dictionary = board.pattern.getDictionary()
+    cells = int(dictionary.markerSize) + 2
+    bits = np.asarray(cv2.aruco.generateImageMarker(dictionary, number, cells))
+    cell = board.marker_mm / cells
+    shapes: list[Shape] = [Box(left, top, board.marker_mm, board.marker_mm, not board.inverted)]
+    shapes += [
+        Box(left + x * cell, top + y * cell, cell, cell, black=board.inverted)
+        for y, x in zip(*np.nonzero(bits), strict=True)
+    ]
+    return shapes
+
+
+def marker_sheet(field: MarkerFieldFile) -> Sheet:
+    """Where the posts stand, from above: a cross and a dot of true size at each place, x right."""
+    points = np.array([row.position_mm for row in field.markers])
+    low = points.min(axis=0) - 15
+    high = points.max(axis=0) + 15
+    size = (float(high[0] - low[0]), float(high[1] - low[1]))
+    origin = (float(-low[0]), float(high[1]))
+    shapes: list[Shape] = _cross(*origin, 10.0)
+    shapes.append(Label(origin[0] + 2, origin[1] - 2, "world origin: x right, y up"))
+    labels: dict[tuple[float, float], list[str]] = {}
+    for row in field.markers:
+        x, y, z = row.position_mm
+        labels.setdefault((origin[0] + x, origin[1] - y), []).append(f"{row.name} z={z:g}")
+    for (x, y), texts in labels.items():
+        shapes += _cross(x, y, _CROSS_MM)
+        shapes.append(Disc(x, y, field.dot_mm / 2))
+        shapes.append(Label(x - 12, y + 8, ", ".join(texts), 2.2))
+    return lay_out(shapes, size, origin, field.name)
+
+
+def body_sheet(body: Body) -> Sheet:
+    """The balls' outlines and centres in the body's x-y plane, x right, y up."""
+    low = (body.centers[:, :2] - body.radii[:, None]).min(axis=0) - 10
+    high = (body.centers[:, :2] + body.radii[:, None]).max(axis=0) + 10
+    low, high = np.minimum(low, -12), np.maximum(high, 12)
+    size = (float(high[0] - low[0]), float(high[1] - low[1]))
+    origin = (float(-low[0]), float(high[1]))
+    shapes: list[Shape] = _cross(*origin, 10.0)
+    shapes.append(Label(origin[0] + 2, origin[1] + 6, "origin"))
+    for ball in body.balls:
+        x, y = origin[0] + float(ball.center_mm[0]), origin[1] - float(ball.center_mm[1])
+        shapes.append(Disc(x, y, ball.radius_mm, filled=False))
+        shapes += _cross(x, y, _CROSS_MM)
+        text = f"{ball.name}: diameter {2 * ball.radius_mm:g} mm, z = {ball.center_mm[2]:g} mm"
+        shapes.append(Label(x - ball.radius_mm * 0.8, y - 3, text, 2.0))
+    return lay_out(shapes, size, origin, body.name)
+
+
+def _cross(x: float, y: float, reach: float) -> list[Shape]:
+    return [Line(x - reach, y, x + reach, y), Line(x, y - reach, x, y + reach)]

@@ -1,0 +1,35 @@
+"""`measure target`: a printable sheet from a target file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from measure.cli import console
+from measure.cli.console import JsonFlag
+
+
+def target(
+    target_file: Path,
+    /,
+    *,
+    output: Annotated[Path | None, Parameter(name=("--output", "-o"))] = None,
+    json: JsonFlag = False,
+) -> None:
+    """Draw a printable board, marker field or body.
+
+    Args:
+        target_file: TOML of the target, such as those in calibration_targets/.
+        output: .pdf or .svg to write; the target's name with .pdf in this folder if omitted.
+    """
+    from measure.api import draw_target
+
+    sheet, written = draw_target(target_file, output)
+    width, height = sheet.size_mm
+    if json:
+        console.print_json({"output": written, "paper": sheet.paper, "size_mm": [width, height]})
+        return
+    paper = sheet.paper or "no standard paper"
+    console.print_text(f"wrote {written}: {width:.0f} x {height:.0f} mm ({paper}), print at 100 %")

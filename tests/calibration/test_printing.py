@@ -1,0 +1,93 @@
+"""Printed targets, rasterised and measured: every corner is there, at the true scale."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pypdfium2
+import pytest
+
+from measure.api import draw_target
+from measure.arrays import Bytes
+from measure.calibration import read_board
+from measure.calibration.drawing import BAR_MM, Sheet
+from measure.calibration.targets import read_markers
+from measure.errors import ConfigError
+from measure.session import read_body
+
+TARGETS = Path(__file__).parents[2] / "calibration_targets"
+PX_PER_MM = 200 / 25.4
+
+
+def rasterised(target: str, folder: Path) -> tuple[Sheet, Bytes]:
+    sheet, path = draw_target(TARGETS / target, folder / "target.pdf")
+    with pypdfium2.PdfDocument(path) as document:
+        page = document[0]
+        bitmap = page.render(scale=PX_PER_MM / 72 * 25.4)
+        pixels = np.array(bitmap.to_numpy()[:, :, :3])
+        bitmap.close()
+        page.close()
+    return sheet, np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY), np.uint8)
+
+
+@pytest.mark.parametrize("name", ["chessboard_9x6_25.toml", "charuco_8x5_27.toml"])
+def test_every_corner_is_found_again_at_its_place(name: str, tmp_path: Path) -> None:
+    sheet, gray = rasterised(name, tmp_path)
+    board = read_board(TARGETS / name)
+    found = board.find(gray)
+    assert found is not None
+    assert len(found.ids) == len(board.points)
+    # The frame's origin is the first inner corner; Charuco counts from the outer corner.
+    first = board.points[found.ids] - board.points[0]
+    places = (found.pixels + 0.5) / PX_PER_MM
+    np.testing.assert_allclose(places, first[:, :2] + sheet.origin_mm, atol=0.1)
+    scale = np.linalg.norm(np.ptp(places, axis=0)) / np.linalg.norm(np.ptp(first[:, :2], axis=0))
+    assert scale == pytest.approx(1, abs=5e-4)
+
+
+def test_the_scale_bar_measures_100_mm(tmp_path: Path) -> None:
+    sheet, gray = rasterised("chessboard_9x6_25.toml", tmp_path)
+    row = gray[round((sheet.size_mm[1] - 8.0) * PX_PER_MM)]
+    dark = np.flatnonzero(row[: round(112 * PX_PER_MM)] < 200)
+    assert (dark.max() - dark.min() + 1) / PX_PER_MM == pytest.approx(BAR_MM, abs=0.3)
+
+
+def test_marker_dots_stand_where_the_file_says(tmp_path: Path) -> None:
+    sheet, gray = rasterised("raven_markers_16.toml", tmp_path)
+    places = np.unique(read_markers(TARGETS / "raven_markers_16.toml").points[:, :2], axis=0)
+    _, labels, stats, centroids = cv2.connectedComponentsWithStats((gray < 128).astype(np.uint8))
+    assert labels.max() >= len(places)
+    for x, y in places:
+        wanted = np.array([sheet.origin_mm[0] + x, sheet.origin_mm[1] - y])
+        offsets = np.linalg.norm((centroids + 0.5) / PX_PER_MM - wanted, axis=1)
+        nearest = int(np.argmin(offsets))
+        assert offsets[nearest] < 0.15
+        assert stats[nearest, cv2.CC_STAT_AREA] > 12 * PX_PER_MM**2
+
+
+def test_svg_is_in_millimetres_and_says_the_same(tmp_path: Path) -> None:
+    sheet, path = draw_target(TARGETS / "chessboard_9x6_25.toml", tmp_path / "board.svg")
+    root = ET.parse(path).getroot()
+    assert root.get("width") == f"{sheet.size_mm[0]:g}mm"
+    assert root.get("viewBox") == f"0 0 {sheet.size_mm[0]:g} {sheet.size_mm[1]:g}"
+    squares = [e for e in root.iter() if e.get("width") == "25.0000"]
+    assert len(squares) == 35
+    corner = (float(squares[0].get("x", 0)) + 25, float(squares[0].get("y", 0)) + 25)
+    assert corner == pytest.approx(sheet.origin_mm, abs=1e-3)
+
+
+def test_the_papers_body_is_drawn_and_true(tmp_path: Path) -> None:
+    body = read_body(TARGETS / "raven_three_ball.toml")
+    np.testing.assert_array_equal(body.centers, [[38, 0, 0], [0, 38, 0], [-38, 0, 0]])
+    sheet, path = draw_target(TARGETS / "raven_three_ball.toml", tmp_path / "body.svg")
+    circles = [e for e in ET.parse(path).getroot().iter() if e.tag.endswith("circle")]
+    assert [float(c.get("r", 0)) for c in circles] == [20, 20, 20]
+    assert float(circles[0].get("cx", 0)) == pytest.approx(sheet.origin_mm[0] + 38)
+
+
+def test_other_endings_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"\.pdf or \.svg"):
+        draw_target(TARGETS / "raven_three_ball.toml", tmp_path / "body.png")
