@@ -45,7 +45,7 @@ def test_every_corner_is_found_again_at_its_place(name: str, tmp_path: Path) -> 
     places = (found.pixels + 0.5) / PX_PER_MM
     np.testing.assert_allclose(places, first[:, :2] + sheet.origin_mm, atol=0.1)
     scale = np.linalg.norm(np.ptp(places, axis=0)) / np.linalg.norm(np.ptp(first[:, :2], axis=0))
-    assert scale == pytest.approx(1, abs=5e-4)
+    assert scale == pytest.approx(1, abs=1e-3)  # the page is rounded to whole pixels
 
 
 def test_the_scale_bar_measures_100_mm(tmp_path: Path) -> None:
