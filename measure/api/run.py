@@ -117,6 +117,7 @@ def provenance(session: Session, profile: Profile, registry: Registry) -> Proven
         body_digest=digest([text.encode() for text in described]),
         profile=resolved(profile, registry),
         plugins=plugins,
+        notes=session.notes,
     )
 
 

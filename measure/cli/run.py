@@ -74,4 +74,6 @@ def run(
     console.print_text(summary.sentence())
     for reason, count in summary.reasons.items():
         console.print_text(f"  {count} x {reason}")
+    for note in summary.notes:
+        console.print_text(f"note: {note}")
     console.print_text(f"written to {out}; look at it with: measure view {out}")

@@ -25,6 +25,7 @@ class Provenance:
         body_digest: SHA-256 of the body as used.
         profile: the resolved stages with all their settings, defaults included.
         plugins: by stage, "NAME of DISTRIBUTION VERSION".
+        notes: what the session left to be known: missing pictures and the like.
     """
 
     session: str
@@ -34,12 +35,17 @@ class Provenance:
     body_digest: str
     profile: Mapping[str, Any]
     plugins: Mapping[str, str]
+    notes: tuple[str, ...] = ()
 
     def values(self) -> dict[str, Any]:
         """As written to `run.toml`."""
         return {
             "run": {"started": datetime.now(UTC).isoformat(timespec="seconds")},
-            "session": {"path": self.session, "sha256": self.session_digest},
+            "session": {
+                "path": self.session,
+                "sha256": self.session_digest,
+                "notes": list(self.notes),
+            },
             "calibration": {"path": self.calibration, "sha256": self.calibration_digest},
             "body": {"sha256": self.body_digest},
             "profile": self.profile,

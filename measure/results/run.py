@@ -48,7 +48,8 @@ class Run:
     @cached_property
     def summary(self) -> Summary:
         """The run in a few numbers."""
-        return summarise(self.detections, self.poses)
+        notes = self.provenance.get("session", {}).get("notes", ())
+        return summarise(self.detections, self.poses, notes)
 
     @property
     def times_s(self) -> Floats:

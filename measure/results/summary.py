@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,6 +30,7 @@ class Summary:
         effective: share of frame sets in which a camera saw a ball effectively, by "ball@camera".
         suspended: how often each reason suspended a view.
         reasons: how often each reason kept a frame set from being "ok".
+        notes: what the session left to be known: missing pictures and the like.
     """
 
     frame_sets: int
@@ -42,6 +44,7 @@ class Summary:
     effective: dict[str, float]
     suspended: dict[str, int]
     reasons: dict[str, int]
+    notes: tuple[str, ...] = ()
 
     def sentence(self) -> str:
         """The run in one sentence; never more than the data say."""
@@ -68,7 +71,7 @@ class Summary:
         }
 
 
-def summarise(detections: pa.Table, poses: pa.Table) -> Summary:
+def summarise(detections: pa.Table, poses: pa.Table, notes: Sequence[str] = ()) -> Summary:
     """Count and average the tables of a run."""
     statuses = Counter(poses["status"].to_pylist())
     doubts = Counter(text for text in poses["reason"].to_pylist() if text)
@@ -91,6 +94,7 @@ def summarise(detections: pa.Table, poses: pa.Table) -> Summary:
         effective=dict(sorted(effective.items())),
         suspended=dict(Counter(suspended["reason"].to_pylist()).most_common()),
         reasons=dict(doubts.most_common()),
+        notes=tuple(notes),
     )
 
 

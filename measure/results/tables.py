@@ -167,7 +167,7 @@ def _pose_row(measured: Measurement) -> dict[str, Any]:
         numbers = (*names, "position_sd_mm", "rotation_sd_deg", "residual_mm", "rms_px")
         return row | dict.fromkeys(numbers, float("nan"))
     place = (*pose.world_from_body.translation, *pose.world_from_body.quat_wxyz)
-    doubts = "; ".join(part for part in (measured.reason, *pose.flags) if part)
+    doubts = "; ".join(dict.fromkeys(part for part in (measured.reason, *pose.flags) if part))
     return row | {
         **dict(zip(names, map(float, place), strict=True)),
         "covariance": pose.covariance.ravel(),

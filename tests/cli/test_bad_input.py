@@ -1,0 +1,153 @@
+"""Whatever is wrong with what a user gives: one clear line and exit code 2."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from measure.cli import main
+from measure.results import read_run
+from measure.session import read_body, read_calibration, write_body
+from tests.results.conftest import write_truth
+from tests.session.conftest import Recording, jpeg, write_recording
+from tests.session.test_errors import CASES
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Recording:
+    return write_recording(tmp_path / "rec")
+
+
+def _complaint(capsys: pytest.CaptureFixture[str], *words: object) -> str:
+    """The one line a command prints when it refuses."""
+    assert main([str(word) for word in words]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    lines = [line for line in err.splitlines() if not line.startswith("measuring:")]
+    assert len(lines) == 1, err
+    assert "Traceback" not in err
+    return lines[0]
+
+
+def _run(recording: Recording, *more: str) -> tuple[str, ...]:
+    out = recording.path.with_name("run")
+    return ("run", str(recording.path), "-o", str(out), "--profile", "paper", *more)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_bad_session(recording: Recording, name: str, capsys) -> None:
+    spoil, _, expected = CASES[name]
+    spoil(recording)
+    line = _complaint(capsys, *_run(recording))
+    for part in expected:
+        assert part in line
+    assert not recording.path.with_name("run").exists(), "nothing was begun"
+
+
+def test_a_missing_session(recording: Recording, capsys) -> None:
+    line = _complaint(capsys, "run", recording.path.with_name("recc"), "-o", "x")
+    assert "recc: no such file; did you mean rec?" in line
+
+
+def test_an_unknown_plugin_and_its_near_names(recording: Recording, capsys) -> None:
+    line = _complaint(capsys, *_run(recording, "--detector", "huogh"))
+    assert "no detector is called 'huogh'; did you mean 'hough'?" in line
+
+
+def test_two_balls_of_one_colour_in_the_paper_profile(recording: Recording, capsys) -> None:
+    recording.replace("body.toml", 'color = "red"', 'color = "green"')
+    line = _complaint(capsys, *_run(recording))
+    assert "green" in line
+    assert "colour" in line
+
+
+def test_a_truncated_picture_on_the_way_keeps_what_was_measured(
+    recording: Recording, capsys
+) -> None:
+    (recording.path / "cam1/000004.jpg").write_bytes(jpeg(80)[:-30])
+    line = _complaint(capsys, *_run(recording))
+    assert "camera 'cam1', frame 4: " in line
+    assert "000004.jpg: truncated JPEG" in line
+    run = read_run(recording.path.with_name("run"))
+    assert not run.finished
+    assert run.poses["index"].to_pylist() == [0, 1, 2, 3]
+    (recording.path / "cam1/000004.jpg").write_bytes(jpeg(80))
+    (recording.path / "cam0/000005.jpg").write_bytes(jpeg(90))
+    line = _complaint(capsys, *_run(recording, "--resume"))
+    assert "cannot be resumed: its run was made with other session" in line
+
+
+def test_a_missing_picture_is_noted_and_measured_without(recording: Recording, capsys) -> None:
+    (recording.path / "cam1/000002.jpg").unlink()
+    assert main([*_run(recording)]) == 0
+    assert "note: camera 'cam1': 1 of 6 frames have no image" in capsys.readouterr().out
+    run = read_run(recording.path.with_name("run"))
+    assert run.poses.num_rows == 6
+    assert run.summary.notes == tuple(run.provenance["session"]["notes"])
+
+
+def test_an_earlier_run_is_not_overwritten(recording: Recording, capsys) -> None:
+    assert main([*_run(recording)]) == 0
+    capsys.readouterr()
+    line = _complaint(capsys, *_run(recording))
+    assert "holds a run already: --resume goes on, --overwrite starts anew" in line
+
+
+def test_a_full_disk(recording: Recording, tmp_path: Path, capsys) -> None:
+    place = tmp_path / "disk"
+    place.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", "size=28k", "tmpfs", str(place)]
+    if subprocess.run(command, capture_output=True, check=False).returncode:
+        pytest.skip("may not mount a tmpfs here")
+    try:
+        words = ("run", recording.path, "-o", place / "run", "--profile", "paper")
+        line = _complaint(capsys, *words, "--no-recording")
+        assert "disk is full" in line or "No space left" in line
+        run = place / "run"
+        if (run / "poses.csv").exists():
+            assert (run / "poses.csv").read_text().endswith("\n")
+    finally:
+        subprocess.run(["umount", str(place)], check=True)
+
+
+def test_evaluation_of_what_is_no_run_or_no_truth(recording: Recording, tmp_path, capsys) -> None:
+    assert "is no run: no such folder" in _complaint(capsys, "evaluate", tmp_path / "none")
+    assert main([*_run(recording)]) == 0
+    capsys.readouterr()
+    run = recording.path.with_name("run")
+    assert "has no truth: give one with --truth" in _complaint(capsys, "evaluate", run)
+    truth = write_truth(tmp_path / "truth.csv", 1.0)
+    assert main(["evaluate", str(run), "--truth", str(truth)]) == 0
+    out = capsys.readouterr().out
+    assert "6 (100.0 %)" in out
+    assert "not finite: poses are missing" in out
+    late = truth.read_text().replace("\n0.", "\n900.").replace("\n1.", "\n901.")
+    truth.write_text(late)
+    line = _complaint(capsys, "evaluate", run, "--truth", truth)
+    assert "it is not its truth" in line
+    assert "truh.csv: no such file; did you mean truth.csv?" in _complaint(
+        capsys, "evaluate", run, "--truth", tmp_path / "truh.csv"
+    )
+
+
+def test_export_of_what_cannot_be_exported(recording: Recording, capsys) -> None:
+    assert main([*_run(recording)]) == 0
+    capsys.readouterr()
+    run = recording.path.with_name("run")
+    assert "holds no pose" in _complaint(capsys, "export", run, "--format", "tum")
+    assert "did you mean c3d?" in _complaint(capsys, "export", run, "--format", "c3")
+
+
+def test_body_and_calibration_given_by_hand(recording: Recording, tmp_path: Path, capsys) -> None:
+    body = read_body(recording.path / "body.toml")
+    write_body(tmp_path / "mine.toml", body)
+    text = (recording.path / "calibration.toml").read_text()
+    (tmp_path / "cal.toml").write_text(text.replace("[64, 48]", "[640, 480]", 1))
+    assert np.all(np.isfinite(read_calibration(tmp_path / "cal.toml").cameras[0].center))
+    line = _complaint(capsys, *_run(recording, "--calibration", str(tmp_path / "cal.toml")))
+    assert f"{tmp_path / 'cal.toml'} calibrates 640x480 px" in line
+    line = _complaint(capsys, *_run(recording, "--body", str(tmp_path / "min.toml")))
+    assert "min.toml: no such file; did you mean mine.toml?" in line
