@@ -1,9 +1,11 @@
 """All a plugin author needs to read: interfaces, the four hooks, and how plugins are found."""
 
+from measure.host.dataset import Dataset
 from measure.host.discovery import Broken, Distribution, Loaded, discover
-from measure.host.estimator import Correction, Estimator
+from measure.host.estimator import Correction, Epoch, Estimator, Report
 from measure.host.hooks import ENTRY_POINT_GROUP, hookimpl
 from measure.host.interfaces import Detector, Plugin, PoseSolver, Triangulator
+from measure.host.onnx_model import Estimates, OnnxModel
 from measure.host.registry import Registry
 from measure.host.settings import Setting, Settings, describe_settings, setting
 
@@ -11,13 +13,18 @@ __all__ = [
     "ENTRY_POINT_GROUP",
     "Broken",
     "Correction",
+    "Dataset",
     "Detector",
     "Distribution",
+    "Epoch",
+    "Estimates",
     "Estimator",
     "Loaded",
+    "OnnxModel",
     "Plugin",
     "PoseSolver",
     "Registry",
+    "Report",
     "Setting",
     "Settings",
     "Triangulator",

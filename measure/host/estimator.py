@@ -3,11 +3,23 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeAlias
 
 from measure.arrays import Floats
+from measure.host.dataset import Dataset
 from measure.host.interfaces import Plugin
 from measure.host.settings import Settings
+
+# Called with the share done (0 to 1) and a few words; a fit calls it often.
+Report: TypeAlias = Callable[[float, str], None]
+
+
+def quiet(done: float, what: str) -> None:
+    """A `Report` that tells nobody."""
+    del done, what
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,11 +37,51 @@ class Correction:
     unfamiliar: bool = False
 
 
+@dataclass(frozen=True)
+class Epoch:
+    """One line of a learning curve: RMS errors in mm after so many passes over the data."""
+
+    epoch: int
+    train_mm: float
+    validation_mm: float
+
+
 class Estimator(Plugin):
-    """Corrects a robot's reported position from its own state; history is kept inside."""
+    """Corrects a robot's reported position from its own state; history is kept inside.
+
+    Attributes:
+        curve: how the fit went, if it was iterative.
+        checkpoint: a folder where a fit may keep what it has reached, and find it again.
+    """
+
+    curve: tuple[Epoch, ...] = ()
+    checkpoint: Path | None = None
 
     def __init__(self, config: Settings) -> None:
         self.config = config
+
+    @abstractmethod
+    def fit(self, data: Dataset, validation: Dataset, *, seed: int, report: Report) -> None:
+        """Learn from `data`; choose and stop, and judge the covariance, by `validation`.
+
+        Args:
+            data: trajectories to learn from.
+            validation: other trajectories of the same robot.
+            seed: of everything random.
+            report: to be called as the work goes on.
+
+        Raises:
+            EstimatorError: the data cannot be learnt from.
+        """
+
+    @abstractmethod
+    def save(self, path: Path, card: Mapping[str, Any]) -> None:
+        """Write one ONNX file, which `measure.host.OnnxModel` can run.
+
+        Args:
+            path: the file.
+            card: what to store beside the network: training data, scores, revision.
+        """
 
     @abstractmethod
     def reset(self) -> None:

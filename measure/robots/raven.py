@@ -143,6 +143,10 @@ def raven_schema(arm: Arm = "left") -> StateSchema:
             Reading.of("jpos_5", degree),
             Reading((("jpos_6", 0.5 * degree), ("jpos_7", -0.5 * degree))),
         ),
+        torques=(
+            *(Reading.of(f"tau_{place}") for place in (0, 1, 2, 4, 5)),
+            Reading((("tau_6", 0.5), ("tau_7", -0.5))),
+        ),
         coupled=(3, 4, 5),
         chain=raven_chain(arm),
         groups={field.name: field.names() for field in FIELDS},

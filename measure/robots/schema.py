@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from measure.arrays import Floats
 from measure.errors import EstimatorError
-from measure.robots.chain import SerialChain
+from measure.robots.chain import Joint, SerialChain
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,7 @@ class StateSchema:
         joints: readings in rad or mm, in the order of `chain`; may be empty.
         coupled: indices into `joints` of joints that share cables (a wrist).
         chain: the forward kinematics, if known.
+        torques: readings of the motors' torques, one per joint, if reported.
         groups: names of groups of features, for ablation.
     """
 
@@ -53,6 +55,7 @@ class StateSchema:
     joints: tuple[Reading, ...] = ()
     coupled: tuple[int, ...] = ()
     chain: SerialChain | None = None
+    torques: tuple[Reading, ...] = ()
     groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
@@ -93,3 +96,49 @@ class StateSchema:
     def joint_positions(self, states: ArrayLike) -> Floats:
         """Joint positions (..., joints) in rad and mm."""
         return self.read(states, self.joints)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values that JSON can hold; `from_dict` turns them back."""
+        chain = self.chain and {
+            "joints": [
+                {"link": j.link.tolist(), "axis": j.axis.tolist(), "prismatic": j.prismatic}
+                for j in self.chain.joints
+            ],
+            "tool": self.chain.tool.tolist(),
+        }
+        return {
+            "robot": self.robot,
+            "features": [[feature.name, feature.unit] for feature in self.features],
+            "position": [list(map(list, reading.terms)) for reading in self.position],
+            "joints": [list(map(list, reading.terms)) for reading in self.joints],
+            "torques": [list(map(list, reading.terms)) for reading in self.torques],
+            "coupled": list(self.coupled),
+            "chain": chain,
+            "groups": {name: list(members) for name, members in self.groups.items()},
+        }
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> StateSchema:
+        """What `to_dict` wrote."""
+
+        def readings(lists: Any) -> tuple[Reading, ...]:
+            return tuple(Reading(tuple((str(n), float(s)) for n, s in terms)) for terms in lists)
+
+        chain = values["chain"] and SerialChain(
+            tuple(
+                Joint(np.array(j["link"]), np.array(j["axis"]), bool(j["prismatic"]))
+                for j in values["chain"]["joints"]
+            ),
+            np.array(values["chain"]["tool"]),
+        )
+        x, y, z = readings(values["position"])
+        return cls(
+            robot=values["robot"],
+            features=tuple(Feature(name, unit) for name, unit in values["features"]),
+            position=(x, y, z),
+            joints=readings(values["joints"]),
+            torques=readings(values["torques"]),
+            coupled=tuple(values["coupled"]),
+            chain=chain,
+            groups={name: tuple(members) for name, members in values["groups"].items()},
+        )

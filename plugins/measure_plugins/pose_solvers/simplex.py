@@ -44,7 +44,7 @@ class SimplexSolver(PoseSolver):
         detections: Sequence[Detection],
         cameras: Mapping[str, Camera],
         time_s: float,
-        prior: Motion | None = None,  # noqa: ARG002  the paper starts from the fixes alone
+        prior: Motion | None = None,
     ) -> Pose | None:
         """Locate the body from three or more fixes; see `PoseSolver.solve`."""
         if len(fixes) < 3:

@@ -1,0 +1,106 @@
+"""What an estimator learns from: states and measured position errors, trajectory by trajectory."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from measure.arrays import Bools, Floats, Ints, floats
+from measure.errors import EstimatorError
+from measure.robots import StateSchema
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """Rows of (state, position error), each trajectory's rows together and in time order.
+
+    A row without a usable label stays: the robot did execute it, so it belongs to the history.
+
+    Attributes:
+        schema: what the columns of `states` are.
+        states: (n, features).
+        times_s: (n,) NaN where not recorded.
+        trajectory: (n,) index into `names`.
+        names: of the trajectories.
+        errors_mm: (n, 3) measured minus reported position; NaN where not measured.
+        covariances: (n, 3, 3) of the label, in mm^2.
+        usable: (n,) True if the label may be learnt from and scored.
+    """
+
+    schema: StateSchema
+    states: Floats
+    times_s: Floats
+    trajectory: Ints
+    names: tuple[str, ...]
+    errors_mm: Floats
+    covariances: Floats
+    usable: Bools
+
+    def __post_init__(self) -> None:
+        rows = len(self.trajectory)
+        floats("states", self.states, rows, len(self.schema.features))
+        floats("errors_mm", self.errors_mm, rows, 3)
+        floats("covariances", self.covariances, rows, 3, 3)
+        changes = np.flatnonzero(np.diff(self.trajectory)) + 1
+        if len(changes) + 1 > len(np.unique(self.trajectory)) and rows:
+            raise EstimatorError("a data set's rows must stand trajectory by trajectory: sort them")
+
+    def __len__(self) -> int:
+        return len(self.trajectory)
+
+    @property
+    def joints(self) -> Floats:
+        """Joint positions (n, joints) in rad and mm."""
+        return self.schema.joint_positions(self.states)
+
+    @property
+    def reported_mm(self) -> Floats:
+        """Reported positions (n, 3)."""
+        return self.schema.position_mm(self.states)
+
+    def runs(self) -> Iterator[tuple[str, slice]]:
+        """Each trajectory's name and rows."""
+        edges = np.flatnonzero(np.diff(self.trajectory, prepend=-1, append=-1))
+        for start, stop in itertools.pairwise(edges):
+            yield self.names[self.trajectory[start]], slice(int(start), int(stop))
+
+    def present(self) -> tuple[str, ...]:
+        """Names of the trajectories that have rows here."""
+        return tuple(name for name, _ in self.runs())
+
+    def rows(self, keep: Bools) -> Dataset:
+        """The data set of some rows only."""
+        return replace(
+            self,
+            states=self.states[keep],
+            times_s=self.times_s[keep],
+            trajectory=self.trajectory[keep],
+            errors_mm=self.errors_mm[keep],
+            covariances=self.covariances[keep],
+            usable=self.usable[keep],
+        )
+
+    def select(self, names: Sequence[str]) -> Dataset:
+        """The data set of some trajectories only.
+
+        Raises:
+            EstimatorError: a name is unknown.
+        """
+        if unknown := sorted(set(names) - set(self.names)):
+            raise EstimatorError(f"no trajectory {', '.join(unknown)}; there is {self.names}")
+        wanted = [index for index, name in enumerate(self.names) if name in set(names)]
+        return self.rows(np.isin(self.trajectory, wanted))
+
+    def weights(self, floor_mm: float = 0.5) -> Floats:
+        """Weights (n,) of the labels, mean one over usable rows, zero elsewhere.
+
+        Args:
+            floor_mm: SD per axis that even a perfect label would leave: it keeps a few precise
+                labels from outvoting all others.
+        """
+        variance = np.trace(self.covariances, axis1=1, axis2=2) / 3.0 + floor_mm**2
+        raw = np.where(self.usable, 1.0 / variance, 0.0)
+        return raw / max(float(raw[self.usable].mean()), 1e-300) if self.usable.any() else raw

@@ -1,0 +1,123 @@
+"""A small builder of ONNX graphs: operations are method calls, arrays become constants."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from measure.arrays import Floats
+from measure.errors import EstimatorError
+
+Value: TypeAlias = str  # the name of a tensor inside the graph
+
+OPSET = 17
+ML_OPSET = 3
+
+
+class Graph:
+    """Collects nodes and constants; every method returns the name of its result.
+
+    Operands are names of tensors, or arrays and numbers, which become float32 constants.
+    """
+
+    def __init__(self) -> None:
+        try:
+            import onnx.helper
+        except ImportError:
+            raise EstimatorError(
+                "writing a model needs the extra 'train': pip install 'triball[train]'"
+            ) from None
+        self._onnx = onnx
+        self._nodes: list[Any] = []
+        self._constants: list[Any] = []
+
+    def constant(self, value: ArrayLike, dtype: type = np.float32) -> Value:
+        """A tensor that never changes."""
+        name = f"c{len(self._constants)}"
+        array: Any = np.ascontiguousarray(np.asarray(value), dtype=dtype)
+        self._constants.append(self._onnx.numpy_helper.from_array(array, name))
+        return name
+
+    def op(
+        self, kind: str, *operands: Value | ArrayLike, domain: str = "", **attributes: Any
+    ) -> Value:
+        """One operator with one result."""
+        return self.ops(kind, 1, *operands, domain=domain, **attributes)[0]
+
+    def ops(
+        self,
+        kind: str,
+        results: int,
+        *operands: Value | ArrayLike,
+        domain: str = "",
+        **attributes: Any,
+    ) -> list[Value]:
+        """One operator with several results."""
+        names = [f"t{len(self._nodes)}_{index}" for index in range(results)]
+        inputs = [x if isinstance(x, str) else self.constant(x) for x in operands]
+        self._nodes.append(
+            self._onnx.helper.make_node(kind, inputs, names, domain=domain, **attributes)
+        )
+        return names
+
+    def affine(self, x: Value, weight: Floats, bias: ArrayLike) -> Value:
+        """`x @ weight + bias`; leading axes of `weight` are members of an ensemble."""
+        return self.op("Add", self.op("MatMul", x, weight), bias)
+
+    def columns(self, x: Value, indices: Sequence[int]) -> Value:
+        """Some columns of (N, columns)."""
+        picked = self.constant(list(indices), np.int64)
+        return self.op("Gather", x, picked, axis=-1)
+
+    def reshape(self, x: Value, *shape: int) -> Value:
+        """The same numbers in another shape; 0 keeps an axis, -1 takes what is left."""
+        return self.op("Reshape", x, self.constant(shape, np.int64))
+
+    def total(self, x: Value, axis: int, *, mean: bool = False) -> Value:
+        """Sum or mean over one axis, which disappears."""
+        if mean:
+            return self.op("ReduceMean", x, axes=[axis], keepdims=0)
+        return self.op("ReduceSum", x, self.constant([axis], np.int64), keepdims=0)
+
+    def mix(self, tick: Value, new: Value, old: Value) -> Value:
+        """`new` where tick is one, `old` where it is zero."""
+        return self.op("Add", old, self.op("Mul", tick, self.op("Sub", new, old)))
+
+    def build(
+        self,
+        inputs: Mapping[str, int],
+        outputs: Mapping[str, tuple[Value, tuple[int, ...]]],
+        metadata: Mapping[str, Any],
+    ) -> bytes:
+        """The finished model, checked.
+
+        Args:
+            inputs: names and widths of inputs (N, width).
+            outputs: names, the tensors they come from, and their shapes after N.
+            metadata: stored as JSON texts.
+        """
+        helper, kinds = self._onnx.helper, self._onnx.TensorProto
+        renamed = [
+            helper.make_node("Identity", [value], [name]) for name, (value, _) in outputs.items()
+        ]
+        graph = helper.make_graph(
+            [*self._nodes, *renamed],
+            "estimator",
+            [helper.make_tensor_value_info(n, kinds.FLOAT, ["N", w]) for n, w in inputs.items()],
+            [
+                helper.make_tensor_value_info(n, kinds.FLOAT, ["N", *s])
+                for n, (_, s) in outputs.items()
+            ],
+            self._constants,
+        )
+        imports = [helper.make_opsetid("", OPSET), helper.make_opsetid("ai.onnx.ml", ML_OPSET)]
+        model = helper.make_model(
+            graph, opset_imports=imports, producer_name="triball", ir_version=9
+        )
+        helper.set_model_props(model, {key: json.dumps(text) for key, text in metadata.items()})
+        self._onnx.checker.check_model(model)
+        return bytes(model.SerializeToString())

@@ -1,0 +1,178 @@
+"""Running a saved estimator: one ONNX file that holds normalisation, features, nets and state.
+
+The contract of the file. Inputs: `features` (N, F) a raw state; `memory` (N, S), zeros after a
+reset; `tick` (N, 1), one if slow memory shall advance. Outputs: `error_mm` (N, 3), `covariance`
+(N, 9), `strangeness` (N, 1), above one if unlike training; `memory_out` (N, S). Metadata, as JSON:
+`measure` (format, estimator, robot, features, period_s, memory) and `card`.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.errors import EstimatorError
+from measure.host.dataset import Dataset
+from measure.host.estimator import Correction
+from measure.robots import StateSchema
+
+FORMAT = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Estimates:
+    """Corrections of many rows: errors (n, 3) mm, covariances (n, 3, 3), strangeness (n,)."""
+
+    errors_mm: Floats
+    covariances: Floats
+    strangeness: Floats
+
+
+class OnnxModel:
+    """A saved estimator in an onnxruntime session with one thread."""
+
+    def __init__(self, content: bytes, where: str = "model") -> None:
+        import onnxruntime as ort
+
+        options = ort.SessionOptions()
+        options.intra_op_num_threads = options.inter_op_num_threads = 1
+        options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
+        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+        options.log_severity_level = 4
+        try:
+            self._session = ort.InferenceSession(
+                content, sess_options=options, providers=["CPUExecutionProvider"]
+            )
+            texts = self._session.get_modelmeta().custom_metadata_map
+            self.facts: dict[str, Any] = json.loads(texts["measure"])
+            self.card: dict[str, Any] = json.loads(texts.get("card", "{}"))
+        except KeyError:
+            raise EstimatorError(
+                f"{where}: an ONNX file, but not one `measure train` wrote"
+            ) from None
+        except Exception as error:  # onnxruntime has no common error class
+            reason = str(error).strip().splitlines()[0]
+            raise EstimatorError(f"{where}: not a usable ONNX file: {reason}") from None
+        if self.facts.get("format") != FORMAT:
+            raise EstimatorError(
+                f"{where}: of format {self.facts.get('format')}, this version reads {FORMAT}: "
+                "train it again"
+            )
+        self.where = where
+        self.features = tuple(name for name, _ in self.facts["features"])
+        self.robot = str(self.facts["robot"])
+        self.period_s = float(self.facts["period_s"])
+        self.memory_size = int(self.facts["memory"])
+        self.reset()
+
+    @classmethod
+    def load(cls, path: Path) -> OnnxModel:
+        """Read a file.
+
+        Raises:
+            EstimatorError: missing, corrupted, or not one of ours.
+        """
+        try:
+            return cls(path.read_bytes(), str(path))
+        except OSError as error:
+            raise EstimatorError(f"{path}: cannot be read: {error.strerror}") from None
+
+    def check(self, schema: StateSchema) -> None:
+        """Refuse another robot's states.
+
+        Raises:
+            EstimatorError: the robot or the features differ.
+        """
+        if schema.robot != self.robot:
+            raise EstimatorError(
+                f"{self.where}: trained for robot '{self.robot}', not '{schema.robot}': "
+                "train one for this robot"
+            )
+        if schema.names != self.features:
+            missing = sorted(set(self.features) - set(schema.names))
+            lacks = ", ".join(missing[:12]) or "none, but the order differs"
+            raise EstimatorError(
+                f"{self.where}: expects {len(self.features)} features, the data have "
+                f"{len(schema.names)}; missing: {lacks}"
+            )
+
+    def reset(self) -> None:
+        """Forget all history."""
+        self._memory = np.zeros((1, self.memory_size), dtype=np.float32)
+        self._ticked_s = -np.inf
+
+    def update(self, state: Floats, time_s: float) -> Correction:
+        """The next state of the running trajectory.
+
+        A model whose memory has a clock (`period_s`) advances it no more often than in training.
+        """
+        due = not time_s - self._ticked_s < 0.75 * self.period_s  # a NaN stamp counts as due
+        if due:
+            self._ticked_s = time_s
+        row = np.asarray(state, dtype=np.float32)[None]
+        estimates, self._memory = self.step(row, self._memory, np.array([[due]], dtype=np.float32))
+        familiar = bool(estimates.strangeness[0] <= 1.0)  # not so for NaN
+        return Correction(estimates.errors_mm[0], estimates.covariances[0], not familiar)
+
+    def step(self, states: Any, memory: Any, tick: Any) -> tuple[Estimates, Any]:
+        """One step of N independent trajectories."""
+        error, covariance, strangeness, after = self._session.run(
+            ("error_mm", "covariance", "strangeness", "memory_out"),
+            {"features": states, "memory": memory, "tick": tick},
+        )
+        return (
+            Estimates(
+                error.astype(np.float64),
+                covariance.astype(np.float64).reshape(-1, 3, 3),
+                strangeness[:, 0].astype(np.float64),
+            ),
+            after,
+        )
+
+    def predict(self, data: Dataset) -> Estimates:
+        """Corrections of all rows, every trajectory from a fresh start, as `update` gives them."""
+        self.check(data.schema)
+        count = len(data)
+        out = Estimates(np.empty((count, 3)), np.empty((count, 3, 3)), np.empty(count))
+        if self.facts["memoryless"]:
+            for start in range(0, count, 4096):
+                self._fill(out, data, np.arange(start, min(start + 4096, count)))
+        else:
+            self._predict_runs(out, data)
+        return out
+
+    def _fill(self, out: Estimates, data: Dataset, rows: Any) -> None:
+        memory = np.zeros((len(rows), self.memory_size), dtype=np.float32)
+        states = data.states[rows].astype(np.float32)
+        part, _ = self.step(states, memory, np.ones((len(rows), 1), dtype=np.float32))
+        _store(out, rows, part)
+
+    def _predict_runs(self, out: Estimates, data: Dataset) -> None:
+        """All trajectories side by side, the longest first, dropping each at its end."""
+        runs = sorted((rows for _, rows in data.runs()), key=lambda r: r.start - r.stop)
+        starts = np.array([rows.start for rows in runs])
+        lengths = np.array([rows.stop - rows.start for rows in runs])
+        memory = np.zeros((len(runs), self.memory_size), dtype=np.float32)
+        ticked = np.full(len(runs), -np.inf)
+        for index in range(int(lengths.max())):
+            alive = int(np.sum(lengths > index))
+            rows = starts[:alive] + index
+            times = data.times_s[rows]
+            due = ~(times - ticked[:alive] < 0.75 * self.period_s)
+            ticked[:alive] = np.where(due, times, ticked[:alive])
+            part, memory = self.step(
+                data.states[rows].astype(np.float32),
+                memory[:alive],
+                due[:, None].astype(np.float32),
+            )
+            _store(out, rows, part)
+
+
+def _store(out: Estimates, rows: Any, part: Estimates) -> None:
+    out.errors_mm[rows], out.covariances[rows] = part.errors_mm, part.covariances
+    out.strangeness[rows] = part.strangeness

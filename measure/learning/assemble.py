@@ -1,0 +1,232 @@
+"""From measured poses and a robot's log to a data set: one clock, labels, doubts marked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from measure.arrays import Bools, Floats, Ints
+from measure.errors import EstimatorError
+from measure.host import Dataset
+from measure.learning.clock import ClockOffset, estimate_offset
+from measure.robots import RobotLog
+
+
+@dataclass(frozen=True, eq=False)
+class PoseTrack:
+    """Measured tip positions of one recording, on the cameras' clock.
+
+    Attributes:
+        name: of the recording; it becomes the trajectory's id.
+        times_s: (n,) increasing.
+        positions_mm: (n, 3), in the robot's base frame; NaN where not measured.
+        covariances: (n, 3, 3) in mm^2.
+    """
+
+    name: str
+    times_s: Floats
+    positions_mm: Floats
+    covariances: Floats
+
+
+@dataclass(frozen=True)
+class AssemblySettings:
+    """How poses and states are brought together.
+
+    Attributes:
+        clock_offset_s: robot minus camera time; estimated from the motion if absent.
+        largest_offset_s: search range of that estimate.
+        longest_gap_s: a label farther than this from the robot's states is unusable.
+        outlier_sds: a label this many robust SDs from its neighbours' median is an outlier.
+        largest_sd_mm: a label less certain than this (3-D) is unusable.
+        history_hz: add unlabelled states between the labels at this rate; 0 adds none.
+        cut_s: cut recordings into trajectories of this length; 0 keeps them whole.
+    """
+
+    clock_offset_s: float | None = None
+    largest_offset_s: float = 5.0
+    longest_gap_s: float = 0.05
+    outlier_sds: float = 6.0
+    largest_sd_mm: float = 3.0
+    history_hz: float = 0.0
+    cut_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class TrajectoryFacts:
+    """What happened to one recording, for the data card."""
+
+    name: str
+    rows: int
+    usable: int
+    not_measured: int
+    no_state: int
+    outliers: int
+    uncertain: int
+    duration_s: float
+    clock: ClockOffset | None = field(default=None)
+
+
+def assemble(
+    pairs: Sequence[tuple[PoseTrack, RobotLog]], settings: AssemblySettings | None = None
+) -> tuple[Dataset, list[TrajectoryFacts]]:
+    """Pair every measured pose with the robot's state of that instant.
+
+    Raises:
+        EstimatorError: no recordings, clocks that do not match, positions in other units than mm.
+    """
+    settings = settings or AssemblySettings()
+    if not pairs:
+        raise EstimatorError("no recordings to make a data set of")
+    parts, facts = [], []
+    for track, log in pairs:
+        part, fact = _one(track, log, settings)
+        parts.append(part)
+        facts.append(fact)
+    return join(parts), facts
+
+
+def join(parts: Sequence[Dataset]) -> Dataset:
+    """One data set of several of the same robot; trajectory names must differ.
+
+    Raises:
+        EstimatorError: they are of several robots, or share a trajectory name.
+    """
+    robots = {part.schema.robot for part in parts}
+    if len(robots) > 1:
+        raise EstimatorError(
+            f"data of several robots cannot be joined: {', '.join(sorted(robots))}"
+        )
+    names = tuple(name for part in parts for name in part.names)
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise EstimatorError(f"two recordings are called '{twice}': rename one")
+    shifts = np.cumsum([0, *(len(part.names) for part in parts[:-1])])
+    return Dataset(
+        parts[0].schema,
+        np.concatenate([part.states for part in parts]),
+        np.concatenate([part.times_s for part in parts]),
+        np.concatenate([part.trajectory + s for part, s in zip(parts, shifts, strict=True)]),
+        names,
+        np.concatenate([part.errors_mm for part in parts]),
+        np.concatenate([part.covariances for part in parts]),
+        np.concatenate([part.usable for part in parts]),
+    )
+
+
+def _one(
+    track: PoseTrack, log: RobotLog, settings: AssemblySettings
+) -> tuple[Dataset, TrajectoryFacts]:
+    seen = np.isfinite(track.positions_mm).all(axis=1)
+    if seen.sum() < 10:
+        raise EstimatorError(f"{track.name}: only {int(seen.sum())} poses were measured")
+    reported = log.schema.position_mm(log.states)
+    _check_units(track.name, track.positions_mm[seen], reported)
+    clock = None
+    if settings.clock_offset_s is None:
+        clock = estimate_offset(
+            track.times_s[seen],
+            track.positions_mm[seen],
+            log.times_s,
+            reported,
+            largest_s=settings.largest_offset_s,
+        )
+    offset = clock.offset_s if clock else settings.clock_offset_s or 0.0
+    times, row_of_pose = _row_times(track.times_s + offset, log, settings.history_hz)
+    states, near = _interpolate(log, times, settings.longest_gap_s)
+    errors = np.full((len(times), 3), np.nan)
+    covariances = np.tile(np.eye(3), (len(times), 1, 1))
+    errors[row_of_pose] = track.positions_mm - log.schema.position_mm(states)[row_of_pose]
+    covariances[row_of_pose] = np.where(np.isfinite(track.covariances), track.covariances, 1.0)
+    measured = np.isfinite(errors).all(axis=1)
+    outlier = np.zeros(len(times), dtype=bool)
+    outlier[row_of_pose] = _outliers(errors[row_of_pose], settings.outlier_sds)
+    sd = np.sqrt(np.trace(covariances, axis1=1, axis2=2))
+    uncertain = measured & (sd > settings.largest_sd_mm)
+    usable = measured & near & ~outlier & ~uncertain
+    kept = near | measured
+    trajectory, names = _cut(track.name, times[kept], settings.cut_s)
+    part = Dataset(
+        log.schema,
+        states[kept],
+        times[kept],
+        trajectory,
+        names,
+        errors[kept],
+        covariances[kept],
+        usable[kept],
+    )
+    facts = TrajectoryFacts(
+        track.name,
+        len(part),
+        int(usable.sum()),
+        int((~seen).sum()),
+        int((measured & ~near).sum()),
+        int(outlier.sum()),
+        int(uncertain.sum()),
+        float(times[-1] - times[0]),
+        clock,
+    )
+    return part, facts
+
+
+def _check_units(name: str, measured_mm: Floats, reported_mm: Floats) -> None:
+    spread = np.linalg.norm(measured_mm.std(axis=0))
+    expected = np.linalg.norm(reported_mm.std(axis=0))
+    ratio = spread / max(float(expected), 1e-12)
+    for factor, what in ((1e-3, "metres"), (1e-1, "centimetres"), (1e3, "micrometres")):
+        if 0.3 < ratio / factor < 3.0:
+            raise EstimatorError(
+                f"{name}: the measured positions look like {what} (they spread {ratio:.2g} times "
+                "as far as the robot's reported ones): convert them to mm"
+            )
+    if (
+        np.median(np.linalg.norm(measured_mm, axis=1))
+        < 1e-1 * np.median(np.linalg.norm(reported_mm, axis=1))
+        and spread < 0.3 * expected
+    ):
+        raise EstimatorError(
+            f"{name}: measured and reported positions are of different size: use mm"
+        )
+
+
+def _row_times(pose_times: Floats, log: RobotLog, history_hz: float) -> tuple[Floats, Ints]:
+    if history_hz <= 0:
+        return pose_times, np.arange(len(pose_times))
+    start, stop = max(pose_times[0], log.times_s[0]), min(pose_times[-1], log.times_s[-1])
+    times = np.union1d(pose_times, np.arange(start, stop, 1.0 / history_hz))
+    return times, np.searchsorted(times, pose_times)
+
+
+def _interpolate(log: RobotLog, at: Floats, longest_gap_s: float) -> tuple[Floats, Bools]:
+    right = np.clip(np.searchsorted(log.times_s, at), 1, len(log.times_s) - 1)
+    before, after = log.times_s[right - 1], log.times_s[right]
+    share = np.clip((at - before) / (after - before), 0.0, 1.0)[:, None]
+    states = (1.0 - share) * log.states[right - 1] + share * log.states[right]
+    nearest = np.minimum(np.abs(at - before), np.abs(after - at))
+    return states, nearest <= longest_gap_s
+
+
+def _outliers(errors: Floats, sds: float, window: int = 9) -> Bools:
+    """Labels far from the median of their neighbours."""
+    seen = np.isfinite(errors).all(axis=1)
+    out = np.zeros(len(errors), dtype=bool)
+    values = errors[seen]
+    if len(values) < window:
+        return out
+    padded = np.pad(values, ((window // 2, window // 2), (0, 0)), mode="edge")
+    neighbours = np.lib.stride_tricks.sliding_window_view(padded, window, axis=0)
+    away = np.abs(values - np.median(neighbours, axis=-1))
+    scale = 1.4826 * np.median(away, axis=0) + 0.05
+    out[np.flatnonzero(seen)[(away > np.maximum(sds * scale, 1.0)).any(axis=1)]] = True
+    return out
+
+
+def _cut(name: str, times: Floats, cut_s: float) -> tuple[np.ndarray, tuple[str, ...]]:
+    if cut_s <= 0:
+        return np.zeros(len(times), dtype=np.int64), (name,)
+    piece = ((times - times[0]) // cut_s).astype(np.int64)
+    piece = np.unique(piece, return_inverse=True)[1].astype(np.int64)
+    return piece, tuple(f"{name}/{index:03d}" for index in range(int(piece.max()) + 1))

@@ -1,0 +1,191 @@
+"""Data sets on disk: one Parquet file that explains itself, and a data card beside it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.errors import EstimatorError
+from measure.host import Dataset
+from measure.learning.assemble import PoseTrack, TrajectoryFacts
+from measure.learning.scores import Score
+from measure.results import read_run
+from measure.robots import StateSchema, read_columns
+
+_KEY = b"measure.schema"
+_ERRORS = ("ex_mm", "ey_mm", "ez_mm")
+_UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+_COVARIANCE = tuple(f"cov_{'xyz'[i]}{'xyz'[j]}_mm2" for i, j in _UPPER)
+
+
+def digest(data: Dataset) -> str:
+    """A short fingerprint of states and labels."""
+    sha = hashlib.sha256()
+    for array in (data.states.astype(np.float32), data.errors_mm, data.usable, data.trajectory):
+        sha.update(np.ascontiguousarray(array).tobytes())
+    return sha.hexdigest()[:16]
+
+
+def write_dataset(path: Path, data: Dataset, facts: Sequence[TrajectoryFacts], source: str) -> None:
+    """Write `path` (Parquet) and its data card, `path` with the suffix `.card.json`."""
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    columns: dict[str, Any] = {
+        "trajectory": pa.array(np.array(data.names)[data.trajectory]).dictionary_encode(),
+        "time_s": data.times_s,
+        "usable": data.usable,
+    }
+    for index, name in enumerate(_ERRORS):
+        columns[name] = data.errors_mm[:, index]
+    for name, (i, j) in zip(_COVARIANCE, _UPPER, strict=True):
+        columns[name] = data.covariances[:, i, j]
+    for index, name in enumerate(data.schema.names):
+        columns[name] = data.states[:, index].astype(np.float32)
+    table = pa.table(columns).replace_schema_metadata({_KEY: json.dumps(data.schema.to_dict())})
+    parquet.write_table(table, path, compression="zstd")
+    card = {
+        "source": source,
+        "robot": data.schema.robot,
+        "digest": digest(data),
+        "rows": len(data),
+        "usable": int(data.usable.sum()),
+        "features": [[feature.name, feature.unit] for feature in data.schema.features],
+        "label": "measured minus reported position, mm",
+        "error": asdict(Score.of(data.errors_mm[data.usable])),
+        "trajectories": [asdict(fact) for fact in facts],
+    }
+    path.with_suffix(".card.json").write_text(json.dumps(card, indent=1) + "\n")
+
+
+def read_dataset(path: Path) -> Dataset:
+    """Read what `write_dataset` wrote.
+
+    Raises:
+        EstimatorError: missing, damaged, or not such a file.
+    """
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    try:
+        table = parquet.read_table(path)
+    except FileNotFoundError:
+        raise EstimatorError(f"{path}: no such data set") from None
+    except (pa.ArrowException, OSError) as error:
+        raise EstimatorError(f"{path}: not a data set: {str(error).splitlines()[0]}") from None
+    text = (table.schema.metadata or {}).get(_KEY)
+    if text is None:
+        raise EstimatorError(
+            f"{path}: a Parquet file, but not a data set: make one with `measure dataset`"
+        )
+    schema = StateSchema.from_dict(json.loads(text))
+    names, trajectory = _encode(table["trajectory"].to_pylist())
+    covariances = np.empty((len(trajectory), 3, 3))
+    for name, (i, j) in zip(_COVARIANCE, _UPPER, strict=True):
+        covariances[:, i, j] = covariances[:, j, i] = table[name].to_numpy()
+    return Dataset(
+        schema,
+        np.stack([table[name].to_numpy().astype(np.float64) for name in schema.names], axis=1),
+        table["time_s"].to_numpy(),
+        trajectory,
+        names,
+        np.stack([table[name].to_numpy() for name in _ERRORS], axis=1),
+        covariances,
+        table["usable"].to_numpy(),
+    )
+
+
+def read_labelled(path: Path, schema: StateSchema, *, label_sd_mm: float = 0.1) -> Dataset:
+    """A table that already pairs states with errors.
+
+    Needs the columns `run`, `t_s`, `ex`, `ey`, `ez` (mm) and the schema's features; rows whose
+    `quality`, if there is such a column, is not "ok" belong to the history only.
+
+    Raises:
+        EstimatorError: columns are missing, or the labels look like metres.
+    """
+    columns = read_columns(path, ("run", "t_s", "ex", "ey", "ez", *schema.names))
+    names, trajectory = _encode(columns["run"].tolist())
+    errors = np.stack([columns[name].astype(np.float64) for name in ("ex", "ey", "ez")], axis=1)
+    usable: Any = np.isfinite(errors).all(axis=1)
+    with suppress(EstimatorError):  # a table need not say anything about its rows
+        usable = usable & np.array(read_columns(path, ("quality",))["quality"] == "ok")
+    size = float(np.median(np.linalg.norm(errors[usable], axis=1))) if usable.any() else 0.0
+    if size < 0.03 or size > 200.0:
+        raise EstimatorError(
+            f"{path}: labels of {size:.2g} (median) are not millimetres of a robot's error: "
+            "are they metres or micrometres?"
+        )
+    return Dataset(
+        schema,
+        np.stack([columns[name].astype(np.float64) for name in schema.names], axis=1),
+        columns["t_s"].astype(np.float64),
+        trajectory,
+        names,
+        errors,
+        np.tile(label_sd_mm**2 * np.eye(3), (len(trajectory), 1, 1)),
+        usable,
+    )
+
+
+def has_labels(path: Path) -> bool:
+    """Whether a table already holds errors beside states."""
+    try:
+        read_columns(path, ("run", "ex", "ey", "ez"))
+    except EstimatorError:
+        return False
+    return True
+
+
+def read_poses(path: Path) -> PoseTrack:
+    """Measured positions of a run folder, or of a `.csv` or `.parquet` file of positions.
+
+    Of a run, poses that were flagged as doubtful count as not measured. A file needs `time_s`,
+    `x_mm`, `y_mm`, `z_mm`, and may give `position_sd_mm` (3-D), else 0.1 mm per axis is assumed.
+
+    Raises:
+        EstimatorError: there is no such file, or columns are missing.
+        RunError: the folder is not a run.
+    """
+    if path.is_dir():
+        return _run_poses(path)
+    if not path.exists():
+        raise EstimatorError(f"{path}: no such run or file of poses")
+    columns = read_columns(path, ("time_s", "x_mm", "y_mm", "z_mm"))
+    positions = np.stack([columns[f"{a}_mm"].astype(np.float64) for a in "xyz"], axis=1)
+    variance = np.full(len(positions), 0.1**2)
+    with suppress(EstimatorError):
+        sd = read_columns(path, ("position_sd_mm",))["position_sd_mm"].astype(np.float64)
+        variance = np.where(np.isfinite(sd), sd, np.sqrt(3.0)) ** 2 / 3.0
+    covariances = variance[:, None, None] * np.eye(3)
+    return _ordered(path.stem, columns["time_s"].astype(np.float64), positions, covariances)
+
+
+def _run_poses(path: Path) -> PoseTrack:
+    run = read_run(path)
+    count = len(run.times_s)
+    positions, covariances = np.full((count, 3), np.nan), np.tile(np.eye(3), (count, 1, 1))
+    positions[run.has_pose] = run.world_from_body.translation
+    covariances[run.has_pose] = run.covariances[:, :3, :3]
+    sure = np.array(run.poses["status"].to_pylist()) == "ok"
+    positions[~sure] = np.nan
+    return _ordered(path.name, run.times_s, positions, covariances)
+
+
+def _ordered(name: str, times: Floats, positions: Floats, covariances: Floats) -> PoseTrack:
+    order = np.argsort(times, kind="stable")
+    return PoseTrack(name, times[order], positions[order], covariances[order])
+
+
+def _encode(labels: Sequence[str]) -> tuple[tuple[str, ...], np.ndarray]:
+    names = tuple(dict.fromkeys(labels))
+    where = {name: index for index, name in enumerate(names)}
+    return names, np.array([where[label] for label in labels], dtype=np.int64)

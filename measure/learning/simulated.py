@@ -1,0 +1,87 @@
+"""Data sets of the simulated RAVEN-II, made the way real ones are: poses, log, one clock."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from measure.host import Dataset, Report
+from measure.host.estimator import quiet
+from measure.learning.assemble import AssemblySettings, PoseTrack, TrajectoryFacts, assemble
+from measure.robots import RobotLog, raven_schema
+from measure.robots.simulator import Cables, SimulatedRun, simulate
+
+PAPER_MINUTES = 140.0
+PAPER_PAIRS = 49_407
+_LOG_HZ = 50.0
+_CUT = AssemblySettings(cut_s=210.0)  # ten trajectories in each of four sessions
+
+
+def recording(
+    run: SimulatedRun,
+    name: str,
+    seed: int,
+    *,
+    frame_hz: float,
+    noise_mm: float = 0.1,
+    clock_offset_s: float = 1.5,
+    pairs: int | None = None,
+) -> tuple[PoseTrack, RobotLog]:
+    """What cameras and the robot's computer would have recorded of a simulated run.
+
+    Args:
+        run: the robot's true motion and its log.
+        name: of the recording.
+        seed: of the measurement noise.
+        frame_hz: poses per second.
+        noise_mm: SD per axis of a measured position.
+        clock_offset_s: how far the robot's clock is ahead of the cameras'.
+        pairs: exact number of poses; else as many as fit.
+    """
+    rng = np.random.default_rng(seed)
+    span = run.times_s[-1] - 0.2
+    times = 0.1 + (np.arange(pairs) if pairs else np.arange(int(span * frame_hz))) / frame_hz
+    truth = np.stack(
+        [np.interp(times, run.times_s, run.world_from_tip.translation[:, i]) for i in range(3)],
+        axis=1,
+    )
+    noise = rng.normal(0.0, noise_mm, truth.shape)
+    track = PoseTrack(
+        name, times, truth + noise, np.tile(noise_mm**2 * np.eye(3), (len(times), 1, 1))
+    )
+    return track, RobotLog(raven_schema(), run.times_s + clock_offset_s, run.states)
+
+
+def simulated_dataset(
+    *,
+    minutes: float = PAPER_MINUTES,
+    pairs: int = PAPER_PAIRS,
+    restarts: int = 4,
+    seed: int = 1,
+    cables: Cables | None = None,
+    settings: AssemblySettings = _CUT,
+    report: Report = quiet,
+) -> tuple[Dataset, list[TrajectoryFacts]]:
+    """Teleoperate the simulated robot in so many sessions, each after a restart.
+
+    As in the paper, there are few sessions, and each is cut into trajectories.
+
+    Args:
+        minutes: of motion in all.
+        pairs: of state and pose in all.
+        restarts: sessions.
+        seed: of motions, homing errors and measurement noise.
+        cables: the robot's mechanics.
+        settings: how poses and states are brought together.
+        report: progress.
+    """
+    seconds = 60.0 * minutes / restarts
+    counts = np.diff(np.round(np.linspace(0, pairs, restarts + 1)).astype(int))
+    recorded = []
+    for index, count in enumerate(counts):
+        report(index / restarts, f"session {index + 1} of {restarts}")
+        run = simulate(seconds, 1000 * seed + index, log_hz=_LOG_HZ, cables=cables)
+        hz = count / (seconds - 0.25)
+        recorded.append(
+            recording(run, f"session_{index:02d}", seed + index, frame_hz=hz, pairs=int(count))
+        )
+    return assemble(recorded, settings)

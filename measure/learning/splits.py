@@ -1,0 +1,71 @@
+"""Splitting a data set by trajectory, never by rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from measure.errors import EstimatorError
+from measure.host import Dataset
+
+
+@dataclass(frozen=True, eq=False)
+class Split:
+    """Three parts that share no trajectory."""
+
+    train: Dataset
+    validation: Dataset
+    test: Dataset
+
+
+def split_by_trajectory(
+    data: Dataset, *, test: float = 0.1, validation: float = 0.1, seed: int = 0
+) -> Split:
+    """Choose whole trajectories at random until each part has its share of the usable rows.
+
+    Neighbouring rows of a trajectory are almost the same: a random split puts one of them into
+    training and the other into the test, which then measures memory, not prediction.
+
+    Raises:
+        EstimatorError: fewer than three trajectories with labels.
+    """
+    counts = {name: int(data.usable[rows].sum()) for name, rows in data.runs()}
+    names = [name for name, count in counts.items() if count]
+    if len(names) < 3:
+        raise EstimatorError(
+            f"{len(names)} trajector{'y' if len(names) == 1 else 'ies'} cannot be split into "
+            "training, validation and test: record more, or cut long recordings (--cut-s)"
+        )
+    order = [names[i] for i in np.random.default_rng(seed).permutation(len(names))]
+    total = sum(counts.values())
+    chosen: list[list[str]] = []
+    for share in (test, validation):
+        part = [order.pop()]
+        while order[2:] and sum(counts[n] for n in part) < 0.75 * share * total:
+            part.append(order.pop())
+        chosen.append(part)
+    return Split(data.select(order), data.select(chosen[1]), data.select(chosen[0]))
+
+
+def split_by_rows(
+    data: Dataset, *, test: float = 0.1, validation: float = 0.1, seed: int = 0
+) -> Split:
+    """Random rows: what not to do, kept for the experiment that shows why.
+
+    Every part keeps all trajectories' rows (history stays whole); they differ in what is usable.
+    Trajectories are renamed, or fitting would refuse such a split.
+    """
+    from dataclasses import replace
+
+    dice = np.random.default_rng(seed).random(len(data))
+    masks = (dice >= test + validation, (dice >= test) & (dice < test + validation), dice < test)
+    parts = [
+        replace(
+            data,
+            usable=data.usable & mask,
+            names=tuple(f"{name} ({what} rows)" for name in data.names),
+        )
+        for mask, what in zip(masks, ("training", "validation", "test"), strict=True)
+    ]
+    return Split(*parts)

@@ -1,0 +1,42 @@
+"""Resuming a fit: what was reached is written to a file now and then."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+EVERY_S = 10.0  # between two writes
+
+
+class Checkpoint:
+    """One net's training state in a folder; without a folder it does nothing.
+
+    A file of another seed or other settings (`key`) is ignored.
+    """
+
+    def __init__(self, folder: Path | None, name: str, key: Any) -> None:
+        self._path = folder / f"{name}.pt" if folder else None
+        self._key = repr(key)
+        self._stored_s = time.monotonic()
+
+    def load(self) -> dict[str, Any] | None:
+        """What was stored last, if it belongs to this fit."""
+        import torch
+
+        if self._path is None or not self._path.exists():
+            return None
+        found: dict[str, Any] = torch.load(self._path, weights_only=False)
+        return found if found.pop("key", None) == self._key else None
+
+    def store(self, *, now: bool = False, **state: Any) -> None:
+        """Write the state, at most every few seconds unless it has to be `now`."""
+        import torch
+
+        if self._path is None or not (now or time.monotonic() - self._stored_s > EVERY_S):
+            return
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        fresh = self._path.with_suffix(".new")
+        torch.save(state | {"key": self._key}, fresh)
+        fresh.replace(self._path)
+        self._stored_s = time.monotonic()

@@ -1,0 +1,57 @@
+"""From joint errors to tip errors through the forward kinematics, in torch and in ONNX."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from measure.host.onnx_graph import Graph, Value
+from measure.robots import SerialChain, StateSchema
+
+
+class TorchTip:
+    """`tip(q)` (N, 3) of a chain, differentiable, in float32."""
+
+    def __init__(self, chain: SerialChain) -> None:
+        import torch
+
+        self._torch = torch
+        self._parts = [torch.tensor(part, dtype=torch.float32) for part in chain.parts()]
+
+    def __call__(self, q: Any) -> Any:
+        """Q (..., joints) in rad and mm -> (..., 3) mm."""
+        constant, cosine, sine, linear = self._parts
+        angle = q[..., None, None]
+        steps = (
+            constant
+            + cosine * self._torch.cos(angle)
+            + sine * self._torch.sin(angle)
+            + linear * angle
+        )
+        point = steps[..., -1, :, 3:]
+        for index in range(q.shape[-1] - 2, -1, -1):
+            point = steps[..., index, :, :] @ point
+        return point[..., :3, 0]
+
+
+def tip_change(graph: Graph, schema: StateSchema, features: Value, joint_errors: Value) -> Value:
+    """FK(q + dq) - FK(q), (N, 3) mm, q read from the raw state."""
+    assert schema.chain is not None
+    size = schema.chain.size
+    q = graph.op("MatMul", features, schema.reading_matrix(schema.joints))
+    pair = graph.op("Concat", graph.op("Add", q, joint_errors), q, axis=1)
+    angle = graph.reshape(pair, -1, size, 1, 1)
+    constant, cosine, sine, linear = schema.chain.parts()
+    steps = graph.op("Add", graph.op("Mul", graph.op("Cos", angle), cosine), constant)
+    steps = graph.op("Add", steps, graph.op("Mul", graph.op("Sin", angle), sine))
+    if np.any(linear):
+        steps = graph.op("Add", steps, graph.op("Mul", angle, linear))
+    each = graph.ops("Split", size, steps, axis=1)
+    point = graph.op("Slice", each[-1], *(graph.constant([v], np.int64) for v in (3, 4, 3)))
+    for step in reversed(each[:-1]):
+        point = graph.op("MatMul", step, point)
+    # (2N, 1, 4, 1) -> (N, 8): x y z 1 of q + dq, then of q
+    return graph.op(
+        "MatMul", graph.reshape(point, -1, 8), np.concatenate([np.eye(4, 3), -np.eye(4, 3)])
+    )

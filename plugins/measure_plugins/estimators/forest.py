@@ -1,0 +1,127 @@
+"""Seita et al. 2018: first a rigid transform, then a random forest on what is left."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.errors import EstimatorError
+from measure.geometry import align_points
+from measure.host import Dataset, Estimator, Report, Settings, hookimpl, setting
+from measure.host.onnx_estimator import Core, OnnxEstimator
+from measure.host.onnx_graph import Graph, Value
+from measure_plugins.estimators._inputs import telling_features
+
+
+class ForestSettings(Settings):
+    """Settings of `forest`."""
+
+    trees: int = setting(60, "trees", ge=1)
+    leaf_rows: int = setting(8, "rows in a leaf at least", ge=1)
+    depth: int = setting(14, "levels at most", ge=1)
+
+
+class ForestEstimator(OnnxEstimator):
+    """Two phases (Seita 2018): a rigid transform of the position, then a random forest."""
+
+    name = "forest"
+    Config = ForestSettings
+    config: ForestSettings
+    memoryless = True
+
+    def learn(self, data: Dataset, validation: Dataset, *, seed: int, report: Report) -> None:
+        """Align reported with measured positions, then grow trees on the residuals."""
+        try:
+            from sklearn.ensemble import RandomForestRegressor
+        except ImportError:
+            raise EstimatorError(
+                "'forest' needs the extra 'train': pip install 'triball[train]'"
+            ) from None
+        used = data.usable
+        reported = data.reported_mm[used]
+        measured = reported + data.errors_mm[used]
+        self._schema_read = data.schema.reading_matrix(data.schema.position)
+        rigid = align_points(reported, measured)
+        self._turn, self._shift = rigid.rotation - np.eye(3), rigid.translation
+        residual = measured - rigid.apply(reported)
+        self._columns = telling_features(data)
+        report(0.1, "aligned")
+        grower = RandomForestRegressor(
+            self.config.trees,
+            max_depth=self.config.depth,
+            min_samples_leaf=self.config.leaf_rows,
+            max_features=0.4,
+            random_state=seed,
+            n_jobs=1,
+        )
+        inputs = data.states[used][:, self._columns].astype(np.float32)
+        grower.fit(inputs, residual, sample_weight=data.weights()[used])
+        self._trees = _flatten(grower)
+        report(1.0, "grown")
+
+    def compute(self, graph: Graph, features: Value, memory: Value, tick: Value) -> Core:
+        """(rotation - 1) position + translation + forest."""
+        position = graph.op("MatMul", features, self._schema_read)
+        rigid = graph.affine(position, self._turn.T, self._shift)
+        rest = graph.op(
+            "TreeEnsembleRegressor",
+            graph.columns(features, self._columns),
+            domain="ai.onnx.ml",
+            n_targets=3,
+            aggregate_function="AVERAGE",
+            post_transform="NONE",
+            **self._trees,
+        )
+        return Core(graph.op("Add", rigid, rest))
+
+
+def _flatten(forest: Any) -> dict[str, Any]:
+    """scikit-learn's trees as the attributes of the operator."""
+    nodes: dict[str, list[Any]] = {
+        f"nodes_{key}": []
+        for key in (
+            "treeids",
+            "nodeids",
+            "featureids",
+            "values",
+            "modes",
+            "truenodeids",
+            "falsenodeids",
+        )
+    }
+    leaves: dict[str, list[Any]] = {
+        f"target_{key}": [] for key in ("treeids", "nodeids", "ids", "weights")
+    }
+    for number, grown in enumerate(forest.estimators_):
+        tree = grown.tree_
+        inner = tree.children_left >= 0
+        count = tree.node_count
+        nodes["nodes_treeids"] += [number] * count
+        nodes["nodes_nodeids"] += list(range(count))
+        nodes["nodes_featureids"] += np.where(inner, tree.feature, 0).tolist()
+        nodes["nodes_values"] += np.where(inner, _below(tree.threshold), 0.0).tolist()
+        nodes["nodes_modes"] += np.where(inner, "BRANCH_LEQ", "LEAF").tolist()
+        nodes["nodes_truenodeids"] += np.where(inner, tree.children_left, 0).tolist()
+        nodes["nodes_falsenodeids"] += np.where(inner, tree.children_right, 0).tolist()
+        for leaf in np.flatnonzero(~inner):
+            leaves["target_treeids"] += [number] * 3
+            leaves["target_nodeids"] += [int(leaf)] * 3
+            leaves["target_ids"] += [0, 1, 2]
+            leaves["target_weights"] += tree.value[leaf, :, 0].tolist()
+    return nodes | leaves
+
+
+def _below(thresholds: Floats) -> Floats:
+    """Thresholds as float32 that split float32 inputs exactly as the float64 ones do."""
+    rounded = thresholds.astype(np.float32)
+    too_high = rounded.astype(np.float64) > thresholds
+    down = np.nextafter(rounded, np.float32(-np.inf))
+    return np.where(too_high, down, rounded).astype(np.float64)
+
+
+@hookimpl
+def measure_estimators() -> list[type[Estimator]]:
+    """Register the estimator."""
+    return [ForestEstimator]

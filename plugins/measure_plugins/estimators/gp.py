@@ -1,0 +1,135 @@
+"""Mahler et al. 2014: Gaussian process regression with velocities and data cleaning."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.host import Dataset, Estimator, Report, Settings, hookimpl, setting
+from measure.host.onnx_estimator import Core, OnnxEstimator, Scaling
+from measure.host.onnx_graph import Graph, Value
+from measure_plugins.estimators._window import Window
+
+
+class GpSettings(Settings):
+    """Settings of `gp`."""
+
+    points: int = setting(700, "training rows kept for prediction", ge=20)
+    tuning_points: int = setting(300, "rows used to choose the kernel's parameters", ge=20)
+    cleaning_sds: float = setting(3.0, "rows whose residual is farther off are dropped", gt=0)
+
+
+class GpEstimator(OnnxEstimator):
+    """Gaussian process on joints and velocities, cleaned of outliers (Mahler 2014).
+
+    Rows are a random subset; the process's own variance joins the reported covariance.
+    """
+
+    name = "gp"
+    Config = GpSettings
+    config: GpSettings
+
+    def learn(self, data: Dataset, validation: Dataset, *, seed: int, report: Report) -> None:
+        """Choose the kernel by marginal likelihood; fit, drop outliers, fit again."""
+        self._reading = data.schema.reading_matrix(data.schema.joints or data.schema.position)
+        self._window = Window(self._reading.shape[1], 2)
+        inputs = self._inputs(data)
+        self._scaling = Scaling.of(inputs)
+        inputs = self._scaling.apply(inputs)
+        usable = np.flatnonzero(data.usable)
+        self._mean = data.errors_mm[usable].mean(axis=0)
+        labels = data.errors_mm - self._mean
+        dice = np.random.default_rng(seed)
+        few = dice.choice(usable, min(self.config.tuning_points, len(usable)), replace=False)
+        self._stretch, self._signal, self._noise = _tune(inputs[few], labels[few])
+        report(0.5, "kernel chosen")
+        rows = dice.choice(usable, min(2 * self.config.points, len(usable)), replace=False)
+        self._solve(inputs[rows[: self.config.points]], labels[rows[: self.config.points]])
+        guess = self._signal * _kernel(inputs[rows], self._points, self._stretch) @ self._weights
+        away = np.linalg.norm(labels[rows] - guess, axis=1)
+        clean = rows[away < self.config.cleaning_sds * 1.4826 * np.median(away)]
+        self._solve(inputs[clean[: self.config.points]], labels[clean[: self.config.points]])
+        report(1.0, "fitted")
+
+    def compute(self, graph: Graph, features: Value, memory: Value, tick: Value) -> Core:
+        """Mean and variance of the process."""
+        joints = graph.op("MatMul", features, self._reading)
+        window, after = self._window.in_graph(graph, joints, memory, tick)
+        count = self._reading.shape[1]
+        moved = graph.op("Sub", joints, graph.columns(window, range(count, 2 * count)))
+        inputs = self._scaling.in_graph(graph, graph.op("Concat", joints, moved, axis=1))
+        x = graph.op("Mul", inputs, self._stretch)
+        points = self._points * self._stretch
+        cross = graph.op("MatMul", x, -2.0 * points.T)
+        square = graph.op("ReduceSumSquare", x, axes=[1], keepdims=1)
+        distance = graph.op("Add", graph.op("Add", cross, square), (points**2).sum(axis=1)[None])
+        near = graph.op("Exp", graph.op("Mul", distance, np.float32(-0.5)))
+        mean = graph.affine(near, self._signal * self._weights, self._mean)
+        explained = graph.op(
+            "ReduceSumSquare", graph.op("MatMul", near, self._whitener), axes=[1], keepdims=1
+        )
+        unknown = graph.op("Sub", np.array([[self._signal]]), explained)
+        variance = graph.op("Max", unknown, np.zeros((1, 1)))
+        return Core(mean, after, variance, self._window.size)
+
+    def _inputs(self, data: Dataset) -> Floats:
+        """Joints and how far they moved since the last row."""
+        joints = data.states @ self._reading
+        window = self._window.features(data, joints)
+        return np.concatenate([joints, joints - window[:, joints.shape[1] :]], axis=1)
+
+    def _solve(self, points: Floats, labels: Floats) -> None:
+        from scipy.linalg import cho_factor, cho_solve, solve_triangular
+
+        self._points = points
+        gram = self._signal * _kernel(points, points, self._stretch)
+        gram[np.diag_indices_from(gram)] += self._noise
+        factor = cho_factor(gram, lower=True)
+        self._weights = cho_solve(factor, labels)
+        inverse = solve_triangular(factor[0], np.eye(len(points)), lower=True)
+        self._whitener = self._signal * inverse.T
+
+
+def _kernel(a: Floats, b: Floats, stretch: Floats) -> Floats:
+    from scipy.spatial.distance import cdist
+
+    return np.exp(-0.5 * cdist(a * stretch, b * stretch, "sqeuclidean"))
+
+
+def _tune(inputs: Floats, labels: Floats) -> tuple[Floats, float, float]:
+    """Inverse lengths of positions and of velocities, signal and noise variance (mm^2).
+
+    They maximise the marginal likelihood, the three axes being independent draws.
+    """
+    from scipy.linalg import cho_factor, cho_solve  # slow to load, like the next
+    from scipy.optimize import minimize
+
+    half = inputs.shape[1] // 2
+    variance = float((labels**2).mean())
+
+    def unpack(log: Floats) -> tuple[Floats, float, float]:
+        stretch = np.exp(-np.repeat(log[:2], [half, inputs.shape[1] - half]))
+        return stretch, variance * float(np.exp(log[2])), variance * float(np.exp(log[3]))
+
+    def cost(log: Floats) -> float:
+        stretch, signal, noise = unpack(log)
+        gram = signal * _kernel(inputs, inputs, stretch)
+        gram[np.diag_indices_from(gram)] += noise + 1e-9
+        factor = cho_factor(gram, lower=True)
+        fit = float((labels * cho_solve(factor, labels)).sum())
+        return 0.5 * fit + labels.shape[1] * float(np.log(np.diag(factor[0])).sum())
+
+    best = minimize(
+        cost,
+        [1.0, 1.0, 0.0, -2.0],
+        method="L-BFGS-B",
+        bounds=[(-1, 4), (-1, 6), (-3, 3), (-7, 1)],
+        options={"maxiter": 25},
+    )
+    return unpack(best.x)
+
+
+@hookimpl
+def measure_estimators() -> list[type[Estimator]]:
+    """Register the estimator."""
+    return [GpEstimator]

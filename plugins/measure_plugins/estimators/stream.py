@@ -1,0 +1,228 @@
+"""The default: what slack cables remember, seen by small nets with and without a memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, TypeVar
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.host import Dataset, Epoch, Estimator, Report, Settings, hookimpl, setting
+from measure.host.onnx_estimator import Core, OnnxEstimator, Scaling
+from measure.host.onnx_graph import Graph, Value
+from measure_plugins.estimators import _nets
+from measure_plugins.estimators._checkpoint import Checkpoint
+from measure_plugins.estimators._inputs import telling_features
+from measure_plugins.estimators._kinematics import TorchTip, tip_change
+from measure_plugins.estimators._play import PlayBank
+
+N = TypeVar("N")
+
+_TURN, _SLIDE_MM, _TIP_MM = 0.05, 1.0, 1.0  # what an output of one stands for: rad, mm, mm
+
+
+class StreamSettings(Settings):
+    """Settings of `stream`."""
+
+    perceptrons: int = setting(5, "perceptrons in the ensemble", ge=1)
+    perceptron_units: int = setting(128, "units in each of their two layers", ge=4)
+    perceptron_epochs: int = setting(50, "passes over the data for them", ge=1)
+    grus: int = setting(3, "GRUs in the ensemble", ge=1)
+    gru_units: int = setting(96, "hidden units of each", ge=4)
+    gru_epochs: int = setting(120, "passes over the data for each", ge=1)
+    window: int = setting(128, "steps of one training window of a GRU", ge=8)
+    play_widths: int = setting(8, "play operators per joint combination", ge=1)
+    narrowest: float = setting(0.01, "narrowest play, share of the joint's range", gt=0, lt=1)
+    widest: float = setting(0.2, "widest play, share of the joint's range", gt=0, le=1)
+    dropout: float = setting(0.4, "share of a GRU's outputs dropped in training", ge=0, lt=1)
+    decay: float = setting(0.05, "weight decay", ge=0)
+    noise: float = setting(0.02, "SD of noise on scaled inputs in training", ge=0)
+
+
+class StreamEstimator(OnnxEstimator):
+    """Play-operator features, small perceptrons and stateful GRUs, averaged; the default.
+
+    Joint errors go through the forward kinematics where the robot's chain is known. The members'
+    disagreement is part of the reported covariance.
+    """
+
+    name = "stream"
+    Config = StreamSettings
+    config: StreamSettings
+
+    def learn(self, data: Dataset, validation: Dataset, *, seed: int, report: Report) -> None:
+        """Scale, play, then train every net in turn."""
+        torch = _nets.torch_or_explain()
+        c = self.config
+        self._data_schema = data.schema
+        self._columns = telling_features(data)
+        self._scaling = Scaling.of(data.states[:, self._columns])
+        self._moving = self._moving_inputs()
+        self._bank = PlayBank.of(data, c.play_widths, c.narrowest, c.widest)
+        self._scale = self._output_scale()
+        used = data.usable
+        self._middle = np.average(data.errors_mm[used], axis=0, weights=data.weights()[used])
+        lesson = self._lesson(torch, data, validation)
+        total = c.perceptrons * c.perceptron_epochs * 0.2 + c.grus * c.gru_epochs
+        curve: list[Epoch] = []
+
+        def after(done: float, what: str, share: float) -> Any:
+            def note(epoch: int, train: float, score: float) -> None:
+                curve.append(Epoch(len(curve), train, score))
+                report((done + share * (epoch + 1)) / total, f"{what}: {score:.3f} mm")
+
+            return note
+
+        share = 0.2 * c.perceptrons
+        how = _nets.Training(c.perceptron_epochs, noise=c.noise, decay=0.2 * c.decay)
+        sizes = (lesson.inputs.shape[1], c.perceptron_units, c.perceptron_units, len(self._scale))
+        self._perceptrons = self._resumed(
+            "perceptrons",
+            seed,
+            lesson,
+            lambda: _nets.train_perceptrons(
+                lesson, sizes, c.perceptrons, how, seed, after(0.0, "perceptrons", share)
+            ),
+        )
+        recurrent = _nets.Training(c.gru_epochs, noise=c.noise, decay=c.decay, dropout=c.dropout)
+        done = share * c.perceptron_epochs
+        nets = []
+        for index in range(c.grus):
+            note = after(done + index * c.gru_epochs, f"GRU {index + 1} of {c.grus}", 1.0)
+            fit = partial(
+                _nets.train_gru,
+                lesson,
+                c.gru_units,
+                len(self._scale),
+                c.window,
+                recurrent,
+                seed + 1 + index,
+                note,
+            )
+            nets.append(self._resumed(f"gru_{index}", seed, lesson, fit))
+        self._grus = _nets.stack_grus(nets)
+        self.curve = tuple(curve)
+
+    def _resumed(self, name: str, seed: int, lesson: _nets.Lesson, fit: Callable[[], N]) -> N:
+        """A net from an interrupted fit of the same data and settings, or freshly trained."""
+        fingerprint = (seed, self.config.model_dump(mode="json"), float(lesson.inputs.sum()))
+        saved = Checkpoint(self.checkpoint, name, fingerprint)
+        if found := saved.load():
+            net: N = found["net"]
+            return net
+        net = fit()
+        saved.store(now=True, net=net)
+        return net
+
+    def compute(self, graph: Graph, features: Value, memory: Value, tick: Value) -> Core:
+        """Memory: a started flag, play states, hidden states, moving inputs of the last tick."""
+        plays, hidden = self._bank.size, self._grus.members * self._grus.hidden
+        widths = [1, plays, hidden, len(self._moving)]
+        sizes = graph.constant(widths, np.int64)
+        started, states, before, last = graph.ops("Split", 4, memory, sizes, axis=1)
+        play, states = self._bank.in_graph(graph, features, states, started)
+        raw = graph.columns(features, self._columns)
+        inputs = graph.op("Concat", self._scaling.in_graph(graph, raw), play, axis=1)
+        moving = graph.columns(inputs, self._moving)
+        last = graph.mix(started, last, moving)
+        steps = graph.op("Sub", moving, last)
+        recurrent, after = self._grus.in_graph(graph, inputs, steps, before)
+        members = graph.op("Concat", self._perceptrons.in_graph(graph, inputs), recurrent, axis=0)
+        mean = graph.total(members, 0, mean=True)
+        away = graph.op("Mul", graph.op("Sub", members, mean), self._spread_scale())
+        squares = graph.total(graph.op("Mul", away, away), 0, mean=True)
+        spread = graph.op("ReduceSum", squares, graph.constant([1], np.int64), keepdims=1)
+        begun = graph.op("Add", graph.op("Mul", started, np.float32(0.0)), np.float32(1.0))
+        slow = graph.mix(
+            tick,
+            graph.op("Concat", after, moving, axis=1),
+            graph.op("Concat", before, last, axis=1),
+        )
+        kept = graph.op("Concat", begun, states, slow, axis=1)
+        error = self._error(graph, features, graph.op("Mul", mean, self._scale))
+        return Core(error, kept, spread, sum(widths))
+
+    def _error(self, graph: Graph, features: Value, outputs: Value) -> Value:
+        schema = self._data_schema
+        if schema.chain is None:
+            return graph.op("Add", outputs, self._middle)
+        joints = schema.chain.size
+        turned = tip_change(graph, schema, features, graph.columns(outputs, range(joints)))
+        direct = graph.columns(outputs, range(joints, joints + 3))
+        return graph.op("Add", graph.op("Add", turned, direct), self._middle)
+
+    def _moving_inputs(self) -> list[int]:
+        """Places of the joints (or the position) among the inputs."""
+        schema = self._data_schema
+        read = np.any(schema.reading_matrix(schema.joints or schema.position) != 0, axis=1)
+        return [place for place, column in enumerate(self._columns) if read[column]]
+
+    def _output_scale(self) -> Floats:
+        chain = self._data_schema.chain
+        joints = (
+            [] if chain is None else [_SLIDE_MM if j.prismatic else _TURN for j in chain.joints]
+        )
+        return np.array([*joints, _TIP_MM, _TIP_MM, _TIP_MM])
+
+    def _spread_scale(self) -> Floats:
+        """Outputs to mm, roughly: a turn acts on a lever of 50 mm."""
+        lever = np.where(self._scale == _TURN, 50.0, 1.0)
+        return self._scale * lever
+
+    def _inputs(self, data: Dataset) -> Floats:
+        scaled = self._scaling.apply(data.states[:, self._columns])
+        return np.concatenate([scaled, self._bank.features(data)], axis=1)
+
+    def _lesson(self, torch: Any, data: Dataset, validation: Dataset) -> _nets.Lesson:
+        chain, scale = data.schema.chain, torch.tensor(self._scale, dtype=torch.float32)
+        tip = None if chain is None else TorchTip(chain)
+
+        def tensor(values: Floats) -> Any:
+            return torch.tensor(np.nan_to_num(values), dtype=torch.float32)
+
+        def errors(q: Any, base: Any, outputs: Any) -> Any:
+            scaled = outputs * scale
+            if tip is None:
+                return scaled
+            return tip(q + scaled[..., :-3]) - base + scaled[..., -3:]
+
+        def prepare(part: Dataset) -> tuple[Any, Any, Any]:
+            q, labels = tensor(part.joints), tensor(part.errors_mm - self._middle)
+            return q, (torch.zeros(len(part), 3) if tip is None else tip(q)), labels
+
+        q, base, labels = prepare(data)
+        weights = tensor(data.weights())
+
+        def loss(rows: Any, outputs: Any, keep: Any) -> Any:
+            residual = errors(q[rows], base[rows], outputs) - labels[rows]
+            each = torch.sqrt((residual**2).sum(dim=-1) + 0.25)
+            weight = weights[rows] if keep is None else weights[rows] * keep
+            return (weight * each).sum() / weight.sum()
+
+        q_other, base_other, labels_other = prepare(validation)
+        inputs_other = tensor(self._inputs(validation))
+        usable_other = torch.tensor(validation.usable)
+
+        def validate(forward: Any) -> float:
+            outputs = torch.cat([forward(inputs_other[rows]) for _, rows in validation.runs()])
+            residual = errors(q_other, base_other, outputs) - labels_other
+            return float((residual[usable_other] ** 2).sum(dim=-1).mean().sqrt())
+
+        runs = [rows for _, rows in data.runs()]
+        return _nets.Lesson(
+            inputs=tensor(self._inputs(data)),
+            loss=loss,
+            usable=torch.tensor(data.usable),
+            moving=self._moving,
+            starts=np.array([rows.start for rows in runs]),
+            lengths=np.array([rows.stop - rows.start for rows in runs]),
+            validate=validate,
+        )
+
+
+@hookimpl
+def measure_estimators() -> list[type[Estimator]]:
+    """Register the estimator."""
+    return [StreamEstimator]

@@ -1,0 +1,130 @@
+"""The graphs compute what the nets they come from compute."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from measure.host import Dataset
+from measure.host.onnx_graph import Graph
+from measure.robots import psm_schema
+from measure_plugins.estimators import _nets, mlp
+from measure_plugins.estimators._kinematics import TorchTip, tip_change
+from measure_plugins.estimators._play import PlayBank
+
+torch = pytest.importorskip("torch", reason="training needs the extra 'train'")
+
+
+def _run(graph: Graph, inputs: dict[str, Any], outputs: dict[str, tuple[str, int]]) -> list[Any]:
+    import onnxruntime as ort
+
+    content = graph.build(
+        {name: value.shape[1] for name, value in inputs.items()},
+        {name: (value, (width,)) for name, (value, width) in outputs.items()},
+        {},
+    )
+    session = ort.InferenceSession(content, providers=["CPUExecutionProvider"])
+    return list(session.run(None, {k: v.astype(np.float32) for k, v in inputs.items()}))
+
+
+def test_gru_steps_equal_torchs_sequence() -> None:
+    torch.manual_seed(1)
+    members = []
+    nets = []
+    for _ in range(2):
+        gru = torch.nn.GRU(5, 7, batch_first=True)
+        head = torch.nn.Sequential(
+            torch.nn.Linear(7 + 4, 6), torch.nn.SiLU(), torch.nn.Linear(6, 3)
+        )
+        nets.append((gru, head))
+        members.append(_nets._pack_gru(gru, head))
+    stacked = _nets.stack_grus(members)
+    x = torch.randn(2, 9, 4)
+    steps = torch.randn(2, 9, 1)
+    with torch.no_grad():
+        wanted = [
+            head(torch.cat([gru(torch.cat([x, _nets.GAIN * steps], -1))[0], x], dim=-1))
+            for gru, head in nets
+        ]
+    memory = np.zeros((2, 14))
+    for index in range(9):
+        graph = Graph()
+        out, after = stacked.in_graph(graph, "x", "steps", "memory")
+        flat = graph.reshape(graph.op("Transpose", out, perm=[1, 0, 2]), -1, 6)
+        got, memory = _run(
+            graph,
+            {"x": x[:, index].numpy(), "steps": steps[:, index].numpy(), "memory": memory},
+            {"out": (flat, 6), "memory_out": (after, 14)},
+        )
+        both = np.concatenate([w[:, index].numpy() for w in wanted], axis=1)
+        np.testing.assert_allclose(got, both, atol=1e-6)
+
+
+def test_batch_normalisation_folds_into_dense_layers() -> None:
+    torch.manual_seed(2)
+    net = mlp._network(torch, 6, mlp.MlpSettings(layers=(8, 5)))
+    net.train()
+    for _ in range(20):
+        net(torch.randn(64, 6) * 3 + 1)
+    net.eval()
+    x = torch.randn(10, 6)
+    values = x.numpy().astype(np.float64)
+    layers = mlp._fold(net)
+    for index, (weight, bias) in enumerate(layers):
+        values = values @ weight + bias
+        if index < len(layers) - 1:
+            values = 1.0 / (1.0 + np.exp(-values))
+    with torch.no_grad():
+        np.testing.assert_allclose(values, net(x).numpy(), atol=1e-5)
+
+
+def test_kinematics_in_torch_and_onnx() -> None:
+    schema = psm_schema()
+    assert schema.chain is not None
+    rng = np.random.default_rng(3)
+    states = rng.uniform(-0.6, 0.6, (20, 9))
+    states[:, 2] = rng.uniform(0.05, 0.2, 20)
+    change = rng.normal(0, 0.05, (20, 6)) * np.array([1, 1, 20, 1, 1, 1])
+    q = schema.joint_positions(states)
+    wanted = schema.chain.tip_mm(q + change) - schema.chain.tip_mm(q)
+    graph = Graph()
+    out = tip_change(graph, schema, "features", "dq")
+    (got,) = _run(graph, {"features": states, "dq": change}, {"out": (out, 3)})
+    np.testing.assert_allclose(got, wanted, atol=2e-4)
+    tip = TorchTip(schema.chain)(torch.tensor(q, dtype=torch.float32)).numpy()
+    np.testing.assert_allclose(tip, schema.chain.tip_mm(q), atol=2e-4)
+
+
+def test_play_operators_in_the_graph(small: Dataset) -> None:
+    bank = PlayBank.of(small, 3, 0.01, 0.2)
+    wanted = bank.features(small)
+    assert bank.size == 36  # six joints and six sums and differences of the wrist's, three widths
+    assert np.abs(wanted).max() <= 1.0 + 1e-9
+    memory = np.zeros((1, 1 + bank.size))
+    for row in range(30):
+        graph = Graph()
+        sizes = graph.constant([1, bank.size], np.int64)
+        started, states = graph.ops("Split", 2, "memory", sizes, axis=1)
+        play, after = bank.in_graph(graph, "features", states, started)
+        begun = graph.op("Add", graph.op("Mul", started, np.float32(0.0)), np.float32(1.0))
+        kept = graph.op("Concat", begun, after, axis=1)
+        got, memory = _run(
+            graph,
+            {"features": small.states[row : row + 1], "memory": memory},
+            {"play": (play, bank.size), "memory_out": (kept, 1 + bank.size)},
+        )
+        np.testing.assert_allclose(got[0], wanted[row], atol=5e-3)
+
+
+def test_play_is_a_hysteresis_loop(small: Dataset) -> None:
+    """Up and down again over more than the play leaves the two branches two widths apart."""
+    from measure_plugins.estimators._play_kernel import play
+
+    path = np.concatenate([np.linspace(0, 1, 50), np.linspace(1, -1, 100), np.linspace(-1, 0, 50)])
+    inside = play(path[:, None], np.array([[0.2]]))[:, 0] * 0.2
+    down, up = inside[100], inside[-1]
+    assert down == pytest.approx(-0.2)
+    assert up == pytest.approx(0.2)
+    assert play(path[:, None] * 0.1, np.array([[0.2]]))[:, 0] * 0.2 == pytest.approx(path * 0.1)
