@@ -4,6 +4,19 @@ One file an action. Heavy libraries load when an action is called, not with this
 """
 
 from measure.api.calibrating import CalibrationResult, calibrate, draw_target
+from measure.api.correcting import (
+    TrainOptions,
+    ablate,
+    estimate_file,
+    estimate_online,
+    make_dataset,
+    parse_settings,
+    rezero,
+    shipped_model,
+    simulate_dataset,
+    sweep,
+    train,
+)
 from measure.api.evaluate import evaluate
 from measure.api.export import export
 from measure.api.measuring import measure_session
@@ -15,17 +28,28 @@ from measure.results.evaluation_table import evaluation_tables
 __all__ = [
     "CalibrationResult",
     "RunOptions",
+    "TrainOptions",
+    "ablate",
     "build_pipeline",
     "calibrate",
     "choose",
     "draw_target",
+    "estimate_file",
+    "estimate_online",
     "evaluate",
     "evaluation_tables",
     "export",
     "load_profile",
+    "make_dataset",
     "measure_session",
     "parse_images",
+    "parse_settings",
     "profile_names",
     "report",
+    "rezero",
     "run",
+    "shipped_model",
+    "simulate_dataset",
+    "sweep",
+    "train",
 ]

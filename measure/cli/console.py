@@ -57,6 +57,21 @@ def print_table(columns: Sequence[str], rows: Iterable[Sequence[object]], title:
     console.print(table)
 
 
+def note(text: str) -> None:
+    """Tell a person something on stderr, at once."""
+    print(text, file=sys.stderr, flush=True)
+
+
+def shares(report: Report) -> Callable[[float, str], None]:
+    """A callback for work that says which share of it is done: counted in per mille."""
+
+    def tell(done: float, what: str) -> None:
+        del what
+        report(round(1000.0 * done), 1000)
+
+    return tell
+
+
 @contextmanager
 def progress(
     label: str, unit: str = "frame sets", stream: TextIO | None = None

@@ -1,1 +1,70 @@
-"""."""
+"""From poses and robot states to an estimator of the position error, and its use online."""
+
+from measure.learning import files, sweeping
+from measure.learning.ablation import Importance, ablate, field_groups, single_fields
+from measure.learning.assemble import AssemblySettings, PoseTrack, TrajectoryFacts, assemble, join
+from measure.learning.clock import ClockOffset, estimate_offset
+from measure.learning.exercise import Exercise, exercise
+from measure.learning.guard import Counters, DriftMonitor, GuardedModel, Refusal, rezero_offset
+from measure.learning.offline import (
+    Corrected,
+    StateTable,
+    correct,
+    read_states,
+    rezero,
+    write_corrected,
+)
+from measure.learning.packets import AnswerPacket, StatePacket
+from measure.learning.scores import Evaluation, Score, evaluate
+from measure.learning.server import DEFAULT_ADDRESS, EstimateClient, EstimateServer
+from measure.learning.simulated import PAPER_MINUTES, PAPER_PAIRS, simulated_dataset
+from measure.learning.splits import Split, split_by_rows, split_by_trajectory
+from measure.learning.sweeping import SweepState
+from measure.learning.training import Trained, same_robot, train
+
+__all__ = [
+    "DEFAULT_ADDRESS",
+    "PAPER_MINUTES",
+    "PAPER_PAIRS",
+    "AnswerPacket",
+    "AssemblySettings",
+    "ClockOffset",
+    "Corrected",
+    "Counters",
+    "DriftMonitor",
+    "EstimateClient",
+    "EstimateServer",
+    "Evaluation",
+    "Exercise",
+    "GuardedModel",
+    "Importance",
+    "PoseTrack",
+    "Refusal",
+    "Score",
+    "Split",
+    "StatePacket",
+    "StateTable",
+    "SweepState",
+    "Trained",
+    "TrajectoryFacts",
+    "ablate",
+    "assemble",
+    "correct",
+    "estimate_offset",
+    "evaluate",
+    "exercise",
+    "field_groups",
+    "files",
+    "join",
+    "read_states",
+    "rezero",
+    "rezero_offset",
+    "same_robot",
+    "simulated_dataset",
+    "single_fields",
+    "split_by_rows",
+    "split_by_trajectory",
+    "sweeping",
+    "train",
+    "write_corrected",
+]

@@ -1,0 +1,111 @@
+"""`measure dataset`: robot states paired with measured position errors."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from measure.cli import console
+from measure.cli.console import JsonFlag, shares
+
+
+def dataset(
+    runs: tuple[Path, ...] = (),
+    /,
+    *,
+    out: Annotated[Path, Parameter(name=("--out", "-o"))],
+    robot_log: Annotated[tuple[Path, ...], Parameter(name="--robot-log")] = (),
+    robot: str = "raven",
+    topic: str | None = None,
+    clock_offset_s: float | None = None,
+    largest_offset_s: float = 5.0,
+    history_hz: float = 0.0,
+    cut_s: float = 0.0,
+    largest_sd_mm: float = 3.0,
+    simulate_min: float | None = None,
+    pairs: int | None = None,
+    restarts: int = 4,
+    seed: int = 1,
+    wear: float = 1.0,
+    json: JsonFlag = False,
+) -> None:
+    """Pair a robot's states with measured position errors.
+
+    Writes one Parquet file and a data card beside it. The offset between the clocks of cameras
+    and robot is estimated from the motion; labels in doubt are kept but marked.
+
+    Args:
+        runs: run folders, or files of poses; without a log, tables that already hold errors.
+        out: the data set's file (.parquet).
+        robot_log: the robot's log (.parquet, .csv, .bag, .mcap); one for all runs, or one each.
+        robot: what its states are: raven, raven-right, dvrk-psm, or a robot.toml.
+        topic: of the state messages in a bag.
+        clock_offset_s: robot time minus camera time, if known.
+        largest_offset_s: search the offset within plus and minus this.
+        history_hz: add unlabelled states between the labels at this rate.
+        cut_s: cut recordings into trajectories of this length.
+        largest_sd_mm: do not learn from labels less certain than this.
+        simulate_min: instead of runs, so many minutes of the simulated RAVEN-II.
+        pairs: simulated: pairs of state and pose; the paper's rate (353 a minute) if absent.
+        restarts: simulated: sessions, each after a restart.
+        seed: simulated: of motion, restarts and noise.
+        wear: simulated: slack and friction relative to new cables.
+    """
+    from measure import api
+    from measure.errors import ConfigError
+    from measure.learning import PAPER_MINUTES, PAPER_PAIRS, AssemblySettings
+
+    if bool(runs) == (simulate_min is not None):
+        raise ConfigError("give runs, or --simulate-min MINUTES, but not both")
+    if simulate_min is not None:
+        count = pairs or round(PAPER_PAIRS * simulate_min / PAPER_MINUTES)
+        with console.progress("simulating", unit="per mille") as report:
+            data, facts = api.simulate_dataset(
+                out,
+                minutes=simulate_min,
+                pairs=count,
+                restarts=restarts,
+                seed=seed,
+                wear=wear,
+                report=shares(report),
+            )
+    else:
+        settings = AssemblySettings(
+            clock_offset_s=clock_offset_s,
+            largest_offset_s=largest_offset_s,
+            history_hz=history_hz,
+            cut_s=cut_s,
+            largest_sd_mm=largest_sd_mm,
+        )
+        data, facts = api.make_dataset(runs, robot_log, robot, out, settings, topic=topic)
+    if json:
+        console.print_json({"data": str(out), "rows": len(data), "recordings": facts})
+        return
+    if facts:
+        columns = (
+            "recording",
+            "rows",
+            "usable",
+            "not measured",
+            "no state",
+            "outliers",
+            "offset_s",
+        )
+        rows = [
+            (
+                f.name,
+                f.rows,
+                f.usable,
+                f.not_measured,
+                f.no_state,
+                f.outliers,
+                f.clock.offset_s if f.clock else clock_offset_s,
+            )
+            for f in facts
+        ]
+        console.print_table(columns, rows)
+    console.print_text(
+        f"{int(data.usable.sum())} labels in {len(data.present())} trajectories written to {out}"
+    )

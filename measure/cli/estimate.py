@@ -1,0 +1,91 @@
+"""`measure estimate`: a robot's positions corrected, live or from a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from measure.cli import console
+from measure.cli.console import JsonFlag
+
+
+def estimate(
+    model: Path,
+    /,
+    *,
+    input_: Annotated[Path | None, Parameter(name="--input")] = None,
+    output: Path | None = None,
+    rezero: Path | None = None,
+    host: str = "127.0.0.1",
+    port: int = 47118,
+    seconds: float | None = None,
+    json: JsonFlag = False,
+) -> None:
+    """Correct a robot's positions, live or from a file.
+
+    Without `--input` it answers states that come by UDP, one datagram each, until interrupted.
+    What cannot be answered is refused and counted, never guessed.
+
+    Args:
+        model: an ONNX file made by `measure train`, or `shipped` for the one that comes along.
+        input_: recorded states (.parquet, .csv, .bag, .mcap).
+        output: where to write the errors (.parquet or .csv): run, i, ex, ey, ez in mm, and more.
+        rezero: a short measured data set of today: removes a restart's static offset, and says
+            whether the cables have changed.
+        host: address to listen on; other machines can reach it only if it is not the loopback.
+        port: to listen on; 0 takes a free one.
+        seconds: stop after this long.
+    """
+    from measure import api
+    from measure.errors import ConfigError
+
+    path = api.shipped_model() if str(model) == "shipped" else model
+    offset = None
+    if rezero is not None:
+        offset, sd, monitor = api.rezero(path, rezero)
+        x, y, z = offset
+        console.note(
+            f"offset {x:+.3f} {y:+.3f} {z:+.3f} mm (SD {sd.max():.3f}); {monitor.sentence()}"
+        )
+    if input_ is not None:
+        if output is None:
+            raise ConfigError("--input needs --output: where shall the errors go?")
+        counts = api.estimate_file(path, input_, output, offset).counts
+        _conclude(counts, json, f"written to {output}")
+        return
+    if output is not None:
+        raise ConfigError("--output needs --input: live estimates go back by UDP")
+
+    def line(server: Any) -> None:
+        console.note(_counted(server.guarded.counters.values()))
+
+    def started(server: Any) -> None:
+        console.note("listening on udp://{}:{}".format(*server.address))
+
+    served = api.estimate_online(
+        path, (host, port), offset_mm=offset, seconds=seconds, started=started, tell=line
+    )
+    latency = served.latency_us()
+    counts = served.guarded.counters.values()
+    ending = f"one update: median {latency['p50_us']:.0f} us, 99 % {latency['p99_us']:.0f} us"
+    _conclude({**counts, **latency}, json, ending)
+
+
+def _conclude(counts: dict[str, Any], json: bool, ending: str) -> None:
+    if json:
+        console.print_json(counts)
+    else:
+        console.print_text(f"{_counted(counts)}; {ending}")
+
+
+def _counted(counts: dict[str, Any]) -> str:
+    """Counters in words; what never happened is left out, but corrections always stand."""
+    words = [f"{counts['corrected']} corrected"]
+    words += [
+        f"{number} {name}"
+        for name, number in counts.items()
+        if number and name != "corrected" and not name.endswith("_us")
+    ]
+    return ", ".join(words)

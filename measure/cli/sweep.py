@@ -1,0 +1,66 @@
+"""`measure sweep`: a search among an estimator's settings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from measure.cli import console
+from measure.cli.console import JsonFlag, shares
+
+
+def sweep(
+    data: Path,
+    space: Path,
+    /,
+    *,
+    journal: Path,
+    estimator: str = "mlp",
+    set_: Annotated[tuple[str, ...], Parameter(name="--set")] = (),
+    trials: int = 100,
+    split_seed: int = 0,
+    scheduler: str | None = None,
+    json: JsonFlag = False,
+) -> None:
+    """Search an estimator's settings, on many machines if there are.
+
+    Start the same command as often as you like, on any machine that sees the journal: they share
+    the work. A killed worker's settings are tried again.
+
+    Args:
+        data: a data set.
+        space: a TOML file with a table per setting: choices, or low and high (log, integer).
+        journal: the sweep's file; an unfinished sweep goes on.
+        estimator: the plugin.
+        set_: a setting as NAME=VALUE that all trials share; may be repeated.
+        trials: finished trials wanted in all.
+        split_seed: which trajectories validate.
+        scheduler: address of a dask scheduler whose workers shall run the trials.
+    """
+    from measure import api
+
+    with console.progress("sweeping", unit="per mille") as report:
+        state = api.sweep(
+            data,
+            space,
+            journal,
+            estimator=estimator,
+            settings=api.parse_settings(set_),
+            trials=trials,
+            seed=split_seed,
+            scheduler=scheduler,
+            report=shares(report),
+        )
+    if json:
+        console.print_json(state)
+        return
+    rows = [
+        (value, " ".join(f"{k}={v}" for k, v in chosen.items())) for value, chosen in state.best
+    ]
+    console.print_table(("RMS_mm", "settings"), rows)
+    console.print_text(
+        f"{state.finished} trials finished, {state.failed} failed or abandoned, "
+        f"{state.running} running; {journal}"
+    )

@@ -1,0 +1,81 @@
+"""`measure train`: an estimator of a robot's position error."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from measure.cli import console
+from measure.cli.console import JsonFlag, shares
+from measure.cli.injected import InjectedRegistry
+
+
+def train(
+    data: tuple[Path, ...],
+    /,
+    *,
+    out: Annotated[Path, Parameter(name=("--out", "-o"))],
+    estimator: str = "stream",
+    set_: Annotated[tuple[str, ...], Parameter(name="--set")] = (),
+    validation: Path | None = None,
+    test_share: float = 0.1,
+    validation_share: float = 0.1,
+    split_seed: int = 0,
+    seed: int = 0,
+    resume: bool = False,
+    split_rows: bool = False,
+    json: JsonFlag = False,
+    registry: InjectedRegistry,
+) -> None:
+    """Train an estimator of a robot's position error.
+
+    Writes one ONNX file that holds everything needed to run it, and its model card. Whole
+    trajectories are kept for validation and for the test.
+
+    Args:
+        data: data sets made by `measure dataset`.
+        out: the model's file (.onnx).
+        estimator: a plugin: stream (default), mlp (the paper's), ridge, gp, forest, ukf, offset.
+        set_: one of its settings as NAME=VALUE, such as grus=2; may be repeated.
+        validation: a data set of its own to choose, stop and score by, instead of a split.
+        test_share: share of the labels kept for the test, in whole trajectories.
+        validation_share: likewise for choosing and stopping.
+        split_seed: which trajectories those are.
+        seed: of everything random in training.
+        resume: go on with an interrupted training.
+        split_rows: split by random rows, which is wrong: to see how wrong.
+    """
+    from measure import api
+
+    options = api.TrainOptions(
+        estimator=estimator,
+        settings=api.parse_settings(set_),
+        validation=validation,
+        test_share=test_share,
+        validation_share=validation_share,
+        split_seed=split_seed,
+        seed=seed,
+        resume=resume,
+        split_rows=split_rows,
+        notes={"command": "measure " + shlex.join(sys.argv[1:])},
+    )
+    with console.progress(f"training {estimator}", unit="per mille") as report:
+        trained = api.train(data, out, options, registry, shares(report))
+    result = trained.evaluation
+    if json:
+        console.print_json({"model": str(out), "test": result.to_dict()})
+        return
+    names = ("", "RMS_mm", "SD_mm", "p95_mm", "x_mm", "y_mm", "z_mm")
+    rows = [
+        (name, score.rms_mm, score.sd_mm, score.p95_mm, *score.axis_rms_mm)
+        for name, score in (("reported", result.before), ("corrected", result.after))
+    ]
+    console.print_table(names, rows)
+    console.print_text(
+        f"test: {result.after.rows} labels, RMS {result.rms_change:+.1%}, SD "
+        f"{result.sd_change:+.1%}; written to {out}, with {out.with_suffix('.card.md').name}"
+    )

@@ -1,0 +1,113 @@
+"""Which inputs an estimator needs: shuffle them, or leave them out and fit again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from measure.host import Dataset, Estimator, OnnxModel, Report
+from measure.host.estimator import quiet
+from measure.learning.scores import Score
+from measure.learning.splits import Split
+
+
+@dataclass(frozen=True)
+class Importance:
+    """How much worse the test RMS gets without an input.
+
+    Attributes:
+        name: of a feature or a group of features.
+        features: how many.
+        permuted_mm: RMS with the columns shuffled among rows; history is shuffled with them.
+        removed_mm: RMS after fitting without them; None if not tried.
+        permutation_mm: `permuted_mm` minus the RMS with all inputs.
+        removal_mm: likewise.
+    """
+
+    name: str
+    features: int
+    permuted_mm: float
+    removed_mm: float | None
+    permutation_mm: float
+    removal_mm: float | None
+
+
+def ablate(
+    model: OnnxModel,
+    split: Split,
+    groups: dict[str, Sequence[str]],
+    *,
+    refit: Callable[[], Estimator] | None = None,
+    seed: int = 0,
+    report: Report,
+) -> tuple[float, list[Importance]]:
+    """Test every group of features.
+
+    Args:
+        model: fitted with all features.
+        split: the one it was fitted with; only its test part is scored.
+        groups: features by name.
+        refit: makes an unfitted estimator; given, every group is also removed and refitted. A
+            removed feature is held at its mean, so that files and schemas stay alike.
+        seed: of shuffling and fitting.
+        report: progress.
+
+    Returns:
+        The RMS with all inputs, in mm, and the importances, the largest first.
+    """
+    base = _rms(model, split.test)
+    found = []
+    for index, (name, members) in enumerate(groups.items()):
+        report(index / len(groups), name)
+        columns = split.test.schema.index(members)
+        permuted = _rms(model, _shuffled(split.test, columns, seed))
+        removed = None if refit is None else _removed(refit(), split, columns, seed)
+        found.append(
+            Importance(
+                name,
+                len(columns),
+                permuted,
+                removed,
+                permuted - base,
+                None if removed is None else removed - base,
+            )
+        )
+    report(1.0, "done")
+    return base, sorted(found, key=lambda item: -item.permutation_mm)
+
+
+def single_fields(data: Dataset) -> dict[str, Sequence[str]]:
+    """Every feature on its own, those that never vary left out."""
+    spread = np.ptp(data.states, axis=0)
+    return {name: (name,) for name, s in zip(data.schema.names, spread, strict=True) if s > 0}
+
+
+def field_groups(data: Dataset) -> dict[str, Sequence[str]]:
+    """The robot's own groups of features, or single fields where it has none."""
+    return dict(data.schema.groups) or single_fields(data)
+
+
+def _shuffled(data: Dataset, columns: Sequence[int], seed: int) -> Dataset:
+    states = data.states.copy()
+    order = np.random.default_rng(seed).permutation(len(states))
+    states[:, columns] = states[order][:, columns]
+    return replace(data, states=states)
+
+
+def _removed(estimator: Estimator, split: Split, columns: Sequence[int], seed: int) -> float:
+    middle = split.train.states[:, columns].mean(axis=0)
+
+    def without(data: Dataset) -> Dataset:
+        states = data.states.copy()
+        states[:, columns] = middle
+        return replace(data, states=states)
+
+    estimator.fit(without(split.train), without(split.validation), seed=seed, report=quiet)
+    return _rms(estimator.model, without(split.test))  # type: ignore[attr-defined]
+
+
+def _rms(model: OnnxModel, data: Dataset) -> float:
+    residuals = data.errors_mm - model.predict(data).errors_mm
+    return Score.of(residuals[data.usable]).rms_mm

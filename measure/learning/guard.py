@@ -1,0 +1,183 @@
+"""What stands before a model online: refusals that are counted, a re-zero, a drift monitor."""
+
+from __future__ import annotations
+
+import itertools
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.errors import EstimatorError
+from measure.host import Correction, OnnxModel
+
+
+class Refusal(StrEnum):
+    """Why a state got no correction."""
+
+    MALFORMED = "malformed packet"
+    FEATURE_COUNT = "wrong number of features"
+    NOT_A_NUMBER = "a feature is not a number"
+    REPEATED = "sequence number repeated or out of order"
+    STALE = "stamp not after the last one"
+
+
+@dataclass
+class Counters:
+    """What happened so far.
+
+    Attributes:
+        corrected: states that got a correction.
+        unfamiliar: of these, flagged as unlike training.
+        lost: sequence numbers that never came.
+        refused: by reason.
+    """
+
+    corrected: int = 0
+    unfamiliar: int = 0
+    lost: int = 0
+    refused: Counter[Refusal] = field(default_factory=Counter)
+
+    def values(self) -> dict[str, int]:
+        """Plain names and numbers."""
+        out = {"corrected": self.corrected, "unfamiliar": self.unfamiliar, "lost": self.lost}
+        return out | {reason.value: self.refused[reason] for reason in Refusal}
+
+
+class GuardedModel:
+    """A model that answers good states and refuses, and counts, all others."""
+
+    def __init__(self, model: OnnxModel, offset_mm: Floats | None = None) -> None:
+        self.model = model
+        self.counters = Counters()
+        self.offset_mm = np.zeros(3) if offset_mm is None else offset_mm
+        self._last_sequence: int | None = None
+        self._last_time_s = -np.inf
+
+    def update(
+        self, state: Floats, time_s: float, sequence: int | None = None
+    ) -> Correction | Refusal:
+        """Correct a state, or say why not; the offset of a re-zero is included.
+
+        Args:
+            state: the features.
+            time_s: its stamp, which must grow; NaN where stamps are not recorded.
+            sequence: its number, which must grow by one; jumps count as losses.
+        """
+        reason = self._judge(state, time_s, sequence)
+        if reason is not None:
+            self.counters.refused[reason] += 1
+            return reason
+        if sequence is not None:
+            if self._last_sequence is not None:
+                self.counters.lost += sequence - self._last_sequence - 1
+            self._last_sequence = sequence
+        self._last_time_s = time_s
+        correction = self.model.update(state, time_s)
+        self.counters.corrected += 1
+        self.counters.unfamiliar += correction.unfamiliar
+        return Correction(
+            correction.error_mm + self.offset_mm, correction.covariance, correction.unfamiliar
+        )
+
+    def refuse(self, reason: Refusal) -> Refusal:
+        """Count a refusal that was decided elsewhere."""
+        self.counters.refused[reason] += 1
+        return reason
+
+    def reset(self) -> None:
+        """A new trajectory begins; counters go on."""
+        self.model.reset()
+        self._last_sequence, self._last_time_s = None, -np.inf
+
+    def _judge(self, state: Floats, time_s: float, sequence: int | None) -> Refusal | None:
+        if len(state) != len(self.model.features):
+            return Refusal.FEATURE_COUNT
+        if not np.isfinite(state).all():
+            return Refusal.NOT_A_NUMBER
+        last = self._last_sequence
+        if sequence is not None and last is not None and sequence <= last:
+            return Refusal.REPEATED
+        if time_s <= self._last_time_s:
+            return Refusal.STALE
+        return None
+
+
+def rezero_offset(
+    residuals_mm: Floats, covariances: Floats, prior_sd_mm: float = 2.0
+) -> tuple[Floats, Floats]:
+    """The static offset after a restart, from a short measured stretch.
+
+    The mean residual, shrunk towards zero by what the residuals' scatter leaves open: hysteresis
+    correlates neighbours, so they count as one observation in five.
+
+    Args:
+        residuals_mm: (n, 3) measured minus corrected position.
+        covariances: (n, 3, 3) of the corrections.
+        prior_sd_mm: how large an offset is expected to be.
+
+    Returns:
+        The offset (3,) to add to corrections, and its SD (3,).
+
+    Raises:
+        EstimatorError: fewer than 10 measured states.
+    """
+    if len(residuals_mm) < 10:
+        raise EstimatorError(
+            f"re-zeroing needs at least 10 measured states, got {len(residuals_mm)}"
+        )
+    scatter = residuals_mm.var(axis=0) + np.diagonal(covariances, axis1=1, axis2=2).mean(axis=0)
+    noise = scatter / (len(residuals_mm) / 5.0)
+    gain = prior_sd_mm**2 / (prior_sd_mm**2 + noise)
+    return gain * np.median(residuals_mm, axis=0), np.sqrt(gain * noise)
+
+
+@dataclass
+class DriftMonitor:
+    """Says when the cables have changed: measured residuals no longer fit the covariance.
+
+    A mean squared Mahalanobis length (per axis) near one is what the model promised. It is averaged
+    exponentially, and compared with a limit that honest residuals cross rarely.
+
+    Attributes:
+        limit: beyond which retraining is due; 2 means residuals 1.4 times as large as promised.
+        memory: labels over which to average.
+    """
+
+    limit: float = 2.0
+    memory: float = 500.0
+    ratio: float = 1.0
+    count: int = 0
+
+    def add(self, residual_mm: Floats, covariance: Floats) -> None:
+        """Take one measured residual and the covariance that was promised for it."""
+        squared = float(residual_mm @ np.linalg.solve(covariance, residual_mm)) / 3.0
+        self.count += 1
+        share = max(1.0 / self.count, 1.0 / self.memory)
+        self.ratio += share * (min(squared, 50.0) - self.ratio)
+
+    @property
+    def due(self) -> bool:
+        """Whether retraining is due."""
+        return self.count >= min(100.0, self.memory) and self.ratio > self.limit
+
+    def sentence(self) -> str:
+        """For people."""
+        size = self.ratio**0.5
+        if self.count < 100:
+            return f"drift: only {self.count} measured states, too few to judge"
+        if self.due:
+            return (
+                f"drift: residuals are {size:.2f} times as large as promised: "
+                "the cables have changed, train again"
+            )
+        return f"drift: none, residuals are {size:.2f} times as large as promised"
+
+
+def runs_of(labels: Sequence[object]) -> list[slice]:
+    """Slices of equal neighbours."""
+    edges = [i for i in range(1, len(labels)) if labels[i] != labels[i - 1]]
+    return [slice(a, b) for a, b in itertools.pairwise([0, *edges, len(labels)])]

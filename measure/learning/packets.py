@@ -1,0 +1,88 @@
+"""What travels over UDP, little-endian.
+
+A state: magic `TBs1`, sequence number (uint64), stamp (float64, s), count (uint16), then `count`
+float32 features. An answer: magic `TBe1`, the same sequence number and stamp, status (uint8: 0
+corrected, 1 corrected but unfamiliar, 2 and above refused, see `STATUS`), error x y z (float32,
+mm; NaN if refused) and the upper triangle of its covariance (6 float32, mm^2).
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.errors import EstimatorError
+from measure.host import Correction
+from measure.learning.guard import Refusal
+
+_STATE = struct.Struct("<4sQdH")
+_ANSWER = struct.Struct("<4sQdB9f")
+_STATE_MAGIC, _ANSWER_MAGIC = b"TBs1", b"TBe1"
+_UPPER = np.triu_indices(3)
+STATUS = {reason: code for code, reason in enumerate(Refusal, start=2)}
+_REASON = {code: reason for reason, code in STATUS.items()}
+LARGEST = 65_507  # bytes in a datagram
+
+
+@dataclass(frozen=True, eq=False)
+class StatePacket:
+    """A robot's state on its way to the estimator."""
+
+    sequence: int
+    time_s: float
+    state: Floats
+
+    def pack(self) -> bytes:
+        """As bytes."""
+        head = _STATE.pack(_STATE_MAGIC, self.sequence, self.time_s, len(self.state))
+        return head + np.asarray(self.state, dtype="<f4").tobytes()
+
+    @classmethod
+    def unpack(cls, data: bytes) -> StatePacket | None:
+        """From bytes; None if they are no such packet."""
+        if len(data) < _STATE.size or data[:4] != _STATE_MAGIC:
+            return None
+        _, sequence, time_s, count = _STATE.unpack_from(data)
+        if len(data) != _STATE.size + 4 * count:
+            return None
+        state = np.frombuffer(data, dtype="<f4", offset=_STATE.size).astype(np.float64)
+        return cls(sequence, time_s, state)
+
+
+@dataclass(frozen=True, eq=False)
+class AnswerPacket:
+    """An estimate on its way back."""
+
+    sequence: int
+    time_s: float
+    answer: Correction | Refusal
+
+    def pack(self) -> bytes:
+        """As bytes."""
+        if isinstance(self.answer, Refusal):
+            numbers = [float("nan")] * 9
+            status = STATUS[self.answer]
+        else:
+            numbers = [*self.answer.error_mm, *self.answer.covariance[_UPPER]]
+            status = int(self.answer.unfamiliar)
+        return _ANSWER.pack(_ANSWER_MAGIC, self.sequence, self.time_s, status, *numbers)
+
+    @classmethod
+    def unpack(cls, data: bytes) -> AnswerPacket:
+        """From bytes.
+
+        Raises:
+            EstimatorError: they are no such packet.
+        """
+        if len(data) != _ANSWER.size or data[:4] != _ANSWER_MAGIC:
+            raise EstimatorError(f"an answer of {len(data)} bytes is not an estimator's")
+        _, sequence, time_s, status, *numbers = _ANSWER.unpack(data)
+        if status > 1:
+            return cls(sequence, time_s, _REASON[status])
+        covariance = np.zeros((3, 3))
+        covariance[_UPPER] = numbers[3:]
+        covariance = covariance + np.triu(covariance, 1).T
+        return cls(sequence, time_s, Correction(np.array(numbers[:3]), covariance, status == 1))

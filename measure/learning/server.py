@@ -1,0 +1,131 @@
+"""Estimating online: states come in by UDP, corrections go back to whoever sent them."""
+
+from __future__ import annotations
+
+import gc
+import socket
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.host import OnnxModel
+from measure.learning.guard import GuardedModel, Refusal
+from measure.learning.packets import LARGEST, AnswerPacket, StatePacket
+
+DEFAULT_ADDRESS = ("127.0.0.1", 47_118)
+
+
+class EstimateServer:
+    """Answers every datagram with one datagram; what is refused is counted and said so.
+
+    Loopback unless another address is given: the packets are neither encrypted nor signed.
+    """
+
+    def __init__(
+        self,
+        model: OnnxModel,
+        address: tuple[str, int] = DEFAULT_ADDRESS,
+        offset_mm: Floats | None = None,
+    ) -> None:
+        self.guarded = GuardedModel(model, offset_mm)
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4 << 20)
+        self._socket.bind(address)
+        self._durations = np.zeros(1 << 16)
+        self._answered = 0
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Where it listens."""
+        host, port = self._socket.getsockname()
+        return str(host), int(port)
+
+    def serve(
+        self,
+        seconds: float | None = None,
+        tell: Callable[[EstimateServer], None] | None = None,
+        tell_every_s: float = 5.0,
+    ) -> None:
+        """Answer until `seconds` are over, or for ever.
+
+        Args:
+            seconds: how long.
+            tell: called every few seconds, to show the counters.
+            tell_every_s: how often.
+        """
+        start = told = time.monotonic()
+        self._socket.settimeout(0.2)
+        gc.collect()
+        gc.freeze()  # what is loaded by now stays: collecting it would only cost milliseconds
+        while seconds is None or time.monotonic() - start < seconds:
+            try:
+                data, sender = self._socket.recvfrom(LARGEST)
+            except TimeoutError:
+                data = b""
+            if data:
+                self._socket.sendto(self._answer(data).pack(), sender)
+            now = time.monotonic()
+            if tell is not None and now - told >= tell_every_s:
+                told = now
+                tell(self)
+
+    def _answer(self, data: bytes) -> AnswerPacket:
+        begun = time.perf_counter()
+        packet = StatePacket.unpack(data)
+        if packet is None:
+            return AnswerPacket(0, float("nan"), self.guarded.refuse(Refusal.MALFORMED))
+        if not np.isfinite(packet.time_s):
+            reason = self.guarded.refuse(Refusal.NOT_A_NUMBER)
+            return AnswerPacket(packet.sequence, packet.time_s, reason)
+        answer = self.guarded.update(packet.state, packet.time_s, packet.sequence)
+        self._durations[self._answered % len(self._durations)] = time.perf_counter() - begun
+        self._answered += 1
+        return AnswerPacket(packet.sequence, packet.time_s, answer)
+
+    def latency_us(self) -> dict[str, float]:
+        """Median and 99th percentile of one update in this process, over the last 65 536."""
+        kept = self._durations[: min(self._answered, len(self._durations))]
+        if not len(kept):
+            return {"p50_us": float("nan"), "p99_us": float("nan")}
+        p50, p99 = np.percentile(kept, [50, 99]) * 1e6
+        return {"p50_us": float(p50), "p99_us": float(p99)}
+
+    def close(self) -> None:
+        """Stop listening."""
+        self._socket.close()
+
+
+class EstimateClient:
+    """Sends states and receives estimates; one in flight at a time is enough for 1 kHz."""
+
+    def __init__(self, address: tuple[str, int] = DEFAULT_ADDRESS, timeout_s: float = 0.5) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.settimeout(timeout_s)
+        self._socket.connect(address)
+        self._sequence = 0
+
+    def ask(self, state: Floats, time_s: float) -> AnswerPacket | None:
+        """Send the next state and wait for its answer; None if it did not come in time."""
+        self._sequence += 1
+        self.send(StatePacket(self._sequence, time_s, state).pack())
+        while True:
+            answer = self.receive()
+            if answer is None or answer.sequence in (0, self._sequence):
+                return answer
+
+    def send(self, data: bytes) -> None:
+        """Send bytes as they are."""
+        self._socket.send(data)
+
+    def receive(self) -> AnswerPacket | None:
+        """The next answer, or None if none comes in time."""
+        try:
+            return AnswerPacket.unpack(self._socket.recv(LARGEST))
+        except (TimeoutError, ConnectionRefusedError):
+            return None
+
+    def close(self) -> None:
+        """Stop listening."""
+        self._socket.close()

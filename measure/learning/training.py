@@ -1,0 +1,135 @@
+"""Fitting an estimator: split, fit, judge on unseen trajectories, save with a card."""
+
+from __future__ import annotations
+
+import json
+import platform
+import shutil
+import subprocess
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from measure.errors import EstimatorError
+from measure.host import Dataset, Epoch, Estimator, OnnxModel, Report
+from measure.learning.card import write_card
+from measure.learning.files import digest
+from measure.learning.scores import Evaluation, evaluate
+from measure.learning.splits import Split
+
+
+@dataclass(frozen=True, eq=False)
+class Trained:
+    """A fitted estimator on disk.
+
+    Attributes:
+        path: the ONNX file; the model card stands beside it.
+        evaluation: on the test trajectories.
+        curve: the learning curve, if it was iterative.
+    """
+
+    path: Path
+    evaluation: Evaluation
+    curve: tuple[Epoch, ...]
+
+
+def train(
+    estimator: Estimator,
+    split: Split,
+    out: Path,
+    *,
+    seed: int,
+    report: Report,
+    resume: bool = False,
+    notes: Mapping[str, str] | None = None,
+) -> Trained:
+    """Fit, evaluate and save.
+
+    Args:
+        estimator: not yet fitted.
+        split: training, validation (chooses and stops) and test trajectories (judged only here).
+        out: the ONNX file to write; `OUT.card.md` and `OUT.card.json` go beside it.
+        seed: of everything random.
+        report: progress.
+        resume: go on from where an interrupted fit to the same `out` got to.
+        notes: further lines of the card.
+
+    Raises:
+        EstimatorError: the data cannot be learnt from, or `out` has no suffix `.onnx`.
+    """
+    if out.suffix != ".onnx":
+        raise EstimatorError(f"{out}: a model's file name must end with .onnx")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    checkpoint = out.with_suffix(".checkpoint")
+    if not resume:
+        shutil.rmtree(checkpoint, ignore_errors=True)
+    estimator.checkpoint = checkpoint
+    estimator.fit(split.train, split.validation, seed=seed, report=report)
+    card = _provenance(estimator, split, seed) | dict(notes or {})
+    estimator.save(out, card)
+    evaluation = evaluate(split.test, OnnxModel.load(out).predict(split.test))
+    card |= {"scores": evaluation.to_dict()}
+    estimator.save(out, card)  # the same network, now with its scores inside
+    full = card | {"curve": [asdict(line) for line in estimator.curve]}
+    out.with_suffix(".card.json").write_text(json.dumps(full, indent=1) + "\n")
+    write_card(out.with_suffix(".card.md"), full)
+    shutil.rmtree(checkpoint, ignore_errors=True)
+    return Trained(out, evaluation, estimator.curve)
+
+
+def _provenance(estimator: Estimator, split: Split, seed: int) -> dict[str, Any]:
+    return {
+        "estimator": estimator.name,
+        "settings": estimator.config.model_dump(mode="json"),
+        "robot": split.train.schema.robot,
+        "seed": seed,
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "triball": metadata.version("triball"),
+        "revision": revision(),
+        "python": platform.python_version(),
+        "data": {
+            part: {
+                "digest": digest(data),
+                "rows": len(data),
+                "usable": int(data.usable.sum()),
+                "trajectories": list(data.present()),
+            }
+            for part, data in (
+                ("training", split.train),
+                ("validation", split.validation),
+                ("test", split.test),
+            )
+        },
+    }
+
+
+def revision() -> str:
+    """The git revision of this program's sources, or "released" where there is no repository."""
+    here = Path(__file__).parent
+    try:
+        found = subprocess.run(
+            ["git", "-C", str(here), "rev-parse", "--short", "HEAD"],
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=5,
+        )
+    except (OSError, subprocess.SubprocessError):
+        return "released"
+    return found.stdout.strip()
+
+
+def same_robot(first: Dataset, other: Dataset) -> None:
+    """Refuse to mix robots.
+
+    Raises:
+        EstimatorError: they differ.
+    """
+    if first.schema.robot != other.schema.robot:
+        raise EstimatorError(
+            f"training data are of robot '{first.schema.robot}', validation data of "
+            f"'{other.schema.robot}'"
+        )

@@ -1,0 +1,186 @@
+"""Refusals, packets, the UDP server, re-zeroing and drift."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from measure.errors import EstimatorError
+from measure.host import Correction, OnnxModel, Registry
+from measure.host.estimator import quiet
+from measure.learning import (
+    AnswerPacket,
+    DriftMonitor,
+    EstimateClient,
+    EstimateServer,
+    GuardedModel,
+    Refusal,
+    Split,
+    StatePacket,
+    correct,
+    exercise,
+    read_states,
+    rezero_offset,
+)
+from measure.learning.offline import schema_of
+
+pytest.importorskip("onnx", reason="fitting needs the extra 'train'")
+
+
+@pytest.fixture(scope="module")
+def model_path(split: Split, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    estimator = Registry.discover().estimator("ridge", {"play_widths": 3})
+    estimator.fit(split.train, split.validation, seed=0, report=quiet)
+    path = tmp_path_factory.mktemp("model") / "ridge.onnx"
+    estimator.save(path, {})
+    return path
+
+
+@pytest.fixture
+def guarded(model_path: Path) -> GuardedModel:
+    return GuardedModel(OnnxModel.load(model_path))
+
+
+def test_bad_states_are_refused_and_counted(guarded: GuardedModel, split: Split) -> None:
+    state = split.test.states[0]
+    assert isinstance(guarded.update(state, 1.0, 1), Correction)
+    assert guarded.update(state[:-1], 1.1, 2) is Refusal.FEATURE_COUNT
+    broken = state.copy()
+    broken[7] = np.nan
+    assert guarded.update(broken, 1.1, 2) is Refusal.NOT_A_NUMBER
+    assert guarded.update(state, 1.1, 1) is Refusal.REPEATED
+    assert guarded.update(state, 1.0, 2) is Refusal.STALE
+    assert isinstance(guarded.update(state, 1.2, 5), Correction)
+    counts = guarded.counters.values()
+    assert counts["corrected"] == 2
+    assert counts["lost"] == 3
+    assert [counts[reason.value] for reason in Refusal] == [0, 1, 1, 1, 1]
+
+
+def test_a_refused_state_leaves_no_trace(guarded: GuardedModel, split: Split) -> None:
+    states = split.test.states
+    first = [guarded.update(states[i], float(i)) for i in range(5)]
+    guarded.reset()
+    second = []
+    for i in range(5):
+        second.append(guarded.update(states[i], float(i)))
+        guarded.update(states[i + 20] * np.nan, i + 0.5)
+    for a, b in zip(first, second, strict=True):
+        assert isinstance(a, Correction)
+        assert isinstance(b, Correction)
+        np.testing.assert_array_equal(a.error_mm, b.error_mm)
+
+
+def test_packets() -> None:
+    state = StatePacket(2**40, 12.25, np.arange(118.0))
+    again = StatePacket.unpack(state.pack())
+    assert again is not None
+    assert (again.sequence, again.time_s) == (2**40, 12.25)
+    np.testing.assert_array_equal(again.state, state.state)
+    assert StatePacket.unpack(state.pack()[:-1]) is None
+    assert StatePacket.unpack(b"hello") is None
+    covariance = np.array([[2.0, 0.5, 0.1], [0.5, 3.0, 0.2], [0.1, 0.2, 4.0]])
+    answer = AnswerPacket(3, 1.0, Correction(np.array([1.0, -2.0, 3.0]), covariance, True))
+    back = AnswerPacket.unpack(answer.pack()).answer
+    assert isinstance(back, Correction)
+    assert back.unfamiliar
+    np.testing.assert_allclose(back.covariance, covariance, rtol=1e-6)
+    for reason in Refusal:
+        assert AnswerPacket.unpack(AnswerPacket(1, 0.0, reason).pack()).answer is reason
+    with pytest.raises(EstimatorError, match="not an estimator's"):
+        AnswerPacket.unpack(b"hello")
+
+
+@pytest.fixture
+def server(model_path: Path) -> Iterator[EstimateServer]:
+    server = EstimateServer(OnnxModel.load(model_path), ("127.0.0.1", 0))
+    thread = threading.Thread(target=server.serve, args=(3.0,))
+    thread.start()
+    yield server
+    thread.join()
+    server.close()
+
+
+def test_answers_over_udp(server: EstimateServer, model_path: Path, split: Split) -> None:
+    client = EstimateClient(server.address)
+    model = OnnxModel.load(model_path)
+    for row in range(30):
+        packet = client.ask(split.test.states[row], float(split.test.times_s[row]))
+        wanted = model.update(split.test.states[row], float(split.test.times_s[row]))
+        assert packet is not None
+        assert isinstance(packet.answer, Correction)
+        np.testing.assert_allclose(packet.answer.error_mm, wanted.error_mm, atol=1e-4)
+    client.send(b"garbage")
+    answer = client.receive()
+    assert answer is not None
+    assert answer.answer is Refusal.MALFORMED
+    nan_stamp = client.ask(split.test.states[0], float("nan"))
+    assert nan_stamp is not None
+    assert nan_stamp.answer is Refusal.NOT_A_NUMBER
+    client.close()
+    assert server.guarded.counters.corrected == 30
+    assert server.latency_us()["p50_us"] > 0
+
+
+def test_a_hundred_hertz_lose_nothing(server: EstimateServer, split: Split) -> None:
+    client = EstimateClient(server.address)
+    result = exercise(client, split.test.states[:50], 1.0, rate_hz=100.0)
+    client.close()
+    assert result.answered == result.sent == 100
+    assert server.guarded.counters.lost == 0
+
+
+def test_offline_is_online(model_path: Path, split: Split, tmp_path: Path) -> None:
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    data = split.test
+    path = tmp_path / "states.parquet"
+    columns = {name: data.states[:, i] for i, name in enumerate(data.schema.names)}
+    labels = {
+        "run": np.array(data.names)[data.trajectory],
+        "i": np.arange(len(data)),
+        "t_s": data.times_s,
+    }
+    parquet.write_table(pa.table(labels | columns), path)
+    model = OnnxModel.load(model_path)
+    estimates = model.predict(data)
+    corrected = correct(read_states(path, model), model)
+    np.testing.assert_allclose(corrected.errors_mm, estimates.errors_mm, atol=1e-4)
+    assert corrected.counts["corrected"] == len(data)
+    columns.pop("tau_0")
+    parquet.write_table(pa.table(labels | columns), path)
+    with pytest.raises(EstimatorError, match="lacks 1 of 118 columns: tau_0"):
+        read_states(path, model)
+    schema = schema_of(model)
+    np.testing.assert_allclose(schema.position_mm(data.states), data.reported_mm, atol=1e-9)
+
+
+def test_rezero_finds_a_restarts_offset() -> None:
+    rng = np.random.default_rng(1)
+    true = np.array([0.8, -0.5, 0.2])
+    covariances = np.tile(0.3**2 * np.eye(3), (60, 1, 1))
+    offset, sd = rezero_offset(true + rng.normal(0, 0.3, (60, 3)), covariances)
+    assert np.abs(offset - true).max() < 4 * sd.max()
+    assert sd.max() < 0.3
+    with pytest.raises(EstimatorError, match="at least 10"):
+        rezero_offset(np.zeros((5, 3)), covariances[:5])
+
+
+def test_drift_is_seen_and_calm_is_not_drift() -> None:
+    rng = np.random.default_rng(2)
+    covariance = np.diag([0.1, 0.2, 0.05])
+    root = np.sqrt(covariance)
+    calm = DriftMonitor()
+    for _ in range(3000):
+        calm.add(root @ rng.normal(size=3), covariance)
+        assert not calm.due
+    for _ in range(1000):
+        calm.add(1.8 * root @ rng.normal(size=3), covariance)
+    assert calm.due
+    assert "train again" in calm.sentence()
+    assert "too few" in DriftMonitor().sentence()
