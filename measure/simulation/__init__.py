@@ -1,5 +1,7 @@
 """Ball scenes with exact truth: pictures of rigs that never existed."""
 
+from measure.simulation.boards import Chessboard, Print, charuco
+from measure.simulation.capture import CaptureScene, write_capture
 from measure.simulation.catalogue import scene_catalogue
 from measure.simulation.observations import Observation, simulate_observations
 from measure.simulation.recording import write_session
@@ -14,11 +16,14 @@ __all__ = [
     "Actor",
     "Box",
     "Capsule",
+    "CaptureScene",
+    "Chessboard",
     "Light",
     "Lighting",
     "Material",
     "MotionLimits",
     "Observation",
+    "Print",
     "Renderer",
     "Scene",
     "Sensor",
@@ -26,9 +31,11 @@ __all__ = [
     "Sphere",
     "Still",
     "Trajectory",
+    "charuco",
     "random_motion",
     "render",
     "scene_catalogue",
     "simulate_observations",
+    "write_capture",
     "write_session",
 ]

@@ -26,7 +26,7 @@ NOTHING = -1
 REFERENCE_MM = 1000.0
 """A lamp's irradiance is what it gives at this distance."""
 REUSE = 4
-"""Of a pixel's rays, which are many where an edge crosses it, every fourth is shaded."""
+"""Of a pixel's rays, which are many where an edge crosses it, every fourth is lit anew."""
 _OWN = 1.0001
 """A ball does not hide light from its own surface."""
 
@@ -168,7 +168,7 @@ def shade(
         out: (n / rays_per_row, 3) receives the radiance, B G R.
     """
     p, n, v = np.empty(3), np.empty(3), np.empty(3)
-    last, colours = np.full(len(shapes), -1), np.empty((len(shapes), 3))
+    last, light = np.full(len(shapes), -1), np.empty((len(shapes), 6))
     out[:] = 0.0
     for i in range(len(ideal)):
         k, row = first[i], i // rays_per_row
@@ -176,7 +176,7 @@ def shade(
             last[:] = -1
         if k == NOTHING:
             continue
-        if by_ray or last[k] < 0 or i - last[k] >= REUSE:
+        if last[k] < 0 or i - last[k] >= REUSE:
             last[k] = i
             p[0], p[1], p[2] = depth[i] * ideal[i, 0], depth[i] * ideal[i, 1], depth[i]
             for c in range(3):
@@ -185,12 +185,10 @@ def shade(
             distance = math.sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2])
             for c in range(3):
                 v[c] = -p[c] / distance
-            paint = albedo[i] if by_ray else albedo[k]
-            _reflect(
-                p, n, v, k, shapes, paint, lamps, ambient, surround, up_below, blockers, colours[k]
-            )
+            _reflect(p, n, v, k, shapes, lamps, ambient, surround, up_below, blockers, light[k])
         for c in range(3):
-            out[row, c] += colours[k, c] / rays_per_row
+            paint = albedo[i, c] if by_ray else albedo[k, c]
+            out[row, c] += (paint * light[k, c] + light[k, 3 + c]) / rays_per_row
 
 
 @compiled
@@ -235,7 +233,6 @@ def _reflect(
     v: Floats,
     k: int,
     shapes: Floats,
-    albedo: Floats,
     lamps: Floats,
     ambient: Floats,
     surround: Floats,
@@ -243,7 +240,7 @@ def _reflect(
     blockers: Ints,
     out: Floats,
 ) -> None:
-    """Radiance (3,) from one surface point towards the viewer."""
+    """Light (6,) from a point to the viewer: diffuse, per unit of albedo; and mirrored."""
     f0, below = shapes[k, REFLECTANCE], up_below[3]
     facing = min(max(n[0] * v[0] + n[1] * v[1] + n[2] * v[2], 0.0), 1.0)
     fresnel = _fresnel(facing, f0)
@@ -257,7 +254,8 @@ def _reflect(
     seen = 0.5 * (1 + m0 * up_below[0] + m1 * up_below[1] + m2 * up_below[2])
     mirror = fresnel * (below + (1 - below) * seen)
     for c in range(3):
-        out[c] = albedo[c] * (1 - fresnel) * sky * ambient[c] + mirror * surround[c]
+        out[c] = (1 - fresnel) * sky * ambient[c]
+        out[3 + c] = mirror * surround[c]
     for j in range(len(lamps)):
         lx, ly, lz = lamps[j, 0] - p[0], lamps[j, 1] - p[1], lamps[j, 2] - p[2]
         away = math.sqrt(lx * lx + ly * ly + lz * lz)
@@ -276,7 +274,8 @@ def _reflect(
             off = 1 - (m0 * lx + m1 * ly + m2 * lz)
             gloss = fresnel * power * math.exp(-off / variance) / (2 * variance)
         for c in range(3):
-            out[c] += lamps[j, LAMP_COLOUR + c] * (albedo[c] * diffuse + gloss)
+            out[c] += lamps[j, LAMP_COLOUR + c] * diffuse
+            out[3 + c] += lamps[j, LAMP_COLOUR + c] * gloss
 
 
 @compiled

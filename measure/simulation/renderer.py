@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 
 import cv2
@@ -25,15 +26,28 @@ _VELOCITY_STEP_S = 1e-4
 
 
 class Renderer:
-    """Renders one camera of a scene; keeps what does not change from picture to picture."""
+    """Renders one camera of a scene; keeps what does not change from picture to picture.
 
-    def __init__(self, scene: Scene, camera: str) -> None:
+    Args:
+        scene: what there is.
+        camera: name of one of its cameras.
+        samples: rays through a pixel that an edge crosses.
+    """
+
+    def __init__(self, scene: Scene, camera: str, samples: int = SAMPLES) -> None:
         self.scene = scene
+        self.samples = samples
         self.camera = scene.camera(camera)
         self.sensor = scene.sensor_of(camera)
         self._index = [c.name for c in scene.cameras].index(camera)
         self._lighting = scene.lighting.seen_from(self.camera.camera_from_world)
         self._focal_px = self.camera.intrinsics.focal_px
+
+    def with_fixed(self, fixed: tuple[Shape, ...]) -> Renderer:
+        """A renderer of the same scene with other standing things; it shares the backdrop."""
+        other = Renderer(replace(self.scene, fixed=fixed), self.camera.name, self.samples)
+        other.__dict__.update(_canvas=self._canvas, _backdrop=self._backdrop)
+        return other
 
     def picture(self, time_s: float, frame: int = 0) -> Bytes:
         """The 8-bit picture (h, w, 3), B G R, whose exposure is centred on `time_s`.
@@ -49,7 +63,7 @@ class Renderer:
         total: Linear | None = None
         for k in range(steps):
             instant = time_s + self.sensor.exposure_s * ((k + 0.5) / steps - 0.5)
-            drawn = self._instant(instant, max(SAMPLES // steps, 16))
+            drawn = self._instant(instant, max(self.samples // steps, 16))
             total = drawn if total is None else np.add(total, drawn, out=total)
         assert total is not None
         return total if steps == 1 else total / np.float32(steps)
@@ -115,7 +129,9 @@ class Renderer:
         if not self._fixed:
             return self._backdrop
         stage = Stage(self._fixed, self._lighting, self._focal_px)
-        return self._canvas.draw(stage, len(self._fixed), SAMPLES, self._backdrop, self._backdrop)
+        return self._canvas.draw(
+            stage, len(self._fixed), self.samples, self._backdrop, self._backdrop
+        )
 
 
 def render(scene: Scene, camera: Camera | str, time_s: float, frame: int = 0) -> Bytes:
