@@ -1,0 +1,56 @@
+"""The methods that are compared, each as a pipeline."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from benchmarks.baselines import BASELINES, MaskDetector
+from measure.api import build_pipeline, load_profile
+from measure.api.profiles import find_tracker
+from measure.host import Registry
+from measure.host.settings import Settings
+from measure.measuring import Pipeline, Stages
+from measure.session import Session
+
+
+@dataclass(frozen=True)
+class Method:
+    """A name, and either a profile with its changed stages or a baseline detector."""
+
+    name: str
+    profile: str = ""
+    solver: str | None = None
+    baseline: type[MaskDetector] | None = None
+
+    def pipeline(self, session: Session, registry: Registry) -> Pipeline:
+        """A fresh pipeline for a session."""
+        if self.baseline is not None:
+            return _baseline_pipeline(self.baseline, session, registry)
+        profile = load_profile(self.profile)
+        if self.solver is not None:
+            profile = profile.with_stage("solver", self.solver)
+        return build_pipeline(profile, registry, session.body, session.cameras)
+
+
+METHODS = (
+    Method("paper profile", profile="paper"),
+    *(Method(f"{baseline.name} + kabsch", baseline=baseline) for baseline in BASELINES),
+    Method("outline + kabsch", profile="precise", solver="kabsch"),
+    Method("precise profile", profile="precise"),
+)
+
+
+def _baseline_pipeline(
+    detector: type[MaskDetector], session: Session, registry: Registry
+) -> Pipeline:
+    """A baseline detector with the textbook's triangulation and alignment, every frame anew."""
+    body, cameras = session.body, session.cameras
+    stages = Stages(
+        detectors={c.name: detector(Settings(), body, c) for c in cameras},
+        tracker=find_tracker("memoryless")(Settings(), body, cameras),
+        triangulator=registry.triangulator("dlt", {}),
+        solver=registry.solver("kabsch", {}, body),
+        own_times=False,
+        neighbours=False,
+    )
+    return Pipeline(body, cameras, stages)
