@@ -1,0 +1,7 @@
+from acme_blob import BlobDetector
+
+from measure.testing import DetectorConformance
+
+
+class TestBlob(DetectorConformance):
+    plugin = BlobDetector

@@ -1,0 +1,64 @@
+"""A fresh virtual environment into which the program and strangers' distributions are installed."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import venv
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+HERE = Path(__file__).parent
+STRANGERS = ("blob", "broken", "clashing", "wrong_hook")
+collect_ignore = list(STRANGERS)
+
+
+@dataclass(frozen=True)
+class Environment:
+    """A virtual environment and what runs in it."""
+
+    folder: Path
+
+    def program(self, name: str) -> str:
+        return str(self.folder / "bin" / name)
+
+    def run(self, *command: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+        """Run a command; not in the repository, whose sources python would find first."""
+        return subprocess.run(
+            command, capture_output=True, text=True, check=False, cwd=cwd or self.folder
+        )
+
+    def measure(self, *tokens: str) -> subprocess.CompletedProcess[str]:
+        """The installed console script."""
+        return self.run(self.program("measure"), *tokens)
+
+    def measure_json(self, *tokens: str) -> Any:
+        done = self.measure(*tokens, "--json")
+        assert done.returncode == 0, done.stderr
+        return json.loads(done.stdout)
+
+
+@pytest.fixture(scope="session")
+def environment(tmp_path_factory: pytest.TempPathFactory) -> Environment:
+    """Built offline: the dependencies are seen in this interpreter's own environment."""
+    folder = tmp_path_factory.mktemp("stranger") / "venv"
+    venv.create(folder, with_pip=False)
+    environment = Environment(folder)
+    code = "import sysconfig; print(sysconfig.get_path('purelib'))"
+    library = environment.run(environment.program("python"), "-c", code).stdout.strip()
+    # Folders only, no .pth of theirs: a development installation of the program stays out of sight.
+    seen = [path for path in sys.path if Path(path).name == "site-packages"]
+    Path(library, "dependencies.pth").write_text("".join(f"{path}\n" for path in seen))
+    done = environment.run(
+        *(sys.executable, "-m", "pip", "--python", environment.program("python")),
+        *("install", "--quiet", "--no-deps", "--no-build-isolation", "--no-index"),
+        *("--disable-pip-version-check", "--ignore-installed"),
+        str(HERE.parents[1]),
+        *(str(HERE / name) for name in STRANGERS),
+    )
+    assert done.returncode == 0, done.stderr
+    return environment

@@ -1,0 +1,117 @@
+"""Strangers' complete distributions, built, installed, and used by the real command."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from measure.simulation import Still, write_session
+from measure.testing import example
+from tests.third_party.conftest import HERE, Environment
+
+pytestmark = pytest.mark.slow
+
+WITHOUT_CLASH = ("--disable", "acme-clashing")
+
+
+def test_the_program_is_the_installed_one(environment: Environment):
+    code = "import measure, measure_plugins as p; print(measure.__file__, p.__file__)"
+    done = environment.run(environment.program("python"), "-c", code)
+    assert done.returncode == 0, done.stderr
+    assert all(place.startswith(str(environment.folder)) for place in done.stdout.split())
+
+
+def test_a_stranger_is_listed_beside_the_built_ins(environment: Environment):
+    plugins = environment.measure_json("plugins", "list", *WITHOUT_CLASH)["plugins"]
+    (blob,) = [p for p in plugins if p["name"] == "blob"]
+    assert blob["kind"] == "detector"
+    assert blob["distribution"] == {"name": "acme-blob", "version": "0.3.1"}
+    assert blob["summary"] == "Patches of a ball's colour by connected components."
+    assert {p["distribution"]["name"] for p in plugins} == {"acme-blob", "triball"}
+
+
+def test_its_settings_are_shown(environment: Environment):
+    out = environment.measure("plugins", "show", "blob", *WITHOUT_CLASH).stdout
+    assert "detector 'blob' of acme-blob 0.3.1" in out
+    assert "Least share of its circle that a patch fills." in out
+
+
+def test_broken_strangers_are_survived_with_their_reasons(environment: Environment):
+    broken = environment.measure_json("plugins", "list")["broken"]
+    reasons = {item["distribution"]["name"]: item["error"] for item in broken}
+    assert set(reasons) == {"acme-broken", "acme-wrong-hook"}
+    assert "No module named 'a_library_that_nobody_has'" in reasons["acme-broken"]
+    assert "{'config'} are declared in the hookimpl" in reasons["acme-wrong-hook"]
+
+
+def test_a_clash_is_reported_naming_both(environment: Environment):
+    (clash,) = environment.measure_json("plugins", "list")["clashes"]
+    owners = {item["name"] for item in clash["distributions"]}
+    assert (clash["kind"], clash["name"], owners) == (
+        "detector",
+        "blob",
+        {"acme-blob", "acme-clashing"},
+    )
+
+
+def test_the_stranger_passes_the_conformance_kit_in_its_own_tests(environment: Environment):
+    done = environment.run(
+        *(environment.program("python"), "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests"),
+        cwd=HERE / "blob",
+    )
+    assert done.returncode == 0, done.stdout
+    assert " passed" in done.stdout
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two frame sets of a body that stands still."""
+    scene = example()
+    folder = tmp_path_factory.mktemp("recording") / "session"
+    return write_session(
+        replace(scene.scene, trajectory=Still(scene.world_from_body)), [0.0, 0.1], folder
+    )
+
+
+def test_the_stranger_measures_a_recording(environment: Environment, session, tmp_path):
+    done = environment.measure(
+        *("run", str(session), "--out", str(tmp_path / "run"), "--profile", "paper"),
+        *("--detector", "blob", "--set", "detector.roundness=0.7", "--no-recording", "--json"),
+        *WITHOUT_CLASH,
+    )
+    assert done.returncode == 0, done.stderr
+    json.loads(done.stdout)
+    header, *rows = (tmp_path / "run" / "poses.csv").read_text().splitlines()
+    assert len(rows) == 2
+    names = header.split(",")
+    for row in rows:
+        values = dict(zip(names, row.split(","), strict=True))
+        position = [float(values[name]) for name in ("x_mm", "y_mm", "z_mm")]
+        # Patches are no outlines: half a pixel of bias and partly hidden balls cost about 1 mm.
+        off = np.linalg.norm(position - example().world_from_body.translation)
+        assert off < 3, f"{off:.2f} mm off"
+    assert "acme-blob" in (tmp_path / "run" / "run.toml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("detector", "message"),
+    [
+        ("blob", "detector 'blob' is offered by acme-"),
+        ("broken", "detector 'broken' of acme-broken 1.0 is broken: ModuleNotFoundError"),
+        ("wrong-hook", "detector 'wrong-hook' of acme-wrong-hook 1.0 is broken: "),
+        ("blub", "no detector is called 'blub'; did you mean 'blob'"),
+    ],
+)
+def test_what_cannot_be_used_stops_the_run_that_names_it(
+    environment: Environment, session, tmp_path, detector, message
+):
+    done = environment.measure(
+        "run", str(session), "--out", str(tmp_path / "run"), "--detector", detector
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"measure: {message}")
+    assert done.stderr.count("\n") == 1
