@@ -4,9 +4,10 @@ from measure.session.body_file import read_body, write_body
 from measure.session.calibration_file import Calibration
 from measure.session.calibrations import read_calibration, read_intrinsics, write_calibration
 from measure.session.files import FileModel, load_toml
+from measure.session.opening import open_session, session_truth
 from measure.session.pairing import Pairing, pair_nearest
 from measure.session.pictures import decode_picture, read_picture
-from measure.session.session import Session, open_session, session_truth
+from measure.session.session import Session
 from measure.session.streams import Stream
 from measure.session.toml_text import dump_toml
 from measure.session.trajectory import Trajectory, read_trajectory

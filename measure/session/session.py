@@ -11,18 +11,11 @@ from typing import Self
 
 import numpy as np
 
-from measure.errors import CalibrationError, SessionError
+from measure.errors import SessionError
 from measure.model import Body, Camera, FrameSet
-from measure.session.body_file import read_body
-from measure.session.calibrations import read_calibration
-from measure.session.files import load_toml, missing_message
-from measure.session.image_stream import open_image_stream
 from measure.session.pairing import Pairing, pair_nearest
 from measure.session.prefetch import DEFAULT_PREFETCH, stream_frame_sets
-from measure.session.settings import CameraTable, SessionModel
 from measure.session.streams import Stream
-from measure.session.timestamps import read_stamps
-from measure.session.video_stream import open_video_stream
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,154 +124,5 @@ class Session:
         return stream_frame_sets(list(self.streams.values()), paired, prefetch, start)
 
 
-def open_session(
-    path: Path | str,
-    calibration: Path | str | None = None,
-    body: Path | str | None = None,
-) -> Session:
-    """Open a recording and check all that can be checked without decoding it.
-
-    Args:
-        path: the session's folder, or its `session.toml`.
-        calibration: a calibration file to use instead of the session's own.
-        body: a body file to use instead of the session's own.
-
-    Raises:
-        SessionError: a file is missing or cannot be used, a clock goes backwards, the cameras do
-            not overlap in time.
-        CalibrationError: a camera has no calibration, or one of another image size.
-    """
-    file = _session_file(Path(path))
-    given = load_toml(file, SessionModel)
-    folder = file.parent
-    measured = _body(given, file, body)
-    calibration_path = _calibration_path(given, file, calibration)
-    cameras = _cameras(given, calibration_path, file)
-    streams: dict[str, Stream] = {}
-    try:
-        for table, camera in zip(given.cameras, cameras, strict=True):
-            streams[table.name] = _open_stream(table, folder, camera, calibration_path)
-        _check_overlap(list(streams.values()))
-    except BaseException:
-        for stream in streams.values():
-            stream.close()
-        raise
-    return Session(
-        name=given.session.name or folder.resolve().name,
-        path=folder,
-        body=measured,
-        cameras=cameras,
-        streams=streams,
-        calibration_path=calibration_path,
-        truth_path=_optional(folder, given.session.truth, file),
-        robot_log=_optional(folder, given.robot.log if given.robot else None, file),
-        description=given.session.description,
-        notes=tuple(note for stream in streams.values() for note in stream.notes),
-    )
-
-
 def _body_values(body: Body) -> list[object]:
     return [(b.name, b.color, b.center_mm.tolist(), b.radius_mm) for b in body.balls]
-
-
-def session_truth(path: Path | str) -> Path | None:
-    """The file of known poses that a session names, if it names one; nothing else is opened.
-
-    Raises:
-        SessionError: no session, a broken one, or the file it names is missing.
-    """
-    file = _session_file(Path(path))
-    return _optional(file.parent, load_toml(file, SessionModel).session.truth, file)
-
-
-def _session_file(path: Path) -> Path:
-    if not path.exists():
-        raise SessionError(missing_message(path))
-    if not path.is_dir():
-        return path
-    file = path / "session.toml"
-    if not file.exists():
-        raise SessionError(f"{path} is not a session: it has no session.toml")
-    return file
-
-
-def _body(given: SessionModel, file: Path, override: Path | str | None) -> Body:
-    if override is not None:
-        return read_body(override)
-    if given.body is not None:
-        return given.body.body(file)
-    assert given.session.body is not None
-    return read_body(file.parent / given.session.body)
-
-
-def _calibration_path(given: SessionModel, file: Path, override: Path | str | None) -> Path:
-    if override is not None:
-        return Path(override)
-    if given.session.calibration is None:
-        raise CalibrationError(
-            f"{file}: the session names no calibration; add calibration = "
-            '"calibration.toml" to [session]'
-        )
-    return file.parent / given.session.calibration
-
-
-def _cameras(given: SessionModel, path: Path, file: Path) -> tuple[Camera, ...]:
-    calibration = read_calibration(path, given.session.calibration_unit)
-    out = []
-    for table in given.cameras:
-        if table.name not in calibration.names:
-            raise CalibrationError(
-                f"camera '{table.name}' of {file} has no calibration in {path}; "
-                f"there is one of {', '.join(calibration.names)}"
-            )
-        out.append(calibration.camera(table.name))
-    return tuple(out)
-
-
-def _open_stream(table: CameraTable, folder: Path, camera: Camera, calibrated: Path) -> Stream:
-    stamps_path = folder / table.timestamps if table.timestamps else None
-    stamps = read_stamps(stamps_path, table.name) if stamps_path else None
-    stream: Stream
-    if table.video is not None:
-        stream = open_video_stream(
-            table.name, folder / table.video, stamps, stamps_path, table.time_offset_s
-        )
-    else:
-        assert table.images is not None
-        assert stamps is not None
-        assert stamps_path is not None
-        stream = open_image_stream(
-            table.name, folder, table.images, stamps, stamps_path, table.time_offset_s
-        )
-    if stream.size_wh != tuple(camera.intrinsics.size_wh):
-        have, want = stream.size_wh, camera.intrinsics.size_wh
-        stream.close()
-        raise CalibrationError(
-            f"camera '{table.name}': the images ({stream.source}) are {have[0]}x{have[1]} px, "
-            f"but {calibrated} calibrates {want[0]}x{want[1]} px: record or calibrate at one size"
-        )
-    return stream
-
-
-def _check_overlap(streams: list[Stream]) -> None:
-    for stream in streams:
-        start, end = stream.times_s[0], stream.times_s[-1]
-        others = [other for other in streams if other is not stream]
-        if not any(o.times_s[0] <= end and start <= o.times_s[-1] for o in others):
-            ranges = ", ".join(
-                f"{o.name} {o.times_s[0]:.3f} to {o.times_s[-1]:.3f} s" for o in others
-            )
-            raise SessionError(
-                f"camera '{stream.name}' was recorded from {start:.3f} to {end:.3f} s, at no time "
-                f"together with another ({ranges}): are all stamps on one clock? "
-                "time_offset_s shifts a camera's"
-            )
-
-
-def _optional(folder: Path, name: str | None, file: Path) -> Path | None:
-    if name is None:
-        return None
-    path = folder / name
-    if not path.exists():
-        raise SessionError(f"{file}: {missing_message(path)}")
-    return path

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
@@ -44,7 +45,7 @@ class Trajectory:
         left, fraction = self._interval(wanted)
         inside = (wanted >= self.times_s[0]) & (wanted <= self.times_s[-1])
         on_sample = (fraction == 0) | (fraction == 1)
-        return inside & (on_sample | ~self._gaps()[np.minimum(left, max(len(self) - 2, 0))])
+        return inside & (on_sample | ~self._gaps[np.minimum(left, max(len(self) - 2, 0))])
 
     def at(self, times_s: ArrayLike) -> RigidTransform:
         """The poses at times (m,), as a batch of m; or the one pose at a time.
@@ -61,7 +62,7 @@ class Trajectory:
             raise SessionError(
                 f"{self.source} has no pose at {first:.6f} s: it runs from {self.times_s[0]:.6f} "
                 f"to {self.times_s[-1]:.6f} s"
-                + (", with gaps" if np.any(self._gaps()[: max(len(self) - 1, 0)]) else "")
+                + (", with gaps" if np.any(self._gaps[: max(len(self) - 1, 0)]) else "")
             )
         left, fraction = self._interval(wanted)
         right = np.minimum(left + 1, len(self) - 1)
@@ -78,6 +79,7 @@ class Trajectory:
         fraction = (wanted - self.times_s[left]) / np.where(span > 0, span, 1.0)
         return left.astype(np.int64), fraction
 
+    @cached_property
     def _gaps(self) -> Bools:
         steps = np.diff(self.times_s)
         if not len(steps):
@@ -92,16 +94,17 @@ class Trajectory:
 
     def _positions(self, left: Ints, right: Ints, fraction: Floats) -> Floats:
         # Cubic Hermite basis on each interval.
-        position, slope = self.world_from_body.translation, self._slopes()
+        position, slope = self.world_from_body.translation, self._slopes
         span = (self.times_s[right] - self.times_s[left])[:, None]
         u = fraction[:, None]
         start = (1 + 2 * u) * (1 - u) ** 2 * position[left] + u * (1 - u) ** 2 * span * slope[left]
         end = u**2 * (3 - 2 * u) * position[right] + u**2 * (u - 1) * span * slope[right]
         return start + end
 
+    @cached_property
     def _slopes(self) -> Floats:
         out = np.zeros_like(self.world_from_body.translation)
-        breaks = np.flatnonzero(self._gaps()) + 1 if len(self) > 1 else np.zeros(0, int)
+        breaks = np.flatnonzero(self._gaps) + 1 if len(self) > 1 else np.zeros(0, int)
         for part in np.split(np.arange(len(self)), breaks):
             if len(part) > 1:
                 position = self.world_from_body.translation[part]
