@@ -114,7 +114,7 @@ class FrameUpdate:
         self._tolerance = 1 + (self._tolerance - 1) * self.config.tolerance_decay
         against = misfits(fixes, pose, self.config.flag_residual_mm, self.config.flag_rays_mm)
         pose = replace(pose, flags=(*pose.flags, *against))
-        return Verdict(pose, "; ".join(pose.flags))
+        return Verdict(pose)
 
     def _problem(self, views: Sequence[BallView], fixes: Sequence[Fix], pose: Pose | None) -> str:
         if pose is not None and pose.residual_mm > self.config.max_residual_mm:
