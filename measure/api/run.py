@@ -139,10 +139,10 @@ class _Recording:
     """`run.rrd`, with the error against truth where the session has one."""
 
     def __init__(self, session: Session, out: Path, options: RunOptions) -> None:
-        from measure.viewing.recording import RunRecording, recording_to_file
+        from measure.viewing.recording import RunRecording, open_recording
 
         names = [camera.name for camera in session.cameras]
-        stream = recording_to_file(out / "run.rrd", session.name, names)
+        stream = open_recording(session.name, names, out / "run.rrd")
         self._log = RunRecording(stream, session.body, session.cameras, options.image_every)
         self._truth = _truth(session)
 

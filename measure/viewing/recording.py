@@ -221,15 +221,23 @@ def _circle(view: BallView) -> Floats:
     return view.detection.center_px + view.detection.radius_px * around
 
 
-def recording_to_file(path: Path, name: str, cameras: Sequence[str]) -> rr.RecordingStream:
-    """A recording that is written to `path` as it goes; needs no viewer.
+def open_recording(
+    name: str,
+    cameras: Sequence[str],
+    path: Path | None = None,
+    address: str | None = None,
+) -> rr.RecordingStream:
+    """A recording that is written as it goes: to a file, to a viewer that runs, or to both.
 
     Args:
-        path: the .rrd file, overwritten.
         name: shown in the viewer.
         cameras: names of the cameras, for the layout that travels inside.
+        path: the .rrd file, overwritten; no viewer is needed for it.
+        address: of a viewer, as `rerun+http://127.0.0.1:9876/proxy`.
     """
     stream = rr.RecordingStream("triball")
-    stream.save(path, default_blueprint=run_blueprint(cameras))
+    sinks: list[rr.FileSink | rr.GrpcSink] = [rr.FileSink(path)] if path else []
+    sinks += [rr.GrpcSink(address)] if address else []
+    stream.set_sinks(*sinks, default_blueprint=run_blueprint(cameras))
     stream.send_recording_name(name)
     return stream

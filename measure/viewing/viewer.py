@@ -22,10 +22,12 @@ class Viewer:
     Attributes:
         process: the viewer itself, no wrapper: ending it ends the viewer.
         address: where a browser finds it; None for the native window.
+        listens: where a running measurement can send to.
     """
 
     process: subprocess.Popen[bytes]
     address: str | None
+    listens: str
 
 
 def open_viewer(recordings: Sequence[Path], web: bool = False, bind: str = LOOPBACK) -> Viewer:
@@ -35,7 +37,7 @@ def open_viewer(recordings: Sequence[Path], web: bool = False, bind: str = LOOPB
     therefore each viewer gets free ports of its own.
 
     Args:
-        recordings: the files.
+        recordings: the files; none for a viewer that waits to be sent something.
         web: serve the viewer over HTTP instead of opening a window.
         bind: address to listen on; loopback unless told otherwise.
 
@@ -49,12 +51,12 @@ def open_viewer(recordings: Sequence[Path], web: bool = False, bind: str = LOOPB
             )
     grpc_port, web_port = _free_ports(bind, 2)
     command = [_program(), *map(str, recordings), "--bind", bind, "--port", str(grpc_port)]
+    listens = f"rerun+http://{bind}:{grpc_port}/proxy"
     address = None
     if web:
         command += ["--serve-web", "--web-viewer-port", str(web_port)]
-        server = f"rerun%2Bhttp://{bind}:{grpc_port}/proxy"
-        address = f"http://{bind}:{web_port}?url={server}"
-    return Viewer(subprocess.Popen(command, stdout=sys.stderr), address)
+        address = f"http://{bind}:{web_port}?url={listens.replace('+', '%2B')}"
+    return Viewer(subprocess.Popen(command, stdout=sys.stderr), address, listens)
 
 
 def _program() -> str:

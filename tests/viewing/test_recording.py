@@ -9,11 +9,11 @@ from rerun.chunk import RrdReader
 
 from measure.geometry import RigidTransform
 from measure.viewing import entities
-from measure.viewing.recording import RunRecording, recording_to_file
+from measure.viewing.recording import RunRecording, open_recording
 
 
 def _record(path, count, lost=()):
-    with RunRecording(recording_to_file(path, "test", ["cam0", "cam1"]), BODY, CAMERAS, 0) as run:
+    with RunRecording(open_recording("test", ["cam0", "cam1"], path), BODY, CAMERAS, 0) as run:
         for index in range(count):
             truth = RigidTransform.from_rotvec([0, 0, 0.01 * index], [0.1 * index + 0.05, 0, 0])
             run.add(measurement(index, index in lost), truth=truth)
