@@ -19,6 +19,7 @@ from measure.api.correcting import (
 )
 from measure.api.evaluate import evaluate
 from measure.api.export import export
+from measure.api.many import Outcome, run_many
 from measure.api.measuring import measure_session
 from measure.api.profiles import build_pipeline, choose, load_profile, profile_names
 from measure.api.report import report
@@ -27,6 +28,7 @@ from measure.results.evaluation_table import evaluation_tables
 
 __all__ = [
     "CalibrationResult",
+    "Outcome",
     "RunOptions",
     "TrainOptions",
     "ablate",
@@ -48,6 +50,7 @@ __all__ = [
     "report",
     "rezero",
     "run",
+    "run_many",
     "shipped_model",
     "simulate_dataset",
     "sweep",

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from measure.cli import console
 from measure.cli.console import JsonFlag
 from measure.cli.injected import InjectedRegistry
+from measure.errors import ConfigError
+
+if TYPE_CHECKING:
+    from measure.api.many import Outcome
 
 
 def run(
-    session: Path,
-    /,
-    *,
+    *sessions: Path,
     out: Annotated[Path, Parameter(name=("--out", "-o"))],
     profile: str = "precise",
     detector: str | None = None,
@@ -28,17 +32,19 @@ def run(
     recording: Annotated[bool, Parameter(negative="--no-recording")] = True,
     resume: bool = False,
     overwrite: bool = False,
+    workers: int | None = None,
+    cluster: str | None = None,
     json: JsonFlag = False,
     registry: InjectedRegistry,
-) -> None:
+) -> int:
     """Measure a recorded session.
 
     Every frame set becomes a row of the run: `ok`, `flagged` (a pose to doubt), `lost` or
-    `skipped` (no pose, and why).
+    `skipped` (no pose, and why). Several sessions are measured side by side.
 
     Args:
-        session: the session's folder; it is only read.
-        out: the run's folder, made if it is not there.
+        sessions: the session's folder, or several; they are only read.
+        out: the run's folder, made if it is not there; for several sessions, the folder of theirs.
         profile: `precise`, `paper`, or the path of a profile of your own (.toml).
         detector: a detector plugin to use instead of the profile's.
         triangulator: likewise.
@@ -50,6 +56,8 @@ def run(
         recording: write run.rrd for the viewer.
         resume: go on with an interrupted run.
         overwrite: throw an earlier run in the folder away.
+        workers: how many sessions to measure at a time; as many as there are cores.
+        cluster: a dask scheduler's address, tcp://HOST:PORT, whose workers do the work.
     """
     from measure import api
 
@@ -66,14 +74,65 @@ def run(
         calibration=calibration,
         body=body,
     )
+    if not sessions:
+        raise ConfigError("no session to measure: give its folder")
+    if len(sessions) > 1 or cluster is not None:
+        with console.progress("measuring", "recordings") as report:
+            outcomes = api.run_many(
+                sessions, out, chosen, registry, options, workers, cluster, report
+            )
+        return _print_outcomes(outcomes, out, json)
     with console.progress("measuring") as report:
-        summary = api.run(session, out, chosen, registry, options, report)
+        summary = api.run(sessions[0], out, chosen, registry, options, report)
     if json:
         console.print_json({"run": str(out), **summary.values()})
-        return
+        return 0
     console.print_text(summary.sentence())
     for reason, count in summary.reasons.items():
         console.print_text(f"  {count} x {reason}")
     for note in summary.notes:
         console.print_text(f"note: {note}")
     console.print_text(f"written to {out}; look at it with: measure view {out}")
+    return 0
+
+
+def _print_outcomes(outcomes: Sequence[Outcome], out: Path, json: bool) -> int:
+    """Say how every recording ended; 0 if all were measured, else as the worst of them."""
+    if json:
+        console.print_json(
+            {
+                "runs": [
+                    {"session": o.session, "run": o.run, "error": o.error or None}
+                    | (o.summary.values() if o.summary is not None else {})
+                    for o in outcomes
+                ]
+            }
+        )
+    else:
+        console.print_table(
+            ("session", "frame sets", "ok", "flagged", "lost", "skipped", "sd mm", "failed"),
+            [_row(outcome) for outcome in outcomes],
+        )
+        console.print_text(f"written to {out}")
+    for outcome in outcomes:
+        if outcome.defect:
+            print(outcome.defect, file=sys.stderr)
+    if any(outcome.defect for outcome in outcomes):
+        return 1
+    return 2 if any(outcome.error for outcome in outcomes) else 0
+
+
+def _row(outcome: Outcome) -> tuple[object, ...]:
+    s = outcome.summary
+    if s is None:
+        return (outcome.session.name, None, None, None, None, None, None, outcome.error)
+    return (
+        outcome.session.name,
+        s.frame_sets,
+        s.ok,
+        s.flagged,
+        s.lost,
+        s.skipped,
+        s.position_sd_mm,
+        None,
+    )

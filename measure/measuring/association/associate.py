@@ -27,6 +27,10 @@ from measure.measuring.pose_fit import Sightings, fit_pose
 from measure.model import Body, Camera, Detection
 
 _ROUNDS = 2
+_WELL_SEEN = 0.5
+_SIZE_SD = 0.03
+_MOST_MISFIT = 25.0
+"""One outline alone may decide, but not beyond five standard deviations."""
 _TOLERANCE = 1e-3
 """Steps, in mm and rad, that no longer change who agrees."""
 
@@ -50,6 +54,12 @@ class AssociationSettings(Settings):
     rival_score: float = setting(
         0.7,
         "Another pose whose score is this share of the best one's makes the answer ambiguous.",
+        gt=0,
+        le=1,
+    )
+    twin_score: float = setting(
+        0.9,
+        "The same, for a pose that rests mostly on the same candidates: a mirror image, say.",
         gt=0,
         le=1,
     )
@@ -95,6 +105,7 @@ class _Search:
             self.candidates,
             self.settings.sigmas,
             self.settings.extra_px,
+            self.settings.range_ratio,
         )
 
     def chosen(self, agreeing: Support, row: int) -> list[Detection]:
@@ -147,11 +158,43 @@ def _best(search: _Search, poses: RigidTransform) -> Association | None:
             finalists.append(refined)
     if not finalists:
         return None
-    finalists.sort(key=lambda item: -item[0])
+    finalists.sort(key=lambda item: _size_misfit(search, item[1]) / _MOST_MISFIT - item[0])
     best_score, best = finalists[0]
-    if len(finalists) > 1 and finalists[1][0] >= search.settings.rival_score * best_score:
-        return Association(None, reason=_ambiguous(best, finalists[1][1]))
+    for score, rival in finalists[1:]:
+        twin = _share_in_common(rival, best) > 0.5
+        least = search.settings.twin_score if twin else search.settings.rival_score
+        if score >= least * best_score and not (twin and _sizes_decide(search, best, rival)):
+            return Association(None, reason=_ambiguous(best, rival))
     return best
+
+
+def _sizes_decide(search: _Search, best: Association, rival: Association) -> bool:
+    """Whether the outlines' sizes, as distances, contradict the rival and not the best."""
+    return _size_misfit(search, rival) > _size_misfit(search, best) + search.settings.sigmas**2
+
+
+def _size_misfit(search: _Search, found: Association) -> float:
+    """Sum of squared relative errors of the outlines' radii, in standard deviations."""
+    assert found.world_from_body is not None
+    cameras = {camera.name: camera for camera in search.cameras}
+    total = 0.0
+    for d in found.detections:
+        if d.score < _WELL_SEEN:
+            continue
+        ball = search.body.balls[search.body.index(d.ball)]
+        away = found.world_from_body.apply(ball.center_mm) - cameras[d.camera].center
+        tangent = np.sqrt(max(float(away @ away) - ball.radius_mm**2, 1.0))
+        expected = cameras[d.camera].intrinsics.focal_px * ball.radius_mm / tangent
+        sd = np.hypot(_SIZE_SD, np.sqrt(np.trace(d.covariance_px) / 2) / expected)
+        total += min(float(np.log(d.radius_px / expected) / sd) ** 2, _MOST_MISFIT)
+    return total
+
+
+def _share_in_common(rival: Association, best: Association) -> float:
+    """How much of what a rival rests on is explained by the best pose as well."""
+    explained = {(d.camera, *d.center_px) for d in best.detections}
+    common = sum((d.camera, *d.center_px) in explained for d in rival.detections)
+    return common / len(rival.detections)
 
 
 def _different(search: _Search, poses: RigidTransform, rough: Support, order: Floats) -> list[int]:

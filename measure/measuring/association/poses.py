@@ -80,14 +80,16 @@ def support(
     candidates: Sequence[Candidates],
     sigmas: float,
     extra_px: float,
+    range_ratio: float,
 ) -> Support:
-    """Compare the balls of m poses, projected, with the candidates."""
+    """Compare the balls of m poses, projected, with the candidates: in place and in size."""
     m = len(poses.translation)
     centers = np.einsum("mij,kj->mki", poses.rotation, body.centers) + poses.translation[:, None]
     chosen = np.full((m, len(body.balls), len(cameras)), -1, np.int64)
     expected, score = np.zeros(m, np.int64), np.zeros(m)
     for number, camera in enumerate(cameras):
         pixels = camera.project(centers.reshape(-1, 3)).reshape(m, len(body.balls), 2)
+        distances = np.linalg.norm(centers - camera.center, axis=2)
         expected += camera.intrinsics.contains(pixels).sum(axis=1)
         for ball, candidate in enumerate(candidates):
             rows = np.nonzero(candidate.cameras == number)[0]
@@ -97,6 +99,9 @@ def support(
             share = np.nan_to_num(off, nan=1e9) / (
                 sigmas * np.hypot(candidate.sd_px[rows], extra_px)
             )
+            told = candidate.range_mm[rows]
+            away = distances[:, ball, None]
+            share[(away > told * range_ratio) | (told > away * range_ratio)] = np.inf
             best = np.argmin(share, axis=1)
             least = share[np.arange(m), best]
             agrees = least < 1

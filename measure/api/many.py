@@ -1,0 +1,231 @@
+"""Measuring many recordings at once, on this machine's cores or on a cluster."""
+
+from __future__ import annotations
+
+import shutil
+import traceback
+import uuid
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from measure.api.run import RunOptions, run
+from measure.errors import ConfigError, MeasureError
+from measure.host import Registry
+from measure.measuring import Profile
+from measure.results import Summary
+
+_ATTEMPTS = 3
+_CONNECT_S = 10.0
+
+Finished = Callable[[int, int | None], None]
+"""Told how many recordings are finished, and of how many."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How one recording ended.
+
+    Attributes:
+        session: its folder.
+        run: the run's folder.
+        summary: what was measured; None if it failed.
+        error: why it failed, in one line; empty if it did not.
+        defect: the traceback, if the failure is ours and not the user's to mend.
+    """
+
+    session: Path
+    run: Path
+    summary: Summary | None = None
+    error: str = ""
+    defect: str = ""
+
+
+@dataclass(frozen=True)
+class _Job:
+    """One recording, as it travels to a worker."""
+
+    session: Path
+    run: Path
+    profile: Profile
+    registry: Registry
+    options: RunOptions
+    started: Path
+
+
+def run_many(
+    sessions: Sequence[Path],
+    out: Path,
+    profile: Profile,
+    registry: Registry,
+    options: RunOptions | None = None,
+    workers: int | None = None,
+    cluster: str | None = None,
+    report: Finished | None = None,
+) -> list[Outcome]:
+    """Measure recordings independently of each other, each into a folder of its own in `out`.
+
+    Results are those of measuring them one by one. A worker that is killed loses no recording: what
+    it was at is measured again from the start. A recording that fails does not stop the others.
+
+    Args:
+        sessions: their folders; the last part of each path names its run.
+        out: where the runs' folders are made.
+        profile: the stages and their settings.
+        registry: where the plugins come from; a cluster's workers need them installed.
+        options: how the runs are written.
+        workers: how many processes on this machine; as many as it has cores if omitted.
+        cluster: address of a dask scheduler ("tcp://host:8786"), whose workers see the same paths.
+        report: told about progress.
+
+    Returns:
+        One outcome per recording, in their order.
+
+    Raises:
+        ConfigError: two recordings of one name, or a cluster that cannot be used.
+    """
+    names = [Path(session).resolve().name for session in sessions]
+    if doubles := [name for name, count in Counter(names).items() if count > 1]:
+        raise ConfigError(
+            f"two recordings are called '{doubles[0]}', and so would their runs in {out}: "
+            "measure them separately, or rename a folder"
+        )
+    with _scratch(out) as scratch:
+        jobs = [
+            _Job(
+                Path(session).resolve(),
+                out.resolve() / name,
+                profile,
+                registry,
+                options or RunOptions(),
+                scratch / name,
+            )
+            for session, name in zip(sessions, names, strict=True)
+        ]
+        finished = _on_cluster(jobs, cluster) if cluster else _on_this_machine(jobs, workers)
+        outcomes: dict[Path, Outcome] = {}
+        for outcome in finished:
+            outcomes[outcome.session] = outcome
+            if report is not None:
+                report(len(outcomes), len(jobs))
+        return [outcomes[job.session] for job in jobs]
+
+
+@contextmanager
+def _scratch(out: Path) -> Iterator[Path]:
+    """A folder of marks that tell which recordings this batch has begun."""
+    folder = out.resolve() / f".begun-{uuid.uuid4().hex[:8]}"
+    try:
+        folder.mkdir(parents=True)
+    except OSError as error:
+        raise ConfigError(f"--out {out}: cannot make a folder there ({error.strerror})") from error
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _measure(job: _Job) -> Outcome:
+    """Measure one recording; runs in a worker, maybe for the second time."""
+    import cv2
+
+    cv2.setNumThreads(1)
+    options = job.options
+    if job.started.exists():
+        # An earlier attempt of this batch was killed here: the same result needs the same start.
+        options = replace(options, resume=False, overwrite=True)
+    job.started.touch()
+    try:
+        summary = run(job.session, job.run, job.profile, job.registry, options)
+    except MeasureError as error:
+        return Outcome(job.session, job.run, error=str(error))
+    except Exception as error:
+        line = f"a defect of the program: {type(error).__name__}: {error}"
+        return Outcome(job.session, job.run, error=line, defect=traceback.format_exc())
+    return Outcome(job.session, job.run, summary)
+
+
+def _on_this_machine(jobs: Sequence[_Job], workers: int | None) -> Iterator[Outcome]:
+    """By processes; after a process was killed, the rest goes on in new ones."""
+    left = list(jobs)
+    for attempt in range(_ATTEMPTS):
+        if not left:
+            return
+        # The last time each recording has a process of its own: one that kills it (memory) must not
+        # take the others along.
+        batches = [[job] for job in left] if attempt == _ATTEMPTS - 1 else [left]
+        left = []
+        for batch in batches:
+            for job, outcome in _in_processes(batch, workers):
+                if outcome is None:
+                    left.append(job)
+                else:
+                    yield outcome
+    for job in left:
+        yield Outcome(
+            job.session,
+            job.run,
+            error=f"its process was killed {_ATTEMPTS} times (out of memory?): try --workers 1",
+        )
+
+
+def _in_processes(
+    jobs: Sequence[_Job], workers: int | None
+) -> Iterator[tuple[_Job, Outcome | None]]:
+    """Each job with its outcome, or None if its process was killed."""
+    count = max(1, min(workers or _cores(), len(jobs)))
+    with ProcessPoolExecutor(count, mp_context=get_context("spawn")) as pool:
+        waiting: dict[Future[Outcome], _Job] = {pool.submit(_measure, job): job for job in jobs}
+        for future in as_completed(waiting):
+            try:
+                yield waiting[future], future.result()
+            except BrokenProcessPool:
+                yield waiting[future], None
+
+
+def _cores() -> int:
+    """Cores this process may use."""
+    import os
+
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _on_cluster(jobs: Sequence[_Job], address: str) -> Iterator[Outcome]:
+    """By a dask scheduler, which gives a lost worker's task to another one."""
+    with _client(address) as (client, distributed):
+        waiting = {client.submit(_measure, job, pure=False): job for job in jobs}
+        for future in distributed.as_completed(list(waiting), loop=client.loop):
+            job = waiting[future]
+            error = future.exception()
+            if error is None:
+                yield future.result()
+            else:
+                line = f"the cluster gave it up: {type(error).__name__}: {error}"
+                yield Outcome(job.session, job.run, error=" ".join(line.split()))
+
+
+@contextmanager
+def _client(address: str) -> Iterator[tuple[Any, Any]]:
+    try:
+        import distributed
+    except ImportError:
+        raise ConfigError(
+            "--cluster needs dask.distributed: pip install 'triball[cluster]'"
+        ) from None
+    try:
+        client = distributed.Client(address, timeout=_CONNECT_S, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        reason = " ".join(str(error).split())
+        raise ConfigError(f"--cluster {address}: no scheduler answers there ({reason})") from error
+    try:
+        if not client.scheduler_info().get("workers"):
+            raise ConfigError(f"--cluster {address}: the scheduler has no workers; start some")
+        yield client, distributed
+    finally:
+        client.close()

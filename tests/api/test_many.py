@@ -1,0 +1,231 @@
+"""Many recordings: the same results however they are spread, and none lost to a killed worker."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+import pytest
+
+from measure.api import RunOptions, load_profile, run, run_many
+from measure.errors import ConfigError
+from measure.host import Registry
+from measure.results import read_run
+from measure.simulation import scene_catalogue, write_session
+
+SCRIPT = """
+import sys
+from pathlib import Path
+from tests.api.test_many import measure
+
+if __name__ == "__main__":
+    out, *sessions = map(Path, sys.argv[1:])
+    print([outcome.error for outcome in measure(sessions, out, workers=2)])
+"""
+FRAMES = 4
+QUIET = RunOptions(recording=False)
+
+
+@pytest.fixture(scope="module")
+def sessions(tmp_path_factory) -> list[Path]:
+    """Three short recordings of one scene, at different times of its motion."""
+    folder = tmp_path_factory.mktemp("sessions")
+    scene = scene_catalogue()["still"]
+    return [
+        write_session(replace(scene, name=name), 2.0 * k + np.arange(FRAMES) / 30, folder / name)
+        for k, name in enumerate(("a", "b", "c"))
+    ]
+
+
+@pytest.fixture(scope="module")
+def one_by_one(sessions, tmp_path_factory) -> dict[str, str]:
+    """What each recording gives when measured alone."""
+    out = tmp_path_factory.mktemp("alone")
+    for path in sessions:
+        summary = run(path, out / path.name, load_profile(), Registry.discover(), QUIET)
+        assert summary.ok + summary.flagged == FRAMES
+    return poses(out)
+
+
+def measure(sessions, out, **kwargs):
+    kwargs.setdefault("workers", 1)
+    return run_many(sessions, out, load_profile(), Registry.discover(), QUIET, **kwargs)
+
+
+def poses(out: Path) -> dict[str, str]:
+    return {p.parent.name: p.read_text() for p in sorted(out.glob("*/poses.csv"))}
+
+
+def leftovers(out: Path) -> list[str]:
+    return [p.name for p in out.iterdir() if p.name.startswith(".")]
+
+
+@pytest.mark.slow
+def test_processes_give_identical_results(sessions, one_by_one, tmp_path):
+    seen = []
+    outcomes = measure(sessions, tmp_path, workers=2, report=lambda *args: seen.append(args))
+    assert [o.session.name for o in outcomes] == ["a", "b", "c"]
+    assert poses(tmp_path) == one_by_one
+    assert seen == [(1, 3), (2, 3), (3, 3)]
+    assert leftovers(tmp_path) == []
+    assert read_run(tmp_path / "b").summary.frame_sets == FRAMES
+
+
+@pytest.mark.slow
+def test_a_broken_recording_does_not_stop_the_others(sessions, tmp_path):
+    broken = tmp_path / "broken"
+    broken.mkdir()
+    outcomes = measure([sessions[0], broken, sessions[1]], tmp_path / "runs", workers=2)
+    assert [bool(o.error) for o in outcomes] == [False, True, False]
+    assert "session.toml" in outcomes[1].error
+    assert outcomes[1].defect == ""
+
+
+def test_two_recordings_of_one_name_are_refused(tmp_path):
+    with pytest.raises(ConfigError, match="two recordings are called 'x'"):
+        measure([tmp_path / "1" / "x", tmp_path / "2" / "x"], tmp_path)
+
+
+def test_no_scheduler_is_said_in_one_line(tmp_path, monkeypatch):
+    monkeypatch.setattr("measure.api.many._CONNECT_S", 0.3)
+    with pytest.raises(ConfigError, match=r"--cluster tcp://127\.0\.0\.1:9: no scheduler"):
+        measure([tmp_path / "x"], tmp_path, cluster="tcp://127.0.0.1:9")
+
+
+@pytest.mark.slow
+def test_a_killed_process_loses_no_recording(sessions, one_by_one, tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT)
+    root = Path(__file__).resolve().parents[2]
+    out = tmp_path / "runs"
+    process = subprocess.Popen(
+        [sys.executable, script, out, *sessions],
+        cwd=root,
+        env={**os.environ, "PYTHONPATH": str(root)},
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    wait_for(lambda: list(out.glob("*/poses.csv")), process)
+    os.kill(worker_of(process.pid), signal.SIGKILL)
+    printed, _ = process.communicate(timeout=240)
+    assert printed.strip() == "['', '', '']"
+    assert poses(out) == one_by_one
+    assert leftovers(out) == []
+
+
+@pytest.mark.slow
+def test_a_killed_dask_worker_loses_no_recording(sessions, one_by_one, tmp_path):
+    out = tmp_path / "runs"
+    with Cluster(tmp_path) as cluster:
+        runner = subprocess.Popen(
+            [
+                sys.executable,
+                "-m",
+                "measure.cli",
+                "run",
+                *sessions,
+                "-o",
+                out,
+                "--no-recording",
+                "--cluster",
+                cluster.address,
+                "--json",
+            ],
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        wait_for(lambda: list(out.glob("*/poses.csv")), runner)
+        cluster.workers[0].send_signal(signal.SIGKILL)
+        printed, _ = runner.communicate(timeout=240)
+        assert runner.returncode == 0
+        assert cluster.workers[0].poll() is not None
+        assert cluster.workers[1].poll() is None
+    runs = json.loads(printed)["runs"]
+    assert [run["error"] for run in runs] == [None, None, None]
+    assert [run["frame_sets"] for run in runs] == [FRAMES] * 3
+    assert poses(out) == one_by_one
+
+
+def wait_for(done, process, timeout_s=120.0):
+    end = time.monotonic() + timeout_s
+    while not done():
+        assert process.poll() is None, "it ended before anything was measured"
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def worker_of(parent: int) -> int:
+    """The process id of one pool worker: a spawned child that is not the resource tracker."""
+    children = Path(f"/proc/{parent}/task/{parent}/children").read_text().split()
+    for child in map(int, children):
+        words = Path(f"/proc/{child}/cmdline").read_bytes().split(b"\0")
+        if any(b"spawn_main" in word for word in words):
+            return child
+    raise AssertionError("no worker")
+
+
+class Cluster:
+    """A dask scheduler and two single-threaded workers, each a process of its own."""
+
+    def __init__(self, folder: Path) -> None:
+        file = folder / "scheduler.json"
+        common = ["--scheduler-file", str(file), "--no-dashboard"]
+        self.scheduler = _start(
+            [
+                sys.executable,
+                "-m",
+                "distributed.cli.dask_scheduler",
+                *common,
+                "--port",
+                "0",
+                "--host",
+                "127.0.0.1",
+            ],
+            folder / "scheduler.log",
+        )
+        wait_for(file.exists, self.scheduler)
+        self.workers = [
+            _start(
+                [
+                    sys.executable,
+                    "-m",
+                    "distributed.cli.dask_worker",
+                    *common,
+                    "--nthreads",
+                    "1",
+                    "--no-nanny",
+                    "--local-directory",
+                    str(folder),
+                    "--host",
+                    "127.0.0.1",
+                ],
+                folder / f"worker{k}.log",
+            )
+            for k in range(2)
+        ]
+        self.address = json.loads(file.read_text())["address"]
+
+    def __enter__(self) -> Self:
+        from distributed import Client
+
+        with Client(self.address, set_as_default=False) as client:
+            client.wait_for_workers(2, timeout=60)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for process in (*self.workers, self.scheduler):
+            process.kill()
+            process.wait()
+
+
+def _start(command: list[str], log: Path) -> subprocess.Popen:
+    with log.open("wb") as out:
+        return subprocess.Popen(command, stdout=out, stderr=subprocess.STDOUT)
