@@ -76,7 +76,8 @@ def open_image_stream(
     numbers = [_number(file) for file in files]
     if None in numbers or len(set(numbers)) != len(files):
         if len(files) != len(stamps.frames):
-            raise SessionError(_count_message(name, source, len(files), stamps_path, stamps))
+            odd = next((f.name for f, n in zip(files, numbers, strict=True) if n is None), "")
+            raise SessionError(_count_message(name, source, len(files), stamps_path, stamps, odd))
         return ImageStream(name, source, files, stamps.frames, stamps.times_s + offset_s)
     by_number = dict(zip(numbers, files, strict=True))
     _refuse_unstamped(name, source, by_number, stamps_path, stamps)
@@ -98,7 +99,12 @@ def _find(name: str, folder: Path, pattern: str) -> list[Path]:
         raise SessionError(f"camera '{name}': no image fits {folder / pattern}")
     if not place.is_dir():
         raise SessionError(f"camera '{name}': {missing_message(place)}")
-    here = [file for file in place.iterdir() if file.is_file()]
+    try:
+        here = [file for file in place.iterdir() if file.is_file()]
+    except OSError as problem:
+        raise SessionError(
+            f"camera '{name}': {place}: cannot be read: {problem.strerror}"
+        ) from None
     kinds = sorted({f"*{file.suffix}" for file in here})
     hint = f": try {' or '.join(kinds)}" if kinds else ""
     raise SessionError(
@@ -121,7 +127,7 @@ def _refuse_unstamped(
     if len(unstamped) == len(by_number) or len(by_number) == len(known):
         raise SessionError(
             f"camera '{name}': the numbers of the files {source} ({_some(list(by_number))}) are "
-            f"not the frame numbers of {path} ({_some(stamps.frames)})"
+            f"not the frame numbers of {path} ({_some(stamps.frames)}); renumber one of them"
         )
     raise SessionError(
         f"camera '{name}': {len(unstamped)} of {len(by_number)} images have no row in {path} "
@@ -130,10 +136,11 @@ def _refuse_unstamped(
     )
 
 
-def _count_message(name: str, source: str, count: int, path: Path, stamps: Stamps) -> str:
+def _count_message(name: str, source: str, count: int, path: Path, stamps: Stamps, odd: str) -> str:
+    why = f"{odd} has no frame number in its name" if odd else "names repeat frame numbers"
     return (
         f"camera '{name}': {source} has {count} images but {path} has {len(stamps.frames)} rows; "
-        "which belong together cannot be told, because the file names carry no frame numbers"
+        f"which belong together cannot be told, because {why}"
     )
 
 
