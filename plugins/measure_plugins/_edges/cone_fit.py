@@ -73,9 +73,24 @@ def consensus(shifts: Floats, around: Floats, use: Floats, gate_px: float, trial
 
 @compiled
 def refine(
-    shifts: Floats, around: Floats, sd: Floats, use: Floats, start: Floats, gate_px: float
+    shifts: Floats,
+    around: Floats,
+    sd: Floats,
+    use: Floats,
+    start: Floats,
+    gate_px: float,
+    growth: tuple[float, float],
 ) -> tuple[Floats, Floats, Floats, float]:
     """Iterated Tukey-weighted least squares from `start`.
+
+    Args:
+        shifts: (n,) outline shifts along the normals, px.
+        around: (n, 2) cosine and sine around the axis.
+        sd: (n,) standard deviations of the shifts, px.
+        use: (n,) 1 for points to use, else 0.
+        start: (3,) to start from.
+        gate_px: how near a point must be at first.
+        growth: mean and sd in px of what is known of the growth before.
 
     Returns:
         Solution (3,) as in `consensus`, normal matrix (3, 3) of the weighted fit in px^-2, the
@@ -103,6 +118,8 @@ def refine(
         scale = max(1.4826 * ordered[count // 2], 0.3)
         normal[:] = 0.0
         right = np.zeros(3)
+        normal[2, 2] = 1 / growth[1] ** 2
+        right[2] = growth[0] / growth[1] ** 2
         for i in range(n):
             weights[i] = 0.0
             if use[i] == 0:

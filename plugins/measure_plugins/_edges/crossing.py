@@ -11,6 +11,14 @@ _MIN_SD_PX = 0.03
 """No crossing is better known: quantisation, and what the interpolation does."""
 
 
+_SLOPE_PX = 4.0
+"""Shading that goes on into the edge moves its half level: px per share of contrast and px.
+
+The level at the edge is then off by the slope times the 5 px to the window, half of that counts,
+and the blurred edge falls by about a third per px; half of the whole is taken as one sd.
+"""
+
+
 @compiled
 def _median(values: Floats) -> float:
     ordered = np.sort(values)
@@ -56,7 +64,9 @@ def crossings(
     steps: Floats,
     inside: Floats,
     outside: Floats,
+    window: tuple[float, float],
     search_px: float,
+    colorful: bool,
 ) -> tuple[Floats, Floats, Floats]:
     """Half-level crossings of profiles projected on their inside-minus-outside colour.
 
@@ -65,7 +75,9 @@ def crossings(
         steps: (m,) px along the normal, evenly spaced.
         inside: (n, 3) colour inside.
         outside: (n, 3) colour outside.
+        window: where the inside colour was taken, px.
         search_px: the furthest crossing from 0.
+        colorful: leave grey out of the difference, so that colourless reflections do not count.
 
     Returns:
         Crossing nearest to 0 (n,) in px, NaN if there is none; its standard deviation (n,) in px
@@ -76,6 +88,8 @@ def crossings(
     x = np.empty(m)
     for i in range(n):
         d = inside[i] - outside[i]
+        if colorful:
+            d = d - np.mean(d)
         length = np.sqrt(np.sum(d * d))
         contrast[i] = length
         if not length > 1e-6:
@@ -92,8 +106,24 @@ def crossings(
                     slope = drop / (steps[j + 1] - steps[j])
         if slope > 0:
             rough = _roughness(x, steps, at[i])
-            sd[i] = max(rough / slope, _MIN_SD_PX)
+            uneven = _SLOPE_PX * _unevenness(x, steps, window)
+            sd[i] = np.sqrt(max(rough / slope, _MIN_SD_PX) ** 2 + uneven**2)
     return at, sd, contrast
+
+
+@compiled
+def _unevenness(x: Floats, steps: Floats, window: tuple[float, float]) -> float:
+    """How much a normalised profile rises or falls over the inside window, per px."""
+    middle = 0.5 * (window[0] + window[1])
+    low, high, below, above = 0.0, 0.0, 0, 0
+    for j in range(len(x)):
+        if window[0] <= steps[j] < middle:
+            low += x[j]
+            below += 1
+        elif middle < steps[j] <= window[1]:
+            high += x[j]
+            above += 1
+    return abs(high / above - low / below) / (0.5 * (window[1] - window[0]))
 
 
 @compiled

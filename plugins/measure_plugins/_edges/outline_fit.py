@@ -8,6 +8,7 @@ import numpy as np
 
 from measure.arrays import Bools, Bytes, Floats
 from measure_plugins._edges.cone_fit import consensus, refine
+from measure_plugins._edges.corrected import corrected_edges
 from measure_plugins._edges.crossing import crossings, levels
 from measure_plugins._edges.lens import to_pixel
 from measure_plugins._edges.rays import FREE, cast_rays, frame_about, sample, ways
@@ -22,6 +23,18 @@ _CONSENSUS_GATE_PX = 1.2
 _FIRST_GATE_PX = 2.5
 _LAST_SEARCH_PX = 3.0
 _BLOCKS = 12
+_LIGHT_PER_VALUE = 0.3
+"""Slope of tone curves in the shade, where contrast is scarce."""
+_TURNS = 8
+_SETTLED_PX = 0.1
+"""Corrected edges are looked at again until the axis moves less: the prediction, fitted at a place
+that is off, takes up part of the error. Before the correction half a pixel will do."""
+_GROWTH_UNKNOWN = (0.0, 1e3)
+_GROWTH_SEEN = (-0.5, 0.5)
+_GROWTH_CORRECTED = (0.0, 0.3)
+"""Mean and sd in px by which an outline shows larger than one predicted from a known distance:
+nothing known; diffuse light fades at grazing angles, so a ball's edge lies inside its outline; and
+with that taken off."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +55,9 @@ class Search:
         half_angle: predicted half angle of its cone, rad.
         nearer: (k, 4) unit axes and half angles of nearer balls.
         reach_px: how far the outline may be from the prediction.
+        distance_known: whether `half_angle` is from a known distance, not from the picture.
         rays: number of rays.
-        min_contrast: least difference of inside and outside, in light.
+        min_contrast: least difference of inside and outside, in picture values from 0 to 1.
         margin_px: distance to keep from nearer balls.
     """
 
@@ -51,6 +65,7 @@ class Search:
     half_angle: float
     nearer: Floats
     reach_px: float
+    distance_known: bool
     rays: int
     min_contrast: float
     margin_px: float
@@ -111,8 +126,9 @@ def measure_outline(view: View, search: Search) -> Outline | None:
     """
     axis, half_angle = search.axis, search.half_angle
     reach = min(max(search.reach_px, _LAST_SEARCH_PX), 0.3 * half_angle * view.lens[0])
-    for turn in range(4):
-        rays = _look(view, search, axis, half_angle, reach)
+    corrected = False
+    for turn in range(_TURNS):
+        rays = (_look_corrected if corrected else _look)(view, search, axis, half_angle, reach)
         if np.count_nonzero(rays.use) < 6:
             return None
         start = np.zeros(3)
@@ -122,17 +138,26 @@ def measure_outline(view: View, search: Search) -> Outline | None:
                 rays.shifts, rays.around, rays.use, _CONSENSUS_GATE_PX, _CONSENSUS_TRIALS
             )
             gate = _FIRST_GATE_PX
+        growth = _GROWTH_UNKNOWN
+        if search.distance_known:
+            growth = _GROWTH_CORRECTED if corrected else _GROWTH_SEEN
         solution, normal, weights, scale = refine(
-            rays.shifts, rays.around, rays.sd, rays.use, start, gate
+            rays.shifts, rays.around, rays.sd, rays.use, start, gate, growth
         )
         if not np.isfinite(scale):
             return None
-        if turn > 0 and np.max(np.abs(solution[:2])) < 0.5 and reach <= _LAST_SEARCH_PX:
+        settled = (
+            turn > 0
+            and np.max(np.abs(solution[:2])) < (_SETTLED_PX if corrected else 0.5)
+            and reach <= _LAST_SEARCH_PX
+        )
+        if settled and (corrected or not search.distance_known):
             return _outline(view, rays, half_angle, solution, normal, weights, scale)
+        corrected = search.distance_known and reach <= _LAST_SEARCH_PX
         px = float(np.mean(rays.scale))
         axis = rays.frame[2] + (solution[0] * rays.frame[0] + solution[1] * rays.frame[1]) / px
         axis = axis / np.linalg.norm(axis)
-        if reach > _LAST_SEARCH_PX:
+        if reach > _LAST_SEARCH_PX and not search.distance_known:
             half_angle += solution[2] / px
         reach = _LAST_SEARCH_PX
     return None
@@ -157,11 +182,48 @@ def _look(view: View, search: Search, axis: Floats, half_angle: float, reach: fl
     )
     profiles = sample(view.pixels, view.table, points, normals, steps, free)
     within, without = levels(profiles, steps, inside, outside)
-    shifts, sd, contrast = crossings(profiles, steps, within, without, reach)
-    clear = (free == FREE) & (contrast >= search.min_contrast)
+    shifts, sd, contrast = crossings(profiles, steps, within, without, inside, reach, False)
+    clear = (free == FREE) & (contrast >= _LIGHT_PER_VALUE * search.min_contrast)
     use = (clear & np.isfinite(shifts)).astype(np.float64)
     return _Pass(
         frame, points, normals, scale, around, shifts, sd, use, clear, free == FREE, within, without
+    )
+
+
+def _look_corrected(
+    view: View, search: Search, axis: Floats, half_angle: float, reach: float
+) -> _Pass:
+    """The same with the edge finder's own error taken off."""
+    frame = frame_about(axis)
+    points, normals, scale, around = cast_rays(frame, half_angle, search.rays, view.lens)
+    span = (INSIDE_PX[0], OUTSIDE_PX[1])
+    free = ways(frame, half_angle, scale, around, search.nearer, span, search.margin_px)
+    edges = corrected_edges(
+        view.pixels,
+        view.table,
+        points,
+        normals,
+        around,
+        free,
+        half_angle,
+        float(np.mean(scale)),
+        search.min_contrast,
+    )
+    clear = (free == FREE) & edges.clear
+    good = clear & np.isfinite(edges.shifts) & (np.abs(edges.shifts) < reach)
+    return _Pass(
+        frame,
+        points,
+        normals,
+        scale,
+        around,
+        edges.shifts,
+        edges.sd,
+        good.astype(np.float64),
+        clear,
+        free == FREE,
+        edges.inside,
+        edges.outside,
     )
 
 

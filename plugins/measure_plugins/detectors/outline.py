@@ -28,7 +28,9 @@ class OutlineConfig(Settings):
         "srgb", "The cameras' tone curve: srgb, none, or gamma with its exponent (gamma2.2)."
     )
     min_contrast: float = setting(
-        0.02, "Least difference of a ray's inside and outside, as a share of full light.", gt=0
+        0.06,
+        "Least difference of a ray's inside and outside, as a share of the largest picture value.",
+        gt=0,
     )
     min_color_match: float = setting(
         0.25, "Least share of samples inside the border that have the ball's colour.", ge=0, le=1
@@ -104,6 +106,7 @@ class OutlineDetector(Detector):
             half_angle,
             np.array(nearer, dtype=np.float64).reshape(-1, 4),
             expectation.reach_px,
+            expectation.center_camera is not None,
             self.config.rays,
             self.config.min_contrast,
             self.config.margin_px,

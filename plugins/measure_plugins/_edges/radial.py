@@ -1,0 +1,116 @@
+"""What a lit ball shows along a ray across its outline, blurred, for unit amounts of light.
+
+The body's own (diffuse) light leaves a glossy surface through a boundary that reflects more and
+more towards grazing angles (Fresnel), so it fades to nothing at the outline, and the reflection of
+the surroundings takes its place. Shading by lights far from the ball is a quadratic polynomial of
+the normal (Ramamoorthi and Hanrahan 2001); around the view axis that is a sum of five angular
+functions times six radial ones, so that everything that is costly depends on the radius alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from measure.arrays import Floats
+
+STEPS = np.arange(-16.0, 6.51, 0.5)
+"""Samples along a ray, px along the outward normal."""
+DEFLECTIONS = np.radians([0, 10, 20, 30, 40, 50, 60, 75])
+"""Angles by which the ball turns the line of sight, where reflected light is unknown."""
+REFRACTIVE_INDEX = 1.5
+"""Of clear plastics and lacquers (1.45 to 1.6)."""
+_FINE = np.arange(-24.0, 12.01, 0.25)
+_GREY_RANGE = (-13.0, 0.6)
+_GREY_STIFFNESS = 0.02
+_FADE_RAD = np.radians(40)
+
+
+@dataclass(frozen=True, eq=False)
+class Radial:
+    """Blurred radial functions at `STEPS`.
+
+    Attributes:
+        diffuse: (m, 6) of the body's own light, see `_lobes`.
+        grey: (m, k) of light reflected from the directions around each of `DEFLECTIONS`.
+        nearby: (m,) of what is right behind the ball, mirrored at grazing angles.
+        outside: (m,) of the surroundings past the outline.
+        solve_grey: (k, m) from a profile to the reflected light; grows smooth where unseen.
+        tie_grey: (k,) the same for what is known at the outline: the surroundings.
+    """
+
+    diffuse: Floats
+    grey: Floats
+    nearby: Floats
+    outside: Floats
+    solve_grey: Floats
+    tie_grey: Floats
+
+
+def radial(radius_px: float, half_angle: float, blur_px: float, index: float) -> Radial:
+    """Tables for a ball; radius, angle and blur are rounded to what makes no difference."""
+    return _radial(round(4 * radius_px), round(200 * half_angle), round(20 * blur_px), index)
+
+
+@lru_cache(maxsize=1024)
+def _radial(radius4: int, angle200: int, blur20: int, index: float) -> Radial:
+    half_angle = max(angle200, 1) / 200
+    tilt, cosine = _surface(half_angle, half_angle / (radius4 / 4))
+    inside = (_FINE < 0).astype(np.float64)
+    mirrored = fresnel(cosine, index) * inside
+    own = (inside - mirrored)[:, None] * _lobes(tilt)
+    deflection = 2 * np.arcsin(np.clip(cosine, 0, 1))
+    knots = np.eye(len(DEFLECTIONS))
+    hats = np.stack([np.interp(deflection, DEFLECTIONS, row) for row in knots], axis=1)
+    blur = _blur(STEPS, _FINE, blur20 / 20)
+    grey = blur @ (hats * mirrored[:, None])
+    solve, tie = _grey_solver(grey)
+    return Radial(
+        diffuse=blur @ own,
+        grey=grey,
+        nearby=blur @ (mirrored * np.clip(1 - deflection / _FADE_RAD, 0, 1)),
+        outside=blur @ (1 - inside),
+        solve_grey=solve,
+        tie_grey=tie,
+    )
+
+
+def fresnel(cosine: Floats, index: float) -> Floats:
+    """Share of unpolarised light reflected at incidence of this cosine; 0 for an index of 1."""
+    transmitted = np.sqrt(1 - (1 - cosine**2) / index**2)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        across = (cosine - index * transmitted) / (cosine + index * transmitted)
+        along = (index * cosine - transmitted) / (index * cosine + transmitted)
+    return np.nan_to_num((across**2 + along**2) / 2)
+
+
+def _surface(half_angle: float, rad_per_px: float) -> tuple[Floats, Floats]:
+    """Tilt of the normal from the view axis and cosine of incidence, along the fine ray."""
+    beta = np.maximum(half_angle + _FINE * rad_per_px, 0.0)
+    incidence = np.arcsin(np.minimum(np.sin(beta) / np.sin(half_angle), 1.0))
+    return incidence - beta, np.cos(incidence)
+
+
+def _lobes(tilt: Floats) -> Floats:
+    """Radial factors (n, 6) of the quadratic polynomials of the normal."""
+    s, c = np.sin(tilt), np.cos(tilt)
+    return np.stack([np.ones_like(s), c, 3 * c * c - 1, s, s * c, s * s], axis=1)
+
+
+def _blur(at: Floats, fine: Floats, sigma: float) -> Floats:
+    kernel = np.exp(-0.5 * ((at[:, None] - fine[None, :]) / sigma) ** 2)
+    return np.asarray(kernel / kernel.sum(axis=1, keepdims=True))
+
+
+def _grey_solver(grey: Floats) -> tuple[Floats, Floats]:
+    """Ridge regression of the reflected light, smooth in angle, tied to what is outside."""
+    used = np.abs(STEPS - np.mean(_GREY_RANGE)) <= np.ptp(_GREY_RANGE) / 2
+    design = grey * used[:, None]
+    bend = np.diff(np.eye(grey.shape[1]), 2, axis=0)
+    firm = 1e3
+    normal = design.T @ design + _GREY_STIFFNESS * bend.T @ bend + 1e-6 * np.eye(grey.shape[1])
+    normal[0, 0] += firm
+    inverse = np.linalg.inv(normal)
+    return np.ascontiguousarray(inverse @ design.T), np.ascontiguousarray(firm * inverse[:, 0])
