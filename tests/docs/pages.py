@@ -1,0 +1,55 @@
+"""The documentation's pages and the blocks in them."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+_BLOCK = re.compile(
+    r"(?:<!-- (?P<mark>[^\n]*?) -->\n)?^```(?P<language>\w*)[^\n]*\n(?P<text>.*?)^```$",
+    re.DOTALL | re.MULTILINE,
+)
+
+
+@dataclass(frozen=True)
+class Block:
+    """One fenced block.
+
+    Attributes:
+        page: the file.
+        line: where it starts.
+        language: after the fence.
+        text: between the fences.
+        mark: the comment right above it ("file: NAME", "skip: REASON", "same as: FILE"), or "".
+    """
+
+    page: Path
+    line: int
+    language: str
+    text: str
+    mark: str
+
+    def marked(self, key: str) -> str:
+        """The value of the mark `key: value`, or ""."""
+        return self.mark.removeprefix(f"{key}: ") if self.mark.startswith(f"{key}: ") else ""
+
+
+def blocks(page: Path) -> list[Block]:
+    text = page.read_text(encoding="utf-8")
+    return [
+        Block(
+            page,
+            text.count("\n", 0, match.start()) + 1,
+            match["language"],
+            match["text"],
+            match["mark"] or "",
+        )
+        for match in _BLOCK.finditer(text)
+    ]
+
+
+def name_of(page: Path) -> str:
+    return str(page.relative_to(ROOT))

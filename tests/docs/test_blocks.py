@@ -1,0 +1,133 @@
+"""Every block in the documentation is run, read or compared; none is only decoration."""
+
+from __future__ import annotations
+
+import doctest
+import os
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from measure.cli import build_app
+from measure.cli.commands import GROUPS
+from tests.docs.pages import PAGES, ROOT, Block, blocks, name_of
+
+LANGUAGES = {"bash", "toml", "python", "pycon", "text"}
+DEMO = "measure demo --out triball-demo"
+ELSEWHERE = ("demo-command", "test-command")
+"""Blocks with these marks are whole installations: `.ci/run` runs them."""
+BEING_WRITTEN = {"docs/images/demo.png", "calibration.md"}
+COMMANDS = {command.name for commands in GROUPS.values() for command in commands}
+
+by_page = pytest.mark.parametrize("page", PAGES, ids=name_of)
+
+
+@by_page
+def test_every_block_is_of_a_kind_that_is_checked(page: Path):
+    for block in blocks(page):
+        assert block.language in LANGUAGES, f"line {block.line}: ```{block.language}"
+    assert page.read_text(encoding="utf-8").count("\n```") == 2 * len(blocks(page))
+
+
+@by_page
+def test_examples_give_what_they_say(page: Path):
+    text = "".join(block.text for block in blocks(page) if block.language == "pycon")
+    test = doctest.DocTestParser().get_doctest(text, {}, name_of(page), str(page), 0)
+    report: list[str] = []
+    failed = doctest.DocTestRunner(verbose=False).run(test, out=report.append).failed
+    assert not failed, "".join(report)
+
+
+@by_page
+def test_toml_is_toml(page: Path):
+    for block in blocks(page):
+        if block.language == "toml":
+            tomllib.loads(block.text)
+
+
+@by_page
+def test_listings_are_the_files_they_show(page: Path):
+    for block in blocks(page):
+        if file := block.marked("same as"):
+            actual = (ROOT / file).read_text(encoding="utf-8")
+            assert block.text == actual, f"{file} has changed: python docs/regenerate.py"
+
+
+@by_page
+def test_links_lead_somewhere(page: Path):
+    for target in re.findall(r"\]\(([^)#\s]+)[^)]*\)", page.read_text(encoding="utf-8")):
+        if "://" not in target and target not in BEING_WRITTEN:
+            assert (page.parent / target).exists(), target
+
+
+@by_page
+def test_commands_that_are_only_shown_exist(page: Path):
+    """In text blocks and in running text."""
+    text = page.read_text(encoding="utf-8")
+    listed = [line for b in blocks(page) if b.language == "text" for line in b.text.splitlines()]
+    shown = [line.split()[1] for line in listed if re.match(r"measure \w", line)]
+    shown += re.findall(r"`measure (\w+)", text)
+    assert set(shown) <= COMMANDS | {"COMMAND"}, set(shown) - COMMANDS
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder that the tutorial's first command makes."""
+    if "demo" not in build_app():
+        pytest.skip("measure demo is not written yet")
+    folder = tmp_path_factory.mktemp("docs")
+    _run(DEMO, folder)
+    return folder / "triball-demo"
+
+
+def _runnable(block: Block) -> bool:
+    return (
+        block.language in ("bash", "python")
+        and not block.marked("skip")
+        and not block.marked("same as")
+        and block.mark not in ELSEWHERE
+        and block.page.name != "CONTRIBUTING.md"  # the test suite cannot run itself
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "page", [page for page in PAGES if any(map(_runnable, blocks(page)))], ids=name_of
+)
+def test_a_page_can_be_followed(page: Path, demo: Path, tmp_path: Path):
+    """Its files are written and its commands run, in order, in an empty folder with the demo."""
+    (tmp_path / "triball-demo").symlink_to(demo)
+    (tmp_path / "calibration_targets").symlink_to(ROOT / "calibration_targets")
+    for block in blocks(page):
+        if file := block.marked("file"):
+            (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+            (tmp_path / file).write_text(block.text, encoding="utf-8")
+        elif _runnable(block) and block.language == "python":
+            _python("-c", block.text, folder=tmp_path)
+        elif _runnable(block):
+            for line in block.text.replace("\\\n", " ").splitlines():
+                if line.split("#")[0].strip() not in ("", DEMO):
+                    _run(line, tmp_path)
+
+
+def _run(line: str, folder: Path) -> None:
+    words = shlex.split(line, comments=True)
+    assert words[0] == "measure", f"only `measure` is run here; mark the block to skip: {line}"
+    _python("-m", "measure.cli", *words[1:], folder=folder)
+
+
+def _python(*arguments: str, folder: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, *arguments],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "PYTHONWARNINGS": "default"},
+    )
+    assert done.returncode == 0, f"{shlex.join(arguments)}\n{done.stdout}\n{done.stderr}"

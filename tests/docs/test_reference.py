@@ -1,0 +1,71 @@
+"""Reference pages say what the program says of itself."""
+
+from __future__ import annotations
+
+import importlib.util
+import inspect
+import sys
+from collections.abc import Callable
+from types import ModuleType
+
+import pytest
+
+from measure.host import hooks
+from tests.docs.pages import ROOT
+
+PLUGIN_PAGE = (ROOT / "docs" / "writing_a_plugin.md").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def generator() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("regenerate", ROOT / "docs" / "regenerate.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_command_line_page_is_current(generator: ModuleType):
+    page = (ROOT / "docs" / "cli.md").read_text(encoding="utf-8")
+    assert page == generator.command_line_page(), "run: python docs/regenerate.py"
+
+
+@pytest.mark.parametrize("kind", hooks.KINDS, ids=lambda kind: kind.name)
+def test_every_hook_is_documented_with_its_exact_signature(kind: hooks.Kind):
+    hook = getattr(hooks, kind.hook)
+    assert f"\n### {kind.hook}{_signature(hook)}\n" in PLUGIN_PAGE
+    assert f"\n{inspect.getdoc(hook)}\n" in PLUGIN_PAGE
+
+
+def _signature(function: Callable[..., object]) -> str:
+    """As written in the source: annotations are text there."""
+    return str(inspect.signature(function)).replace("'", "")
+
+
+def _methods() -> list[tuple[str, str]]:
+    """Every abstract method and constructor a plugin author meets."""
+    return [
+        (kind.interface.__name__, method)
+        for kind in hooks.KINDS
+        for method in ("__init__", *sorted(kind.interface.__abstractmethods__))
+    ]
+
+
+@pytest.mark.parametrize(("interface", "method"), _methods())
+def test_every_method_is_documented_with_its_exact_signature(interface: str, method: str):
+    (owner,) = (k.interface for k in hooks.KINDS if k.interface.__name__ == interface)
+    signature = _signature(getattr(owner, method))
+    assert f"\n`{interface}.{method}{signature}`\n" in PLUGIN_PAGE
+
+
+def test_no_hook_is_documented_that_does_not_exist():
+    documented = {line[4:].partition("(")[0] for line in PLUGIN_PAGE.splitlines() if "###" in line}
+    assert documented == {kind.hook for kind in hooks.KINDS}
+
+
+def test_every_setting_helper_named_in_the_page_exists():
+    host = sys.modules["measure.host"]
+    for name in ("Settings", "hookimpl", "OnnxModel", "setting"):
+        assert name in PLUGIN_PAGE
+        assert hasattr(host, name)
