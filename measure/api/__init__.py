@@ -24,6 +24,7 @@ from measure.api.measuring import measure_session
 from measure.api.profiles import build_pipeline, choose, load_profile, profile_names
 from measure.api.report import report
 from measure.api.run import RunOptions, parse_images, run
+from measure.api.watch import spawn_viewer
 from measure.results.evaluation_table import evaluation_tables
 
 __all__ = [
@@ -53,6 +54,7 @@ __all__ = [
     "run_many",
     "shipped_model",
     "simulate_dataset",
+    "spawn_viewer",
     "sweep",
     "train",
 ]

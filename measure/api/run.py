@@ -30,6 +30,7 @@ class RunOptions:
     Attributes:
         image_every: pictures of every n-th frame set go into `run.rrd`; 0 for none.
         recording: whether to write `run.rrd` at all.
+        viewer: address of a running viewer to send to while measuring.
         resume: go on where an earlier run of the same ended.
         overwrite: throw an earlier run away.
         calibration: a calibration file to use instead of the session's own.
@@ -38,6 +39,7 @@ class RunOptions:
 
     image_every: int = 0
     recording: bool = True
+    viewer: str | None = None
     resume: bool = False
     overwrite: bool = False
     calibration: Path | None = None
@@ -91,7 +93,11 @@ def run(
             )
         )
         measured = measure_session(session, profile, registry, start=writer.next_index)
-        log = stack.enter_context(_Recording(session, out, options)) if options.recording else None
+        log = (
+            stack.enter_context(_Recording(session, out, options))
+            if options.recording or options.viewer
+            else None
+        )
         for frame_set, measurement in measured:
             writer.append(measurement)
             if log is not None:
@@ -142,7 +148,8 @@ class _Recording:
         from measure.viewing.recording import RunRecording, open_recording
 
         names = [camera.name for camera in session.cameras]
-        stream = open_recording(session.name, names, out / "run.rrd")
+        path = out / "run.rrd" if options.recording else None
+        stream = open_recording(session.name, names, path, options.viewer)
         self._log = RunRecording(stream, session.body, session.cameras, options.image_every)
         self._truth = _truth(session)
 

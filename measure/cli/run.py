@@ -30,6 +30,8 @@ def run(
     body: Path | None = None,
     images: str = "none",
     recording: Annotated[bool, Parameter(negative="--no-recording")] = True,
+    spawn: bool = False,
+    connect: str | None = None,
     resume: bool = False,
     overwrite: bool = False,
     workers: int | None = None,
@@ -54,6 +56,8 @@ def run(
         body: a body file to use instead of the session's.
         images: pictures to keep in the viewer's recording: none, all, or every N-th set.
         recording: write run.rrd for the viewer.
+        spawn: open the viewer at once and watch while it measures.
+        connect: send to a viewer that runs already, as rerun+http://127.0.0.1:9876/proxy.
         resume: go on with an interrupted run.
         overwrite: throw an earlier run in the folder away.
         workers: how many sessions to measure at a time; as many as there are cores.
@@ -69,6 +73,7 @@ def run(
     options = api.RunOptions(
         image_every=api.parse_images(images),
         recording=recording,
+        viewer=api.spawn_viewer() if spawn else connect,
         resume=resume,
         overwrite=overwrite,
         calibration=calibration,

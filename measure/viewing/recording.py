@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import socket
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Self
+from urllib.parse import urlsplit
 
 import numpy as np
 import rerun as rr
 
 from measure.arrays import Floats
+from measure.errors import ConfigError
 from measure.geometry import RigidTransform
 from measure.measuring import Measurement, Status
 from measure.model import BallView, Body, Camera, FrameSet, Pose
@@ -19,6 +23,8 @@ from measure.viewing.blueprint import run_blueprint
 from measure.viewing.columns import ColumnLog
 
 FLUSH_ROWS = 60
+CONNECT_WITHIN_S = 5.0
+"""How long a viewer that was just started may take to listen."""
 _CIRCLE = np.linspace(0.0, 2 * np.pi, 33)
 _LEVELS = {Status.OK: "INFO", Status.FLAGGED: "WARN", Status.LOST: "ERROR", Status.SKIPPED: "WARN"}
 
@@ -234,10 +240,33 @@ def open_recording(
         cameras: names of the cameras, for the layout that travels inside.
         path: the .rrd file, overwritten; no viewer is needed for it.
         address: of a viewer, as `rerun+http://127.0.0.1:9876/proxy`.
+
+    Raises:
+        ConfigError: no viewer listens at the address.
     """
     stream = rr.RecordingStream("triball")
+    if address is not None:
+        _check_listening(address)
     sinks: list[rr.FileSink | rr.GrpcSink] = [rr.FileSink(path)] if path else []
     sinks += [rr.GrpcSink(address)] if address else []
     stream.set_sinks(*sinks, default_blueprint=run_blueprint(cameras))
     stream.send_recording_name(name)
     return stream
+
+
+def _check_listening(address: str) -> None:
+    """Rerun itself would drop everything it cannot send, and only log that."""
+    parts = urlsplit(address)
+    if not parts.scheme.startswith("rerun") or parts.hostname is None:
+        raise ConfigError(
+            f"'{address}' is no viewer's address: expected rerun+http://127.0.0.1:9876/proxy"
+        )
+    deadline = time.monotonic() + CONNECT_WITHIN_S
+    while True:
+        try:
+            socket.create_connection((parts.hostname, parts.port or 9876), timeout=1.0).close()
+            return
+        except OSError as error:
+            if time.monotonic() > deadline:
+                raise ConfigError(f"no viewer listens at {address}: {error.strerror}") from error
+            time.sleep(0.1)

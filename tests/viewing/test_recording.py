@@ -7,8 +7,9 @@ import pytest
 from measurements import BODY, CAMERAS, measurement
 from rerun.chunk import RrdReader
 
+from measure.errors import ConfigError
 from measure.geometry import RigidTransform
-from measure.viewing import entities
+from measure.viewing import entities, recording
 from measure.viewing.recording import RunRecording, open_recording
 
 
@@ -77,3 +78,13 @@ def test_a_lost_ball_leaves_no_ellipsoid(recorded):
 def test_size_without_images(tmp_path):
     _record(tmp_path / "run.rrd", 300)
     assert (tmp_path / "run.rrd").stat().st_size < 1_000_000
+
+
+@pytest.mark.parametrize(
+    ("address", "said"),
+    [("localhost:9876", "is no viewer's address"), ("rerun+http://127.0.0.1:1/proxy", "no viewer")],
+)
+def test_a_viewer_that_does_not_listen_is_said_not_silently_skipped(address, said, monkeypatch):
+    monkeypatch.setattr(recording, "CONNECT_WITHIN_S", 0.0)
+    with pytest.raises(ConfigError, match=said):
+        open_recording("test", ["cam0"], address=address)
