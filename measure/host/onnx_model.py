@@ -110,11 +110,18 @@ class OnnxModel:
         """The next state of the running trajectory.
 
         A model whose memory has a clock (`period_s`) advances it no more often than in training.
+
+        Raises:
+            EstimatorError: the state has another number of features.
         """
         due = not time_s - self._ticked_s < 0.75 * self.period_s  # a NaN stamp counts as due
         if due:
             self._ticked_s = time_s
         row = np.asarray(state, dtype=np.float32)[None]
+        if row.shape != (1, len(self.features)):
+            raise EstimatorError(
+                f"{self.where}: a state has {len(self.features)} features, got {row[0].shape}"
+            )
         estimates, self._memory = self.step(row, self._memory, np.array([[due]], dtype=np.float32))
         familiar = bool(estimates.strangeness[0] <= 1.0)  # not so for NaN
         return Correction(estimates.errors_mm[0], estimates.covariances[0], not familiar)

@@ -2,35 +2,57 @@
 
 from __future__ import annotations
 
+import tempfile
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 
+from measure.arrays import Floats
 from measure.errors import EstimatorError
-from measure.host import Correction, Estimator
+from measure.host import Correction, Dataset, Estimator, OnnxModel
+from measure.host.estimator import quiet
+from measure.testing.robot import lessons
 from measure.testing.rules import PluginConformance, assert_covariance, assert_same
 
 
 class EstimatorConformance(PluginConformance):
-    """Tests of an estimator that has learnt something: override `fitted` and `states`.
+    """Tests of an estimator that has learnt from two minutes of a simulated robot.
 
     Attributes:
         plugin: the class under test.
+        max_rms_share: the RMS error that may be left of the reported positions' own.
     """
 
     plugin: ClassVar[type[Estimator]]
+    max_rms_share: ClassVar[float] = 0.8
+    _fitted: ClassVar[dict[type, Estimator]] = {}
 
     def fitted(self) -> Estimator:
-        """An instance that has learnt; it may be the same at every call."""
-        raise NotImplementedError(f"{type(self).__name__} must say how to fit {self.plugin.name}")
+        """An instance that has learnt; fitted once for all tests of a class."""
+        kit = type(self)
+        if kit not in self._fitted:
+            estimator = self.plugin(self.config)
+            estimator.fit(lessons().train, lessons().validation, seed=0, report=quiet)
+            self._fitted[kit] = estimator
+        return self._fitted[kit]
 
-    def states(self) -> np.ndarray:
-        """States (n, features) of one trajectory like those in training, 1 ms apart."""
-        raise NotImplementedError(f"{type(self).__name__} must give states to correct")
+    def trajectory(self) -> Dataset:
+        """One trajectory that was not learnt from."""
+        test = lessons().test
+        return test.select(test.present()[:1])
+
+    def states(self) -> Floats:
+        """Its states (n, features)."""
+        return self.trajectory().states
 
     def corrections(self, estimator: Estimator) -> list[Correction]:
         """Correct the whole trajectory."""
-        return [estimator.update(state, 1e-3 * i) for i, state in enumerate(self.states())]
+        data = self.trajectory()
+        return [
+            estimator.update(state, float(time_s))
+            for state, time_s in zip(data.states, data.times_s, strict=True)
+        ]
 
     def test_corrections_are_finite_with_a_covariance(self) -> None:
         """From the first state on: a control loop cannot wait."""
@@ -41,6 +63,30 @@ class EstimatorConformance(PluginConformance):
             assert correction.error_mm.shape == (3,), f"error of shape {correction.error_mm.shape}"
             assert np.all(np.isfinite(correction.error_mm)), f"error {correction.error_mm}"
             assert_covariance(correction.covariance, 3, "correction")
+
+    def test_it_corrects(self) -> None:
+        """On a trajectory it has not seen, the error that is left is smaller."""
+        estimator, data = self.fitted(), self.trajectory()
+        estimator.reset()
+        estimates = np.stack([c.error_mm for c in self.corrections(estimator)])[data.usable]
+        truth = data.errors_mm[data.usable]
+        share = float(np.linalg.norm(truth - estimates) / np.linalg.norm(truth))
+        assert share < self.max_rms_share, f"{share:.0%} of the error is left"
+
+    def test_the_saved_file_says_the_same(self) -> None:
+        """One ONNX file, which runs without the plugin's code and carries its card."""
+        estimator, data = self.fitted(), self.trajectory()
+        with tempfile.TemporaryDirectory() as folder:
+            estimator.save(Path(folder) / "model.onnx", {"revision": "7"})
+            model = OnnxModel.load(Path(folder) / "model.onnx")
+        assert model.card == {"revision": "7"}, f"the card came back as {model.card}"
+        model.check(data.schema)
+        model.reset()
+        estimator.reset()
+        for state, time_s in zip(data.states, data.times_s, strict=True):
+            here, there = (e.update(state, float(time_s)) for e in (estimator, model))
+            off = float(np.abs(here.error_mm - there.error_mm).max())
+            assert off < 1e-3, f"the saved model differs by {off:.2g} mm"
 
     def test_reset_forgets_all_history(self) -> None:
         """The same trajectory after a reset gives the same corrections."""

@@ -12,6 +12,7 @@ from measure.host import Registry
 from measure.model import Detection, Pose
 from measure.testing import (
     DetectorConformance,
+    EstimatorConformance,
     PoseSolverConformance,
     TriangulatorConformance,
 )
@@ -20,12 +21,27 @@ KITS = {
     "detector": DetectorConformance,
     "triangulator": TriangulatorConformance,
     "solver": PoseSolverConformance,
+    "estimator": EstimatorConformance,
 }
+
+
+QUICK = {
+    "forest": {"trees": 5},
+    "gp": {"points": 200, "tuning_points": 100},
+    "mlp": {"layers": (40, 30), "epochs": 60, "batch": 64, "learning_rate": 5e-3},
+    "stream": {
+        "perceptrons": 1, "perceptron_units": 16, "perceptron_epochs": 12, "grus": 1,
+        "gru_units": 12, "gru_epochs": 40, "window": 32, "play_widths": 3,
+    },
+    "ukf": {"play_widths": 4},
+}  # fmt: skip
+"""Settings with which estimators learn the kit's little data set in seconds."""
 
 
 def _kit(kind: str, plugin: type) -> type:
     """A test class for one plugin, as its author would write it."""
-    return type(f"Test{plugin.__name__}", (KITS[kind],), {"plugin": plugin, "__module__": __name__})
+    contents = {"plugin": plugin, "settings": QUICK.get(plugin.name, {}), "__module__": __name__}
+    return type(f"Test{plugin.__name__}", (KITS[kind],), contents)
 
 
 def _wrapped(test):
@@ -39,7 +55,8 @@ def _wrapped(test):
 
 # Weaknesses the kit has found and that are being worked on: a plugin, a test, and what is wrong.
 KNOWN = {
-    ("outline", "test_expected_balls_are_found_once_and_in_place"): "needs a prediction within 2 px"
+    ("outline", "test_expected_balls_are_found_once_and_in_place"): "depends on the prediction",
+    ("outline", "test_balls_are_found_in_the_whole_frame"): "a rough start leaves it 5 px off",
 }
 
 for _item in Registry.discover().loaded:
