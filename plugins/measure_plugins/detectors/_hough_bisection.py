@@ -90,7 +90,7 @@ def _bracket(find: Find, expected: int, lowest: int, start: int) -> tuple[int, F
     threshold, circles = start, find(start)
     if len(circles) > expected:
         while len(circles) > expected:
-            below, threshold = threshold, 2 * threshold
+            below, threshold = threshold, threshold + threshold // 2 + 1
             circles = find(threshold)
         return threshold, circles, below
     while threshold > lowest:

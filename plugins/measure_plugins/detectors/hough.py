@@ -24,7 +24,7 @@ from measure_plugins.detectors._hough_search import Search, finder
 _SAME_COLOR_SHARE = 0.5
 """Two colours of which one covers this share of the other cannot be told apart."""
 
-_FIRST_THRESHOLD = 64
+_FIRST_THRESHOLD = 24
 """Votes at which the bisection starts in a whole frame, where low thresholds are slow to try."""
 
 
