@@ -2,7 +2,7 @@
 
 from measure.model.body import Ball, Body
 from measure.model.camera import Camera, Intrinsics
-from measure.model.color import BallColor, ColorRange
+from measure.model.color import BallColor, ColorRange, ConvertedImage
 from measure.model.frames import FrameSet, Image
 from measure.model.motion import Motion
 from measure.model.observations import BallView, Detection, Expectation, Fix, Pose
@@ -15,6 +15,7 @@ __all__ = [
     "Body",
     "Camera",
     "ColorRange",
+    "ConvertedImage",
     "Detection",
     "Expectation",
     "Fix",

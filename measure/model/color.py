@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import cv2
@@ -41,6 +41,21 @@ class ColorRange:
         return np.asarray(cv2.bitwise_or(upper, lower), dtype=np.uint8)
 
 
+@dataclass(frozen=True, eq=False)
+class ConvertedImage:
+    """A BGR image (h, w, 3) with its conversions to colour spaces, each made when first asked."""
+
+    bgr: Bytes
+    _known: dict[ColorSpace, Bytes] = field(default_factory=dict)
+
+    def to(self, space: ColorSpace) -> Bytes:
+        """The image (h, w, 3) in a colour space."""
+        if space not in self._known:
+            converted = cv2.cvtColor(self.bgr, _TO_SPACE[space])
+            self._known[space] = np.asarray(converted, dtype=np.uint8)
+        return self._known[space]
+
+
 @dataclass(frozen=True)
 class BallColor:
     """A ball's colour: any of some ranges.
@@ -55,11 +70,14 @@ class BallColor:
 
     def mask(self, bgr: Bytes) -> Bytes:
         """255 where pixels of a BGR image (h, w, 3) match."""
-        converted = {r.space: cv2.cvtColor(bgr, _TO_SPACE[r.space]) for r in self.ranges}
-        out = np.zeros(bgr.shape[:2], np.uint8)
-        for r in self.ranges:
-            out |= r.mask(np.asarray(converted[r.space], dtype=np.uint8))
-        return out
+        return self.mask_converted(ConvertedImage(bgr))
+
+    def mask_converted(self, image: ConvertedImage) -> Bytes:
+        """The same for an image that several colours look at: it is converted only once."""
+        first, *others = (r.mask(image.to(r.space)) for r in self.ranges)
+        for other in others:
+            first = np.asarray(cv2.bitwise_or(first, other), dtype=np.uint8)
+        return first
 
     def matches(self, bgr: ArrayLike) -> Bools:
         """Which of n BGR samples (n, 3) match."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
 
 from measure.arrays import Bytes, Floats, Ints
+from measure.model import ConvertedImage
 
 _STRIDE = 4
 """Segments are blurred shapes of many pixels: looking at every fourth one finds them all."""
@@ -15,10 +16,17 @@ _STRIDE = 4
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """A part of a picture: where it starts (x, y), and its pixels."""
+    """A part of a picture.
+
+    Attributes:
+        origin: where it starts (x, y).
+        image: its pixels, with their conversions to colour spaces.
+        edges: the edges (h, w) found in it, by blur in px.
+    """
 
     origin: tuple[int, int]
-    bgr: Bytes
+    image: ConvertedImage
+    edges: dict[float, Bytes] = field(default_factory=dict)
 
 
 Region = tuple[slice, slice]
@@ -32,7 +40,8 @@ def cut(bgr: Bytes, low: Floats, high: Floats) -> Window | None:
     x1, y1 = np.clip(np.ceil(high) + 1, 0, size).astype(int)
     if x1 - x0 < 3 or y1 - y0 < 3:
         return None
-    return Window((int(x0), int(y0)), np.ascontiguousarray(bgr[y0:y1, x0:x1]))
+    pixels = np.ascontiguousarray(bgr[y0:y1, x0:x1])
+    return Window((int(x0), int(y0)), ConvertedImage(pixels))
 
 
 def regions(segments: Bytes, smallest_px: float, margin_px: float) -> list[Region]:

@@ -36,8 +36,8 @@ def enlarge(channel: Bytes, sigma_px: float, level: float) -> Bytes:
         (h, w), 1 inside the enlarged segments, else 0.
     """
     height, width = channel.shape
-    # A wide blur needs no fine grid: shrink until sigma is two or three pixels.
-    shrink = max(int(sigma_px / 2), 1)
+    # A wide blur needs no fine grid: halve it while sigma stays above 1.5 px.
+    shrink = 4 if sigma_px >= 6 else 2 if sigma_px >= 3 else 1
     small = cv2.resize(
         channel,
         (-(-width // shrink), -(-height // shrink)),

@@ -7,7 +7,7 @@ ball's centre, and centres fall on whole pixels of the accumulator.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy as np
 from measure.arrays import Bytes, Floats
 from measure.errors import ConfigError
 from measure.host import Detector, Settings, hookimpl, setting
-from measure.model import Ball, Body, Camera, Detection, Expectation, Image
+from measure.model import Ball, Body, Camera, ConvertedImage, Detection, Expectation, Image
 from measure_plugins.detectors import _hough_steps as steps
 from measure_plugins.detectors._hough_bisection import Find, tune_blur
 from measure_plugins.detectors._hough_regions import Window, cut, regions
@@ -101,13 +101,12 @@ class HoughDetector(Detector):
     def detect(self, image: Image, expected: Sequence[Expectation]) -> list[Detection]:
         """Find each ball in its window, or all over the picture; see `Detector.detect`."""
         by_ball = {expectation.ball: expectation for expectation in expected}
-        whole = Window((0, 0), image.pixels)
-        edges = _remembering(lambda sigma: self._edges(whole, sigma))
+        whole = Window((0, 0), ConvertedImage(image.pixels))
         found = []
         for ball in self.body.balls:
             expectation = by_ball.get(ball.name)
             if expectation is None:
-                found += self._searched(ball, image, whole, edges)
+                found += self._searched(ball, image, whole)
             else:
                 found += self._expected(ball, image, expectation)
         return found
@@ -123,14 +122,9 @@ class HoughDetector(Detector):
             circles=1,
             first_threshold=2 * self.config.lowest_threshold,
         )
-        channel = ball.color.mask(window.bgr)
-        return self._circles(
-            ball, image, window, channel, search, _remembering(lambda s: self._edges(window, s))
-        )
+        return self._circles(ball, image, window, search)
 
-    def _searched(
-        self, ball: Ball, image: Image, whole: Window, edges: Callable[[float], Bytes]
-    ) -> list[Detection]:
+    def _searched(self, ball: Ball, image: Image, whole: Window) -> list[Detection]:
         radius_px = self._plausible_radii(ball)
         search = Search(
             radius_px,
@@ -138,8 +132,7 @@ class HoughDetector(Detector):
             circles=self.config.circles,
             first_threshold=_FIRST_THRESHOLD,
         )
-        channel = ball.color.mask(whole.bgr)
-        found = self._circles(ball, image, whole, channel, search, edges)
+        found = self._circles(ball, image, whole, search)
         return [detection for detection in found if detection.score > 0]
 
     def _plausible_radii(self, ball: Ball) -> tuple[float, float]:
@@ -150,27 +143,25 @@ class HoughDetector(Detector):
         return float(radii[0]), float(min(radii[1], max(self.camera.intrinsics.size_wh) / 2))
 
     def _edges(self, window: Window, sigma_px: float) -> Bytes:
-        return steps.gray_edges(window.bgr, sigma_px, self.config.edge_threshold)
+        """Steps 1 to 3, once per window and blur."""
+        if sigma_px not in window.edges:
+            window.edges[sigma_px] = steps.gray_edges(
+                window.image.bgr, sigma_px, self.config.edge_threshold
+            )
+        return window.edges[sigma_px]
 
-    def _circles(
-        self,
-        ball: Ball,
-        image: Image,
-        window: Window,
-        channel: Bytes,
-        search: Search,
-        edges: Callable[[float], Bytes],
-    ) -> list[Detection]:
-        """Steps 5 to 8 in one window."""
+    def _circles(self, ball: Ball, image: Image, window: Window, search: Search) -> list[Detection]:
+        """Steps 4 to 8 in one window."""
         config = self.config
         sigma = config.channel_blur_percent / 100 * float(np.mean(search.radius_px))
+        channel = ball.color.mask_converted(window.image)
         segments = steps.enlarge(channel, sigma, config.channel_level_percent / 100)
         parts = regions(segments, search.radius_px[0], search.radius_px[1] / 2)
         if not parts:
             return []
 
         def find_with(sigma_px: float) -> Find:
-            border = steps.refine_border(edges(sigma_px), segments)
+            border = steps.refine_border(self._edges(window, sigma_px), segments)
             return finder(border, parts, search, config.dp, config.param1)
 
         tuned = tune_blur(
@@ -215,18 +206,6 @@ class HoughDetector(Detector):
 def measure_detectors() -> list[type[Detector]]:
     """Register the detector."""
     return [HoughDetector]
-
-
-def _remembering(compute: Callable[[float], Bytes]) -> Callable[[float], Bytes]:
-    """The same function, computed once per argument."""
-    known: dict[float, Bytes] = {}
-
-    def remembered(sigma_px: float) -> Bytes:
-        if sigma_px not in known:
-            known[sigma_px] = compute(sigma_px)
-        return known[sigma_px]
-
-    return remembered
 
 
 def _refuse_one_color(body: Body) -> None:

@@ -128,5 +128,5 @@ def test_cut_stops_at_the_border():
     picture = np.arange(100 * 80 * 3, dtype=np.uint32).reshape(100, 80, 3).astype(np.uint8)
     window = cut(picture, np.array([-10.0, 40.2]), np.array([20.0, 500.0]))
     assert window.origin == (0, 40)
-    assert np.array_equal(window.bgr, picture[40:, :21])
+    assert np.array_equal(window.image.bgr, picture[40:, :21])
     assert cut(picture, np.array([90.0, 0.0]), np.array([120.0, 20.0])) is None
