@@ -22,6 +22,7 @@ from measure.api.export import export
 from measure.api.many import Outcome, run_many
 from measure.api.measuring import measure_session
 from measure.api.profiles import build_pipeline, choose, load_profile, profile_names
+from measure.api.refining import RefineResult, refine
 from measure.api.report import report
 from measure.api.run import RunOptions, parse_images, run
 from measure.api.watch import spawn_viewer
@@ -30,6 +31,7 @@ from measure.results.evaluation_table import evaluation_tables
 __all__ = [
     "CalibrationResult",
     "Outcome",
+    "RefineResult",
     "RunOptions",
     "TrainOptions",
     "ablate",
@@ -48,6 +50,7 @@ __all__ = [
     "parse_images",
     "parse_settings",
     "profile_names",
+    "refine",
     "report",
     "rezero",
     "run",

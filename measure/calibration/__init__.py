@@ -10,6 +10,7 @@ from measure.calibration.markers import find_markers
 from measure.calibration.paper import fit_rig_by_paper
 from measure.calibration.printing import target_sheet
 from measure.calibration.procedure import Method, RigCalibration, calibrate_capture
+from measure.calibration.refine import Refinement, RefineSettings, recording_of, refine_rig
 from measure.calibration.report import calibration_report, camera_rows
 from measure.calibration.targets import MarkerField, read_board, read_markers
 from measure.calibration.verdict import Verdict, judge, provenance
@@ -25,6 +26,8 @@ __all__ = [
     "LensCalibration",
     "MarkerField",
     "Method",
+    "RefineSettings",
+    "Refinement",
     "RigCalibration",
     "RigFit",
     "Sheet",
@@ -49,6 +52,8 @@ __all__ = [
     "provenance",
     "read_board",
     "read_markers",
+    "recording_of",
+    "refine_rig",
     "target_sheet",
     "write_sheet",
 ]

@@ -125,6 +125,8 @@ def solve(
     start: State,
     loss: Huber | None = None,
     max_iterations: int = 100,
+    tolerance: float = 1e-12,
+    must_settle: bool = True,
 ) -> Solution[State]:
     """Minimise the sum of losses of the whitened residuals plus the squared priors.
 
@@ -134,6 +136,8 @@ def solve(
         start: where to begin.
         loss: robust loss on the length of each residual; squares if omitted.
         max_iterations: limit on linear systems solved.
+        tolerance: settled once a step lowers the cost by less than this share.
+        must_settle: False returns where the limit was reached instead of refusing.
 
     Raises:
         CalibrationError: the start has no finite cost, the data leave parameters undetermined, or
@@ -151,15 +155,15 @@ def solve(
         candidate = step(state, shared, blocks)
         there = linearise(candidate)
         candidate_cost = _cost(there, loss)
-        done = predicted <= 1e-13 * cost + 1e-15
+        done = predicted <= 0.1 * tolerance * cost + 1e-15
         if np.isfinite(candidate_cost) and candidate_cost <= cost:
-            done = done or cost - candidate_cost <= 1e-12 * cost
+            done = done or cost - candidate_cost <= tolerance * cost
             state, here, cost = candidate, there, candidate_cost
             damping = max(damping / 10, 1e-15)
         else:
             damping *= 10
             done = done or damping > _MAX_DAMPING
-        if done:
+        if done or (iteration == max_iterations and not must_settle):
             return Solution(
                 state, here, _normal_equations(here, loss).covariance(), cost, iteration
             )
@@ -188,8 +192,9 @@ class _NormalEquations:
         diagonal = np.einsum("fii->fi", V)
         diagonal += damping * _scale(diagonal)
         solved = _solve_blocks(V, np.concatenate([self.W, self.h[:, :, None]], axis=2))
-        reduced = U - np.einsum("fbp,fbq->pq", self.W, solved[:, :, :-1], optimize=True)
-        right = self.g - np.einsum("fbp,fb->p", self.W, solved[:, :, -1])
+        flat = self.W.reshape(self.h.size, len(self.g)).T
+        together = flat @ solved.reshape(flat.shape[1], solved.shape[2])
+        reduced, right = U - together[:, :-1], self.g - together[:, -1]
         shared = _solve_scaled(reduced, right) if len(right) else right
         blocks = solved[:, :, -1] - solved[:, :, :-1] @ shared
         return shared, blocks, float(self.g @ shared + np.sum(self.h * blocks))
@@ -197,7 +202,8 @@ class _NormalEquations:
     def covariance(self) -> Floats:
         """Inverse of the Schur complement (p, p)."""
         solved = _solve_blocks(self.V, self.W)
-        reduced = self.U - np.einsum("fbp,fbq->pq", self.W, solved, optimize=True)
+        flat = self.W.reshape(self.h.size, len(self.g)).T
+        reduced = self.U - flat @ solved.reshape(flat.shape[1], solved.shape[2])
         scale = 1 / np.sqrt(_scale(np.diag(reduced)))
         scaled = reduced * scale[:, None] * scale
         spread = np.linalg.eigvalsh(scaled) if len(scaled) else np.ones(1)
@@ -221,12 +227,13 @@ def _normal_equations(lin: Linearised, loss: Huber) -> _NormalEquations:
         U[np.ix_(group.columns, group.columns)] += rows.T @ weighted.reshape(rows.shape)
         g[group.columns] += weighted.reshape(rows.shape).T @ group.residuals.reshape(-1)
         if f:
-            own = group.by_block * weights[:, None, None]
-            np.add.at(V, group.block, np.einsum("nki,nkj->nij", own, group.by_block))
-            np.add.at(h, group.block, np.einsum("nki,nk->ni", own, group.residuals))
-            cross = np.zeros((f, b, len(group.columns)))
-            np.add.at(cross, group.block, np.einsum("nki,nkj->nij", own, group.by_shared))
-            W[:, :, group.columns] += cross
+            own = np.swapaxes(group.by_block * weights[:, None, None], 1, 2)
+            order = np.argsort(group.block, kind="stable")
+            blocks, first = np.unique(group.block[order], return_index=True)
+            V[blocks] += np.add.reduceat((own @ group.by_block)[order], first)
+            h[blocks] += np.add.reduceat((own @ group.residuals[:, :, None])[order, :, 0], first)
+            cross = np.add.reduceat((own @ group.by_shared)[order], first)
+            W[blocks[:, None], :, group.columns] += np.swapaxes(cross, 1, 2)
     return _NormalEquations(U, V, W, g, h)
 
 
