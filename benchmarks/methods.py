@@ -52,5 +52,6 @@ def _baseline_pipeline(
         solver=registry.solver("kabsch", {}, body),
         own_times=False,
         neighbours=False,
+        look_again=False,
     )
     return Pipeline(body, cameras, stages)

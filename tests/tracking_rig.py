@@ -78,6 +78,7 @@ def run(
     believed=None,
     phases=None,
     neighbours=False,
+    look_again=False,
     config=None,
     start_s=0.0,
     **oracle,
@@ -95,6 +96,7 @@ def run(
         solver=KabschSolver(KabschConfig(), body),
         own_times=True,
         neighbours=neighbours,
+        look_again=neighbours,
     )
     pipeline = Pipeline(body, list(believed.values()), stages)
     measured = list(

@@ -122,5 +122,6 @@ def build_pipeline(
         solver=registry.solver(profile.solver, settings.get("solver", {}), body),
         own_times=profile.own_times,
         neighbours=profile.neighbours,
+        look_again=profile.look_again,
     )
     return Pipeline(body, cameras, stages)

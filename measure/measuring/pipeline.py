@@ -37,6 +37,8 @@ class Stages:
         solver: locates the body.
         own_times: whether each image counts at its own time.
         neighbours: whether a pose is solved again with the velocity its neighbours give.
+        look_again: whether, after a search of whole frames, the balls are measured once more where
+            they were found.
     """
 
     detectors: Mapping[str, Detector]
@@ -45,6 +47,7 @@ class Stages:
     solver: PoseSolver
     own_times: bool
     neighbours: bool
+    look_again: bool
 
 
 class Pipeline:
@@ -65,41 +68,43 @@ class Pipeline:
                 yield from first_pass
 
     def _measure_one(self, frame_set: FrameSet, pool: Executor) -> Measurement:
-        tracker = self._stages.tracker
-        frames = {name: image.frame for name, image in frame_set.images.items()}
-        expected = tracker.expect(frame_set)
+        expected = self._stages.tracker.expect(frame_set)
         if expected is None:
-            return Measurement(
-                frame_set.index,
-                frame_set.time_s,
-                frames,
-                (),
-                (),
-                None,
-                Status.SKIPPED,
-                "restarting",
-            )
+            return _skipped(frame_set)
+        measured = self._look(frame_set, expected, pool)
+        if self._stages.look_again and measured.searched and measured.pose is not None:
+            # A search only finds the balls; knowing where they are, they can be measured.
+            expected = self._stages.tracker.expect(frame_set)
+            if expected is not None:
+                again = self._look(frame_set, expected, pool)
+                measured = replace(again, searched=measured.searched)
+        return measured
+
+    def _look(
+        self, frame_set: FrameSet, expected: Mapping[str, Sequence[Expectation]], pool: Executor
+    ) -> Measurement:
+        tracker = self._stages.tracker
         views = tracker.judge(frame_set, self._detect(frame_set, expected, pool))
         time_s = self._instant(frame_set)
         fixes = self._triangulate(views, time_s)
         prior = tracker.motion(time_s)
-        verdict = tracker.conclude(
-            frame_set, views, fixes, self._solve(views, fixes, time_s, prior)
-        )
+        pose = self._solve(views, fixes, time_s, prior)
+        verdict = tracker.conclude(frame_set, views, fixes, pose)
         status = Status.LOST
         if verdict.pose is not None:
             status = Status.FLAGGED if verdict.pose.flags else Status.OK
+        balls = len(self._body.balls)
         return Measurement(
             index=frame_set.index,
             time_s=time_s,
-            frames=frames,
+            frames=_frames(frame_set),
             views=views,
             fixes=fixes,
             pose=verdict.pose,
             status=status,
             reason=verdict.reason,
             residuals_px=self._residuals(views, verdict.pose, prior),
-            searched=tuple(n for n in frames if len(expected.get(n, ())) < len(self._body.balls)),
+            searched=tuple(n for n in frame_set.images if len(expected.get(n, ())) < balls),
         )
 
     def _detect(
@@ -183,3 +188,20 @@ class Pipeline:
             return center_residuals(views, still, self._body, self._cameras)
         moving = Motion(pose.world_from_body, pose.time_s, prior.velocity)
         return center_residuals(views, moving, self._body, self._cameras)
+
+
+def _frames(frame_set: FrameSet) -> dict[str, int]:
+    return {name: image.frame for name, image in frame_set.images.items()}
+
+
+def _skipped(frame_set: FrameSet) -> Measurement:
+    return Measurement(
+        index=frame_set.index,
+        time_s=frame_set.time_s,
+        frames=_frames(frame_set),
+        views=(),
+        fixes=(),
+        pose=None,
+        status=Status.SKIPPED,
+        reason="restarting",
+    )

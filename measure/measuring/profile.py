@@ -20,6 +20,7 @@ class Profile(BaseModel):
         tracking: "frame-update" (the paper's section II.D), "predictive" or "memoryless".
         own_times: whether each image counts at its own time (else a frame set is one instant).
         neighbours: whether a pose is solved again when the next one gives its velocity.
+        look_again: whether, after a search of whole frames, the balls are measured once more.
         settings: by stage name, the settings that differ from the defaults.
     """
 
@@ -32,6 +33,7 @@ class Profile(BaseModel):
     tracking: str
     own_times: bool
     neighbours: bool
+    look_again: bool = True
     settings: dict[Stage, dict[str, Any]] = Field(default_factory=dict)
 
     def with_stage(self, stage: Stage, name: str) -> Profile:

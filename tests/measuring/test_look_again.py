@@ -1,0 +1,80 @@
+"""After a search the balls are measured once more, where they were found."""
+
+from __future__ import annotations
+
+import pytest
+from measurements import BODY, CAMERAS, measurement
+
+from measure.measuring import Pipeline, Stages
+from measure.measuring.tracking.memoryless import Memoryless
+from measure.model import Detection, Expectation, FrameSet, Image, Pose
+
+
+class _Tracker(Memoryless):
+    """Knows nothing at first, and where everything is after the first look."""
+
+    def __init__(self):
+        super().__init__(Memoryless.Config(), BODY, CAMERAS)
+        self.known = False
+
+    def expect(self, frame_set):
+        if not self.known:
+            return super().expect(frame_set)
+        around = [Expectation(name, [0, 0], (1, 9), 5.0, 3.0) for name in BODY.names]
+        return dict.fromkeys(frame_set.images, around)
+
+    def conclude(self, frame_set, views, fixes, pose):
+        self.known = pose is not None
+        return super().conclude(frame_set, views, fixes, pose)
+
+
+class _Detector:
+    """Finds every ball; remembers whether it was told where to look."""
+
+    def __init__(self, camera, sees=True):
+        self.camera, self.sees, self.told = camera, sees, []
+
+    def detect(self, image, expected):
+        self.told.append(len(expected))
+        views = measurement(image.frame).views if self.sees else ()
+        return [v.detection for v in views if v.camera == self.camera]
+
+
+class _Solver:
+    def solve(self, fixes, detections, cameras, time_s, prior=None):
+        assert all(isinstance(d, Detection) for d in detections)
+        return measurement(0).pose
+
+
+class _Triangulator:
+    def triangulate(self, detections, cameras):
+        return measurement(0).fixes[0]
+
+
+def _measure(look_again, sees=True):
+    detectors = {camera.name: _Detector(camera.name, sees) for camera in CAMERAS}
+    stages = Stages(detectors, _Tracker(), _Triangulator(), _Solver(), False, False, look_again)
+    images = {c.name: Image(c.name, 0, 0.0, lambda: None) for c in CAMERAS}
+    sets = [FrameSet(index, index / 30, images) for index in range(3)]
+    measured = list(Pipeline(BODY, CAMERAS, stages).measure(sets))
+    return measured, detectors["cam0"].told
+
+
+def test_the_first_frame_is_looked_at_twice_and_counts_once():
+    measured, told = _measure(look_again=True)
+    assert told == [0, 3, 3, 3]
+    assert [m.index for m in measured] == [0, 1, 2]
+    assert measured[0].searched == ("cam0", "cam1")
+    assert measured[1].searched == ()
+    assert all(isinstance(m.pose, Pose) for m in measured)
+
+
+def test_without_it_every_frame_is_looked_at_once():
+    assert _measure(look_again=False)[1] == [0, 3, 3]
+
+
+@pytest.mark.parametrize("look_again", [True, False])
+def test_a_search_that_finds_nothing_is_not_repeated(look_again):
+    measured, told = _measure(look_again, sees=False)
+    assert told == [0, 0, 0]
+    assert all(m.pose is None for m in measured)
