@@ -17,6 +17,7 @@ from measure.api.correcting import (
     sweep,
     train,
 )
+from measure.api.demo import Demo, demo, render_demo
 from measure.api.evaluate import evaluate
 from measure.api.export import export
 from measure.api.many import Outcome, run_many
@@ -30,6 +31,7 @@ from measure.results.evaluation_table import evaluation_tables
 
 __all__ = [
     "CalibrationResult",
+    "Demo",
     "Outcome",
     "RefineResult",
     "RunOptions",
@@ -38,6 +40,7 @@ __all__ = [
     "build_pipeline",
     "calibrate",
     "choose",
+    "demo",
     "draw_target",
     "estimate_file",
     "estimate_online",
@@ -51,6 +54,7 @@ __all__ = [
     "parse_settings",
     "profile_names",
     "refine",
+    "render_demo",
     "report",
     "rezero",
     "run",

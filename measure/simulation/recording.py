@@ -46,7 +46,7 @@ def write_session(
             those are given.
         times_s: (n,) nominal instants, to which every camera adds its phase; or the mid-exposure
             times of each camera by name.
-        folder: made if missing; existing files of the same names are replaced.
+        folder: made if missing; the numbered pictures of an earlier session in it are removed.
         video: one video per camera (H.264, exact stamps) instead of image files.
         workers: threads, one camera each; as many as there are cores by default.
         progress: called with pictures done and in all.
@@ -98,6 +98,8 @@ def _counted(pictures: Iterator[Bytes], count: Callable[[], None]) -> Iterator[B
 def _write_images(pictures: Iterator[Bytes], scene: Scene, camera: str, folder: Path) -> str:
     sensor = scene.sensor_of(camera)
     (folder / camera).mkdir(exist_ok=True)
+    for old in (folder / camera).glob(f"[0-9]*.{sensor.encoding}"):
+        old.unlink()
     for frame, picture in enumerate(pictures):
         path = folder / camera / f"{frame:06d}.{sensor.encoding}"
         path.write_bytes(encode(picture, sensor))

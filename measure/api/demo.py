@@ -1,0 +1,112 @@
+"""The demonstration: a rendered session with exact truth, measured and compared with it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from measure.api.evaluate import evaluate
+from measure.api.run import RunOptions, run
+from measure.errors import ConfigError
+from measure.host import Registry
+from measure.measuring import Profile
+from measure.results import Evaluation, Summary, read_run
+from measure.session import open_session
+
+DEMO_FRAMES = 30
+DEMO_RATE_HZ = 30.0
+_MARK = "session/session.toml"
+
+Report = Callable[[int, int | None], None]
+
+
+@dataclass(frozen=True)
+class Demo:
+    """What the demonstration made and found.
+
+    Attributes:
+        session: the rendered session.
+        run: the run folder.
+        picture: the views of one frame set with what was found in them.
+        summary: of the run.
+        evaluation: of the run against the exact truth.
+    """
+
+    session: Path
+    run: Path
+    picture: Path
+    summary: Summary
+    evaluation: Evaluation
+
+
+def demo(
+    folder: Path,
+    profile: Profile,
+    registry: Registry,
+    frames: int = DEMO_FRAMES,
+    report: Report | None = None,
+) -> Demo:
+    """Render a short session of four cameras, measure it, and compare it with the exact truth.
+
+    Args:
+        folder: where the session and the run are written; an earlier demonstration is replaced.
+        profile: how to measure.
+        registry: where the plugins come from.
+        frames: frame sets to render.
+        report: told how many pictures and frame sets are done.
+
+    Raises:
+        ConfigError: the folder holds something else, or there are no frames.
+        MeasureError: what `run` raises.
+    """
+    session = render_demo(folder, frames, lambda done, total: _tell(report, done, total + frames))
+    pictures = frames * len(list(session.glob("cam*.csv")))
+    options = RunOptions(image_every=max(frames // 10, 1), overwrite=True)
+    summary = run(
+        session,
+        folder / "run",
+        profile,
+        registry,
+        options,
+        lambda done, _: _tell(report, pictures + done, pictures + frames),
+    )
+    picture = folder / "demo.png"
+    _draw(session, folder / "run", frames // 2, picture)
+    return Demo(session, folder / "run", picture, summary, evaluate(folder / "run"))
+
+
+def render_demo(
+    folder: Path, frames: int = DEMO_FRAMES, report: Callable[[int, int], None] | None = None
+) -> Path:
+    """Render the demonstration's session, without measuring it; returns the session's folder.
+
+    Raises:
+        ConfigError: the folder holds something else, or there are no frames.
+    """
+    from measure.simulation import write_session
+    from measure.simulation.catalogue import webcam_scene
+
+    if frames < 1:
+        raise ConfigError(f"{frames} frames: the demonstration needs at least one")
+    if folder.exists() and not (folder / _MARK).exists() and any(folder.iterdir()):
+        raise ConfigError(
+            f"{folder} is there and holds no demonstration: name another folder with -o"
+        )
+    scene = replace(webcam_scene(), name="demo", description="rendered by measure demo")
+    times = np.arange(frames) / DEMO_RATE_HZ
+    return write_session(scene, times, folder / "session", progress=report)
+
+
+def _draw(session: Path, run_folder: Path, index: int, picture: Path) -> None:
+    from measure.viewing.mosaic import write_mosaic
+
+    with open_session(session) as opened:
+        write_mosaic(opened, read_run(run_folder), index, picture)
+
+
+def _tell(report: Report | None, done: int, total: int) -> None:
+    if report is not None:
+        report(done, total)

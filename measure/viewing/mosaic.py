@@ -1,0 +1,111 @@
+"""One instant of a run as a picture: every camera's view with what was found in it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from measure.arrays import Bytes, Floats
+from measure.errors import DegenerateGeometryError, RunError
+from measure.geometry import RigidTransform, tangent_cone
+from measure.model import Body, Camera
+from measure.results import Run
+from measure.session import Session
+
+TILE_WH = (640, 360)
+_AXIS_MM = 60.0
+_FRACTION_BITS = 4
+_AXIS_COLOURS = ((80, 80, 255), (90, 220, 90), (255, 150, 80))
+_FOUND, _NOT_FOUND = (255, 255, 255), (150, 150, 150)
+
+
+def draw_mosaic(session: Session, run: Run, index: int) -> Bytes:
+    """The views of one frame set, two a row, as BGR pixels.
+
+    White: the outline of each ball that was used, as the measured pose puts it; grey and dashed:
+    a ball that was not used in that view. The axes are the body's, x red, y green, z blue.
+
+    Args:
+        session: the recording.
+        run: what was measured in it.
+        index: which frame set.
+
+    Raises:
+        RunError: the run has no such frame set.
+        SessionError: a picture that cannot be read.
+    """
+    indices = run.poses["index"].to_pylist()
+    if index not in indices:
+        raise RunError(f"{run.path} has no frame set {index}; it has {len(indices)}")
+    row = indices.index(index)
+    pose = None
+    if run.has_pose[row]:
+        pose = run.world_from_body[int(np.count_nonzero(run.has_pose[:row]))]
+    views = [r for r in run.detections.to_pylist() if r["index"] == index]
+    tiles = []
+    for camera in run.cameras:
+        seen = {r["ball"]: r for r in views if r["camera"] == camera.name}
+        frames = [r["frame"] for r in seen.values() if r["frame"] >= 0]
+        picture = _picture(session, camera, frames[0] if frames else None)
+        used = {ball for ball, r in seen.items() if r["state"] == "effective"}
+        if pose is not None:
+            _draw_body(picture, camera, run.body, pose, used)
+        tiles.append(_tile(picture, camera.name))
+    if len(tiles) % 2:
+        tiles.append(np.zeros_like(tiles[0]))
+    return np.vstack([np.hstack(tiles[k : k + 2]) for k in range(0, len(tiles), 2)])
+
+
+def write_mosaic(session: Session, run: Run, index: int, path: Path) -> None:
+    """`draw_mosaic` into a PNG file, smoothed a little and in 64 levels: noise would swell it."""
+    mosaic = cv2.bilateralFilter(draw_mosaic(session, run, index), 9, 18, 5)
+    mosaic = np.asarray(mosaic // 4 * 4 + 2, dtype=np.uint8)
+    ok, data = cv2.imencode(".png", mosaic, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    if not ok:
+        raise RuntimeError(f"OpenCV could not encode a {mosaic.shape} picture")
+    path.write_bytes(bytes(data))
+
+
+def _picture(session: Session, camera: Camera, frame: int | None) -> Bytes:
+    width, height = camera.intrinsics.size_wh
+    if frame is None:
+        return np.zeros((height, width, 3), np.uint8)
+    stream = next(s for s in session.streams.values() if s.name == camera.name)
+    return stream.read(frame).pixels.copy()
+
+
+def _tile(picture: Bytes, name: str) -> Bytes:
+    tile = np.asarray(cv2.resize(picture, TILE_WH, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    cv2.putText(tile, name, (10, 22), cv2.FONT_HERSHEY_SIMPLEX, 0.55, _FOUND, 1, cv2.LINE_AA)
+    return tile
+
+
+def _draw_body(
+    picture: Bytes, camera: Camera, body: Body, world_from_body: RigidTransform, used: set[str]
+) -> None:
+    camera_from_body = camera.camera_from_world @ world_from_body
+    for ball in body.balls:
+        try:
+            cone = tangent_cone(camera_from_body.apply(ball.center_mm), ball.radius_mm)
+        except DegenerateGeometryError:
+            continue
+        outline = camera.intrinsics.project(cone.bearings(np.linspace(0, 2 * np.pi, 73)))
+        if ball.name in used:
+            _lines(picture, outline, _FOUND, 3)
+        else:
+            for k in range(0, 72, 4):
+                _lines(picture, outline[k : k + 3], _NOT_FOUND, 2)
+    ends = np.vstack([np.zeros(3), _AXIS_MM * np.eye(3)])
+    pixels = camera.intrinsics.project(camera_from_body.apply(ends))
+    for end, colour in zip(pixels[1:], _AXIS_COLOURS, strict=True):
+        _lines(picture, np.stack([pixels[0], end]), colour, 4)
+
+
+def _lines(picture: Bytes, points: Floats, colour: tuple[int, int, int], thickness: int) -> None:
+    """A polyline through points (n, 2), placed to a fraction of a pixel."""
+    if not np.isfinite(points).all():
+        return
+    fixed = np.rint(points * (1 << _FRACTION_BITS)).astype(np.int32).reshape(-1, 1, 2)
+    cv2.polylines(picture, [fixed], False, colour, thickness, cv2.LINE_AA, _FRACTION_BITS)

@@ -1,0 +1,47 @@
+"""`measure demo`: the whole way once."""
+
+from __future__ import annotations
+
+import json
+
+import cv2
+import pytest
+
+from measure.api import render_demo
+from measure.cli import main
+from measure.session import open_session
+
+
+@pytest.mark.slow
+def test_demo_measures_what_it_rendered(tmp_path, capsys) -> None:
+    out = tmp_path / "demo"
+    assert main(["demo", "-o", str(out), "--frames", "4", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["evaluation"]["frame_sets"] == found["evaluation"]["compared"] == 4
+    assert found["evaluation"]["body"]["rms_3d_mm"] < 0.25
+    assert found["evaluation"]["rotation"]["rms_3d_deg"] < 0.4
+    for name in ("poses.csv", "run.rrd", "summary.json"):
+        assert (out / "run" / name).stat().st_size > 0
+    picture = cv2.imread(str(out / "demo.png"))
+    assert picture is not None
+    assert picture.shape == (720, 1280, 3)
+
+    # Again, with another profile, over the first; a table this time.
+    assert main(["demo", "-o", str(out), "--frames", "2", "--profile", "paper"]) == 0
+    text = capsys.readouterr().out
+    assert "2 of 2 poses" in text or "of 2 frame sets" in text
+    assert f"measure view {out / 'run'}" in text
+
+
+def test_demo_overwrites_nothing_but_a_demo(tmp_path, capsys) -> None:
+    (tmp_path / "thesis.txt").write_text("important")
+    assert main(["demo", "-o", str(tmp_path)]) == 2
+    assert "name another folder with -o" in capsys.readouterr().err
+    assert main(["demo", "-o", str(tmp_path / "new"), "--frames", "0"]) == 2
+    assert "at least one" in capsys.readouterr().err
+
+
+def test_demo_session_has_four_cameras_and_truth(tmp_path) -> None:
+    session = open_session(render_demo(tmp_path / "demo", 1))
+    assert [camera.name for camera in session.cameras] == ["cam0", "cam1", "cam2", "cam3"]
+    assert session.truth_path is not None
