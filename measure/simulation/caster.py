@@ -125,7 +125,7 @@ class Stage:
         light = self.lighting
         return (
             np.array(light.ambient_rgb[::-1]),
-            np.array(light.surround_rgb[::-1]),
+            np.array([*light.surround_rgb[::-1], *light.floor_rgb[::-1]]),
             np.array([*light.up, light.below]),
         )
 

@@ -27,7 +27,9 @@ from measure.simulation.shading import Lighting, Material
 from measure.simulation.shapes import Capsule
 from measure.simulation.trajectory import MotionLimits, Sines, random_motion
 
-WEBCAM = Sensor(blur_px=0.6, bayer=True, electrons=9000.0, read_noise=8.0, quality=90, chroma="420")
+WEBCAM = Sensor(
+    blur_px=0.6, bayer=True, electrons=9000.0, read_noise=11.0, quality=90, chroma="420"
+)
 """Mosaic, noise and JPEG like a webcam's; the tone curve is sRGB."""
 PLAIN_CAMERA = Sensor(blur_px=0.7, level_noise=2.0, encoding="png")
 """Blur, sRGB and noise of two levels, nothing else: the response is known."""
@@ -63,19 +65,20 @@ def plain_scene(background: str = "black", seed: int = 1) -> Scene:
     """
     body = paper_body()
     backdrops = {
-        "black": lambda: cloth_room(0.01, seed),
-        "grey": lambda: cloth_room(0.12, seed),
-        "clutter": lambda: coloured_room(seed),
+        "black": (0.01, lambda: cloth_room(0.01, seed)),
+        "grey": (0.12, lambda: cloth_room(0.12, seed)),
+        "clutter": (0.15, lambda: coloured_room(seed)),
     }
+    level, backdrop = backdrops[background]
     return Scene(
         f"plain-{background}",
         body,
         paper_rig(),
         motion(seed + 100),
-        plain_lighting(seed),
+        plain_lighting(seed, floor=level),
         finish=Material((1.0, 1.0, 1.0), 0.03, 0.08),
         attached=stems(body, (0.18, 0.18, 0.18)),
-        backdrop=backdrops[background](),
+        backdrop=backdrop(),
         backdrop_px=2 if background == "clutter" else 4,
         sensor=PLAIN_CAMERA,
         seed=seed,
@@ -101,9 +104,8 @@ def occluded_scene(seed: int = 2) -> Scene:
 def clutter_scene(seed: int = 3) -> Scene:
     """Dim and noisy, a coloured room, and balls of our colours that are not ours."""
     scene = webcam_scene(seed)
-    light = Lighting(
-        lamps(seed, 2, 0.25, (1.0, 0.93, 0.85)), (0.10, 0.09, 0.08), (0.2, 0.2, 0.2), 0.5, True
-    )
+    lit = lamps(seed, 2, 0.25, (1.0, 0.93, 0.85))
+    light = Lighting(lit, (0.10, 0.09, 0.08), (0.2, 0.2, 0.2), (0.06, 0.05, 0.04), 0.5, True)
     return replace(
         scene,
         name="clutter",

@@ -162,7 +162,7 @@ def shade(
         by_ray: which of the two.
         lamps: (m, LAMP_ROW).
         ambient: (3,) diffuse light from above.
-        surround: (3,) radiance of the surroundings above.
+        surround: (6,) radiance of the surroundings straight above, and from the horizon down.
         up_below: (4,) unit vector upwards, and the share of light from below.
         blockers: (j,) shapes that cast shadows.
         out: (n / rays_per_row, 3) receives the radiance, B G R.
@@ -251,11 +251,10 @@ def _reflect(
     )
     raised = 0.5 * (1 + n[0] * up_below[0] + n[1] * up_below[1] + n[2] * up_below[2])
     sky = (below + (1 - below) * raised) * _openness(p, n, k, shapes, blockers)
-    seen = 0.5 * (1 + m0 * up_below[0] + m1 * up_below[1] + m2 * up_below[2])
-    mirror = fresnel * (below + (1 - below) * seen)
+    height = max(m0 * up_below[0] + m1 * up_below[1] + m2 * up_below[2], 0.0)
     for c in range(3):
         out[c] = (1 - fresnel) * sky * ambient[c]
-        out[3 + c] = mirror * surround[c]
+        out[3 + c] = fresnel * (surround[3 + c] + height * (surround[c] - surround[3 + c]))
     for j in range(len(lamps)):
         lx, ly, lz = lamps[j, 0] - p[0], lamps[j, 1] - p[1], lamps[j, 2] - p[2]
         away = math.sqrt(lx * lx + ly * ly + lz * lz)

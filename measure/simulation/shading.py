@@ -55,8 +55,10 @@ class Lighting:
     Attributes:
         lights: the lamps.
         ambient_rgb: diffuse light from all sides, from above; less comes from below.
-        surround_rgb: radiance of the surroundings as mirrored by glossy things, looking up.
-        below: share of `ambient_rgb` and `surround_rgb` that comes from below.
+        surround_rgb: radiance of the surroundings straight above, as glossy things mirror it.
+        floor_rgb: the same from the horizon down; between them it rises gradually. A grazing ray
+            is mirrored onto what is seen beside a ball, so this should be like the backdrop.
+        below: share of `ambient_rgb` that comes from below.
         shadows: whether balls darken each other and what stands behind them.
         up: (3,) unit vector, away from the floor.
     """
@@ -64,6 +66,7 @@ class Lighting:
     lights: tuple[Light, ...]
     ambient_rgb: Rgb = (0.25, 0.25, 0.25)
     surround_rgb: Rgb = (0.12, 0.12, 0.12)
+    floor_rgb: Rgb = (0.02, 0.02, 0.02)
     below: float = 0.3
     shadows: bool = False
     up: Floats = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
