@@ -64,12 +64,8 @@ def plain_scene(background: str = "black", seed: int = 1) -> Scene:
     These are the scenes of the accuracy limits: grey stems, two lamps, no mosaic, no JPEG.
     """
     body = paper_body()
-    backdrops = {
-        "black": (0.01, lambda: cloth_room(0.01, seed)),
-        "grey": (0.12, lambda: cloth_room(0.12, seed)),
-        "clutter": (0.15, lambda: coloured_room(seed)),
-    }
-    level, backdrop = backdrops[background]
+    level = {"black": 0.01, "grey": 0.12, "clutter": 0.15}[background]
+    backdrop = coloured_room(seed) if background == "clutter" else cloth_room(level, seed)
     return Scene(
         f"plain-{background}",
         body,
@@ -78,7 +74,7 @@ def plain_scene(background: str = "black", seed: int = 1) -> Scene:
         plain_lighting(seed, floor=level),
         finish=Material((1.0, 1.0, 1.0), 0.03, 0.08),
         attached=stems(body, (0.18, 0.18, 0.18)),
-        backdrop=backdrop(),
+        backdrop=backdrop,
         backdrop_px=2 if background == "clutter" else 4,
         sensor=PLAIN_CAMERA,
         seed=seed,
