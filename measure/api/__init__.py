@@ -7,6 +7,7 @@ from measure.api.calibrating import CalibrationResult, calibrate, draw_target
 from measure.api.correcting import (
     TrainOptions,
     ablate,
+    correct_simulated_robot,
     estimate_file,
     estimate_online,
     make_dataset,
@@ -14,6 +15,7 @@ from measure.api.correcting import (
     rezero,
     shipped_model,
     simulate_dataset,
+    simulate_recording,
     sweep,
     train,
 )
@@ -40,6 +42,7 @@ __all__ = [
     "build_pipeline",
     "calibrate",
     "choose",
+    "correct_simulated_robot",
     "demo",
     "draw_target",
     "estimate_file",
@@ -61,6 +64,7 @@ __all__ = [
     "run_many",
     "shipped_model",
     "simulate_dataset",
+    "simulate_recording",
     "spawn_viewer",
     "sweep",
     "train",

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
         Corrected,
         DriftMonitor,
         EstimateServer,
+        Evaluation,
         Importance,
         SweepState,
         Trained,
@@ -92,6 +93,31 @@ def simulate_dataset(
     return data, facts
 
 
+def simulate_recording(
+    folder: Path,
+    *,
+    seconds: float,
+    frame_hz: float,
+    seed: int,
+    clock_offset_s: float,
+    wear: float,
+    report: Callable[[int, int], None],
+) -> None:
+    """Render the simulated RAVEN-II with its balls into a session folder, with its log."""
+    from measure.learning.rendering import render_recording
+    from measure.robots.simulator import Cables
+
+    render_recording(
+        folder,
+        seconds=seconds,
+        frame_hz=frame_hz,
+        seed=seed,
+        clock_offset_s=clock_offset_s,
+        cables=Cables(wear=wear),
+        progress=report,
+    )
+
+
 @dataclass(frozen=True)
 class TrainOptions:
     """What is trained, and on what.
@@ -131,7 +157,10 @@ def train(
         EstimatorError: data that cannot be learnt from.
         PluginError, ConfigError: the estimator or its settings.
     """
+    import json
+
     from measure import learning
+    from measure.viewing.report.estimator_report import write_estimator_report
 
     estimator = registry.estimator(options.estimator, dict(options.settings or {}))
     whole = learning.join([learning.files.read_dataset(path) for path in data])
@@ -147,7 +176,7 @@ def train(
             validation=options.validation_share,
             seed=options.split_seed,
         )
-    return learning.train(
+    trained = learning.train(
         estimator,
         split,
         out,
@@ -156,6 +185,9 @@ def train(
         resume=options.resume,
         notes=options.notes,
     )
+    card = json.loads(out.with_suffix(".card.json").read_text())
+    write_estimator_report(trained, card, out.with_suffix(".report.html"))
+    return trained
 
 
 def parse_settings(texts: Sequence[str]) -> dict[str, Any]:
@@ -278,3 +310,18 @@ def estimate_online(
 def shipped_model() -> Path:
     """The network that comes with this package, trained on the simulated RAVEN-II."""
     return Path(__file__).parents[1] / "learning" / "models" / "raven_simulated.onnx"
+
+
+def correct_simulated_robot(seconds: float = 60.0, seed: int = 7) -> Evaluation:
+    """What the shipped network does for a restart of the simulated robot it has not seen.
+
+    Args:
+        seconds: of teleoperation.
+        seed: of motion and restart; the network was trained on seed 1.
+    """
+    from measure import learning
+    from measure.host import OnnxModel
+
+    pairs = round(seconds * learning.PAPER_PAIRS / learning.PAPER_MINUTES / 60.0)
+    data, _ = learning.simulated_dataset(minutes=seconds / 60.0, pairs=pairs, restarts=1, seed=seed)
+    return learning.evaluate(data, OnnxModel.load(shipped_model()).predict(data))

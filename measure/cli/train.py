@@ -77,5 +77,5 @@ def train(
     console.print_table(names, rows)
     console.print_text(
         f"test: {result.after.rows} labels, RMS {result.rms_change:+.1%}, SD "
-        f"{result.sd_change:+.1%}; written to {out}, with {out.with_suffix('.card.md').name}"
+        f"{result.sd_change:+.1%}; written to {out}, with its card and report beside it"
     )

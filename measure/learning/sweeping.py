@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import time
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,8 @@ from measure.host import Registry, Report
 from measure.learning.files import read_dataset
 from measure.learning.scores import Score
 from measure.learning.splits import split_by_trajectory
+
+_LEAST_PATIENCE_S = 600.0
 
 
 class Range(BaseModel):
@@ -102,8 +106,9 @@ def sweep(
 ) -> SweepState:
     """Work on a sweep until it has `trials` finished trials; every process that calls this helps.
 
-    The journal is a file that any number of processes and machines append to. A trial whose worker
-    was killed is found by its silence, and its settings are tried again by another.
+    The journal is a file that any number of processes and machines append to. The settings of a
+    worker that was killed are tried again by another: at once on the same machine, elsewhere after
+    ten times the longest trial so far, and ten minutes at least.
 
     Args:
         job: what a trial does.
@@ -124,7 +129,7 @@ def sweep(
         if state.finished >= trials:
             return state
         if state.finished + state.running >= trials and not _queued(study):
-            _pause()
+            time.sleep(0.5)
             continue
         if scheduler:
             _dask_batch(study, job, space, scheduler, trials - state.finished)
@@ -223,20 +228,28 @@ def _finish(study: Any, trial: Any, work: Any) -> None:
 
 
 def _requeue_dead(study: Any) -> None:
-    """Give back trials of this machine whose process is gone."""
+    """Give back what dead workers were trying: their settings are queued for the next worker."""
     import optuna
 
-    for trial in study.get_trials(deepcopy=False):
-        worker = trial.user_attrs.get("worker", "")
-        if trial.state != optuna.trial.TrialState.RUNNING or ":" not in worker:
+    trials = study.get_trials(deepcopy=False)
+    took = [t.duration.total_seconds() for t in trials if t.duration is not None]
+    patience_s = max(_LEAST_PATIENCE_S, 10.0 * max(took, default=0.0))
+    for trial in trials:
+        if trial.state != optuna.trial.TrialState.RUNNING or not _abandoned(trial, patience_s):
             continue
-        host, _, pid = worker.rpartition(":")
-        if host == os.uname().nodename and not _alive(int(pid)):
-            try:
-                study.tell(trial.number, state=optuna.trial.TrialState.FAIL)
-            except (ValueError, RuntimeError):
-                continue  # another worker was faster
-            study.enqueue_trial(trial.params)
+        try:
+            study.tell(trial.number, state=optuna.trial.TrialState.FAIL)
+        except (ValueError, RuntimeError):
+            continue  # another worker was faster
+        study.enqueue_trial(trial.params)
+
+
+def _abandoned(trial: Any, patience_s: float) -> bool:
+    """A worker of this machine is known to be gone; one of another is given up after a while."""
+    host, _, pid = trial.user_attrs.get("worker", "").rpartition(":")
+    if host == os.uname().nodename:
+        return not _alive(int(pid))
+    return bool((datetime.now() - trial.datetime_start).total_seconds() > patience_s)
 
 
 def _queued(study: Any) -> bool:
@@ -253,12 +266,6 @@ def _alive(pid: int) -> bool:
     except PermissionError:
         return True
     return True
-
-
-def _pause() -> None:
-    import time
-
-    time.sleep(0.5)
 
 
 def _dask_batch(

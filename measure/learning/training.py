@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from measure.errors import EstimatorError
-from measure.host import Dataset, Epoch, Estimator, OnnxModel, Report
+from measure.host import Dataset, Epoch, Estimates, Estimator, OnnxModel, Report
 from measure.learning.card import write_card
 from measure.learning.files import digest
 from measure.learning.scores import Evaluation, evaluate
@@ -29,11 +29,15 @@ class Trained:
         path: the ONNX file; the model card stands beside it.
         evaluation: on the test trajectories.
         curve: the learning curve, if it was iterative.
+        test: the test trajectories.
+        estimates: of all their rows.
     """
 
     path: Path
     evaluation: Evaluation
     curve: tuple[Epoch, ...]
+    test: Dataset
+    estimates: Estimates
 
 
 def train(
@@ -70,14 +74,15 @@ def train(
     estimator.fit(split.train, split.validation, seed=seed, report=report)
     card = _provenance(estimator, split, seed) | dict(notes or {})
     estimator.save(out, card)
-    evaluation = evaluate(split.test, OnnxModel.load(out).predict(split.test))
+    estimates = OnnxModel.load(out).predict(split.test)
+    evaluation = evaluate(split.test, estimates)
     card |= {"scores": evaluation.to_dict()}
     estimator.save(out, card)  # the same network, now with its scores inside
     full = card | {"curve": [asdict(line) for line in estimator.curve]}
     out.with_suffix(".card.json").write_text(json.dumps(full, indent=1) + "\n")
     write_card(out.with_suffix(".card.md"), full)
     shutil.rmtree(checkpoint, ignore_errors=True)
-    return Trained(out, evaluation, estimator.curve)
+    return Trained(out, evaluation, estimator.curve, split.test, estimates)
 
 
 def _provenance(estimator: Estimator, split: Split, seed: int) -> dict[str, Any]:

@@ -1,0 +1,42 @@
+"""`measure simulate`: a recording of a robot that never was."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from measure.cli import console
+
+
+def simulate(
+    folder: Path,
+    /,
+    *,
+    seconds: float = 60.0,
+    frame_hz: float = 15.0,
+    seed: int = 1,
+    clock_offset_s: float = 1.5,
+    wear: float = 1.0,
+) -> None:
+    """Render a recording of the simulated RAVEN-II, with its log and its truth.
+
+    Args:
+        folder: of the session; made if missing. The robot's log is `robot.parquet` in it.
+        seconds: length of the recording.
+        frame_hz: frame sets per second.
+        seed: of motion, restart and pictures.
+        clock_offset_s: how far the robot's clock is ahead of the cameras'.
+        wear: slack and friction relative to new cables.
+    """
+    from measure import api
+
+    with console.progress("rendering", unit="pictures") as report:
+        api.simulate_recording(
+            folder,
+            seconds=seconds,
+            frame_hz=frame_hz,
+            seed=seed,
+            clock_offset_s=clock_offset_s,
+            wear=wear,
+            report=report,
+        )
+    console.print_text(f"written to {folder}; measure it with: measure run {folder} -o RUN")

@@ -1,0 +1,96 @@
+"""A rendered recording of the simulated RAVEN-II with its balls: session, robot log and truth.
+
+As in the paper, the cameras are calibrated in the robot's base frame, so that what they measure
+and what the robot reports can be subtracted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from measure.arrays import Floats
+from measure.geometry import RigidTransform
+from measure.robots import RobotLog, raven_chain, raven_schema, write_log
+from measure.robots.simulator import Cables, SimulatedRun, Teleoperation, simulate
+from measure.simulation import Lighting, Material, Scene, write_session
+from measure.simulation.files import write_truth
+from measure.simulation.presets import WORKSPACE_MM, lamps, paper_body, paper_rig, stems
+
+_STYLE = Teleoperation(wrist_deg=(25.0, 20.0, 20.0))  # the balls stay in view of most cameras
+_HOME = np.array([np.deg2rad(40.0), np.deg2rad(90.0), 350.0, 0.0, 0.0, 0.0])
+
+
+@dataclass(frozen=True, eq=False)
+class _Recorded:
+    """The true motion in the rig's frame, between the simulator's steps."""
+
+    times_s: Floats
+    rig_from_tip: RigidTransform
+
+    def at(self, times_s: ArrayLike) -> RigidTransform:
+        """rig_from_tip at times (...)."""
+        from scipy.spatial.transform import Rotation, Slerp
+
+        times = np.clip(np.asarray(times_s, dtype=np.float64), self.times_s[0], self.times_s[-1])
+        turn = Slerp(self.times_s, Rotation.from_matrix(self.rig_from_tip.rotation))
+        place = [np.interp(times, self.times_s, p) for p in self.rig_from_tip.translation.T]
+        flat = turn(times.ravel()).as_matrix().reshape(*times.shape, 3, 3)
+        return RigidTransform(flat, np.stack(place, axis=-1))
+
+
+def render_recording(
+    folder: Path,
+    *,
+    seconds: float,
+    frame_hz: float = 15.0,
+    seed: int = 1,
+    log_hz: float = 500.0,
+    clock_offset_s: float = 1.5,
+    cables: Cables | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> SimulatedRun:
+    """Write a session folder with the robot's log `robot.parquet` in it.
+
+    Args:
+        folder: made if missing.
+        seconds: length of the recording.
+        frame_hz: frame sets per second.
+        seed: of motion, restart and pictures.
+        log_hz: states per second in the log.
+        clock_offset_s: how far the robot's clock is ahead of the cameras'.
+        cables: the robot's mechanics.
+        progress: called with pictures done and in all.
+
+    Returns:
+        What the simulated robot did.
+    """
+    run = simulate(seconds, seed, log_hz=log_hz, cables=cables, style=_STYLE)
+    home = raven_chain().pose(_HOME)
+    base_from_rig = home @ RigidTransform(np.eye(3), -WORKSPACE_MM)
+    rig_from_tip = base_from_rig.inverse() @ run.world_from_tip
+    body, cameras = paper_body(), paper_rig()
+    scene = Scene(
+        "raven-simulated",
+        body,
+        cameras,
+        _Recorded(run.times_s, rig_from_tip),
+        Lighting(lamps(seed), (0.15, 0.15, 0.15), (0.12, 0.12, 0.12), shadows=True),
+        finish=Material((1.0, 1.0, 1.0), 0.03, 0.08),
+        attached=stems(body),
+        seed=seed,
+        stated_cameras=tuple(
+            replace(camera, world_from_camera=base_from_rig @ camera.world_from_camera)
+            for camera in cameras
+        ),
+        description=f"simulated RAVEN-II, seed {seed}; frame: the robot's base",
+    )
+    write_session(scene, np.arange(0.1, seconds - 0.1, 1.0 / frame_hz), folder, progress=progress)
+    write_truth(folder / "truth.csv", run.times_s, run.world_from_tip)
+    log = RobotLog(raven_schema(), run.times_s + clock_offset_s, run.states)
+    write_log(folder / "robot.parquet", log)
+    return run

@@ -1,0 +1,120 @@
+"""An estimator's report: what it was trained on, how it learnt, and what it does to the error."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+
+from measure.learning import Trained
+from measure.learning.scores import Score
+from measure.viewing.report import figures, style
+from measure.viewing.report.page import Page
+
+_SHOWN_S = 60.0
+"""How much of a test trajectory is drawn."""
+
+
+def estimator_report(trained: Trained, card: Mapping[str, Any]) -> str:
+    """The report as HTML.
+
+    Args:
+        trained: a fitted estimator with its test trajectories.
+        card: the model card's values.
+    """
+    result = trained.evaluation
+    verdict = (
+        f"On unseen trajectories the error falls from {result.before.rms_mm:.2f} to "
+        f"{result.after.rms_mm:.2f} mm RMS ({result.rms_change:+.1%}), its SD from "
+        f"{result.before.sd_mm:.2f} to {result.after.sd_mm:.2f} mm ({result.sd_change:+.1%})."
+    )
+    tone = "good" if result.rms_change < -0.5 else "doubtful" if result.rms_change < 0 else "bad"
+    page = Page(f"{card['estimator']} for {card['robot']}", verdict, tone)
+    page.facts(
+        [
+            ("training labels", str(card["data"]["training"]["usable"])),
+            ("test labels", str(result.after.rows)),
+            ("residual over promised SD", f"{result.consistency**0.5:.2f}"),
+            ("flagged as unfamiliar", f"{result.unfamiliar:.2%}"),
+        ]
+    )
+    words = "Before and after the correction, per axis and in 3-D."
+    page.figures(
+        "RMS and standard deviation", words, _bars(result.before, result.after, "rms"),
+        _bars(result.before, result.after, "sd"),
+    )  # fmt: skip
+    if np.isfinite(trained.test.times_s).all():
+        words = "Measured, reported and corrected position of one test trajectory, per axis."
+        page.figures("Over time", words, *_over_time(trained))
+    if trained.curve:
+        words = "RMS on validation trajectories after every pass, and the training loss."
+        page.figures("Learning curve", words, _curve(trained))
+    columns = ("trajectory", "labels", "RMS before", "RMS after", "SD before", "SD after")
+    page.table(
+        "By trajectory", "In mm; all unseen in training.", columns,
+        [(n, b.rows, b.rms_mm, a.rms_mm, b.sd_mm, a.sd_mm)
+         for n, (b, a) in result.by_trajectory.items()],
+    )  # fmt: skip
+    page.table(
+        "By speed", "Speed of the reported tip, mm/s; errors in mm.",
+        ("speed", "labels", "RMS before", "RMS after"),
+        [(f"{low:g} to {high:g}", b.rows, b.rms_mm, a.rms_mm)
+         for low, high, b, a in result.by_speed if b.rows],
+    )  # fmt: skip
+    return page.render("Made by measure train. Everything on this page is inside this file.")
+
+
+def write_estimator_report(trained: Trained, card: Mapping[str, Any], path: Path) -> None:
+    """Write the report to a file."""
+    path.write_text(estimator_report(trained, card), encoding="utf-8")
+
+
+def _bars(before: Score, after: Score, kind: str) -> go.Figure:
+    figure = style.figure(barmode="group")
+    for name, score, color in (
+        ("reported", before, style.BAD), ("corrected", after, style.GOOD)
+    ):  # fmt: skip
+        axes = score.axis_rms_mm if kind == "rms" else score.axis_sd_mm
+        total = score.rms_mm if kind == "rms" else score.sd_mm
+        figure.add_trace(go.Bar(x=["x", "y", "z", "3-D"], y=[*axes, total], name=name,
+                                marker={"color": color}))  # fmt: skip
+    figure.update_yaxes(title=f"{kind.upper()} [mm]")
+    return figure
+
+
+def _over_time(trained: Trained) -> list[go.Figure]:
+    data = trained.test
+    _, rows = next(data.runs())
+    times = data.times_s[rows]
+    shown = times - times[0] < _SHOWN_S
+    reported = data.reported_mm[rows][shown]
+    curves = {
+        "measured": reported + np.where(
+            data.usable[rows][shown, None], data.errors_mm[rows][shown], np.nan),
+        "reported": reported,
+        "corrected": reported + trained.estimates.errors_mm[rows][shown],
+    }  # fmt: skip
+    colors = {"measured": style.ACCENT, "reported": style.BAD, "corrected": style.GOOD}
+    return [
+        figures.over_time(
+            times[shown], {name: values[:, axis] for name, values in curves.items()},
+            f"{'xyz'[axis]} [mm]", colors,
+        )
+        for axis in range(3)
+    ]  # fmt: skip
+
+
+def _curve(trained: Trained) -> go.Figure:
+    figure = style.figure()
+    epochs = [line.epoch for line in trained.curve]
+    for name, values in (
+        ("validation RMS", [line.validation_mm for line in trained.curve]),
+        ("training loss", [line.train_mm for line in trained.curve]),
+    ):
+        figure.add_trace(go.Scatter(x=epochs, y=values, name=name, mode="lines"))
+    figure.update_xaxes(title="pass")
+    figure.update_yaxes(title="mm", rangemode="tozero")
+    return figure
