@@ -10,6 +10,7 @@ import pytest
 from measure.geometry import RigidTransform, tangent_cone
 from measure.model import Camera, Intrinsics
 from measure.simulation import Lighting, Material, Renderer, Scene, Sensor, Sphere, Still, render
+from measure.simulation.caster import spread
 from measure.simulation.presets import PLASTIC, look_at, paper_body, plain_lighting
 
 FLAT_LIGHT = Lighting((), (1.0, 1.0, 1.0), below=1.0)
@@ -62,6 +63,15 @@ def test_silhouette_is_the_tangent_cone(position) -> None:
     assert np.abs(error).max() < 0.06
     assert np.sqrt(np.mean(error**2)) < 0.011
     assert abs(error.mean()) < 0.0015
+
+
+@pytest.mark.parametrize("count", [1, 2, 16, 29, 34, 64, 89])
+def test_samples_are_centred_and_all_different(count) -> None:
+    offsets = spread(count)
+    assert offsets.shape == (count, 2)
+    assert np.abs(offsets.mean(axis=0)).max() < 1e-12
+    assert np.abs(offsets).max() < 0.5
+    assert all(len(np.unique(offsets[:, k])) == count for k in range(2))
 
 
 def test_no_pixel_of_the_outline_is_missed() -> None:
