@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scenes import see
 
 from measure.host import Detector, Settings
 from measure.measuring import Pipeline, Stages
@@ -14,6 +13,7 @@ from measure_plugins.triangulators.reprojection import (
     ReprojectionConfig,
     ReprojectionTriangulator,
 )
+from tests.scenes import see
 
 
 class Oracle(Detector):

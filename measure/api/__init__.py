@@ -4,6 +4,7 @@ One file an action. Heavy libraries load when an action is called, not with this
 """
 
 from measure.api.calibrating import CalibrationResult, calibrate, draw_target
+from measure.api.check import SessionCheck, check
 from measure.api.correcting import (
     TrainOptions,
     ablate,
@@ -37,10 +38,12 @@ __all__ = [
     "Outcome",
     "RefineResult",
     "RunOptions",
+    "SessionCheck",
     "TrainOptions",
     "ablate",
     "build_pipeline",
     "calibrate",
+    "check",
     "choose",
     "correct_simulated_robot",
     "demo",

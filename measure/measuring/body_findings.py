@@ -38,11 +38,11 @@ def layout_findings(distances: Sequence[Compared], body: Body) -> list[str]:
     wrong = [d for d in distances if not d.agrees]
     if not wrong:
         return []
-    if len(distances) == len(body.balls) * (len(body.balls) - 1) // 2:
-        if (swap := _swap(distances, body)) is not None:
-            return [swap]
-        if (scale := _scale(distances, body)) is not None:
-            return [scale]
+    complete = len(distances) == len(body.balls) * (len(body.balls) - 1) // 2
+    if complete and (swap := _swap(distances, body)) is not None:
+        return [swap]
+    if len(distances) > 1 and (scale := _scale(distances, body)) is not None:
+        return [scale]
     if len(wrong) > 1 and (shared := set.intersection(*(set(d.what) for d in wrong))):
         name = shared.pop()
         apart = ", ".join(_said(d) for d in wrong)

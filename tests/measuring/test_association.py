@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import FOUR, RAVEN, TARGET, a_pose, ring, see
 
 from measure.geometry import RigidTransform
 from measure.measuring.association import associate
 from measure.model import Ball, BallColor, Body, Camera, Detection
+from tests.scenes import FOUR, RAVEN, TARGET, a_pose, ring, see
 
 CAMERAS = ring()
 SD_PX = 2.0

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scenes import RAVEN, TARGET, ring, see
 
 from measure.geometry import RigidTransform
 from measure.measuring import Measurement, Status
@@ -10,6 +9,7 @@ from measure.measuring.clocks import estimate_clocks
 from measure.measuring.pose_fit import Sightings, fit_pose
 from measure.model import BallView, Pose
 from measure.model.observations import State
+from tests.scenes import RAVEN, TARGET, ring, see
 
 CAMERAS = ring()
 OFFSETS = np.array([0.004, -0.007, 0.0, 0.003])

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import FOUR, RAVEN, TARGET, ring
-from tracking_rig import frame_sets, run
 
 from measure.geometry import RigidTransform
 from measure.measuring import Status
 from measure.model import Body, Camera
 from measure.model.observations import Reason, State
+from tests.scenes import FOUR, RAVEN, TARGET, ring
+from tests.tracking_rig import frame_sets, run
 
 CAMERAS = ring()
 

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import FOUR, RAVEN, a_pose, ring, see
 
 from measure.measuring.self_check import check_body, locate_in_candidates
 from measure.model import Body
+from tests.scenes import FOUR, RAVEN, a_pose, ring, see
 
 CAMERAS = ring()
 

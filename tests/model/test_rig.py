@@ -1,9 +1,9 @@
 from __future__ import annotations
 
 import numpy as np
-from scenes import RAVEN, TARGET, ring
 
 from measure.model import Rig
+from tests.scenes import RAVEN, TARGET, ring
 
 
 def test_projects_like_each_camera():

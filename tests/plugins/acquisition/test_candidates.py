@@ -3,10 +3,10 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from scenes import FOUR, RAVEN, ring
 
 from measure.model import Image
 from measure_plugins._acquisition import AcquisitionSettings, find_candidates
+from tests.scenes import FOUR, RAVEN, ring
 
 BGR = {
     "green": (60, 140, 40),

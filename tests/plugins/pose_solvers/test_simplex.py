@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scenes import FOUR, RAVEN, a_pose, of_ball, ring, see
 
 from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform, align_points, squared_mahalanobis
@@ -12,6 +11,7 @@ from measure.model import Fix
 from measure_plugins.pose_solvers._simplex_fit import initial_guess
 from measure_plugins.pose_solvers.simplex import SimplexSettings, SimplexSolver
 from measure_plugins.triangulators.midpoint import MidpointSettings, MidpointTriangulator
+from tests.scenes import FOUR, RAVEN, a_pose, of_ball, ring, see
 
 CAMERAS = ring(4)
 

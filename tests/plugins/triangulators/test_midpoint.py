@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import RAVEN, TARGET, a_pose, look_at, moved, of_ball, ring, see
 
 from measure.errors import DegenerateGeometryError
 from measure.geometry import (
@@ -16,6 +15,7 @@ from measure.geometry import (
 )
 from measure.geometry.rays import Rays
 from measure_plugins.triangulators.midpoint import MidpointSettings, MidpointTriangulator
+from tests.scenes import RAVEN, TARGET, a_pose, look_at, moved, of_ball, ring, see
 
 MIDPOINT = MidpointTriangulator(MidpointSettings())
 

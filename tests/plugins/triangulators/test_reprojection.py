@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import RAVEN, a_pose, moved, of_ball, ring, see
 
 from measure.geometry import RigidTransform, squared_mahalanobis
 from measure.host import Settings
@@ -13,6 +12,7 @@ from measure_plugins.triangulators.reprojection import (
     ReprojectionConfig,
     ReprojectionTriangulator,
 )
+from tests.scenes import RAVEN, a_pose, moved, of_ball, ring, see
 
 POSE_COVARIANCE = np.diag([0.3, 0.3, 0.3, 5e-4, 5e-4, 5e-4]) ** 2
 

@@ -1,0 +1,215 @@
+"""Looking at a recording before it is measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from measure.api.measuring import measure_session
+from measure.api.profiles import load_profile
+from measure.arrays import Floats
+from measure.geometry import RigidTransform
+from measure.host import Registry
+from measure.measuring import Profile
+from measure.measuring.checks import (
+    Coverage,
+    Finding,
+    Level,
+    Misfit,
+    Surveyed,
+    camera_misfits,
+    coverage_findings,
+    expected_accuracy,
+    misfit_findings,
+    stamp_findings,
+    survey_frame_set,
+    with_velocities,
+)
+from measure.measuring.clocks import CameraClock, estimate_clocks
+from measure.measuring.self_check import BodyCheck, Located, check_body, locate_in_candidates
+from measure.session import Session, open_session
+
+if TYPE_CHECKING:
+    from measure.model import Detection, FrameSet
+
+_REACH_MM = 40.0
+_LEAST_NOISE_PX = 0.1
+_OFFSET_WORTH_A_LINE_S = 0.0005
+_OFFSET_WRONG_S = 0.002
+
+Report = Callable[[int, int | None], None]
+
+
+@dataclass(frozen=True, eq=False)
+class SessionCheck:
+    """What a look at a recording says.
+
+    Attributes:
+        session: its name.
+        frame_sets: how many it has.
+        looked_at: how many of them were searched.
+        findings: the worst first.
+        coverage: who saw which ball how often.
+        misfits: cameras that do not stand where the calibration says.
+        body: the balls' distances and radii against the body file.
+        clocks: of all cameras; empty if the motion was not measured.
+        accuracy: (27, 5) expected standard deviations round the place where the body was (see
+            `expected_accuracy`), or None if it was never found.
+    """
+
+    session: str
+    frame_sets: int
+    looked_at: int
+    findings: tuple[Finding, ...]
+    coverage: tuple[Coverage, ...]
+    misfits: tuple[Misfit, ...]
+    body: BodyCheck
+    clocks: tuple[CameraClock, ...]
+    accuracy: Floats | None
+
+
+def check(
+    session_path: Path,
+    registry: Registry,
+    profile: Profile | None = None,
+    calibration: Path | None = None,
+    body: Path | None = None,
+    samples: int = 24,
+    clock_samples: int = 120,
+    report: Report | None = None,
+) -> SessionCheck:
+    """Say what is wrong or weak in a recording.
+
+    Args:
+        session_path: the session's folder, which is only read.
+        registry: where the plugins come from.
+        profile: whose detector looks at the pictures, and whose stages measure the motion.
+        calibration: a calibration file to use instead of the session's own.
+        body: a body file to use instead of the session's own.
+        samples: frame sets, spread over the recording, in which all is searched.
+        clock_samples: frame sets from the start that are measured to compare the clocks; 0: none.
+        report: told how many frame sets are done, and of how many.
+
+    Raises:
+        MeasureError: the recording cannot be opened or read at all.
+    """
+    profile = profile or load_profile()
+    with open_session(session_path, calibration, body) as session:
+        total = len(session.pair().times_s)
+        chosen = _spread_pairs(total, samples)
+        work = len(chosen) + min(clock_samples, total)
+        surveys, located = [], []
+        for done, (frame_set, seen) in enumerate(_search(session, chosen, registry, profile), 1):
+            surveys.append(survey_frame_set(seen, session.body, session.cameras, frame_set.time_s))
+            located.append(locate_in_candidates(seen, session.body, session.cameras))
+            if report is not None:
+                report(done, work)
+        clocks = _clocks(session, surveys, registry, profile, clock_samples)
+        return _concluded(session, total, surveys, located, clocks)
+
+
+def _spread_pairs(total: int, samples: int) -> list[int]:
+    """About `samples` of `total` indices, in pairs of neighbours, which tell speeds."""
+    firsts = np.linspace(0, max(total - 2, 0), max(1, samples // 2))
+    pairs = {round(float(first)) + k for first in firsts for k in (0, 1)}
+    return sorted(index for index in pairs if index < total)
+
+
+def _search(
+    session: Session, chosen: Sequence[int], registry: Registry, profile: Profile
+) -> Iterator[tuple[FrameSet, Mapping[str, Sequence[Detection]]]]:
+    """Search whole pictures of some frame sets, the cameras side by side."""
+    settings = profile.settings.get("detector", {})
+    detectors = {
+        c.name: registry.detector(profile.detector, settings, session.body, c)
+        for c in session.cameras
+    }
+    with ThreadPoolExecutor(len(detectors)) as pool:
+        for index in chosen:
+            frame_set = next(iter(session.frame_sets(start=index, prefetch=1)))
+            names = list(frame_set.images)
+            found = pool.map(lambda n, f=frame_set: detectors[n].detect(f.images[n], ()), names)
+            yield frame_set, dict(zip(names, found, strict=True))
+
+
+def _clocks(
+    session: Session,
+    surveys: Sequence[Surveyed],
+    registry: Registry,
+    profile: Profile,
+    samples: int,
+) -> tuple[CameraClock, ...]:
+    """Compare the clocks, if the body can be followed at all."""
+    found = sum(survey.world_from_body is not None for survey in surveys)
+    if not samples or found < len(surveys) / 2:
+        return ()
+    measured = (m for _, m in measure_session(session, profile, registry))
+    return estimate_clocks(islice(measured, samples), session.body, session.cameras)
+
+
+def _concluded(
+    session: Session,
+    total: int,
+    surveys: Sequence[Surveyed],
+    located: Sequence[Located],
+    clocks: tuple[CameraClock, ...],
+) -> SessionCheck:
+    findings = [Finding(Level.NOTE, "frames", note) for note in session.notes]
+    for stream in session.streams.values():
+        findings += stamp_findings(stream.name, stream.times_s, stream.frames)
+    shape = check_body(located, session.body)
+    findings += [Finding(Level.WRONG, "body", text) for text in shape.findings]
+    coverage, weak = coverage_findings(surveys, session.body, session.cameras)
+    misfits = camera_misfits(with_velocities(surveys), session.body, session.cameras)
+    findings += weak + misfit_findings(misfits) + _clock_findings(clocks)
+    levels = list(Level)
+    return SessionCheck(
+        session.name,
+        total,
+        len(surveys),
+        tuple(sorted(findings, key=lambda finding: levels.index(finding.level))),
+        coverage,
+        misfits,
+        shape,
+        clocks,
+        _accuracy(session, surveys),
+    )
+
+
+def _clock_findings(clocks: Sequence[CameraClock]) -> list[Finding]:
+    out = []
+    for clock in clocks:
+        sd = 1e3 * clock.offset_sd_s
+        if clock.offset_visible and abs(clock.offset_s) > _OFFSET_WORTH_A_LINE_S:
+            level = Level.WRONG if abs(clock.offset_s) > _OFFSET_WRONG_S else Level.WEAK
+            text = (
+                f"{clock.camera}: the clock is {1e3 * clock.offset_s:+.1f} +- {sd:.1f} ms off the "
+                f"others' mean: add {clock.offset_s:+.4f} to its time_offset_s in session.toml"
+            )
+            out.append(Finding(level, "clock", text))
+        if clock.rolling:
+            text = (
+                f"{clock.camera}: its shutter rolls, {1e3 * clock.readout_s:.1f} +- "
+                f"{1e3 * clock.readout_sd_s:.1f} ms from the first row to the last"
+            )
+            out.append(Finding(Level.WEAK, "clock", text))
+    return out
+
+
+def _accuracy(session: Session, surveys: Sequence[Surveyed]) -> Floats | None:
+    poses = [s.world_from_body for s in surveys if s.world_from_body is not None]
+    if not poses:
+        return None
+    place = np.median([pose.translation for pose in poses], axis=0)
+    turn = poses[len(poses) // 2].rotation
+    noise = [np.trace(d.covariance_px) / 2 for s in surveys for d in s.agreeing]
+    noise_px = float(np.hypot(_LEAST_NOISE_PX, np.sqrt(np.median(noise))))
+    return expected_accuracy(
+        RigidTransform(turn, place), _REACH_MM, session.body, session.cameras, noise_px
+    )

@@ -1,0 +1,103 @@
+"""`measure check`: what is wrong or weak in a recording, before it is measured."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from measure.cli import console
+from measure.cli.console import JsonFlag
+from measure.cli.injected import InjectedRegistry
+
+if TYPE_CHECKING:
+    from measure.api.check import SessionCheck
+    from measure.measuring.clocks import CameraClock
+
+
+def check(
+    session: Path,
+    /,
+    *,
+    profile: str = "precise",
+    calibration: Path | None = None,
+    body: Path | None = None,
+    samples: int = 24,
+    clock_samples: int = 120,
+    json: JsonFlag = False,
+    registry: InjectedRegistry,
+) -> None:
+    """Say what is wrong or weak in a session before it is measured.
+
+    Looks for dropped frames and uneven stamps, clocks that differ, a shutter that rolls, a body
+    file that does not match, cameras that were moved or are calibrated badly, balls that are
+    seldom seen; and says how accurate the set-up can be.
+
+    Args:
+        session: the session's folder; it is only read.
+        profile: `precise`, or the path of a profile of your own (.toml).
+        calibration: a calibration to use instead of the session's.
+        body: a body file to use instead of the session's.
+        samples: frame sets, spread over the recording, in which everything is searched.
+        clock_samples: frame sets measured to compare the clocks; 0 leaves the clocks out.
+    """
+    from measure import api
+
+    with console.progress("looking") as report:
+        found = api.check(
+            session,
+            registry,
+            api.load_profile(profile),
+            calibration,
+            body,
+            samples,
+            clock_samples,
+            report,
+        )
+    if json:
+        console.print_json(found)
+        return
+    _print(found)
+
+
+def _print(found: SessionCheck) -> None:
+    console.print_text(f"{found.session}: looked at {found.looked_at} of {found.frame_sets}")
+    if found.findings:
+        rows = [(f.level.value, f.topic, f.text) for f in found.findings]
+        console.print_table(("level", "topic", "what"), rows)
+    else:
+        console.print_text("nothing wrong, nothing weak")
+    lengths = [
+        (" - ".join(c.what), c.measured_mm, c.sd_mm, c.file_mm, c.frames)
+        for c in (*found.body.distances, *found.body.radii)
+    ]
+    if lengths:
+        console.print_table(("body", "measured_mm", "sd_mm", "file_mm", "frame sets"), lengths)
+    for blind in found.body.blind_to:
+        console.print_text(f"this body cannot show {blind}")
+    if found.clocks:
+        clocks = [
+            (
+                c.camera,
+                1e3 * c.offset_s,
+                1e3 * c.offset_sd_s,
+                *_readout(c),
+            )
+            for c in found.clocks
+        ]
+        heads = ("clock", "offset_ms", "sd_ms", "readout_ms", "readout_sd_ms")
+        console.print_table(heads, clocks)
+    if found.accuracy is not None and np.any(np.isfinite(found.accuracy[:, 3])):
+        position, turn = found.accuracy[:, 3], found.accuracy[:, 4]
+        console.print_text(
+            "noise allows, within 40 mm of where the body was, "
+            f"{np.nanmin(position):.3f} to {np.nanmax(position):.3f} mm "
+            f"and {np.nanmin(turn):.3f} to {np.nanmax(turn):.3f} deg (one standard deviation)"
+        )
+
+
+def _readout(clock: CameraClock) -> tuple[float | None, float | None]:
+    if not np.isfinite(clock.readout_sd_s):
+        return None, None
+    return 1e3 * clock.readout_s, 1e3 * clock.readout_sd_s

@@ -1,0 +1,22 @@
+"""What is wrong or weak in a recording, told from the recording itself; no files, no printing."""
+
+from measure.measuring.checks.coverage import Coverage, coverage_findings, expected_accuracy
+from measure.measuring.checks.finding import Finding, Level
+from measure.measuring.checks.moved import Misfit, camera_misfits, misfit_findings
+from measure.measuring.checks.stamps import stamp_findings
+from measure.measuring.checks.survey import Surveyed, survey_frame_set, with_velocities
+
+__all__ = [
+    "Coverage",
+    "Finding",
+    "Level",
+    "Misfit",
+    "Surveyed",
+    "camera_misfits",
+    "coverage_findings",
+    "expected_accuracy",
+    "misfit_findings",
+    "stamp_findings",
+    "survey_frame_set",
+    "with_velocities",
+]
