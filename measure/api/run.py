@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from types import TracebackType
 from typing import Any, Self, get_args
 
 from measure.api.measuring import measure_session
 from measure.api.profiles import find_tracker
-from measure.errors import ConfigError, MeasureError
+from measure.errors import ConfigError, MeasureError, RunError
 from measure.geometry import RigidTransform
 from measure.host import Registry
 from measure.host.settings import read_settings
@@ -18,6 +20,9 @@ from measure.measuring import Profile
 from measure.measuring.profile import Stage
 from measure.results import Provenance, RunWriter, Summary, digest
 from measure.session import Session, open_session
+
+RESERVED_BYTES = 32_000_000
+"""The recording is not written to a disk with less room: more than it holds back at a time."""
 
 Report = Callable[[int, int | None], None]
 """Told how many frame sets are done, and of how many."""
@@ -148,18 +153,46 @@ class _Recording:
         from measure.viewing.recording import RunRecording, open_recording
 
         names = [camera.name for camera in session.cameras]
-        path = out / "run.rrd" if options.recording else None
-        stream = open_recording(session.name, names, path, options.viewer)
+        self._path = out / "run.rrd" if options.recording else None
+        self._need_room()
+        stream = open_recording(session.name, names, self._path, options.viewer)
         self._log = RunRecording(stream, session.body, session.cameras, options.image_every)
         self._truth = _truth(session)
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self._log.close()
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        try:
+            self._log.close()
+        except RuntimeError as problem:
+            # Rerun's writer thread died, most often of a full disk. If the tables met it too, their
+            # message is the one to read; if not, they are complete without the recording.
+            if kind is None:
+                raise RunError(
+                    f"{self._path or 'the live recording'} could not be written whole ({problem}); "
+                    "the tables of the run are complete"
+                ) from None
+
+    def _need_room(self) -> None:
+        """Stop while the tables still fit: Rerun's writer may hang when its disk is full."""
+        if self._path is None:
+            return
+        free = shutil.disk_usage(self._path.parent).free
+        if free < RESERVED_BYTES:
+            raise RunError(
+                f"{self._path}: the disk is full but for {free // 1000} kB; everything measured "
+                "before is kept: free some space and go on with --resume, or leave the recording "
+                "out with --no-recording"
+            )
 
     def add(self, measurement: Any, frame_set: Any) -> None:
+        self._need_room()
         self._log.add(measurement, frame_set, self._truth(measurement.time_s))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -96,21 +97,76 @@ def test_an_earlier_run_is_not_overwritten(recording: Recording, capsys) -> None
     assert "holds a run already: --resume goes on, --overwrite starts anew" in line
 
 
-def test_a_full_disk(recording: Recording, tmp_path: Path, capsys) -> None:
+@pytest.fixture
+def small_disk(tmp_path: Path):
+    """Mounts a real file system of so many kB."""
     place = tmp_path / "disk"
     place.mkdir()
-    command = ["mount", "-t", "tmpfs", "-o", "size=28k", "tmpfs", str(place)]
-    if subprocess.run(command, capture_output=True, check=False).returncode:
-        pytest.skip("may not mount a tmpfs here")
-    try:
-        words = ("run", recording.path, "-o", place / "run", "--profile", "paper")
-        line = _complaint(capsys, *words, "--no-recording")
-        assert "disk is full" in line or "No space left" in line
-        run = place / "run"
-        if (run / "poses.csv").exists():
-            assert (run / "poses.csv").read_text().endswith("\n")
-    finally:
+
+    def mount(kilobytes: int) -> Path:
+        options = ["-t", "tmpfs", "-o", f"size={kilobytes}k"]
+        command = ["mount", *options, "tmpfs", str(place)]
+        if subprocess.run(command, capture_output=True, check=False).returncode:
+            pytest.skip("may not mount a tmpfs here")
+        return place
+
+    yield mount
+    if place.is_mount():
         subprocess.run(["umount", str(place)], check=True)
+
+
+@pytest.mark.parametrize("kilobytes", [8, 28, 60, 100])
+def test_a_full_disk(tmp_path: Path, small_disk, kilobytes: int, capfd, monkeypatch) -> None:
+    monkeypatch.setattr("measure.results.writer.FLUSH_EVERY_S", 0.0)
+    recording = write_recording(tmp_path / "rec", cameras=4, frames=12)
+    out = small_disk(kilobytes) / "run"
+    words = ["run", str(recording.path), "-o", str(out), "--profile", "paper", "--no-recording"]
+    code = main(words)
+    err = capfd.readouterr().err
+    assert "Traceback" not in err
+    if code == 0:
+        assert kilobytes > 28
+        assert read_run(out).finished
+        return
+    assert code == 2
+    lines = [line for line in err.splitlines() if line.startswith("measure: ")]
+    assert len(lines) == 1
+    assert "disk is full" in lines[0] or "No space left" in lines[0]
+    if (out / "poses.csv").exists():
+        text = (out / "poses.csv").read_text()
+        assert text == "" or text.endswith("\n")
+        kept = read_run(out).poses["index"].to_pylist()
+        assert kept == list(range(len(kept)))
+        assert len(kept) <= text.count("\n")
+
+
+def test_a_disk_that_fills_up_beside_the_recording(
+    recording: Recording, capsys, monkeypatch
+) -> None:
+    """The run stops while its tables still fit, and goes on once there is room."""
+    usage = iter([10**9] * 4)
+    real = shutil.disk_usage
+    monkeypatch.setattr(
+        shutil, "disk_usage", lambda path: real(path)._replace(free=next(usage, 10**6))
+    )
+    line = _complaint(capsys, *_run(recording))
+    assert "run.rrd: the disk is full but for 1000 kB; everything measured before is kept" in line
+    folder = recording.path.with_name("run")
+    assert read_run(folder).poses["index"].to_pylist() == [0, 1, 2, 3]
+    monkeypatch.undo()
+    assert main([*_run(recording, "--resume")]) == 0
+    assert read_run(folder).poses["index"].to_pylist() == list(range(6))
+    assert read_run(folder).finished
+
+
+def test_a_small_disk_is_met(tmp_path: Path, small_disk, capfd) -> None:
+    """The control of the test above: 8 kB are too few."""
+    recording = write_recording(tmp_path / "rec", cameras=4, frames=12)
+    out = str(small_disk(8) / "run")
+    for recorded in ("--no-recording", "--recording"):
+        words = ["run", str(recording.path), "-o", out, "--profile", "paper", "--overwrite"]
+        assert main([*words, recorded]) == 2
+        assert "measure: " in capfd.readouterr().err
 
 
 def test_evaluation_of_what_is_no_run_or_no_truth(recording: Recording, tmp_path, capsys) -> None:
