@@ -15,6 +15,8 @@ from measure_plugins._edges.lens import lens_row
 
 _STEPS = 15
 _STEP_TOLERANCE = np.array([1e-5] * 3 + [1e-7] * 3)
+_SETTLED = np.array([2e-2] * 3 + [3e-4] * 3)
+"""Steps (mm, rad) below which a fit that ran out of turns still counts as settled."""
 _TUKEY = 4.685
 _OFFSET_SD_PX = 3.0
 """A view's common edge offset is all but free; this only keeps a lone arc solvable."""
@@ -173,7 +175,7 @@ def fit_contours(
         degrees=max(2.0 * len(outlines) - 6.0, 1.0),
         residuals_px=state.residuals,
         weights=state.weights,
-        converged=bool(np.all(np.abs(state.step) < 100 * _STEP_TOLERANCE)),
+        converged=bool(np.all(np.abs(state.step) < _SETTLED)),
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,6 +27,8 @@ _BLOCKS = 12
 _LIGHT_PER_VALUE = 0.3
 """Slope of tone curves in the shade, where contrast is scarce."""
 _TURNS = 8
+_FEWEST_EDGES = 6
+_ROUGHLY_SETTLED_PX = 0.5
 _SETTLED_PX = 0.1
 """Corrected edges are looked at again until the axis moves less: the prediction, fitted at a place
 that is off, takes up part of the error. Before the correction half a pixel will do."""
@@ -118,6 +121,15 @@ class _Pass:
     outside: Floats
 
 
+class _Fit(NamedTuple):
+    """See `cone_fit.refine`."""
+
+    solution: Floats
+    normal: Floats
+    weights: Floats
+    scale: float
+
+
 def measure_outline(view: View, search: Search) -> Outline | None:
     """Measure one outline near its prediction.
 
@@ -126,41 +138,42 @@ def measure_outline(view: View, search: Search) -> Outline | None:
     """
     axis, half_angle = search.axis, search.half_angle
     reach = min(max(search.reach_px, _LAST_SEARCH_PX), 0.3 * half_angle * view.lens[0])
-    corrected = False
     for turn in range(_TURNS):
-        rays = (_look_corrected if corrected else _look)(view, search, axis, half_angle, reach)
-        if np.count_nonzero(rays.use) < 6:
+        near = reach <= _LAST_SEARCH_PX
+        corrected = near and search.distance_known
+        if corrected:
+            rays = _look_corrected(view, search, axis, half_angle, reach)
+        else:
+            rays = _look(view, search, axis, half_angle, reach)
+        fit = _fit(rays, search.distance_known, corrected, turn == 0 or not near)
+        if fit is None:
             return None
-        start = np.zeros(3)
-        gate = max(_FIRST_GATE_PX, reach) if reach <= _LAST_SEARCH_PX else reach
-        if turn == 0 or reach > _LAST_SEARCH_PX:
-            start = consensus(
-                rays.shifts, rays.around, rays.use, _CONSENSUS_GATE_PX, _CONSENSUS_TRIALS
-            )
-            gate = _FIRST_GATE_PX
-        growth = _GROWTH_UNKNOWN
-        if search.distance_known:
-            growth = _GROWTH_CORRECTED if corrected else _GROWTH_SEEN
-        solution, normal, weights, scale = refine(
-            rays.shifts, rays.around, rays.sd, rays.use, start, gate, growth
-        )
-        if not np.isfinite(scale):
-            return None
-        settled = (
-            turn > 0
-            and np.max(np.abs(solution[:2])) < (_SETTLED_PX if corrected else 0.5)
-            and reach <= _LAST_SEARCH_PX
-        )
-        if settled and (corrected or not search.distance_known):
-            return _outline(view, rays, half_angle, solution, normal, weights, scale)
-        corrected = search.distance_known and reach <= _LAST_SEARCH_PX
+        moved = float(np.max(np.abs(fit.solution[:2])))
+        if near and moved < (_SETTLED_PX if corrected else _ROUGHLY_SETTLED_PX):
+            return _outline(view, rays, half_angle, fit)
         px = float(np.mean(rays.scale))
-        axis = rays.frame[2] + (solution[0] * rays.frame[0] + solution[1] * rays.frame[1]) / px
+        turn_by = fit.solution[0] * rays.frame[0] + fit.solution[1] * rays.frame[1]
+        axis = rays.frame[2] + turn_by / px
         axis = axis / np.linalg.norm(axis)
-        if reach > _LAST_SEARCH_PX and not search.distance_known:
-            half_angle += solution[2] / px
+        if not search.distance_known:
+            half_angle += fit.solution[2] / px
         reach = _LAST_SEARCH_PX
     return None
+
+
+def _fit(rays: _Pass, distance_known: bool, corrected: bool, first: bool) -> _Fit | None:
+    """The robust cone through one look's edges."""
+    if np.count_nonzero(rays.use) < _FEWEST_EDGES:
+        return None
+    growth = _GROWTH_UNKNOWN
+    if distance_known:
+        growth = _GROWTH_CORRECTED if corrected else _GROWTH_SEEN
+    start, gate = np.zeros(3), _LAST_SEARCH_PX
+    if first:
+        start = consensus(rays.shifts, rays.around, rays.use, _CONSENSUS_GATE_PX, _CONSENSUS_TRIALS)
+        gate = _FIRST_GATE_PX
+    fit = _Fit(*refine(rays.shifts, rays.around, rays.sd, rays.use, start, gate, growth))
+    return fit if np.isfinite(fit.scale) else None
 
 
 def _look(view: View, search: Search, axis: Floats, half_angle: float, reach: float) -> _Pass:
@@ -186,7 +199,18 @@ def _look(view: View, search: Search, axis: Floats, half_angle: float, reach: fl
     clear = (free == FREE) & (contrast >= _LIGHT_PER_VALUE * search.min_contrast)
     use = (clear & np.isfinite(shifts)).astype(np.float64)
     return _Pass(
-        frame, points, normals, scale, around, shifts, sd, use, clear, free == FREE, within, without
+        frame,
+        points,
+        normals,
+        scale,
+        around,
+        shifts,
+        sd,
+        use,
+        clear,
+        free == FREE,
+        within,
+        without,
     )
 
 
@@ -227,15 +251,8 @@ def _look_corrected(
     )
 
 
-def _outline(
-    view: View,
-    rays: _Pass,
-    half_angle: float,
-    solution: Floats,
-    normal: Floats,
-    weights: Floats,
-    scale: float,
-) -> Outline:
+def _outline(view: View, rays: _Pass, half_angle: float, fit: _Fit) -> Outline:
+    solution, normal, weights, scale = fit
     px = float(np.mean(rays.scale))
     axis = rays.frame[2] + (solution[0] * rays.frame[0] + solution[1] * rays.frame[1]) / px
     axis = axis / np.linalg.norm(axis)

@@ -17,7 +17,7 @@ from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform, align_points
 from measure.host import PoseSolver, Settings, hookimpl, setting
-from measure.model import Camera, Detection, Fix, Motion, Pose
+from measure.model import Body, Camera, Detection, Fix, Motion, Pose
 
 if TYPE_CHECKING:
     from measure_plugins._edges.contour_fit import BallOutline, ContourFit
@@ -106,6 +106,7 @@ class ContoursSolver(PoseSolver):
     ) -> Pose:
         covariance = np.asarray(np.linalg.inv(fit.information), dtype=np.float64)
         covariance *= _small_sample(fit.degrees)
+        covariance[:3, :3] += _common_shift_mm(fit, outlines, self.body) ** 2 * np.eye(3)
         covariance = covariance + self._from_cameras(fit, outlines)
         covariance = (covariance + covariance.T) / 2
         centers = {b.name: fit.world_from_body.apply(b.center_mm) for b in self.body.balls}
@@ -167,6 +168,21 @@ def _center_by_size(outline: BallOutline, radius_mm: float) -> Floats | None:
     except DegenerateGeometryError:
         return None
     return outline.camera.world_from_camera.apply(cone.center(radius_mm))
+
+
+def _common_shift_mm(fit: ContourFit, outlines: Sequence[BallOutline], body: Body) -> float:
+    """Standard deviation per axis of what shifts all ball-views alike, in mm.
+
+    Light falls on all balls from the same side in all cameras, so part of what shifts their
+    outlines is common to them; it moves the body and leaves no residual. It is taken to be as large
+    as the part that differs and is seen.
+    """
+    scales = [
+        float(np.linalg.norm(fit.world_from_body.apply(body.centers[o.ball]) - o.camera.center))
+        / o.camera.intrinsics.focal_px
+        for o in outlines
+    ]
+    return float(fit.shift_sd_px[0] * np.mean(scales))
 
 
 def _small_sample(degrees: float) -> float:
