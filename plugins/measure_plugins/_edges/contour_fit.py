@@ -14,7 +14,8 @@ from measure_plugins._edges.contour_terms import bearings_of, eliminate, point_r
 from measure_plugins._edges.lens import lens_row
 
 _STEPS = 15
-_STEP_TOLERANCE = np.array([1e-5] * 3 + [1e-7] * 3)
+_STEP_TOLERANCE = np.array([5e-4] * 3 + [1e-5] * 3)
+"""mm and rad: a hundredth of what the best pictures allow."""
 _SETTLED = np.array([2e-2] * 3 + [3e-4] * 3)
 """Steps (mm, rad) below which a fit that ran out of turns still counts as settled."""
 _TUKEY = 4.685

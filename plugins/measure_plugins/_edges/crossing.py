@@ -20,10 +20,16 @@ and the blurred edge falls by about a third per px; half of the whole is taken a
 
 
 @compiled
-def _median(values: Floats) -> float:
-    ordered = np.sort(values)
-    n = len(ordered)
-    return 0.5 * (ordered[(n - 1) // 2] + ordered[n // 2])
+def _median(values: Floats, count: int) -> float:
+    """Median of the first `count` values, which it sorts in place: a handful, so by insertion."""
+    for i in range(1, count):
+        value = values[i]
+        j = i - 1
+        while j >= 0 and values[j] > value:
+            values[j + 1] = values[j]
+            j -= 1
+        values[j + 1] = value
+    return 0.5 * (values[(count - 1) // 2] + values[count // 2])
 
 
 @compiled
@@ -50,7 +56,7 @@ def levels(
                     if bounds[0] <= steps[j] <= bounds[1]:
                         within[k] = profiles[i, j, c]
                         k += 1
-                value = _median(within[:k])
+                value = _median(within, k)
                 if window == 0:
                     low[i, c] = value
                 else:
