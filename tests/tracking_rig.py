@@ -96,7 +96,7 @@ def run(
         solver=KabschSolver(KabschConfig(), body),
         own_times=True,
         neighbours=neighbours,
-        look_again=neighbours,
+        look_again=look_again,
     )
     pipeline = Pipeline(body, list(believed.values()), stages)
     measured = list(
