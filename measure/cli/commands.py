@@ -43,7 +43,9 @@ GROUPS: dict[str, tuple[Command, ...]] = {
         Command("export", "Write a run in another program's format."),
     ),
     "Correct a robot": (
-        Command("simulate", "Render a recording of the simulated RAVEN-II, with log and truth."),
+        Command(
+            "simulate", "Render a recording of the simulated RAVEN-II, with its log and its truth."
+        ),
         Command("dataset", "Pair a robot's states with measured position errors."),
         Command("train", "Train an estimator of a robot's position error."),
         Command("sweep", "Search an estimator's settings, on many machines if there are."),
