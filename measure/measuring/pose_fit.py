@@ -131,11 +131,13 @@ def fit_pose(
         weight = seen * np.maximum(1 - distance / width**2, 0.0) ** 2
         gain = np.swapaxes(jacobian, 1, 2) @ (inverse * weight[:, None, None])
         normal = (gain @ jacobian).sum(axis=0)
-        _check(normal, weight)
+        if step_number == 0:
+            _check(normal, weight)
         step = np.linalg.solve(normal, np.einsum("nij,nj->i", gain, residuals))
         pose = pose.perturb(step)
         if step_number > 2 and np.max(np.abs(step)) < tolerance:
             break
+    _check(normal, weight)
     residuals, _, _ = sightings.residuals(pose, speed)
     distance = np.einsum("ni,nij,nj->n", residuals, inverse, residuals)
     return PoseFit(

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import cv2
 import numpy as np
 
 from measure.arrays import Bytes, Floats
 from measure.host import Settings, setting
 from measure.model import BallColor, Body, Camera, Detection, Image
-from measure_plugins._acquisition.circles import circles_along, refine, share_filled
+from measure_plugins._acquisition.circles import circles_along, finish
 from measure_plugins._acquisition.color_table import classify, color_table
 
 _REDUCED_WIDTH = 320
@@ -83,13 +85,7 @@ def _circles(bits: Bytes, bit: int, step: int, height: int, config: AcquisitionS
         border = contour.reshape(-1, 2)
         if len(border) >= 2 * smallest:
             circles_along(border, mask, smallest, largest, config.min_seen, best)
-    rows = []
-    for rough in best[best[:, 3] > 0]:
-        x, y, radius, seen = refine(mask, rough)
-        filled = share_filled(mask, x, y, radius)
-        if filled >= config.min_filled and smallest <= radius <= largest:
-            rows.append((x, y, radius, seen, filled))
-    circles = np.array(rows).reshape(-1, 5)
+    circles = finish(mask, best[best[:, 3] > 0], smallest, largest, config.min_filled)
     circles = _distinct(circles[np.argsort(-_scores(circles), kind="stable")])
     scale = np.array([step, step, step, 1.0, 1.0])
     shift = np.array([(step - 1) / 2, (step - 1) / 2, 0, 0, 0])
@@ -98,16 +94,17 @@ def _circles(bits: Bytes, bit: int, step: int, height: int, config: AcquisitionS
 
 def _distinct(circles: Floats) -> Floats:
     """Leave out circles that repeat a better one, or lie within one that is plainly a ball."""
-    kept: list[int] = []
-    for i, (x, y, radius, _, _) in enumerate(circles):
-        for k in kept:
-            apart = np.hypot(x - circles[k, 0], y - circles[k, 1])
-            plain = circles[k, 3] > _PLAIN
-            if apart < (0.9 * circles[k, 2] if plain else 0.4 * max(radius, circles[k, 2])):
+    kept: list[list[float]] = []
+    for row in circles.tolist():
+        x, y, radius = row[:3]
+        for better in kept:
+            apart = math.hypot(x - better[0], y - better[1])
+            plain = better[3] > _PLAIN
+            if apart < (0.9 * better[2] if plain else 0.4 * max(radius, better[2])):
                 break
         else:
-            kept.append(i)
-    return circles[kept]
+            kept.append(row)
+    return np.array(kept).reshape(-1, 5)
 
 
 def _scores(circles: Floats) -> Floats:

@@ -46,7 +46,7 @@ def circles_along(
     for span in _SPANS:
         if 2 * span >= n + span:
             break
-        stride = max(1, span // 3)
+        stride = max(1, span // 2)
         for i in range(0, n, stride):
             a, b, c = border[i], border[(i + span) % n], border[(i + 2 * span) % n]
             x, y, r = _through(a, b, c)
@@ -60,7 +60,26 @@ def circles_along(
 
 
 @njit(cache=True)
-def refine(mask: Bytes, circle: Floats) -> Floats:
+def finish(
+    mask: Bytes, circles: Floats, smallest: float, largest: float, least_filled: float
+) -> Floats:
+    """Refine circles (k, 4) and keep those that are still such; (m, 5), the last: share filled."""
+    out = np.empty((len(circles), 5))
+    count = 0
+    for i in range(len(circles)):
+        refined = _refined(mask, circles[i])
+        x, y, r = refined[0], refined[1], refined[2]
+        if not smallest <= r <= largest:
+            continue
+        filled = _share_filled(mask, x, y, r)
+        if filled >= least_filled:
+            out[count, :4], out[count, 4] = refined, filled
+            count += 1
+    return out[:count]
+
+
+@njit(cache=True)
+def _refined(mask: Bytes, circle: Floats) -> Floats:
     """Fit a circle (x, y, r, seen) to the colour's edge near it; returns the same columns."""
     x, y, r, seen = circle[0], circle[1], circle[2], circle[3]
     for reach in (3.0, 2.0, 1.5):
@@ -88,7 +107,7 @@ def refine(mask: Bytes, circle: Floats) -> Floats:
 
 
 @njit(cache=True)
-def share_filled(mask: Bytes, x: float, y: float, r: float) -> float:
+def _share_filled(mask: Bytes, x: float, y: float, r: float) -> float:
     """Share of the circle's inside, a tenth in from its edge, that has the colour."""
     inside = 0
     matching = 0
