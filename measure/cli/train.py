@@ -28,6 +28,7 @@ def train(
     seed: int = 0,
     resume: bool = False,
     split_rows: bool = False,
+    about: str = "",
     json: JsonFlag = False,
     registry: InjectedRegistry,
 ) -> None:
@@ -48,6 +49,7 @@ def train(
         seed: of everything random in training.
         resume: go on with an interrupted training.
         split_rows: split by random rows, which is wrong: to see how wrong.
+        about: a sentence for the model card.
     """
     from measure import api
 
@@ -61,7 +63,8 @@ def train(
         seed=seed,
         resume=resume,
         split_rows=split_rows,
-        notes={"command": "measure " + shlex.join(sys.argv[1:])},
+        notes={"command": "measure " + shlex.join(sys.argv[1:])}
+        | ({"about": about} if about else {}),
     )
     with console.progress(f"training {estimator}", unit="per mille") as report:
         trained = api.train(data, out, options, registry, shares(report))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -90,6 +90,10 @@ class OnnxEstimator(Estimator):
     def compute(self, graph: Graph, features: Value, memory: Value, tick: Value) -> Core:
         """Add the estimator's operators, from raw `features` (N, F) and `memory` (N, S)."""
 
+    def watched(self, data: Dataset) -> Sequence[int]:
+        """Columns that must resemble the training; what the estimator ignores need not."""
+        return range(data.states.shape[1])
+
     def fit(self, data: Dataset, validation: Dataset, *, seed: int, report: Report) -> None:
         """Learn, then judge covariance and familiarity on the validation trajectories."""
         _check_data(data, validation)
@@ -97,7 +101,7 @@ class OnnxEstimator(Estimator):
         steps = np.concatenate([np.diff(data.times_s[rows]) for _, rows in data.runs()])
         known = steps[np.isfinite(steps) & (steps > 0)]
         self._period_s = float(np.median(known)) if len(known) else 0.0
-        self._familiar = _Familiarity.of(data, validation)
+        self._familiar = _Familiarity.of(data, validation, self.watched(data))
         self._moment, self._growth = np.eye(3), np.array([1.0, 0.0, 0.0])
         self.learn(data, validation, seed=seed, report=report)
         self._calibrate(validation)
@@ -195,19 +199,23 @@ class _Familiarity:
     limit: float
 
     @classmethod
-    def of(cls, data: Dataset, validation: Dataset) -> _Familiarity:
+    def of(cls, data: Dataset, validation: Dataset, watched: Sequence[int]) -> _Familiarity:
+        ignored = np.ones(data.states.shape[1], dtype=bool)
+        ignored[list(watched)] = False
         states = np.concatenate([data.states, validation.states])
         low, high = states.min(axis=0), states.max(axis=0)
         middle, half = 0.5 * (low + high), 0.5 * (high - low)
         floor = np.maximum(1e-3 * np.abs(middle), 1e-2)
         scaling = Scaling.of(data.states)
+        scaling = Scaling(scaling.mean, np.where(ignored, np.inf, scaling.sd))
         scaled = scaling.apply(data.states)
         covariance = scaled.T @ scaled / len(scaled) + 0.05 * np.eye(scaled.shape[1])
         values, axes = np.linalg.eigh(covariance)
         whitener = axes / np.sqrt(values)
         distance = ((scaling.apply(states) @ whitener) ** 2).mean(axis=1)
         limit = _ROOM * float(np.quantile(distance, 0.999))
-        return cls(middle, np.maximum(half, floor), scaling, whitener, limit)
+        reach = np.where(ignored, np.inf, np.maximum(half, floor))
+        return cls(middle, reach, scaling, whitener, limit)
 
     def in_graph(self, graph: Graph, features: Value) -> Value:
         outside = graph.op(

@@ -22,6 +22,8 @@ from measure.host.estimator import Correction
 from measure.robots import StateSchema
 
 FORMAT = 1
+_OUTPUTS = ("error_mm", "covariance", "strangeness", "memory_out")
+_TICKS = (np.zeros((1, 1), dtype=np.float32), np.ones((1, 1), dtype=np.float32))
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +116,7 @@ class OnnxModel:
         Raises:
             EstimatorError: the state has another number of features.
         """
-        due = not time_s - self._ticked_s < 0.75 * self.period_s  # a NaN stamp counts as due
+        due = bool(not time_s - self._ticked_s < 0.75 * self.period_s)  # a NaN stamp is due
         if due:
             self._ticked_s = time_s
         row = np.asarray(state, dtype=np.float32)[None]
@@ -122,14 +124,19 @@ class OnnxModel:
             raise EstimatorError(
                 f"{self.where}: a state has {len(self.features)} features, got {row[0].shape}"
             )
-        estimates, self._memory = self.step(row, self._memory, np.array([[due]], dtype=np.float32))
-        familiar = bool(estimates.strangeness[0] <= 1.0)  # not so for NaN
-        return Correction(estimates.errors_mm[0], estimates.covariances[0], not familiar)
+        error, covariance, strangeness, self._memory = self._session.run(
+            _OUTPUTS, {"features": row, "memory": self._memory, "tick": _TICKS[due]}
+        )
+        return Correction(
+            error[0].astype(np.float64),
+            covariance.reshape(3, 3).astype(np.float64),
+            not bool(strangeness[0, 0] <= 1.0),  # neither is NaN familiar
+        )
 
     def step(self, states: Any, memory: Any, tick: Any) -> tuple[Estimates, Any]:
         """One step of N independent trajectories."""
         error, covariance, strangeness, after = self._session.run(
-            ("error_mm", "covariance", "strangeness", "memory_out"),
+            _OUTPUTS,
             {"features": states, "memory": memory, "tick": tick},
         )
         return (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from measure.arrays import Bools
 from measure.host import Dataset
 
 _RECORDING_SHARE = 0.3
@@ -18,6 +19,21 @@ def telling_features(data: Dataset) -> list[int]:
     without joints, the position) are read from. A position that follows from the joints is left
     out, too.
     """
+    varying, recording, needed = _kinds(data)
+    if data.schema.chain is not None:  # the position is a function of the joints
+        position = np.any(data.schema.reading_matrix(data.schema.position) != 0, axis=1)
+        varying &= ~position | needed
+    return [int(i) for i in np.flatnonzero(varying & (~recording | needed))]
+
+
+def watched_features(data: Dataset) -> list[int]:
+    """Columns that must resemble the training: all but those that only tell recordings apart."""
+    _, recording, needed = _kinds(data)
+    return [int(i) for i in np.flatnonzero(~recording | needed)]
+
+
+def _kinds(data: Dataset) -> tuple[Bools, Bools, Bools]:
+    """Columns that vary, that vary from recording to recording, and that positions come from."""
     schema, states = data.schema, data.states
     total = states.var(axis=0)
     means = np.array([states[rows].mean(axis=0) for _, rows in data.runs()])
@@ -26,7 +42,4 @@ def telling_features(data: Dataset) -> list[int]:
     varying = total > (1e-6 * np.maximum(np.abs(states).max(axis=0), 1e-6)) ** 2
     recording = (between > _RECORDING_SHARE * total) & (len(means) > 1)
     needed = np.any(schema.reading_matrix(schema.joints or schema.position) != 0, axis=1)
-    if schema.chain is not None:  # the position is a function of the joints
-        position = np.any(schema.reading_matrix(schema.position) != 0, axis=1)
-        varying &= ~position | needed
-    return [int(i) for i in np.flatnonzero(varying & (~recording | needed))]
+    return varying, recording, needed

@@ -12,7 +12,7 @@ from measure.geometry import align_points
 from measure.host import Dataset, Estimator, Report, Settings, hookimpl, setting
 from measure.host.onnx_estimator import Core, OnnxEstimator
 from measure.host.onnx_graph import Graph, Value
-from measure_plugins.estimators._inputs import telling_features
+from measure_plugins.estimators._inputs import telling_features, watched_features
 
 
 class ForestSettings(Settings):
@@ -30,6 +30,10 @@ class ForestEstimator(OnnxEstimator):
     Config = ForestSettings
     config: ForestSettings
     memoryless = True
+
+    def watched(self, data: Dataset) -> list[int]:
+        """What only tells recordings apart is not used, and may differ."""
+        return watched_features(data)
 
     def learn(self, data: Dataset, validation: Dataset, *, seed: int, report: Report) -> None:
         """Align reported with measured positions, then grow trees on the residuals."""

@@ -8,6 +8,7 @@ from measure.arrays import Floats
 from measure.host import Dataset, Estimator, Report, Settings, hookimpl, setting
 from measure.host.onnx_estimator import Core, OnnxEstimator, Scaling
 from measure.host.onnx_graph import Graph, Value
+from measure_plugins.estimators._inputs import watched_features
 from measure_plugins.estimators._window import Window
 
 
@@ -28,6 +29,10 @@ class GpEstimator(OnnxEstimator):
     name = "gp"
     Config = GpSettings
     config: GpSettings
+
+    def watched(self, data: Dataset) -> list[int]:
+        """What only tells recordings apart is not used, and may differ."""
+        return watched_features(data)
 
     def learn(self, data: Dataset, validation: Dataset, *, seed: int, report: Report) -> None:
         """Choose the kernel by marginal likelihood; fit, drop outliers, fit again."""

@@ -7,6 +7,7 @@ import numpy as np
 from measure.host import Dataset, Estimator, Report, Settings, hookimpl
 from measure.host.onnx_estimator import Core, OnnxEstimator
 from measure.host.onnx_graph import Graph, Value
+from measure_plugins.estimators._inputs import watched_features
 
 
 class OffsetEstimator(OnnxEstimator):
@@ -15,6 +16,10 @@ class OffsetEstimator(OnnxEstimator):
     name = "offset"
     Config = Settings
     memoryless = True
+
+    def watched(self, data: Dataset) -> list[int]:
+        """What only tells recordings apart is not used, and may differ."""
+        return watched_features(data)
 
     def learn(self, data: Dataset, validation: Dataset, *, seed: int, report: Report) -> None:
         """Average."""

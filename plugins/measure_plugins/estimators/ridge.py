@@ -10,7 +10,7 @@ from measure.arrays import Floats
 from measure.host import Dataset, Estimator, Report, Settings, hookimpl, setting
 from measure.host.onnx_estimator import Core, OnnxEstimator, Scaling
 from measure.host.onnx_graph import Graph, Value
-from measure_plugins.estimators._inputs import telling_features
+from measure_plugins.estimators._inputs import telling_features, watched_features
 from measure_plugins.estimators._play import PlayBank
 from measure_plugins.estimators._window import Window
 
@@ -32,6 +32,10 @@ class RidgeEstimator(OnnxEstimator):
     name = "ridge"
     Config = RidgeSettings
     config: RidgeSettings
+
+    def watched(self, data: Dataset) -> list[int]:
+        """What only tells recordings apart is not used, and may differ."""
+        return watched_features(data)
 
     def learn(self, data: Dataset, validation: Dataset, *, seed: int, report: Report) -> None:
         """Solve the normal equations."""

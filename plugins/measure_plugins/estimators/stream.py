@@ -14,7 +14,7 @@ from measure.host.onnx_estimator import Core, OnnxEstimator, Scaling
 from measure.host.onnx_graph import Graph, Value
 from measure_plugins.estimators import _nets
 from measure_plugins.estimators._checkpoint import Checkpoint
-from measure_plugins.estimators._inputs import telling_features
+from measure_plugins.estimators._inputs import telling_features, watched_features
 from measure_plugins.estimators._kinematics import TorchTip, tip_change
 from measure_plugins.estimators._play import PlayBank
 
@@ -51,6 +51,10 @@ class StreamEstimator(OnnxEstimator):
     name = "stream"
     Config = StreamSettings
     config: StreamSettings
+
+    def watched(self, data: Dataset) -> list[int]:
+        """What only tells recordings apart is not used, and may differ."""
+        return watched_features(data)
 
     def learn(self, data: Dataset, validation: Dataset, *, seed: int, report: Report) -> None:
         """Scale, play, then train every net in turn."""

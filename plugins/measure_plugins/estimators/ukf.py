@@ -17,6 +17,7 @@ from measure.errors import EstimatorError
 from measure.host import Dataset, Estimator, Report, Settings, hookimpl, setting
 from measure.host.onnx_estimator import Core, OnnxEstimator
 from measure.host.onnx_graph import Graph, Value
+from measure_plugins.estimators._inputs import watched_features
 from measure_plugins.estimators._kinematics import tip_change
 from measure_plugins.estimators._play import PlayBank
 from measure_plugins.estimators.ridge import fit_linear
@@ -40,6 +41,10 @@ class UkfEstimator(OnnxEstimator):
     name = "ukf"
     Config = UkfSettings
     config: UkfSettings
+
+    def watched(self, data: Dataset) -> list[int]:
+        """What only tells recordings apart is not used, and may differ."""
+        return watched_features(data)
 
     def learn(self, data: Dataset, validation: Dataset, *, seed: int, report: Report) -> None:
         """Fit slack, offset and compliance of every joint through the Jacobian."""
