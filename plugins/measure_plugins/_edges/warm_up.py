@@ -17,7 +17,14 @@ def drawn_disc(body: Body, camera: Camera) -> tuple[Image, list[Expectation]]:
     center = np.array([width / 2, height / 2])
     cv2.circle(pixels, (width // 2, height // 2), int(_RADIUS_PX), (255, 255, 255), -1)
     image = Image(camera.name, 0, 0.0, lambda: pixels)
+    half_angle = _RADIUS_PX / camera.intrinsics.focal_px
+    distance = body.balls[0].radius_mm / np.sin(half_angle)
     expected = Expectation(
-        body.names[0], center, (_RADIUS_PX - 5, _RADIUS_PX + 5), 0.0, reach_px=3.0
+        body.names[0],
+        center,
+        (_RADIUS_PX - 5, _RADIUS_PX + 5),
+        0.0,
+        reach_px=6.0,
+        center_camera=distance * camera.intrinsics.unproject(center[None])[0],
     )
     return image, [expected]

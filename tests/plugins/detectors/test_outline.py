@@ -161,3 +161,11 @@ def test_same_picture_same_bits(camera, detector):
     first, second = (detector.detect(image_of(camera, pixels), expected)[0] for _ in range(2))
     assert np.array_equal(first.outline_px, second.outline_px)
     assert np.array_equal(first.covariance_px, second.covariance_px)
+
+
+def test_warm_up_compiles_every_hot_loop(camera):
+    from measure_plugins._edges import cone_fit, crossing, sensor, shading
+
+    OutlineDetector(OutlineConfig(), RAVEN, camera).warm_up()
+    loops = (cone_fit.refine, crossing.crossings, sensor.blur_chroma, shading.predict_light)
+    assert all(loop.signatures for loop in loops)
