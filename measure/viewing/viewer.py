@@ -50,7 +50,7 @@ def open_viewer(recordings: Sequence[Path], web: bool = False, bind: str = LOOPB
                 f"{path}: no such recording; `measure run` writes run.rrd into its folder"
             )
     grpc_port, web_port = _free_ports(bind, 2)
-    command = [_program(), *map(str, recordings), "--bind", bind, "--port", str(grpc_port)]
+    command = [viewer_program(), *map(str, recordings), "--bind", bind, "--port", str(grpc_port)]
     listens = f"rerun+http://{bind}:{grpc_port}/proxy"
     address = None
     if web:
@@ -59,7 +59,12 @@ def open_viewer(recordings: Sequence[Path], web: bool = False, bind: str = LOOPB
     return Viewer(subprocess.Popen(command, stdout=sys.stderr), address, listens)
 
 
-def _program() -> str:
+def viewer_program() -> str:
+    """Path of the viewer itself, not of the wrapper that outlives a kill.
+
+    Raises:
+        RunError: it is not installed.
+    """
     spec = find_spec("rerun_cli")
     places = spec.submodule_search_locations if spec is not None else None
     for place in places or ():

@@ -10,8 +10,9 @@ import plotly.graph_objects as go
 from measure.arrays import Floats, Ints
 from measure.viewing.report import style
 
-MAX_POINTS = 4000
-"""Curves longer than this are thinned for drawing; extremes survive."""
+MAX_POINTS = 2000
+"""Curves longer than this are thinned for drawing; extremes survive. They are drawn without WebGL,
+of which browsers grant a page only a few."""
 
 ARROW_SCALE = 60.0
 """How much residual arrows are magnified."""
@@ -118,7 +119,7 @@ def over_time(
         color = (colors or {}).get(name, style.PALETTE[index % len(style.PALETTE)])
         keep = _thinned(len(values), values)
         figure.add_trace(
-            go.Scattergl(
+            go.Scatter(
                 x=times_s[keep], y=values[keep], name=name, mode="lines", line={"color": color}
             )
         )
@@ -166,7 +167,7 @@ def residual_map(
     gaps = np.full(len(start), np.nan)
     figure = style.figure(280, title={"text": name, "font": {"size": 13}}, showlegend=False)
     figure.add_trace(
-        go.Scattergl(
+        go.Scatter(
             x=np.column_stack([start[:, 0], start[:, 0] + arrows[:, 0], gaps]).ravel(),
             y=np.column_stack([start[:, 1], start[:, 1] + arrows[:, 1], gaps]).ravel(),
             mode="lines",
@@ -178,7 +179,7 @@ def residual_map(
     marker = {"color": size, "colorscale": "Turbo", "size": 5, "cmin": 0.0}
     marker["colorbar"] = {"title": "px", "thickness": 10}
     figure.add_trace(
-        go.Scattergl(x=start[:, 0], y=start[:, 1], mode="markers", marker=marker, text=size)
+        go.Scatter(x=start[:, 0], y=start[:, 1], mode="markers", marker=marker, text=size)
     )
     figure.update_xaxes(range=[0, size_wh[0]], title="u [px]", constrain="domain")
     figure.update_yaxes(range=[size_wh[1], 0], title="v [px]", scaleanchor="x", constrain="domain")
