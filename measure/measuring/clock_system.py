@@ -51,6 +51,22 @@ def _linearise(instant: Instant, clocks: Floats) -> tuple[Floats, Floats, Floats
     return s.pixels - pixels, jacobian, np.einsum("nij,nj->ni", jacobian, speed)
 
 
+def bias_deviations(instants: Sequence[Instant], clocks: Floats, bias_px: float) -> Floats:
+    """What a constant error of a camera's detections does to its clock (c, 2), in s.
+
+    A ball's edge that is seen `bias_px` off all the time looks like a late stamp while the body
+    moves one way, and like an early one on the way back: it cancels as far as the motion does.
+    """
+    count = len(clocks)
+    totals, squares = np.zeros((count, 2, 2)), np.full((count, 2), 1e-30)
+    for instant in instants:
+        _, _, flow = _linearise(instant, clocks)
+        for k, by in enumerate((flow, flow * instant.rows[:, None])):
+            np.add.at(totals[:, k], instant.cameras, by)
+            np.add.at(squares[:, k], instant.cameras, np.sum(by**2, axis=1))
+    return np.asarray(bias_px * np.linalg.norm(totals, axis=2) / squares)
+
+
 @dataclass(frozen=True, eq=False)
 class Reduced:
     """One instant's say about the clocks, its pose eliminated."""

@@ -16,7 +16,12 @@ import numpy as np
 
 from measure.arrays import Bools, Floats
 from measure.geometry import RigidTransform, chi_square_quantile
-from measure.measuring.clock_system import Instant, reduce_instant, solve_clocks
+from measure.measuring.clock_system import (
+    Instant,
+    bias_deviations,
+    reduce_instant,
+    solve_clocks,
+)
 from measure.measuring.measurement import Measurement
 from measure.measuring.pose_fit import Sightings
 from measure.model import Body, Camera
@@ -63,7 +68,7 @@ def estimate_clocks(
     body: Body,
     cameras: Sequence[Camera],
     readout: bool = True,
-    extra_px: float = 0.1,
+    extra_px: float = 0.3,
 ) -> tuple[CameraClock, ...]:
     """Estimate every camera's clock offset and readout time.
 
@@ -72,7 +77,7 @@ def estimate_clocks(
         body: the body.
         cameras: its cameras.
         readout: whether to estimate rolling-shutter times as well.
-        extra_px: systematic error of a detection, added to its standard deviation.
+        extra_px: systematic error of a detection: part of its weight, and of the uncertainty.
 
     Returns:
         One clock per camera, in order. A camera that saw too little, or a body that stood still,
@@ -125,7 +130,7 @@ def _estimate(
         step, sd = solve_clocks(parts, readout)
         clocks = clocks + step
         poses = [pose.perturb(p.move(step)) for pose, p in zip(poses, parts, strict=True)]
-    return clocks, sd
+    return clocks, np.hypot(sd, bias_deviations(instants, clocks, extra_px))
 
 
 def _count_cameras(measurement: Measurement) -> int:

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -93,3 +95,22 @@ def test_too_short_a_recording_tells_nothing():
     for clock in clocks(moving, OFFSETS, count=3):
         assert clock.offset_sd_s == np.inf
         assert not clock.offset_visible
+
+
+def test_a_constant_error_of_one_camera_is_within_the_uncertainty():
+    """A short one-way motion: edges seen 0.3 px off look like a clock that is wrong."""
+    biased = []
+    for m in recorded(moving, count=15, sd_px=0.02):
+        views = tuple(
+            replace(v, detection=replace(v.detection, center_px=v.detection.center_px + 0.21))
+            if v.camera == "cam3"
+            else v
+            for v in m.views
+        )
+        biased.append(replace(m, views=views))
+    told = estimate_clocks(biased, RAVEN, list(CAMERAS.values()), False, extra_px=0.3)
+    assert not any(clock.offset_visible for clock in told)
+    fooled = estimate_clocks(biased, RAVEN, list(CAMERAS.values()), False, extra_px=0.0)
+    pairs = list(zip(told, fooled, strict=True))
+    assert all(a.offset_sd_s > 1.5 * b.offset_sd_s for a, b in pairs)
+    assert all(abs(a.offset_s) < 3 * a.offset_sd_s for a in told)
