@@ -74,7 +74,7 @@ def build_app() -> App:
 
 def _worth_showing(default: object) -> Any:
     """A default as the help shows it: None, nothing at all, for "off", "none" and "empty"."""
-    return None if default is False or default in (None, (), []) else str(default)
+    return None if default is False or default in (None, (), [], "") else str(default)
 
 
 def _dispatch(tokens: list[str]) -> int:
