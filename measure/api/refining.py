@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
+from measure.arrays import Floats
 from measure.calibration import Refinement, RefineSettings
 from measure.host import Registry
-from measure.session import Calibration
+from measure.session import Calibration, read_calibration
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +65,8 @@ def refine(
             if progress is not None:
                 progress(len(measured), None)
         recording = recording_of(measured, opened.body)
-        refinement = refine_rig(opened.cameras, opened.body, recording, settings)
+        joint = _joint_covariance(opened.calibration_path)
+        refinement = refine_rig(opened.cameras, opened.body, recording, settings, joint)
         picked = np.unique(np.linspace(0, len(recording.times_s) - 1, 20).astype(int))
         poses = [recording.world_from_body[int(i)] for i in picked]
         before, _ = body_pose_sd(opened.cameras, opened.body, poses)
@@ -76,6 +78,12 @@ def refine(
     expected = (first, float(np.sqrt(np.mean(after**2))))
     values = _provenance(str(session), refinement, expected)
     return RefineResult(Calibration(refinement.cameras, values), refinement, expected)
+
+
+def _joint_covariance(path: Path) -> Floats | None:
+    """The covariance of all cameras together, where the first calibration holds it."""
+    values = read_calibration(path).provenance.get("joint_covariance")
+    return None if values is None else np.asarray(values, dtype=np.float64)
 
 
 def _provenance(
@@ -90,4 +98,5 @@ def _provenance(
         "ball_center_sds_mm": refinement.center_sds,
         "noise_factor": refinement.noise_factor,
         "body_position_sd_mm": expected_mm[1],
+        "joint_covariance": refinement.covariance,
     }

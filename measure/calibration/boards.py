@@ -46,6 +46,18 @@ class Corners:
         return replace(self, pixels=self.by_gradient)
 
 
+class MirroredBoardError(CalibrationError):
+    """A picture that shows a board only when mirrored: a selfie mode, or the board's back.
+
+    Attributes:
+        corners: as they appear in the picture; good for the lens, not for a pose.
+    """
+
+    def __init__(self, message: str, corners: Corners) -> None:
+        super().__init__(message)
+        self.corners = corners
+
+
 class Board(Protocol):
     """A flat pattern in the plane z = 0 of the board frame, z pointing away from the viewer."""
 
@@ -177,14 +189,17 @@ class Charuco:
     def find(self, gray: Bytes, source: str = "") -> Corners | None:
         """The corners in a grey picture (h, w), or None where there is no board."""
         corners = self._find(gray, source)
-        mirrored = np.ascontiguousarray(gray[:, ::-1])
-        if corners is None and self._find(mirrored, source) is not None:
-            raise CalibrationError(
-                f"{source or 'picture'}: the ChArUco board decodes only in a mirror: switch "
-                "off the "
-                "camera's mirror (selfie) mode and record again"
-            )
-        return corners
+        if corners is not None:
+            return corners
+        mirrored = self._find(np.ascontiguousarray(gray[:, ::-1]), source)
+        if mirrored is None:
+            return None
+        pixels = mirrored.pixels * [-1, 1] + [gray.shape[1] - 1, 0]
+        raise MirroredBoardError(
+            f"{source or 'picture'}: the ChArUco board decodes only in a mirror: switch off the "
+            "camera's mirror (selfie) mode, or show the board's front",
+            replace(mirrored, pixels=pixels, by_gradient=None),
+        )
 
     def _find(self, gray: Bytes, source: str) -> Corners | None:
         picture = np.asarray(255 - gray if self.inverted else gray, dtype=np.uint8)

@@ -124,8 +124,8 @@ def solve(
     step: Callable[[State, Floats, Floats], State],
     start: State,
     loss: Huber | None = None,
-    max_iterations: int = 100,
-    tolerance: float = 1e-12,
+    max_iterations: int = 300,
+    tolerance: float = 1e-10,
     must_settle: bool = True,
 ) -> Solution[State]:
     """Minimise the sum of losses of the whitened residuals plus the squared priors.

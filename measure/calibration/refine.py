@@ -20,7 +20,7 @@ from measure.arrays import Floats, Ints
 from measure.calibration.least_squares import Group, Huber, Linearised, Solution, solve
 from measure.calibration.lens import changed, intrinsics_vector, stack
 from measure.errors import CalibrationError
-from measure.geometry import RigidTransform, skew
+from measure.geometry import RigidTransform, align_points, skew
 from measure.measuring import Measurement
 from measure.model import Body, Camera
 
@@ -28,6 +28,7 @@ MIN_FRAMES = 10
 _ROUNDS = 30
 _WINDOW = 9
 _DEGREE = 4
+_LONGEST_STEP_S = 0.1
 _STEPS_A_ROUND = 2
 _SETTLED_MM = 1e-3
 _TOLERANCE = 1e-7
@@ -177,6 +178,7 @@ def refine_rig(
     body: Body,
     recording: Recording,
     settings: RefineSettings | None = None,
+    joint_covariance: Floats | None = None,
 ) -> Refinement:
     """Refine cameras by bundle adjustment.
 
@@ -185,6 +187,9 @@ def refine_rig(
         body: nominal body.
         recording: what they saw.
         settings: what may change.
+        joint_covariance: of all cameras' poses and free lens parameters together, camera after
+            camera; it holds the world frame better than each camera's own, which ignores what their
+            errors have in common.
 
     Raises:
         CalibrationError: a camera saw next to nothing, or the motion leaves something undetermined.
@@ -196,7 +201,7 @@ def refine_rig(
             raise CalibrationError(
                 f"camera {camera.name}: saw a ball {seen} times, at least {MIN_FRAMES} are needed"
             )
-    problem = _Problem(cameras, body, recording, settings)
+    problem = _Problem(cameras, body, recording, settings, joint_covariance)
     state = RefinedState(cameras, np.zeros(len(cameras)), body.centers, recording.world_from_body)
     before = problem.rms_px(state)
     factor = 1.0
@@ -210,6 +215,8 @@ def refine_rig(
         factor *= update
     else:
         raise CalibrationError(f"the refinement did not settle in {_ROUNDS} rounds")
+    if any(camera.pose_covariance is None for camera in cameras):
+        solution = replace(solution, state=problem.held(solution.state))
     return problem.answer(solution, before, factor)
 
 
@@ -245,19 +252,22 @@ class _Problem:
         body: Body,
         recording: Recording,
         settings: RefineSettings,
+        joint: Floats | None,
     ) -> None:
         self.first, self.body, self.recording, self.settings = cameras, body, recording, settings
         self.free = []
         self.columns: list[Ints] = []
         self.clock: list[int | None] = []
         size = 0
+        # Frame sets too far apart say nothing about velocities, nor therefore about clocks.
+        smooth = float(np.median(np.diff(recording.times_s))) < _LONGEST_STEP_S
         for number, camera in enumerate(cameras):
             P = camera.intrinsics.covariance
             free = np.flatnonzero(np.diag(P) > 0) if P is not None else np.zeros(0, dtype=np.int64)
             self.free.append(free)
             self.columns.append(np.arange(size, size + 6 + len(free)))
             size += 6 + len(free)
-            has_clock = number > 0 and settings.clock_tolerance_s > 0
+            has_clock = number > 0 and settings.clock_tolerance_s > 0 and smooth
             self.clock.append(size if has_clock else None)
             size += 1 if has_clock else 0
         self.centers: Ints | None = None
@@ -265,6 +275,7 @@ class _Problem:
             self.centers = np.arange(size, size + 3 * len(body.balls))
             size += 3 * len(body.balls)
         self.size = size
+        self._prior = self._camera_prior(joint)
         self._roots = {
             name: _roots(track.covariance, settings.least_sd_px)
             for name, track in recording.tracks.items()
@@ -282,6 +293,43 @@ class _Problem:
             _TOLERANCE,
             must_settle=False,
         )
+
+    def held(self, state: RefinedState) -> RefinedState:
+        """The state moved as a whole to where the first cameras see the body's balls on average.
+
+        The motion says nothing about the world frame, and cameras whose calibration states no
+        covariance have nothing else to hold it by.
+        """
+        start = RefinedState(self.first, state.clocks_s, state.centers, state.world_from_body)
+        motion = _Motion(self.recording.times_s, start.world_from_body, start.centers)
+
+        def linearise(here: RefinedState) -> Linearised:
+            full = self.linearise(here, motion, 1.0)
+            groups = tuple(
+                replace(
+                    group,
+                    columns=np.zeros(0, dtype=np.int64),
+                    by_shared=np.zeros((*group.residuals.shape, 0)),
+                )
+                for group in full.groups
+            )
+            return Linearised(groups, 0, full.n_blocks, np.zeros(0), np.zeros((0, 0)))
+
+        def step(here: RefinedState, _: Floats, blocks: Floats) -> RefinedState:
+            return replace(here, world_from_body=here.world_from_body.perturb(blocks))
+
+        before = solve(linearise, step, start, Huber(_HUBER_REACH), tolerance=_TOLERANCE).state
+        first, now = (_balls(s.world_from_body, s.centers) for s in (before, state))
+        back = align_points(first, now)
+        cameras = tuple(
+            replace(camera, world_from_camera=back @ camera.world_from_camera)
+            for camera in state.cameras
+        )
+        poses = RigidTransform(
+            back.rotation @ state.world_from_body.rotation,
+            back.apply(state.world_from_body.translation),
+        )
+        return replace(state, cameras=cameras, world_from_body=poses)
 
     def step(self, state: RefinedState, shared: Floats, blocks: Floats) -> RefinedState:
         cameras = tuple(
@@ -345,28 +393,39 @@ class _Problem:
             rows.append(row)
 
         s = self.settings
-        for first, now, columns, free, clock, offset in zip(
+        back: list[Floats] = []
+        for first, now, free, clock, offset in zip(
             self.first,
             state.cameras,
-            self.columns,
             self.free,
             self.clock,
             state.clocks_s,
             strict=True,
         ):
-            back = first.world_from_camera.difference(now.world_from_camera)
-            add(back, _root_information(self._pose_covariance(first)), columns[:6])
-            if len(free):
-                P = first.intrinsics.covariance
-                assert P is not None
-                change = intrinsics_vector(first.intrinsics) - intrinsics_vector(now.intrinsics)
-                add(change[free], _root_information(P[np.ix_(free, free)]), columns[6:])
+            change = intrinsics_vector(first.intrinsics) - intrinsics_vector(now.intrinsics)
+            back.append(first.world_from_camera.difference(now.world_from_camera))
+            back.append(change[free])
             if clock is not None:
                 add(np.array([-offset]), np.eye(1) / s.clock_tolerance_s, np.array([clock]))
+        add(np.concatenate(back), self._prior, np.concatenate(self.columns))
         if self.centers is not None:
             root = np.eye(len(self.centers)) / s.body_tolerance_mm
             add((self.body.centers - state.centers).reshape(-1), root, self.centers)
         return np.concatenate(residuals), np.concatenate(rows)
+
+    def _camera_prior(self, joint: Floats | None) -> Floats:
+        """Root of the information about all cameras' poses and free lens parameters."""
+        size = sum(len(columns) for columns in self.columns)
+        if joint is not None and joint.shape == (size, size):
+            return _root_information(joint)
+        P, row = np.zeros((size, size)), 0
+        for camera, free in zip(self.first, self.free, strict=True):
+            P[row : row + 6, row : row + 6] = self._pose_covariance(camera)
+            lens, row = camera.intrinsics.covariance, row + 6
+            if lens is not None and len(free):
+                P[row : row + len(free), row : row + len(free)] = lens[np.ix_(free, free)]
+            row += len(free)
+        return _root_information(P)
 
     def _pose_covariance(self, camera: Camera) -> Floats:
         if camera.pose_covariance is not None and np.all(np.diag(camera.pose_covariance) > 0):
@@ -435,7 +494,7 @@ class _Motion:
     """
 
     def __init__(self, times_s: Floats, poses: RigidTransform, centers: Floats) -> None:
-        points = np.einsum("fij,kj->fki", poses.rotation, centers) + poses.translation[:, None]
+        points = _balls(poses, centers).reshape(len(times_s), -1)
         window, operator = _polynomials(times_s)
         near = points[window].reshape(len(times_s), window.shape[1], -1)
         self._coefficients = (operator @ near).reshape(len(times_s), -1, len(centers), 3)
@@ -460,6 +519,12 @@ def _polynomials(times_s: Floats) -> tuple[Ints, Floats]:
     powers = np.arange(_DEGREE + 1)
     vandermonde = (offset / scale[:, None])[:, :, None] ** powers
     return window, np.linalg.pinv(vandermonde) / scale[:, None, None] ** powers[:, None]
+
+
+def _balls(poses: RigidTransform, centers: Floats) -> Floats:
+    """All ball centres at all instants (f * k, 3) in the world."""
+    points = np.einsum("fij,kj->fki", poses.rotation, centers) + poses.translation[:, None]
+    return points.reshape(-1, 3)
 
 
 def _roots(covariance: Floats, least_sd_px: float) -> Floats:

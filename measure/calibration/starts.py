@@ -22,6 +22,10 @@ _FLAT_RATIO = 0.02
 _BOARD_FITS_PX = 3.0
 WRONG_PX = 8.0
 WRONG_MM = 2.0
+_NO_POSE = (
+    "camera {name}: no camera pose explains its marks: are marker names mixed up, or is the "
+    "picture mirrored?"
+)
 _EXPLAINS = 0.25
 """A hypothesis that leaves less than this share of the misfit is named as the cause."""
 
@@ -70,7 +74,10 @@ def start_from_marks(name: str, lens: Intrinsics, markers: MarkerField, marks: M
             f"camera {name}: without a board the markers must not lie in one plane (extents "
             f"{extent[0]:.0f}, {extent[1]:.0f}, {extent[2]:.1f} mm)"
         )
-    camera = Camera(name, lens, board_pose(lens, points, marks.pixels).inverse())
+    try:
+        camera = Camera(name, lens, board_pose(lens, points, marks.pixels).inverse())
+    except CalibrationError:
+        raise CalibrationError(_NO_POSE.format(name=name)) from None
     held = replace(camera, intrinsics=replace(lens, covariance=None))
     sights = Sights(markers.points, marks={name: marks}, tolerances=Tolerances(0.0))
     camera = replace(
@@ -78,11 +85,7 @@ def start_from_marks(name: str, lens: Intrinsics, markers: MarkerField, marks: M
     )
     rms = mark_rms(camera, markers.points, marks)
     if rms > 3 * WRONG_PX:
-        raise CalibrationError(
-            f"camera {name}: no camera pose explains its marks (RMS {rms:.0f} px): are "
-            "marker names "
-            "mixed up, or the picture mirrored?"
-        )
+        raise CalibrationError(f"{_NO_POSE.format(name=name)} (RMS {rms:.0f} px)")
     return camera
 
 
@@ -134,23 +137,31 @@ def _cause(
 ) -> str:
     name, mine = start.name, seen[start.name]
 
-    def explains(corners: Corners, world_from_board: RigidTransform, scale: float = 1.0) -> bool:
-        pose = board_pose(start.intrinsics, board.points[corners.ids] * scale, corners.pixels)
+    def misfit(corners: Corners, world_from_board: RigidTransform, scale: float = 1.0) -> float:
+        points = board.points[corners.ids] * scale
+        pose = board_pose(start.intrinsics, points, corners.pixels)
         camera = replace(start, world_from_camera=world_from_board @ pose.inverse())
-        return mark_rms(camera, markers.points, marks) < max(_EXPLAINS * rms, 1.0) and np.isfinite(
-            rms
-        )
+        return mark_rms(camera, markers.points, marks)
 
-    for other, board_there in seen.items():
-        if other != name and explains(mine.corners, board_there.world_from_board):
-            return f"its board stands where the capture puts that of {other}: are the two swapped?"
-    if explains(_half_turned(board, mine.corners), mine.world_from_board):
-        return "the board fits after half a turn: its origin is at the other end"
-    for scale in np.geomspace(0.5, 2.0, 57):
-        if abs(scale - 1) > 0.01 and explains(mine.corners, mine.world_from_board, float(scale)):
-            return f"it fits squares of about {scale:.2f} times the stated size: check square_mm"
-    if explains(_mirrored(board, mine.corners, start.intrinsics), mine.world_from_board):
-        return "its board picture is mirrored"
+    causes = [
+        (
+            misfit(mine.corners, there.world_from_board),
+            f"its board stands where the capture puts that of {other}: are the two swapped?",
+        )
+        for other, there in seen.items()
+        if other != name
+    ]
+    mirrored = _mirrored(board, mine.corners, start.intrinsics)
+    causes.append((misfit(mirrored, mine.world_from_board), "its board picture is mirrored"))
+    turned = "the board fits after half a turn: its origin is at the other end"
+    causes.append((misfit(_half_turned(board, mine.corners), mine.world_from_board), turned))
+    for scale in np.geomspace(0.5, 2.0, 113):
+        if abs(scale - 1) > 0.01:
+            text = f"it fits squares of about {scale:.2f} times the stated size: check square_mm"
+            causes.append((misfit(mine.corners, mine.world_from_board, float(scale)), text))
+    left, text = min(causes)
+    if left < WRONG_PX and left < _EXPLAINS * rms:
+        return text
     permuted = _permuted(start, markers, marks)
     if permuted:
         return f"marker names are mixed up: {permuted}"

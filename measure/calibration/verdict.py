@@ -223,6 +223,13 @@ def _lens_findings(rig: RigCalibration) -> list[Finding]:
                 "is extrapolated elsewhere"
             )
             findings.append(Finding("warning", name, text))
+        if lens.views.mirrored:
+            text = (
+                f"{lens.views.mirrored} pictures show the board mirrored, or its back; if "
+                "the camera "
+                "is in mirror (selfie) mode switch that off"
+            )
+            findings.append(Finding("warning", name, text))
         for picture, reason in lens.views.left_out.items():
             findings.append(Finding("note", name, f"{picture} left out: {reason}"))
         findings += [Finding("note", name, reason) for reason in lens.reasons]
@@ -260,6 +267,7 @@ def provenance(rig: RigCalibration, verdict: Verdict, capture: str) -> dict[str,
             "board_marker_disagreement_mm": dict(rig.disagreement_mm) or None,
             "findings": [str(finding) for finding in verdict.findings],
         },
+        "joint_covariance": None if fit is None else fit.covariance,
         "lenses": {name: _lens_values(rig, name) for name in rig.lenses} or None,
     }
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from measure.arrays import Bytes, Floats
-from measure.calibration.boards import Board, Corners
+from measure.calibration.boards import Board, Corners, MirroredBoardError
 from measure.errors import CalibrationError
 
 MAX_VIEWS = 40
@@ -29,11 +29,14 @@ class ViewSet:
         size_wh: of the images, px.
         views: the chosen ones.
         left_out: reasons, by name of picture.
+        mirrored: how many pictures showed the board mirrored, or its back: they tell the lens all
+            the same, but a camera in mirror mode must not be located.
     """
 
     size_wh: tuple[int, int]
     views: tuple[Corners, ...]
     left_out: dict[str, str]
+    mirrored: int = 0
 
     def coverage(self) -> Floats:
         """Corners in each cell of an 8 x 6 map of the image (rows, columns)."""
@@ -70,6 +73,7 @@ def find_views(
     seen: list[Corners] = []
     left_out: dict[str, str] = {}
     size: tuple[int, int] | None = None
+    mirrored = 0
     for name, bgr in pictures:
         here = (bgr.shape[1], bgr.shape[0])
         if size is not None and here != size:
@@ -77,7 +81,12 @@ def find_views(
                 f"camera {camera}: {name} is {here[0]}x{here[1]} px, the others {size[0]}x{size[1]}"
             )
         size = here
-        corners = board.find(np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY), np.uint8), name)
+        gray = np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY), np.uint8)
+        try:
+            corners = board.find(gray, name)
+        except MirroredBoardError as problem:
+            corners = problem.corners
+            mirrored += 1
         if corners is None:
             left_out[name] = "no board found"
         else:
@@ -88,7 +97,8 @@ def find_views(
             "board.toml describes the printed board (inner corners, not squares) and that all of "
             "it is in view"
         )
-    return choose_views(board, seen, size, camera, left_out, limit)
+    chosen = choose_views(board, seen, size, camera, left_out, limit)
+    return replace(chosen, mirrored=mirrored)
 
 
 def choose_views(
@@ -114,38 +124,36 @@ def choose_views(
             )
         else:
             sharp.append(view)
-    outlines = [_outline(board, view) for view in sharp]
-    diagonal = float(np.hypot(*size_wh))
-    chosen = [int(np.argmax([len(view.ids) for view in sharp]))]
-    nearest = np.full(len(sharp), np.inf)
-    while len(chosen) < min(limit, len(sharp)):
-        moved = [_rms(outline - outlines[chosen[-1]]) / diagonal for outline in outlines]
-        nearest = np.minimum(nearest, moved)
-        following = int(np.argmax(nearest))
-        if nearest[following] < ALIKE_SHARE and limit < ALL_VIEWS:
-            break
-        chosen.append(following)
-    for number, view in enumerate(sharp):
-        if number not in chosen:
-            left_out[view.source] = "much like another view"
-    different = int(np.sum(_first_different(outlines, diagonal)))
-    if different < MIN_VIEWS:
-        alike = len(sharp) - different
+    chosen = _different(board, sharp, float(np.hypot(*size_wh)), limit)
+    if len(chosen) < MIN_VIEWS:
+        alike = len(sharp) - len(chosen)
         raise CalibrationError(
-            f"camera {camera}: {different} different sharp views of the board, at least "
+            f"camera {camera}: {len(chosen)} different sharp views of the board, at least "
             f"{MIN_VIEWS} are needed"
             + (f" ({alike} more are all alike)" if alike else "")
             + "; tilt the board in several directions and move it into all corners of the image"
         )
+    if limit >= ALL_VIEWS:
+        chosen = list(range(len(sharp)))
+    for number, view in enumerate(sharp):
+        if number not in chosen:
+            left_out[view.source] = "much like another view"
     return ViewSet(size_wh, tuple(sharp[i] for i in sorted(chosen)), left_out)
 
 
-def _first_different(outlines: list[Floats], diagonal: float) -> list[bool]:
-    """Which views differ from all before them."""
-    return [
-        all(_rms(o - other) >= ALIKE_SHARE * diagonal for other in outlines[:i])
-        for i, o in enumerate(outlines)
-    ]
+def _different(board: Board, views: list[Corners], diagonal: float, limit: int) -> list[int]:
+    """Numbers of views, each as different as can be from those before it."""
+    outlines = [_outline(board, view) for view in views]
+    chosen = [int(np.argmax([len(view.ids) for view in views]))]
+    nearest = np.full(len(views), np.inf)
+    while len(chosen) < min(limit, len(views)):
+        moved = [_rms(outline - outlines[chosen[-1]]) / diagonal for outline in outlines]
+        nearest = np.minimum(nearest, moved)
+        following = int(np.argmax(nearest))
+        if nearest[following] < ALIKE_SHARE:
+            break
+        chosen.append(following)
+    return chosen
 
 
 def _outline(board: Board, view: Corners) -> Floats:

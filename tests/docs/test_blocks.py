@@ -21,7 +21,7 @@ LANGUAGES = {"bash", "toml", "python", "pycon", "text"}
 DEMO = "measure demo --out triball-demo"
 ELSEWHERE = ("demo-command", "test-command")
 """Blocks with these marks are whole installations: `.ci/run` runs them."""
-BEING_WRITTEN = {"docs/images/demo.png", "calibration.md", "../explanation/learning.md"}
+BEING_WRITTEN = {"docs/images/demo.png", "../explanation/learning.md"}
 COMMANDS = {command.name for commands in GROUPS.values() for command in commands}
 
 by_page = pytest.mark.parametrize("page", PAGES, ids=name_of)

@@ -1,0 +1,175 @@
+"""What the calibration alone costs a body measured with it, on a capture with exact truth.
+
+    python benchmarks/calibration.py CAPTURE TRUTH [--draws 20]
+
+CAPTURE is a capture folder with marks.csv, TRUTH the calibration of its true cameras. True ball
+centres are seen through the true cameras and located with the estimated ones, over 200 poses in a
+box of +-50, +-50, +-30 mm round the workspace's middle, turned by up to 60 degrees. Compared are
+plain OpenCV (calibrateCamera and solvePnP on the marks), the paper's method, the joint fit with the
+marks by hand, and with markers found in the pictures; then the first three again over redraws of
+0.3 px of mark noise about the true places.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from measure.calibration import (
+    body_cost,
+    calibrate_capture,
+    fit_rig_by_paper,
+    open_capture,
+    paper_body,
+)
+from measure.calibration.extrinsics import MarkSight, Sights, Tolerances
+from measure.calibration.lens import intrinsics_vector
+from measure.calibration.procedure import RigCalibration
+from measure.calibration.tolerance import fit_rig_with_boards
+from measure.geometry import RigidTransform
+from measure.model import Camera, Intrinsics
+from measure.session import read_calibration
+
+BODY = paper_body()
+NOISE_PX = 0.3
+
+
+def poses(middle: np.ndarray) -> list[RigidTransform]:
+    """Where the body is."""
+    rng = np.random.default_rng(1)
+    out = []
+    for _ in range(200):
+        axis = rng.normal(size=3)
+        turn = np.deg2rad(rng.uniform(0, 60)) * axis / np.linalg.norm(axis)
+        out.append(RigidTransform.from_rotvec(turn, middle + rng.uniform(-1, 1, 3) * [50, 50, 30]))
+    return out
+
+
+def plain_opencv(rig: RigCalibration, sights: Sights) -> tuple[Camera, ...]:
+    """`calibrateCamera` on the same views, `solvePnP` on the marks."""
+    out = []
+    for camera in rig.cameras:
+        lens = rig.lenses[camera.name]
+        assert rig.sights.boards
+        board = next(iter(rig.sights.boards.values())).points.astype(np.float32)
+        views = lens.views.views
+        _, matrix, distortion, _, _ = cv2.calibrateCamera(
+            [board] * len(views),
+            [v.pixels.astype(np.float32) for v in views],
+            lens.views.size_wh,
+            None,
+            None,
+        )
+        marks = sights.marks[camera.name]
+        _, turn, shift = cv2.solvePnP(sights.markers[marks.ids], marks.pixels, matrix, distortion)
+        pose = RigidTransform.from_rotvec(turn.ravel(), shift.ravel()).inverse()
+        out.append(Camera(camera.name, Intrinsics(lens.views.size_wh, matrix, distortion), pose))
+    return tuple(out)
+
+
+def cost(found: tuple[Camera, ...], true: tuple[Camera, ...], at: list[RigidTransform]) -> float:
+    """Body position error, 3-D RMS in mm."""
+    shifts, _ = body_cost(found, true, BODY, at)
+    return float(np.sqrt(np.mean(np.sum(shifts**2, axis=1))))
+
+
+def redrawn(sights: Sights, true: tuple[Camera, ...], seed: int) -> Sights:
+    """The sights with marks at their true places plus fresh noise."""
+    rng = np.random.default_rng(seed)
+    marks = {}
+    for camera in true:
+        ids = sights.marks[camera.name].ids
+        pixels = camera.project(sights.markers[ids])
+        marks[camera.name] = MarkSight(ids, pixels + rng.normal(0, NOISE_PX, pixels.shape))
+    return replace(sights, marks=marks)
+
+
+def print_cameras(name: str, found: tuple[Camera, ...], true: tuple[Camera, ...]) -> None:
+    """Each camera against the truth."""
+    for camera, exact in zip(found, true, strict=True):
+        error = exact.world_from_camera.difference(camera.world_from_camera)
+        focal = (intrinsics_vector(camera.intrinsics) - intrinsics_vector(exact.intrinsics))[:2]
+        nees = ""
+        if camera.pose_covariance is not None:
+            value = error @ np.linalg.solve(camera.pose_covariance, error) / 6
+            nees = f"  normalised squared error {value:.2f}"
+        print(
+            f"  {name:8} {camera.name}: {np.linalg.norm(error[:3]):.3f} mm, "
+            f"{np.rad2deg(np.linalg.norm(error[3:])):.4f} deg, "
+            f"f {focal[0]:+.2f} {focal[1]:+.2f} px{nees}"
+        )
+
+
+def mark_errors(sights: Sights, true: tuple[Camera, ...]) -> list[np.ndarray]:
+    """Marks less the true places of their markers, by camera (n, 2) px."""
+    marks = [(camera, sights.marks[camera.name]) for camera in true]
+    return [seen.pixels - camera.project(sights.markers[seen.ids]) for camera, seen in marks]
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("capture")
+    parser.add_argument("truth")
+    parser.add_argument("--draws", type=int, default=20)
+    options = parser.parse_args()
+    capture, true = open_capture(options.capture), read_calibration(options.truth).cameras
+    by_hand = calibrate_capture(capture)
+    known = tuple(
+        replace(camera, known=by_hand.lenses[camera.name].intrinsics, marks={})
+        for camera in capture.cameras
+    )
+    found = calibrate_capture(replace(capture, cameras=known))
+    at = poses(np.array([0.0, 0.0, 250.0]))
+    start, sights = by_hand.cameras_before, by_hand.sights
+    base = replace(sights, tolerances=Tolerances(capture.markers.tolerance_mm))
+    rows = {
+        "opencv": plain_opencv(by_hand, sights),
+        "paper": fit_rig_by_paper(start, sights),
+        "joint": by_hand.cameras,
+        "found": found.cameras,
+    }
+    for name, cameras in rows.items():
+        print(f"{name:8} body position error {cost(cameras, true, at):.4f} mm RMS")
+        print_cameras(name, cameras, true)
+    offsets = [
+        found.sights.marks[c.name].pixels
+        - c.project(sights.markers[found.sights.marks[c.name].ids])
+        for c in true
+    ]
+    hand = [
+        sights.marks[c.name].pixels - c.project(sights.markers[sights.marks[c.name].ids])
+        for c in true
+    ]
+    print(
+        f"marks: by hand {np.sqrt(np.mean(np.concatenate(hand) ** 2)):.3f} px, found "
+        f"{np.sqrt(np.mean(np.concatenate(offsets) ** 2)):.3f} px per axis "
+        f"({sum(map(len, offsets))} found)"
+    )
+    draws = np.array(
+        [
+            [
+                cost(plain_opencv(by_hand, s), true, at),
+                cost(fit_rig_by_paper(start, s), true, at),
+                cost(
+                    fit_rig_with_boards(start, replace(s, tolerances=base.tolerances))[0].cameras,
+                    true,
+                    at,
+                ),
+            ]
+            for s in (redrawn(base, true, seed) for seed in range(options.draws))
+        ]
+    )
+    rms = np.sqrt(np.mean(draws**2, axis=0))
+    worst = np.max(draws[:, 2] / draws[:, 0])
+    print(
+        f"{options.draws} redraws: opencv {rms[0]:.4f}, paper {rms[1]:.4f}, joint {rms[2]:.4f} mm"
+    )
+    print(f"joint / opencv: {rms[2] / rms[0]:.2f} (worst single draw {worst:.2f})")
+
+
+if __name__ == "__main__":
+    main()

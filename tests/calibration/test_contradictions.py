@@ -1,0 +1,131 @@
+"""What contradicts itself ends in a refusal that names the cause."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from measure.calibration import Corners, MarkerField
+from measure.calibration.extrinsics import MarkSight
+from measure.calibration.judgement import Workspace, plausibility, residual_findings
+from measure.calibration.starts import (
+    SeenBoard,
+    check_board_against_marks,
+    start_from_board,
+    start_from_marks,
+)
+from measure.errors import CalibrationError
+from measure.geometry import RigidTransform
+from tests.calibration.rigs import BOARD, Rig, markers, rig
+
+FIELD = MarkerField(tuple(f"m{i:02d}" for i in range(16)), markers())
+
+
+@pytest.fixture(scope="module")
+def world() -> Rig:
+    return rig(np.random.default_rng(0))
+
+
+def boards(world: Rig) -> dict[str, SeenBoard]:
+    return {
+        name: SeenBoard(
+            Corners(np.arange(54), sight.pixels, 0.4, f"{name}.jpg"), sight.world_from_board
+        )
+        for name, sight in world.sights.boards.items()
+    }
+
+
+def check(world: Rig, seen: dict[str, SeenBoard], marks: MarkSight | None = None) -> float:
+    camera = world.start[0]
+    start = start_from_board("cam0", camera.intrinsics, BOARD, seen["cam0"])
+    marks = world.sights.marks["cam0"] if marks is None else marks
+    return check_board_against_marks(start, BOARD, seen, FIELD, marks)
+
+
+def test_what_agrees_passes_with_its_disagreement_in_mm(world: Rig) -> None:
+    assert check(world, boards(world)) < 1.5
+
+
+def test_two_boards_swapped_between_cameras(world: Rig) -> None:
+    seen = boards(world)
+    a, b = seen["cam0"], seen["cam2"]
+    seen["cam0"] = replace(a, world_from_board=b.world_from_board)
+    seen["cam2"] = replace(b, world_from_board=a.world_from_board)
+    with pytest.raises(CalibrationError, match=r"cam0.*of cam2: are the two swapped"):
+        check(world, seen)
+
+
+def test_a_mirrored_board_picture(world: Rig) -> None:
+    seen = boards(world)
+    corners = seen["cam0"].corners
+    pixels = corners.pixels * [-1, 1] + [1279, 0]
+    # A detector numbers what it sees in the usual sense of rotation: rows run the other way.
+    numbered = pixels.reshape(6, 9, 2)[::-1].reshape(-1, 2)
+    seen["cam0"] = replace(seen["cam0"], corners=replace(corners, pixels=numbered))
+    with pytest.raises(CalibrationError, match=r"cam0: board and markers disagree.*mirrored"):
+        check(world, seen)
+
+
+def test_wrong_square_size(world: Rig) -> None:
+    camera = world.start[0]
+    seen = boards(world)
+    small = replace(BOARD, square_mm=20.0)
+    start = start_from_board("cam0", camera.intrinsics, small, seen["cam0"])
+    with pytest.raises(CalibrationError, match=r"1\.2[0-9] times the stated size: check square_mm"):
+        check_board_against_marks(start, small, seen, FIELD, world.sights.marks["cam0"])
+
+
+def test_marker_names_permuted(world: Rig) -> None:
+    marks = world.sights.marks["cam0"]
+    ids = marks.ids.copy()
+    ids[[0, 1, 2]] = ids[[1, 2, 0]]
+    with pytest.raises(CalibrationError, match=r"names are mixed up: m\d\d sits at the place of"):
+        check(world, boards(world), replace(marks, ids=ids))
+
+
+def test_a_camera_moved_between_its_two_pictures(world: Rig) -> None:
+    turned = world.true[0].world_from_camera.perturb([0, 0, 0, 0, 0, np.deg2rad(0.5)])
+    moved = replace(world.true[0], world_from_camera=turned)
+    marks = world.sights.marks["cam0"]
+    marks = replace(marks, pixels=moved.project(markers()[marks.ids]))
+    with pytest.raises(CalibrationError, match=r"cam0.*moved between the two pictures"):
+        check(world, boards(world), marks)
+
+
+def test_marks_in_one_plane_do_not_locate_a_camera(world: Rig) -> None:
+    marks = world.sights.marks["cam0"]
+    flat = markers()[marks.ids][:, 2] < 250
+    low = replace(marks, ids=marks.ids[flat], pixels=marks.pixels[flat])
+    with pytest.raises(CalibrationError, match="must not lie in one plane"):
+        start_from_marks("cam0", world.start[0].intrinsics, FIELD, low)
+
+
+def test_marks_of_mixed_names_locate_no_camera(world: Rig) -> None:
+    marks = world.sights.marks["cam0"]
+    mixed = replace(marks, ids=np.random.default_rng(0).permutation(marks.ids))
+    with pytest.raises(CalibrationError, match="no camera pose explains its marks"):
+        start_from_marks("cam0", world.start[0].intrinsics, FIELD, mixed)
+
+
+def test_marks_that_miss_by_pixels_raise_the_alarm() -> None:
+    residuals = np.random.default_rng(0).normal(0, 2.5, (8, 2))
+    found = residual_findings("cam0", residuals, 0.33, [f"m{i}" for i in range(8)])
+    assert found[0].level == "alarm"
+    assert "too large for sub-mm" in found[0].text
+    assert not residual_findings("cam0", residuals / 10, 0.33, [f"m{i}" for i in range(8)])
+
+
+def test_a_camera_under_the_floor_or_looking_away_raises_the_alarm(world: Rig) -> None:
+    camera = world.true[0]
+    workspace = Workspace(np.array([0.0, 0.0, 250.0]), np.full(3, 50.0))
+    assert not plausibility(world.true, workspace, 0.0)
+    buried = replace(
+        camera, world_from_camera=camera.world_from_camera.perturb([0, 0, -500, 0, 0, 0])
+    )
+    texts = [f.text for f in plausibility((buried,), workspace, 0.0)]
+    assert any("under the floor" in text for text in texts)
+    away = RigidTransform(-camera.world_from_camera.rotation * [1, -1, 1], camera.center)
+    turned = replace(camera, world_from_camera=away)
+    assert any("does not see" in f.text for f in plausibility((turned,), workspace, 0.0))
