@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import logging
+import threading
 from collections import deque
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 
 from measure.host import Registry
 from measure.measuring import Measurement, Profile
 from measure.model import FrameSet
 from measure.session import Session
+
+PATIENCE_S = 2.0
+"""A warm-up that takes longer than this is explained."""
+
+_log = logging.getLogger(__name__)
 
 
 def measure_session(
@@ -33,6 +41,8 @@ def measure_session(
     from measure.api.profiles import build_pipeline
 
     pipeline = build_pipeline(profile, registry, session.body, session.cameras)
+    with _a_word_if_it_takes_long():
+        pipeline.warm_up()
     waiting: deque[FrameSet] = deque()
 
     def remember(frame_sets: Iterable[FrameSet]) -> Iterator[FrameSet]:
@@ -42,3 +52,16 @@ def measure_session(
 
     for measured in pipeline.measure(remember(session.frame_sets(start=start))):
         yield waiting.popleft(), measured
+
+
+@contextmanager
+def _a_word_if_it_takes_long() -> Iterator[None]:
+    """Tell the user why nothing seems to happen, but only if nothing does."""
+    word = "compiling the hot loops: once after an installation, about a minute"
+    timer = threading.Timer(PATIENCE_S, _log.warning, [word])
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()

@@ -25,6 +25,9 @@ class Plugin(ABC):
     name: ClassVar[str]
     Config: ClassVar[type[Settings]] = Settings
 
+    def warm_up(self) -> None:  # noqa: B027 - most plugins have nothing to do here
+        """Compile or load what is slow, before the first frame is timed or waited for."""
+
 
 class Detector(Plugin):
     """Finds the balls of a body in one camera's images. Keeps no state between calls."""

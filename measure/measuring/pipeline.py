@@ -58,6 +58,13 @@ class Pipeline:
         self._cameras = {camera.name: camera for camera in cameras}
         self._stages = stages
 
+    def warm_up(self) -> None:
+        """Let every stage compile or load what is slow; detectors of all cameras share that."""
+        for detector in list(self._stages.detectors.values())[:1]:
+            detector.warm_up()
+        self._stages.triangulator.warm_up()
+        self._stages.solver.warm_up()
+
     def measure(self, frame_sets: Iterable[FrameSet]) -> Iterator[Measurement]:
         """Measure frame sets in order of time; yields one measurement for each, in order."""
         with ThreadPoolExecutor(max_workers=len(self._cameras)) as pool:
