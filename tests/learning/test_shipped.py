@@ -37,3 +37,22 @@ def test_it_is_fast_enough_for_a_kilohertz() -> None:
     for index in range(1000):
         model.update(state[0], 1.0 + 0.001 * index)
     assert (time.process_time() - begun) / 1000 < 500e-6
+
+
+def test_a_restart_is_no_drift_but_worn_cables_are() -> None:
+    from measure.learning import rezero, simulated_dataset
+    from measure.robots.simulator import Cables
+
+    model = OnnxModel.load(api.shipped_model())
+    fresh, worn = (
+        simulated_dataset(minutes=2.0, pairs=700, restarts=1, seed=21, cables=Cables(wear=wear))[0]
+        for wear in (1.0, 1.6)
+    )
+    offset, sd, monitor = rezero(model, fresh)
+    assert not monitor.due
+    assert sd.max() < 0.1
+    estimates = model.predict(fresh)
+    left = fresh.errors_mm - estimates.errors_mm
+    before, after = (np.sqrt((r**2).sum(axis=1).mean()) for r in (left, left - offset))
+    assert after < 0.8 * before
+    assert rezero(model, worn)[2].due
