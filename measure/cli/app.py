@@ -8,7 +8,6 @@ import os
 import sys
 from collections.abc import Sequence
 from importlib import metadata
-from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import App, CycloptsError, Group, Parameter, UnknownCommandError
@@ -62,10 +61,7 @@ def build_app() -> App:
     for title, commands in GROUPS.items():
         group = Group.create_ordered(title)
         for command in commands:
-            if (Path(__file__).parent / f"{command.name}.py").exists():
-                app.command(
-                    command.import_path, name=command.name, help=command.summary, group=group
-                )
+            app.command(command.import_path, name=command.name, help=command.summary, group=group)
     app["--help"].group = app["--version"].group = Group.create_ordered("Options")
     app.meta.group_parameters = Group.create_ordered("Options")
     app.meta.suppress_keyboard_interrupt = False

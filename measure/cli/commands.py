@@ -31,12 +31,10 @@ GROUPS: dict[str, tuple[Command, ...]] = {
         Command("target", "Draw a printable board, marker field or body."),
         Command("calibrate", "Calibrate cameras from pictures of boards and markers."),
         Command("refine", "Refine a calibration from the moving balls themselves."),
-        Command("record", "Record cameras into a session."),
         Command("check", "Say what is wrong or weak in a session before it is measured."),
     ),
     "Measure": (
         Command("run", "Measure a recorded session."),
-        Command("live", "Measure cameras as they deliver."),
         Command("view", "Show a run in the viewer."),
         Command("report", "Write a run's report as one HTML file."),
         Command("evaluate", "Compare a run with the truth."),
