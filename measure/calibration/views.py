@@ -17,6 +17,8 @@ ALL_VIEWS = 1000
 MIN_VIEWS = 5
 ALIKE_SHARE = 0.02
 """Views whose corners moved by less than this share of the image diagonal are one view."""
+SAME_SHARE = 0.004
+"""Views that differ by less than this are the same: the second one is left out."""
 _BLURRED_SHARE = 0.5
 _COVERAGE_GRID = (8, 6)
 
@@ -124,33 +126,34 @@ def choose_views(
             )
         else:
             sharp.append(view)
-    chosen = _different(board, sharp, float(np.hypot(*size_wh)), limit)
-    if len(chosen) < MIN_VIEWS:
-        alike = len(sharp) - len(chosen)
+    different = len(_different(board, sharp, ALIKE_SHARE * float(np.hypot(*size_wh)), limit))
+    if different < MIN_VIEWS:
+        alike = len(sharp) - different
         raise CalibrationError(
-            f"camera {camera}: {len(chosen)} different sharp views of the board, at least "
+            f"camera {camera}: {different} different sharp views of the board, at least "
             f"{MIN_VIEWS} are needed"
             + (f" ({alike} more are all alike)" if alike else "")
             + "; tilt the board in several directions and move it into all corners of the image"
         )
+    chosen = _different(board, sharp, SAME_SHARE * float(np.hypot(*size_wh)), limit)
     if limit >= ALL_VIEWS:
         chosen = list(range(len(sharp)))
     for number, view in enumerate(sharp):
         if number not in chosen:
-            left_out[view.source] = "much like another view"
+            left_out[view.source] = "the same as another view"
     return ViewSet(size_wh, tuple(sharp[i] for i in sorted(chosen)), left_out)
 
 
-def _different(board: Board, views: list[Corners], diagonal: float, limit: int) -> list[int]:
-    """Numbers of views, each as different as can be from those before it."""
+def _different(board: Board, views: list[Corners], least_px: float, limit: int) -> list[int]:
+    """Numbers of views, each as different as can be, and by `least_px`, from those before it."""
     outlines = [_outline(board, view) for view in views]
     chosen = [int(np.argmax([len(view.ids) for view in views]))]
     nearest = np.full(len(views), np.inf)
     while len(chosen) < min(limit, len(views)):
-        moved = [_rms(outline - outlines[chosen[-1]]) / diagonal for outline in outlines]
+        moved = [_rms(outline - outlines[chosen[-1]]) for outline in outlines]
         nearest = np.minimum(nearest, moved)
         following = int(np.argmax(nearest))
-        if nearest[following] < ALIKE_SHARE:
+        if nearest[following] < least_px:
             break
         chosen.append(following)
     return chosen

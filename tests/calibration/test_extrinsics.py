@@ -51,6 +51,7 @@ def test_exact_marks_give_the_exact_rig_by_the_paper() -> None:
         np.testing.assert_allclose(error, 0, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_true_errors_lie_within_the_reported_covariances() -> None:
     of_cameras, of_body = [], []
     for seed in range(16):

@@ -13,7 +13,8 @@ import pytest
 
 from measure.api import calibrate
 from measure.arrays import Floats
-from measure.calibration import body_cost, find_views, paper_body, read_board
+from measure.calibration import body_cost, calibrate_lens, find_views, paper_body, read_board
+from measure.calibration.capture import CameraCapture
 from measure.errors import CalibrationError
 from measure.geometry import Rays, RigidTransform, align_points, nearest_point
 from measure.model import Camera, Intrinsics
@@ -140,3 +141,23 @@ def test_the_rendered_capture_costs_the_body_next_to_nothing(shared: Path) -> No
         assert camera.pose_covariance is not None
         assert error @ np.linalg.solve(camera.pose_covariance, error) / 6 < 4
     assert result.verdict.trustworthy
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("number", "focal_px"), [(0, 884), (1, 761), (2, 642), (3, 615)])
+def test_four_real_webcams_from_inverted_charuco_videos(
+    shared: Path, tmp_path: Path, number: int, focal_px: float
+) -> None:
+    """Within 6 % of what OpenCV makes of another program's corners: so much the views tell."""
+    videos = shared / "data/caliscope_4cam/prerecorded_intrinsic"
+    (tmp_path / "board.toml").write_text(
+        'kind = "charuco"\ninner_corners = [3, 4]\nsquare_mm = 54.0\nmarker_mm = 40.5\n'
+        'dictionary = "DICT_4X4_1000"\ninverted = true\n'
+    )
+    name = f"cam_{number}.mp4"
+    camera = CameraCapture(f"cam{number}", videos, name, None, None, None, None)
+    board = read_board(tmp_path / "board.toml")
+    found = calibrate_lens(board, find_views(board, camera.views(), camera.name), camera.name)
+    assert found.fit.rms_px < 0.3
+    assert found.intrinsics.focal_px == pytest.approx(focal_px, rel=0.06)
+    assert (found.views.mirrored > 0) == (number == 1)
