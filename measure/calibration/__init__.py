@@ -7,10 +7,11 @@ from measure.calibration.extrinsics import RigFit, Sights, Tolerances, fit_rig
 from measure.calibration.intrinsics import LensCalibration, calibrate_lens
 from measure.calibration.judgement import Finding, Workspace, body_cost, body_pose_sd, paper_body
 from measure.calibration.markers import find_markers
+from measure.calibration.motion import recording_of
 from measure.calibration.paper import fit_rig_by_paper
 from measure.calibration.printing import target_sheet
 from measure.calibration.procedure import Method, RigCalibration, calibrate_capture
-from measure.calibration.refine import Refinement, RefineSettings, recording_of, refine_rig
+from measure.calibration.refine import Refinement, RefineSettings, refine_rig
 from measure.calibration.report import calibration_report, camera_rows
 from measure.calibration.targets import MarkerField, read_board, read_markers
 from measure.calibration.verdict import Verdict, judge, provenance

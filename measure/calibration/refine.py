@@ -11,29 +11,24 @@ polynomials through the balls' places, and the clock offsets move dt.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from measure.arrays import Floats, Ints
 from measure.calibration.least_squares import Group, Huber, Linearised, Solution, solve
-from measure.calibration.lens import changed, intrinsics_vector, stack
+from measure.calibration.lens import changed, intrinsics_vector
+from measure.calibration.motion import MIN_FRAMES, Motion, Recording, ball_places
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform, align_points, skew
-from measure.measuring import Measurement
 from measure.model import Body, Camera
 
-MIN_FRAMES = 10
 _ROUNDS = 30
-_WINDOW = 9
-_DEGREE = 4
 _LONGEST_STEP_S = 0.1
 _STEPS_A_ROUND = 2
 _SETTLED_MM = 1e-3
 _TOLERANCE = 1e-7
 _HUBER_REACH = 2.5
-_LEAST_SPREAD_MM = 20.0
 
 
 @dataclass(frozen=True)
@@ -53,40 +48,6 @@ class RefineSettings:
     position_tolerance_mm: float = 2.0
     rotation_tolerance_deg: float = 0.3
     least_sd_px: float = 0.02
-
-
-@dataclass(frozen=True, eq=False)
-class Track:
-    """What one camera saw of the moving body.
-
-    Attributes:
-        frame: (n,) number of the frame set in `Recording.times_s`.
-        ball: (n,) index of the ball.
-        pixels: (n, 2) projections of ball centres.
-        covariance: (n, 2, 2) of those.
-        lead_s: (n,) time of the picture after the frame set's.
-    """
-
-    frame: Ints
-    ball: Ints
-    pixels: Floats
-    covariance: Floats
-    lead_s: Floats
-
-
-@dataclass(frozen=True, eq=False)
-class Recording:
-    """A measured recording as bundle adjustment needs it.
-
-    Attributes:
-        times_s: (f,) of the frame sets, increasing.
-        world_from_body: batch of (f,) measured poses.
-        tracks: by camera name.
-    """
-
-    times_s: Floats
-    world_from_body: RigidTransform
-    tracks: dict[str, Track]
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,51 +87,6 @@ class Refinement:
     frames: int
     covariance: Floats
     columns: dict[str, Ints] = field(default_factory=dict)
-
-
-def recording_of(measurements: Iterable[Measurement], body: Body, limit: int = 1500) -> Recording:
-    """Collect the poses and effective detections of measured frame sets.
-
-    Args:
-        measurements: of one session; those without a pose are passed over.
-        body: the body.
-        limit: most frame sets to keep: the first ones, because motion needs neighbours.
-
-    Raises:
-        CalibrationError: too few frame sets with a pose, or the body hardly moved.
-    """
-    kept = [m for m in measurements if m.pose is not None and not m.pose.flags]
-    if len(kept) < MIN_FRAMES:
-        raise CalibrationError(
-            f"{len(kept)} frame sets with an unflagged pose, at least {MIN_FRAMES} are needed to "
-            "refine cameras from motion"
-        )
-    kept = kept[:limit]
-    poses = stack([m.pose.world_from_body for m in kept if m.pose is not None])
-    spread = float(np.linalg.norm(np.ptp(poses.translation, axis=0)))
-    if spread < _LEAST_SPREAD_MM:
-        raise CalibrationError(
-            f"the body moved {spread:.1f} mm only: carry it through the whole workspace"
-        )
-    rows: dict[str, list[tuple[int, int, Floats, Floats, float]]] = {}
-    for number, m in enumerate(kept):
-        for view in m.views:
-            if view.effective and view.detection is not None:
-                d = view.detection
-                rows.setdefault(d.camera, []).append(
-                    (number, body.index(d.ball), d.center_px, d.covariance_px, d.time_s - m.time_s)
-                )
-    tracks = {
-        name: Track(
-            np.array([r[0] for r in seen], dtype=np.int64),
-            np.array([r[1] for r in seen], dtype=np.int64),
-            np.stack([r[2] for r in seen]),
-            np.stack([r[3] for r in seen]),
-            np.array([r[4] for r in seen]),
-        )
-        for name, seen in rows.items()
-    }
-    return Recording(np.array([m.time_s for m in kept]), poses, tracks)
 
 
 def refine_rig(
@@ -283,7 +199,7 @@ class _Problem:
 
     def solve(self, state: RefinedState, factor: float) -> Solution[RefinedState]:
         # The way between instants is held while solving, and taken anew in the next round.
-        motion = _Motion(self.recording.times_s, state.world_from_body, state.centers)
+        motion = Motion(self.recording.times_s, state.world_from_body, state.centers)
         return solve(
             lambda s: self.linearise(s, motion, factor),
             self.step,
@@ -301,7 +217,7 @@ class _Problem:
         covariance have nothing else to hold it by.
         """
         start = RefinedState(self.first, state.clocks_s, state.centers, state.world_from_body)
-        motion = _Motion(self.recording.times_s, start.world_from_body, start.centers)
+        motion = Motion(self.recording.times_s, start.world_from_body, start.centers)
 
         def linearise(here: RefinedState) -> Linearised:
             full = self.linearise(here, motion, 1.0)
@@ -319,7 +235,7 @@ class _Problem:
             return replace(here, world_from_body=here.world_from_body.perturb(blocks))
 
         before = solve(linearise, step, start, Huber(_HUBER_REACH), tolerance=_TOLERANCE).state
-        first, now = (_balls(s.world_from_body, s.centers) for s in (before, state))
+        first, now = (ball_places(s.world_from_body, s.centers) for s in (before, state))
         back = align_points(first, now)
         cameras = tuple(
             replace(camera, world_from_camera=back @ camera.world_from_camera)
@@ -342,14 +258,14 @@ class _Problem:
             centers = centers + shared[self.centers].reshape(-1, 3)
         return RefinedState(cameras, clocks, centers, state.world_from_body.perturb(blocks))
 
-    def linearise(self, state: RefinedState, motion: _Motion, factor: float) -> Linearised:
+    def linearise(self, state: RefinedState, motion: Motion, factor: float) -> Linearised:
         groups = tuple(
             self._group(number, state, motion, factor) for number in range(len(state.cameras))
         )
         residuals, rows = self._priors(state)
         return Linearised(groups, self.size, len(self.recording.times_s), residuals, rows)
 
-    def _group(self, number: int, state: RefinedState, motion: _Motion, factor: float) -> Group:
+    def _group(self, number: int, state: RefinedState, motion: Motion, factor: float) -> Group:
         camera = state.cameras[number]
         track = self.recording.tracks[camera.name]
         poses = state.world_from_body
@@ -436,7 +352,7 @@ class _Problem:
 
     def rms_px(self, state: RefinedState) -> dict[str, float]:
         """RMS length of each camera's residuals with every body pose as it stands."""
-        motion = _Motion(self.recording.times_s, state.world_from_body, state.centers)
+        motion = Motion(self.recording.times_s, state.world_from_body, state.centers)
         out = {}
         for number, camera in enumerate(state.cameras):
             residuals = self._group(number, state, motion, 1.0).residuals
@@ -484,47 +400,6 @@ class _Problem:
             P[np.ix_(used, used)],
             {c.name: np.arange(a, b) for c, a, b in zip(cameras, starts, starts[1:], strict=False)},
         )
-
-
-class _Motion:
-    """Where each ball is a little before or after its frame set's instant.
-
-    A polynomial through the nine nearest frame sets: it smooths, so that the noise of one pose does
-    not come back through the neighbours' motion.
-    """
-
-    def __init__(self, times_s: Floats, poses: RigidTransform, centers: Floats) -> None:
-        points = _balls(poses, centers).reshape(len(times_s), -1)
-        window, operator = _polynomials(times_s)
-        near = points[window].reshape(len(times_s), window.shape[1], -1)
-        self._coefficients = (operator @ near).reshape(len(times_s), -1, len(centers), 3)
-
-    def at(self, frame: Ints, ball: Ints, lead_s: Floats) -> tuple[Floats, Floats]:
-        """Way (n, 3) of each ball from its frame set's instant, and its velocity (n, 3) there."""
-        slopes = self._coefficients[frame, 1:, ball]
-        powers = np.arange(1, slopes.shape[1] + 1)
-        way = lead_s[:, None] ** powers
-        rate = powers * lead_s[:, None] ** (powers - 1)
-        return np.einsum("np,npi->ni", way, slopes), np.einsum("np,npi->ni", rate, slopes)
-
-
-def _polynomials(times_s: Floats) -> tuple[Ints, Floats]:
-    """Windows (f, w) of frame sets, and operators (f, d + 1, w) from values to coefficients."""
-    count = len(times_s)
-    width = min(_WINDOW, count)
-    first = np.clip(np.arange(count) - width // 2, 0, count - width)
-    window = first[:, None] + np.arange(width)
-    offset = times_s[window] - times_s[:, None]
-    scale = np.abs(offset).max(axis=1)
-    powers = np.arange(_DEGREE + 1)
-    vandermonde = (offset / scale[:, None])[:, :, None] ** powers
-    return window, np.linalg.pinv(vandermonde) / scale[:, None, None] ** powers[:, None]
-
-
-def _balls(poses: RigidTransform, centers: Floats) -> Floats:
-    """All ball centres at all instants (f * k, 3) in the world."""
-    points = np.einsum("fij,kj->fki", poses.rotation, centers) + poses.translation[:, None]
-    return points.reshape(-1, 3)
 
 
 def _roots(covariance: Floats, least_sd_px: float) -> Floats:

@@ -7,7 +7,7 @@ import pytest
 
 from measure.arrays import Floats
 from measure.calibration import RefineSettings, body_cost, paper_body, refine_rig
-from measure.calibration.refine import Recording, Track
+from measure.calibration.motion import Recording, Track
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
 from measure.model import Camera

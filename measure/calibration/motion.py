@@ -1,0 +1,140 @@
+"""A measured recording as bundle adjustment needs it: sightings, poses, and the way between."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from measure.arrays import Floats, Ints
+from measure.calibration.lens import stack
+from measure.errors import CalibrationError
+from measure.geometry import RigidTransform
+from measure.measuring import Measurement
+from measure.model import Body
+
+MIN_FRAMES = 10
+_WINDOW = 9
+_DEGREE = 4
+_LEAST_SPREAD_MM = 20.0
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """What one camera saw of the moving body.
+
+    Attributes:
+        frame: (n,) number of the frame set in `Recording.times_s`.
+        ball: (n,) index of the ball.
+        pixels: (n, 2) projections of ball centres.
+        covariance: (n, 2, 2) of those.
+        lead_s: (n,) time of the picture after the frame set's.
+    """
+
+    frame: Ints
+    ball: Ints
+    pixels: Floats
+    covariance: Floats
+    lead_s: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A measured recording as bundle adjustment needs it.
+
+    Attributes:
+        times_s: (f,) of the frame sets, increasing.
+        world_from_body: batch of (f,) measured poses.
+        tracks: by camera name.
+    """
+
+    times_s: Floats
+    world_from_body: RigidTransform
+    tracks: dict[str, Track]
+
+
+def recording_of(measurements: Iterable[Measurement], body: Body, limit: int = 1500) -> Recording:
+    """Collect the poses and effective detections of measured frame sets.
+
+    Args:
+        measurements: of one session; those without a pose are passed over.
+        body: the body.
+        limit: most frame sets to keep: the first ones, because motion needs neighbours.
+
+    Raises:
+        CalibrationError: too few frame sets with a pose, or the body hardly moved.
+    """
+    kept = [m for m in measurements if m.pose is not None and not m.pose.flags]
+    if len(kept) < MIN_FRAMES:
+        raise CalibrationError(
+            f"{len(kept)} frame sets with an unflagged pose, at least {MIN_FRAMES} are needed to "
+            "refine cameras from motion"
+        )
+    kept = kept[:limit]
+    poses = stack([m.pose.world_from_body for m in kept if m.pose is not None])
+    spread = float(np.linalg.norm(np.ptp(poses.translation, axis=0)))
+    if spread < _LEAST_SPREAD_MM:
+        raise CalibrationError(
+            f"the body moved {spread:.1f} mm only: carry it through the whole workspace"
+        )
+    rows: dict[str, list[tuple[int, int, Floats, Floats, float]]] = {}
+    for number, m in enumerate(kept):
+        for view in m.views:
+            if view.effective and view.detection is not None:
+                d = view.detection
+                rows.setdefault(d.camera, []).append(
+                    (number, body.index(d.ball), d.center_px, d.covariance_px, d.time_s - m.time_s)
+                )
+    tracks = {
+        name: Track(
+            np.array([r[0] for r in seen], dtype=np.int64),
+            np.array([r[1] for r in seen], dtype=np.int64),
+            np.stack([r[2] for r in seen]),
+            np.stack([r[3] for r in seen]),
+            np.array([r[4] for r in seen]),
+        )
+        for name, seen in rows.items()
+    }
+    return Recording(np.array([m.time_s for m in kept]), poses, tracks)
+
+
+class Motion:
+    """Where each ball is a little before or after its frame set's instant.
+
+    A polynomial through the nine nearest frame sets: it smooths, so that the noise of one pose does
+    not come back through the neighbours' motion.
+    """
+
+    def __init__(self, times_s: Floats, poses: RigidTransform, centers: Floats) -> None:
+        points = ball_places(poses, centers).reshape(len(times_s), -1)
+        window, operator = _polynomials(times_s)
+        near = points[window].reshape(len(times_s), window.shape[1], -1)
+        self._coefficients = (operator @ near).reshape(len(times_s), -1, len(centers), 3)
+
+    def at(self, frame: Ints, ball: Ints, lead_s: Floats) -> tuple[Floats, Floats]:
+        """Way (n, 3) of each ball from its frame set's instant, and its velocity (n, 3) there."""
+        slopes = self._coefficients[frame, 1:, ball]
+        powers = np.arange(1, slopes.shape[1] + 1)
+        way = lead_s[:, None] ** powers
+        rate = powers * lead_s[:, None] ** (powers - 1)
+        return np.einsum("np,npi->ni", way, slopes), np.einsum("np,npi->ni", rate, slopes)
+
+
+def _polynomials(times_s: Floats) -> tuple[Ints, Floats]:
+    """Windows (f, w) of frame sets, and operators (f, d + 1, w) from values to coefficients."""
+    count = len(times_s)
+    width = min(_WINDOW, count)
+    first = np.clip(np.arange(count) - width // 2, 0, count - width)
+    window = first[:, None] + np.arange(width)
+    offset = times_s[window] - times_s[:, None]
+    scale = np.abs(offset).max(axis=1)
+    powers = np.arange(_DEGREE + 1)
+    vandermonde = (offset / scale[:, None])[:, :, None] ** powers
+    return window, np.linalg.pinv(vandermonde) / scale[:, None, None] ** powers[:, None]
+
+
+def ball_places(poses: RigidTransform, centers: Floats) -> Floats:
+    """All ball centres at all instants (f * k, 3) in the world."""
+    points = np.einsum("fij,kj->fki", poses.rotation, centers) + poses.translation[:, None]
+    return points.reshape(-1, 3)
