@@ -13,6 +13,12 @@ from measure.calibration import Refinement, RefineSettings
 from measure.host import Registry
 from measure.session import Calibration, read_calibration
 
+LOOSE_WORLD = (
+    "the first calibration does not say how its cameras' errors hang together, so the world frame "
+    "may have moved while the cameras were sharpened against each other: do not trust absolute "
+    "positions to better than that calibration's; `measure calibrate` with its default method says"
+)
+
 
 @dataclass(frozen=True, eq=False)
 class RefineResult:
@@ -23,11 +29,13 @@ class RefineResult:
         refinement: residuals, clocks, ball centres.
         expected_mm: error of the body's position expected from the calibration alone, before and
             after, as the covariances have it; NaN where there was none before.
+        notes: reasons to doubt it, in words.
     """
 
     calibration: Calibration
     refinement: Refinement
     expected_mm: tuple[float, float]
+    notes: tuple[str, ...] = ()
 
 
 def refine(
@@ -76,8 +84,9 @@ def refine(
         known = all(camera.pose_covariance is not None for camera in opened.cameras)
     first = float(np.sqrt(np.mean(before**2))) if known else float("nan")
     expected = (first, float(np.sqrt(np.mean(after**2))))
-    values = _provenance(str(session), refinement, expected)
-    return RefineResult(Calibration(refinement.cameras, values), refinement, expected)
+    notes = () if joint is not None else (LOOSE_WORLD,)
+    values = _provenance(str(session), refinement, expected) | {"notes": list(notes)}
+    return RefineResult(Calibration(refinement.cameras, values), refinement, expected, notes)
 
 
 def _joint_covariance(path: Path) -> Floats | None:

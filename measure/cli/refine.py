@@ -55,3 +55,5 @@ def refine(
         f"{refinement.frames} frame sets; expected body position error from the calibration "
         f"{result.expected_mm[1]:.3f} mm (was {result.expected_mm[0]:.3f} mm); wrote {output}"
     )
+    for note in result.notes:
+        console.print_text(f"note: {note}")
