@@ -1,9 +1,10 @@
 """Robots: what their states mean, their kinematics, and a simulated cable-driven arm."""
 
 from measure.robots.chain import Joint, SerialChain, dh_link
-from measure.robots.logs import RobotLog, find_schema, read_columns, read_log, write_log
+from measure.robots.logs import find_schema, read_columns, read_log, write_log
 from measure.robots.psm import psm_schema
 from measure.robots.raven import raven_chain, raven_schema
+from measure.robots.robot_log import RobotLog
 from measure.robots.schema import Feature, Reading, StateSchema
 
 __all__ = [

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.robots.raven import FIELDS, raven_schema
+from measure.robots.robot_log import RobotLog
 from measure.robots.schema import StateSchema
-
-if TYPE_CHECKING:
-    from measure.robots.logs import RobotLog
 
 MESSAGE = "raven_2/msg/raven_state"
 TOPIC = "/ravenstate"

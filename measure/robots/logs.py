@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from measure.arrays import Floats, floats
+from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.robots.psm import psm_schema
 from measure.robots.raven import raven_schema
+from measure.robots.robot_log import RobotLog
 from measure.robots.schema import StateSchema
 
 TIME = "time_s"
@@ -20,25 +20,6 @@ SCHEMAS: dict[str, Callable[[], StateSchema]] = {
     "raven-right": lambda: raven_schema("right"),
     "dvrk-psm": psm_schema,
 }
-
-
-@dataclass(frozen=True, eq=False)
-class RobotLog:
-    """States of one robot on the robot's own clock.
-
-    Attributes:
-        schema: what the columns of `states` are.
-        times_s: (n,) strictly increasing.
-        states: (n, features).
-    """
-
-    schema: StateSchema
-    times_s: Floats
-    states: Floats
-
-    def __post_init__(self) -> None:
-        count = len(floats("times_s", self.times_s, "n"))
-        floats("states", self.states, count, len(self.schema.features))
 
 
 def find_schema(name: str) -> StateSchema:
