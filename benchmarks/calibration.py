@@ -66,7 +66,12 @@ def plain_opencv(rig: RigCalibration, sights: Sights) -> tuple[Camera, ...]:
         marks = sights.marks[camera.name]
         _, turn, shift = cv2.solvePnP(sights.markers[marks.ids], marks.pixels, matrix, distortion)
         pose = RigidTransform.from_rotvec(turn.ravel(), shift.ravel()).inverse()
-        out.append(Camera(camera.name, Intrinsics(lens.views.size_wh, matrix, distortion), pose))
+        intrinsics = Intrinsics(
+            lens.views.size_wh,
+            np.asarray(matrix, dtype=np.float64),
+            np.asarray(distortion, dtype=np.float64),
+        )
+        out.append(Camera(camera.name, intrinsics, pose))
     return tuple(out)
 
 

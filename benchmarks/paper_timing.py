@@ -22,6 +22,7 @@ from measure.api import load_profile
 from measure.host import Detector, Registry
 from measure.measuring import Stages
 from measure.measuring.tracking import FrameUpdate
+from measure.measuring.tracking.frame_update_settings import FrameUpdateSettings
 from measure.model import Detection, Expectation, FrameSet, Image
 from measure.session import Session, open_session
 
@@ -47,7 +48,7 @@ def main() -> None:
         )
 
 
-def _time(session: Session, circles: int) -> tuple[float, float, float, float]:
+def _time(session: Session, circles: int) -> tuple[float, ...]:
     """Reference operation, acquisition, windows and the rest, in s; medians over frame sets."""
     profile, registry = load_profile("paper"), Registry.discover()
     detectors = {
@@ -56,7 +57,7 @@ def _time(session: Session, circles: int) -> tuple[float, float, float, float]:
     }
     triangulator = registry.triangulator(profile.triangulator, {})
     solver = registry.solver(profile.solver, {}, session.body)
-    tracker = FrameUpdate(FrameUpdate.Config(), session.body, session.cameras)
+    tracker = FrameUpdate(FrameUpdateSettings(), session.body, session.cameras)
     references, searches, windows, rests = [], [], [], []
     for frame_set in session.frame_sets():
         images = frame_set.images
@@ -71,7 +72,15 @@ def _time(session: Session, circles: int) -> tuple[float, float, float, float]:
         if all(len(balls) == len(session.body.balls) for balls in expected.values()):
             found, seconds = _timed(_detect, detectors, images, expected)
             windows.append(seconds)
-        stages = Stages(detectors, tracker, triangulator, solver, own_times=False, neighbours=False)
+        stages = Stages(
+            detectors,
+            tracker,
+            triangulator,
+            solver,
+            own_times=False,
+            neighbours=False,
+            look_again=False,
+        )
         rests.append(_timed(_conclude, frame_set, found, stages, session)[1])
     return tuple(
         float(np.median(spent)) if spent else float("nan")
