@@ -15,7 +15,6 @@ from measure.arrays import Floats
 from measure.measuring.association.points import by_ball, meeting_points
 from measure.measuring.body_checks import looks_mirrored
 from measure.measuring.body_findings import Compared, blind_to, layout_findings, radius_findings
-from measure.measuring.measurement import Measurement
 from measure.model import Body, Camera, Detection
 
 _SIGMAS = 4.0
@@ -77,19 +76,6 @@ def locate_in_candidates(
         near = _sizes(candidates.detections, points.points[0], cameras)
         if near:
             radii[ball.name] = _mean_radius(near)
-    return Located(centers, variances, radii)
-
-
-def locate_in_measurement(measurement: Measurement, cameras: Sequence[Camera]) -> Located:
-    """Balls as the fixes of a measured frame set say."""
-    centers = {fix.ball: fix.center for fix in measurement.fixes}
-    variances = {f.ball: float(np.trace(f.covariance) / 3) for f in measurement.fixes}
-    radii = {}
-    for name, center in centers.items():
-        seen = [v.detection for v in measurement.views if v.ball == name and v.effective]
-        near = _sizes([d for d in seen if d is not None], center, cameras)
-        if near:
-            radii[name] = _mean_radius(near)
     return Located(centers, variances, radii)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from measure.arrays import Floats
+from measure.arrays import Bools, Floats
 from measure.errors import DegenerateGeometryError, RunError
 from measure.geometry import RigidTransform, align_points
 from measure.model import Camera
@@ -122,13 +122,10 @@ def evaluate(
             f"time together with {run.path} ({_range(run.times_s)}): it is not its truth"
         )
     here = covered & run.has_pose
-    which = covered[run.has_pose]
-    poses = run.world_from_body
-    measured = RigidTransform(poses.rotation[which], poses.translation[which])
-    true = truth.at(run.times_s[here])
+    measured, true = _pairs(run, truth, here)
     _refuse_other_unit(run, truth, measured.translation, true.translation)
-    errors = pose_errors(run, truth)[here]
-    covariances = run.covariances[which]
+    errors = measured.difference(true)
+    covariances = run.covariances[here[run.has_pose]]
     missing = int((covered & ~run.has_pose).sum())
     believed = texts(run.poses, "status")[here] == "ok"
     ball_names, ball_errors, ball_covariances = _ball_errors(run, truth)
@@ -164,13 +161,19 @@ def pose_errors(run: Run, truth: Trajectory) -> Floats:
     NaN where a frame set has no pose or lies outside the truth's time.
     """
     here = truth.covers(run.times_s) & run.has_pose
+    errors = np.full((len(here), 6), np.nan)
+    if here.any():
+        measured, true = _pairs(run, truth, here)
+        errors[here] = measured.difference(true)
+    return errors
+
+
+def _pairs(run: Run, truth: Trajectory, here: Bools) -> tuple[RigidTransform, RigidTransform]:
+    """Measured and true poses of the frame sets `here`, which have both."""
     which = here[run.has_pose]
     poses = run.world_from_body
     measured = RigidTransform(poses.rotation[which], poses.translation[which])
-    errors = np.full((len(here), 6), np.nan)
-    if here.any():
-        errors[here] = measured.difference(truth.at(run.times_s[here]))
-    return errors
+    return measured, truth.at(run.times_s[here])
 
 
 def _range(times_s: Floats) -> str:

@@ -11,7 +11,6 @@ INK = "#808a96"
 GRID = "rgba(128,138,150,0.22)"
 ACCENT = "#3d8bd4"
 GOOD, DOUBTFUL, BAD = "#4fa35a", "#d99a2b", "#cf4b4b"
-STATUS_COLORS = {"ok": GOOD, "flagged": DOUBTFUL, "lost": BAD, "skipped": "#9aa4ae"}
 PALETTE = ("#3d8bd4", "#d9822b", "#4fa35a", "#b05fc4", "#c94f6d", "#2ba3a3", "#8a7a3d", "#7a86d9")
 
 

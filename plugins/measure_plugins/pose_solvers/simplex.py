@@ -13,7 +13,7 @@ from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform, skew
 from measure.host import PoseSolver, Settings, hookimpl, setting
-from measure.model import Body, Camera, Detection, Fix, Motion, Pose
+from measure.model import Camera, Detection, Fix, Motion, Pose
 from measure_plugins.pose_solvers._simplex_fit import fit_simplex, initial_guess
 
 
@@ -34,9 +34,6 @@ class SimplexSolver(PoseSolver):
     name = "simplex"
     Config = SimplexSettings
     config: SimplexSettings
-
-    def __init__(self, config: SimplexSettings, body: Body) -> None:
-        super().__init__(config, body)
 
     def solve(
         self,
