@@ -52,7 +52,7 @@ class AssociationSettings(Settings):
         0.4, "Least share of the balls in view, over all cameras, that must be found.", ge=0, le=1
     )
     rival_score: float = setting(
-        0.7,
+        0.5,
         "Another pose whose score is this share of the best one's makes the answer ambiguous.",
         gt=0,
         le=1,
