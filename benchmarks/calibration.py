@@ -25,9 +25,9 @@ from measure.calibration import (
     open_capture,
     paper_body,
 )
-from measure.calibration.extrinsics import MarkSight, Sights, Tolerances
 from measure.calibration.lens import intrinsics_vector
 from measure.calibration.procedure import RigCalibration
+from measure.calibration.sights import MarkSight, Sights, Tolerances
 from measure.calibration.tolerance import fit_rig_with_boards
 from measure.geometry import RigidTransform
 from measure.model import Camera, Intrinsics

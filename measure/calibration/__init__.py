@@ -3,7 +3,7 @@
 from measure.calibration.boards import Board, Charuco, Chessboard, Corners
 from measure.calibration.capture import Capture, open_capture
 from measure.calibration.drawing import Sheet, write_sheet
-from measure.calibration.extrinsics import RigFit, Sights, Tolerances, fit_rig
+from measure.calibration.extrinsics import RigFit, fit_rig
 from measure.calibration.intrinsics import LensCalibration, calibrate_lens
 from measure.calibration.judgement import Finding, Workspace, body_cost, body_pose_sd, paper_body
 from measure.calibration.markers import find_markers
@@ -13,6 +13,7 @@ from measure.calibration.printing import target_sheet
 from measure.calibration.procedure import Method, RigCalibration, calibrate_capture
 from measure.calibration.refine import Refinement, RefineSettings, refine_rig
 from measure.calibration.report import calibration_report, camera_rows
+from measure.calibration.sights import Sights, Tolerances
 from measure.calibration.targets import MarkerField, read_board, read_markers
 from measure.calibration.verdict import Verdict, judge, provenance
 from measure.calibration.views import choose_views, find_views

@@ -9,7 +9,8 @@ import numpy as np
 
 from measure.arrays import Bytes, Floats, Ints
 from measure.calibration.dots import Dot, dot_candidates, linear_light, refine_cross, refine_dot
-from measure.calibration.extrinsics import MarkSight, Sights, Tolerances, fit_rig
+from measure.calibration.extrinsics import fit_rig
+from measure.calibration.sights import MarkSight, Sights, Tolerances
 from measure.calibration.targets import MarkerField
 from measure.errors import CalibrationError
 from measure.model import Camera

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from measure.arrays import Floats
-from measure.calibration.extrinsics import Sights
+from measure.calibration.sights import Sights
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
 from measure.model import Camera

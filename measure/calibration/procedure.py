@@ -13,11 +13,12 @@ from measure.arrays import Floats
 from measure.calibration.boards import Board, CornerRule
 from measure.calibration.capture import CameraCapture, Capture
 from measure.calibration.common_views import fit_common_views
-from measure.calibration.extrinsics import MarkSight, RigFit, Sights, Tolerances, fit_rig
+from measure.calibration.extrinsics import RigFit
 from measure.calibration.intrinsics import LensCalibration, calibrate_lens
 from measure.calibration.judgement import Finding
 from measure.calibration.markers import FoundMarkers, find_markers
 from measure.calibration.paper import fit_rig_by_paper
+from measure.calibration.sights import MarkSight, Sights, Tolerances
 from measure.calibration.starts import (
     SeenBoard,
     board_sight,
@@ -26,7 +27,7 @@ from measure.calibration.starts import (
     start_from_marks,
 )
 from measure.calibration.targets import MarkerField
-from measure.calibration.tolerance import fit_rig_with_boards
+from measure.calibration.tolerance import UNWITNESSED_COMMON_PX, fit_rig_with_boards
 from measure.calibration.views import ALL_VIEWS, MAX_VIEWS, find_views
 from measure.errors import CalibrationError
 from measure.model import Camera, Intrinsics
@@ -34,9 +35,6 @@ from measure.session import read_picture
 
 Method = Literal["joint", "paper"]
 Report = Callable[[int, int | None], None]
-
-FOUND_COMMON_SD_PX = 0.3
-"""Light from one side draws all dots of a picture one way by about this much."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,11 +178,8 @@ def _locate_all(
 
 def _joint(base: RigCalibration, capture: Capture) -> RigCalibration:
     settings = capture.settings
-    if settings.board_tolerance_mm is None and settings.board_tolerance_deg is None:
-        fit, tolerances = fit_rig_with_boards(base.cameras, base.sights, settings.mark_sd_px)
-    else:
-        fit = fit_rig(base.cameras, base.sights, mark_sd_px=settings.mark_sd_px)
-        tolerances = base.sights.tolerances
+    stated = settings.board_tolerance_mm is not None or settings.board_tolerance_deg is not None
+    fit, tolerances = fit_rig_with_boards(base.cameras, base.sights, settings.mark_sd_px, stated)
     sights = replace(base.sights, tolerances=tolerances)
     return replace(base, cameras=fit.cameras, fit=fit, tolerances=tolerances, sights=sights)
 
@@ -195,6 +190,7 @@ def _stated_tolerances(capture: Capture) -> Tolerances:
         capture.markers.tolerance_mm,
         settings.board_tolerance_mm or 0.0,
         settings.board_tolerance_deg or 0.0,
+        UNWITNESSED_COMMON_PX,
     )
 
 
@@ -254,7 +250,7 @@ def _searched(
         return start, by_hand, None
     sight = _sight({**finds.marks, **camera.marks}, markers)
     if sight is not None and 2 * len(camera.marks) < len(sight.ids):
-        sight = replace(sight, common_sd_px=FOUND_COMMON_SD_PX)
+        sight = replace(sight, searched=True)
     return start, sight, finds
 
 

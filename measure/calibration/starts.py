@@ -8,9 +8,10 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.calibration.boards import Board, Corners
-from measure.calibration.extrinsics import BoardSight, MarkSight, Sights, Tolerances, fit_rig
+from measure.calibration.extrinsics import fit_rig
 from measure.calibration.intrinsics import board_rms
 from measure.calibration.markers import assign
+from measure.calibration.sights import BoardSight, MarkSight, Sights, Tolerances
 from measure.calibration.single_camera import board_pose
 from measure.calibration.targets import MarkerField
 from measure.errors import CalibrationError

@@ -1,4 +1,4 @@
-"""How exactly were the boards held? Where nobody says, the boards and the markers tell."""
+"""How exactly were boards held, and how far does light draw found marks? The residuals tell."""
 
 from __future__ import annotations
 
@@ -6,21 +6,32 @@ from dataclasses import replace
 
 import numpy as np
 
-from measure.calibration.extrinsics import RigFit, Sights, Tolerances, fit_rig
+from measure.calibration.extrinsics import RigFit, fit_rig
+from measure.calibration.sights import Sights, Tolerances
 from measure.model import Camera
 
-_CANDIDATES_MM = (0.005, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
+_BOARD_MM = (0.005, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
+_COMMON_PX = (0.0, 0.05, 0.1, 0.2, 0.4, 0.8)
+UNWITNESSED_COMMON_PX = 0.2
+"""Where no boards tell how far the light draws found marks, this is taken."""
+_HOPELESS = 10.0
+"""Candidates this much less likely than the best are past the peak."""
 _MIN_WITNESSES = 2
 
 
 def fit_rig_with_boards(
-    start: tuple[Camera, ...], sights: Sights, mark_sd_px: float | None = None
+    start: tuple[Camera, ...],
+    sights: Sights,
+    mark_sd_px: float | None = None,
+    boards_stated: bool = False,
 ) -> tuple[RigFit, Tolerances]:
-    """Fit the rig with the board tolerance that makes boards and markers most likely together.
+    """Fit the rig with the tolerances that make boards and markers most likely together.
 
-    Restricted maximum likelihood (Patterson and Thompson 1971) over a fixed list of candidates; the
-    turn that goes with a shift is the one that shifts the board's rim as much. Without at least two
-    cameras that see both there is nothing to learn from, and the stated poses are taken as exact.
+    Restricted maximum likelihood (Patterson and Thompson 1971) over a fixed list of board
+    tolerances, where none is stated, and over one of common offsets of found marks, where there are
+    any. The turn that goes with a board's shift is the one that shifts its rim as much. Without at
+    least two cameras that see both there is nothing to learn from: the stated poses are taken as
+    exact and the offset as it stands.
 
     Raises:
         CalibrationError: the sights leave a camera's pose undetermined.
@@ -28,17 +39,38 @@ def fit_rig_with_boards(
     both = [n for n in sights.boards if n in sights.marks and len(sights.marks[n].ids) >= 3]
     if len(both) < _MIN_WITNESSES:
         return fit_rig(start, sights, mark_sd_px=mark_sd_px), sights.tolerances
+    boards = [_held_within(sights, mm) for mm in _BOARD_MM]
+    if boards_stated:
+        boards = [sights.tolerances]
+    best = _likeliest(start, sights, boards, mark_sd_px)
+    if any(marks.searched for marks in sights.marks.values()):
+        offsets = [replace(best[1], common_px=px) for px in _COMMON_PX]
+        best = _likeliest(start, sights, offsets, mark_sd_px)
+        if len(boards) > 1:
+            boards = [replace(b, common_px=best[1].common_px) for b in boards]
+            best = _likeliest(start, sights, boards, mark_sd_px)
+    return best
+
+
+def _held_within(sights: Sights, board_mm: float) -> Tolerances:
     offsets = [b.points - b.points.mean(axis=0) for b in sights.boards.values()]
     rim = float(np.sqrt(np.mean(np.concatenate(offsets) ** 2) * 3))
-    best: tuple[float, RigFit, Tolerances] | None = None
-    for candidate in _CANDIDATES_MM:
-        tolerances = replace(
-            sights.tolerances, board_mm=candidate, board_deg=float(np.rad2deg(candidate / rim))
-        )
+    turn = float(np.rad2deg(board_mm / rim))
+    return replace(sights.tolerances, board_mm=board_mm, board_deg=turn)
+
+
+def _likeliest(
+    start: tuple[Camera, ...],
+    sights: Sights,
+    candidates: list[Tolerances],
+    mark_sd_px: float | None,
+) -> tuple[RigFit, Tolerances]:
+    best: tuple[RigFit, Tolerances] | None = None
+    for tolerances in candidates:
         fit = fit_rig(start, replace(sights, tolerances=tolerances), mark_sd_px=mark_sd_px)
-        if best is None or fit.log_likelihood > best[0]:
-            best = (fit.log_likelihood, fit, tolerances)
-        elif fit.log_likelihood < best[0] - 10:
+        if best is None or fit.log_likelihood > best[0].log_likelihood:
+            best = fit, tolerances
+        elif fit.log_likelihood < best[0].log_likelihood - _HOPELESS:
             break
     assert best is not None
-    return best[1], best[2]
+    return best

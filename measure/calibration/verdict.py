@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from measure.arrays import Floats
-from measure.calibration.extrinsics import MarkSight, Sights, fit_rig
+from measure.calibration.extrinsics import fit_rig
 from measure.calibration.judgement import (
     Finding,
     Workspace,
@@ -20,6 +20,7 @@ from measure.calibration.judgement import (
     workspace_of,
 )
 from measure.calibration.procedure import RigCalibration
+from measure.calibration.sights import MarkSight, Sights
 from measure.calibration.starts import mm_per_px
 from measure.errors import CalibrationError
 from measure.geometry import Rays, RigidTransform, nearest_point

@@ -8,7 +8,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.calibration import Chessboard, Corners, Sights, Tolerances
-from measure.calibration.extrinsics import BoardSight, MarkSight
+from measure.calibration.sights import BoardSight, MarkSight
 from measure.calibration.single_camera import board_pose
 from measure.geometry import RigidTransform
 from measure.model import Camera, Intrinsics

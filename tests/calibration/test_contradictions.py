@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from measure.calibration import Corners, MarkerField
-from measure.calibration.extrinsics import MarkSight
 from measure.calibration.judgement import Workspace, plausibility, residual_findings
+from measure.calibration.sights import MarkSight
 from measure.calibration.starts import (
     SeenBoard,
     check_board_against_marks,

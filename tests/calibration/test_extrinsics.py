@@ -13,7 +13,7 @@ from measure.calibration import (
     fit_rig_by_paper,
     paper_body,
 )
-from measure.calibration.extrinsics import MarkSight
+from measure.calibration.sights import MarkSight
 from measure.calibration.tolerance import fit_rig_with_boards
 from measure.geometry import RigidTransform
 from measure.model import Camera

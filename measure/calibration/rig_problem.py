@@ -1,0 +1,250 @@
+"""The least-squares problem of a rig: unknowns, observations with their derivatives, priors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from measure.arrays import Floats, Ints
+from measure.calibration.least_squares import Group, Linearised
+from measure.calibration.lens import changed, intrinsics_vector
+from measure.calibration.sights import BoardSight, MarkSight, Sights
+from measure.geometry import RigidTransform, skew
+from measure.model import Camera
+
+CORNERS, MARKS = 0, 1
+"""The two kinds of observation, each with its own standard deviation."""
+
+
+@dataclass(frozen=True, eq=False)
+class RigState:
+    """Cameras, markers (k, 3), and by camera world_from_board and the offset (2,) of its marks."""
+
+    cameras: tuple[Camera, ...]
+    markers: Floats
+    boards: dict[str, RigidTransform]
+    offsets: dict[str, Floats] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Which shared parameter is which.
+
+    Attributes:
+        lens_free: for each camera, which lens parameters are unknown.
+        cameras: for each camera, the columns of its pose and free lens parameters.
+        markers: columns of all markers, or None where they are exact.
+        boards: columns of the boards that are not exact, by camera name.
+        offsets: columns of the offsets of marks, by camera name.
+        size: number of columns.
+    """
+
+    lens_free: tuple[Ints, ...]
+    cameras: tuple[Ints, ...]
+    markers: Ints | None
+    boards: dict[str, Ints]
+    offsets: dict[str, Ints]
+    size: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Columns:
+    """Hands out columns, one range after another."""
+
+    taken: list[int]
+
+    def take(self, count: int) -> Ints:
+        first = sum(self.taken)
+        self.taken.append(count)
+        return np.arange(first, first + count)
+
+
+def lay_out(cameras: tuple[Camera, ...], sights: Sights) -> Layout:
+    """Number the unknowns: cameras first, then markers, boards and offsets as far as unknown."""
+    columns, tolerances = _Columns([]), sights.tolerances
+    free = tuple(_free(camera) for camera in cameras)
+    of_cameras = tuple(columns.take(6 + len(lens)) for lens in free)
+    markers = None
+    if tolerances.marker_mm > 0 and len(sights.markers):
+        markers = columns.take(3 * len(sights.markers))
+    boards, offsets = {}, {}
+    if tolerances.board_mm > 0 or tolerances.board_deg > 0:
+        boards = {name: columns.take(6) for name in sights.boards}
+    if tolerances.common_px > 0:
+        offsets = {n: columns.take(2) for n, marks in sights.marks.items() if marks.searched}
+    return Layout(free, of_cameras, markers, boards, offsets, sum(columns.taken))
+
+
+def _free(camera: Camera) -> Ints:
+    """Lens parameters with a variance."""
+    P = camera.intrinsics.covariance
+    return np.flatnonzero(np.diag(P) > 0) if P is not None else np.zeros(0, dtype=np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class RigProblem:
+    """All cameras at once.
+
+    Attributes:
+        start: cameras as they are known beforehand.
+        sights: what they see.
+        layout: the unknowns.
+        sds: (2,) standard deviations in px of corners and marks.
+    """
+
+    start: tuple[Camera, ...]
+    sights: Sights
+    layout: Layout
+    sds: Floats
+
+    def labels(self) -> list[tuple[str, int]]:
+        """Camera name and kind of the observation groups, in their order."""
+        labels = []
+        for camera in self.start:
+            if camera.name in self.sights.boards:
+                labels.append((camera.name, CORNERS))
+            if camera.name in self.sights.marks and len(self.sights.marks[camera.name].ids):
+                labels.append((camera.name, MARKS))
+        return labels
+
+    def linearise(self, here: RigState) -> Linearised:
+        """Whitened residuals and derivatives at a state."""
+        order = {camera.name: number for number, camera in enumerate(self.start)}
+        groups = []
+        for name, kind in self.labels():
+            if kind == CORNERS:
+                groups.append(self._corners(here, order[name], self.sights.boards[name]))
+            else:
+                groups.append(self._marks(here, order[name], self.sights.marks[name]))
+        parts = list(self._priors(here))
+        residuals = [residual for residual, _ in parts]
+        rows = [row for _, row in parts]
+        nothing = np.zeros((0, self.layout.size))
+        return Linearised(
+            tuple(groups),
+            self.layout.size,
+            0,
+            np.concatenate([np.zeros(0), *residuals]),
+            np.concatenate([nothing, *rows]),
+        )
+
+    def step(self, here: RigState, shared: Floats, _: Floats) -> RigState:
+        """The state after an increment of all unknowns."""
+        layout = self.layout
+        cameras = tuple(
+            changed(camera, shared[columns], free)
+            for camera, columns, free in zip(
+                here.cameras, layout.cameras, layout.lens_free, strict=True
+            )
+        )
+        markers = here.markers
+        if layout.markers is not None:
+            markers = markers + shared[layout.markers].reshape(-1, 3)
+        boards = {
+            name: pose.perturb(shared[layout.boards[name]]) if name in layout.boards else pose
+            for name, pose in here.boards.items()
+        }
+        offsets = {name: here.offsets[name] + shared[c] for name, c in layout.offsets.items()}
+        return RigState(cameras, markers, boards, offsets)
+
+    def _corners(self, here: RigState, number: int, board: BoardSight) -> Group:
+        name = here.cameras[number].name
+        pose = here.boards[name]
+        points = pose.apply(board.points)
+        own = self.layout.boards.get(name)
+        extra: list[tuple[Ints, Floats]] = []
+        seen = self._predicted(here, number, points)
+        if own is not None:
+            shift = np.broadcast_to(np.eye(3), (len(points), 3, 3))
+            turn = -skew(points - pose.translation)
+            extra.append((own, seen.by_point @ np.concatenate([shift, turn], axis=2)))
+        return self._group(seen, board.pixels, number, extra, CORNERS)
+
+    def _marks(self, here: RigState, number: int, marks: MarkSight) -> Group:
+        name = here.cameras[number].name
+        seen = self._predicted(here, number, here.markers[marks.ids])
+        extra: list[tuple[Ints, Floats]] = []
+        if self.layout.markers is not None:
+            by_markers = np.zeros((len(marks.ids), 2, len(self.layout.markers)))
+            for row, marker in enumerate(marks.ids):
+                by_markers[row, :, 3 * marker : 3 * marker + 3] = seen.by_point[row]
+            extra.append((self.layout.markers, by_markers))
+        pixels = marks.pixels
+        if name in self.layout.offsets:
+            pixels = pixels - here.offsets[name]
+            shift = np.broadcast_to(np.eye(2), (len(marks.ids), 2, 2))
+            extra.append((self.layout.offsets[name], shift))
+        return self._group(seen, pixels, number, extra, MARKS)
+
+    def _predicted(self, here: RigState, number: int, points: Floats) -> _Predicted:
+        return _Predicted(*here.cameras[number].project_with_jacobians(points))
+
+    def _group(
+        self,
+        seen: _Predicted,
+        pixels: Floats,
+        number: int,
+        extra: list[tuple[Ints, Floats]],
+        kind: int,
+    ) -> Group:
+        free, sd = self.layout.lens_free[number], self.sds[kind]
+        columns = [self.layout.cameras[number], *(c for c, _ in extra)]
+        parts = [seen.by_pose, seen.by_lens[:, :, free], *(part for _, part in extra)]
+        return Group(
+            (pixels - seen.pixels) / sd,
+            np.concatenate(columns),
+            np.concatenate(parts, axis=2) / sd,
+            np.zeros(0, dtype=np.int64),
+            np.zeros((len(pixels), 2, 0)),
+        )
+
+    def _priors(self, here: RigState) -> Iterator[tuple[Floats, Floats]]:
+        """Whitened residuals and derivative rows of all that is known beforehand."""
+        layout, sights = self.layout, self.sights
+        for first, now, columns, free in zip(
+            self.start, here.cameras, layout.cameras, layout.lens_free, strict=True
+        ):
+            if len(free):
+                root = _root_information(first.intrinsics.covariance, free)
+                yield self._prior(_lens_difference(first, now, free), root, columns[6:])
+        if layout.markers is not None:
+            root = np.eye(len(layout.markers)) / sights.tolerances.marker_mm
+            yield self._prior((sights.markers - here.markers).reshape(-1), root, layout.markers)
+        for name, columns in layout.offsets.items():
+            root = np.eye(2) / sights.tolerances.common_px
+            yield self._prior(-here.offsets[name], root, columns)
+        board_sd = [sights.tolerances.board_mm, np.deg2rad(sights.tolerances.board_deg)]
+        root = np.diag(1 / np.maximum(np.repeat(board_sd, 3), 1e-9))
+        for name, columns in layout.boards.items():
+            stated = sights.boards[name].world_from_board
+            yield self._prior(-here.boards[name].difference(stated), root, columns)
+
+    def _prior(self, residual: Floats, root: Floats, columns: Ints) -> tuple[Floats, Floats]:
+        row = np.zeros((len(root), self.layout.size))
+        row[:, columns] = root
+        return root @ residual, row
+
+
+@dataclass(frozen=True, eq=False)
+class _Predicted:
+    """Predicted pixels (n, 2) and their derivatives by world point, camera pose and lens."""
+
+    pixels: Floats
+    by_point: Floats
+    by_pose: Floats
+    by_lens: Floats
+
+
+def _lens_difference(first: Camera, now: Camera, free: Ints) -> Floats:
+    """Free lens parameters of `first` less those of `now`."""
+    return (intrinsics_vector(first.intrinsics) - intrinsics_vector(now.intrinsics))[free]
+
+
+def _root_information(covariance: Floats | None, free: Ints) -> Floats:
+    """R with R^T R the inverse of the covariance of the free parameters."""
+    assert covariance is not None
+    P = covariance[np.ix_(free, free)]
+    scale = 1 / np.sqrt(np.diag(P))
+    return np.linalg.inv(np.linalg.cholesky(P * scale[:, None] * scale)) * scale

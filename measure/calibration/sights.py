@@ -1,0 +1,76 @@
+"""What cameras see of things whose place in the world is known, and how exactly it is known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from measure.arrays import Floats, Ints
+from measure.geometry import RigidTransform
+
+
+@dataclass(frozen=True, eq=False)
+class BoardSight:
+    """A board of known pose, seen by one camera.
+
+    Attributes:
+        points: (n, 3) its seen corners in the board frame, mm.
+        pixels: (n, 2) where they appear.
+        world_from_board: its stated pose.
+    """
+
+    points: Floats
+    pixels: Floats
+    world_from_board: RigidTransform
+
+
+@dataclass(frozen=True, eq=False)
+class MarkSight:
+    """Markers seen by one camera.
+
+    Attributes:
+        ids: (n,) their numbers in the field.
+        pixels: (n, 2) where they appear.
+        searched: whether most of them were found by search. The light draws found dots one way, so
+            that all marks of a picture may share an offset; a hand has no such habit.
+    """
+
+    ids: Ints
+    pixels: Floats
+    searched: bool = False
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """How exactly the things of known place are known, as standard deviations.
+
+    Attributes:
+        marker_mm: of each coordinate of a marker; 0 is exact.
+        board_mm: of each coordinate of a board's origin; 0 is exact.
+        board_deg: of a board's turn about each axis; 0 is exact.
+        common_px: of each coordinate of the offset that found marks of a picture share; 0: none.
+    """
+
+    marker_mm: float = 0.1
+    board_mm: float = 0.0
+    board_deg: float = 0.0
+    common_px: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Sights:
+    """All that the cameras see of things whose place in the world is known.
+
+    Attributes:
+        markers: (k, 3) stated positions of the markers in the world, mm.
+        boards: by camera name.
+        marks: by camera name.
+        tolerances: of markers and boards.
+    """
+
+    markers: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    boards: Mapping[str, BoardSight] = field(default_factory=dict)
+    marks: Mapping[str, MarkSight] = field(default_factory=dict)
+    tolerances: Tolerances = field(default_factory=Tolerances)
