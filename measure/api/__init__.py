@@ -6,29 +6,23 @@ One file an action. Heavy libraries load when an action is called, not with this
 from measure.api.calibrating import CalibrationResult, calibrate, draw_target
 from measure.api.check import SessionCheck, check
 from measure.api.correcting import (
-    TrainOptions,
-    ablate,
     correct_simulated_robot,
     estimate_file,
     estimate_online,
-    make_dataset,
-    parse_settings,
     rezero,
     shipped_model,
-    simulate_dataset,
-    simulate_recording,
-    sweep,
-    train,
 )
 from measure.api.demo import Demo, demo, render_demo
 from measure.api.evaluate import evaluate
 from measure.api.export import export
 from measure.api.many import Outcome, run_many
 from measure.api.measuring import measure_session
+from measure.api.pairing import make_dataset, simulate_dataset, simulate_recording
 from measure.api.profiles import build_pipeline, choose, load_profile, profile_names
 from measure.api.refining import RefineResult, refine
 from measure.api.report import report
 from measure.api.run import RunOptions, parse_images, run
+from measure.api.training import TrainOptions, ablate, parse_settings, sweep, train
 from measure.api.watch import spawn_viewer
 from measure.results.evaluation_table import evaluation_tables
 

@@ -64,16 +64,8 @@ def ablate(
         columns = split.test.schema.index(members)
         permuted = _rms(model, _shuffled(split.test, columns, seed))
         removed = None if refit is None else _removed(refit(), split, columns, seed)
-        found.append(
-            Importance(
-                name,
-                len(columns),
-                permuted,
-                removed,
-                permuted - base,
-                None if removed is None else removed - base,
-            )
-        )
+        removal = None if removed is None else removed - base
+        found.append(Importance(name, len(columns), permuted, removed, permuted - base, removal))
     report(1.0, "done")
     return base, sorted(found, key=lambda item: -item.permutation_mm)
 

@@ -116,23 +116,30 @@ def join(parts: Sequence[Dataset]) -> Dataset:
     )
 
 
+@dataclass(frozen=True, eq=False)
+class _Marks:
+    """What is true of each row (n,): measured, a state is near, an outlier, too uncertain."""
+
+    measured: Bools
+    near: Bools
+    outlier: Bools
+    uncertain: Bools
+
+    @property
+    def usable(self) -> Bools:
+        """Its label may be learnt from."""
+        return self.measured & self.near & ~self.outlier & ~self.uncertain
+
+    @property
+    def kept(self) -> Bools:
+        """It belongs to the data set, if only as history."""
+        return self.near | self.measured
+
+
 def _one(
     track: PoseTrack, log: RobotLog, settings: AssemblySettings
 ) -> tuple[Dataset, TrajectoryFacts]:
-    seen = np.isfinite(track.positions_mm).all(axis=1)
-    if seen.sum() < 10:
-        raise EstimatorError(f"{track.name}: only {int(seen.sum())} poses were measured")
-    reported = log.schema.position_mm(log.states)
-    _check_units(track.name, track.positions_mm[seen], reported)
-    clock = None
-    if settings.clock_offset_s is None:
-        clock = estimate_offset(
-            track.times_s[seen],
-            track.positions_mm[seen],
-            log.times_s,
-            reported,
-            largest_s=settings.largest_offset_s,
-        )
+    clock = _clock(track, log, settings)
     offset = clock.offset_s if clock else settings.clock_offset_s or 0.0
     times, row_of_pose = _row_times(track.times_s + offset, log, settings.history_hz)
     states, near = _interpolate(log, times, settings.longest_gap_s)
@@ -140,13 +147,12 @@ def _one(
     covariances = np.tile(np.eye(3), (len(times), 1, 1))
     errors[row_of_pose] = track.positions_mm - log.schema.position_mm(states)[row_of_pose]
     covariances[row_of_pose] = np.where(np.isfinite(track.covariances), track.covariances, 1.0)
-    measured = np.isfinite(errors).all(axis=1)
     outlier = np.zeros(len(times), dtype=bool)
     outlier[row_of_pose] = _outliers(errors[row_of_pose], settings.outlier_sds)
+    measured = np.isfinite(errors).all(axis=1)
     sd = np.sqrt(np.trace(covariances, axis1=1, axis2=2))
-    uncertain = measured & (sd > settings.largest_sd_mm)
-    usable = measured & near & ~outlier & ~uncertain
-    kept = near | measured
+    marks = _Marks(measured, near, outlier, measured & (sd > settings.largest_sd_mm))
+    kept = marks.kept
     trajectory, names = _cut(track.name, times[kept], settings.cut_s)
     part = Dataset(
         log.schema,
@@ -156,20 +162,44 @@ def _one(
         names,
         errors[kept],
         covariances[kept],
-        usable[kept],
+        marks.usable[kept],
     )
-    facts = TrajectoryFacts(
+    return part, _facts(track, marks, float(times[-1] - times[0]), clock)
+
+
+def _clock(track: PoseTrack, log: RobotLog, settings: AssemblySettings) -> ClockOffset | None:
+    """The offset as the motion tells it, or None if it was given; checks the units first."""
+    seen = np.isfinite(track.positions_mm).all(axis=1)
+    if seen.sum() < 10:
+        raise EstimatorError(f"{track.name}: only {int(seen.sum())} poses were measured")
+    reported = log.schema.position_mm(log.states)
+    _check_units(track.name, track.positions_mm[seen], reported)
+    if settings.clock_offset_s is not None:
+        return None
+    return estimate_offset(
+        track.times_s[seen],
+        track.positions_mm[seen],
+        log.times_s,
+        reported,
+        largest_s=settings.largest_offset_s,
+    )
+
+
+def _facts(
+    track: PoseTrack, marks: _Marks, duration_s: float, clock: ClockOffset | None
+) -> TrajectoryFacts:
+    seen = np.isfinite(track.positions_mm).all(axis=1)
+    return TrajectoryFacts(
         track.name,
-        len(part),
-        int(usable.sum()),
+        int(marks.kept.sum()),
+        int(marks.usable.sum()),
         int((~seen).sum()),
-        int((measured & ~near).sum()),
-        int(outlier.sum()),
-        int(uncertain.sum()),
-        float(times[-1] - times[0]),
+        int((marks.measured & ~marks.near).sum()),
+        int(marks.outlier.sum()),
+        int(marks.uncertain.sum()),
+        duration_s,
         clock,
     )
-    return part, facts
 
 
 def _check_units(name: str, measured_mm: Floats, reported_mm: Floats) -> None:

@@ -9,9 +9,21 @@ from typing import Any
 
 def write_card(path: Path, card: Mapping[str, Any]) -> None:
     """Write a model card as Markdown."""
-    scores = card["scores"]
-    before, after = scores["before"], scores["after"]
-    lines = [
+    lines = [*_origin(card), "", *_scores(card["scores"]), "", *_LIMITS]
+    path.write_text("\n".join(lines) + "\n")
+
+
+_LIMITS = (
+    "## Limits",
+    "",
+    "Valid for this robot, its cables as they were, and motions like those of the training.",
+    "States beyond them are flagged as unfamiliar. After a restart a static offset may remain:",
+    "`measure estimate --rezero` removes it. When the drift monitor warns, train again.",
+)
+
+
+def _origin(card: Mapping[str, Any]) -> list[str]:
+    return [
         f"# {card['estimator']} for {card['robot']}",
         "",
         *([card["about"], ""] if "about" in card else []),
@@ -26,13 +38,17 @@ def write_card(path: Path, card: Mapping[str, Any]) -> None:
             f"digest {facts['digest']}"
             for part, facts in card["data"].items()
         ),
-        "",
+    ]
+
+
+def _scores(scores: Mapping[str, Any]) -> list[str]:
+    return [
         "## Error on the test trajectories, mm",
         "",
         "| | RMS | SD | 95 % | RMS x | RMS y | RMS z |",
         "|---|---|---|---|---|---|---|",
-        _row("reported", before),
-        _row("corrected", after),
+        _row("reported", scores["before"]),
+        _row("corrected", scores["after"]),
         "",
         (
             f"RMS {scores['rms_change']:+.1%}, SD {scores['sd_change']:+.1%}. Residuals are "
@@ -54,14 +70,7 @@ def write_card(path: Path, card: Mapping[str, Any]) -> None:
             for low, high, b, a in scores["by_speed"]
             if b["rows"]
         ),
-        "",
-        "## Limits",
-        "",
-        "Valid for this robot, its cables as they were, and motions like those of the training.",
-        "States beyond them are flagged as unfamiliar. After a restart a static offset may remain:",
-        "`measure estimate --rezero` removes it. When the drift monitor warns, train again.",
     ]
-    path.write_text("\n".join(lines) + "\n")
 
 
 def _row(name: str, score: Mapping[str, Any]) -> str:

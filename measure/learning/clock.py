@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from measure.arrays import Bools, Floats
+from measure.arrays import Bools, Floats, Ints
 from measure.errors import EstimatorError
 
 _GRID_HZ = 100.0
@@ -53,26 +53,9 @@ def estimate_offset(
     Raises:
         EstimatorError: too little motion in common, or no offset makes the speeds agree.
     """
-    start = max(camera_times_s[0], robot_times_s[0] - largest_s) + _SPAN_S
-    stop = min(camera_times_s[-1], robot_times_s[-1] + largest_s) - _SPAN_S
-    if stop - start < 2.0:
-        raise EstimatorError(
-            f"cameras ({camera_times_s[0]:.1f} to {camera_times_s[-1]:.1f} s) and robot "
-            f"({robot_times_s[0]:.1f} to {robot_times_s[-1]:.1f} s) share less than 2 s of motion: "
-            "give the clock offset, or the log of this recording"
-        )
-    grid = np.arange(start, stop, 1.0 / _GRID_HZ)
+    grid = _common_times(camera_times_s, robot_times_s, largest_s)
     measured = _velocity(camera_times_s, measured_mm, grid)
-    speed = np.linalg.norm(measured, axis=1)
-    reach = round(largest_s * _GRID_HZ)
-    lags = np.arange(-reach, reach + 1)
-    wide = np.arange(len(grid) + 2 * reach) / _GRID_HZ + (start - reach / _GRID_HZ)
-    inside = (wide > robot_times_s[0] + _SPAN_S) & (wide < robot_times_s[-1] - _SPAN_S)
-    other = np.linalg.norm(_velocity(robot_times_s, reported_mm, wide), axis=1)
-    count = len(grid)
-    scores = np.array(
-        [_match(speed, other[i : i + count], inside[i : i + count]) for i in lags + reach]
-    )
+    lags, scores = _scores(measured, grid, robot_times_s, reported_mm, largest_s)
     best = int(np.nanargmax(scores)) if np.isfinite(scores).any() else 0
     if not scores[best] >= _LEAST_CORRELATION:
         raise EstimatorError(
@@ -82,6 +65,32 @@ def estimate_offset(
     return _refine(
         measured, robot_times_s, reported_mm, grid, lags[best] / _GRID_HZ, float(scores[best])
     )
+
+
+def _common_times(camera_s: Floats, robot_s: Floats, largest_s: float) -> Floats:
+    start = max(camera_s[0], robot_s[0] - largest_s) + _SPAN_S
+    stop = min(camera_s[-1], robot_s[-1] + largest_s) - _SPAN_S
+    if stop - start < 2.0:
+        raise EstimatorError(
+            f"cameras ({camera_s[0]:.1f} to {camera_s[-1]:.1f} s) and robot "
+            f"({robot_s[0]:.1f} to {robot_s[-1]:.1f} s) share less than 2 s of motion: "
+            "give the clock offset, or the log of this recording"
+        )
+    return np.arange(start, stop, 1.0 / _GRID_HZ)
+
+
+def _scores(
+    measured: Floats, grid: Floats, times: Floats, positions: Floats, largest_s: float
+) -> tuple[Ints, Floats]:
+    """How well the speeds match at every lag (in grid steps) within the search range."""
+    reach, count = round(largest_s * _GRID_HZ), len(grid)
+    lags = np.arange(-reach, reach + 1)
+    wide = np.arange(count + 2 * reach) / _GRID_HZ + (grid[0] - reach / _GRID_HZ)
+    inside = (wide > times[0] + _SPAN_S) & (wide < times[-1] - _SPAN_S)
+    speed = np.linalg.norm(measured, axis=1)
+    other = np.linalg.norm(_velocity(times, positions, wide), axis=1)
+    scores = [_match(speed, other[i : i + count], inside[i : i + count]) for i in lags + reach]
+    return lags, np.array(scores)
 
 
 def _velocity(times: Floats, positions: Floats, at: Floats) -> Floats:

@@ -70,11 +70,20 @@ def render_recording(
         What the simulated robot did.
     """
     run = simulate(seconds, seed, log_hz=log_hz, cables=cables, style=_STYLE)
+    times = np.arange(0.1, seconds - 0.1, 1.0 / frame_hz)
+    write_session(_scene(run, seed), times, folder, progress=progress)
+    write_truth(folder / "truth.csv", run.times_s, run.world_from_tip)
+    log = RobotLog(raven_schema(), run.times_s + clock_offset_s, run.states)
+    write_log(folder / "robot.parquet", log)
+    return run
+
+
+def _scene(run: SimulatedRun, seed: int) -> Scene:
     home = raven_chain().pose(_HOME)
     base_from_rig = home @ RigidTransform(np.eye(3), -WORKSPACE_MM)
     rig_from_tip = base_from_rig.inverse() @ run.world_from_tip
     body, cameras = paper_body(), paper_rig()
-    scene = Scene(
+    return Scene(
         "raven-simulated",
         body,
         cameras,
@@ -89,8 +98,3 @@ def render_recording(
         ),
         description=f"simulated RAVEN-II, seed {seed}; frame: the robot's base",
     )
-    write_session(scene, np.arange(0.1, seconds - 0.1, 1.0 / frame_hz), folder, progress=progress)
-    write_truth(folder / "truth.csv", run.times_s, run.world_from_tip)
-    log = RobotLog(raven_schema(), run.times_s + clock_offset_s, run.states)
-    write_log(folder / "robot.parquet", log)
-    return run

@@ -72,7 +72,13 @@ def train(
         shutil.rmtree(checkpoint, ignore_errors=True)
     estimator.checkpoint = checkpoint
     estimator.fit(split.train, split.validation, seed=seed, report=report)
-    card = _provenance(estimator, split, seed) | dict(notes or {})
+    trained = _save(estimator, split, out, _provenance(estimator, split, seed) | dict(notes or {}))
+    shutil.rmtree(checkpoint, ignore_errors=True)
+    return trained
+
+
+def _save(estimator: Estimator, split: Split, out: Path, card: dict[str, Any]) -> Trained:
+    """Write the network, judge the written file on the test part, add the scores to its card."""
     estimator.save(out, card)
     estimates = OnnxModel.load(out).predict(split.test)
     evaluation = evaluate(split.test, estimates)
@@ -81,7 +87,6 @@ def train(
     full = card | {"curve": [asdict(line) for line in estimator.curve]}
     out.with_suffix(".card.json").write_text(json.dumps(full, indent=1) + "\n")
     write_card(out.with_suffix(".card.md"), full)
-    shutil.rmtree(checkpoint, ignore_errors=True)
     return Trained(out, evaluation, estimator.curve, split.test, estimates)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from measure.arrays import Bools, Floats, Ints
 from measure.simulation import kernels
 from measure.simulation.kernels import NOTHING
+from measure.simulation.light_kernels import LAMP_ROW, Lights, Rays, shade
 from measure.simulation.shading import Lighting
 from measure.simulation.shapes import Box, Capsule, Shape, Sphere
 
@@ -56,10 +57,8 @@ class Stage:
         kernels.trace(flat, rows, rays, delays_s, self.packed, first, depth)
         out = np.empty((pixels, 3))
         albedo, by_ray = self._albedo(flat, first, depth)
-        lighting = (self._lamps, *self._surroundings, self._blockers)
-        kernels.shade(
-            flat, rays, delays_s, first, depth, self.packed, albedo, by_ray, *lighting, out
-        )
+        met = Rays(flat, rays, delays_s, first, depth)
+        shade(met, self.packed, albedo, by_ray, self._lights, out)
         return out, first.reshape(pixels, rays)
 
     def gaps_px(self, k: int, ideal: Floats) -> Floats:
@@ -112,25 +111,17 @@ class Stage:
         return rows
 
     @cached_property
-    def _lamps(self) -> Floats:
-        return np.array(
-            [
-                [*lamp.position_mm, *lamp.irradiance_rgb[::-1], lamp.radius_mm]
-                for lamp in self.lighting.lights
-            ]
-        ).reshape(-1, kernels.LAMP_ROW)
-
-    @cached_property
-    def _surroundings(self) -> tuple[Floats, Floats, Floats]:
-        """Ambient light, mirrored surroundings, and the way up with the share from below."""
+    def _lights(self) -> Lights:
         light = self.lighting
-        return (
+        lamps = [[*v.position_mm, *v.irradiance_rgb[::-1], v.radius_mm] for v in light.lights]
+        return Lights(
+            np.array(lamps, dtype=np.float64).reshape(-1, LAMP_ROW),
             np.array(light.ambient_rgb[::-1]),
             np.array([*light.surround_rgb[::-1], *light.floor_rgb[::-1]]),
             np.array([*light.up, light.below]),
+            self._blockers(),
         )
 
-    @cached_property
     def _blockers(self) -> Ints:
         if not self.lighting.shadows:
             return np.zeros(0, np.int64)

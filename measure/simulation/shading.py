@@ -1,4 +1,4 @@
-"""Materials and light. The formulas that join them stand in `kernels.shade`.
+"""Materials and light. The formulas that join them stand in `light_kernels`.
 
 Irradiance is scaled so that a white matt surface under irradiance 1 has radiance 1.
 """

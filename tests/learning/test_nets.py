@@ -10,7 +10,7 @@ import pytest
 from measure.host import Dataset
 from measure.host.onnx_graph import Graph
 from measure.robots import psm_schema
-from measure_plugins.estimators import _nets, mlp
+from measure_plugins.estimators import _nets, _training, mlp
 from measure_plugins.estimators._kinematics import TorchTip, tip_change
 from measure_plugins.estimators._play import PlayBank
 
@@ -39,7 +39,7 @@ def test_gru_steps_equal_torchs_sequence() -> None:
             torch.nn.Linear(7 + 4, 6), torch.nn.SiLU(), torch.nn.Linear(6, 3)
         )
         nets.append((gru, head))
-        members.append(_nets._pack_gru(gru, head))
+        members.append(_training.pack_gru(gru, head))
     stacked = _nets.stack_grus(members)
     x = torch.randn(2, 9, 4)
     steps = torch.randn(2, 9, 1)

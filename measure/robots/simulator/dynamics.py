@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TypeVar, cast
+
 import numba
 import numpy as np
 
@@ -9,6 +12,8 @@ from measure.arrays import Floats
 from measure.robots import raven
 from measure.robots.simulator import constants as k
 from measure.robots.simulator.constants import Cables
+
+F = TypeVar("F", bound=Callable[..., object])
 
 SUBSTEPS = 4
 _N = raven.DRIVES
@@ -55,7 +60,108 @@ def integrate(desired: Floats, gravity: Floats, cables: Cables, log_every: int) 
     return result
 
 
-@numba.njit(cache=True, fastmath=False)  # type: ignore[untyped-decorator]
+def _compiled(function: F) -> F:
+    """Numba's njit, keeping the types; exact arithmetic, the same on every run."""
+    return cast("F", numba.njit(cache=True, fastmath=False)(function))
+
+
+@_compiled
+def _control(
+    target: Floats,
+    ahead: Floats,
+    angle: Floats,
+    motor: Floats,
+    smoothing: float,
+    previous: Floats,
+    filtered: Floats,
+    dac: Floats,
+) -> None:
+    """Encoder, velocity estimate and PD controller of one step."""
+    for i in range(_N):
+        seen = _encoder(angle[i])
+        filtered[i] += smoothing * ((seen - previous[i]) / 1e-3 - filtered[i])
+        previous[i] = seen
+        goal_speed = (ahead[i] - target[i]) / 1e-3
+        wish = motor[3, i] * (target[i] - seen) + motor[4, i] * (goal_speed - filtered[i])
+        dac[i] = min(max(wish, -motor[5, i]), motor[5, i])
+
+
+@_compiled
+def _encoder(angle: float) -> float:
+    quantum = 2.0 * np.pi / 4000.0
+    return np.floor(angle / quantum) * quantum
+
+
+@_compiled
+def _pull(
+    angle: Floats, link: Floats, cables: Floats, coupling: Floats, ratio: Floats, tension: Floats
+) -> None:
+    """Cable tension from stretch beyond the slack."""
+    for i in range(_N):
+        pulled = 0.0
+        for j in range(i + 1):
+            pulled += coupling[i, j] * link[j]
+        stretch = angle[i] / ratio[i] - pulled
+        if stretch > cables[3, i]:
+            stretch -= cables[3, i]
+        elif stretch < -cables[3, i]:
+            stretch += cables[3, i]
+        else:
+            stretch = 0.0
+        linear = cables[0, i] * stretch
+        tension[i] = linear * (1.0 + cables[1, i] * min(abs(linear) / cables[2, i], 3.0))
+
+
+@_compiled
+def _move_links(
+    gravity: Floats,
+    tension: Floats,
+    cables: Floats,
+    coupling: Floats,
+    bristle: Floats,
+    speed: Floats,
+    link: Floats,
+    dt: float,
+) -> None:
+    """Links with Dahl friction, pulled by their cables and by gravity."""
+    for i in range(_N):
+        torque = gravity[i]
+        for j in range(i, _N):
+            torque += coupling[j, i] * tension[j]
+        rate = speed[i] / cables[5, i]
+        bristle[i] += dt * (rate - abs(rate) * bristle[i])
+        bristle[i] = min(max(bristle[i], -1.0), 1.0)
+        push = torque - cables[4, i] * bristle[i] - cables[7, i] * speed[i]
+        speed[i] += dt * push / cables[6, i]
+        link[i] += dt * speed[i]
+
+
+@_compiled
+def _move_motors(
+    dac: Floats,
+    tension: Floats,
+    motor: Floats,
+    ratio: Floats,
+    speed: Floats,
+    angle: Floats,
+    dt: float,
+) -> None:
+    """Motors with Coulomb friction that can hold them still."""
+    for i in range(_N):
+        load = tension[i] / ratio[i] * motor[6, i]
+        drive = dac[i] - load - motor[1, i] * speed[i]
+        free = speed[i] + dt * drive / motor[0, i]
+        grip = dt * motor[2, i] / motor[0, i]
+        if free > grip:
+            speed[i] = free - grip
+        elif free < -grip:
+            speed[i] = free + grip
+        else:
+            speed[i] = 0.0
+        angle[i] += dt * speed[i]
+
+
+@_compiled
 def _integrate(
     targets: Floats,
     desired: Floats,
@@ -69,69 +175,20 @@ def _integrate(
 ) -> Floats:
     steps = len(targets)
     dt = 1e-3 / SUBSTEPS
-    kept = (steps + log_every - 1) // log_every
-    out = np.empty((kept, 6, _N))
+    out = np.empty(((steps + log_every - 1) // log_every, 6, _N))
     angle, speed = targets[0].copy(), np.zeros(_N)
     link, link_speed = desired[0].copy(), np.zeros(_N)
-    bristle, filtered, dac = np.zeros(_N), np.zeros(_N), np.zeros(_N)
-    tension, torque, pulled = np.zeros(_N), np.zeros(_N), np.zeros(_N)
-    previous = np.zeros(_N)
-    quantum = 2.0 * np.pi / 4000.0
+    bristle, filtered, dac, tension = np.zeros((4, _N))
+    previous = np.array([_encoder(a) for a in angle])
     for step in range(steps):
-        for i in range(_N):  # encoder, velocity estimate, PD controller
-            seen = np.floor(angle[i] / quantum) * quantum
-            if step == 0:
-                previous[i] = seen
-            filtered[i] += smoothing * ((seen - previous[i]) / 1e-3 - filtered[i])
-            previous[i] = seen
-            ahead = targets[min(step + 1, steps - 1), i]
-            goal_speed = (ahead - targets[step, i]) / 1e-3
-            wish = motor[3, i] * (targets[step, i] - seen) + motor[4, i] * (
-                goal_speed - filtered[i]
-            )
-            dac[i] = min(max(wish, -motor[5, i]), motor[5, i])
+        ahead = targets[min(step + 1, steps - 1)]
+        _control(targets[step], ahead, angle, motor, smoothing, previous, filtered, dac)
         if step % log_every == 0:
-            row = step // log_every
-            for i in range(_N):
-                out[row, 0, i], out[row, 1, i], out[row, 2, i] = previous[i], filtered[i], dac[i]
-                out[row, 3, i], out[row, 4, i] = link[i], targets[step, i]
-                out[row, 5, i] = desired[step, i]
+            row = out[step // log_every]
+            row[0], row[1], row[2] = previous, filtered, dac
+            row[3], row[4], row[5] = link, targets[step], desired[step]
         for _ in range(SUBSTEPS):
-            for i in range(_N):  # cable tension from stretch beyond the slack
-                pulled[i] = 0.0
-                for j in range(i + 1):
-                    pulled[i] += coupling[i, j] * link[j]
-                stretch = angle[i] / ratio[i] - pulled[i]
-                if stretch > cables[3, i]:
-                    stretch -= cables[3, i]
-                elif stretch < -cables[3, i]:
-                    stretch += cables[3, i]
-                else:
-                    stretch = 0.0
-                linear = cables[0, i] * stretch
-                tension[i] = linear * (1.0 + cables[1, i] * min(abs(linear) / cables[2, i], 3.0))
-            for i in range(_N):
-                torque[i] = gravity[step, i]
-                for j in range(i, _N):
-                    torque[i] += coupling[j, i] * tension[j]
-            for i in range(_N):  # links with Dahl friction
-                rate = link_speed[i] / cables[5, i]
-                bristle[i] += dt * (rate - abs(rate) * bristle[i])
-                bristle[i] = min(max(bristle[i], -1.0), 1.0)
-                push = torque[i] - cables[4, i] * bristle[i] - cables[7, i] * link_speed[i]
-                link_speed[i] += dt * push / cables[6, i]
-                link[i] += dt * link_speed[i]
-            for i in range(_N):  # motors with Coulomb friction that can hold them still
-                load = tension[i] / ratio[i] * motor[6, i]
-                drive = dac[i] - load - motor[1, i] * speed[i]
-                change = dt * drive / motor[0, i]
-                grip = dt * motor[2, i] / motor[0, i]
-                free = speed[i] + change
-                if free > grip:
-                    speed[i] = free - grip
-                elif free < -grip:
-                    speed[i] = free + grip
-                else:
-                    speed[i] = 0.0
-                angle[i] += dt * speed[i]
+            _pull(angle, link, cables, coupling, ratio, tension)
+            _move_links(gravity[step], tension, cables, coupling, bristle, link_speed, link, dt)
+            _move_motors(dac, tension, motor, ratio, speed, angle, dt)
     return out

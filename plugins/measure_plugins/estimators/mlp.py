@@ -11,7 +11,7 @@ from measure.host import Dataset, Epoch, Estimator, Report, Settings, hookimpl, 
 from measure.host.onnx_estimator import Core, OnnxEstimator, Scaling
 from measure.host.onnx_graph import Graph, Value
 from measure_plugins.estimators._checkpoint import Checkpoint
-from measure_plugins.estimators._nets import torch_or_explain
+from measure_plugins.estimators._training import torch_or_explain
 
 
 class MlpSettings(Settings):

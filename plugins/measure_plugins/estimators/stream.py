@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -15,11 +15,20 @@ from measure.host.onnx_graph import Graph, Value
 from measure_plugins.estimators import _nets
 from measure_plugins.estimators._checkpoint import Checkpoint
 from measure_plugins.estimators._inputs import telling_features, watched_features
-from measure_plugins.estimators._kinematics import TorchTip, tip_change
+from measure_plugins.estimators._kinematics import tip_change
+from measure_plugins.estimators._lesson import Lesson, Outputs, make_lesson
 from measure_plugins.estimators._play import PlayBank
+from measure_plugins.estimators._training import (
+    AfterEpoch,
+    Training,
+    torch_or_explain,
+    train_gru,
+    train_perceptrons,
+)
 
 N = TypeVar("N")
 
+_PERCEPTRON_SHARE = 0.2  # what a perceptron's epoch costs, of a GRU's
 _TURN, _SLIDE_MM, _TIP_MM = 0.05, 1.0, 1.0  # what an output of one stands for: rad, mm, mm
 
 
@@ -58,58 +67,50 @@ class StreamEstimator(OnnxEstimator):
 
     def learn(self, data: Dataset, validation: Dataset, *, seed: int, report: Report) -> None:
         """Scale, play, then train every net in turn."""
-        torch = _nets.torch_or_explain()
+        torch_or_explain()
         c = self.config
         self._data_schema = data.schema
         self._columns = telling_features(data)
         self._scaling = Scaling.of(data.states[:, self._columns])
         self._moving = self._moving_inputs()
         self._bank = PlayBank.of(data, c.play_widths, c.narrowest, c.widest)
-        self._scale = self._output_scale()
         used = data.usable
-        self._middle = np.average(data.errors_mm[used], axis=0, weights=data.weights()[used])
-        lesson = self._lesson(torch, data, validation)
-        total = c.perceptrons * c.perceptron_epochs * 0.2 + c.grus * c.gru_epochs
-        curve: list[Epoch] = []
+        middle = np.average(data.errors_mm[used], axis=0, weights=data.weights()[used])
+        self._outputs = Outputs(self._output_scale(), middle)
+        lesson = make_lesson(data, validation, self._inputs, self._outputs, self._moving)
+        log = _Log(_PERCEPTRON_SHARE * c.perceptrons * c.perceptron_epochs + c.grus * c.gru_epochs)
+        self._perceptrons = self._fit_perceptrons(lesson, seed, log, report)
+        self._grus = self._fit_grus(lesson, seed, log, report)
+        self.curve = tuple(log.curve)
 
-        def after(done: float, what: str, share: float) -> Any:
-            def note(epoch: int, train: float, score: float) -> None:
-                curve.append(Epoch(len(curve), train, score))
-                report((done + share * (epoch + 1)) / total, f"{what}: {score:.3f} mm")
-
-            return note
-
-        share = 0.2 * c.perceptrons
-        how = _nets.Training(c.perceptron_epochs, noise=c.noise, decay=0.2 * c.decay)
-        sizes = (lesson.inputs.shape[1], c.perceptron_units, c.perceptron_units, len(self._scale))
-        self._perceptrons = self._resumed(
+    def _fit_perceptrons(
+        self, lesson: Lesson, seed: int, log: _Log, report: Report
+    ) -> _nets.Perceptrons:
+        c, outputs = self.config, len(self._outputs.scale)
+        how = Training(c.perceptron_epochs, noise=c.noise, decay=0.2 * c.decay)
+        sizes = (lesson.inputs.shape[1], c.perceptron_units, c.perceptron_units, outputs)
+        share = _PERCEPTRON_SHARE * c.perceptrons
+        note = log.part("perceptrons", share, c.perceptron_epochs, report)
+        return self._resumed(
             "perceptrons",
             seed,
             lesson,
-            lambda: _nets.train_perceptrons(
-                lesson, sizes, c.perceptrons, how, seed, after(0.0, "perceptrons", share)
-            ),
+            lambda: train_perceptrons(lesson, sizes, c.perceptrons, how, seed, note),
         )
-        recurrent = _nets.Training(c.gru_epochs, noise=c.noise, decay=c.decay, dropout=c.dropout)
-        done = share * c.perceptron_epochs
-        nets = []
-        for index in range(c.grus):
-            note = after(done + index * c.gru_epochs, f"GRU {index + 1} of {c.grus}", 1.0)
-            fit = partial(
-                _nets.train_gru,
-                lesson,
-                c.gru_units,
-                len(self._scale),
-                c.window,
-                recurrent,
-                seed + 1 + index,
-                note,
-            )
-            nets.append(self._resumed(f"gru_{index}", seed, lesson, fit))
-        self._grus = _nets.stack_grus(nets)
-        self.curve = tuple(curve)
 
-    def _resumed(self, name: str, seed: int, lesson: _nets.Lesson, fit: Callable[[], N]) -> N:
+    def _fit_grus(self, lesson: Lesson, seed: int, log: _Log, report: Report) -> _nets.Grus:
+        c, outputs = self.config, len(self._outputs.scale)
+        how = Training(c.gru_epochs, noise=c.noise, decay=c.decay, dropout=c.dropout)
+        found = []
+        for index in range(c.grus):
+            note = log.part(f"GRU {index + 1} of {c.grus}", 1.0, c.gru_epochs, report)
+            fit = partial(
+                train_gru, lesson, c.gru_units, outputs, c.window, how, seed + 1 + index, note
+            )
+            found.append(self._resumed(f"gru_{index}", seed, lesson, fit))
+        return _nets.stack_grus(found)
+
+    def _resumed(self, name: str, seed: int, lesson: Lesson, fit: Callable[[], N]) -> N:
         """A net from an interrupted fit of the same data and settings, or freshly trained."""
         fingerprint = (seed, self.config.model_dump(mode="json"), float(lesson.inputs.sum()))
         saved = Checkpoint(self.checkpoint, name, fingerprint)
@@ -145,17 +146,17 @@ class StreamEstimator(OnnxEstimator):
             graph.op("Concat", before, last, axis=1),
         )
         kept = graph.op("Concat", begun, states, slow, axis=1)
-        error = self._error(graph, features, graph.op("Mul", mean, self._scale))
+        error = self._error(graph, features, graph.op("Mul", mean, self._outputs.scale))
         return Core(error, kept, spread, sum(widths))
 
     def _error(self, graph: Graph, features: Value, outputs: Value) -> Value:
         schema = self._data_schema
         if schema.chain is None:
-            return graph.op("Add", outputs, self._middle)
+            return graph.op("Add", outputs, self._outputs.middle_mm)
         joints = schema.chain.size
         turned = tip_change(graph, schema, features, graph.columns(outputs, range(joints)))
         direct = graph.columns(outputs, range(joints, joints + 3))
-        return graph.op("Add", graph.op("Add", turned, direct), self._middle)
+        return graph.op("Add", graph.op("Add", turned, direct), self._outputs.middle_mm)
 
     def _moving_inputs(self) -> list[int]:
         """Places of the joints (or the position) among the inputs."""
@@ -172,58 +173,31 @@ class StreamEstimator(OnnxEstimator):
 
     def _spread_scale(self) -> Floats:
         """Outputs to mm, roughly: a turn acts on a lever of 50 mm."""
-        lever = np.where(self._scale == _TURN, 50.0, 1.0)
-        return self._scale * lever
+        lever = np.where(self._outputs.scale == _TURN, 50.0, 1.0)
+        return self._outputs.scale * lever
 
     def _inputs(self, data: Dataset) -> Floats:
         scaled = self._scaling.apply(data.states[:, self._columns])
         return np.concatenate([scaled, self._bank.features(data)], axis=1)
 
-    def _lesson(self, torch: Any, data: Dataset, validation: Dataset) -> _nets.Lesson:
-        chain, scale = data.schema.chain, torch.tensor(self._scale, dtype=torch.float32)
-        tip = None if chain is None else TorchTip(chain)
 
-        def tensor(values: Floats) -> Any:
-            return torch.tensor(np.nan_to_num(values), dtype=torch.float32)
+class _Log:
+    """The learning curve of all nets in a row, and the progress it means."""
 
-        def errors(q: Any, base: Any, outputs: Any) -> Any:
-            scaled = outputs * scale
-            if tip is None:
-                return scaled
-            return tip(q + scaled[..., :-3]) - base + scaled[..., -3:]
+    def __init__(self, total: float) -> None:
+        self.curve: list[Epoch] = []
+        self._total, self._done = total, 0.0
 
-        def prepare(part: Dataset) -> tuple[Any, Any, Any]:
-            q, labels = tensor(part.joints), tensor(part.errors_mm - self._middle)
-            return q, (torch.zeros(len(part), 3) if tip is None else tip(q)), labels
+    def part(self, what: str, share: float, epochs: int, report: Report) -> AfterEpoch:
+        """Begins the next net, whose epochs cost `share` each."""
+        before = self._done
+        self._done += share * epochs
 
-        q, base, labels = prepare(data)
-        weights = tensor(data.weights())
+        def note(epoch: int, train: float, score: float) -> None:
+            self.curve.append(Epoch(len(self.curve), train, score))
+            report((before + share * (epoch + 1)) / self._total, f"{what}: {score:.3f} mm")
 
-        def loss(rows: Any, outputs: Any, keep: Any) -> Any:
-            residual = errors(q[rows], base[rows], outputs) - labels[rows]
-            each = torch.sqrt((residual**2).sum(dim=-1) + 0.25)
-            weight = weights[rows] if keep is None else weights[rows] * keep
-            return (weight * each).sum() / weight.sum()
-
-        q_other, base_other, labels_other = prepare(validation)
-        inputs_other = tensor(self._inputs(validation))
-        usable_other = torch.tensor(validation.usable)
-
-        def validate(forward: Any) -> float:
-            outputs = torch.cat([forward(inputs_other[rows]) for _, rows in validation.runs()])
-            residual = errors(q_other, base_other, outputs) - labels_other
-            return float((residual[usable_other] ** 2).sum(dim=-1).mean().sqrt())
-
-        runs = [rows for _, rows in data.runs()]
-        return _nets.Lesson(
-            inputs=tensor(self._inputs(data)),
-            loss=loss,
-            usable=torch.tensor(data.usable),
-            moving=self._moving,
-            starts=np.array([rows.start for rows in runs]),
-            lengths=np.array([rows.stop - rows.start for rows in runs]),
-            validate=validate,
-        )
+        return note
 
 
 @hookimpl

@@ -8,6 +8,7 @@ number per joint, so the sigma points are l and l +- sqrt(3 P).
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -66,56 +67,27 @@ class UkfEstimator(OnnxEstimator):
             np.zeros((len(data), count)) if self._torque is None else data.states @ self._torque
         )
         self._torque_mean = torque.mean(axis=0)
-        jacobian = schema.chain.jacobian(data.joints)[:, :3]
-        self._fit(data, bank.widths, slack, torque - self._torque_mean, jacobian, report)
+        model = _CableModel(data, bank.widths, slack, torque - self._torque_mean)
+        self._fit(model, report)
 
-    def _fit(
-        self,
-        data: Dataset,
-        widths: Floats,
-        slack: Floats,
-        torque: Floats,
-        jacobian: Floats,
-        report: Report,
-    ) -> None:
+    def _fit(self, model: _CableModel, report: Report) -> None:
         """Coordinate descent over widths; the rest is linear: e = J (o + c tau + slack) + t."""
-        used, count = data.usable, slack.shape[1]
+        count, tried = model.slack.shape[1:]
         choice = np.zeros(count, dtype=int)
-        base = np.concatenate(
-            [
-                jacobian[used],
-                jacobian[used] * torque[used][:, None, :],
-                np.tile(np.eye(3), (int(used.sum()), 1, 1)),
-            ],
-            axis=2,
-        )  # (n, 3, 2 joints + 3)
-        weights = np.repeat(data.weights()[used], 3)
-        columns = base.shape[2]
-        flat = base.reshape(-1, columns)
-        scale = np.maximum(flat.std(axis=0), 1e-9)
-
-        def solve(picked: Any) -> tuple[float, Floats]:
-            play = np.take_along_axis(slack[used], picked[None, :, None], axis=2)[..., 0]
-            left = data.errors_mm[used] - np.einsum("nij,nj->ni", jacobian[used], play)
-            fitted = fit_linear(flat / scale, left.reshape(-1, 1), weights, 1e-6)[:-1]
-            rest = left.reshape(-1, 1) - flat / scale @ fitted
-            return float((weights[:, None] * rest**2).mean()), fitted[:, 0] / scale
-
-        best, linear = solve(choice)
+        best, linear = model.solve(choice)
         for sweep in range(2):
-            for joint in range(count):
-                for width in range(widths.shape[1]):
-                    trial = choice.copy()
-                    trial[joint] = width
-                    cost, found = solve(trial)
-                    if cost < best:
-                        best, linear, choice = cost, found, trial
+            for joint, width in itertools.product(range(count), range(tried)):
+                trial = choice.copy()
+                trial[joint] = width
+                cost, found = model.solve(trial)
+                if cost < best:
+                    best, linear, choice = cost, found, trial
             report((sweep + 1) / 2, f"slack fitted: {np.sqrt(3 * best):.3f} mm")
-        self._width = widths[np.arange(count), choice]
+        self._width = model.widths[np.arange(count), choice]
         self._offset, self._compliance = linear[:count], linear[count : 2 * count]
         self._tip = linear[2 * count :]
         self._process = (self.config.process_share * self._width) ** 2 + 1e-12
-        stretch = np.abs(self._compliance) * torque.std(axis=0)
+        stretch = np.abs(self._compliance) * model.torque.std(axis=0)
         # What the torque says is blurred by motor friction: as much as it varies.
         self._measure = stretch**2 + self._width**2 + 1e-12
 
@@ -127,50 +99,90 @@ class UkfEstimator(OnnxEstimator):
         started, link, variance = graph.ops("Split", 3, memory, sizes, axis=1)
         link = graph.mix(started, link, motor)
         variance = graph.mix(started, variance, graph.constant(self._width[None] ** 2))
-        spread = graph.op("Sqrt", graph.op("Mul", variance, np.float32(3.0)))
-        low, high = (
-            graph.op("Sub", motor, self._width[None]),
-            graph.op("Add", motor, self._width[None]),
-        )
-
-        def through(point: Value) -> Value:
-            return graph.op("Min", graph.op("Max", point, low), high)
-
-        points = [
-            through(link),
-            through(graph.op("Add", link, spread)),
-            through(graph.op("Sub", link, spread)),
-        ]
-        shares = [2.0 / 3.0, 1.0 / 6.0, 1.0 / 6.0]
-        mean = graph.op(
-            "Sum", *[graph.op("Mul", p, np.float32(s)) for p, s in zip(points, shares, strict=True)]
-        )
-        away = [graph.op("Sub", p, mean) for p in points]
-        squares = [
-            graph.op("Mul", graph.op("Mul", a, a), np.float32(s))
-            for a, s in zip(away, shares, strict=True)
-        ]
-        predicted = graph.op("Sum", *squares, graph.constant(self._process[None]))
-        stretched = np.zeros((len(self._data_schema.features), count))
+        link, variance = self._predict(graph, motor, link, variance)
+        stretch = self._stretch(graph, features)
         if self._torque is not None:
-            stretched = self._torque * self._compliance
-        stretch = graph.affine(features, stretched, -(self._torque_mean * self._compliance)[None])
-        # The slack is the state; the stretch adds to it.
-        gain = graph.op("Div", predicted, graph.op("Add", predicted, self._measure[None]))
-        seen = graph.op("Sub", graph.op("Add", motor, stretch), mean)
-        link_after = through(graph.op("Add", mean, graph.op("Mul", gain, seen)))
-        link_after = link_after if self._torque is not None else mean
-        variance_after = graph.op("Sub", predicted, graph.op("Mul", gain, predicted))
-        variance_after = variance_after if self._torque is not None else predicted
-        limit = graph.op("Min", variance_after, self._width[None] ** 2)
-        slack = graph.op("Sub", link_after, motor)
+            link, variance = self._correct(graph, motor, stretch, link, variance)
+        limit = graph.op("Min", variance, self._width[None] ** 2)
+        slack = graph.op("Sub", link, motor)
         wrong = graph.op("Add", graph.op("Add", slack, stretch), self._offset[None])
         error = graph.op(
             "Add", tip_change(graph, self._data_schema, features, wrong), self._tip[None]
         )
         begun = graph.op("Add", graph.op("Mul", started, np.float32(0.0)), np.float32(1.0))
-        kept = graph.op("Concat", begun, link_after, limit, axis=1)
+        kept = graph.op("Concat", begun, link, limit, axis=1)
         return Core(error, kept, None, 1 + 2 * count)
+
+    def _through(self, graph: Graph, motor: Value, link: Value) -> Value:
+        """The slack: the link follows the motor within its half-width."""
+        low = graph.op("Sub", motor, self._width[None])
+        high = graph.op("Add", motor, self._width[None])
+        return graph.op("Min", graph.op("Max", link, low), high)
+
+    def _predict(
+        self, graph: Graph, motor: Value, link: Value, variance: Value
+    ) -> tuple[Value, Value]:
+        """Mean and variance of three sigma points after the slack, process noise included."""
+        spread = graph.op("Sqrt", graph.op("Mul", variance, np.float32(3.0)))
+        points = [link, graph.op("Add", link, spread), graph.op("Sub", link, spread)]
+        points = [self._through(graph, motor, point) for point in points]
+        mean = _weighted(graph, points)
+        away = [graph.op("Sub", point, mean) for point in points]
+        scatter = _weighted(graph, [graph.op("Mul", a, a) for a in away])
+        return mean, graph.op("Add", scatter, self._process[None])
+
+    def _stretch(self, graph: Graph, features: Value) -> Value:
+        """What the cables stretch under the motors' torques."""
+        stretched = np.zeros((len(self._data_schema.features), len(self._width)))
+        if self._torque is not None:
+            stretched = self._torque * self._compliance
+        return graph.affine(features, stretched, -(self._torque_mean * self._compliance)[None])
+
+    def _correct(
+        self, graph: Graph, motor: Value, stretch: Value, link: Value, variance: Value
+    ) -> tuple[Value, Value]:
+        """The slack is the state; the stretch adds to it, and shows in the torque."""
+        gain = graph.op("Div", variance, graph.op("Add", variance, self._measure[None]))
+        seen = graph.op("Sub", graph.op("Add", motor, stretch), link)
+        after = graph.op("Add", link, graph.op("Mul", gain, seen))
+        left = graph.op("Sub", variance, graph.op("Mul", gain, variance))
+        return self._through(graph, motor, after), left
+
+
+def _weighted(graph: Graph, points: list[Value]) -> Value:
+    """The sigma points' mean: 2/3 for the middle one, 1/6 for each other."""
+    shares = (2.0 / 3.0, 1.0 / 6.0, 1.0 / 6.0)
+    return graph.op(
+        "Sum", *[graph.op("Mul", p, np.float32(s)) for p, s in zip(points, shares, strict=True)]
+    )
+
+
+class _CableModel:
+    """What the fit knows of the labelled rows, and its linear part."""
+
+    def __init__(self, data: Dataset, widths: Floats, slack: Floats, torque: Floats) -> None:
+        assert data.schema.chain is not None
+        used = data.usable
+        self.widths, self.torque = widths, torque
+        self.slack = slack[used]
+        self._jacobian = data.schema.chain.jacobian(data.joints[used])[:, :3]
+        self._errors = data.errors_mm[used]
+        self._weights = np.repeat(data.weights()[used], 3)
+        shift = np.tile(np.eye(3), (len(self._errors), 1, 1))
+        bent = self._jacobian * torque[used][:, None, :]
+        base = np.concatenate([self._jacobian, bent, shift], axis=2)  # (n, 3, 2 joints + 3)
+        flat = base.reshape(-1, base.shape[2])
+        self._scale = np.maximum(flat.std(axis=0), 1e-9)
+        self._design = flat / self._scale
+
+    def solve(self, picked: Any) -> tuple[float, Floats]:
+        """Mean square left with some widths, and offsets, compliances, tip shift."""
+        play = np.take_along_axis(self.slack, picked[None, :, None], axis=2)[..., 0]
+        left = self._errors - np.einsum("nij,nj->ni", self._jacobian, play)
+        fitted = fit_linear(self._design, left.reshape(-1, 1), self._weights, 1e-6)[:-1]
+        rest = left.reshape(-1, 1) - self._design @ fitted
+        cost = float((self._weights[:, None] * rest**2).mean())
+        return cost, fitted[:, 0] / self._scale
 
 
 @hookimpl

@@ -1,0 +1,126 @@
+"""Data sets to learn from: poses and robot logs paired, or simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from measure.errors import EstimatorError
+
+if TYPE_CHECKING:
+    from measure.host import Dataset, Report
+    from measure.learning import AssemblySettings, TrajectoryFacts
+    from measure.robots import StateSchema
+
+
+def make_dataset(
+    runs: Sequence[Path],
+    logs: Sequence[Path],
+    robot: str,
+    out: Path,
+    settings: AssemblySettings,
+    *,
+    topic: str | None = None,
+) -> tuple[Dataset, list[TrajectoryFacts]]:
+    """Pair runs with robot logs, or take tables that already hold labels, and write a data set.
+
+    Args:
+        runs: run folders, files of poses, or (without logs) tables of states and errors.
+        logs: robot logs, one for each run or one for all; none for labelled tables.
+        robot: name of a state schema, or a robot.toml.
+        out: the Parquet file; its data card goes beside it.
+        settings: how poses and states are brought together.
+        topic: of the state messages, if a log is a bag.
+
+    Raises:
+        EstimatorError: files that do not fit; the message says which.
+    """
+    from measure.learning import files
+    from measure.robots import find_schema
+
+    schema = find_schema(robot)
+    facts: list[TrajectoryFacts] = []
+    if logs:
+        data, facts = _paired(runs, logs, schema, settings, topic)
+    else:
+        data = _labelled(runs, schema)
+    files.write_dataset(out, data, facts, ", ".join(map(str, [*runs, *logs])))
+    return data, facts
+
+
+def _paired(
+    runs: Sequence[Path],
+    logs: Sequence[Path],
+    schema: StateSchema,
+    settings: AssemblySettings,
+    topic: str | None,
+) -> tuple[Dataset, list[TrajectoryFacts]]:
+    from measure.learning import assemble, files
+    from measure.robots import read_log
+
+    if len(logs) not in (1, len(runs)):
+        raise EstimatorError(
+            f"{len(runs)} runs and {len(logs)} robot logs: give one log for all, or one each"
+        )
+    read = [read_log(path, schema, topic=topic) for path in logs]
+    each = read * len(runs) if len(read) == 1 else read
+    tracks = [files.read_poses(path) for path in runs]
+    return assemble(list(zip(tracks, each, strict=True)), settings)
+
+
+def _labelled(tables: Sequence[Path], schema: StateSchema) -> Dataset:
+    from measure.learning import files, join
+
+    bare = [path for path in tables if path.is_dir() or not files.has_labels(path)]
+    if bare:
+        raise EstimatorError(
+            f"{bare[0]}: has no labels (run, ex, ey, ez) of its own: give the robot's log "
+            "with --robot-log"
+        )
+    return join([files.read_labelled(path, schema) for path in tables])
+
+
+def simulate_dataset(
+    out: Path, *, minutes: float, pairs: int, restarts: int, seed: int, wear: float, report: Report
+) -> tuple[Dataset, list[TrajectoryFacts]]:
+    """A data set of the simulated RAVEN-II, written to `out`."""
+    from measure.learning import files, simulated_dataset
+    from measure.robots.simulator import Cables
+
+    data, facts = simulated_dataset(
+        minutes=minutes,
+        pairs=pairs,
+        restarts=restarts,
+        seed=seed,
+        cables=Cables(wear=wear),
+        report=report,
+    )
+    source = f"simulated RAVEN-II, {minutes:g} min, {restarts} restarts, seed {seed}, wear {wear:g}"
+    files.write_dataset(out, data, facts, source)
+    return data, facts
+
+
+def simulate_recording(
+    folder: Path,
+    *,
+    seconds: float,
+    frame_hz: float,
+    seed: int,
+    clock_offset_s: float,
+    wear: float,
+    report: Callable[[int, int], None],
+) -> None:
+    """Render the simulated RAVEN-II with its balls into a session folder, with its log."""
+    from measure.learning.rendering import render_recording
+    from measure.robots.simulator import Cables
+
+    render_recording(
+        folder,
+        seconds=seconds,
+        frame_hz=frame_hz,
+        seed=seed,
+        clock_offset_s=clock_offset_s,
+        cables=Cables(wear=wear),
+        progress=report,
+    )

@@ -1,0 +1,155 @@
+"""Fitting estimators, searching their settings, ranking their inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from measure.errors import ConfigError
+
+if TYPE_CHECKING:
+    from measure.host import Registry, Report
+    from measure.learning import Importance, Split, SweepState, Trained
+
+
+@dataclass(frozen=True)
+class TrainOptions:
+    """What is trained, and on what.
+
+    Attributes:
+        estimator: name of the plugin.
+        settings: its settings.
+        validation: a data set of its own that chooses, stops and scores; otherwise trajectories
+            are split off for that.
+        test_share: of the rows, in whole trajectories.
+        validation_share: likewise.
+        split_seed: of the choice of trajectories.
+        seed: of everything random in training.
+        resume: go on with an interrupted training of the same file.
+        split_rows: split by random rows: wrong, and only there to show how wrong.
+        notes: lines for the model card.
+    """
+
+    estimator: str = "stream"
+    settings: Mapping[str, Any] | None = None
+    validation: Path | None = None
+    test_share: float = 0.1
+    validation_share: float = 0.1
+    split_seed: int = 0
+    seed: int = 0
+    resume: bool = False
+    split_rows: bool = False
+    notes: Mapping[str, str] | None = None
+
+
+def train(
+    data: Sequence[Path], out: Path, options: TrainOptions, registry: Registry, report: Report
+) -> Trained:
+    """Fit an estimator and write `out` (ONNX), its card and its report.
+
+    Raises:
+        EstimatorError: data that cannot be learnt from.
+        PluginError, ConfigError: the estimator or its settings.
+    """
+    import json
+
+    from measure import learning
+    from measure.viewing.report.estimator_report import write_estimator_report
+
+    trained = learning.train(
+        registry.estimator(options.estimator, dict(options.settings or {})),
+        _split(data, options),
+        out,
+        seed=options.seed,
+        report=report,
+        resume=options.resume,
+        notes=options.notes,
+    )
+    card = json.loads(out.with_suffix(".card.json").read_text())
+    write_estimator_report(trained, card, out.with_suffix(".report.html"))
+    return trained
+
+
+def _split(data: Sequence[Path], options: TrainOptions) -> Split:
+    from measure import learning
+
+    whole = learning.join([learning.files.read_dataset(path) for path in data])
+    if options.validation is not None:
+        other = learning.files.read_dataset(options.validation)
+        learning.same_robot(whole, other)
+        return learning.Split(whole, other, other)
+    cut = learning.split_by_rows if options.split_rows else learning.split_by_trajectory
+    return cut(
+        whole,
+        test=options.test_share,
+        validation=options.validation_share,
+        seed=options.split_seed,
+    )
+
+
+def parse_settings(texts: Sequence[str]) -> dict[str, Any]:
+    """Read NAME=VALUE; a value is TOML, or else a bare word.
+
+    Raises:
+        ConfigError: there is no "=".
+    """
+    import tomllib
+
+    out: dict[str, Any] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise ConfigError(f"--set {text}: expected NAME=VALUE")
+        try:
+            out[name.strip()] = tomllib.loads(f"value = {value}")["value"]
+        except tomllib.TOMLDecodeError:
+            out[name.strip()] = value
+    return out
+
+
+def sweep(
+    data: Path,
+    space: Path,
+    journal: Path,
+    *,
+    estimator: str,
+    settings: Mapping[str, Any],
+    trials: int,
+    seed: int,
+    scheduler: str | None,
+    report: Report,
+) -> SweepState:
+    """Help a sweep along until it has enough trials."""
+    from measure.learning import sweeping
+
+    job = sweeping.SweepJob(str(data.resolve()), estimator, dict(settings), seed)
+    return sweeping.sweep(
+        job, sweeping.read_space(space), journal, trials, scheduler=scheduler, report=report
+    )
+
+
+def ablate(
+    data: Path,
+    model_path: Path,
+    *,
+    single: bool,
+    remove: bool,
+    split_seed: int,
+    registry: Registry,
+    report: Report,
+) -> tuple[float, list[Importance]]:
+    """Rank a model's inputs by what their loss costs on the test trajectories."""
+    from measure import learning
+    from measure.host import OnnxModel
+
+    model = OnnxModel.load(model_path)
+    split = learning.split_by_trajectory(learning.files.read_dataset(data), seed=split_seed)
+    model.check(split.test.schema)
+    groups = (learning.single_fields if single else learning.field_groups)(split.test)
+    refit = None
+    if remove:
+        name, settings = str(model.facts["estimator"]), dict(model.facts["settings"])
+        refit = lambda: registry.estimator(name, settings)  # noqa: E731
+    return learning.ablate(model, split, groups, refit=refit, seed=split_seed, report=report)
