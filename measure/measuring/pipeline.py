@@ -56,32 +56,32 @@ class Pipeline:
     def __init__(self, body: Body, cameras: Sequence[Camera], stages: Stages) -> None:
         self._body = body
         self._cameras = {camera.name: camera for camera in cameras}
-        self._stages = stages
+        self.stages = stages
 
     def warm_up(self) -> None:
         """Let every stage compile or load what is slow; detectors of all cameras share that."""
-        for detector in list(self._stages.detectors.values())[:1]:
+        for detector in list(self.stages.detectors.values())[:1]:
             detector.warm_up()
-        self._stages.triangulator.warm_up()
-        self._stages.solver.warm_up()
+        self.stages.triangulator.warm_up()
+        self.stages.solver.warm_up()
 
     def measure(self, frame_sets: Iterable[FrameSet]) -> Iterator[Measurement]:
         """Measure frame sets in order of time; yields one measurement for each, in order."""
         with ThreadPoolExecutor(max_workers=len(self._cameras)) as pool:
             first_pass = (self._measure_one(frame_set, pool) for frame_set in frame_sets)
-            if self._stages.neighbours:
+            if self.stages.neighbours:
                 yield from self._with_neighbours(first_pass)
             else:
                 yield from first_pass
 
     def _measure_one(self, frame_set: FrameSet, pool: Executor) -> Measurement:
-        expected = self._stages.tracker.expect(frame_set)
+        expected = self.stages.tracker.expect(frame_set)
         if expected is None:
             return _skipped(frame_set)
         measured = self._look(frame_set, expected, pool)
-        if self._stages.look_again and measured.searched and measured.pose is not None:
+        if self.stages.look_again and measured.searched and measured.pose is not None:
             # A search only finds the balls; knowing where they are, they can be measured.
-            expected = self._stages.tracker.expect(frame_set)
+            expected = self.stages.tracker.expect(frame_set)
             if expected is not None:
                 again = self._look(frame_set, expected, pool)
                 measured = replace(again, searched=measured.searched)
@@ -90,7 +90,7 @@ class Pipeline:
     def _look(
         self, frame_set: FrameSet, expected: Mapping[str, Sequence[Expectation]], pool: Executor
     ) -> Measurement:
-        tracker = self._stages.tracker
+        tracker = self.stages.tracker
         views = tracker.judge(frame_set, self._detect(frame_set, expected, pool))
         time_s = self._instant(frame_set)
         fixes = self._triangulate(views, time_s)
@@ -120,7 +120,7 @@ class Pipeline:
         names = list(frame_set.images)
 
         def detect(name: str) -> list[Detection]:
-            return self._stages.detectors[name].detect(
+            return self.stages.detectors[name].detect(
                 frame_set.images[name], expected.get(name, ())
             )
 
@@ -128,12 +128,12 @@ class Pipeline:
 
     def _instant(self, frame_set: FrameSet) -> float:
         """With own times: the middle of the images' times, where moving them costs least."""
-        if not self._stages.own_times or not frame_set.images:
+        if not self.stages.own_times or not frame_set.images:
             return frame_set.time_s
         return float(np.mean([image.time_s for image in frame_set.images.values()]))
 
     def _triangulate(self, views: Sequence[BallView], time_s: float) -> tuple[Fix, ...]:
-        motion = self._stages.tracker.motion(time_s) if self._stages.own_times else None
+        motion = self.stages.tracker.motion(time_s) if self.stages.own_times else None
         fixes = []
         for name in self._body.names:
             seen = [v.detection for v in views if v.ball == name and v.effective and v.detection]
@@ -141,7 +141,7 @@ class Pipeline:
                 seen = [detection_at(d, time_s, motion, self._body, self._cameras) for d in seen]
             if len(seen) < 2:
                 continue
-            fix = self._stages.triangulator.triangulate(seen, self._cameras)
+            fix = self.stages.triangulator.triangulate(seen, self._cameras)
             if fix is not None:
                 fixes.append(replace(fix, time_s=time_s))
         return tuple(fixes)
@@ -152,7 +152,7 @@ class Pipeline:
         seen = [v.detection for v in views if v.effective and v.detection is not None]
         if not seen:
             return None
-        return self._stages.solver.solve(fixes, seen, self._cameras, time_s, prior)
+        return self.stages.solver.solve(fixes, seen, self._cameras, time_s, prior)
 
     def _with_neighbours(self, measured: Iterable[Measurement]) -> Iterator[Measurement]:
         """Solve each pose again with the velocity between the poses before and after it."""
@@ -190,7 +190,7 @@ class Pipeline:
     ) -> dict[tuple[str, str], Floats]:
         if pose is None:
             return {}
-        if prior is None or not self._stages.own_times:
+        if prior is None or not self.stages.own_times:
             still = Motion.at_rest(pose.world_from_body, pose.time_s)
             return center_residuals(views, still, self._body, self._cameras)
         moving = Motion(pose.world_from_body, pose.time_s, prior.velocity)

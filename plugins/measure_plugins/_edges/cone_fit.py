@@ -10,6 +10,8 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure_plugins._edges.jit import compiled
+from measure_plugins._edges.linear import cholesky, solve_factored
+from measure_plugins._edges.selection import kth_smallest
 
 _TUKEY = 4.685
 _ROUNDS = 6
@@ -49,22 +51,21 @@ def consensus(shifts: Floats, around: Floats, use: Floats, gate_px: float, trial
     n = len(index)
     best, out = -1.0, np.zeros(3)
     rows, values = np.ones((3, 3)), np.empty(3)
+    at, cosine, sine = shifts[index], around[index, 0], around[index, 1]
     state = np.uint64(12345)
     for _ in range(trials):
         for k in range(3):
             state = state * np.uint64(6364136223846793005) + np.uint64(1442695040888963407)
-            pick = index[(state >> np.uint64(33)) % np.uint64(n)]
-            rows[k, 0], rows[k, 1] = around[pick, 0], around[pick, 1]
-            values[k] = shifts[pick]
+            pick = np.int64((state >> np.uint64(33)) % np.uint64(n))
+            rows[k, 0], rows[k, 1] = cosine[pick], sine[pick]
+            values[k] = at[pick]
         x, y, z, good = _three_point_solution(rows, values)
         if not good:
             continue
         score = 0.0
         for j in range(n):
-            i = index[j]
-            r = abs(shifts[i] - (around[i, 0] * x + around[i, 1] * y + z)) / gate_px
-            if r < 1:
-                score += 1 - r * r
+            r = (at[j] - (cosine[j] * x + sine[j] * y + z)) / gate_px
+            score += max(1 - r * r, 0.0)
         if score > best:
             best = score
             out[0], out[1], out[2] = x, y, z
@@ -97,44 +98,72 @@ def refine(
         points' final robust weights (n,), and the residuals' robust scale in units of `sd`.
     """
     solution, weights = start.copy(), use.copy()
-    normal, scale = np.zeros((3, 3)), 1.0
-    row = np.ones(3)
-    n = len(shifts)
-    standard = np.empty(n)
+    normal, right, scale = np.zeros((3, 3)), np.empty(3), 1.0
+    factor, nothing = np.empty((3, 3)), np.zeros(len(shifts))
     for turn in range(_ROUNDS):
-        count = 0
-        for i in range(n):
-            if use[i] > 0:
-                r = shifts[i] - (
-                    around[i, 0] * solution[0] + around[i, 1] * solution[1] + solution[2]
-                )
-                near = abs(r) < gate_px if turn == 0 else weights[i] > 0
-                if near:
-                    standard[count] = abs(r) / sd[i]
-                    count += 1
-        if count < 4:
-            return solution, normal, np.zeros(n), np.inf
-        ordered = np.sort(standard[:count])
-        scale = max(1.4826 * ordered[count // 2], 0.3)
-        normal[:] = 0.0
-        right = np.zeros(3)
-        normal[2, 2] = 1 / growth[1] ** 2
-        right[2] = growth[0] / growth[1] ** 2
-        for i in range(n):
-            weights[i] = 0.0
-            if use[i] == 0:
-                continue
-            row[0], row[1] = around[i, 0], around[i, 1]
-            r = shifts[i] - np.sum(row * solution)
-            t = r / min(sd[i] * scale * _TUKEY, _FURTHEST_PX)
-            if abs(t) < 1:
-                weights[i] = (1 - t * t) ** 2
-                w = weights[i] / (sd[i] * scale) ** 2
-                for a in range(3):
-                    right[a] += w * row[a] * shifts[i]
-                    for b in range(3):
-                        normal[a, b] += w * row[a] * row[b]
-        if not np.linalg.det(normal) > 1e-7 * normal[2, 2] ** 3:
-            return solution, normal, np.zeros(n), np.inf
-        solution[:] = np.linalg.solve(normal, right)
+        off = shifts - (around[:, 0] * solution[0] + around[:, 1] * solution[1] + solution[2])
+        scale = _scatter(off, sd, use if turn == 0 else weights, gate_px if turn == 0 else np.inf)
+        if not np.isfinite(scale):
+            return solution, normal, nothing, np.inf
+        _weigh(off, sd, use, scale, weights)
+        _equations(shifts, around, weights / (sd * scale) ** 2, growth, normal, right)
+        if not cholesky(normal, factor):
+            return solution, normal, nothing, np.inf
+        det = (factor[0, 0] * factor[1, 1] * factor[2, 2]) ** 2
+        if not det > 1e-7 * normal[2, 2] ** 3:
+            return solution, normal, nothing, np.inf
+        solve_factored(factor, right, solution)
     return solution, normal, weights, scale
+
+
+@compiled
+def _scatter(off: Floats, sd: Floats, use: Floats, gate_px: float) -> float:
+    """Robust scale of the residuals in use, in units of `sd`; infinite if there are too few."""
+    standard = np.empty(len(off))
+    count = 0
+    for i in range(len(off)):
+        if use[i] > 0 and abs(off[i]) < gate_px:
+            standard[count] = abs(off[i]) / sd[i]
+            count += 1
+    if count < 4:
+        return np.inf
+    return max(1.4826 * kth_smallest(standard, count, count // 2), 0.3)
+
+
+@compiled
+def _weigh(off: Floats, sd: Floats, use: Floats, scale: float, weights: Floats) -> None:
+    """Tukey's weights of residuals (n,) of those points that are to be used."""
+    for i in range(len(off)):
+        weights[i] = 0.0
+        if use[i] > 0:
+            t = off[i] / min(sd[i] * scale * _TUKEY, _FURTHEST_PX)
+            weights[i] = max(1 - t * t, 0.0) ** 2
+
+
+@compiled
+def _equations(
+    shifts: Floats,
+    around: Floats,
+    weights: Floats,
+    growth: tuple[float, float],
+    normal: Floats,
+    right: Floats,
+) -> None:
+    """Normal matrix (3, 3) and right side (3,) of the weighted fit and what is known before."""
+    normal[:], right[:] = 0.0, 0.0
+    normal[2, 2] = 1 / growth[1] ** 2
+    right[2] = growth[0] / growth[1] ** 2
+    for i in range(len(shifts)):
+        w = weights[i]
+        if w > 0:
+            x, y, s = around[i, 0], around[i, 1], shifts[i]
+            normal[0, 0] += w * x * x
+            normal[1, 0] += w * x * y
+            normal[1, 1] += w * y * y
+            normal[2, 0] += w * x
+            normal[2, 1] += w * y
+            normal[2, 2] += w
+            right[0] += w * x * s
+            right[1] += w * y * s
+            right[2] += w * s
+    normal[0, 1], normal[0, 2], normal[1, 2] = normal[1, 0], normal[2, 0], normal[2, 1]

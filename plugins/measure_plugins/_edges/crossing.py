@@ -1,4 +1,8 @@
-"""Where a profile across an outline passes half-way between inside and outside."""
+"""Where a profile across an outline passes half-way between inside and outside.
+
+Profiles are (3, m, n): colours, steps along the rays, rays; rays last, so that a loop over them
+does many at once.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure_plugins._edges.jit import compiled
+from measure_plugins._edges.selection import median_rows
 
 _MIN_SD_PX = 0.03
 """No crossing is better known: quantisation, and what the interpolation does."""
@@ -20,131 +25,163 @@ and the blurred edge falls by about a third per px; half of the whole is taken a
 
 
 @compiled
-def _median(values: Floats, count: int) -> float:
-    """Median of the first `count` values, which it sorts in place: a handful, so by insertion."""
-    for i in range(1, count):
-        value = values[i]
-        j = i - 1
-        while j >= 0 and values[j] > value:
-            values[j + 1] = values[j]
-            j -= 1
-        values[j + 1] = value
-    return 0.5 * (values[(count - 1) // 2] + values[count // 2])
-
-
-@compiled
-def levels(
-    profiles: Floats, steps: Floats, inside: tuple[float, float], outside: tuple[float, float]
-) -> tuple[Floats, Floats]:
-    """Median colours (n, 3) inside and outside the edge.
+def levels(profiles: Floats, steps: Floats, window: tuple[float, float]) -> Floats:
+    """Median colours (3, n) within a window.
 
     Args:
-        profiles: (n, m, 3).
+        profiles: (3, m, n).
         steps: (m,) px along the normal.
-        inside: the window whose median is the inside colour, px.
-        outside: the same outside.
+        window: its ends, px.
     """
-    n, m = profiles.shape[:2]
-    low, high = np.empty((n, 3)), np.empty((n, 3))
-    within = np.empty(m)
-    for i in range(n):
-        for c in range(3):
-            for window in range(2):
-                bounds = inside if window == 0 else outside
-                k = 0
-                for j in range(m):
-                    if bounds[0] <= steps[j] <= bounds[1]:
-                        within[k] = profiles[i, j, c]
-                        k += 1
-                value = _median(within, k)
-                if window == 0:
-                    low[i, c] = value
-                else:
-                    high[i, c] = value
-    return low, high
+    m, n = profiles.shape[1:]
+    first, last = m, 0
+    for j in range(m - 1, -1, -1):
+        if window[0] <= steps[j] <= window[1]:
+            first = j
+            last = max(last, j + 1)
+    out = np.empty((3, n))
+    within = np.empty((last - first, n))
+    for c in range(3):
+        for j in range(first, last):
+            for i in range(n):
+                within[j - first, i] = profiles[c, j, i]
+        median_rows(within)
+        out[c] = within[0]
+    return out
 
 
 @compiled
-def crossings(
-    profiles: Floats,
-    steps: Floats,
-    inside: Floats,
-    outside: Floats,
-    window: tuple[float, float],
-    search_px: float,
-    colorful: bool,
-) -> tuple[Floats, Floats, Floats]:
-    """Half-level crossings of profiles projected on their inside-minus-outside colour.
+def project(
+    profiles: Floats, inside: Floats, outside: Floats, colorful: bool
+) -> tuple[Floats, Floats]:
+    """Profiles along their inside-minus-outside colour: 1 inside, 0 outside.
 
     Args:
-        profiles: (n, m, 3) light.
-        steps: (m,) px along the normal, evenly spaced.
-        inside: (n, 3) colour inside.
-        outside: (n, 3) colour outside.
-        window: where the inside colour was taken, px.
-        search_px: the furthest crossing from 0.
+        profiles: (3, m, n).
+        inside: (3, n) colour inside.
+        outside: (3, n) colour outside.
         colorful: leave grey out of the difference, so that colourless reflections do not count.
 
     Returns:
-        Crossing nearest to 0 (n,) in px, NaN if there is none; its standard deviation (n,) in px
-        from the scatter of the profile about its two levels; contrast (n,) in light.
+        Shares (m, n), all 0 for a ray without contrast; contrast (n,).
     """
-    n, m = profiles.shape[:2]
-    at, sd, contrast = np.full(n, np.nan), np.full(n, np.inf), np.zeros(n)
-    x = np.empty(m)
+    m, n = profiles.shape[1:]
+    x, contrast = np.empty((m, n)), np.empty(n)
+    toward, origin = np.empty((3, n)), np.empty(n)
     for i in range(n):
-        d = inside[i] - outside[i]
+        a, b, c = inside[0, i] - outside[0, i], inside[1, i] - outside[1, i], inside[2, i]
+        c -= outside[2, i]
         if colorful:
-            d = d - np.mean(d)
-        length = np.sqrt(np.sum(d * d))
-        contrast[i] = length
-        if not length > 1e-6:
+            mean = (a + b + c) / 3
+            a, b, c = a - mean, b - mean, c - mean
+        square = a * a + b * b + c * c
+        contrast[i] = np.sqrt(square)
+        per = 1 / square if square > 1e-12 else 0.0
+        toward[0, i], toward[1, i], toward[2, i] = a * per, b * per, c * per
+        origin[i] = (outside[0, i] * a + outside[1, i] * b + outside[2, i] * c) * per
+    for j in range(m):
+        for i in range(n):
+            x[j, i] = (
+                profiles[0, j, i] * toward[0, i]
+                + profiles[1, j, i] * toward[1, i]
+                + profiles[2, j, i] * toward[2, i]
+                - origin[i]
+            )
+    return x, contrast
+
+
+@compiled
+def crossings(x: Floats, steps: Floats, search_px: float) -> tuple[Floats, Floats]:
+    """Where shares (m, n) fall through one half, nearest to 0.
+
+    Args:
+        x: see `project`.
+        steps: (m,) px along the normal, evenly spaced.
+        search_px: the furthest crossing from 0.
+
+    Returns:
+        Crossing (n,) in px, NaN if there is none; and how steeply it falls there (n,) per px.
+    """
+    m, n = x.shape
+    at, slope = np.full(n, np.nan), np.zeros(n)
+    step = steps[1] - steps[0]
+    for j in range(m - 1):
+        if not -search_px - step <= steps[j] <= search_px:
             continue
-        for j in range(m):
-            x[j] = np.sum((profiles[i, j] - outside[i]) * d) / (length * length)
-        slope = 0.0
-        for j in range(m - 1):
-            if x[j] > 0.5 >= x[j + 1]:
-                drop = x[j] - x[j + 1]
-                s = steps[j] + (x[j] - 0.5) / drop * (steps[j + 1] - steps[j])
+        for i in range(n):
+            if x[j, i] > 0.5 >= x[j + 1, i]:
+                drop = x[j, i] - x[j + 1, i]
+                s = steps[j] + (x[j, i] - 0.5) / drop * step
                 if abs(s) <= search_px and not abs(s) >= abs(at[i]):
                     at[i] = s
-                    slope = drop / (steps[j + 1] - steps[j])
-        if slope > 0:
-            rough = _roughness(x, steps, at[i])
-            uneven = _SLOPE_PX * _unevenness(x, steps, window)
-            sd[i] = np.sqrt(max(rough / slope, _MIN_SD_PX) ** 2 + uneven**2)
-    return at, sd, contrast
+                    slope[i] = drop / step
+    return at, slope
 
 
 @compiled
-def _unevenness(x: Floats, steps: Floats, window: tuple[float, float]) -> float:
-    """How much a normalised profile rises or falls over the inside window, per px."""
+def uncertainty(
+    x: Floats, steps: Floats, at: Floats, slope: Floats, window: tuple[float, float]
+) -> Floats:
+    """Standard deviations (n,) in px of crossings, from the profiles' scatter about their levels.
+
+    Args:
+        x: (m, n) see `project`.
+        steps: (m,) px along the normal.
+        at: (n,) from `crossings`.
+        slope: (n,) from `crossings`.
+        window: where the inside colour was taken, px.
+    """
+    rough = _roughness(x, steps, at)
+    uneven = _unevenness(x, steps, window)
+    sd = np.empty(len(at))
+    for i in range(len(at)):
+        if slope[i] > 0:
+            blurred = max(rough[i] / slope[i], _MIN_SD_PX)
+            sd[i] = np.sqrt(blurred**2 + (_SLOPE_PX * uneven[i]) ** 2)
+        else:
+            sd[i] = np.inf
+    return sd
+
+
+@compiled
+def _unevenness(x: Floats, steps: Floats, window: tuple[float, float]) -> Floats:
+    """How much normalised profiles rise or fall over the inside window (n,), per px."""
+    m, n = x.shape
     middle = 0.5 * (window[0] + window[1])
-    low, high, below, above = 0.0, 0.0, 0, 0
-    for j in range(len(x)):
+    rise = np.zeros(n)
+    low, high = 0, 0
+    for j in range(m):
+        low += window[0] <= steps[j] < middle
+        high += middle < steps[j] <= window[1]
+    for j in range(m):
+        share = 0.0
         if window[0] <= steps[j] < middle:
-            low += x[j]
-            below += 1
+            share = -1.0 / low
         elif middle < steps[j] <= window[1]:
-            high += x[j]
-            above += 1
-    return abs(high / above - low / below) / (0.5 * (window[1] - window[0]))
+            share = 1.0 / high
+        if share != 0:
+            for i in range(n):
+                rise[i] += share * x[j, i]
+    for i in range(n):
+        rise[i] = abs(rise[i]) / (0.5 * (window[1] - window[0]))
+    return rise
 
 
 @compiled
-def _roughness(x: Floats, steps: Floats, at: float) -> float:
-    """Scatter of a normalised profile away from its edge, from second differences.
+def _roughness(x: Floats, steps: Floats, at: Floats) -> Floats:
+    """Scatter of normalised profiles (n,) away from their edges, from second differences.
 
     Samples are two apart so that interpolation between the same pixels does not hide the noise.
     """
-    total, count = 0.0, 0
-    for j in range(4, len(x)):
-        if abs(steps[j - 2] - at) > 3.0:
-            second = x[j] - 2 * x[j - 2] + x[j - 4]
-            total += min(abs(second), 1.0)
-            count += 1
-    if count == 0:
-        return 0.05
-    # Mean absolute value of a normal variable is 0.798 sd; second differences have sqrt(6) sd.
-    return total / count / 0.798 / np.sqrt(6.0)
+    m, n = x.shape
+    total, count = np.zeros(n), np.zeros(n)
+    for j in range(4, m):
+        for i in range(n):
+            second = min(abs(x[j, i] - 2 * x[j - 2, i] + x[j - 4, i]), 1.0)
+            away = 1.0 if abs(steps[j - 2] - at[i]) > 3.0 else 0.0
+            total[i] += away * second
+            count[i] += away
+    for i in range(n):
+        # Mean absolute value of a normal variable is 0.798 sd; second differences have sqrt(6) sd.
+        total[i] = total[i] / count[i] / 0.798 / np.sqrt(6.0) if count[i] > 0 else 0.05
+    return total

@@ -1,31 +1,25 @@
-"""One ball's outline in one picture: cast rays, find edges, fit the cone; and again, about it."""
+"""One ball's outline in one picture: look, fit the cone; and again, about it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from measure.arrays import Bools, Bytes, Floats
+from measure.arrays import Bools, Floats, Ints
 from measure_plugins._edges.cone_fit import consensus, refine
-from measure_plugins._edges.corrected import corrected_edges
-from measure_plugins._edges.crossing import crossings, levels
+from measure_plugins._edges.corrected import SEARCH_PX
+from measure_plugins._edges.jit import compiled
 from measure_plugins._edges.lens import to_pixel
-from measure_plugins._edges.rays import FREE, cast_rays, frame_about, sample, ways
+from measure_plugins._edges.look import Look, Search, View, look_closely, look_roughly
+from measure_plugins._edges.radial import Radial
+from measure_plugins._edges.rays import FREE
+from measure_plugins._edges.selection import kth_smallest
 
-INSIDE_PX = (-7.0, -3.0)
-"""Where the colour inside is taken: clear of the blurred edge, near enough to have its shade."""
-OUTSIDE_PX = (3.0, 6.5)
-"""Where the colour outside is taken."""
-_STEP_PX = 0.5
 _CONSENSUS_TRIALS = 60
 _CONSENSUS_GATE_PX = 1.2
 _FIRST_GATE_PX = 2.5
-_LAST_SEARCH_PX = 3.0
 _BLOCKS = 12
-_LIGHT_PER_VALUE = 0.3
-"""Slope of tone curves in the shade, where contrast is scarce."""
 _TURNS = 8
 _FEWEST_EDGES = 6
 _ROUGHLY_SETTLED_PX = 0.5
@@ -40,42 +34,7 @@ nothing known; diffuse light fades at grazing angles, so a ball's edge lies insi
 with that taken off."""
 
 
-@dataclass(frozen=True, eq=False)
-class View:
-    """A picture with all that is needed to look at it: pixels, tone table and lens row."""
-
-    pixels: Bytes
-    table: Floats
-    lens: Floats
-
-
-@dataclass(frozen=True, eq=False)
-class Search:
-    """How to look for one outline.
-
-    Attributes:
-        axis: (3,) predicted unit direction of the ball's centre in the camera frame.
-        half_angle: predicted half angle of its cone, rad.
-        nearer: (k, 4) unit axes and half angles of nearer balls.
-        reach_px: how far the outline may be from the prediction.
-        distance_known: whether `half_angle` is from a known distance, not from the picture.
-        rays: number of rays.
-        min_contrast: least difference of inside and outside, in picture values from 0 to 1.
-        margin_px: distance to keep from nearer balls.
-    """
-
-    axis: Floats
-    half_angle: float
-    nearer: Floats
-    reach_px: float
-    distance_known: bool
-    rays: int
-    min_contrast: float
-    margin_px: float
-
-
-@dataclass(frozen=True, eq=False)
-class Outline:
+class Outline(NamedTuple):
     """A measured outline.
 
     Attributes:
@@ -88,7 +47,7 @@ class Outline:
         sd_px: (n,) their standard deviations along the normal.
         clear: number of rays with nothing in their way and unlike colours at their ends.
         overflow: number of clear-way rays outside which the ball's own colour goes on.
-        agreeing: number of rays whose edge agrees with the cone.
+        agreeing: number of rays whose edge agrees with the cone; 0 if no cone was found.
         scatter_px: robust scatter of the edges about the cone.
     """
 
@@ -105,24 +64,8 @@ class Outline:
     scatter_px: float
 
 
-@dataclass(frozen=True, eq=False)
-class _Pass:
-    frame: Floats
-    points: Floats
-    normals: Floats
-    scale: Floats
-    around: Floats
-    shifts: Floats
-    sd: Floats
-    use: Floats
-    clear: Bools
-    free: Bools
-    inside: Floats
-    outside: Floats
-
-
 class _Fit(NamedTuple):
-    """See `cone_fit.refine`."""
+    """See `cone_fit.refine`; `scale` is infinite where there is no cone."""
 
     solution: Floats
     normal: Floats
@@ -130,185 +73,171 @@ class _Fit(NamedTuple):
     scale: float
 
 
-def measure_outline(view: View, search: Search) -> Outline | None:
-    """Measure one outline near its prediction.
-
-    Returns:
-        The outline, or None if too few edges agree on one.
-    """
-    axis, half_angle = search.axis, search.half_angle
-    reach = min(max(search.reach_px, _LAST_SEARCH_PX), 0.3 * half_angle * view.lens[0])
+@compiled
+def measure_roughly(view: View, search: Search) -> Outline:
+    """Measure an outline whose size nobody knows, by its half-level crossings."""
+    axis, half_angle, reach = search.axis, search.half_angle, _reach(view, search)
     for turn in range(_TURNS):
-        near = reach <= _LAST_SEARCH_PX
-        corrected = near and search.distance_known
-        if corrected:
-            rays = _look_corrected(view, search, axis, half_angle, reach)
-        else:
-            rays = _look(view, search, axis, half_angle, reach)
-        fit = _fit(rays, search.distance_known, corrected, turn == 0 or not near)
-        if fit is None:
-            return None
-        moved = float(np.max(np.abs(fit.solution[:2])))
-        if near and moved < (_SETTLED_PX if corrected else _ROUGHLY_SETTLED_PX):
-            return _outline(view, rays, half_angle, fit)
-        px = float(np.mean(rays.scale))
-        turn_by = fit.solution[0] * rays.frame[0] + fit.solution[1] * rays.frame[1]
-        axis = rays.frame[2] + turn_by / px
-        axis = axis / np.linalg.norm(axis)
-        if not search.distance_known:
-            half_angle += fit.solution[2] / px
-        reach = _LAST_SEARCH_PX
-    return None
+        look = look_roughly(view, search, axis, half_angle, reach)
+        near = reach <= SEARCH_PX
+        fit = _fit(look, _GROWTH_UNKNOWN, turn == 0 or not near)
+        if not np.isfinite(fit.scale):
+            break
+        if near and _moved(fit) < _ROUGHLY_SETTLED_PX:
+            return _outline(view, look, half_angle, fit)
+        axis = _turned(look, fit)
+        half_angle += fit.solution[2] / np.mean(look.scale)
+        reach = SEARCH_PX
+    return _nothing(search)
 
 
-def _fit(rays: _Pass, distance_known: bool, corrected: bool, first: bool) -> _Fit | None:
+@compiled
+def measure_closely(view: View, search: Search, radial: Radial) -> Outline:
+    """Measure an outline of known size by corrected edges, after a rough look if it may be far."""
+    axis, half_angle, reach = search.axis, search.half_angle, _reach(view, search)
+    start = 0
+    if reach > SEARCH_PX:
+        look = look_roughly(view, search, axis, half_angle, reach)
+        fit = _fit(look, _GROWTH_SEEN, True)
+        if not np.isfinite(fit.scale):
+            return _nothing(search)
+        axis = _turned(look, fit)
+        start = 1
+    for turn in range(start, _TURNS):
+        look = look_closely(view, search, axis, half_angle, radial)
+        fit = _fit(look, _GROWTH_CORRECTED, turn == 0)
+        if not np.isfinite(fit.scale):
+            break
+        if _moved(fit) < _SETTLED_PX:
+            return _outline(view, look, half_angle, fit)
+        axis = _turned(look, fit)
+    return _nothing(search)
+
+
+@compiled
+def _reach(view: View, search: Search) -> float:
+    """How far to search, px: not so far that the ball's other side would be met."""
+    return min(max(search.reach_px, SEARCH_PX), 0.3 * search.half_angle * view.lens[0])
+
+
+@compiled
+def _fit(look: Look, growth: tuple[float, float], first: bool) -> _Fit:
     """The robust cone through one look's edges."""
-    if np.count_nonzero(rays.use) < _FEWEST_EDGES:
-        return None
-    growth = _GROWTH_UNKNOWN
-    if distance_known:
-        growth = _GROWTH_CORRECTED if corrected else _GROWTH_SEEN
-    start, gate = np.zeros(3), _LAST_SEARCH_PX
+    if np.sum(look.use) < _FEWEST_EDGES:
+        return _Fit(np.zeros(3), np.zeros((3, 3)), look.use, np.inf)
+    start, gate = np.zeros(3), SEARCH_PX
+    shifts, sd = look.edges.shifts, look.edges.sd
     if first:
-        start = consensus(rays.shifts, rays.around, rays.use, _CONSENSUS_GATE_PX, _CONSENSUS_TRIALS)
+        start = consensus(shifts, look.around, look.use, _CONSENSUS_GATE_PX, _CONSENSUS_TRIALS)
         gate = _FIRST_GATE_PX
-    fit = _Fit(*refine(rays.shifts, rays.around, rays.sd, rays.use, start, gate, growth))
-    return fit if np.isfinite(fit.scale) else None
-
-
-def _look(view: View, search: Search, axis: Floats, half_angle: float, reach: float) -> _Pass:
-    """Cast rays across the predicted outline and find the edges along them."""
-    wider = max(reach - _LAST_SEARCH_PX, 0.0)
-    inside = (INSIDE_PX[0] - wider, INSIDE_PX[1] - wider)
-    outside = (OUTSIDE_PX[0] + wider, OUTSIDE_PX[1] + wider)
-    steps = np.arange(inside[0], outside[1] + 1e-9, _STEP_PX)
-    frame = frame_about(axis)
-    points, normals, scale, around = cast_rays(frame, half_angle, search.rays, view.lens)
-    free = ways(
-        frame,
-        half_angle,
-        scale,
-        around,
-        search.nearer,
-        (inside[0], outside[1]),
-        search.margin_px,
+    solution, normal, weights, scale = refine(
+        shifts, look.around, sd, look.use, start, gate, growth
     )
-    profiles = sample(view.pixels, view.table, points, normals, steps, free)
-    within, without = levels(profiles, steps, inside, outside)
-    shifts, sd, contrast = crossings(profiles, steps, within, without, inside, reach, False)
-    clear = (free == FREE) & (contrast >= _LIGHT_PER_VALUE * search.min_contrast)
-    use = (clear & np.isfinite(shifts)).astype(np.float64)
-    return _Pass(
-        frame,
-        points,
-        normals,
-        scale,
-        around,
-        shifts,
-        sd,
-        use,
-        clear,
-        free == FREE,
-        within,
-        without,
-    )
+    return _Fit(solution, normal, weights, scale)
 
 
-def _look_corrected(
-    view: View, search: Search, axis: Floats, half_angle: float, reach: float
-) -> _Pass:
-    """The same with the edge finder's own error taken off."""
-    frame = frame_about(axis)
-    points, normals, scale, around = cast_rays(frame, half_angle, search.rays, view.lens)
-    span = (INSIDE_PX[0], OUTSIDE_PX[1])
-    free = ways(frame, half_angle, scale, around, search.nearer, span, search.margin_px)
-    edges = corrected_edges(
-        view.pixels,
-        view.table,
-        points,
-        normals,
-        around,
-        free,
-        half_angle,
-        float(np.mean(scale)),
-        search.min_contrast,
-    )
-    clear = (free == FREE) & edges.clear
-    good = clear & np.isfinite(edges.shifts) & (np.abs(edges.shifts) < reach)
-    return _Pass(
-        frame,
-        points,
-        normals,
-        scale,
-        around,
-        edges.shifts,
-        edges.sd,
-        good.astype(np.float64),
-        clear,
-        free == FREE,
-        edges.inside,
-        edges.outside,
-    )
+@compiled
+def _moved(fit: _Fit) -> float:
+    return max(abs(fit.solution[0]), abs(fit.solution[1]))
 
 
-def _outline(view: View, rays: _Pass, half_angle: float, fit: _Fit) -> Outline:
-    solution, normal, weights, scale = fit
-    px = float(np.mean(rays.scale))
-    axis = rays.frame[2] + (solution[0] * rays.frame[0] + solution[1] * rays.frame[1]) / px
-    axis = axis / np.linalg.norm(axis)
-    center = np.array(to_pixel(axis[0], axis[1], axis[2], view.lens))
-    inliers = weights > 0.1
-    to_image = _image_directions(rays.frame, view.lens) / px
-    residuals = np.where(inliers, rays.shifts - rays.around @ solution[:2] - solution[2], 0.0)
-    growth = _correlation(residuals / (rays.sd * scale), inliers)
-    covariance = growth * np.linalg.inv(normal)[:2, :2]
-    shift = rays.shifts[inliers, None] * rays.normals[inliers]
+@compiled
+def _turned(look: Look, fit: _Fit) -> Floats:
+    """The axis (3,) that a fit has found."""
+    turn_by = fit.solution[0] * look.frame[0] + fit.solution[1] * look.frame[1]
+    axis = look.frame[2] + turn_by / np.mean(look.scale)
+    return axis / np.sqrt(np.sum(axis * axis))
+
+
+@compiled
+def _nothing(search: Search) -> Outline:
+    none = np.empty(0)
     return Outline(
-        axis=axis,
-        half_angle=half_angle + solution[2] / px,
-        center_px=center,
-        radius_px=float(np.mean(np.linalg.norm(rays.points - center, axis=1)) + solution[2]),
-        covariance_px=to_image @ covariance @ to_image.T,
-        points_px=rays.points[inliers] + shift,
-        sd_px=rays.sd[inliers] * max(scale, 1.0),
-        clear=int(np.count_nonzero(rays.clear)),
-        overflow=_overflow(rays, inliers),
-        agreeing=int(np.count_nonzero(inliers)),
-        scatter_px=float(scale * np.median(rays.sd[inliers])),
+        search.axis, 0.0, np.zeros(2), 0.0, np.zeros((2, 2)), none.reshape(0, 2), none, 0, 0, 0, 0.0
     )
 
 
-def _overflow(rays: _Pass, inliers: Bools) -> int:
+@compiled
+def _outline(view: View, look: Look, half_angle: float, fit: _Fit) -> Outline:
+    px, axis = np.mean(look.scale), _turned(look, fit)
+    center = np.array(to_pixel(axis[0], axis[1], axis[2], view.lens))
+    inliers = np.nonzero(fit.weights > 0.1)[0]
+    points, sd = np.empty((len(inliers), 2)), np.empty(len(inliers))
+    standard = np.zeros(len(fit.weights))
+    for k, i in enumerate(inliers):
+        s, ray_sd = look.edges.shifts[i], look.edges.sd[i]
+        points[k] = look.points[i] + s * look.normals[i]
+        sd[k] = ray_sd * max(fit.scale, 1.0)
+        along = look.around[i, 0] * fit.solution[0] + look.around[i, 1] * fit.solution[1]
+        standard[i] = (s - along - fit.solution[2]) / (ray_sd * fit.scale)
+    radius = float(fit.solution[2])
+    for point in look.points:
+        apart = point - center
+        radius += np.sqrt(np.sum(apart * apart)) / len(look.points)
+    to_image = _image_directions(look.frame, view.lens) / px
+    correlation = _correlation(standard, fit.weights > 0.1)
+    middle = len(sd) // 2
+    return Outline(
+        axis,
+        half_angle + fit.solution[2] / px,
+        center,
+        radius,
+        to_image @ (correlation * np.linalg.inv(fit.normal)[:2, :2]) @ to_image.T,
+        points,
+        sd,
+        int(np.sum(look.clear)),
+        _overflow(look, inliers),
+        len(inliers),
+        fit.scale * kth_smallest(look.edges.sd[inliers], len(sd), middle) if len(sd) else 0.0,
+    )
+
+
+@compiled
+def _overflow(look: Look, inliers: Ints) -> int:
     """Rays without an edge whose outside looks like the ball, not like what is round it."""
-    if not np.any(inliers):
+    if len(inliers) == 0:
         return 0
-    ball, ground = np.mean(rays.inside[inliers], axis=0), np.mean(rays.outside[inliers], axis=0)
-    open_ended = rays.free & ~rays.clear
-    to_ball = np.linalg.norm(rays.outside - ball, axis=1)
-    to_ground = np.linalg.norm(rays.outside - ground, axis=1)
-    return int(np.count_nonzero(open_ended & (to_ball < to_ground)))
+    ball, ground = np.zeros(3), np.zeros(3)
+    for i in inliers:
+        ball += look.edges.inside[:, i] / len(inliers)
+        ground += look.edges.outside[:, i] / len(inliers)
+    count = 0
+    for i in range(len(look.free)):
+        if look.free[i] == FREE and look.clear[i] == 0:
+            to_ball, to_ground = look.edges.outside[:, i] - ball, look.edges.outside[:, i] - ground
+            count += int(np.sum(to_ball**2) < np.sum(to_ground**2))
+    return count
 
 
+@compiled
 def _image_directions(frame: Floats, lens: Floats) -> Floats:
     """Image (2, 2) of a turn by one radian of the axis along e1 and e2: columns in px."""
     h = 1e-6
-    ends = [frame[2] + sign * h * frame[k] for k in (0, 1) for sign in (1, -1)]
-    pixels = np.array([to_pixel(e[0], e[1], e[2], lens) for e in ends])
-    return np.stack([pixels[0] - pixels[1], pixels[2] - pixels[3]], axis=1) / (2 * h)
+    out = np.empty((2, 2))
+    for k in range(2):
+        a, b = frame[2] + h * frame[k], frame[2] - h * frame[k]
+        u1, v1 = to_pixel(a[0], a[1], a[2], lens)
+        u2, v2 = to_pixel(b[0], b[1], b[2], lens)
+        out[0, k], out[1, k] = (u1 - u2) / (2 * h), (v1 - v2) / (2 * h)
+    return out
 
 
+@compiled
 def _correlation(standard: Floats, inliers: Bools) -> float:
     """How much wider than for independent rays a mean over the outline scatters (batch means).
 
     Neighbouring rays share pixels, shading and what stands behind: their errors go together.
     """
-    sums, counts = [], []
-    for block, chosen in zip(
-        np.array_split(standard, _BLOCKS), np.array_split(inliers, _BLOCKS), strict=True
-    ):
-        if np.count_nonzero(chosen) > 1:
-            sums.append(float(np.sum(block[chosen])))
-            counts.append(int(np.count_nonzero(chosen)))
-    if len(sums) < 4:
-        return 4.0
-    return max(1.0, float(np.sum(np.square(sums)) / np.sum(counts)))
+    n = len(standard)
+    squares, rays, blocks = 0.0, 0, 0
+    for block in range(_BLOCKS):
+        total, count = 0.0, 0
+        for i in range(block * n // _BLOCKS, (block + 1) * n // _BLOCKS):
+            if inliers[i]:
+                total += standard[i]
+                count += 1
+        if count > 1:
+            squares += total * total
+            rays += count
+            blocks += 1
+    return max(1.0, squares / rays) if blocks >= 4 else 4.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from measure.arrays import Bytes, Floats
+from measure.arrays import Bytes, Floats, Ints
 from measure_plugins._edges.jit import compiled
 from measure_plugins._edges.lens import to_pixel
 
@@ -65,6 +65,13 @@ def cast_rays(
 
 
 @compiled
+def radius_px(axis: Floats, half_angle: float, lens: Floats) -> float:
+    """Mean radius of an outline, as the scale across it times its half angle."""
+    scale = cast_rays(frame_about(axis), half_angle, 8, lens)[2]
+    return half_angle * float(np.mean(scale))
+
+
+@compiled
 def ways(
     frame: Floats,
     half_angle: float,
@@ -89,13 +96,16 @@ def ways(
         (n,) FREE or HIDDEN.
     """
     out = np.zeros(len(scale))
+    near = _near(frame, half_angle, scale, nearer, reach[1] + margin_px)
+    if len(near) == 0:
+        return out
     for i in range(len(scale)):
         side = around[i, 0] * frame[0] + around[i, 1] * frame[1]
         for step in range(5):
             s = reach[0] + (reach[1] - reach[0]) * step / 4
             beta = half_angle + s / scale[i]
             at = np.cos(beta) * frame[2] + np.sin(beta) * side
-            for k in range(len(nearer)):
+            for k in near:
                 cosine = at[0] * nearer[k, 0] + at[1] * nearer[k, 1] + at[2] * nearer[k, 2]
                 if cosine > np.cos(nearer[k, 3] + margin_px / scale[i]):
                     out[i] = HIDDEN
@@ -103,10 +113,23 @@ def ways(
 
 
 @compiled
+def _near(frame: Floats, half_angle: float, scale: Floats, nearer: Floats, reach_px: float) -> Ints:
+    """Which of the nearer balls' outlines come within reach of this one at all."""
+    found = np.empty(len(nearer), np.int64)
+    count = 0
+    for k in range(len(nearer)):
+        cosine = np.sum(frame[2] * nearer[k, :3])
+        if np.arccos(cosine) < half_angle + nearer[k, 3] + reach_px / np.min(scale):
+            found[count] = k
+            count += 1
+    return found[:count]
+
+
+@compiled
 def sample(
     image: Bytes, table: Floats, points: Floats, normals: Floats, steps: Floats, free: Floats
-) -> Floats:
-    """Light along the rays, by bilinear interpolation of table values.
+) -> tuple[Floats, Floats]:
+    """Light and picture values along the rays, both by bilinear interpolation.
 
     Args:
         image: (h, w, 3) uint8.
@@ -117,27 +140,29 @@ def sample(
         free: (n,) FREE to sample a ray; set to OUTSIDE in place where it leaves the picture.
 
     Returns:
-        (n, m, 3); zeros where the ray is not free.
+        Light, and values from 0 to 1, both (3, m, n); zeros where the ray is not free.
     """
     height, width = image.shape[:2]
-    out = np.zeros((len(points), len(steps), 3))
-    for i in range(len(points)):
+    m, n = len(steps), len(points)
+    light, values = np.zeros((3, m, n)), np.zeros((3, m, n))
+    for i in range(n):
         if free[i] != FREE:
             continue
-        for j in range(len(steps)):
-            u = points[i, 0] + steps[j] * normals[i, 0]
-            v = points[i, 1] + steps[j] * normals[i, 1]
+        for end in (steps[0], steps[m - 1]):
+            u, v = points[i, 0] + end * normals[i, 0], points[i, 1] + end * normals[i, 1]
             if not (u >= 0 and v >= 0 and u < width - 1 and v < height - 1):
                 free[i] = OUTSIDE
-                break
+        if free[i] != FREE:
+            continue
+        for j in range(m):
+            u = points[i, 0] + steps[j] * normals[i, 0]
+            v = points[i, 1] + steps[j] * normals[i, 1]
             x, y = int(u), int(v)
             a, b = u - x, v - y
             w00, w01, w10, w11 = (1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b
             for c in range(3):
-                out[i, j, c] = (
-                    w00 * table[image[y, x, c]]
-                    + w01 * table[image[y, x + 1, c]]
-                    + w10 * table[image[y + 1, x, c]]
-                    + w11 * table[image[y + 1, x + 1, c]]
-                )
-    return out
+                p, q = image[y, x, c], image[y, x + 1, c]
+                r, s = image[y + 1, x, c], image[y + 1, x + 1, c]
+                light[c, j, i] = w00 * table[p] + w01 * table[q] + w10 * table[r] + w11 * table[s]
+                values[c, j, i] = (w00 * p + w01 * q + w10 * r + w11 * s) / 255
+    return light, values

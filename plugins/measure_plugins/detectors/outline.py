@@ -9,15 +9,19 @@ ellipse's bias. The edge points travel on with the detection, for a joint fit of
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from measure.arrays import Floats
 from measure.host import Detector, Settings, hookimpl, setting
-from measure.model import Ball, Body, Camera, Detection, Expectation, Image
+from measure.model import Body, Camera, Detection, Expectation, Image
 
-_COLOR_RINGS = (0.25, 0.5, 0.7, 0.85)
-"""Radii, as shares of the outline's, where the ball's colour is checked."""
+if TYPE_CHECKING:
+    from measure_plugins._edges.look import View
+    from measure_plugins._edges.outline_fit import Outline
+    from measure_plugins._edges.radial import Radial
 
 
 class OutlineConfig(Settings):
@@ -56,17 +60,27 @@ class OutlineDetector(Detector):
 
     def __init__(self, config: Settings, body: Body, camera: Camera) -> None:
         super().__init__(config, body, camera)
+        from measure_plugins._acquisition.color_table import color_table
         from measure_plugins._edges.lens import lens_row
+        from measure_plugins._edges.sensor import encoding
         from measure_plugins._edges.tone import tone_table
 
         self._lens = lens_row(camera.intrinsics)
-        self._table = tone_table(self.config.tone)
+        self._tone = tone_table(self.config.tone)
+        self._encoding = encoding(self._tone)
+        colors = tuple(dict.fromkeys(ball.color for ball in body.balls))
+        self._colors = color_table(colors)
+        self._bits = {ball.name: 1 << colors.index(ball.color) for ball in body.balls}
 
     def warm_up(self) -> None:
         """Compile the hot loops (seconds, once per machine), by measuring a drawn disc."""
+        from measure_plugins import _acquisition
         from measure_plugins._edges.warm_up import drawn_disc
 
-        self._measure(*drawn_disc(self.body, self.camera))
+        _acquisition.warm_up()
+        image, expected = drawn_disc(self.body, self.camera)
+        self._measure(image, expected)
+        self._measure(image, [replace(one, center_camera=None) for one in expected])
 
     def detect(self, image: Image, expected: Sequence[Expectation]) -> list[Detection]:
         """Measure the expected balls; search the frame for the others."""
@@ -82,48 +96,36 @@ class OutlineDetector(Detector):
         return found
 
     def _measure(self, image: Image, expected: Sequence[Expectation]) -> list[Detection]:
+        from measure_plugins._edges.look import View
+
+        view = View(image.pixels, self._tone, self._encoding, self._lens)
         cones = [self._cone(expectation) for expectation in expected]
-        out = []
-        for i, expectation in enumerate(expected):
-            detection = self._measure_one(image, expectation, cones[i], cones)
-            if detection is not None:
-                out.append(detection)
-        return out
+        found = [
+            self._measure_one(image, view, expectation, cone, cones)
+            for expectation, cone in zip(expected, cones, strict=True)
+        ]
+        return [detection for detection in found if detection is not None]
 
     def _measure_one(
         self,
         image: Image,
+        view: View,
         expectation: Expectation,
         cone: tuple[Floats, float, float],
         cones: Sequence[tuple[Floats, float, float]],
     ) -> Detection | None:
-        from measure_plugins._edges.outline_fit import Search, View, measure_outline
-
-        axis, half_angle, distance = cone
-        nearer = [[*a, h] for a, h, d in cones if d < distance - 1e-6]
-        search = Search(
-            axis,
-            half_angle,
-            np.array(nearer, dtype=np.float64).reshape(-1, 4),
-            expectation.reach_px,
-            expectation.center_camera is not None,
-            self.config.rays,
-            self.config.min_contrast,
-            self.config.margin_px,
-        )
-        outline = measure_outline(View(image.pixels, self._table, self._lens), search)
-        if outline is None or outline.agreeing < self.config.min_rays:
+        outline = self._outline(view, expectation, cone, cones)
+        if outline.agreeing < self.config.min_rays:
             return None
         agreement = outline.agreeing / max(outline.clear + outline.overflow, 1)
         low, high = expectation.radius_px
         if agreement < self.config.min_agreement or not (low - 2 <= outline.radius_px <= high + 2):
             return None
-        ball = self.body.balls[self.body.index(expectation.ball)]
-        match = self._color_match(image, ball, outline.center_px, outline.points_px)
+        match = self._color_match(view, expectation.ball, outline)
         if match < self.config.min_color_match:
             return None
         return Detection(
-            ball=ball.name,
+            ball=expectation.ball,
             camera=image.camera,
             time_s=image.time_s,
             center_px=outline.center_px,
@@ -134,6 +136,40 @@ class OutlineDetector(Detector):
             outline_px=outline.points_px,
             outline_sd_px=outline.sd_px,
         )
+
+    def _outline(
+        self,
+        view: View,
+        expectation: Expectation,
+        cone: tuple[Floats, float, float],
+        cones: Sequence[tuple[Floats, float, float]],
+    ) -> Outline:
+        """Corrected edges where the distance, and so the size, is known; else rough ones."""
+        from measure_plugins._edges.look import Search
+        from measure_plugins._edges.outline_fit import measure_closely, measure_roughly
+
+        axis, half_angle, distance = cone
+        nearer = [[*a, h] for a, h, d in cones if d < distance - 1e-6]
+        search = Search(
+            axis,
+            half_angle,
+            np.array(nearer, dtype=np.float64).reshape(-1, 4),
+            expectation.reach_px,
+            self.config.rays,
+            self.config.min_contrast,
+            self.config.margin_px,
+        )
+        if expectation.center_camera is None:
+            return measure_roughly(view, search)
+        return measure_closely(view, search, self._radial(axis, half_angle))
+
+    def _radial(self, axis: Floats, half_angle: float) -> Radial:
+        """What a ball of this size, here, shows along a ray across its outline."""
+        from measure_plugins._edges.radial import BLUR_PX, REFRACTIVE_INDEX, radial
+        from measure_plugins._edges.rays import radius_px
+
+        radius = radius_px(axis, half_angle, self._lens)
+        return radial(radius, half_angle, BLUR_PX, REFRACTIVE_INDEX)
 
     def _cone(self, expectation: Expectation) -> tuple[Floats, float, float]:
         """Predicted axis, half angle in rad and distance in mm of a ball's outline."""
@@ -149,16 +185,13 @@ class OutlineDetector(Detector):
         half_angle = float(np.mean(expectation.radius_px)) / self.camera.intrinsics.focal_px
         return axis, half_angle, radius / float(np.sin(half_angle))
 
-    def _color_match(self, image: Image, ball: Ball, center: Floats, points: Floats) -> float:
+    def _color_match(self, view: View, ball: str, outline: Outline) -> float:
         """Share of the samples between centre and edge points that have the ball's colour."""
-        arms = (points - center)[None] * np.array(_COLOR_RINGS)[:, None, None]
-        pixels = np.rint(center + arms.reshape(-1, 2)).astype(int)
-        height, width = image.pixels.shape[:2]
-        within = np.all((pixels >= 0) & (pixels < [width, height]), axis=1)
-        if not within.any():
-            return 0.0
-        x, y = pixels[within].T
-        return float(np.mean(ball.color.matches(image.pixels[y, x])))
+        from measure_plugins._edges.color_check import color_share
+
+        return color_share(
+            view.pixels, self._colors, self._bits[ball], outline.center_px, outline.points_px
+        )
 
 
 def _expectation(candidate: Detection) -> Expectation:

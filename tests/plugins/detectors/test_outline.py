@@ -164,8 +164,13 @@ def test_same_picture_same_bits(camera, detector):
 
 
 def test_warm_up_compiles_every_hot_loop(camera):
-    from measure_plugins._edges import cone_fit, crossing, sensor, shading
+    from measure_plugins._edges import color_check, outline_fit, rays
 
     OutlineDetector(OutlineConfig(), RAVEN, camera).warm_up()
-    loops = (cone_fit.refine, crossing.crossings, sensor.blur_chroma, shading.predict_light)
+    loops = (
+        outline_fit.measure_closely,
+        outline_fit.measure_roughly,
+        color_check.color_share,
+        rays.radius_px,
+    )
     assert all(loop.signatures for loop in loops)

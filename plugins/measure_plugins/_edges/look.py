@@ -1,0 +1,142 @@
+"""One look at an outline: rays across its prediction, and the edges along them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from measure.arrays import Bytes, Floats
+from measure_plugins._edges.corrected import (
+    INSIDE_PX,
+    OUTSIDE_PX,
+    SEARCH_PX,
+    Edges,
+    corrected_edges,
+)
+from measure_plugins._edges.crossing import crossings, levels, project, uncertainty
+from measure_plugins._edges.jit import compiled
+from measure_plugins._edges.radial import Radial
+from measure_plugins._edges.rays import FREE, cast_rays, frame_about, sample, ways
+
+_STEP_PX = 0.5
+_LIGHT_PER_VALUE = 0.3
+"""Slope of tone curves in the shade, where contrast is scarce."""
+
+
+class View(NamedTuple):
+    """A picture with all that is needed to look at it.
+
+    Attributes:
+        pixels: (h, w, 3) uint8.
+        table: (256,) light of each picture value.
+        inverse: of the table, see `sensor.encoding`.
+        lens: (13,) lens row.
+    """
+
+    pixels: Bytes
+    table: Floats
+    inverse: Floats
+    lens: Floats
+
+
+class Search(NamedTuple):
+    """How to look for one outline.
+
+    Attributes:
+        axis: (3,) predicted unit direction of the ball's centre in the camera frame.
+        half_angle: predicted half angle of its cone, rad.
+        nearer: (k, 4) unit axes and half angles of nearer balls.
+        reach_px: how far the outline may be from the prediction.
+        rays: number of rays.
+        min_contrast: least difference of inside and outside, in picture values from 0 to 1.
+        margin_px: distance to keep from nearer balls.
+    """
+
+    axis: Floats
+    half_angle: float
+    nearer: Floats
+    reach_px: float
+    rays: int
+    min_contrast: float
+    margin_px: float
+
+
+class Look(NamedTuple):
+    """What n rays across a predicted outline show.
+
+    Attributes:
+        frame: (3, 3) see `rays.frame_about`.
+        points: (n, 2) the predicted outline, px.
+        normals: (n, 2) its outward unit normals.
+        scale: (n,) px per rad along them.
+        around: (n, 2) cosine and sine around the axis.
+        free: (n,) `rays.FREE` where nothing is known to be in the way.
+        edges: what was found along them.
+        clear: (n,) 1 for free rays on which inside and outside differ enough, else 0.
+        use: (n,) 1 for clear rays with an edge, else 0.
+    """
+
+    frame: Floats
+    points: Floats
+    normals: Floats
+    scale: Floats
+    around: Floats
+    free: Floats
+    edges: Edges
+    clear: Floats
+    use: Floats
+
+
+@compiled
+def look_roughly(
+    view: View, search: Search, axis: Floats, half_angle: float, reach_px: float
+) -> Look:
+    """Find the half-level crossings, in light, within `reach_px` of the prediction."""
+    wider = max(reach_px - SEARCH_PX, 0.0)
+    inside = (INSIDE_PX[0] - wider, INSIDE_PX[1] - wider)
+    outside = (OUTSIDE_PX[0] + wider, OUTSIDE_PX[1] + wider)
+    steps = np.arange(inside[0], outside[1] + 1e-9, _STEP_PX)
+    frame = frame_about(axis)
+    points, normals, scale, around = cast_rays(frame, half_angle, search.rays, view.lens)
+    reach = (inside[0], outside[1])
+    free = ways(frame, half_angle, scale, around, search.nearer, reach, search.margin_px)
+    profiles, _ = sample(view.pixels, view.table, points, normals, steps, free)
+    within, without = levels(profiles, steps, inside), levels(profiles, steps, outside)
+    x, contrast = project(profiles, within, without, False)
+    at, slope = crossings(x, steps, reach_px)
+    edges = Edges(at, uncertainty(x, steps, at, slope, inside), contrast, within, without)
+    least = _LIGHT_PER_VALUE * search.min_contrast
+    clear, use = _usable(edges, free, least, np.inf)
+    return Look(frame, points, normals, scale, around, free, edges, clear, use)
+
+
+@compiled
+def look_closely(
+    view: View, search: Search, axis: Floats, half_angle: float, radial: Radial
+) -> Look:
+    """The same with the edge finder's own error taken off."""
+    frame = frame_about(axis)
+    points, normals, scale, around = cast_rays(frame, half_angle, search.rays, view.lens)
+    reach = (INSIDE_PX[0], OUTSIDE_PX[1])
+    free = ways(frame, half_angle, scale, around, search.nearer, reach, search.margin_px)
+    edges = corrected_edges(
+        view.pixels, view.table, view.inverse, points, normals, around, free, radial
+    )
+    clear, use = _usable(edges, free, search.min_contrast, SEARCH_PX)
+    return Look(frame, points, normals, scale, around, free, edges, clear, use)
+
+
+@compiled
+def _usable(
+    edges: Edges, free: Floats, min_contrast: float, furthest_px: float
+) -> tuple[Floats, Floats]:
+    """Which rays are clear, and which of them have an edge to use."""
+    n = len(free)
+    clear, use = np.zeros(n), np.zeros(n)
+    for i in range(n):
+        if free[i] == FREE and edges.contrast[i] >= min_contrast:
+            clear[i] = 1.0
+            if abs(edges.shifts[i]) < furthest_px:
+                use[i] = 1.0
+    return clear, use
