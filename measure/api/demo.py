@@ -1,13 +1,15 @@
-"""The demonstration: a rendered session with exact truth, measured and compared with it."""
+"""The demonstration: a rendered session measured against exact truth, and a corrected robot."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from measure.api.correcting import correct_simulated_robot
 from measure.api.evaluate import evaluate
 from measure.api.run import RunOptions, run
 from measure.errors import ConfigError
@@ -16,8 +18,13 @@ from measure.measuring import Profile
 from measure.results import Evaluation, Summary, read_run
 from measure.session import open_session
 
+if TYPE_CHECKING:
+    from measure import learning
+
 DEMO_FRAMES = 30
 DEMO_RATE_HZ = 30.0
+ROBOT_S = 60.0
+"""How long the simulated robot moves."""
 _MARK = "session/session.toml"
 
 Report = Callable[[int, int | None], None]
@@ -33,6 +40,7 @@ class Demo:
         picture: the views of one frame set with what was found in them.
         summary: of the run.
         evaluation: of the run against the exact truth.
+        correction: the shipped network on a minute of the simulated robot it has not seen.
     """
 
     session: Path
@@ -40,6 +48,7 @@ class Demo:
     picture: Path
     summary: Summary
     evaluation: Evaluation
+    correction: learning.Evaluation
 
 
 def demo(
@@ -50,6 +59,8 @@ def demo(
     report: Report | None = None,
 ) -> Demo:
     """Render a short session of four cameras, measure it, and compare it with the exact truth.
+
+    Then the second half of the way: correct a simulated robot's position with the shipped network.
 
     Args:
         folder: where the session and the run are written; an earlier demonstration is replaced.
@@ -75,7 +86,8 @@ def demo(
     )
     picture = folder / "demo.png"
     _draw(session, folder / "run", frames // 2, picture)
-    return Demo(session, folder / "run", picture, summary, evaluate(folder / "run"))
+    correction = correct_simulated_robot(ROBOT_S)
+    return Demo(session, folder / "run", picture, summary, evaluate(folder / "run"), correction)
 
 
 def render_demo(

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from measure.cli import console
 from measure.cli.console import JsonFlag
 from measure.cli.injected import InjectedRegistry
+
+if TYPE_CHECKING:
+    from measure.learning import Evaluation
 
 
 def demo(
@@ -21,10 +24,11 @@ def demo(
     json: JsonFlag = False,
     registry: InjectedRegistry,
 ) -> None:
-    """Render a short session, measure it, and compare with the exact truth.
+    """Render a short session, measure it, compare with the truth; correct a simulated robot.
 
     Four webcams look at three balls that move. The pictures have lens distortion, blur, a colour
-    mosaic, noise and JPEG artefacts; where the balls really were is known exactly.
+    mosaic, noise and JPEG artefacts; where the balls really were is known exactly. Then the second
+    half of the way: the shipped network corrects a simulated robot's position, without a camera.
 
     Args:
         out: folder for the session and the run; an earlier demonstration in it is replaced.
@@ -50,8 +54,24 @@ def demo(
     title = f"{found.compared} of {found.frame_sets} poses against the exact truth"
     console.print_text(title)
     console.print_table(("error", "RMS", "largest"), rows)
+    _print_correction(made.correction)
     console.print_text(f"session  {made.session}")
     console.print_text(f"run      {made.run}  (poses.csv opens in any spreadsheet)")
     console.print_text(f"picture  {made.picture}")
     console.print_text(f"look at it in 3-D:     measure view {made.run}")
     console.print_text(f"every error in detail: measure evaluate {made.run}")
+
+
+def _print_correction(found: Evaluation) -> None:
+    """What the network that comes with the program does for a robot."""
+    before, after = found.before, found.after
+    title = (
+        "a simulated cable-driven robot, freshly switched on: where it believes its tip to be, and "
+        "corrected by the shipped network, against the exact truth"
+    )
+    console.print_text(title)
+    rows = [
+        ("reported position, mm", before.rms_mm, before.p95_mm),
+        ("corrected position, mm", after.rms_mm, after.p95_mm),
+    ]
+    console.print_table(("error", "RMS", "95 % below"), rows)

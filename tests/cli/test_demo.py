@@ -20,6 +20,9 @@ def test_demo_measures_what_it_rendered(tmp_path, capsys) -> None:
     assert found["evaluation"]["frame_sets"] == found["evaluation"]["compared"] == 4
     assert found["evaluation"]["body"]["rms_3d_mm"] < 0.25
     assert found["evaluation"]["rotation"]["rms_3d_deg"] < 0.4
+    robot = found["correction"]
+    assert robot["before"]["rms_mm"] > 4.0
+    assert robot["after"]["rms_mm"] < 0.25 * robot["before"]["rms_mm"]
     for name in ("poses.csv", "run.rrd", "summary.json"):
         assert (out / "run" / name).stat().st_size > 0
     picture = cv2.imread(str(out / "demo.png"))
@@ -31,6 +34,7 @@ def test_demo_measures_what_it_rendered(tmp_path, capsys) -> None:
     text = capsys.readouterr().out
     assert "2 of 2 poses" in text or "of 2 frame sets" in text
     assert f"measure view {out / 'run'}" in text
+    assert "corrected position, mm" in text
 
 
 def test_demo_overwrites_nothing_but_a_demo(tmp_path, capsys) -> None:
