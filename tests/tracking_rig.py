@@ -21,9 +21,12 @@ class Oracle(Detector):
 
     name = "oracle"
 
-    def __init__(self, body, camera, world, sd_px=0.1, hide=None, bias=None, sharp=True):
+    def __init__(
+        self, body, camera, world, sd_px=0.1, hide=None, bias=None, sharp=True, hide_one=None
+    ):
         super().__init__(Settings(), body, camera)
         self.world, self.sd_px, self.hide, self.bias = world, sd_px, hide, bias
+        self.hide_one = hide_one
         self.search_sd = sd_px if sharp else 3.0
         self.searched = 0
 
@@ -36,6 +39,8 @@ class Oracle(Detector):
             sd = self.sd_px if windows else self.search_sd
             for d in see({self.camera.name: self.camera}, body, pose, sd, rng, image.time_s):
                 if self.hide is not None and self.hide(d.ball, self.camera.name, image.time_s):
+                    continue
+                if self.hide_one is not None and self.hide_one(d):
                     continue
                 if not self.camera.intrinsics.contains(d.center_px[None])[0]:
                     continue

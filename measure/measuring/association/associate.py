@@ -8,7 +8,7 @@ the body, unless another, different pose is about as good: then nobody can tell.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform
 from measure.host.settings import Settings, setting
+from measure.measuring.association.leftovers import signs_of_another
 from measure.measuring.association.points import Candidates, by_ball, meeting_points
 from measure.measuring.association.poses import (
     Support,
@@ -79,6 +80,7 @@ class Association:
         detections: the chosen candidates, at most one per ball and camera.
         rms_px: RMS distance of the chosen candidates from the pose.
         reason: why there is no pose, in words; empty if there is one.
+        doubts: what makes the pose one to doubt, in words.
     """
 
     world_from_body: RigidTransform | None
@@ -86,6 +88,7 @@ class Association:
     detections: tuple[Detection, ...] = ()
     rms_px: float = float("nan")
     reason: str = ""
+    doubts: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,8 +143,12 @@ def associate(
     ]
     for propose in (poses_from_triples, poses_from_pairs):
         found = _best(search, propose(body, points, settings.sigmas))
-        if found is not None:
+        if found is None:
+            continue
+        if found.world_from_body is None:
             return found
+        doubts = signs_of_another(found.world_from_body, body, cameras, detections, settings.sigmas)
+        return replace(found, doubts=doubts)
     return Association(None, reason=_why_none(body, candidates, [len(p.points) for p in points]))
 
 

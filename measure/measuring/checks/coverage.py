@@ -16,6 +16,7 @@ from measure.measuring.pose_fit import Sightings, fit_pose
 from measure.model import Body, Camera, Detection
 
 _SELDOM = 0.5
+_BY_CHANCE = 0.1
 _NEAR_PARALLEL_DEG = 20.0
 _GRID = (-1.0, 0.0, 1.0)
 
@@ -44,6 +45,7 @@ def coverage_findings(
         level = Level.WRONG if lost > len(surveys) / 2 else Level.WEAK
         text = f"no pose in {lost} of {len(surveys)} frame sets looked at, mostly: {common}"
         findings.append(Finding(level, "balls", text))
+    findings += _doubts(surveys)
     for row in table:
         if row.expected and row.seen < _SELDOM * row.expected:
             text = (
@@ -58,6 +60,15 @@ def coverage_findings(
         )
         findings.append(Finding(Level.WEAK, "coverage", text))
     return table, findings
+
+
+def _doubts(surveys: Sequence[Surveyed]) -> list[Finding]:
+    """One line if a second body may be in view in more frame sets than by chance."""
+    doubted = [s.doubts[0] for s in surveys if s.doubts]
+    if len(doubted) <= _BY_CHANCE * len(surveys):
+        return []
+    text = f"{doubted[0]} (so in {len(doubted)} of {len(surveys)} frame sets looked at)"
+    return [Finding(Level.WRONG, "balls", text)]
 
 
 def expected_accuracy(

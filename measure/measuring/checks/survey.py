@@ -29,6 +29,7 @@ class Surveyed:
             ball should be, however far off.
         in_view: per camera, how many balls should lie in its picture.
         reason: why there is no pose.
+        doubts: what makes the pose one to doubt.
         velocity: (6,) in the pose's `perturb` chart, per second; zero if unknown.
     """
 
@@ -38,6 +39,7 @@ class Surveyed:
     nearest: tuple[Detection, ...]
     in_view: Mapping[str, int]
     reason: str
+    doubts: tuple[str, ...] = ()
     velocity: Floats = field(default_factory=lambda: np.zeros(6))
 
 
@@ -98,4 +100,12 @@ def survey_frame_set(
             best = min(near, key=lambda item: item[0], default=None)
             if best is not None and best[0] < reach_px:
                 nearest.append(best[1])
-    return Surveyed(time_s, found.world_from_body, found.detections, tuple(nearest), in_view, "")
+    return Surveyed(
+        time_s,
+        found.world_from_body,
+        found.detections,
+        tuple(nearest),
+        in_view,
+        "",
+        found.doubts,
+    )

@@ -6,14 +6,18 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from measure.arrays import Floats
+from measure.geometry import chi_square_quantile
 from measure.measuring.association import Association
 from measure.measuring.body_checks import layout_flags
+from measure.measuring.tracking.motion_filter import MotionState
 from measure.model import BallView, Body, Camera, Detection, Fix, Pose
 from measure.model.observations import Reason
 
 _GOOD_CANDIDATE = 0.5
 _MOST_CAMERAS = 0.5
 _SIGMAS = 2.0
+_CAN_MOVE = 0.9999
 
 
 def contradictions(
@@ -89,6 +93,28 @@ def strangers(
         if len(good) >= 2 and (in_view >= 2 or in_view == 0):
             out.append(camera.name)
     return tuple(out)
+
+
+def jumped(
+    lost: MotionState | None, found: MotionState, acceleration_sd: Floats
+) -> tuple[str, ...]:
+    """A line if a body was found further from where it was lost than it can have moved.
+
+    Args:
+        lost: the motion when the body was last seen; None if it never was.
+        found: the body found.
+        acceleration_sd: (6,) as in `MotionState.at`.
+    """
+    if lost is None:
+        return ()
+    expected = lost.at(found.time_s, acceleration_sd)
+    step = found.world_from_body.difference(expected.world_from_body)
+    noise = expected.covariance[:6, :6] + found.covariance[:6, :6]
+    if step @ np.linalg.solve(noise, step) < chi_square_quantile(_CAN_MOVE, 6):
+        return ()
+    moved = np.linalg.norm(found.world_from_body.translation - lost.world_from_body.translation)
+    text = f"found {moved:.0f} mm from where it was {found.time_s - lost.time_s:.2f} s before"
+    return (f"{text}, further than it can have moved: this may be another body",)
 
 
 def cameras_at_odds(views: Sequence[BallView]) -> list[str]:

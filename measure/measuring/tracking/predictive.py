@@ -17,7 +17,7 @@ from measure.arrays import Floats
 from measure.geometry import chi_square_quantile
 from measure.host.settings import Settings, setting
 from measure.measuring.association import Association, AssociationSettings, associate
-from measure.measuring.tracking.doubts import contradictions, strangers, weaknesses
+from measure.measuring.tracking.doubts import contradictions, jumped, strangers, weaknesses
 from measure.measuring.tracking.gates import agree_with_each_other, agree_with_prediction
 from measure.measuring.tracking.motion_filter import MotionState
 from measure.measuring.tracking.tracker import Verdict
@@ -100,6 +100,8 @@ class PredictiveTracker:
         self._windows: Windows | None = None
         self._found: Association | None = None
         self._strangers: tuple[str, ...] = ()
+        self._doubts: tuple[str, ...] = ()
+        self._last_seen: MotionState | None = None
         self._waiting: dict[tuple[str, str], int] = {}
         self._misses = 0
 
@@ -150,7 +152,7 @@ class PredictiveTracker:
         wrong = contradictions(
             pose, fixes, views, self._body, c.distance_tolerance_mm, c.max_rms_px
         )
-        weak = weaknesses(pose, views, c.max_sd_mm) + self._still_strange(views)
+        weak = weaknesses(pose, views, c.max_sd_mm) + self._still_strange(views) + self._doubts
         flags = tuple(dict.fromkeys((*pose.flags, *wrong, *weak)))
         if wrong:
             self._missed()
@@ -158,6 +160,7 @@ class PredictiveTracker:
             self._misses = 0
             extra = _chart(_LEFT_OUT_MM, _LEFT_OUT_RAD)
             self._state = self._state.updated(pose, extra, self._acceleration)
+            self._last_seen = self._state
         return Verdict(replace(pose, flags=flags))
 
     def _search(
@@ -172,6 +175,7 @@ class PredictiveTracker:
             speed = _chart(self.config.speed_mm_s, self.config.turning_rad_s)
             self._state = MotionState.begin(found.world_from_body, found.covariance, time_s, speed)
             self._strangers = strangers(found, self._body, present, detections)
+            self._doubts = found.doubts + jumped(self._last_seen, self._state, self._acceleration)
         chosen = {(d.camera, d.ball): d for d in found.detections}
         return tuple(
             self._searched(frame_set, camera.name, ball, chosen, detections)
