@@ -1,24 +1,28 @@
 """What the calibration alone costs a body measured with it, on a capture with exact truth.
 
-    python benchmarks/calibration.py CAPTURE TRUTH [--draws 20]
+    python benchmarks/calibration.py CAPTURE TRUTH [--draws 20] [--captures 8]
 
 CAPTURE is a capture folder with marks.csv, TRUTH the calibration of its true cameras. True ball
 centres are seen through the true cameras and located with the estimated ones, over 200 poses in a
 box of +-50, +-50, +-30 mm round the workspace's middle, turned by up to 60 degrees. Compared are
 plain OpenCV (calibrateCamera and solvePnP on the marks), the paper's method, the joint fit with the
 marks by hand, and with markers found in the pictures; then the first three again over redraws of
-0.3 px of mark noise about the true places.
+0.3 px of mark noise about the true places; then hand marks against found markers over simulated
+captures, each with its own lenses, boards, lamps and noise.
 """
 
 from __future__ import annotations
 
 import argparse
 from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import cv2
 import numpy as np
 
 from measure.calibration import (
+    Capture,
     body_cost,
     calibrate_capture,
     fit_rig_by_paper,
@@ -32,6 +36,7 @@ from measure.calibration.tolerance import fit_rig_with_boards
 from measure.geometry import RigidTransform
 from measure.model import Camera, Intrinsics
 from measure.session import read_calibration
+from measure.simulation import CaptureScene, write_capture
 
 BODY = paper_body()
 NOISE_PX = 0.3
@@ -114,41 +119,80 @@ def mark_errors(sights: Sights, true: tuple[Camera, ...]) -> list[np.ndarray]:
     return [seen.pixels - camera.project(sights.markers[seen.ids]) for camera, seen in marks]
 
 
+def in_pictures(capture: Capture, lenses: dict[str, Intrinsics]) -> Capture:
+    """The capture without its hand marks, its lenses taken as calibrated."""
+    cameras = tuple(replace(c, known=lenses[c.name], marks={}) for c in capture.cameras)
+    return replace(capture, cameras=cameras)
+
+
+def normalised(found: tuple[Camera, ...], true: tuple[Camera, ...]) -> float:
+    """Squared pose error in units of its covariance, per degree of freedom: about 1 if honest."""
+    values = []
+    for camera, exact in zip(found, true, strict=True):
+        error = exact.world_from_camera.difference(camera.world_from_camera)
+        assert camera.pose_covariance is not None
+        values.append(error @ np.linalg.solve(camera.pose_covariance, error) / 6)
+    return float(np.mean(values))
+
+
+def simulated(seed: int, at: list[RigidTransform]) -> list[list[float]]:
+    """Cost of the body, error of the marks and normalised error, by hand and found."""
+    with TemporaryDirectory() as folder:
+        capture = open_capture(write_capture(CaptureScene(seed=seed), folder))
+        true = read_calibration(Path(folder) / "truth_calibration.toml").cameras
+        by_hand = calibrate_capture(capture)
+        lenses = {name: lens.intrinsics for name, lens in by_hand.lenses.items()}
+        found = calibrate_capture(in_pictures(capture, lenses))
+    return [
+        [
+            cost(rig.cameras, true, at),
+            float(np.sqrt(np.mean(np.concatenate(mark_errors(rig.sights, true)) ** 2))),
+            normalised(rig.cameras, true),
+        ]
+        for rig in (by_hand, found)
+    ]
+
+
+def print_simulated(count: int, at: list[RigidTransform]) -> None:
+    """Hand marks against found markers over simulated captures."""
+    if not count:
+        return
+    rows = np.array([simulated(seed, at) for seed in range(count)])
+    for number, name in enumerate(("by hand", "found")):
+        body, px = np.sqrt(np.mean(rows[:, number, :2] ** 2, axis=0))
+        print(
+            f"{count} simulated captures, {name}: body {body:.4f} mm, marks {px:.3f} px per axis, "
+            f"normalised squared error {rows[:, number, 2].mean():.2f}"
+        )
+    wins = int(np.sum(rows[:, 1, 0] < rows[:, 0, 0]))
+    print(f"found costs the body less than by hand in {wins} of {count}")
+
+
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("capture")
     parser.add_argument("truth")
     parser.add_argument("--draws", type=int, default=20)
+    parser.add_argument("--captures", type=int, default=0)
     options = parser.parse_args()
     capture, true = open_capture(options.capture), read_calibration(options.truth).cameras
     by_hand = calibrate_capture(capture)
-    known = tuple(
-        replace(camera, known=by_hand.lenses[camera.name].intrinsics, marks={})
-        for camera in capture.cameras
-    )
-    found = calibrate_capture(replace(capture, cameras=known))
+    lenses = {name: lens.intrinsics for name, lens in by_hand.lenses.items()}
+    found = calibrate_capture(in_pictures(capture, lenses))
     at = poses(np.array([0.0, 0.0, 250.0]))
     start, sights = by_hand.cameras_before, by_hand.sights
     base = replace(sights, tolerances=Tolerances(capture.markers.tolerance_mm))
     rows = {
         "opencv": plain_opencv(by_hand, sights),
-        "paper": fit_rig_by_paper(start, sights),
+        "paper": fit_rig_by_paper(start, sights).cameras,
         "joint": by_hand.cameras,
         "found": found.cameras,
     }
     for name, cameras in rows.items():
         print(f"{name:8} body position error {cost(cameras, true, at):.4f} mm RMS")
         print_cameras(name, cameras, true)
-    offsets = [
-        found.sights.marks[c.name].pixels
-        - c.project(sights.markers[found.sights.marks[c.name].ids])
-        for c in true
-    ]
-    hand = [
-        sights.marks[c.name].pixels - c.project(sights.markers[sights.marks[c.name].ids])
-        for c in true
-    ]
+    hand, offsets = mark_errors(sights, true), mark_errors(found.sights, true)
     print(
         f"marks: by hand {np.sqrt(np.mean(np.concatenate(hand) ** 2)):.3f} px, found "
         f"{np.sqrt(np.mean(np.concatenate(offsets) ** 2)):.3f} px per axis "
@@ -158,7 +202,7 @@ def main() -> None:
         [
             [
                 cost(plain_opencv(by_hand, s), true, at),
-                cost(fit_rig_by_paper(start, s), true, at),
+                cost(fit_rig_by_paper(start, s).cameras, true, at),
                 cost(
                     fit_rig_with_boards(start, replace(s, tolerances=base.tolerances))[0].cameras,
                     true,
@@ -174,6 +218,7 @@ def main() -> None:
         f"{options.draws} redraws: opencv {rms[0]:.4f}, paper {rms[1]:.4f}, joint {rms[2]:.4f} mm"
     )
     print(f"joint / opencv: {rms[2] / rms[0]:.2f} (worst single draw {worst:.2f})")
+    print_simulated(options.captures, at)
 
 
 if __name__ == "__main__":

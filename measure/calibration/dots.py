@@ -15,8 +15,10 @@ import cv2
 import numpy as np
 
 from measure.arrays import Bytes, Floats
+from measure.model import Intrinsics
 
-_BLUR_PX = 0.7
+_BLUR_PX = 0.8
+"""Optics and colour mosaic together; the fits of recorded dots are best about here."""
 _SUPERSAMPLING = 3
 _ITERATIONS = 25
 _NUDGE_PX = 0.1
@@ -58,7 +60,7 @@ def dot_candidates(light: Floats, radius_px: tuple[float, float] = (1.5, 25.0)) 
     excess = light - background
     spread = float(np.median(np.abs(excess))) * 1.4826
     mask = (excess > max(8 * spread, 0.02)).astype(np.uint8)
-    _, labels, stats, centroids = cv2.connectedComponentsWithStats(mask, connectivity=8)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
     found = []
     for label in range(1, len(stats)):
         x, y, width, height, area = (int(v) for v in stats[label])
@@ -71,12 +73,30 @@ def dot_candidates(light: Floats, radius_px: tuple[float, float] = (1.5, 25.0)) 
         v, u = np.nonzero(strong)
         place = np.array([x + u.mean(), y + v.mean()])
         found.append(Dot(place, float(np.sqrt(strong.sum() / np.pi)), np.nan))
-    del centroids
     return found
 
 
-def refine_dot(light: Floats, dot: Dot) -> Dot | None:
-    """Fit the picture of a shaded ball; None where that fails or runs away."""
+def outline_shape(intrinsics: Intrinsics, pixel: Floats) -> Floats:
+    """Shape (2, 2) of a small ball's outline at a pixel (2,), of determinant 1.
+
+    A ball's rays fill a round cone, so its outline is a circle across the ray and is stretched to
+    an ellipse where the ray meets the image at an angle. The shape turns offsets in the image into
+    offsets across the ray.
+    """
+    ray = intrinsics.unproject(pixel[None])
+    _, by_point, _ = intrinsics.project_with_jacobians(ray)
+    across = np.linalg.svd(ray)[2][1:] @ np.linalg.pinv(by_point[0])
+    return np.asarray(across / np.sqrt(abs(np.linalg.det(across))), dtype=np.float64)
+
+
+def refine_dot(light: Floats, dot: Dot, shape: Floats | None = None) -> Dot | None:
+    """Fit the picture of a shaded ball; None where that fails or runs away.
+
+    Args:
+        light: (h, w) linear luminance.
+        dot: roughly.
+        shape: (2, 2) of its outline (see `outline_shape`); a circle if omitted.
+    """
     half = int(np.ceil(dot.radius_px + 4))
     u, v = (int(c) for c in np.rint(dot.center_px))
     patch = light[max(v - half, 0) : v + half + 1, max(u - half, 0) : u + half + 1]
@@ -86,36 +106,24 @@ def refine_dot(light: Floats, dot: Dot) -> Dot | None:
     offsets = np.arange(-half, half + 1)
     near = np.hypot(*np.meshgrid(offsets, offsets)).ravel() < dot.radius_px + 3.5
     root = near / np.sqrt(np.maximum(values, 0) + _NOISE_FLOOR)
+    shape = np.eye(2) if shape is None else shape
     start = np.array([*(dot.center_px - [u, v]), dot.radius_px])
-    unknowns, misfit = _fit(values, root, start, half)
+    unknowns, misfit = _fit(values, root, start, shape)
     moved = float(np.linalg.norm(unknowns[:2] - start[:2]))
     if moved > 1.5 * dot.radius_px + 1 or not 0.4 < unknowns[2] / dot.radius_px < 2.5:
         return None
     return Dot(unknowns[:2] + np.array([u, v]), float(unknowns[2]), misfit)
 
 
-def _fit(values: Floats, root: Floats, start: Floats, half: int) -> tuple[Floats, float]:
+def _fit(values: Floats, root: Floats, start: Floats, shape: Floats) -> tuple[Floats, float]:
     """Gauss-Newton over (x, y, radius); shading and background follow linearly."""
+    half = (int(np.sqrt(len(values))) - 1) // 2
     unknowns, robust, misfit = start, np.ones_like(values), np.inf
     for _ in range(_ITERATIONS):
         weights = root**2 * robust
-        residuals = _residuals(values, weights, unknowns, half)
-        jacobian = np.column_stack(
-            [
-                (
-                    _residuals(values, weights, unknowns - nudge, half)
-                    - _residuals(values, weights, unknowns + nudge, half)
-                )
-                / (2 * _NUDGE_PX)
-                for nudge in np.eye(3) * _NUDGE_PX
-            ]
-        )
-        normal = (jacobian * weights[:, None]).T @ jacobian
-        normal[np.diag_indices(3)] *= 1.001
-        step = np.linalg.lstsq(normal, (jacobian * weights[:, None]).T @ residuals, rcond=None)[0]
-        step *= min(1.0, 0.7 / max(float(np.abs(step).max()), 1e-9))
+        step = _step(values, weights, unknowns, shape)
         unknowns = np.maximum(unknowns + step, [-half, -half, 0.7])
-        whitened = (_residuals(values, weights, unknowns, half) * root)[root > 0]
+        whitened = (_residuals(values, weights, unknowns, shape) * root)[root > 0]
         misfit = 1.4826 * float(np.median(np.abs(whitened))) + 1e-4
         t = np.zeros_like(values)
         t[root > 0] = np.minimum(np.abs(whitened) / (_TUKEY * misfit), 1)
@@ -125,18 +133,34 @@ def _fit(values: Floats, root: Floats, start: Floats, half: int) -> tuple[Floats
     return unknowns, misfit
 
 
-def _residuals(values: Floats, weights: Floats, unknowns: Floats, half: int) -> Floats:
-    basis = _basis(unknowns, half)
+def _step(values: Floats, weights: Floats, unknowns: Floats, shape: Floats) -> Floats:
+    """A damped Gauss-Newton step (3,), at most 0.7 px."""
+    residuals = _residuals(values, weights, unknowns, shape)
+    columns = []
+    for nudge in np.eye(3) * _NUDGE_PX:
+        before = _residuals(values, weights, unknowns - nudge, shape)
+        after = _residuals(values, weights, unknowns + nudge, shape)
+        columns.append((before - after) / (2 * _NUDGE_PX))
+    jacobian = np.column_stack(columns)
+    weighted = (jacobian * weights[:, None]).T
+    normal = weighted @ jacobian
+    normal[np.diag_indices(3)] *= 1.001
+    step = np.linalg.lstsq(normal, weighted @ residuals, rcond=None)[0]
+    return np.asarray(step * min(1.0, 0.7 / max(float(np.abs(step).max()), 1e-9)))
+
+
+def _residuals(values: Floats, weights: Floats, unknowns: Floats, shape: Floats) -> Floats:
+    basis = _basis(unknowns, int(np.sqrt(len(values))), shape)
     root = np.sqrt(weights)
     amounts = np.linalg.lstsq(basis * root[:, None], values * root, rcond=None)[0]
     return values - basis @ amounts
 
 
-def _basis(unknowns: Floats, half: int) -> Floats:
+def _basis(unknowns: Floats, side: int, shape: Floats) -> Floats:
     """Blurred pictures (pixels, 5) of the disc, of the normal's components on it, and of 1."""
-    side = 2 * half + 1
-    grid = (np.arange(side * _SUPERSAMPLING) + 0.5) / _SUPERSAMPLING - 0.5 - half
-    x, y = np.meshgrid((grid - unknowns[0]) / unknowns[2], (grid - unknowns[1]) / unknowns[2])
+    grid = (np.arange(side * _SUPERSAMPLING) + 0.5) / _SUPERSAMPLING - side / 2
+    offsets = np.stack(np.meshgrid(grid - unknowns[0], grid - unknowns[1]))
+    x, y = np.einsum("ij,jvu->ivu", shape, offsets) / unknowns[2]
     disc = (x**2 + y**2 < 1).astype(np.float64)
     depth = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
     layers = np.dstack([disc, x * disc, y * disc, depth])

@@ -8,7 +8,14 @@ from typing import Literal
 import numpy as np
 
 from measure.arrays import Bytes, Floats, Ints
-from measure.calibration.dots import Dot, dot_candidates, linear_light, refine_cross, refine_dot
+from measure.calibration.dots import (
+    Dot,
+    dot_candidates,
+    linear_light,
+    outline_shape,
+    refine_cross,
+    refine_dot,
+)
 from measure.calibration.extrinsics import fit_rig
 from measure.calibration.sights import MarkSight, Sights, Tolerances
 from measure.calibration.targets import MarkerField
@@ -121,7 +128,8 @@ def _refined(
     distance = np.linalg.norm(markers.points - camera.center, axis=1)
     for number, dot in zip(ids, dots, strict=True):
         name = markers.names[number]
-        fitted = refine_dot(light, dot)
+        shape = outline_shape(camera.intrinsics, dot.center_px)
+        fitted = refine_dot(light, dot, shape)
         if fitted is None:
             doubtful[name] = "its picture is not that of a bright dot"
             continue

@@ -6,48 +6,103 @@ v_c2m(k) / v_i2c(k) = |v_c2m| / |v_i2c| for k = 1, 2, 3; multiplied out, because
 value where a component is zero, and divided by both lengths, that is
 v_c2m / |v_c2m| - v_i2c / |v_i2c| = 0: three equations a marker, six unknowns a camera, solved by
 Levenberg and Marquardt.
+
+The paper gives no errors. Here the errors of marks, lenses and marker places travel through the
+equations (implicit differentiation of their optimum) into one covariance of all cameras; what the
+marks are off by is told by their residuals, pooled over the cameras.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from measure.arrays import Floats
+from measure.arrays import Floats, Ints
+from measure.calibration.extrinsics import START_MARK_SD_PX
 from measure.calibration.sights import Sights
 from measure.errors import CalibrationError
-from measure.geometry import RigidTransform
+from measure.geometry import skew
 from measure.model import Camera
 
+_LEAST_MARK_SD_PX = 0.02
 
-def locate_by_markers(
-    start: Camera, markers: Floats, pixels: Floats
-) -> tuple[RigidTransform, Floats]:
-    """Pose of one camera by the paper's equation 3.
+
+@dataclass(frozen=True, eq=False)
+class PaperFit:
+    """Cameras located by equation 3.
+
+    Attributes:
+        cameras: with the covariances of their poses.
+        covariance: of all cameras' poses and free lens parameters together, camera after camera.
+        columns: by camera name, which rows of `covariance` are its pose (6) and lens parameters.
+        mark_sd_px: as stated, or as the residuals tell.
+    """
+
+    cameras: tuple[Camera, ...]
+    covariance: Floats
+    columns: dict[str, Ints]
+    mark_sd_px: float
+
+
+def fit_rig_by_paper(
+    start: tuple[Camera, ...], sights: Sights, mark_sd_px: float | None = None
+) -> PaperFit:
+    """Every camera by itself, from its markers, beginning at its rough pose.
 
     Args:
-        start: with the rough pose from its board.
-        markers: (n, 3) marker positions in the world, mm, n >= 3.
-        pixels: (n, 2) where the camera sees them.
-
-    Returns:
-        world_from_camera, and its covariance (6, 6) from the equations' residuals.
+        start: cameras at their rough poses; lenses with covariances.
+        sights: markers with their tolerance, and marks.
+        mark_sd_px: standard deviation of a mark coordinate; from the residuals if omitted.
 
     Raises:
-        CalibrationError: fewer than three markers, or no optimum found.
+        CalibrationError: a camera with fewer than three marks, or no optimum found.
     """
+    cameras, squares, freedom = [], 0.0, 0.0
+    for camera in start:
+        located, residuals = _located(camera, sights)
+        cameras.append(located)
+        worth = located.intrinsics.focal_px / np.linalg.norm(
+            sights.markers[sights.marks[camera.name].ids] - located.center, axis=1
+        )
+        # What the residuals owe to the marker places is not the marks' error.
+        owed = 2 * float(np.sum((worth * sights.tolerances.marker_mm) ** 2))
+        share = max(1 - 6 / residuals.size, 0)
+        squares += max(float(np.sum(residuals**2)) - owed * share, 0)
+        freedom += residuals.size - 6
+    sd = mark_sd_px or START_MARK_SD_PX
+    if mark_sd_px is None and freedom > 0:
+        sd = max(float(np.sqrt(squares / freedom)), _LEAST_MARK_SD_PX)
+    return _with_covariances(tuple(cameras), sights, sd)
+
+
+def _located(start: Camera, sights: Sights) -> tuple[Camera, Floats]:
+    """A camera by equation 3, and the residuals (n, 2) px of its marks."""
+    marks = sights.marks.get(start.name)
+    if marks is None:
+        raise CalibrationError(
+            f"camera {start.name}: the paper's method needs its markers: give marks.csv or "
+            "marker_image"
+        )
+    if len(marks.ids) < 3:
+        raise CalibrationError(
+            f"camera {start.name}: the paper's equation 3 needs 3 markers, got {len(marks.ids)}"
+        )
+    points = sights.markers[marks.ids]
+    located = _solve_equation_3(start, points, marks.pixels)
+    error = marks.pixels - located.project(points)
+    rms = float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
+    return replace(located, reprojection_rms_px=rms), error
+
+
+def _solve_equation_3(start: Camera, points: Floats, pixels: Floats) -> Camera:
     from scipy.optimize import least_squares
 
-    if len(markers) < 3:
-        raise CalibrationError(
-            f"camera {start.name}: the paper's equation 3 needs 3 markers, got {len(markers)}"
-        )
     bearings = start.intrinsics.unproject(pixels)
 
     def equation_3(unknowns: Floats) -> Floats:
         pose = start.world_from_camera.perturb(unknowns)
-        c2m = markers - pose.translation
+        c2m = points - pose.translation
         i2c = pose.rotate(bearings)
         return np.ravel(c2m / np.linalg.norm(c2m, axis=1, keepdims=True) - i2c)
 
@@ -56,31 +111,63 @@ def locate_by_markers(
     )
     if not found.success:
         raise CalibrationError(f"camera {start.name}: equation 3 has no optimum: {found.message}")
-    # Two of the three equations of a marker are independent.
-    variance = 2 * found.cost / max(2 * len(markers) - 6, 1)
-    jacobian = np.asarray(found.jac, dtype=np.float64)
-    covariance = np.asarray(np.linalg.pinv(jacobian.T @ jacobian) * variance, dtype=np.float64)
-    return start.world_from_camera.perturb(found.x), covariance
+    return replace(start, world_from_camera=start.world_from_camera.perturb(found.x))
 
 
-def fit_rig_by_paper(start: tuple[Camera, ...], sights: Sights) -> tuple[Camera, ...]:
-    """Every camera by itself, from its markers, beginning at its rough pose.
+@dataclass(frozen=True, eq=False)
+class _Sensitivity:
+    """How a camera's pose follows marks (6, 2n), lens (6, 12) and its markers (6, 3n)."""
 
-    Raises:
-        CalibrationError: a camera without at least three marks.
-    """
-    out = []
-    for camera in start:
-        marks = sights.marks.get(camera.name)
-        if marks is None:
-            raise CalibrationError(
-                f"camera {camera.name}: the paper's method needs its markers: give marks.csv or "
-                "marker_image"
-            )
-        points = sights.markers[marks.ids]
-        pose, covariance = locate_by_markers(camera, points, marks.pixels)
-        located = replace(camera, world_from_camera=pose, pose_covariance=covariance)
-        error = located.project(points) - marks.pixels
-        rms = float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
-        out.append(replace(located, reprojection_rms_px=rms))
-    return tuple(out)
+    by_marks: Floats
+    by_lens: Floats
+    by_markers: Floats
+
+
+def _sensitivity(camera: Camera, points: Floats, pixels: Floats) -> _Sensitivity:
+    """Of the optimum of r = c2m / |c2m| - R b: dx = -(J^T J)^-1 J^T (dr of all else)."""
+    turn = camera.world_from_camera.rotation
+    bearings = camera.intrinsics.unproject(pixels)
+    _, by_bearing, pixel_by_lens = camera.intrinsics.project_with_jacobians(bearings)
+    by_pixel = turn @ np.linalg.pinv(by_bearing)  # of R b, (n, 3, 2)
+    c2m = points - camera.center
+    length = np.linalg.norm(c2m, axis=1)[:, None, None]
+    unit = c2m[:, :, None] / length
+    by_marker = (np.eye(3) - unit @ np.swapaxes(unit, 1, 2)) / length
+    J = np.concatenate([-by_marker, skew(bearings @ turn.T)], axis=2).reshape(-1, 6)
+    gain = -np.linalg.pinv(J).reshape(6, len(points), 3)
+    return _Sensitivity(
+        -np.einsum("ink,nkj->inj", gain, by_pixel).reshape(6, -1),
+        np.einsum("ink,nkj,njl->il", gain, by_pixel, pixel_by_lens),
+        np.einsum("ink,nkj->inj", gain, by_marker).reshape(6, -1),
+    )
+
+
+def _with_covariances(cameras: tuple[Camera, ...], sights: Sights, sd_px: float) -> PaperFit:
+    """Marks and lenses are each camera's own; the places of the markers are common to all."""
+    columns: dict[str, Ints] = {}
+    own: list[Floats] = []
+    common: list[Floats] = []
+    for camera in cameras:
+        marks = sights.marks[camera.name]
+        by = _sensitivity(camera, sights.markers[marks.ids], marks.pixels)
+        C = camera.intrinsics.covariance
+        C = np.zeros((12, 12)) if C is None else C
+        free = np.flatnonzero(np.diag(C) > 0)
+        # Rows: pose, then the lens parameters themselves, which the poses follow.
+        gain = np.concatenate([by.by_lens, np.eye(12)[free]])
+        block = gain @ C @ gain.T
+        block[:6, :6] += sd_px**2 * by.by_marks @ by.by_marks.T
+        own.append(block)
+        shift = np.zeros((len(block), sights.markers.size))
+        of_marker = (3 * marks.ids[:, None] + np.arange(3)).reshape(-1)
+        shift[:6, of_marker] = by.by_markers * sights.tolerances.marker_mm
+        common.append(shift)
+        first = sum(len(part) for part in own[:-1])
+        columns[camera.name] = np.arange(first, first + len(block))
+    shifts = np.concatenate(common)
+    covariance = shifts @ shifts.T
+    for camera, block in zip(cameras, own, strict=True):
+        covariance[np.ix_(columns[camera.name], columns[camera.name])] += block
+    poses = [covariance[np.ix_(c[:6], c[:6])] for c in columns.values()]
+    located = tuple(replace(c, pose_covariance=P) for c, P in zip(cameras, poses, strict=True))
+    return PaperFit(located, covariance, columns, sd_px)

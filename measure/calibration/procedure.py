@@ -17,7 +17,7 @@ from measure.calibration.extrinsics import RigFit
 from measure.calibration.intrinsics import LensCalibration, calibrate_lens
 from measure.calibration.judgement import Finding
 from measure.calibration.markers import FoundMarkers, find_markers
-from measure.calibration.paper import fit_rig_by_paper
+from measure.calibration.paper import PaperFit, fit_rig_by_paper
 from measure.calibration.sights import MarkSight, Sights, Tolerances
 from measure.calibration.starts import (
     SeenBoard,
@@ -46,6 +46,7 @@ class RigCalibration:
         method: "joint" or "paper".
         lenses: by camera name, where the lens was calibrated here.
         fit: the joint fit, if there was one.
+        paper: the fit by equation 3, if that was the method.
         sights: boards and marks used.
         markers: the marker field.
         cameras_before: at their rough poses, lenses as calibrated by themselves.
@@ -62,6 +63,7 @@ class RigCalibration:
     fit: RigFit | None
     sights: Sights
     markers: MarkerField
+    paper: PaperFit | None = None
     cameras_before: tuple[Camera, ...] = ()
     found: dict[str, FoundMarkers] = field(default_factory=dict)
     disagreement_mm: dict[str, float] = field(default_factory=dict)
@@ -116,7 +118,14 @@ def _relative(capture: Capture, lenses: dict[str, LensCalibration]) -> RigCalibr
         )
     cameras, around = fit_common_views(capture.board.points, lenses)
     return RigCalibration(
-        cameras, "joint", lenses, None, Sights(), capture.markers, cameras, around=around
+        cameras,
+        "joint",
+        lenses,
+        None,
+        Sights(),
+        capture.markers,
+        cameras_before=cameras,
+        around=around,
     )
 
 
@@ -166,13 +175,14 @@ def _locate_all(
         None,
         sights,
         markers,
-        tuple(starts),
-        found,
-        disagreement,
-        sights.tolerances,
+        cameras_before=tuple(starts),
+        found=found,
+        disagreement_mm=disagreement,
+        tolerances=sights.tolerances,
     )
     if method == "paper":
-        return replace(base, cameras=fit_rig_by_paper(tuple(starts), sights))
+        paper = fit_rig_by_paper(tuple(starts), sights, capture.settings.mark_sd_px)
+        return replace(base, cameras=paper.cameras, paper=paper)
     return _joint(base, capture)
 
 

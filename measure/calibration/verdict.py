@@ -70,7 +70,8 @@ def judge(rig: RigCalibration, body: Body, floor_z_mm: float | None = None) -> V
     around = rig.markers.points if len(rig.markers.points) else rig.around
     workspace = workspace_of(rig.cameras, around)
     poses = [RigidTransform(np.eye(3), point) for point in workspace.grid()]
-    joint = (None, None) if rig.fit is None else (rig.fit.covariance, rig.fit.columns)
+    fit = rig.fit or rig.paper
+    joint = (None, None) if fit is None else (fit.covariance, fit.columns)
     position, rotation = body_pose_sd(rig.cameras, body, poses, *joint)
     held_out_px, held_out_mm = _held_out(rig)
     scale, scale_findings = _scale(rig)
@@ -246,11 +247,11 @@ def _worst(rig: RigCalibration, name: str) -> list[tuple[str, float]]:
 
 def provenance(rig: RigCalibration, verdict: Verdict, capture: str) -> dict[str, Any]:
     """What `calibration.toml` says about where it comes from and how good it is."""
-    fit = rig.fit
+    fit = rig.fit or rig.paper
     return {
         "capture": capture,
         "method": rig.method,
-        "corner_sd_px": None if fit is None else fit.corner_sd_px,
+        "corner_sd_px": None if rig.fit is None else rig.fit.corner_sd_px,
         "mark_sd_px": None if fit is None else fit.mark_sd_px,
         "marker_tolerance_mm": rig.tolerances.marker_mm,
         "board_tolerance_mm": rig.tolerances.board_mm,

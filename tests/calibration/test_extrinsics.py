@@ -13,6 +13,7 @@ from measure.calibration import (
     fit_rig_by_paper,
     paper_body,
 )
+from measure.calibration.extrinsics import START_MARK_SD_PX
 from measure.calibration.sights import MarkSight
 from measure.calibration.tolerance import fit_rig_with_boards
 from measure.geometry import RigidTransform
@@ -45,7 +46,7 @@ def test_exact_sights_give_the_exact_rig() -> None:
 
 def test_exact_marks_give_the_exact_rig_by_the_paper() -> None:
     exact = rig(np.random.default_rng(0), 0.3, 0.0)
-    found = fit_rig_by_paper(exact.start, exact.sights)
+    found = fit_rig_by_paper(exact.start, exact.sights).cameras
     for camera, true in zip(found, exact.true, strict=True):
         error = camera.world_from_camera.difference(true.world_from_camera)
         np.testing.assert_allclose(error, 0, atol=1e-6)
@@ -68,12 +69,42 @@ def test_true_errors_lie_within_the_reported_covariances() -> None:
     assert 0.5 < np.mean(of_body) < 1.7
 
 
+def test_true_errors_lie_within_the_papers_covariances() -> None:
+    """Lenses, marks and marker places are all off; leaving one out makes these ten and more."""
+    of_cameras, of_body = [], []
+    for seed in range(40):
+        noisy = rig(np.random.default_rng(seed), marker_mm=0.1, lens_sd=3 * LENS_SD)
+        fit = fit_rig_by_paper(noisy.start, noisy.sights)
+        for camera, true in zip(fit.cameras, noisy.true, strict=True):
+            error = true.world_from_camera.difference(camera.world_from_camera)
+            assert camera.pose_covariance is not None
+            of_cameras.append(error @ np.linalg.solve(camera.pose_covariance, error) / 6)
+        shift, _ = body_cost(fit.cameras, noisy.true, paper_body(), poses()[:4])
+        sd, _ = body_pose_sd(fit.cameras, paper_body(), poses()[:4], fit.covariance, fit.columns)
+        of_body.append(np.mean(np.sum(shift**2, axis=1) / sd**2))
+    assert 0.75 < np.mean(of_cameras) < 1.3
+    assert 0.6 < np.mean(of_body) < 1.5
+
+
+def test_three_marks_say_nothing_about_their_own_error() -> None:
+    noisy = rig(np.random.default_rng(1))
+    marks = {
+        name: replace(sight, ids=sight.ids[[0, 3, 8]], pixels=sight.pixels[[0, 3, 8]])
+        for name, sight in noisy.sights.marks.items()
+    }
+    fit = fit_rig_by_paper(noisy.start, replace(noisy.sights, marks=marks))
+    assert fit.mark_sd_px == START_MARK_SD_PX
+    for camera in fit.cameras:
+        assert camera.pose_covariance is not None
+        assert np.sqrt(np.trace(camera.pose_covariance[:3, :3])) > 0.1
+
+
 def test_joint_beats_the_paper_on_the_same_noise() -> None:
     joint, paper = [], []
     for seed in range(6):
         noisy = rig(np.random.default_rng(seed), lens_sd=LENS_SD / 4)
         joint.append(cost_mm(fit_rig(noisy.start, noisy.sights).cameras, noisy.true))
-        paper.append(cost_mm(fit_rig_by_paper(noisy.start, noisy.sights), noisy.true))
+        paper.append(cost_mm(fit_rig_by_paper(noisy.start, noisy.sights).cameras, noisy.true))
     assert np.sqrt(np.mean(np.square(joint)) / np.mean(np.square(paper))) < 0.7
 
 
