@@ -9,6 +9,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, get_args
 
+from pydantic import BaseModel
+
 from measure.errors import ConfigError
 from measure.host import Registry
 from measure.host.settings import read_settings
@@ -19,6 +21,7 @@ from measure.model import Body, Camera
 from measure.session import load_toml
 
 DEFAULT_PROFILE = "precise"
+RUN_FILE = "run.toml"
 
 
 def profile_names() -> list[str]:
@@ -30,11 +33,13 @@ def profile_names() -> list[str]:
 def load_profile(name: str = DEFAULT_PROFILE) -> Profile:
     """A profile that comes with the program, by name, or any by the path of its TOML file.
 
+    A run's `run.toml` serves as well: it holds the profile the run was made with.
+
     Raises:
         ConfigError: no profile of that name; or its file is broken.
     """
     if name.endswith(".toml"):
-        return load_toml(Path(name), Profile, ConfigError)
+        return _profile_file(Path(name))
     if name not in profile_names():
         near = difflib.get_close_matches(name, profile_names(), n=1)
         hint = f"did you mean '{near[0]}'?" if near else f"there is {', '.join(profile_names())}"
@@ -43,6 +48,18 @@ def load_profile(name: str = DEFAULT_PROFILE) -> Profile:
         )
     with resources.as_file(resources.files("measure") / "profiles" / f"{name}.toml") as path:
         return load_toml(path, Profile, ConfigError)
+
+
+def _profile_file(path: Path) -> Profile:
+    if path.name == RUN_FILE:
+        return load_toml(path, _RunFile, ConfigError).profile
+    return load_toml(path, Profile, ConfigError)
+
+
+class _RunFile(BaseModel):
+    """The part of a `run.toml` that is asked for here."""
+
+    profile: Profile
 
 
 def choose(

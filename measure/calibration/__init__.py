@@ -1,6 +1,7 @@
 """Calibration: targets, lenses, camera poses, refinement from motion, and how good it all is."""
 
 from measure.calibration.boards import Board, Charuco, Chessboard, Corners
+from measure.calibration.camera_rows import camera_rows
 from measure.calibration.capture import Capture, open_capture
 from measure.calibration.drawing import Sheet, write_sheet
 from measure.calibration.extrinsics import RigFit, fit_rig
@@ -12,7 +13,6 @@ from measure.calibration.paper import fit_rig_by_paper
 from measure.calibration.printing import target_sheet
 from measure.calibration.procedure import Method, RigCalibration, calibrate_capture
 from measure.calibration.refine import Refinement, RefineSettings, refine_rig
-from measure.calibration.report import calibration_report, camera_rows
 from measure.calibration.sights import Sights, Tolerances
 from measure.calibration.targets import MarkerField, read_board, read_markers
 from measure.calibration.verdict import Verdict, judge, provenance
@@ -41,7 +41,6 @@ __all__ = [
     "body_pose_sd",
     "calibrate_capture",
     "calibrate_lens",
-    "calibration_report",
     "camera_rows",
     "choose_views",
     "find_markers",

@@ -33,28 +33,30 @@ def calibrate(
         method: "joint" solves all cameras at once; "paper" each from its markers (equation 3).
         body: body to judge the calibration with; the paper's three-ball body if omitted.
         file_format: of the output; only "triball" holds covariances and the judgement.
-        report: HTML report to write.
+        report: HTML report to write; beside the output, ending in .html, if omitted.
     """
     from measure.api import calibrate as run
-    from measure.calibration import calibration_report, camera_rows
+    from measure.calibration import camera_rows
     from measure.session import write_calibration
+    from measure.viewing.report.calibration_report import write_calibration_report
 
     with console.progress("calibrating", "cameras") as progress:
         result = run(capture, method, body, progress)
     write_calibration(output, result.calibration, file_format)
-    if report is not None:
-        page = calibration_report(str(capture), result.rig, result.verdict)
-        report.write_text(page, encoding="utf-8")
+    page = output.with_suffix(".html") if report is None else report
+    write_calibration_report(capture.name or str(capture), result.rig, result.verdict, page)
     if json:
         console.print_json({"output": output, **result.calibration.provenance})
         return
     console.print_table(
-        ("camera", "f_px", "position_sd_mm", "rotation_sd_deg", "rms_px"), camera_rows(result.rig)
+        ("camera", "f_px", "position_sd_mm", "rotation_sd_deg", "rms_px"),
+        camera_rows(result.rig.cameras),
     )
     verdict = result.verdict
     for finding in verdict.findings:
         console.print_text(str(finding))
     console.print_text(
         f"expected body position error {np.sqrt(np.mean(verdict.position_sd_mm**2)):.3f} mm "
-        f"(worst {verdict.position_sd_mm.max():.3f} mm) over the workspace; wrote {output}"
+        f"(worst {verdict.position_sd_mm.max():.3f} mm) over the workspace; "
+        f"wrote {output} and {page}"
     )

@@ -2,23 +2,34 @@
 
 from __future__ import annotations
 
+import html
 import re
+import shlex
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from measurements import BODY, CAMERAS, measurement
 
+from measure.api.profiles import load_profile
+from measure.api.run import resolved
+from measure.geometry import RigidTransform
+from measure.host import Registry
+from measure.measuring import Status
 from measure.results import Provenance, RunWriter, read_run
+from measure.results.accuracy import accuracy_map
+from measure.session import read_body
 from measure.viewing.report.run_report import run_report
+from measure.viewing.report.verdict import verdict
 
 PROVENANCE = Provenance("/data/s", "a", "calibration.toml", "b", "c", {"name": "precise"}, {})
 
 
-def _run(folder, count, lost=(), finish=True):
-    with RunWriter(folder, PROVENANCE, BODY, CAMERAS) as writer:
+def _run(folder, count, lost=(), finish=True, measure=None, cameras=CAMERAS, provenance=PROVENANCE):
+    with RunWriter(folder, provenance, BODY, cameras) as writer:
         for index in range(count):
-            writer.append(measurement(index, lost=index in lost))
+            writer.append(measure(index) if measure else measurement(index, lost=index in lost))
         if finish:
             writer.finish()
     return read_run(folder)
@@ -49,9 +60,89 @@ def test_an_unfinished_run_says_so(tmp_path):
 
 def test_a_run_without_any_pose_has_a_report_that_says_why(tmp_path):
     page = run_report(_run(tmp_path / "run", 20, lost=range(20)))
-    assert "No pose in 20 frame sets. nothing seen" in page
+    assert "No pose in 20 frame sets (nothing seen)." in page
     assert 'class="verdict bad"' in page
     assert "Trajectory" not in page
+
+
+def test_flagged_poses_do_not_count_as_known(tmp_path):
+    def doubted(index):
+        return replace(measurement(index), status=Status.FLAGGED, reason="red sits 9 px off")
+
+    run = _run(tmp_path / "all", 20, measure=doubted)
+    tone, sentence = verdict(run, None)
+    assert tone == "bad"
+    assert sentence == "No pose to rely on: all of 20 frame sets are flagged (red sits 9 px off)."
+    mixed = _run(tmp_path / "most", 20, measure=lambda i: doubted(i) if i > 7 else measurement(i))
+    tone, sentence = verdict(mixed, None)
+    assert tone == "bad"
+    assert "the pose is doubtful in 12 of 20 frame sets (red sits 9 px off)" in sentence
+
+
+def test_the_truth_is_quoted_and_a_run_too_sure_of_itself_is_found_out(tmp_path):
+    run = _run(tmp_path / "run", 40)
+    small, large = np.zeros((40, 6)), np.zeros((40, 6))
+    small[:, 0], large[:, 0] = 0.01, 0.1
+    tone, sentence = verdict(run, small)
+    assert tone == "good"
+    assert sentence.endswith("Against the truth it is off by 0.010 mm RMS, 0.010 mm at most.")
+    tone, sentence = verdict(run, large)
+    assert tone == "doubtful"
+    assert "more than it claims, for only 0% of the errors lie inside" in sentence
+
+
+def test_a_camera_that_never_helps_is_named(tmp_path):
+    def alone(index):
+        seen = measurement(index)
+        return replace(seen, pose=replace(seen.pose, cameras=("cam0",)))
+
+    _, sentence = verdict(_run(tmp_path / "run", 20, measure=alone), None)
+    assert "1 of 2 cameras carry it (cam1 never)" in sentence
+
+
+def test_the_accuracy_map_agrees_with_the_run_where_the_body_was(tmp_path):
+    run = _run(tmp_path / "run", 40)
+    there = accuracy_map(run, (0, 1))
+    middle = there.sd_mm[5, 5]
+    assert middle == pytest.approx(run.summary.position_sd_mm, rel=0.05)
+    assert not there.from_calibration
+    assert there.across_mm[5] == pytest.approx(np.mean([0, 3.9]), abs=1e-9)
+
+
+def test_a_calibration_known_badly_weighs_where_pictures_do_not(tmp_path):
+    """Away from the cameras the pictures' part grows; the calibration's is counted once."""
+    loose = [replace(c, pose_covariance=np.diag([1e-5] * 3 + [1e-10] * 3)) for c in CAMERAS]
+    run = _run(tmp_path / "run", 40, cameras=loose)
+    there = accuracy_map(run, (0, 1))
+    assert there.from_calibration
+    assert there.sd_mm[5, 5] == pytest.approx(run.summary.position_sd_mm, rel=0.05)
+
+
+def test_a_place_that_one_camera_sees_has_no_expected_accuracy(tmp_path):
+    def far(index):
+        seen = measurement(index)
+        place = seen.pose.world_from_body
+        moved = RigidTransform(place.rotation, place.translation + np.array([20.0 * index, 0, 0]))
+        return replace(seen, pose=replace(seen.pose, world_from_body=moved))
+
+    there = accuracy_map(_run(tmp_path / "run", 20, measure=far), (0, 1))
+    assert np.isnan(there.sd_mm).any()
+    assert np.isfinite(there.sd_mm).any()
+
+
+def test_the_command_that_repeats_a_run_uses_what_the_run_used(tmp_path):
+    profile = load_profile().with_setting("detector", "rays", 40)
+    made = replace(PROVENANCE, profile=resolved(profile, Registry.discover()))
+    page = run_report(_run(tmp_path / "run", 10, provenance=made))
+    (command,) = re.findall(r"<pre>(measure run .*?)</pre>", page)
+    words = shlex.split(html.unescape(command))
+    options = dict(zip(words[3::2], words[4::2], strict=True))
+    assert words[2] == "/data/s"
+    assert options["--calibration"] == "calibration.toml"
+    again = load_profile(options["--profile"])
+    assert again.settings["detector"]["rays"] == 40
+    assert resolved(again, Registry.discover()) == made.profile
+    assert read_body(Path(options["--body"])).names == BODY.names
 
 
 def test_the_page_is_self_contained_and_small(tmp_path):

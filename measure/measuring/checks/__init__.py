@@ -1,6 +1,11 @@
 """What is wrong or weak in a recording, told from the recording itself; no files, no printing."""
 
-from measure.measuring.checks.coverage import Coverage, coverage_findings, expected_accuracy
+from measure.measuring.checks.coverage import (
+    Coverage,
+    coverage_findings,
+    expected_accuracy,
+    expected_sd,
+)
 from measure.measuring.checks.finding import Finding, Level
 from measure.measuring.checks.moved import Misfit, camera_misfits, misfit_findings
 from measure.measuring.checks.stamps import stamp_findings
@@ -15,6 +20,7 @@ __all__ = [
     "camera_misfits",
     "coverage_findings",
     "expected_accuracy",
+    "expected_sd",
     "misfit_findings",
     "stamp_findings",
     "survey_frame_set",

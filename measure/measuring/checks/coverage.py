@@ -94,13 +94,18 @@ def expected_accuracy(
     rows = []
     for offset in np.stack(np.meshgrid(_GRID, _GRID, _GRID), axis=-1).reshape(-1, 3):
         pose = RigidTransform(middle.rotation, middle.translation + reach_mm * offset)
-        rows.append([*pose.translation, *_standard_deviations(pose, body, cameras, noise_px)])
+        rows.append([*pose.translation, *expected_sd(pose, body, cameras, noise_px)])
     return np.array(rows)
 
 
-def _standard_deviations(
+def expected_sd(
     pose: RigidTransform, body: Body, cameras: Sequence[Camera], noise_px: float
 ) -> tuple[float, float]:
+    """Standard deviations of the position (3-D, mm) and rotation (deg) of a body seen at a pose.
+
+    From the noise of the pictures alone, with every ball in sight that lies in a picture; NaN where
+    too few cameras see the body.
+    """
     centers = pose.apply(body.centers)
     seen = []
     for camera in cameras:

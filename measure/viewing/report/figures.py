@@ -18,88 +18,6 @@ ARROW_SCALE = 60.0
 """How much residual arrows are magnified."""
 
 
-def trajectory(
-    positions: Floats, sd_mm: Floats, camera_centers: Floats, camera_names: Sequence[str]
-) -> go.Figure:
-    """Where the body went, coloured by its uncertainty, among the cameras.
-
-    Args:
-        positions: (n, 3) in mm.
-        sd_mm: (n,) standard deviation of each position.
-        camera_centers: (m, 3) in mm.
-        camera_names: m names.
-    """
-    keep = _thinned(len(positions))
-    colors = {
-        "color": sd_mm[keep],
-        "colorscale": "Viridis",
-        "size": 3,
-        "colorbar": {"title": "SD [mm]", "thickness": 12},
-    }
-    path = go.Scatter3d(
-        x=positions[keep, 0],
-        y=positions[keep, 1],
-        z=positions[keep, 2],
-        mode="markers+lines",
-        marker=colors,
-        line={"color": style.INK, "width": 1},
-        name="body",
-    )
-    rig = go.Scatter3d(
-        x=camera_centers[:, 0],
-        y=camera_centers[:, 1],
-        z=camera_centers[:, 2],
-        mode="markers+text",
-        marker={"size": 5, "symbol": "diamond", "color": style.ACCENT},
-        text=list(camera_names),
-        name="cameras",
-    )
-    axis = {"backgroundcolor": "rgba(0,0,0,0)", "gridcolor": style.GRID, "color": style.INK}
-    scene = {f"{name}axis": {**axis, "title": f"{name} [mm]"} for name in "xyz"}
-    figure = style.figure(480, scene={**scene, "aspectmode": "data"})
-    figure.add_traces([path, rig])
-    return figure
-
-
-def plan(
-    positions: Floats, camera_centers: Floats, camera_names: Sequence[str], axes: tuple[int, int]
-) -> go.Figure:
-    """The trajectory seen along one axis; drawn also where a browser has no 3-D.
-
-    Args:
-        positions: (n, 3) in mm.
-        camera_centers: (m, 3) in mm.
-        camera_names: m names.
-        axes: which two world axes to draw.
-    """
-    across, up = axes
-    keep = _thinned(len(positions))
-    figure = style.figure(380, showlegend=False)
-    figure.add_trace(
-        go.Scatter(
-            x=positions[keep, across],
-            y=positions[keep, up],
-            mode="lines+markers",
-            marker={"size": 4, "color": style.ACCENT},
-            name="body",
-        )
-    )
-    figure.add_trace(
-        go.Scatter(
-            x=camera_centers[:, across],
-            y=camera_centers[:, up],
-            mode="markers+text",
-            marker={"size": 9, "symbol": "diamond", "color": style.DOUBTFUL},
-            text=list(camera_names),
-            textposition="top center",
-            name="cameras",
-        )
-    )
-    figure.update_xaxes(title=f"{'xyz'[across]} [mm]")
-    figure.update_yaxes(title=f"{'xyz'[up]} [mm]", scaleanchor="x")
-    return figure
-
-
 def over_time(
     times_s: Floats,
     curves: Mapping[str, Floats],
@@ -117,7 +35,7 @@ def over_time(
     figure = style.figure()
     for index, (name, values) in enumerate(curves.items()):
         color = (colors or {}).get(name, style.PALETTE[index % len(style.PALETTE)])
-        keep = _thinned(len(values), values)
+        keep = thinned(len(values), values)
         figure.add_trace(
             go.Scatter(
                 x=times_s[keep], y=values[keep], name=name, mode="lines", line={"color": color}
@@ -162,10 +80,11 @@ def residual_map(
         size_wh: of the image.
         name: of the camera.
     """
-    keep = _thinned(len(centers_px))
+    keep = thinned(len(centers_px))
     start, arrows = centers_px[keep], residuals_px[keep] * ARROW_SCALE
     gaps = np.full(len(start), np.nan)
-    figure = style.figure(280, title={"text": name, "font": {"size": 13}}, showlegend=False)
+    title = {"text": name, "font": {"size": 13}, "x": 0.02, "y": 0.98, "yref": "container"}
+    figure = style.figure(330, title=title, showlegend=False)
     figure.add_trace(
         go.Scatter(
             x=np.column_stack([start[:, 0], start[:, 0] + arrows[:, 0], gaps]).ravel(),
@@ -177,7 +96,14 @@ def residual_map(
     )
     size = np.linalg.norm(residuals_px[keep], axis=1)
     marker = {"color": size, "colorscale": "Turbo", "size": 5, "cmin": 0.0}
-    marker["colorbar"] = {"title": "px", "thickness": 10}
+    marker["colorbar"] = {
+        "title": {"text": "px", "side": "top"},
+        "orientation": "h",
+        "y": -0.22,
+        "yanchor": "top",
+        "thickness": 10,
+        "len": 0.8,
+    }
     figure.add_trace(
         go.Scatter(x=start[:, 0], y=start[:, 1], mode="markers", marker=marker, text=size)
     )
@@ -204,7 +130,7 @@ def state_timeline(
     for code in range(len(reasons)):
         color = colors[code % len(colors)]
         scale += [(code / (top + 1), color), ((code + 1) / (top + 1), color)]
-    figure = style.figure(60 + 22 * len(views))
+    figure = style.figure(90 + 22 * len(views))
     figure.add_trace(
         go.Heatmap(
             x=times_s[keep],
@@ -214,13 +140,13 @@ def state_timeline(
             zmax=top + 0.5,
             colorscale=scale,
             ygap=2,
-            colorbar={
-                "tickvals": list(range(len(reasons))),
-                "ticktext": list(reasons),
-                "thickness": 12,
-            },
+            showscale=False,
         )
     )
+    for code, reason in enumerate(reasons):
+        marker = {"symbol": "square", "size": 10, "color": colors[code % len(colors)]}
+        key = go.Scatter(x=[None], y=[None], mode="markers", marker=marker, name=reason)
+        figure.add_trace(key)
     figure.update_xaxes(title="time [s]")
     figure.update_yaxes(autorange="reversed")
     return figure
@@ -230,7 +156,7 @@ def _every(count: int) -> Ints:
     return np.unique(np.linspace(0, max(count - 1, 0), min(count, MAX_POINTS)).astype(np.int64))
 
 
-def _thinned(count: int, values: Floats | None = None) -> Ints:
+def thinned(count: int, values: Floats | None = None) -> Ints:
     """Indices to draw: all if few, else evenly spaced ones plus the extreme of each stretch."""
     keep = _every(count)
     if values is None or count <= MAX_POINTS:

@@ -19,7 +19,8 @@ _CSS = """
 body { margin:0; background:var(--paper); color:var(--ink);
   font:15px/1.5 system-ui,"Segoe UI",Roboto,"Noto Sans",sans-serif; }
 main { max-width:1120px; margin:0 auto; padding:20px 16px 60px; }
-h1 { font-size:1.5rem; margin:.2em 0; } h2 { font-size:1.1rem; margin:0 0 .5em; }
+h1 { font-size:1.5rem; margin:.2em 0; overflow-wrap:anywhere; }
+h2 { font-size:1.1rem; margin:0 0 .5em; }
 .verdict { font-size:1.15rem; margin:.4em 0 1em; padding:.7em 1em;
   border-left:4px solid var(--soft);
   background:var(--card); border-radius:0 8px 8px 0; }
@@ -28,17 +29,19 @@ h1 { font-size:1.5rem; margin:.2em 0; } h2 { font-size:1.1rem; margin:0 0 .5em; 
 section { background:var(--card); border:1px solid var(--line); border-radius:10px;
   padding:14px 16px; margin:14px 0; overflow:hidden; }
 p { margin:.3em 0 .7em; color:var(--soft); max-width:75ch; }
-.facts { display:grid; grid-template-columns:repeat(auto-fit,minmax(150px,1fr)); gap:10px; }
+.facts { display:grid; grid-template-columns:repeat(auto-fit,minmax(138px,1fr)); gap:10px; }
 .facts div { border:1px solid var(--line); border-radius:8px; padding:8px 10px; }
 .facts b { display:block; font-size:1.15rem; overflow-wrap:anywhere; }
 .facts span { color:var(--soft); font-size:.85rem; }
 .scroll { overflow-x:auto; } table { border-collapse:collapse; font-variant-numeric:tabular-nums; }
 th,td { text-align:right; padding:3px 12px 3px 0; border-bottom:1px solid var(--line);
   white-space:nowrap; } th:first-child,td:first-child { text-align:left; }
-pre { overflow-x:auto; background:var(--paper); padding:10px; border-radius:8px; font-size:.85rem; }
+td.words { text-align:left; white-space:normal; min-width:16em; }
+pre { white-space:pre-wrap; overflow-wrap:anywhere; background:var(--paper); padding:10px;
+  border-radius:8px; font-size:.85rem; }
 .pair { display:grid; gap:10px;
   grid-template-columns:repeat(auto-fit,minmax(min(100%,420px),1fr)); }
-.pair > * { min-width:0; }
+.pair > * { min-width:0; } .pair > :last-child:nth-child(odd) { grid-column:1/-1; }
 footer { color:var(--soft); font-size:.85rem; margin-top:24px; }
 """
 
@@ -51,6 +54,9 @@ document.querySelectorAll("script.spec").forEach((spec) => {
     {responsive: true, displaylogo: false, displayModeBar: false});
 });
 """
+
+_LONG = 40
+"""Longer texts in a table are broken into lines."""
 
 
 @dataclass
@@ -88,9 +94,7 @@ class Page:
     ) -> None:
         """A section with one table; floats get four significant digits."""
         head = "".join(f"<th>{html.escape(column)}</th>" for column in columns)
-        body = "".join(
-            "<tr>" + "".join(f"<td>{_cell(value)}</td>" for value in row) + "</tr>" for row in rows
-        )
+        body = "".join("<tr>" + "".join(map(_cell, row)) + "</tr>" for row in rows)
         table = f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
         self._section(heading, words, f'<div class="scroll">{table}</div>')
 
@@ -131,5 +135,7 @@ class Page:
 
 def _cell(value: object) -> str:
     if isinstance(value, float):
-        return "–" if value != value else f"{value:.4g}"
-    return html.escape(str(value))
+        return f"<td>{'–' if value != value else f'{value:.4g}'}</td>"
+    text = str(value)
+    words = ' class="words"' if len(text) > _LONG else ""
+    return f"<td{words}>{html.escape(text)}</td>"

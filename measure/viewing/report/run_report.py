@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from measure.arrays import Floats, Ints
+from measure.calibration import camera_rows
 from measure.results import Run, Summary
+from measure.results.accuracy import accuracy_map
 from measure.session import dump_toml
-from measure.viewing.report import figures, style
+from measure.viewing.report import figures, places, style
 from measure.viewing.report.page import Page
-
-SUB_MM = 1.0
-"""A median position SD above this many mm makes the verdict doubtful."""
-
-CHI2_3D_95 = 7.8147
-"""95 % quantile of the chi-square distribution with 3 degrees of freedom."""
+from measure.viewing.report.verdict import verdict
 
 
 def run_report(run: Run, errors: Floats | None = None) -> str:
@@ -27,13 +25,14 @@ def run_report(run: Run, errors: Floats | None = None) -> str:
         run: finished or not; one without any pose has a report too.
         errors: (n, 6) of the poses against truth in the `perturb` chart, NaN where unknown.
     """
-    tone, verdict = _verdict(run)
-    page = Page(f"Run {run.path.resolve().name}", verdict, tone)
+    tone, sentence = verdict(run, errors)
+    page = Page(f"Run {run.path.resolve().name}", sentence, tone)
     page.facts(_facts(run))
     if errors is not None:
         _add_errors(page, run, errors)
     if run.has_pose.any():
         _add_poses(page, run)
+        _add_accuracy(page, run)
     if run.detections.num_rows:
         _add_views(page, run)
     _add_distances(page, run)
@@ -44,31 +43,6 @@ def run_report(run: Run, errors: Floats | None = None) -> str:
 def write_report(run: Run, path: Path, errors: Floats | None = None) -> None:
     """Write the report to a file."""
     path.write_text(run_report(run, errors), encoding="utf-8")
-
-
-def _verdict(run: Run) -> tuple[str, str]:
-    """How it went, in a word and in a sentence."""
-    summary = run.summary
-    if not run.has_pose.any():
-        causes = "; ".join(list(summary.reasons)[:2])
-        return "bad", f"No pose in {summary.frame_sets} frame sets. {causes}".strip()
-    # The radius that holds 95 % of a 3-D Gaussian of this covariance, its longest axis taken.
-    widest = np.sqrt(np.linalg.eigvalsh(run.covariances[:, :3, :3])[:, -1] * CHI2_3D_95)
-    known = f"Position known to {np.median(widest):.2g} mm (95 %)"
-    missing = summary.frame_sets - int(run.has_pose.sum())
-    parts = [known, _who_carries(run)]
-    parts += [f"{missing} of {summary.frame_sets} frame sets without a pose"] if missing else []
-    parts += [f"{summary.flagged} flagged"] if summary.flagged else []
-    parts += [] if run.finished else ["the run is not finished"]
-    doubtful = missing or summary.flagged or np.median(widest) > SUB_MM or not run.finished
-    return ("doubtful" if doubtful else "good"), ", ".join(parts) + "."
-
-
-def _who_carries(run: Run) -> str:
-    used = [set(cameras) for cameras in run.poses["cameras"].to_pylist() if cameras]
-    share = {c.name: np.mean([c.name in names for names in used]) for c in run.cameras}
-    carrying = [name for name, part in share.items() if part > 0.5]
-    return f"{len(carrying)} of {len(share)} cameras carry it"
 
 
 def _facts(run: Run) -> Iterator[tuple[str, str]]:
@@ -97,6 +71,7 @@ def _add_errors(page: Page, run: Run, errors: Floats) -> None:
         figures.over_time(run.times_s, curves, "error [mm]", style.AXIS_COLORS),
         figures.over_time(run.times_s, {"rotation": turn}, "error [deg]"),
         figures.histograms(errors[:, :3], ("x", "y", "z"), "error [mm]"),
+        figures.histograms(turn[:, None], ("rotation",), "error [deg]"),
     )
 
 
@@ -107,11 +82,10 @@ def _add_poses(page: Page, run: Run) -> None:
     names = [camera.name for camera in run.cameras]
     page.figures(
         "Trajectory",
-        "Where the body's origin went, and how well each position is known; from above, and from "
-        "the side.",
-        figures.trajectory(place, sd[has], centers, names),
-        figures.plan(place, centers, names, (0, 1)),
-        figures.plan(place, centers, names, (0, 2)),
+        "Where the body's origin went, and how well each position is known; then as seen along "
+        "each axis.",
+        places.trajectory(place, sd[has], centers, names),
+        *(places.plan(place, axes) for axes in _PLANES),
     )
     axes = np.full((len(has), 3), np.nan)
     axes[has] = np.sqrt(np.diagonal(run.covariances, axis1=1, axis2=2)[:, :3])
@@ -135,6 +109,27 @@ def _add_poses(page: Page, run: Run) -> None:
             style.AXIS_COLORS,
         ),
         figures.histograms(xyz - np.nanmean(xyz, axis=0), ("x", "y", "z"), "about the mean [mm]"),
+    )
+
+
+def _add_accuracy(page: Page, run: Run) -> None:
+    maps = [accuracy_map(run, axes) for axes in _PLANES[:2]]
+    if not all(np.isfinite(m.sd_mm).any() for m in maps):
+        return
+    source = (
+        "the cameras' own uncertainty included"
+        if maps[0].from_calibration
+        else ("without the cameras' own uncertainty, which the calibration file does not state")
+    )
+    page.figures(
+        "Accuracy over the workspace",
+        "Expected standard deviation of the position, 3-D, if every ball is in sight: the geometry "
+        f"of cameras and body, scaled to what this run reported along its path; {source}. White: "
+        "the path. Empty: seen by too few cameras.",
+        *(
+            places.accuracy(m.across_mm, m.up_mm, m.sd_mm, m.axes, run.world_from_body.translation)
+            for m in maps
+        ),
     )
 
 
@@ -162,6 +157,7 @@ def _add_views(page: Page, run: Run) -> None:
         )
 
 
+_PLANES = ((0, 1), (0, 2), (1, 2))
 _RESIDUAL = ("camera", "u_px", "v_px", "residual_u_px", "residual_v_px")
 
 
@@ -216,18 +212,34 @@ def _add_distances(page: Page, run: Run) -> None:
 
 def _add_provenance(page: Page, run: Run) -> None:
     page.table(
-        "Cameras",
-        "As used; the run's folder holds the calibration and the body.",
-        ("camera", "x mm", "y mm", "z mm", "focal px", "reprojection RMS px"),
+        "Calibration",
+        "The cameras as used. Standard deviations are those that the calibration file states.",
         (
-            (c.name, *map(float, c.center), c.intrinsics.focal_px, c.reprojection_rms_px or "–")
-            for c in run.cameras
+            "camera",
+            "x mm",
+            "y mm",
+            "z mm",
+            "position SD mm",
+            "rotation SD deg",
+            "focal px",
+            "reprojection RMS px",
+        ),
+        (
+            (name, *map(float, camera.center), position, turn, focal, "–" if rms is None else rms)
+            for camera, (name, focal, position, turn, rms) in zip(
+                run.cameras, camera_rows(run.cameras), strict=True
+            )
         ),
     )
     session = run.provenance.get("session", {}).get("path", "SESSION")
-    name = run.provenance.get("profile", {}).get("name", "precise")
+    calibration = run.provenance.get("calibration", {}).get("path", "CALIBRATION")
+    own = run.path.resolve()
+    again = ["measure", "run", session, "--out", "NEW", "--profile", str(own / "run.toml")]
+    again += ["--calibration", calibration, "--body", str(own / "body.toml")]
     page.text(
-        "Settings and versions",
-        f"To repeat it: measure run {session} --out NEW --profile {name}",
-        dump_toml(run.provenance),
+        "How to repeat it",
+        "With the same versions it gives the same poses to the last digit. The run's folder holds "
+        "every setting, the body, and a copy of the calibration should the original be lost.",
+        shlex.join(again),
     )
+    page.text("Settings and versions", "", dump_toml(run.provenance))

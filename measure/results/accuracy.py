@@ -1,0 +1,94 @@
+"""How well the body's position can be known across the workspace of a run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.calibration import body_pose_sd
+from measure.geometry import RigidTransform
+from measure.measuring.checks import expected_sd
+from measure.results.run import Run
+
+_STEPS = 11
+_SAMPLES = 30
+_LEAST_REACH_MM = 60.0
+_ROOM = 1.5
+"""How far the map goes beyond the places where the body was."""
+
+
+@dataclass(frozen=True, eq=False)
+class AccuracyMap:
+    """Expected error of the body's position over a plane through the middle of the workspace.
+
+    Attributes:
+        axes: the two world axes of the plane: 0 is x, 1 y, 2 z.
+        across_mm: (n,) coordinates along the first.
+        up_mm: (m,) along the second.
+        sd_mm: (m, n) standard deviation of the position, 3-D; NaN where it cannot be measured.
+        from_calibration: whether the cameras' own uncertainty is in it.
+    """
+
+    axes: tuple[int, int]
+    across_mm: Floats
+    up_mm: Floats
+    sd_mm: Floats
+    from_calibration: bool
+
+
+def accuracy_map(run: Run, axes: tuple[int, int]) -> AccuracyMap:
+    """What one may expect elsewhere in the workspace, with every ball in sight.
+
+    The geometry of cameras and body says how errors grow from place to place; how large they are
+    is what the run reported along its path, and the calibration's part (camera by camera) is kept
+    apart from that of the pictures. The body keeps the turn it had in the middle of the run.
+
+    Args:
+        run: with at least one pose.
+        axes: the plane, as in `AccuracyMap`.
+    """
+    place = run.world_from_body.translation
+    low, high = place.min(axis=0), place.max(axis=0)
+    middle = (low + high) / 2
+    reach = np.maximum(_ROOM * (high - low) / 2, _LEAST_REACH_MM)
+    turn = run.world_from_body.rotation[len(place) // 2]
+    steps = np.linspace(-1, 1, _STEPS)
+    across, up = (middle[axis] + reach[axis] * steps for axis in axes)
+    noise_px = reported_noise_px(run)
+    sd = np.empty((_STEPS, _STEPS))
+    for row, column in np.ndindex(sd.shape):
+        at = middle.copy()
+        at[list(axes)] = across[column], up[row]
+        per_px, fixed = _parts(RigidTransform(turn, at), run)
+        sd[row, column] = np.hypot(noise_px * per_px, fixed)
+    known = any(camera.pose_covariance is not None for camera in run.cameras)
+    return AccuracyMap(axes, across, up, sd, known)
+
+
+def reported_noise_px(run: Run) -> float:
+    """The noise of a ball's centre in a picture that explains the uncertainty the run reported.
+
+    Larger than the scatter of the outlines, because the reported uncertainty also holds what no
+    single frame can show. The median over poses spread along the run.
+    """
+    picked = np.unique(np.linspace(0, int(run.has_pose.sum()) - 1, _SAMPLES).astype(int))
+    reported = np.sqrt(np.trace(run.covariances[picked, :3, :3], axis1=1, axis2=2))
+    parts = np.array([_parts(run.world_from_body[int(k)], run) for k in picked])
+    seen = np.isfinite(parts).all(axis=1)
+    if not seen.any():
+        return float("nan")
+    beside = np.maximum(reported**2 - parts[:, 1] ** 2, 0.0)[seen]
+    return float(np.sqrt(np.median(beside / parts[seen, 0] ** 2)))
+
+
+def _parts(pose: RigidTransform, run: Run) -> tuple[float, float]:
+    """SD of the position in mm for each px of noise, and from the calibration; NaN if unseen."""
+    points = pose.apply(run.body.centers)
+    cameras = tuple(c for c in run.cameras if c.intrinsics.contains(c.project(points)).any())
+    per_px, _ = expected_sd(pose, run.body, cameras, 1.0)
+    if not np.isfinite(per_px):
+        return float("nan"), float("nan")
+    from_cameras, _ = body_pose_sd(cameras, run.body, [pose])
+    return per_px, float(from_cameras[0])

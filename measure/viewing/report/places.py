@@ -1,0 +1,120 @@
+"""Figures of places in the world: the trajectory, its plans, and how well positions are known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import plotly.graph_objects as go
+
+from measure.arrays import Floats
+from measure.viewing.report import style
+from measure.viewing.report.figures import thinned
+
+_LINES = "#808a96"
+_BELOW = {"orientation": "h", "y": -0.02, "yanchor": "top", "thickness": 10, "len": 0.8}
+
+
+def trajectory(
+    positions: Floats, sd_mm: Floats, camera_centers: Floats, camera_names: Sequence[str]
+) -> go.Figure:
+    """Where the body went, coloured by its uncertainty, among the cameras.
+
+    Args:
+        positions: (n, 3) in mm.
+        sd_mm: (n,) standard deviation of each position.
+        camera_centers: (m, 3) in mm.
+        camera_names: m names.
+    """
+    keep = thinned(len(positions))
+    colors = {
+        "color": sd_mm[keep],
+        "colorscale": "Viridis",
+        "size": 3,
+        "colorbar": {"title": {"text": "SD [mm]", "side": "top"}, **_BELOW},
+    }
+    path = go.Scatter3d(
+        x=positions[keep, 0],
+        y=positions[keep, 1],
+        z=positions[keep, 2],
+        mode="markers+lines",
+        marker=colors,
+        line={"color": style.INK, "width": 1},
+        name="body",
+    )
+    rig = go.Scatter3d(
+        x=camera_centers[:, 0],
+        y=camera_centers[:, 1],
+        z=camera_centers[:, 2],
+        mode="markers+text",
+        marker={"size": 5, "symbol": "diamond", "color": style.DOUBTFUL},
+        text=list(camera_names),
+        name="cameras",
+    )
+    axis = {"showbackground": False, "gridcolor": _LINES, "zerolinecolor": _LINES, "nticks": 5}
+    scene = {f"{name}axis": {**axis, "title": f"{name} [mm]"} for name in "xyz"}
+    eye = {"eye": {"x": 1.9, "y": -2.3, "z": 1.3}}
+    figure = style.figure(460, scene={**scene, "aspectmode": "data", "camera": eye})
+    figure.update_layout(showlegend=False, margin={"t": 0, "b": 40})
+    figure.add_traces([path, rig])
+    return figure
+
+
+def plan(positions: Floats, axes: tuple[int, int]) -> go.Figure:
+    """The trajectory seen along one axis; drawn also where a browser has no 3-D.
+
+    Args:
+        positions: (n, 3) in mm.
+        axes: which two world axes to draw.
+    """
+    figure = style.figure(300, showlegend=False)
+    figure.add_trace(_path(positions, axes, style.ACCENT))
+    _name_axes(figure, axes, "range")
+    return figure
+
+
+def accuracy(
+    across_mm: Floats, up_mm: Floats, sd_mm: Floats, axes: tuple[int, int], places: Floats
+) -> go.Figure:
+    """Expected position error over a plane, with what lies in it.
+
+    Args:
+        across_mm: (n,) coordinates along the first axis.
+        up_mm: (m,) along the second.
+        sd_mm: (m, n) standard deviation, NaN where nothing can be measured.
+        axes: which two world axes these are.
+        places: (k, 3) drawn over it: where the body was, or markers; possibly none.
+    """
+    figure = style.figure(400, showlegend=False)
+    figure.add_trace(
+        go.Heatmap(
+            x=across_mm,
+            y=up_mm,
+            z=sd_mm,
+            colorscale="Viridis",
+            hoverongaps=False,
+            colorbar={"title": {"text": "SD [mm]", "side": "top"}, **_BELOW, "y": -0.2},
+        )
+    )
+    if len(places):
+        figure.add_trace(_path(places, axes, "#ffffff"))
+    _name_axes(figure, axes, "domain")
+    return figure
+
+
+def _path(positions: Floats, axes: tuple[int, int], color: str) -> go.Scatter:
+    keep = thinned(len(positions))
+    return go.Scatter(
+        x=positions[keep, axes[0]],
+        y=positions[keep, axes[1]],
+        mode="lines+markers",
+        marker={"size": 4},
+        line={"color": color, "width": 1},
+        name="body",
+    )
+
+
+def _name_axes(figure: go.Figure, axes: tuple[int, int], constrain: str) -> None:
+    """Name the axes and draw both to one scale, by widening a range or narrowing the place."""
+    across, up = axes
+    figure.update_xaxes(title=f"{'xyz'[across]} [mm]", constrain=constrain)
+    figure.update_yaxes(title=f"{'xyz'[up]} [mm]", scaleanchor="x", constrain=constrain)

@@ -1,0 +1,111 @@
+"""A run in one sentence, and whether it may be relied on."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+
+from measure.arrays import Bools, Floats
+from measure.geometry.chi_square import chi_square_quantile
+from measure.results import Run
+from measure.results.statistics import consistency
+
+SUB_MM = 1.0
+"""A position known worse than this (95 %, mm) makes the verdict doubtful."""
+MOST = 0.5
+"""Fewer believed poses than this share of the frame sets, and the run is bad."""
+_TOO_SURE = 0.8
+"""With fewer errors than this inside their 95 % regions the uncertainty is not to be believed."""
+
+
+def verdict(run: Run, errors: Floats | None) -> tuple[str, str]:
+    """Tone ("good", "doubtful" or "bad") and sentence.
+
+    Args:
+        run: finished or not.
+        errors: (n, 6) against truth, NaN where unknown.
+    """
+    summary, believed = run.summary, _believed(run)
+    if not run.has_pose.any():
+        return "bad", f"No pose in {_sets(summary.frame_sets)}{_because(run, ~run.has_pose)}."
+    if not believed.any():
+        doubted = _sets(int(run.has_pose.sum()))
+        return "bad", f"No pose to rely on: all of {doubted} are flagged{_because(run, ~believed)}."
+    widest = _radius_95(run.covariances[believed[run.has_pose]])
+    parts = [f"Position known to {_digits(widest)} mm (95 %)", _who_carries(run)]
+    parts += _what_is_missing(run)
+    tone, against = _against_truth(run, errors)
+    tone = "doubtful" if summary.ok < summary.frame_sets or not run.finished else tone
+    tone = "doubtful" if widest > SUB_MM else tone
+    tone = "bad" if believed.sum() < MOST * summary.frame_sets else tone
+    return tone, ", ".join(parts) + "." + against
+
+
+def _believed(run: Run) -> Bools:
+    """Which frame sets (n,) have a pose that is not flagged."""
+    return run.has_pose & (np.array(run.poses["status"].to_pylist(), dtype=object) == "ok")
+
+
+def _radius_95(covariances: Floats) -> float:
+    """Median radius in mm that holds 95 % of a 3-D Gaussian, its longest axis taken all round."""
+    longest = np.linalg.eigvalsh(covariances[:, :3, :3])[:, -1]
+    return float(np.median(np.sqrt(longest * chi_square_quantile(0.95, 3))))
+
+
+def _who_carries(run: Run) -> str:
+    used = [set(cameras) for cameras in run.poses["cameras"].to_pylist() if cameras]
+    share = {c.name: np.mean([c.name in names for names in used]) for c in run.cameras}
+    carrying = [name for name, part in share.items() if part > MOST]
+    idle = [name for name, part in share.items() if not part]
+    without = f" ({', '.join(idle)} never)" if idle else ""
+    return f"{len(carrying)} of {len(share)} cameras carry it{without}"
+
+
+def _what_is_missing(run: Run) -> list[str]:
+    total, flagged = run.summary.frame_sets, run.has_pose & ~_believed(run)
+    parts = []
+    if not run.has_pose.all():
+        count = int((~run.has_pose).sum())
+        parts.append(f"{count} of {total} frame sets without a pose{_because(run, ~run.has_pose)}")
+    if flagged.any():
+        doubts = f"the pose is doubtful in {int(flagged.sum())} of {total} frame sets"
+        parts.append(f"{doubts}{_because(run, flagged)}")
+    return parts if run.finished else [*parts, "the run is not finished"]
+
+
+def _because(run: Run, which: Bools) -> str:
+    """The most frequent reason of some frame sets, in brackets."""
+    texts = np.array(run.poses["reason"].to_pylist(), dtype=object)[which]
+    reasons = Counter(text for text in texts if text).most_common(1)
+    if not reasons:
+        return ""
+    text, count = reasons[0]
+    return f" ({text})" if count == len(texts) else f" (most often: {text})"
+
+
+def _against_truth(run: Run, errors: Floats | None) -> tuple[str, str]:
+    """What the truth says, where it is known."""
+    here = np.zeros(0, dtype=bool) if errors is None else np.isfinite(errors[:, :3]).all(axis=1)
+    if errors is None or not here.any():
+        return "good", ""
+    distance = np.linalg.norm(errors[here, :3], axis=1)
+    rms = float(np.sqrt(np.mean(distance**2)))
+    words = f" Against the truth it is off by {_digits(rms)} mm RMS, {_digits(distance.max())} mm"
+    words += " at most"
+    judged = consistency(errors[run.has_pose, :3], run.covariances[:, :3, :3])
+    if judged is None or judged.inside_95 >= _TOO_SURE:
+        return "good", words + "."
+    return "doubtful", (
+        f"{words}: more than it claims, for only {judged.inside_95:.0%} of the errors lie "
+        "inside their 95 % regions."
+    )
+
+
+def _sets(count: int) -> str:
+    return "the only frame set" if count == 1 else f"{count} frame sets"
+
+
+def _digits(value: float) -> str:
+    """Two significant digits."""
+    return f"{value:#.2g}".rstrip(".")
