@@ -13,18 +13,18 @@ from measure.arrays import Floats
 from measure.calibration.boards import Board, CornerRule
 from measure.calibration.capture import CameraCapture, Capture
 from measure.calibration.common_views import fit_common_views
+from measure.calibration.contradictions import check_board_against_marks
 from measure.calibration.extrinsics import RigFit
 from measure.calibration.intrinsics import LensCalibration, calibrate_lens
 from measure.calibration.judgement import Finding
-from measure.calibration.markers import FoundMarkers, find_markers
+from measure.calibration.markers import FoundMarkers
+from measure.calibration.marking import marks_of, sight_of
 from measure.calibration.paper import PaperFit, fit_rig_by_paper
 from measure.calibration.sights import MarkSight, Sights, Tolerances
 from measure.calibration.starts import (
     SeenBoard,
     board_sight,
-    check_board_against_marks,
     start_from_board,
-    start_from_marks,
 )
 from measure.calibration.targets import MarkerField
 from measure.calibration.tolerance import UNWITNESSED_COMMON_PX, fit_rig_with_boards
@@ -136,38 +136,31 @@ def _locate_all(
     known: dict[str, Intrinsics],
 ) -> RigCalibration:
     board, markers = capture.board, capture.markers
-    seen: dict[str, SeenBoard] = {}
-    for camera in capture.cameras:
-        if camera.board_image is not None and board is not None:
-            rule: CornerRule = "pattern"
-            if camera.name in lenses:
-                rule = lenses[camera.name].corner_rule
-            seen[camera.name] = _see_board(camera, board, rule)
+    seen = _boards_of(capture, lenses)
     starts: list[Camera] = []
     marks: dict[str, MarkSight] = {}
     found: dict[str, FoundMarkers] = {}
-    disagreement: dict[str, float] = {}
     for camera in capture.cameras:
-        lens = known[camera.name]
-        start = None
+        lens, start = known[camera.name], None
         if camera.name in seen and board is not None:
             start = start_from_board(camera.name, lens, board, seen[camera.name])
-        start, sight, finds = _marks_of(camera, lens, start, markers, capture)
+            by_hand = sight_of(camera.marks, markers)
+            if by_hand is not None:  # before a search that would begin at a wrong place
+                check_board_against_marks(start, board, seen, markers, by_hand)
+        start, sight, finds = marks_of(camera, lens, start, markers, capture)
+        starts.append(start)
         if finds is not None:
             found[camera.name] = finds
         if sight is not None:
             marks[camera.name] = sight
-            if camera.name in seen and board is not None:
-                disagreement[camera.name] = check_board_against_marks(
-                    start, board, seen, markers, sight
-                )
-        starts.append(start)
-    sights = Sights(
-        markers.points,
-        {} if board is None else {name: board_sight(board, s) for name, s in seen.items()},
-        marks,
-        _stated_tolerances(capture),
-    )
+    disagreement, sights_of_boards = {}, {}
+    if board is not None:
+        sights_of_boards = {name: board_sight(board, s) for name, s in seen.items()}
+        for start in starts:
+            if start.name in seen and start.name in marks:
+                apart = check_board_against_marks(start, board, seen, markers, marks[start.name])
+                disagreement[start.name] = apart
+    sights = Sights(markers.points, sights_of_boards, marks, _stated_tolerances(capture))
     base = RigCalibration(
         tuple(starts),
         method,
@@ -180,10 +173,24 @@ def _locate_all(
         disagreement_mm=disagreement,
         tolerances=sights.tolerances,
     )
-    if method == "paper":
-        paper = fit_rig_by_paper(tuple(starts), sights, capture.settings.mark_sd_px)
-        return replace(base, cameras=paper.cameras, paper=paper)
-    return _joint(base, capture)
+    return _by_paper(base, capture) if method == "paper" else _joint(base, capture)
+
+
+def _boards_of(capture: Capture, lenses: dict[str, LensCalibration]) -> dict[str, SeenBoard]:
+    """The boards of known pose, by camera, with the corner rule that suits the camera."""
+    seen = {}
+    for camera in capture.cameras:
+        if camera.board_image is not None and capture.board is not None:
+            rule: CornerRule = "pattern"
+            if camera.name in lenses:
+                rule = lenses[camera.name].corner_rule
+            seen[camera.name] = _see_board(camera, capture.board, rule)
+    return seen
+
+
+def _by_paper(base: RigCalibration, capture: Capture) -> RigCalibration:
+    paper = fit_rig_by_paper(base.cameras, base.sights, capture.settings.mark_sd_px)
+    return replace(base, cameras=paper.cameras, paper=paper)
 
 
 def _joint(base: RigCalibration, capture: Capture) -> RigCalibration:
@@ -216,57 +223,3 @@ def _see_board(camera: CameraCapture, board: Board, rule: CornerRule) -> SeenBoa
             "view, sharp, and as board.toml describes it"
         )
     return SeenBoard(corners.localised(rule), camera.world_from_board)
-
-
-def _marks_of(
-    camera: CameraCapture,
-    lens: Intrinsics,
-    start: Camera | None,
-    markers: MarkerField,
-    capture: Capture,
-) -> tuple[Camera, MarkSight | None, FoundMarkers | None]:
-    """The rough camera, its marks by hand and by search (the hand wins), and the search's finds."""
-    by_hand = _sight(camera.marks, markers)
-    if start is None:
-        if by_hand is None:
-            raise CalibrationError(
-                f"camera {camera.name}: nothing tells where it stands: give board_image with the "
-                f"board's pose, or mark at least six markers in marks.csv ({capture.path})"
-            )
-        start = start_from_marks(camera.name, lens, markers, by_hand)
-    if camera.marker_image is None or not markers.names:
-        return start, by_hand, None
-    visible = lens.contains(start.project(markers.points), 5.0)
-    names = [name for name, seen in zip(markers.names, visible, strict=True) if seen]
-    if all(name in camera.marks for name in names):
-        return start, by_hand, None
-    return _searched(camera, start, by_hand, markers, capture)
-
-
-def _searched(
-    camera: CameraCapture,
-    start: Camera,
-    by_hand: MarkSight | None,
-    markers: MarkerField,
-    capture: Capture,
-) -> tuple[Camera, MarkSight | None, FoundMarkers | None]:
-    assert camera.marker_image is not None
-    picture = read_picture(camera.marker_image)
-    try:
-        finds = find_markers(picture, start, markers, capture.settings.marker_kind)
-    except CalibrationError:
-        if by_hand is None:
-            raise
-        return start, by_hand, None
-    sight = _sight({**finds.marks, **camera.marks}, markers)
-    if sight is not None and 2 * len(camera.marks) < len(sight.ids):
-        sight = replace(sight, searched=True)
-    return start, sight, finds
-
-
-def _sight(marks: dict[str, Floats], markers: MarkerField) -> MarkSight | None:
-    if not marks:
-        return None
-    names = [name for name in markers.names if name in marks]
-    ids = np.array([markers.index(name) for name in names], dtype=np.int64)
-    return MarkSight(ids, np.stack([marks[name] for name in names]))

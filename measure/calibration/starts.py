@@ -10,7 +10,6 @@ from measure.arrays import Floats
 from measure.calibration.boards import Board, Corners
 from measure.calibration.extrinsics import fit_rig
 from measure.calibration.intrinsics import board_rms
-from measure.calibration.markers import assign
 from measure.calibration.sights import BoardSight, MarkSight, Sights, Tolerances
 from measure.calibration.single_camera import board_pose
 from measure.calibration.targets import MarkerField
@@ -22,13 +21,10 @@ _MIN_MARKS_ALONE = 6
 _FLAT_RATIO = 0.02
 _BOARD_FITS_PX = 3.0
 WRONG_PX = 8.0
-WRONG_MM = 2.0
 _NO_POSE = (
     "camera {name}: no camera pose explains its marks: are marker names mixed up, or is the "
     "picture mirrored?"
 )
-_EXPLAINS = 0.25
-"""A hypothesis that leaves less than this share of the misfit is named as the cause."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,107 +97,6 @@ def mm_per_px(camera: Camera, points: Floats) -> float:
     """What a pixel is worth at points (n, 3): their median distance over the focal length."""
     distance = float(np.median(np.linalg.norm(points - camera.center, axis=1)))
     return distance / camera.intrinsics.focal_px
-
-
-def check_board_against_marks(
-    start: Camera,
-    board: Board,
-    seen: dict[str, SeenBoard],
-    markers: MarkerField,
-    marks: MarkSight,
-) -> float:
-    """How far board and markers disagree in one camera.
-
-    Returns:
-        Disagreement in mm at the markers.
-
-    Raises:
-        CalibrationError: they contradict each other; the message names the cause if one of the
-            usual ones explains it.
-    """
-    rms = mark_rms(start, markers.points, marks)
-    worth = mm_per_px(start, markers.points[marks.ids])
-    if not (rms > WRONG_PX and rms * worth > WRONG_MM):
-        return rms * worth
-    cause = _cause(start, board, seen, markers, marks, rms)
-    shown = f"{rms * worth:.1f} mm ({rms:.0f} px)" if np.isfinite(rms) else "beyond measure"
-    raise CalibrationError(f"camera {start.name}: board and markers disagree by {shown}: {cause}")
-
-
-def _cause(
-    start: Camera,
-    board: Board,
-    seen: dict[str, SeenBoard],
-    markers: MarkerField,
-    marks: MarkSight,
-    rms: float,
-) -> str:
-    name, mine = start.name, seen[start.name]
-
-    def misfit(corners: Corners, world_from_board: RigidTransform, scale: float = 1.0) -> float:
-        points = board.points[corners.ids] * scale
-        pose = board_pose(start.intrinsics, points, corners.pixels)
-        camera = replace(start, world_from_camera=world_from_board @ pose.inverse())
-        return mark_rms(camera, markers.points, marks)
-
-    causes = [
-        (
-            misfit(mine.corners, there.world_from_board),
-            f"its board stands where the capture puts that of {other}: are the two swapped?",
-        )
-        for other, there in seen.items()
-        if other != name
-    ]
-    mirrored = _mirrored(board, mine.corners, start.intrinsics)
-    causes.append((misfit(mirrored, mine.world_from_board), "its board picture is mirrored"))
-    turned = "the board fits after half a turn: its origin is at the other end"
-    causes.append((misfit(_half_turned(board, mine.corners), mine.world_from_board), turned))
-    for scale in np.geomspace(0.5, 2.0, 113):
-        if abs(scale - 1) > 0.01:
-            text = f"it fits squares of about {scale:.2f} times the stated size: check square_mm"
-            causes.append((misfit(mine.corners, mine.world_from_board, float(scale)), text))
-    left, text = min(causes)
-    if left < WRONG_PX and left < _EXPLAINS * rms:
-        return text
-    permuted = _permuted(start, markers, marks)
-    if permuted:
-        return f"marker names are mixed up: {permuted}"
-    return (
-        "the camera or the board moved between the two pictures, a picture is mirrored, or the "
-        "stated board pose is wrong; take both again"
-    )
-
-
-def _half_turned(board: Board, corners: Corners) -> Corners:
-    """The view with the board's numbering turned by half a turn (chessboards)."""
-    return replace(corners, ids=len(board.points) - 1 - corners.ids)
-
-
-def _mirrored(board: Board, corners: Corners, lens: Intrinsics) -> Corners:
-    """The view as it was before someone mirrored the picture left to right."""
-    pixels = corners.pixels.copy()
-    pixels[:, 0] = lens.size_wh[0] - 1 - pixels[:, 0]
-    columns = int(np.sum(board.points[:, 1] == board.points[0, 1]))
-    rows = len(board.points) // columns
-    if len(corners.ids) != len(board.points):
-        return replace(corners, pixels=pixels)
-    # A mirrored chessboard was numbered along x the wrong way round; which end depends on colours.
-    numbers = np.arange(len(board.points)).reshape(rows, columns)
-    flipped = numbers[::-1] if rows % 2 == 0 and columns % 2 == 1 else numbers[:, ::-1]
-    return replace(corners, pixels=pixels, ids=corners.ids[flipped.ravel()])
-
-
-def _permuted(start: Camera, markers: MarkerField, marks: MarkSight) -> str:
-    """Which marks sit where another marker should be, if renaming makes them all fit."""
-    ids, numbers = assign(start.project(markers.points), marks.pixels, 3 * WRONG_PX)
-    if len(ids) < 0.8 * len(marks.ids):
-        return ""
-    renamed = [
-        f"{markers.names[marks.ids[n]]} sits at the place of {markers.names[i]}"
-        for i, n in zip(ids, numbers, strict=True)
-        if marks.ids[n] != i
-    ]
-    return ", ".join(renamed[:4]) + (", ..." if len(renamed) > 4 else "")
 
 
 def board_sight(board: Board, seen: SeenBoard) -> BoardSight:

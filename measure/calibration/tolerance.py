@@ -11,7 +11,7 @@ from measure.calibration.sights import Sights, Tolerances
 from measure.model import Camera
 
 _BOARD_MM = (0.005, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
-_COMMON_PX = (0.2, 0.4, 0.8)
+_COMMON_PX = (0.2, 0.4)
 """Never none: lamps hang overhead, so the light draws the dots of all cameras upwards, and such a
 shift looks like a shift of the whole field of markers, to which the residuals are blind."""
 UNWITNESSED_COMMON_PX = 0.2

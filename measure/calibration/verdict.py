@@ -10,25 +10,22 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.calibration.extrinsics import fit_rig
+from measure.calibration.findings import disagreement_findings, lens_findings, mark_findings
 from measure.calibration.judgement import (
     Finding,
     Workspace,
     accuracy_findings,
     body_pose_sd,
     plausibility,
-    residual_findings,
     workspace_of,
 )
 from measure.calibration.procedure import RigCalibration
 from measure.calibration.sights import MarkSight, Sights
-from measure.calibration.starts import mm_per_px
 from measure.errors import CalibrationError
 from measure.geometry import Rays, RigidTransform, nearest_point
 from measure.model import Body, Camera
 
 _FOLDS = 4
-_LEAST_COVERAGE = 0.4
-_NOTED_DISAGREEMENT_MM = 0.5
 _SCALE_SDS = 4.0
 _LEAST_SCALE_ERROR = 0.002
 
@@ -76,7 +73,8 @@ def judge(rig: RigCalibration, body: Body, floor_z_mm: float | None = None) -> V
     held_out_px, held_out_mm = _held_out(rig)
     scale, scale_findings = _scale(rig)
     findings = [*rig.findings, *plausibility(rig.cameras, workspace, _floor(rig, floor_z_mm))]
-    findings += _mark_findings(rig) + scale_findings + _lens_findings(rig)
+    findings += mark_findings(rig) + disagreement_findings(rig) + scale_findings
+    findings += lens_findings(rig)
     findings += accuracy_findings(position)
     order = {"alarm": 0, "warning": 1, "note": 2}
     return Verdict(
@@ -179,63 +177,6 @@ def _triangulated(cameras: tuple[Camera, ...], sights: Sights) -> dict[int, Floa
         for number, r in rays.items()
         if len(r) >= 2
     }
-
-
-def _mark_findings(rig: RigCalibration) -> list[Finding]:
-    findings: list[Finding] = []
-    for camera in rig.cameras:
-        marks = rig.sights.marks.get(camera.name)
-        if marks is not None:
-            residuals = _mark_residuals(rig, camera, marks)
-            worth = mm_per_px(camera, rig.sights.markers[marks.ids])
-            names = [rig.markers.names[i] for i in marks.ids]
-            findings += residual_findings(camera.name, residuals, worth, names)
-        for name, reason in sorted(_doubtful(rig, camera.name).items()):
-            findings.append(Finding("note", camera.name, f"marker {name} left out: {reason}"))
-        apart = rig.disagreement_mm.get(camera.name, 0.0)
-        if apart > _NOTED_DISAGREEMENT_MM:
-            text = (
-                f"board and markers disagree by {apart:.2f} mm: one of the two was not held exactly"
-            )
-            findings.append(Finding("warning", camera.name, text))
-    return findings
-
-
-def _mark_residuals(rig: RigCalibration, camera: Camera, marks: MarkSight) -> Floats:
-    if rig.fit is not None and camera.name in rig.fit.mark_residuals:
-        return rig.fit.mark_residuals[camera.name]
-    return marks.pixels - camera.project(rig.sights.markers[marks.ids])
-
-
-def _doubtful(rig: RigCalibration, camera: str) -> dict[str, str]:
-    found = rig.found.get(camera)
-    if found is None:
-        return {}
-    marked = {rig.markers.names[i] for i in rig.sights.marks[camera].ids}
-    return {name: reason for name, reason in found.doubtful.items() if name not in marked}
-
-
-def _lens_findings(rig: RigCalibration) -> list[Finding]:
-    findings = []
-    for name, lens in rig.lenses.items():
-        if lens.views.covered_share < _LEAST_COVERAGE:
-            text = (
-                f"the board was shown in {lens.views.covered_share:.0%} of the image only; "
-                "the lens "
-                "is extrapolated elsewhere"
-            )
-            findings.append(Finding("warning", name, text))
-        if lens.views.mirrored:
-            text = (
-                f"{lens.views.mirrored} pictures show the board mirrored, or its back; if "
-                "the camera "
-                "is in mirror (selfie) mode switch that off"
-            )
-            findings.append(Finding("warning", name, text))
-        for picture, reason in lens.views.left_out.items():
-            findings.append(Finding("note", name, f"{picture} left out: {reason}"))
-        findings += [Finding("note", name, reason) for reason in lens.reasons]
-    return findings
 
 
 def _worst(rig: RigCalibration, name: str) -> list[tuple[str, float]]:

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from measure.calibration import Corners, MarkerField
+from measure.calibration.contradictions import check_board_against_marks
 from measure.calibration.judgement import Workspace, plausibility, residual_findings
 from measure.calibration.sights import MarkSight
 from measure.calibration.starts import (
     SeenBoard,
-    check_board_against_marks,
     start_from_board,
     start_from_marks,
 )
@@ -54,6 +54,15 @@ def test_two_boards_swapped_between_cameras(world: Rig) -> None:
     seen["cam0"] = replace(a, world_from_board=b.world_from_board)
     seen["cam2"] = replace(b, world_from_board=a.world_from_board)
     with pytest.raises(CalibrationError, match=r"cam0.*of cam2: are the two swapped"):
+        check(world, seen)
+
+
+def test_two_board_pictures_swapped_between_cameras(world: Rig) -> None:
+    seen = boards(world)
+    a, b = seen["cam0"], seen["cam2"]
+    seen["cam0"] = replace(a, corners=b.corners)
+    seen["cam2"] = replace(b, corners=a.corners)
+    with pytest.raises(CalibrationError, match=r"picture of cam2 fits instead: are the"):
         check(world, seen)
 
 
