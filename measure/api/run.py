@@ -151,12 +151,13 @@ class _Recording:
 
     def __init__(self, session: Session, out: Path, options: RunOptions) -> None:
         from measure.viewing.recording import RunRecording, open_recording
+        from measure.viewing.videos import passed_videos
 
-        names = [camera.name for camera in session.cameras]
         self._path = out / "run.rrd" if options.recording else None
         self._need_room()
-        stream = open_recording(session.name, names, self._path, options.viewer)
-        self._log = RunRecording(stream, session.body, session.cameras, options.image_every)
+        stream = open_recording(session.name, session.cameras, self._path, options.viewer)
+        videos = passed_videos(session) if options.image_every else {}
+        self._log = RunRecording(stream, session.body, session.cameras, options.image_every, videos)
         self._truth = _truth(session)
 
     def __enter__(self) -> Self:

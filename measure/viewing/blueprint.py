@@ -4,49 +4,98 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
 import rerun.blueprint as rrb
 
+from measure.arrays import Floats
+from measure.errors import DegenerateGeometryError
+from measure.geometry import Rays, nearest_point
+from measure.model import Camera
 from measure.viewing import entities
 
+LEGEND = rrb.PlotLegend(rrb.Corner2D.LeftTop)
+_EYE_BESIDE = np.array([0.55, -1.6, 0.95])
+"""Where one looks from: right, back and above, in sizes of the rig."""
 
-def run_blueprint(cameras: Sequence[str]) -> rrb.Blueprint:
+
+def run_blueprint(cameras: Sequence[Camera]) -> rrb.Blueprint:
     """3-D scene and pictures above, traces below.
 
     Args:
-        cameras: names of the cameras.
+        cameras: the calibrated cameras.
     """
-    everything = rrb.VisibleTimeRange(
-        entities.TIMELINE_FRAME,
-        start=rrb.TimeRangeBoundary.infinite(),
-        end=rrb.TimeRangeBoundary.cursor_relative(),
-    )
+    names = [camera.name for camera in cameras]
     scene = rrb.Spatial3DView(
         origin=entities.WORLD,
         name="Scene (uncertainty x100)",
-        contents=["$origin/**", *(f"- {entities.image(name)}/**" for name in cameras)],
-        overrides={entities.TRAIL: rrb.VisibleTimeRanges(everything)},
+        contents=["$origin/**", *(f"- {entities.image(name)}/**" for name in names)],
+        overrides={entities.TRAIL: rrb.VisibleTimeRanges(up_to_cursor())},
+        eye_controls=_eye(cameras),
     )
     pictures = rrb.Grid(
-        *(rrb.Spatial2DView(origin=entities.image(name), name=name) for name in cameras),
+        *(rrb.Spatial2DView(origin=entities.image(name), name=name) for name in names),
         name="Cameras",
     )
     traces = rrb.Horizontal(
-        _plot("Error [mm]", "plots/error_mm"),
-        _plot("Position SD [mm]", "plots/position_sd_mm"),
-        _plot("Residual [px]", "plots/residual_px"),
-        _plot("Ball distances [mm]", "plots/distance_mm"),
+        plot("Error [mm]", "plots/error_mm"),
+        plot("Position SD [mm]", "plots/position_sd_mm"),
+        plot("Residual [px]", "plots/residual_px"),
+        plot("Ball distances [mm]", "plots/distance_mm"),
         rrb.TextLogView(origin=entities.STATUS, name="Status"),
         name="Traces",
     )
-    return rrb.Blueprint(
+    return framed(
         rrb.Vertical(
             rrb.Horizontal(scene, pictures, column_shares=[3, 4]), traces, row_shares=[5, 2]
-        ),
+        )
+    )
+
+
+def framed(content: rrb.Container) -> rrb.Blueprint:
+    """A layout with the panels round it folded away."""
+    return rrb.Blueprint(
+        content,
         rrb.TimePanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
     )
 
 
-def _plot(name: str, origin: str) -> rrb.TimeSeriesView:
-    return rrb.TimeSeriesView(origin=origin, name=name)
+def up_to_cursor() -> rrb.VisibleTimeRange:
+    """Everything from the start to the time that is looked at."""
+    return rrb.VisibleTimeRange(
+        entities.TIMELINE_FRAME,
+        start=rrb.TimeRangeBoundary.infinite(),
+        end=rrb.TimeRangeBoundary.cursor_relative(),
+    )
+
+
+def plot(name: str, origin: str) -> rrb.TimeSeriesView:
+    """A plot of all traces below an entity."""
+    return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=LEGEND)
+
+
+def _eye(cameras: Sequence[Camera]) -> rrb.EyeControls3D:
+    """A place from which all cameras and what they look at are in view."""
+    centers = np.stack([camera.center for camera in cameras])
+    target = _looked_at(cameras)
+    reach = float(np.linalg.norm(centers - target, axis=1).max())
+    return rrb.EyeControls3D(
+        kind=rrb.Eye3DKind.Orbital,
+        position=target + 0.95 * reach * _EYE_BESIDE,
+        look_target=target,
+        eye_up=(0.0, 0.0, 1.0),
+    )
+
+
+def _looked_at(cameras: Sequence[Camera]) -> Floats:
+    """Where the cameras' axes meet; half a metre ahead of them where they do not."""
+    axes = np.stack([camera.world_from_camera.rotation[:, 2] for camera in cameras])
+    centers = np.stack([camera.center for camera in cameras])
+    try:
+        target = nearest_point(Rays(centers, axes))
+    except DegenerateGeometryError:
+        target = centers[0] - axes[0]
+    if np.median(np.einsum("nj,nj->n", target - centers, axes)) <= 0:
+        return np.asarray((centers + 500.0 * axes).mean(axis=0))
+    return np.asarray(target)

@@ -92,6 +92,10 @@ class ColumnLog:
         """One ellipsoid with its shape."""
         self._add(entity, _send_uncertainty, (center, half, quat_xyzw))
 
+    def video_frame(self, entity: str, time_ns: int) -> None:
+        """Which frame of the entity's video is shown: its presentation time."""
+        self._add(entity, _send_video_frames, time_ns)
+
     def flush(self) -> None:
         """Send everything gathered."""
         for entity, rows in self._rows.items():
@@ -152,3 +156,7 @@ def _send_uncertainty(rows: _Rows) -> Any:
         half_sizes=np.stack([value[1] for value in rows.values]),
         quaternions=np.stack([value[2] for value in rows.values]),
     )
+
+
+def _send_video_frames(rows: _Rows) -> Any:
+    return rr.VideoFrameReference.columns_nanos(np.array(rows.values, dtype=np.int64))

@@ -45,6 +45,10 @@ _NAMED_COLORS = {
     "black": (60, 60, 60),
 }
 _PALETTE = ((50, 160, 70), (240, 200, 40), (214, 40, 40), (50, 100, 220), (130, 70, 180))
+_LINES = (
+    (61, 139, 212), (217, 130, 43), (79, 163, 90), (176, 95, 196),
+    (201, 79, 109), (43, 163, 163), (138, 122, 61), (122, 134, 217),
+)  # fmt: skip
 
 
 def camera(name: str) -> str:
@@ -105,6 +109,11 @@ EFFECTIVE_CAMERAS = "plots/effective_cameras/count"
 def ball_color(name: str, index: int) -> tuple[int, int, int]:
     """RGB for a ball whose colour is called `name`; a palette serves colours given as samples."""
     return _NAMED_COLORS.get(name.lower(), _PALETTE[index % len(_PALETTE)])
+
+
+def line_color(index: int) -> tuple[int, int, int]:
+    """RGB for the n-th of several traces."""
+    return _LINES[index % len(_LINES)]
 
 
 def view_color(view: BallView) -> tuple[int, int, int]:

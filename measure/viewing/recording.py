@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import socket
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -21,6 +21,8 @@ from measure.model import BallView, Body, Camera, FrameSet, Pose
 from measure.viewing import entities
 from measure.viewing.blueprint import run_blueprint
 from measure.viewing.columns import ColumnLog
+from measure.viewing.rig import log_rig
+from measure.viewing.videos import PassedVideo
 
 FLUSH_ROWS = 60
 CONNECT_WITHIN_S = 5.0
@@ -37,18 +39,27 @@ class RunRecording:
         body: the body.
         cameras: the calibrated cameras.
         image_every: log the pictures of every n-th frame set; 0 logs none.
+        videos: by camera name, recorded videos that go into the recording as they are.
     """
 
     def __init__(
-        self, stream: rr.RecordingStream, body: Body, cameras: Sequence[Camera], image_every: int
+        self,
+        stream: rr.RecordingStream,
+        body: Body,
+        cameras: Sequence[Camera],
+        image_every: int,
+        videos: Mapping[str, PassedVideo] | None = None,
     ) -> None:
         self._stream = stream
         self._body = body
         self._cameras = {camera.name: camera for camera in cameras}
         self._image_every = image_every
+        self._videos = dict(videos or {}) if image_every else {}
         self._columns = ColumnLog(stream, FLUSH_ROWS)
         self._status = ""
-        self._log_rig()
+        log_rig(stream, body, cameras)
+        for video in self._videos.values():
+            video.log(stream)
 
     def __enter__(self) -> Self:
         return self
@@ -98,43 +109,6 @@ class RunRecording:
             entities.SUMMARY, rr.TextDocument(text, media_type="text/markdown"), static=True
         )
 
-    def _log_rig(self) -> None:
-        log = self._stream.log
-        log(entities.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        for camera in self._cameras.values():
-            pose, lens = camera.world_from_camera, camera.intrinsics
-            log(
-                entities.camera(camera.name),
-                rr.Transform3D(translation=pose.translation, mat3x3=pose.rotation),
-                rr.Pinhole(
-                    image_from_camera=lens.matrix,
-                    resolution=lens.size_wh,
-                    camera_xyz=rr.ViewCoordinates.RDF,
-                    image_plane_distance=90.0,
-                ),
-                static=True,
-            )
-        for index, ball in enumerate(self._body.balls):
-            color = entities.ball_color(ball.color.name, index)
-            shape = rr.Ellipsoids3D.from_fields(
-                half_sizes=[[ball.radius_mm] * 3],
-                colors=[color],
-                fill_mode="solid",
-                labels=[ball.name],
-                show_labels=False,
-            )
-            log(entities.ball(ball.name), shape, static=True)
-            rays = rr.LineStrips3D.from_fields(colors=[(*color, 150)], radii=[0.25])
-            log(entities.rays(ball.name), rays, static=True)
-        log(entities.BODY, rr.TransformAxes3D(40.0), static=True)
-        trail = rr.Points3D.from_fields(colors=[(120, 200, 255)], radii=[0.6])
-        log(entities.TRAIL, trail, static=True)
-        haze = rr.Ellipsoids3D.from_fields(colors=[(255, 255, 255)], fill_mode="majorwireframe")
-        log(entities.UNCERTAINTY, haze, static=True)
-        for axis, color in entities.ERROR_COLORS.items():
-            style = rr.SeriesLines(colors=[color], names=[axis], widths=[1.5])
-            log(entities.error(axis), style, static=True)
-
     def _log_status(self, measured: Measurement) -> None:
         text = ": ".join(part for part in (measured.status.value, measured.reason) if part)
         if measured.pose is not None and measured.pose.flags:
@@ -152,7 +126,10 @@ class RunRecording:
     def _log_images(self, measured: Measurement, frame_set: FrameSet) -> None:
         self._set_time(measured)
         for name, image in frame_set.images.items():
-            if image.encoded is not None:
+            if name in self._videos:
+                time_ns = self._videos[name].time_ns(image.frame)
+                self._columns.video_frame(entities.image(name), time_ns)
+            elif image.encoded is not None:
                 picture = rr.EncodedImage(contents=image.encoded, media_type="image/jpeg")
                 self._stream.log(entities.image(name), picture)
             else:
@@ -229,7 +206,7 @@ def _circle(view: BallView) -> Floats:
 
 def open_recording(
     name: str,
-    cameras: Sequence[str],
+    cameras: Sequence[Camera],
     path: Path | None = None,
     address: str | None = None,
 ) -> rr.RecordingStream:
@@ -237,7 +214,7 @@ def open_recording(
 
     Args:
         name: shown in the viewer.
-        cameras: names of the cameras, for the layout that travels inside.
+        cameras: for the layout that travels inside.
         path: the .rrd file, overwritten; no viewer is needed for it.
         address: of a viewer, as `rerun+http://127.0.0.1:9876/proxy`.
 

@@ -38,9 +38,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for index in range(COUNT):
             writer.append(measurement(index, lost=index in (5, 6)))
         writer.finish()
-    with RunRecording(
-        open_recording("test", ["cam0", "cam1"], folder / "run.rrd"), BODY, CAMERAS, 0
-    ) as log:
+    with RunRecording(open_recording("test", CAMERAS, folder / "run.rrd"), BODY, CAMERAS, 0) as log:
         for index in range(COUNT):
             log.add(measurement(index))
     page = run_report(read_run(folder), errors=np.full((COUNT, 6), 0.01))

@@ -5,33 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from measurements import BODY, CAMERAS, measurement
-from rerun.chunk import RrdReader
 
 from measure.errors import ConfigError
 from measure.geometry import RigidTransform
 from measure.viewing import entities, recording
 from measure.viewing.recording import RunRecording, open_recording
+from tests.viewing.reading import column, read_recording
 
 
 def _record(path, count, lost=()):
-    with RunRecording(open_recording("test", ["cam0", "cam1"], path), BODY, CAMERAS, 0) as run:
+    with RunRecording(open_recording("test", CAMERAS, path), BODY, CAMERAS, 0) as run:
         for index in range(count):
             truth = RigidTransform.from_rotvec([0, 0, 0.01 * index], [0.1 * index + 0.05, 0, 0])
             run.add(measurement(index, index in lost), truth=truth)
-    store = {}
-    for chunk in RrdReader(path).store().stream():
-        store.setdefault(str(chunk.entity_path).lstrip("/"), []).append(chunk.to_record_batch())
-    return store
-
-
-def _column(batches, name):
-    rows = []
-    for batch in batches:
-        names = batch.schema.names
-        if name in names:
-            frames = batch.column(names.index("frame")).to_pylist()
-            rows += zip(frames, batch.column(names.index(name)).to_pylist(), strict=True)
-    return dict(rows)
+    return read_recording(path)
 
 
 @pytest.fixture(scope="module")
@@ -63,14 +50,14 @@ def test_every_entity_stands_on_both_timelines(recorded):
 
 
 def test_error_trace_is_the_error_and_gaps_where_there_is_no_pose(recorded):
-    error = _column(recorded[entities.error("x")], "Scalars:scalars")
+    error = column(recorded[entities.error("x")], "Scalars:scalars")
     assert error[3] == pytest.approx([-0.05])
     assert np.isnan(error[7][0])
-    assert _column(recorded[entities.error("3d")], "Scalars:scalars")[100] == pytest.approx([0.05])
+    assert column(recorded[entities.error("3d")], "Scalars:scalars")[100] == pytest.approx([0.05])
 
 
 def test_a_lost_ball_leaves_no_ellipsoid(recorded):
-    centers = _column(recorded[entities.ball("red")], "Ellipsoids3D:centers")
+    centers = column(recorded[entities.ball("red")], "Ellipsoids3D:centers")
     assert centers[7] == []
     assert centers[8][0] == pytest.approx(measurement(8).fixes[2].center, abs=1e-3)
 
@@ -87,4 +74,4 @@ def test_size_without_images(tmp_path):
 def test_a_viewer_that_does_not_listen_is_said_not_silently_skipped(address, said, monkeypatch):
     monkeypatch.setattr(recording, "CONNECT_WITHIN_S", 0.0)
     with pytest.raises(ConfigError, match=said):
-        open_recording("test", ["cam0"], address=address)
+        open_recording("test", CAMERAS, address=address)

@@ -1,0 +1,117 @@
+"""A rendered session with one camera dark, from `measure run` to the recording and the report."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from rerun.chunk import RrdReader
+
+from measure import api
+from measure.host import Registry
+from measure.results import read_run
+from measure.session import read_trajectory
+from measure.viewing import entities
+from tests.viewing.reading import column, read_recording
+
+SETS = 12
+DARK = "cam3"
+CAMERAS = ("cam0", "cam1", "cam2", DARK)
+BALLS = ("green", "yellow", "red")
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def session(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The first frame sets of a render; the lens cap is on one camera."""
+    source = shared / "renders" / "still"
+    folder = tmp_path_factory.mktemp("dark") / "session"
+    folder.mkdir()
+    for name in ("session.toml", "body.toml", "calibration.toml", "truth.csv"):
+        shutil.copy(source / name, folder / name)
+    black = cv2.imencode(".jpg", np.zeros((720, 1280, 3), np.uint8))[1].tobytes()
+    for name in CAMERAS:
+        (folder / name).mkdir()
+        lines = (source / f"{name}.csv").read_text().splitlines()
+        (folder / f"{name}.csv").write_text("\n".join(lines[: SETS + 1]) + "\n")
+        for picture in sorted((source / name).glob("*.jpg"))[:SETS]:
+            data = black if name == DARK else picture.read_bytes()
+            (folder / name / picture.name).write_bytes(data)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def measured(session: Path) -> Path:
+    out = session.parent / "run"
+    options = api.RunOptions(image_every=1)
+    api.run(session, out, api.load_profile(), Registry.discover(), options)
+    return out
+
+
+def test_every_entity_stands_in_the_recording_on_both_timelines(measured: Path, session: Path):
+    stored = read_recording(measured / "run.rrd")
+    still = {entities.WORLD, *map(entities.camera, CAMERAS)}
+    moving = {
+        entities.BODY, entities.TRAIL, entities.UNCERTAINTY, entities.STATUS,
+        entities.POSITION_SD, entities.ROTATION_ERROR, entities.EFFECTIVE_CAMERAS,
+        *map(entities.error, entities.ERROR_AXES),
+        *(make(ball) for ball in BALLS for make in (entities.ball, entities.rays)),
+        *(entities.distance(*pair) for pair in read_run(measured).body.distances()),
+        *(make(camera) for camera in CAMERAS
+          for make in (entities.image, entities.centers, entities.outlines, entities.edges,
+                       entities.residual)),
+    }  # fmt: skip
+    assert still | moving <= set(stored)
+    for entity in moving:
+        timelines = {name for batch in stored[entity] for name in batch.schema.names}
+        assert {entities.TIMELINE_FRAME, entities.TIMELINE_TIME} <= timelines, entity
+    pictures = column(stored[entities.image("cam0")], "EncodedImage:blob")
+    first = next((session / "cam0").iterdir()).parent / "000000.jpg"
+    assert bytes(np.array(pictures[0][0], np.uint8)) == first.read_bytes()
+
+
+def test_the_layout_travels_inside(measured: Path):
+    reader = RrdReader(measured / "run.rrd")
+    (layout,) = reader.blueprints()
+    assert layout.application_id == reader.recordings()[0].application_id
+    names = {
+        str(value)
+        for chunk in reader.store(store=layout).stream()
+        for batch in [chunk.to_record_batch()]
+        for name in batch.schema.names
+        if name == "ViewBlueprint:display_name"
+        for value in np.ravel(batch[name].to_pylist())
+    }
+    assert {"Scene (uncertainty x100)", "Error [mm]", "Residual [px]", *CAMERAS} <= names
+
+
+def test_the_error_traces_are_those_of_the_evaluation(measured: Path, session: Path):
+    stored = read_recording(measured / "run.rrd")
+    found = api.evaluate(measured, session / "truth.csv")
+    assert found.body is not None
+    for axis in ("x", "y", "z"):
+        trace = np.array(list(column(stored[entities.error(axis)], "Scalars:scalars").values()))
+        assert np.sqrt(np.mean(trace**2)) == pytest.approx(found.body.rms_mm[axis], rel=1e-9)
+    trace = np.array(list(column(stored[entities.error("3d")], "Scalars:scalars").values()))
+    assert np.sqrt(np.mean(trace**2)) == pytest.approx(found.body.rms_3d_mm, rel=1e-9)
+    truth = read_trajectory(session / "truth.csv")
+    turned = [
+        np.degrees(
+            np.linalg.norm(read_run(measured).world_from_body[k].difference(truth.at(t))[3:])
+        )
+        for k, t in enumerate(read_run(measured).times_s)
+    ]
+    trace = list(column(stored[entities.ROTATION_ERROR], "Scalars:scalars").values())
+    assert np.ravel(trace) == pytest.approx(turned)
+
+
+def test_the_report_names_the_dark_camera(measured: Path):
+    page = api.report(measured).read_text("utf-8")
+    assert f"3 of 4 cameras carry it ({DARK} never)" in page
+    run = read_run(measured)
+    rows = [r for r in run.detections.to_pylist() if r["camera"] == DARK]
+    assert len(rows) == SETS * len(BALLS)
+    assert all(row["state"] == "suspended" and row["reason"] for row in rows)
