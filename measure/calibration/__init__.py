@@ -15,7 +15,7 @@ from measure.calibration.procedure import Method, RigCalibration, calibrate_capt
 from measure.calibration.refine import Refinement, RefineSettings, refine_rig
 from measure.calibration.sights import Sights, Tolerances
 from measure.calibration.targets import MarkerField, read_board, read_markers
-from measure.calibration.verdict import Verdict, judge, provenance
+from measure.calibration.verdict import Verdict, judge, judgement_lines, provenance
 from measure.calibration.views import choose_views, find_views
 
 __all__ = [
@@ -48,6 +48,7 @@ __all__ = [
     "fit_rig",
     "fit_rig_by_paper",
     "judge",
+    "judgement_lines",
     "open_capture",
     "paper_body",
     "provenance",

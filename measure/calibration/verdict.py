@@ -186,6 +186,31 @@ def _worst(rig: RigCalibration, name: str) -> list[tuple[str, float]]:
     return [(lens.views.views[i].source, float(rms[i])) for i in order]
 
 
+def judgement_lines(rig: RigCalibration, verdict: Verdict) -> list[str]:
+    """The verdict in lines of text: what was measured, what was noticed, what it is good for."""
+    lines = []
+    for name, views in verdict.worst_views.items():
+        worst = ", ".join(f"{source} {rms:.3f} px" for source, rms in views)
+        lines.append(f"worst board views of {name}: {worst}")
+    if np.isfinite(verdict.held_out_px):
+        px, mm = verdict.held_out_px, verdict.held_out_mm
+        lines.append(f"marks kept out of the fit are missed by {px:.2f} px ({mm:.3f} mm) RMS")
+    if rig.disagreement_mm:
+        apart = ", ".join(f"{name} {mm:.2f} mm" for name, mm in rig.disagreement_mm.items())
+        lines.append(f"board and markers disagree by: {apart}")
+    if np.isfinite(verdict.scale):
+        lines.append(f"the marker field is {verdict.scale:.4f} times its stated size by the boards")
+    lines += [str(finding) for finding in verdict.findings]
+    mean = float(np.sqrt(np.mean(verdict.position_sd_mm**2)))
+    lines.append(
+        f"expected body position error {mean:.3f} mm (worst {verdict.position_sd_mm.max():.3f} mm, "
+        "one standard deviation) over the workspace"
+    )
+    if not verdict.trustworthy:
+        lines.append("DO NOT TRUST this calibration: see the alarms above")
+    return lines
+
+
 def provenance(rig: RigCalibration, verdict: Verdict, capture: str) -> dict[str, Any]:
     """What `calibration.toml` says about where it comes from and how good it is."""
     fit = rig.fit or rig.paper
@@ -208,6 +233,7 @@ def provenance(rig: RigCalibration, verdict: Verdict, capture: str) -> dict[str,
             "held_out_mm": _finite(verdict.held_out_mm),
             "scale_of_markers_by_boards": _finite(verdict.scale),
             "board_marker_disagreement_mm": dict(rig.disagreement_mm) or None,
+            "worst_views_px": {n: dict(v) for n, v in verdict.worst_views.items()} or None,
             "findings": [str(finding) for finding in verdict.findings],
         },
         "joint_covariance": None if fit is None else fit.covariance,

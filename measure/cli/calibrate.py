@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-import numpy as np
 from cyclopts import Parameter
 
 from measure.cli import console
@@ -36,7 +35,7 @@ def calibrate(
         report: HTML report to write; beside the output, ending in .html, if omitted.
     """
     from measure.api import calibrate as run
-    from measure.calibration import camera_rows
+    from measure.calibration import camera_rows, judgement_lines
     from measure.session import write_calibration
     from measure.viewing.report.calibration_report import write_calibration_report
 
@@ -52,11 +51,6 @@ def calibrate(
         ("camera", "f_px", "position_sd_mm", "rotation_sd_deg", "rms_px"),
         camera_rows(result.rig.cameras),
     )
-    verdict = result.verdict
-    for finding in verdict.findings:
-        console.print_text(str(finding))
-    console.print_text(
-        f"expected body position error {np.sqrt(np.mean(verdict.position_sd_mm**2)):.3f} mm "
-        f"(worst {verdict.position_sd_mm.max():.3f} mm) over the workspace; "
-        f"wrote {output} and {page}"
-    )
+    for line in judgement_lines(result.rig, result.verdict):
+        console.print_text(line)
+    console.print_text(f"wrote {output} and {page}")

@@ -1,0 +1,247 @@
+"""Real pictures, altered: each mistake ends in a refusal or an alarm, each optional part may go."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from measure.arrays import Floats
+from measure.calibration import body_cost, paper_body
+from measure.cli import main
+from measure.geometry import RigidTransform
+from measure.session import read_calibration
+from tests.calibration.altered import AlteredCapture, mirrored, turned
+
+ALL = ("cam0", "cam1", "cam2", "cam3")
+MIXED = {"m02": "m03", "m03": "m04", "m04": "m02", "m10": "m11", "m11": "m10"}
+
+
+@pytest.fixture
+def altered(shared: Path, tmp_path: Path) -> Callable[..., AlteredCapture]:
+    source = shared / "renders/E_calibration"
+    return lambda *cameras: AlteredCapture(source, tmp_path / "capture", cameras or ALL)
+
+
+def refusal(capture: AlteredCapture, capsys: pytest.CaptureFixture[str], *more: str) -> str:
+    """The one line with which the command refuses; it writes nothing."""
+    output = capture.folder / "calibration.toml"
+    assert main(["calibrate", str(capture.folder), "-o", str(output), *more]) == 2
+    _, err = capsys.readouterr()
+    lines = [line for line in err.splitlines() if not line.startswith("calibrating:")]
+    assert len(lines) == 1, err
+    assert not output.exists()
+    return lines[0]
+
+
+def written(capture: AlteredCapture, *more: str) -> dict[str, Any]:
+    """The judgement in the file that the command writes."""
+    output = capture.folder / "calibration.toml"
+    assert main(["calibrate", str(capture.folder), "-o", str(output), *more]) == 0
+    judgement: dict[str, Any] = tomllib.loads(output.read_text())["provenance"]["judgement"]
+    return judgement
+
+
+def cost_mm(capture: AlteredCapture) -> float:
+    """What the written calibration costs the body, in mm."""
+    found = read_calibration(capture.folder / "calibration.toml").cameras
+    truth = read_calibration(capture.source / "truth_calibration.toml").cameras
+    true = tuple(next(c for c in truth if c.name == camera.name) for camera in found)
+    middle: Floats = np.array([0.0, 0.0, 250.0])
+    rng = np.random.default_rng(0)
+    poses = [RigidTransform(np.eye(3), middle + rng.uniform(-40, 40, 3)) for _ in range(10)]
+    shifts, _ = body_cost(found, true, paper_body(), poses)
+    return float(np.sqrt(np.mean(np.sum(shifts**2, axis=1))))
+
+
+# --- what may be left out ---
+
+
+def test_with_all_parts_nothing_is_noticed(altered, capsys) -> None:
+    capture = altered()
+    judgement = written(capture)
+    assert judgement["trustworthy"]
+    assert not judgement["findings"]
+    assert cost_mm(capture) < 0.02
+    out, _ = capsys.readouterr()
+    assert "marks kept out of the fit are missed by 0." in out
+    assert "board and markers disagree by: cam0 0.1" in out
+    assert "DO NOT TRUST" not in out
+
+
+def test_without_hand_marks_the_markers_are_found(altered) -> None:
+    capture = altered("cam0", "cam2")
+    capture.without_hand_marks()
+    assert written(capture)["trustworthy"]
+    assert cost_mm(capture) < 0.02
+
+
+def test_without_boards_the_marks_suffice(altered) -> None:
+    capture = altered()
+    capture.without_boards()
+    judgement = written(capture)
+    assert "board_marker_disagreement_mm" not in judgement
+    assert cost_mm(capture) < 0.1
+
+
+def test_boards_alone_suffice(altered) -> None:
+    capture = altered()
+    capture.without_markers()
+    assert "held_out_px" not in written(capture)
+    assert cost_mm(capture) < 0.02
+
+
+def test_one_camera_without_marks(altered) -> None:
+    capture = altered()
+    capture.keep_rows("marks.csv", lambda row: not row.startswith("cam3"))
+    capture.substitute("capture.toml", r"marker_image = .*\n", "")
+    judgement = written(capture)
+    assert set(judgement["board_marker_disagreement_mm"]) == {"cam0", "cam1", "cam2"}
+    assert cost_mm(capture) < 0.02
+
+
+def test_neither_board_nor_marks_is_refused(altered, capsys) -> None:
+    capture = altered("cam0", "cam3")
+    capture.without_boards()
+    capture.keep_rows("marks.csv", lambda row: not row.startswith("cam3"))
+    assert "cam3: nothing tells where it stands" in refusal(capture, capsys)
+
+
+def test_markers_in_one_plane_alone_are_refused(altered, capsys) -> None:
+    capture = altered("cam0")
+    capture.without_boards()
+    capture.keep_rows("markers.csv", lambda row: row.endswith("279.0"))
+    high = {row.split(",")[0] for row in capture.lines("markers.csv")}
+    capture.keep_rows("marks.csv", lambda row: row.split(",")[1] in high)
+    assert "must not lie in one plane" in refusal(capture, capsys)
+
+
+def test_five_markers_alone_are_refused(altered, capsys) -> None:
+    capture = altered("cam0")
+    capture.without_boards()
+    capture.write("marks.csv", "\n".join(capture.lines("marks.csv")[:6]) + "\n")
+    assert "at least 6 markers are needed, 5 are marked" in refusal(capture, capsys)
+
+
+def test_a_video_for_the_lens(altered) -> None:
+    capture = altered("cam0")
+    path = capture.folder / "board.mp4"
+    video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 10, (1280, 720))
+    for number in range(7):
+        video.write(capture.view("cam0", number))
+    video.release()
+    capture.substitute("capture.toml", r"calibration = .*", 'intrinsics = "board.mp4"')
+    written(capture)
+    camera = read_calibration(capture.folder / "calibration.toml").cameras[0]
+    true = read_calibration(capture.source / "truth_calibration.toml").cameras[0]
+    assert camera.intrinsics.focal_px == pytest.approx(true.intrinsics.focal_px, rel=5e-3)
+
+
+# --- what goes wrong ---
+
+
+def test_a_mirrored_board_picture(altered, capsys) -> None:
+    capture = altered("cam1")
+    capture.change_picture("cam1_board.jpg", mirrored)
+    line = refusal(capture, capsys)
+    assert "cam1: board and markers disagree by" in line
+    assert "its board picture is mirrored" in line
+
+
+def test_all_pictures_mirrored(altered, capsys) -> None:
+    capture = altered("cam0")
+    capture.without_hand_marks()
+    for name in ("cam0_board.jpg", "cam0_markers.jpg"):
+        capture.change_picture(name, mirrored)
+    assert "is the picture mirrored?" in refusal(capture, capsys)
+
+
+@pytest.mark.parametrize("by_hand", [True, False])
+def test_two_board_pictures_swapped(altered, capsys, by_hand: bool) -> None:
+    capture = altered("cam0", "cam2")
+    capture.swap_board_pictures("cam0", "cam2")
+    if not by_hand:
+        capture.without_hand_marks()
+    line = refusal(capture, capsys)
+    assert "the board picture of cam2 fits instead: are the two swapped?" in line
+
+
+def test_two_board_poses_swapped(altered, capsys) -> None:
+    capture = altered("cam0", "cam2")
+    capture.swap_board_poses()
+    line = refusal(capture, capsys)
+    assert "its board stands where the capture puts that of cam2" in line
+
+
+@pytest.mark.parametrize(("name", "column"), [("marks.csv", 1), ("markers.csv", 0)])
+def test_marker_names_permuted(altered, capsys, name: str, column: int) -> None:
+    capture = altered("cam2")
+    capture.rename_markers(name, column, MIXED)
+    assert "marker names are mixed up: m0" in refusal(capture, capsys)
+
+
+def test_names_do_not_matter_where_markers_are_found_by_place(altered) -> None:
+    capture = altered("cam0", "cam2")
+    capture.without_hand_marks()
+    capture.rename_markers("markers.csv", 0, MIXED)
+    assert written(capture)["trustworthy"]
+
+
+def test_wrong_square_size(altered, capsys) -> None:
+    capture = altered("cam0")
+    capture.substitute("board.toml", r"25\.0", "24.0")
+    assert "1.04 times the stated size: check square_mm" in refusal(capture, capsys)
+
+
+def test_squares_a_little_off_are_noticed_by_the_second_target(altered) -> None:
+    capture = altered()
+    capture.substitute("board.toml", r"25\.0", "24.9")
+    judgement = written(capture)
+    assert judgement["scale_of_markers_by_boards"] == pytest.approx(24.9 / 25, abs=3e-4)
+    assert any("disagree about size" in text for text in judgement["findings"])
+    assert cost_mm(capture) < 0.1
+
+
+def test_too_few_views(altered, capsys) -> None:
+    capture = altered("cam0")
+    capture.with_views("cam0", [capture.view("cam0", n) for n in (0, 3, 6, 9)])
+    assert "cam0: 4 different sharp views of the board, at least 5" in refusal(capture, capsys)
+
+
+def test_views_all_alike(altered, capsys) -> None:
+    capture = altered("cam0")
+    view = capture.view("cam0", 3)
+    capture.with_views("cam0", [np.roll(view, n, axis=(0, 1)) for n in range(6)])
+    assert "(5 more are all alike)" in refusal(capture, capsys)
+
+
+def test_a_camera_that_turned_by_half_a_degree_between_its_pictures(altered, capsys) -> None:
+    capture = altered("cam1")
+    capture.without_hand_marks()
+    capture.change_picture("cam1_markers.jpg", turned(0.5, 1))
+    assert "cam1: board and markers disagree by 4" in refusal(capture, capsys)
+
+
+@pytest.mark.parametrize(("by_hand", "degrees", "axis"), [(True, 0.5, 2), (False, 0.1, 0)])
+def test_a_camera_that_turned_a_little_raises_the_alarm(
+    altered, capsys, by_hand: bool, degrees: float, axis: int
+) -> None:
+    capture = altered("cam0", "cam1")
+    if by_hand:
+        capture.change_picture("cam1_board.jpg", turned(degrees, axis))
+    else:
+        capture.without_hand_marks()
+        capture.change_picture("cam1_markers.jpg", turned(degrees, axis))
+    judgement = written(capture)
+    assert not judgement["trustworthy"]
+    assert judgement["findings"][0].startswith("alarm: camera cam1: board and markers disagree by")
+    out, _ = capsys.readouterr()
+    assert "alarm: camera cam1: board and markers disagree" in out
+    assert "DO NOT TRUST this calibration" in out
+    page = (capture.folder / "calibration.html").read_text()
+    assert "the camera or the board moved between the two pictures" in page
