@@ -11,100 +11,174 @@ picture and be larger by br. They are random with the variances `scatter`, and a
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from measure.arrays import Floats, Ints
+from measure.arrays import Floats
+from measure_plugins._edges.contours import Contours
 from measure_plugins._edges.jit import compiled
-from measure_plugins._edges.lens import to_bearing, to_pixel
+from measure_plugins._edges.rotation import skew
+from measure_plugins._edges.selection import median
 
-_TILT = 1e-5
+OWN = 3
+"""Number of a ball-view's own unknowns."""
+_SHARED = 4
+"""What a ball-view shares with others: its centre (in the camera frame) and its view's offset."""
+_COLUMNS = 7
+"""The shared four, the normal's x and y, and the residual; br goes as the view's offset does."""
+_TUKEY = 4.685
+_OWN_COLUMNS = np.array([4, 5, 3])
+
+
+class Terms(NamedTuple):
+    """What k ball-views say about their shared unknowns, their own eliminated.
+
+    Attributes:
+        normal: (k, 4, 4) reduced normal matrices.
+        right: (k, 4) reduced right sides.
+        offset: (k, 3) the own unknowns are `offset - gain @ shared`.
+        gain: (k, 3, 4).
+        own_covariance: (k, 3, 3) of the own unknowns, given the shared ones.
+        arms: (k, 3, 6) the centres' steps, in the camera frame, by the pose's.
+    """
+
+    normal: Floats
+    right: Floats
+    offset: Floats
+    gain: Floats
+    own_covariance: Floats
+    arms: Floats
 
 
 @compiled
-def bearings_of(points: Floats, lens: Floats, lens_of: Ints) -> Floats:
-    """Unit bearings (n, 3) of pixels (n, 2), each through its own row of `lens` (c, 13)."""
-    out = np.empty((len(points), 3))
-    for i in range(len(points)):
-        x, y, z = to_bearing(points[i, 0], points[i, 1], lens[lens_of[i]])
-        out[i, 0], out[i, 1], out[i, 2] = x, y, z
+def empty_terms(k: int) -> Terms:
+    """Room for the terms of k ball-views."""
+    return Terms(
+        np.zeros((k, _SHARED, _SHARED)),
+        np.zeros((k, _SHARED)),
+        np.zeros((k, OWN)),
+        np.zeros((k, OWN, _SHARED)),
+        np.zeros((k, OWN, OWN)),
+        np.zeros((k, 3, 6)),
+    )
+
+
+@compiled
+def collect(
+    contours: Contours,
+    rotation: Floats,
+    translation: Floats,
+    offsets: Floats,
+    shifts: Floats,
+    variances: Floats,
+    terms: Terms,
+) -> None:
+    """Fill the terms of all ball-views.
+
+    Args:
+        contours: k ball-views in c views.
+        rotation: (3, 3) of world_from_body.
+        translation: (3,) of world_from_body.
+        offsets: (c,) outward edge offset of every view, px.
+        shifts: (k, 3) of the ball-views, for the robust weights, px.
+        variances: (k, 3) of those, px^2.
+        terms: filled.
+    """
+    for k in range(len(contours.view_of)):
+        first, last = contours.start[k], contours.start[k + 1]
+        turn = contours.rotations[contours.view_of[k]]
+        arm = rotation @ contours.centers_body[k]
+        moved = contours.motion[k, :3] + skew(contours.motion[k, 3:]) @ arm
+        center = turn @ (translation + arm + moved) + contours.translations[contours.view_of[k]]
+        terms.arms[k, :, :3] = turn
+        terms.arms[k, :, 3:] = -(turn @ skew(arm))
+        columns = _columns(center, contours.radii[k], contours, first, last)
+        columns[6] -= offsets[contours.view_of[k]]
+        weights = _weights(columns, shifts[k], contours.sd_px[first:last])
+        _eliminate(_moments(columns, weights), variances[k], k, terms)
+
+
+@compiled
+def _columns(center: Floats, radius: float, contours: Contours, first: int, last: int) -> Floats:
+    """Derivatives of a ball-view's outline by what it depends on, and its residuals, (7, n).
+
+    Rows: by the centre's x, y, z (camera frame, px/mm), by the offset (1), the outline's unit
+    normals in the picture, and the residuals in px, outward.
+    """
+    distance = np.sqrt(np.sum(center * center))
+    ux, uy, uz = center[0] / distance, center[1] / distance, center[2] / distance
+    sine = radius / distance
+    cosine = np.sqrt(1 - sine * sine)
+    tangent = sine / cosine
+    out = np.ones((_COLUMNS, last - first))
+    x, y, z = contours.bearings[:, first:last]
+    slopes = contours.slopes[:, first:last]
+    for i in range(last - first):
+        along = x[i] * ux + y[i] * uy + z[i] * uz
+        ex, ey, ez = x[i] - along * ux, y[i] - along * uy, z[i] - along * uz
+        aside = np.sqrt(ex * ex + ey * ey + ez * ez)
+        ex, ey, ez = ex / aside, ey / aside, ez / aside
+        ox, oy, oz = along * ex - aside * ux, along * ey - aside * uy, along * ez - aside * uz
+        du = slopes[0, i] * ox + slopes[1, i] * oy + slopes[2, i] * oz
+        dv = slopes[3, i] * ox + slopes[4, i] * oy + slopes[5, i] * oz
+        scale = np.sqrt(du * du + dv * dv)
+        per = scale / distance
+        out[0, i] = per * (ex - tangent * ux)
+        out[1, i] = per * (ey - tangent * uy)
+        out[2, i] = per * (ez - tangent * uz)
+        out[4, i], out[5, i] = du / scale, dv / scale
+        # The angle beyond the cone, by its sine; the next term is below 1e-9 rad at 10 px.
+        beyond = aside * cosine - along * sine
+        out[6, i] = scale * (beyond + beyond * beyond * beyond / 6)
     return out
 
 
 @compiled
-def point_rows(
-    center: Floats,
-    radius: float,
-    bearings: Floats,
-    lens: Floats,
-) -> tuple[Floats, Floats, Floats]:
-    """Residuals and their derivatives for one ball-view.
-
-    Args:
-        center: (3,) of the ball in the camera frame, mm.
-        radius: mm.
-        bearings: (n, 3) unit.
-        lens: (13,) lens row.
-
-    Returns:
-        Residuals (n,) px, outward; the outline's shift by the centre (n, 3) px/mm in the camera
-        frame; the outline's unit normals in the picture (n, 2).
-    """
-    n = len(bearings)
-    distance = np.sqrt(np.sum(center * center))
-    u = center / distance
-    sine = radius / distance
-    half_angle = np.arcsin(sine)
-    tangent = sine / np.sqrt(1 - sine * sine)
-    residuals, by_center, normals = np.empty(n), np.empty((n, 3)), np.empty((n, 2))
+def _weights(columns: Floats, shift: Floats, sd: Floats) -> Floats:
+    """Tukey's weights (n,) of one ball-view's points over their variances, in px^-2."""
+    n = len(sd)
+    standard, sizes = np.empty(n), np.empty(n)
     for i in range(n):
-        v = bearings[i]
-        cosine = np.sum(v * u)
-        side = v - cosine * u
-        length = np.sqrt(np.sum(side * side))
-        e = side / length
-        outward = cosine * e - length * u
-        x0, y0 = to_pixel(v[0], v[1], v[2], lens)
-        w = v + _TILT * outward
-        x1, y1 = to_pixel(w[0], w[1], w[2], lens)
-        px = np.sqrt((x1 - x0) ** 2 + (y1 - y0) ** 2)
-        scale = px / _TILT
-        normals[i, 0], normals[i, 1] = (x1 - x0) / px, (y1 - y0) / px
-        residuals[i] = scale * (np.arctan2(length, cosine) - half_angle)
-        by_center[i] = scale / distance * (e - tangent * u)
-    return residuals, by_center, normals
+        left = columns[6, i] - columns[4, i] * shift[0] - columns[5, i] * shift[1] - shift[2]
+        standard[i] = left / sd[i]
+        sizes[i] = abs(standard[i])
+    scale = max(1.4826 * median(sizes, n), 0.3)
+    for i in range(n):
+        t = standard[i] / (_TUKEY * scale)
+        robust = (1 - t * t) ** 2 if abs(t) < 1 else 1e-6
+        standard[i] = robust / (sd[i] * scale) ** 2
+    return standard
 
 
 @compiled
-def eliminate(
-    residuals: Floats,
-    rows: Floats,
-    nuisances: Floats,
-    weights: Floats,
-    scatter: Floats,
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """Normal equations of one ball-view with its own nuisances eliminated.
+def _moments(columns: Floats, weights: Floats) -> Floats:
+    """Weighted sums of products of the columns, (7, 7)."""
+    out = np.empty((_COLUMNS, _COLUMNS))
+    for a in range(_COLUMNS):
+        weighted = weights * columns[a]
+        for b in range(a + 1):
+            out[a, b] = np.sum(weighted * columns[b])
+            out[b, a] = out[a, b]
+    return out
 
-    Args:
-        residuals: (n,).
-        rows: (n, k) derivatives of the outline by the shared unknowns.
-        nuisances: (n, 3) derivatives by the ball-view's own.
-        weights: (n,) inverse variances.
-        scatter: (3,) variances of the ball-view's own unknowns.
 
-    Returns:
-        Reduced normal matrix (k, k), right side (k,); and to recover the nuisances from the shared
-        unknowns x: b = offset - gain @ x, as offset (3,) and gain (3, k).
-    """
-    k = rows.shape[1]
-    weighted = rows * weights.reshape(-1, 1)
-    normal = weighted.T @ rows
-    right = weighted.T @ residuals
-    cross = nuisances.T @ weighted
-    own = nuisances.T @ (nuisances * weights.reshape(-1, 1))
-    own_right = nuisances.T @ (weights * residuals)
-    for j in range(3):
-        own[j, j] += 1.0 / scatter[j]
+@compiled
+def _eliminate(moments: Floats, variances: Floats, k: int, terms: Terms) -> None:
+    """Ball-view k's terms from its moments."""
+    own, cross = np.empty((OWN, OWN)), np.empty((OWN, _SHARED))
+    right = np.empty(OWN)
+    for a in range(OWN):
+        row = _OWN_COLUMNS[a]
+        right[a] = moments[row, 6]
+        cross[a] = moments[row, :_SHARED]
+        for b in range(OWN):
+            own[a, b] = moments[row, _OWN_COLUMNS[b]]
+        own[a, a] += 1 / variances[a]
     inverse = np.linalg.inv(own)
     gain = inverse @ cross
-    offset = inverse @ own_right
-    return normal - cross.T @ gain, right - cross.T @ offset, offset, gain.reshape(3, k)
+    terms.own_covariance[k] = inverse
+    terms.gain[k] = gain
+    terms.offset[k] = inverse @ right
+    terms.normal[k] = moments[:_SHARED, :_SHARED] - cross.T @ gain
+    terms.right[k] = moments[:_SHARED, 6] - cross.T @ terms.offset[k]

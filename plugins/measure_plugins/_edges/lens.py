@@ -9,6 +9,8 @@ from measure.model import Intrinsics
 from measure_plugins._edges.jit import compiled
 
 _NEWTON_STEPS = 20
+_NEWTON_TOLERANCE = 1e-9
+"""Steps shrink by their square: the last one leaves nothing."""
 
 
 def lens_row(intrinsics: Intrinsics) -> Floats:
@@ -39,22 +41,59 @@ def to_pixel(x: float, y: float, z: float, lens: Floats) -> tuple[float, float]:
 
 
 @compiled
-def to_bearing(u: float, v: float, lens: Floats) -> tuple[float, float, float]:
-    """Unit bearing of a pixel; NaN where the lens model has no inverse."""
-    yd = (v - lens[4]) / lens[3]
-    xd = (u - lens[2] - lens[1] * yd) / lens[0]
-    x, y = xd, yd
-    h = 1e-6
+def bend_slopes(x: float, y: float, lens: Floats) -> tuple[float, float, float, float]:
+    """Derivatives of `bend`: of u by x and y, of v by x and y."""
+    r2 = x * x + y * y
+    above = 1 + r2 * (lens[5] + r2 * (lens[6] + r2 * lens[9]))
+    below = 1 + r2 * (lens[10] + r2 * (lens[11] + r2 * lens[12]))
+    radial = above / below
+    rise = lens[5] + r2 * (2 * lens[6] + r2 * 3 * lens[9])
+    rise -= radial * (lens[10] + r2 * (2 * lens[11] + r2 * 3 * lens[12]))
+    rise *= 2 / below
+    p1, p2 = lens[7], lens[8]
+    aside = x * y * rise + 2 * p1 * x + 2 * p2 * y
+    return (
+        radial + x * x * rise + 2 * p1 * y + 6 * p2 * x,
+        aside,
+        aside,
+        radial + y * y * rise + 6 * p1 * y + 2 * p2 * x,
+    )
+
+
+@compiled
+def bearing_and_slopes(
+    pixel: Floats, lens: Floats, dx: float, dy: float, bearing: Floats, slopes: Floats
+) -> tuple[float, float]:
+    """Unit bearing (3,) of a pixel (2,), and the pixel's derivatives by the bearing (6,).
+
+    Args:
+        pixel: (2,).
+        lens: (13,).
+        dx: by how much the lens shifts a point near by, in normalised coordinates.
+        dy: the same along y.
+        bearing: (3,) filled; NaN where the lens model has no inverse.
+        slopes: (6,) filled: of u by x, y and z, then of v.
+
+    Returns:
+        By how much the lens shifts this point.
+    """
+    yd = (pixel[1] - lens[4]) / lens[3]
+    xd = (pixel[0] - lens[2] - lens[1] * yd) / lens[0]
+    x, y = xd - dx, yd - dy
     for _ in range(_NEWTON_STEPS):
-        fx, fy = bend(x, y, lens)
-        ax, ay = bend(x + h, y, lens)
-        bx, by = bend(x, y + h, lens)
-        a, b, c, d = (ax - fx) / h, (bx - fx) / h, (ay - fy) / h, (by - fy) / h
+        u, v = bend(x, y, lens)
+        a, b, c, d = bend_slopes(x, y, lens)
         det = a * d - b * c
-        ex, ey = xd - fx, yd - fy
-        dx, dy = (d * ex - b * ey) / det, (a * ey - c * ex) / det
-        x, y = x + dx, y + dy
-        if abs(dx) + abs(dy) < 1e-11:
-            n = np.sqrt(x * x + y * y + 1)
-            return x / n, y / n, 1 / n
-    return np.nan, np.nan, np.nan
+        step_x, step_y = (d * (xd - u) - b * (yd - v)) / det, (a * (yd - v) - c * (xd - u)) / det
+        x, y = x + step_x, y + step_y
+        if abs(step_x) + abs(step_y) < _NEWTON_TOLERANCE:
+            length = np.sqrt(x * x + y * y + 1)
+            bearing[0], bearing[1], bearing[2] = x / length, y / length, 1 / length
+            ux, uy = lens[0] * a + lens[1] * c, lens[0] * b + lens[1] * d
+            vx, vy = lens[3] * c, lens[3] * d
+            slopes[0], slopes[1], slopes[2] = ux * length, uy * length, -(ux * x + uy * y) * length
+            slopes[3], slopes[4], slopes[5] = vx * length, vy * length, -(vx * x + vy * y) * length
+            return xd - x, yd - y
+    bearing[:] = np.nan
+    slopes[:] = np.nan
+    return 0.0, 0.0

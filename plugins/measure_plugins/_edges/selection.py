@@ -50,3 +50,16 @@ def median_rows(rows: Floats) -> None:
     else:
         for i in range(n):
             rows[0, i] = 0.5 * (rows[half - 1, i] + rows[half, i])
+
+
+@compiled
+def median(values: Floats, count: int) -> float:
+    """Median of the first `count` values, which it reorders."""
+    half = count // 2
+    upper = kth_smallest(values, count, half)
+    if count % 2 == 1:
+        return upper
+    lower = values[0]
+    for i in range(half):
+        lower = max(lower, values[i])
+    return 0.5 * (lower + upper)

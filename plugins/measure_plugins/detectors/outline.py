@@ -98,7 +98,7 @@ class OutlineDetector(Detector):
     def _measure(self, image: Image, expected: Sequence[Expectation]) -> list[Detection]:
         from measure_plugins._edges.look import View
 
-        view = View(image.pixels, self._tone, self._encoding, self._lens)
+        view = View(np.ascontiguousarray(image.pixels), self._tone, self._encoding, self._lens)
         cones = [self._cone(expectation) for expectation in expected]
         found = [
             self._measure_one(image, view, expectation, cone, cones)

@@ -9,6 +9,8 @@ limits the pose, and it is what the covariance is made of.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,10 +19,11 @@ from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform, align_points
 from measure.host import PoseSolver, Settings, hookimpl, setting
-from measure.model import Body, Camera, Detection, Fix, Motion, Pose
+from measure.model import Body, Camera, Detection, Fix, Intrinsics, Motion, Pose
 
 if TYPE_CHECKING:
-    from measure_plugins._edges.contour_fit import BallOutline, ContourFit
+    from measure_plugins._edges.contour_fit import ContourFit
+    from measure_plugins._edges.contours import Contours
 
 
 class ContoursConfig(Settings):
@@ -45,6 +48,29 @@ class ContoursSolver(PoseSolver):
     Config = ContoursConfig
     config: ContoursConfig
 
+    def __init__(self, config: Settings, body: Body) -> None:
+        super().__init__(config, body)
+        self._lenses: dict[str, tuple[Camera, Floats]] = {}
+
+    def warm_up(self) -> None:
+        """Compile the joint fit (seconds, once per machine), by fitting circles to nothing."""
+        camera, turns = _camera_for_warming_up(), np.linspace(0, 6, 12)
+        circle = 50.0 * np.stack([np.cos(turns), np.sin(turns)], axis=1)
+        seen = [
+            Detection(
+                ball.name,
+                camera.name,
+                0.0,
+                np.zeros(2),
+                50.0,
+                np.eye(2),
+                outline_px=circle + 200.0 * i,
+                outline_sd_px=np.ones(12),
+            )
+            for i, ball in enumerate(self.body.balls)
+        ]
+        self.solve([], seen, {camera.name: camera}, 0.0, None)
+
     def solve(
         self,
         fixes: Sequence[Fix],
@@ -54,28 +80,72 @@ class ContoursSolver(PoseSolver):
         prior: Motion | None = None,
     ) -> Pose | None:
         """Locate the body from its outlines; None if they (and the prior) leave it open."""
-        from measure_plugins._edges.contour_fit import fit_contours, outlines_of
+        from measure_plugins._edges.contour_fit import fit_contours
 
-        velocity = np.zeros(6) if prior is None else prior.velocity
-        outlines = outlines_of(detections, cameras, self.body, time_s, velocity)
-        start = self._start(fixes, outlines, time_s, prior)
-        if start is None or sum(len(o.bearings) for o in outlines) < self.config.min_points:
+        outlines = self._pack(detections, cameras, time_s, prior)
+        if outlines is None or len(outlines.contours.sd_px) < self.config.min_points:
             return None
-        balls = {outline.ball for outline in outlines}
-        known: Floats | None = None
-        if len(balls) < 3:
+        start = self._start(fixes, outlines, time_s, prior)
+        if start is None:
+            return None
+        known = np.zeros((6, 6))
+        if len(set(outlines.balls)) < 3:
             if prior is None or prior.covariance is None:
                 return None
             known = np.asarray(np.linalg.inv(prior.covariance), dtype=np.float64)
-        fit = fit_contours(outlines, self.body, start, known)
-        if fit is None or not np.all(np.isfinite(fit.information)):
+        # Arrays laid out otherwise would be compiled for once more.
+        rotation = np.ascontiguousarray(start.rotation)
+        translation = np.ascontiguousarray(start.translation)
+        fit = fit_contours(outlines.contours, rotation, translation, known)
+        if not fit.solved:
             return None
         return self._pose(fit, outlines, fixes, time_s)
+
+    def _pack(
+        self,
+        detections: Sequence[Detection],
+        cameras: Mapping[str, Camera],
+        time_s: float,
+        prior: Motion | None,
+    ) -> _Outlines | None:
+        """The outlines ready for the fit; None if there are none."""
+        from measure_plugins._edges.contours import Seen, pack
+
+        detections = [d for d in detections if d.outline_px is not None]
+        if not detections:
+            return None
+        used = [cameras[name] for name in sorted({d.camera for d in detections})]
+        views = {camera.name: i for i, camera in enumerate(used)}
+        velocity = np.zeros(6) if prior is None else prior.velocity
+        seen = []
+        for d in detections:
+            ball = self.body.balls[self.body.index(d.ball)]
+            assert d.outline_px is not None
+            assert d.outline_sd_px is not None
+            moved = velocity * (d.time_s - time_s)
+            points, sd = d.outline_px, d.outline_sd_px
+            seen.append(Seen(points, sd, views[d.camera], ball.center_mm, ball.radius_mm, moved))
+        contours, kept = pack(
+            seen,
+            np.stack([self._lens(camera) for camera in used]),
+            np.array([camera.camera_from_world.rotation for camera in used], order="C"),
+            np.stack([camera.camera_from_world.translation for camera in used]),
+        )
+        names = [detections[i].ball for i in kept]
+        return _Outlines(contours, names, used)
+
+    def _lens(self, camera: Camera) -> Floats:
+        from measure_plugins._edges.lens import lens_row
+
+        known = self._lenses.get(camera.name)
+        if known is None or known[0] is not camera:
+            known = self._lenses[camera.name] = (camera, lens_row(camera.intrinsics))
+        return known[1]
 
     def _start(
         self,
         fixes: Sequence[Fix],
-        outlines: Sequence[BallOutline],
+        outlines: _Outlines,
         time_s: float,
         prior: Motion | None,
     ) -> RigidTransform | None:
@@ -83,10 +153,9 @@ class ContoursSolver(PoseSolver):
         if prior is not None:
             return prior.at(time_s)
         located = {fix.ball: fix.center for fix in fixes}
-        for outline in outlines:
-            name = self.body.balls[outline.ball].name
+        for i, name in enumerate(outlines.balls):
             if name not in located:
-                center = _center_by_size(outline, self.body.balls[outline.ball].radius_mm)
+                center = outlines.center_by_size(i)
                 if center is not None:
                     located[name] = center
         if len(located) < 3:
@@ -98,57 +167,40 @@ class ContoursSolver(PoseSolver):
             return None
 
     def _pose(
-        self,
-        fit: ContourFit,
-        outlines: Sequence[BallOutline],
-        fixes: Sequence[Fix],
-        time_s: float,
+        self, fit: ContourFit, outlines: _Outlines, fixes: Sequence[Fix], time_s: float
     ) -> Pose:
-        covariance = np.asarray(np.linalg.inv(fit.information), dtype=np.float64)
-        covariance *= _small_sample(fit.degrees)
-        covariance[:3, :3] += _common_shift_mm(fit, outlines, self.body) ** 2 * np.eye(3)
-        covariance = covariance + self._from_cameras(fit, outlines)
+        world_from_body = RigidTransform(fit.rotation, fit.translation)
+        covariance = fit.covariance * _small_sample(max(2.0 * len(outlines.balls) - 6.0, 1.0))
+        covariance[:3, :3] += outlines.common_shift_mm(fit) ** 2 * np.eye(3)
+        for camera, lever in zip(outlines.cameras, fit.by_camera, strict=True):
+            if camera.pose_covariance is not None:
+                # What the camera's own uncertain pose adds.
+                covariance += lever @ camera.pose_covariance @ lever.T
         covariance = (covariance + covariance.T) / 2
-        centers = {b.name: fit.world_from_body.apply(b.center_mm) for b in self.body.balls}
+        centers = dict(zip(self.body.names, world_from_body.apply(self.body.centers), strict=True))
         distances = [float(np.sum((fix.center - centers[fix.ball]) ** 2)) for fix in fixes]
-        shifts = fit.shifts_px[:, :2]
+        balls = set(outlines.balls)
         return Pose(
             time_s=time_s,
-            world_from_body=fit.world_from_body,
+            world_from_body=world_from_body,
             covariance=covariance,
             residual_mm=float(np.sqrt(np.mean(distances))) if distances else float("nan"),
-            rms_px=float(np.sqrt(np.mean(np.sum(shifts**2, axis=1)))),
-            cameras=tuple(sorted({o.camera.name for o in outlines})),
-            balls=tuple(
-                self.body.balls[i].name for i in sorted({outline.ball for outline in outlines})
-            ),
+            rms_px=float(np.sqrt(np.mean(np.sum(fit.shifts_px[:, :2] ** 2, axis=1)))),
+            cameras=outlines.seen_by,
+            balls=tuple(name for name in self.body.names if name in balls),
             flags=self._flags(fit, outlines, covariance),
         )
 
-    def _from_cameras(self, fit: ContourFit, outlines: Sequence[BallOutline]) -> Floats:
-        """What the cameras' own uncertain poses add to the pose's covariance (6, 6)."""
-        from measure_plugins._edges.contour_fit import camera_sensitivity
-
-        out = np.zeros((6, 6))
-        for camera in {o.camera.name: o.camera for o in outlines}.values():
-            if camera.pose_covariance is not None:
-                lever = camera_sensitivity(fit, outlines, self.body, camera)
-                out += lever @ camera.pose_covariance @ lever.T
-        return out
-
-    def _flags(
-        self, fit: ContourFit, outlines: Sequence[BallOutline], covariance: Floats
-    ) -> tuple[str, ...]:
+    def _flags(self, fit: ContourFit, outlines: _Outlines, covariance: Floats) -> tuple[str, ...]:
         flags = []
-        for outline, shift in zip(outlines, fit.shifts_px, strict=True):
-            off = float(np.hypot(*shift[:2]))
-            if off > self.config.max_shift_px:
-                ball = self.body.balls[outline.ball].name
-                flags.append(f"{ball} in {outline.camera.name} sits {off:.1f} px off the fit")
-        balls = {outline.ball for outline in outlines}
-        if len(balls) < 3:
-            flags.append(f"only {len(balls)} balls seen: part of the pose is from the prediction")
-        if len({outline.camera.name for outline in outlines}) < 2:
+        off = np.hypot(fit.shifts_px[:, 0], fit.shifts_px[:, 1])
+        for i in np.nonzero(off > self.config.max_shift_px)[0]:
+            camera = outlines.cameras[outlines.contours.view_of[i]].name
+            flags.append(f"{outlines.balls[i]} in {camera} sits {off[i]:.1f} px off the fit")
+        balls = len(set(outlines.balls))
+        if balls < 3:
+            flags.append(f"only {balls} balls seen: part of the pose is from the prediction")
+        if len(outlines.seen_by) < 2:
             flags.append("only one camera: depth is from the balls' sizes")
         if not fit.converged:
             flags.append("the fit did not settle")
@@ -159,32 +211,57 @@ class ContoursSolver(PoseSolver):
         return tuple(flags)
 
 
-def _center_by_size(outline: BallOutline, radius_mm: float) -> Floats | None:
-    """World centre (3,) of a ball from the size and place of its outline in one camera."""
-    from measure.geometry import fit_cone
+@dataclass(frozen=True, eq=False)
+class _Outlines:
+    """Packed outlines with the names that go with them.
 
-    try:
-        cone = fit_cone(outline.bearings, 1 / outline.sd_px**2)
-    except DegenerateGeometryError:
-        return None
-    return outline.camera.world_from_camera.apply(cone.center(radius_mm))
-
-
-def _common_shift_mm(fit: ContourFit, outlines: Sequence[BallOutline], body: Body) -> float:
-    """Standard deviation per axis of what shifts all ball-views alike, in mm.
-
-    Light falls on all balls from the same side in all cameras, so part of what shifts their
-    outlines is common to them; it moves the body and leaves no residual. It is taken to be as large
-    as the part that differs and is seen.
+    Attributes:
+        contours: k ball-views in c views.
+        balls: (k,) names.
+        cameras: (c,).
     """
-    scales = [
-        float(np.linalg.norm(fit.world_from_body.apply(body.centers[o.ball]) - o.camera.center))
-        / o.camera.intrinsics.focal_px
-        for o in outlines
-    ]
-    return float(fit.shift_sd_px[0] * np.mean(scales))
+
+    contours: Contours
+    balls: list[str]
+    cameras: list[Camera]
+
+    @property
+    def seen_by(self) -> tuple[str, ...]:
+        """Names of the cameras that have an outline in the fit."""
+        return tuple(
+            self.cameras[view].name for view in sorted(set(self.contours.view_of.tolist()))
+        )
+
+    def center_by_size(self, i: int) -> Floats | None:
+        """World centre (3,) of a ball from the size and place of ball-view i."""
+        from measure.geometry import fit_cone
+
+        points = self.contours.points(i)
+        try:
+            cone = fit_cone(
+                self.contours.bearings[:, points].T, 1 / self.contours.sd_px[points] ** 2
+            )
+        except DegenerateGeometryError:
+            return None
+        camera = self.cameras[self.contours.view_of[i]]
+        return camera.world_from_camera.apply(cone.center(float(self.contours.radii[i])))
+
+    def common_shift_mm(self, fit: ContourFit) -> float:
+        """Standard deviation per axis of what shifts all ball-views alike, in mm.
+
+        Light falls on all balls from the same side in all cameras, so part of what shifts their
+        outlines is common to them; it moves the body and leaves no residual. It is taken to be as
+        large as the part that differs and is seen.
+        """
+        view = self.contours.view_of
+        places = self.contours.centers_body @ fit.rotation.T + fit.translation
+        cameras = np.stack([camera.center for camera in self.cameras])[view]
+        focal = np.array([camera.intrinsics.focal_px for camera in self.cameras])[view]
+        scales = np.linalg.norm(places - cameras, axis=1) / focal
+        return float(fit.shift_sd_px[0] * np.mean(scales))
 
 
+@lru_cache(maxsize=64)
 def _small_sample(degrees: float) -> float:
     """Widening that lets the 95 % ellipsoid hold 95 % though its scale is estimated (F for chi^2).
 
@@ -193,6 +270,11 @@ def _small_sample(degrees: float) -> float:
     from scipy.special import chdtri, fdtri
 
     return float(6 * fdtri(6, max(degrees, 4.0), 0.95) / chdtri(6, 0.05))
+
+
+def _camera_for_warming_up() -> Camera:
+    matrix = np.array([[1000.0, 0, 500], [0, 1000, 500], [0, 0, 1]])
+    return Camera("any", Intrinsics((1000, 1000), matrix), RigidTransform.identity())
 
 
 @hookimpl

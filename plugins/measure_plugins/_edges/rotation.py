@@ -1,0 +1,40 @@
+"""Rotations in compiled code: the exponential and the logarithm of SO(3)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure_plugins._edges.jit import compiled
+
+
+@compiled
+def skew(v: Floats) -> Floats:
+    """The cross-product matrix (3, 3) of a vector (3,)."""
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+
+
+@compiled
+def rotation_of(rotvec: Floats) -> Floats:
+    """The rotation (3, 3) of a rotation vector (3,) in rad (Rodrigues)."""
+    angle = np.sqrt(np.sum(rotvec * rotvec))
+    cross = skew(rotvec)
+    if angle < 1e-8:
+        return np.eye(3) + cross
+    a, b = np.sin(angle) / angle, (1 - np.cos(angle)) / angle**2
+    return np.eye(3) + a * cross + b * (cross @ cross)
+
+
+@compiled
+def rotvec_of(rotation: Floats) -> Floats:
+    """The rotation vector (3,) of a rotation (3, 3) by well under half a turn."""
+    axis = 0.5 * np.array(
+        [
+            rotation[2, 1] - rotation[1, 2],
+            rotation[0, 2] - rotation[2, 0],
+            rotation[1, 0] - rotation[0, 1],
+        ]
+    )
+    sine = np.sqrt(np.sum(axis * axis))
+    cosine = 0.5 * (rotation[0, 0] + rotation[1, 1] + rotation[2, 2] - 1)
+    return axis * (np.arctan2(sine, cosine) / sine) if sine > 1e-12 else axis
