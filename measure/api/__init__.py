@@ -23,7 +23,7 @@ from measure.api.refining import RefineResult, refine
 from measure.api.report import report
 from measure.api.run import RunOptions, parse_images, run
 from measure.api.training import TrainOptions, ablate, parse_settings, sweep, train
-from measure.api.watch import spawn_viewer
+from measure.api.watch import robot_recording, spawn_viewer
 from measure.results.evaluation_table import evaluation_tables
 
 __all__ = [
@@ -57,6 +57,7 @@ __all__ = [
     "render_demo",
     "report",
     "rezero",
+    "robot_recording",
     "run",
     "run_many",
     "shipped_model",

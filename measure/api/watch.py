@@ -1,6 +1,10 @@
-"""Watching a measurement while it runs."""
+"""What is looked at in the viewer: a measurement while it runs, a robot beside its measurement."""
 
 from __future__ import annotations
+
+from pathlib import Path
+
+from measure.errors import ConfigError
 
 
 def spawn_viewer() -> str:
@@ -15,3 +19,54 @@ def spawn_viewer() -> str:
     from measure.viewing.viewer import open_viewer
 
     return open_viewer([]).listens
+
+
+def robot_recording(
+    run: Path, robot: str, log: Path | None = None, model: Path | None = None
+) -> Path:
+    """Write a robot's reported, measured and corrected positions into the run's `robot.rrd`.
+
+    Args:
+        run: the run's folder.
+        robot: name of a state schema, or a robot.toml.
+        log: the robot's log; the session's own if omitted.
+        model: an estimator (.onnx) that corrects the reported positions.
+
+    Returns:
+        The recording.
+
+    Raises:
+        RunError: the folder is no run.
+        ConfigError: there is no log.
+        EstimatorError: log, model and poses do not fit together.
+    """
+    import numpy as np
+
+    from measure.host import OnnxModel
+    from measure.learning import files
+    from measure.learning.traces import robot_traces
+    from measure.results import read_run
+    from measure.robots import find_schema
+    from measure.viewing.robot_recording import write_robot_recording
+
+    measured = read_run(run)
+    log = log or _log_of(str(measured.provenance.get("session", {}).get("path", "")))
+    if log is None:
+        raise ConfigError(f"the session of {run} names no robot log: give it with --robot-log")
+    estimator = None if model is None else OnnxModel.load(model)
+    traces = robot_traces(files.read_poses(run), log, find_schema(robot), estimator)
+    nearest = np.abs(measured.times_s[None, :] - traces.times_s[:, None]).argmin(axis=1)
+    frames = measured.poses["index"].to_numpy()[nearest]
+    path = run / "robot.rrd"
+    write_robot_recording(path, f"{run.resolve().name}: robot", frames, traces)
+    return path
+
+
+def _log_of(session: str) -> Path | None:
+    """The robot log that a session names, if the session is still there."""
+    from measure.session import open_session
+
+    if not Path(session).is_dir():
+        return None
+    with open_session(Path(session)) as opened:
+        return opened.robot_log

@@ -7,23 +7,44 @@ import sys
 from pathlib import Path
 
 from measure.cli import console
+from measure.errors import ConfigError
 
 
-def view(run: Path, /, *, web: bool = False, bind: str = "127.0.0.1") -> None:
+def view(
+    run: Path,
+    /,
+    *,
+    web: bool = False,
+    bind: str = "127.0.0.1",
+    robot: str | None = None,
+    robot_log: Path | None = None,
+    model: Path | None = None,
+) -> None:
     """Show a run in the viewer.
 
     Args:
         run: the run's folder, or an .rrd file.
         web: serve the viewer for a browser and print the address, instead of opening a window.
         bind: address to listen on; other machines can look only if you change it.
+        robot: show a robot's reported position beside the measured one, in a recording of its own
+            (robot.rrd in the run's folder). What its states are: raven, raven-right, dvrk-psm, or a
+            robot.toml.
+        robot_log: the robot's log; the one that the session names if omitted.
+        model: an estimator (.onnx): its corrected position is shown too.
     """
     from measure.viewing.viewer import open_viewer
 
-    recording = run / "run.rrd" if run.is_dir() else run
+    if robot is None and (robot_log or model):
+        raise ConfigError("say with --robot what the robot's states are, such as --robot raven")
+    recordings = [run / "run.rrd" if run.is_dir() else run]
+    if robot is not None:
+        from measure import api
+
+        recordings.append(api.robot_recording(run, robot, robot_log, model))
     # Ended by a service manager or a closed terminal, the viewer must end too.
     for ending in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
         signal.signal(ending, lambda number, _: sys.exit(128 + number))
-    viewer = open_viewer([recording], web, bind)
+    viewer = open_viewer(recordings, web, bind)
     if viewer.address is not None:
         console.print_text(viewer.address)
     try:

@@ -101,6 +101,23 @@ def error(axis: str) -> str:
     return f"plots/error_mm/{axis}"
 
 
+def robot(kind: str) -> str:
+    """The tip's way as reported by the robot, measured, or corrected."""
+    return f"robot/{kind}"
+
+
+def robot_position(axis: str, kind: str) -> str:
+    """One coordinate of it."""
+    return f"plots/robot_mm/{axis}/{kind}"
+
+
+def robot_error(kind: str) -> str:
+    """Distance of the reported or corrected position from the measured one."""
+    return f"plots/robot_error_mm/{kind}"
+
+
+CORRECTED_SD = "plots/correction/sd_mm"
+UNFAMILIAR = "plots/correction/unfamiliar"
 ROTATION_ERROR = "plots/error_deg/rotation"
 POSITION_SD = "plots/position_sd_mm/3d"
 EFFECTIVE_CAMERAS = "plots/effective_cameras/count"

@@ -1,0 +1,68 @@
+"""Where a robot said it was, where it was seen, and where its corrected states put it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from measure.arrays import Bools, Floats
+from measure.host import OnnxModel
+from measure.learning.assemble import AssemblySettings, PoseTrack, assemble
+from measure.learning.offline import correct, read_states
+from measure.robots import StateSchema, read_log
+
+
+@dataclass(frozen=True, eq=False)
+class RobotTraces:
+    """Three positions of a robot's tip, in its base frame, at the instants of the poses.
+
+    Attributes:
+        times_s: (n,) on the cameras' clock.
+        measured_mm: (n, 3) by the cameras; NaN where not measured or in doubt.
+        reported_mm: (n, 3) by the robot.
+        corrected_mm: (n, 3) reported plus the estimated error; NaN without a model, or where it
+            refused.
+        corrected_sd_mm: (n,) of the correction, 3-D.
+        unfamiliar: (n,) where the model says it has seen nothing like that state.
+        clock_offset_s: robot minus camera time.
+    """
+
+    times_s: Floats
+    measured_mm: Floats
+    reported_mm: Floats
+    corrected_mm: Floats
+    corrected_sd_mm: Floats
+    unfamiliar: Bools
+    clock_offset_s: float
+
+
+def robot_traces(
+    track: PoseTrack, log: Path, schema: StateSchema, model: OnnxModel | None = None
+) -> RobotTraces:
+    """Bring a robot's log, the measured poses and a model together on one clock.
+
+    The model sees every state of the log in order, as it would online; a correction holds until the
+    next one.
+
+    Raises:
+        EstimatorError: the log or the model does not fit, or the clocks cannot be aligned.
+    """
+    data, (facts,) = assemble([(track, read_log(log, schema))], AssemblySettings())
+    offset = facts.clock.offset_s if facts.clock else 0.0
+    reported = data.reported_mm
+    errors, sd = np.full((len(data), 3), np.nan), np.full(len(data), np.nan)
+    unfamiliar = np.zeros(len(data), dtype=bool)
+    if model is not None:
+        model.check(schema)
+        table = read_states(log, model)
+        answers = correct(table, model)
+        at = np.searchsorted(table.times_s, data.times_s, side="right") - 1
+        began = at >= 0
+        errors[began], sd[began] = answers.errors_mm[at[began]], answers.sd_mm[at[began]]
+        unfamiliar[began] = answers.unfamiliar[at[began]]
+    measured = reported + np.where(data.usable[:, None], data.errors_mm, np.nan)
+    return RobotTraces(
+        data.times_s - offset, measured, reported, reported + errors, sd, unfamiliar, offset
+    )

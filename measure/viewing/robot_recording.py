@@ -1,0 +1,94 @@
+"""A robot's reported, measured and corrected positions as a Rerun recording with its own layout."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from measure.arrays import Floats
+from measure.learning.traces import RobotTraces
+from measure.viewing import entities
+from measure.viewing.blueprint import LEGEND, framed, plot, up_to_cursor
+from measure.viewing.rig import log_lines
+
+KINDS = {"reported": (207, 75, 75), "measured": (61, 139, 212), "corrected": (79, 163, 90)}
+
+
+def write_robot_recording(path: Path, name: str, frames: Floats, traces: RobotTraces) -> None:
+    """Write the traces to an .rrd file.
+
+    Args:
+        path: the file, overwritten.
+        name: shown in the viewer.
+        frames: (n,) index of each row's frame set.
+        traces: the positions.
+    """
+    stream = rr.RecordingStream("triball robot")
+    stream.set_sinks(rr.FileSink(path), default_blueprint=robot_blueprint())
+    stream.send_recording_name(name)
+    _log_styles(stream)
+    index = [
+        rr.TimeColumn(entities.TIMELINE_FRAME, sequence=frames),
+        rr.TimeColumn(entities.TIMELINE_TIME, duration=traces.times_s),
+    ]
+    for kind in KINDS:
+        places: Floats = getattr(traces, f"{kind}_mm")
+        seen = np.isfinite(places).all(axis=1)
+        points = rr.Points3D.columns(positions=places[seen]).partition(seen.astype(int))
+        stream.send_columns(entities.robot(kind), indexes=index, columns=points)
+        for axis, values in zip("xyz", places.T, strict=True):
+            _scalars(stream, entities.robot_position(axis, kind), index, values)
+    for kind in ("reported", "corrected"):
+        away = np.linalg.norm(getattr(traces, f"{kind}_mm") - traces.measured_mm, axis=1)
+        _scalars(stream, entities.robot_error(kind), index, away)
+    _scalars(stream, entities.CORRECTED_SD, index, traces.corrected_sd_mm)
+    _scalars(stream, entities.UNFAMILIAR, index, traces.unfamiliar.astype(float))
+    stream.flush()
+    stream.disconnect()
+
+
+def robot_blueprint() -> rrb.Blueprint:
+    """The way in 3-D, the three positions per axis, and what is left of the error."""
+    everything = rrb.VisibleTimeRanges(up_to_cursor())
+    scene = rrb.Spatial3DView(
+        origin="robot",
+        name="Reported, measured, corrected",
+        overrides={entities.robot(kind): everything for kind in KINDS},
+    )
+    axes = rrb.Vertical(
+        *(plot(f"{axis} [mm]", f"plots/robot_mm/{axis}") for axis in "xyz"), name="Position"
+    )
+    below = rrb.Horizontal(
+        plot("Distance from the measured position [mm]", "plots/robot_error_mm"),
+        rrb.TimeSeriesView(
+            origin="plots/correction",
+            name="SD of the correction [mm], unfamiliar states",
+            plot_legend=LEGEND,
+        ),
+    )
+    return framed(
+        rrb.Vertical(rrb.Horizontal(scene, axes, column_shares=[3, 4]), below, row_shares=[5, 3])
+    )
+
+
+def _log_styles(stream: rr.RecordingStream) -> None:
+    lines = {}
+    for kind, color in KINDS.items():
+        trail = rr.Points3D.from_fields(colors=[color], radii=[0.3])
+        stream.log(entities.robot(kind), trail, static=True)
+        for axis in "xyz":
+            lines[entities.robot_position(axis, kind)] = (kind, color)
+        if kind != "measured":
+            lines[entities.robot_error(kind)] = (kind, color)
+    lines[entities.CORRECTED_SD] = ("SD of the correction", entities.line_color(0))
+    lines[entities.UNFAMILIAR] = ("unfamiliar", entities.line_color(1))
+    log_lines(stream, lines)
+
+
+def _scalars(
+    stream: rr.RecordingStream, entity: str, index: list[rr.TimeColumn], values: Floats
+) -> None:
+    stream.send_columns(entity, indexes=index, columns=rr.Scalars.columns(scalars=values))
