@@ -29,6 +29,8 @@ _SYSTEMATIC_PX = 0.25
 _STEP_PX = STEPS[1] - STEPS[0]
 _FIRST = int(np.searchsorted(STEPS, INSIDE_PX[0]))
 """The step at which the edge finder begins to look."""
+LATER_STEPS = STEPS[_FIRST:]
+"""Where the picture is predicted, px along the normal."""
 _MARGIN = chroma_reach(_STEP_PX)
 
 
@@ -82,13 +84,10 @@ def corrected_edges(
     """
     light, values = sample(pixels, table, points, normals, STEPS, free)
     within, background = levels(light, STEPS, INSIDE_PX), levels(light, STEPS, _BACKGROUND_PX)
-    first = _FIRST - _MARGIN
-    predicted = predict_light(light, free, around, background, STEPS, radial, first)
-    predicted = blur_chroma(encode(predicted, inverse), _STEP_PX)[:, _MARGIN:]
+    predicted = predicted_values(light, free, around, background, inverse, radial)
     inside, outside = levels(values, STEPS, INSIDE_PX), levels(values, STEPS, OUTSIDE_PX)
-    later = STEPS[_FIRST:]
-    model_inside = levels(predicted, later, INSIDE_PX)
-    model_outside = levels(predicted, later, OUTSIDE_PX)
+    model_inside = levels(predicted, LATER_STEPS, INSIDE_PX)
+    model_outside = levels(predicted, LATER_STEPS, OUTSIDE_PX)
     n = len(points)
     shifts, variances, contrasts = np.empty((2, n)), np.empty((2, n)), np.empty((2, n))
     for k in range(2):
@@ -97,7 +96,7 @@ def corrected_edges(
         at, slope = crossings(x, STEPS, SEARCH_PX)
         sd = uncertainty(x, STEPS, at, slope, INSIDE_PX)
         y, _ = project(predicted, model_inside, model_outside, without_grey)
-        bias, _ = crossings(y, later, SEARCH_PX)
+        bias, _ = crossings(y, LATER_STEPS, SEARCH_PX)
         common = np.nanmedian(bias)
         shifts[k] = at - bias
         variances[k] = sd**2 + (_TRUST * (bias - common)) ** 2
@@ -105,6 +104,34 @@ def corrected_edges(
     sd = np.sqrt((variances[0] + variances[1]) / 2 + apart**2 / 4 + _SYSTEMATIC_PX**2)
     contrast = np.minimum(contrasts[0], contrasts[1])
     return Edges((shifts[0] + shifts[1]) / 2, sd, contrast, within, background)
+
+
+@compiled
+def compare(
+    pixels: Bytes,
+    table: Floats,
+    inverse: Floats,
+    points: Floats,
+    normals: Floats,
+    around: Floats,
+    free: Floats,
+    radial: Radial,
+) -> tuple[Floats, Floats]:
+    """Picture values (3, m, n) at `LATER_STEPS`: seen, and predicted. Arguments as above."""
+    light, values = sample(pixels, table, points, normals, STEPS, free)
+    background = levels(light, STEPS, _BACKGROUND_PX)
+    predicted = predicted_values(light, free, around, background, inverse, radial)
+    return values[:, _FIRST:], predicted
+
+
+@compiled
+def predicted_values(
+    light: Floats, free: Floats, around: Floats, background: Floats, inverse: Floats, radial: Radial
+) -> Floats:
+    """Picture values (3, m, n) at `LATER_STEPS` that the model predicts along rays of `light`."""
+    first = _FIRST - _MARGIN
+    predicted = predict_light(light, free, around, background, STEPS, radial, first)
+    return blur_chroma(encode(predicted, inverse), _STEP_PX)[:, _MARGIN:]
 
 
 @compiled

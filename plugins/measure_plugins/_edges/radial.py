@@ -23,8 +23,7 @@ DEFLECTIONS = np.radians([0, 10, 20, 30, 40, 50, 60, 75])
 REFRACTIVE_INDEX = 1.5
 """Of clear plastics and lacquers (1.45 to 1.6)."""
 BLUR_PX = 1.0
-"""Optics, pixel, colour mosaic and interpolation together. A blur estimated from the steepness of
-the edges of each picture was tried: it changes little, and settles less well."""
+"""A webcam's optics, pixel, colour mosaic and interpolation together, until it is learnt."""
 _FINE = np.arange(-24.0, 12.01, 0.25)
 _GREY_RANGE = (-13.0, 0.6)
 _GREY_STIFFNESS = 0.02

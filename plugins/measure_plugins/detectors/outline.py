@@ -19,6 +19,7 @@ from measure.host import Detector, Settings, hookimpl, setting
 from measure.model import Body, Camera, Detection, Expectation, Image
 
 if TYPE_CHECKING:
+    from measure_plugins._edges.appearance import Appearance
     from measure_plugins._edges.look import View
     from measure_plugins._edges.outline_fit import Outline
     from measure_plugins._edges.radial import Radial
@@ -30,6 +31,11 @@ class OutlineConfig(Settings):
     rays: int = setting(72, "Rays cast across each outline.", ge=16, le=720)
     tone: str = setting(
         "srgb", "The cameras' tone curve: srgb, none, or gamma with its exponent (gamma2.2)."
+    )
+    learn: bool = setting(
+        True,
+        "Whether the tone curve, the blur and whether balls are glossy or matt are learnt from the "
+        "pictures, starting from the tone curve given here.",
     )
     min_contrast: float = setting(
         0.06,
@@ -61,16 +67,24 @@ class OutlineDetector(Detector):
     def __init__(self, config: Settings, body: Body, camera: Camera) -> None:
         super().__init__(config, body, camera)
         from measure_plugins._acquisition.color_table import color_table
+        from measure_plugins._edges.appearance import first_appearance
+        from measure_plugins._edges.learner import AppearanceLearner
         from measure_plugins._edges.lens import lens_row
-        from measure_plugins._edges.sensor import encoding
-        from measure_plugins._edges.tone import tone_table
 
         self._lens = lens_row(camera.intrinsics)
-        self._tone = tone_table(self.config.tone)
-        self._encoding = encoding(self._tone)
+        self._see(first_appearance(self.config.tone))
+        self._learner = AppearanceLearner(self._lens, self.config.rays, self.config.margin_px)
         colors = tuple(dict.fromkeys(ball.color for ball in body.balls))
         self._colors = color_table(colors)
         self._bits = {ball.name: 1 << colors.index(ball.color) for ball in body.balls}
+
+    def _see(self, appearance: Appearance) -> None:
+        """Look at pictures through this appearance from now on."""
+        from measure_plugins._edges.sensor import encoding
+
+        self._appearance = appearance
+        self._tone = appearance.table()
+        self._encoding = encoding(self._tone)
 
     def warm_up(self) -> None:
         """Compile the hot loops (seconds, once per machine), by measuring a drawn disc."""
@@ -81,19 +95,35 @@ class OutlineDetector(Detector):
         image, expected = drawn_disc(self.body, self.camera)
         self._measure(image, expected)
         self._measure(image, [replace(one, center_camera=None) for one in expected])
+        self._learner.warm_up(image.pixels, self._cone(expected[0]), self._appearance)
 
     def detect(self, image: Image, expected: Sequence[Expectation]) -> list[Detection]:
         """Measure the expected balls; search the frame for the others."""
         found = self._measure(image, expected)
         known = {expectation.ball for expectation in expected}
         if len(known) == len(self.body.balls):
-            return found
+            return self._learnt(image, expected, found) or found
         from measure_plugins._acquisition import AcquisitionSettings, find_candidates
 
         for candidate in find_candidates(image, self.body, self.camera, AcquisitionSettings()):
             if candidate.ball not in known:
                 found += self._measure(image, [_expectation(candidate)]) or []
         return found
+
+    def _learnt(
+        self, image: Image, expected: Sequence[Expectation], found: Sequence[Detection]
+    ) -> list[Detection]:
+        """A picture's detections once more, if it has just taught something; else none."""
+        if not self.config.learn or any(e.center_camera is None for e in expected):
+            return []
+        cones = {e.ball: self._cone(e) for e in expected}
+        axes = {d.ball: self.camera.intrinsics.unproject(d.center_px[None])[0] for d in found}
+        seen = [(axis, *cones.pop(ball)[1:]) for ball, axis in axes.items()]
+        learnt = self._learner.shown(image.pixels, seen, list(cones.values()), self._appearance)
+        if learnt is None:
+            return []
+        self._see(learnt)
+        return self._measure(image, expected)
 
     def _measure(self, image: Image, expected: Sequence[Expectation]) -> list[Detection]:
         from measure_plugins._edges.look import View
@@ -165,11 +195,11 @@ class OutlineDetector(Detector):
 
     def _radial(self, axis: Floats, half_angle: float) -> Radial:
         """What a ball of this size, here, shows along a ray across its outline."""
-        from measure_plugins._edges.radial import BLUR_PX, REFRACTIVE_INDEX, radial
+        from measure_plugins._edges.radial import radial
         from measure_plugins._edges.rays import radius_px
 
         radius = radius_px(axis, half_angle, self._lens)
-        return radial(radius, half_angle, BLUR_PX, REFRACTIVE_INDEX)
+        return radial(radius, half_angle, self._appearance.blur_px, self._appearance.index)
 
     def _cone(self, expectation: Expectation) -> tuple[Floats, float, float]:
         """Predicted axis, half angle in rad and distance in mm of a ball's outline."""

@@ -1,0 +1,64 @@
+"""How a camera shows a ball: its tone curve, its blur, and whether the ball is glossy or matt."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure_plugins._edges.radial import BLUR_PX, REFRACTIVE_INDEX
+from measure_plugins._edges.tone import tone_table
+
+GLOSSY, MATT = REFRACTIVE_INDEX, 1.0001
+"""Refractive index of lacquer and clear plastic; and of paint without a boundary that reflects."""
+BENDS = 3
+_VALUES = np.arange(256) / 255.0
+_FLATTEST = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Appearance:
+    """What the prediction of a ball's picture rests on.
+
+    Attributes:
+        tone: name of the tone curve to start from, as in `tone.tone_table`.
+        bends: (3,) how the camera's curve departs from it, see `bent_table`.
+        blur_px: sigma of the blur of brightness.
+        index: refractive index of the balls' surface.
+    """
+
+    tone: str
+    bends: Floats
+    blur_px: float
+    index: float
+
+    def table(self) -> Floats:
+        """Light (256,) of each picture value."""
+        return bent_table(self.tone, self.bends)
+
+
+def first_appearance(tone: str) -> Appearance:
+    """What is assumed before a picture is seen: the stated curve, a webcam's blur, glossy balls."""
+    return Appearance(tone, np.zeros(BENDS), BLUR_PX, GLOSSY)
+
+
+def bent_table(tone: str, bends: Floats) -> Floats:
+    """A tone table whose picture values are raised, bowed and bent before the curve is undone.
+
+    A camera's processing lifts or crushes the blacks, and lays a bow or an S over the standard's
+    curve; the response curves of real cameras lie near a space of few dimensions (Grossberg and
+    Nayar 2003).
+
+    Args:
+        tone: the curve that is departed from.
+        bends: (3,) lift of the blacks, bow, S; shares of the largest value.
+
+    Returns:
+        (256,) light, rising, 0 to 1.
+    """
+    lift, bow, s_shape = bends
+    values = _VALUES - lift * (1 - _VALUES)
+    values = values + bow * np.sin(np.pi * _VALUES) + s_shape * np.sin(2 * np.pi * _VALUES)
+    values = np.maximum.accumulate(np.clip(values, 0, None)) + _FLATTEST * _VALUES
+    return np.interp(values / values[-1], _VALUES, tone_table(tone))

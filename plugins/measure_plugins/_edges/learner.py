@@ -1,0 +1,82 @@
+"""When a camera's appearance is learnt, and from which pictures."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+
+import numpy as np
+
+from measure.arrays import Bytes, Floats
+from measure_plugins._edges.appearance import Appearance
+from measure_plugins._edges.appearance_fit import Sight, learn_appearance, misfits
+from measure_plugins._edges.corrected import INSIDE_PX, OUTSIDE_PX
+from measure_plugins._edges.radial import STEPS
+from measure_plugins._edges.rays import cast_rays, frame_about, ways
+
+_FIRST = 2
+"""The first picture is only kept: finding the balls in it is slow enough."""
+_LATER = 4
+"""Each lesson waits for this many times as many pictures as the one before: light and exposure may
+change, but what a lesson costs must not be felt."""
+_REMEMBERED = 4
+_BORDER_PX = 2.0
+
+Cone = tuple[Floats, float, float]
+"""Unit axis (3,), half angle in rad, distance in mm."""
+
+
+class AppearanceLearner:
+    """Counts one camera's pictures; now and then, learns from the balls in one and those before."""
+
+    def __init__(self, lens: Floats, rays: int, margin_px: float) -> None:
+        self._lens, self._rays, self._margin_px = lens, rays, margin_px
+        self._count, self._kept, self._due = 0, 1, _FIRST
+        self._pictures: deque[list[Sight]] = deque(maxlen=_REMEMBERED)
+
+    def shown(
+        self, pixels: Bytes, seen: Sequence[Cone], others: Sequence[Cone], now: Appearance
+    ) -> Appearance | None:
+        """A new appearance, if this picture is one to learn from.
+
+        Args:
+            pixels: (h, w, 3) the picture.
+            seen: outlines found in it; their half angles from known distances.
+            others: outlines of balls that are there but were not found.
+            now: the appearance at present.
+        """
+        self._count += bool(seen)
+        if self._count < self._kept:
+            return None
+        self._kept = 2 * self._count
+        self._pictures.append([self._sight(pixels, cone, (*seen, *others)) for cone in seen])
+        if self._count < self._due:
+            return None
+        self._due = _LATER * self._count
+        return learn_appearance([sight for picture in self._pictures for sight in picture], now)
+
+    def warm_up(self, pixels: Bytes, cone: Cone, now: Appearance) -> None:
+        """Compile what a lesson runs."""
+        misfits([self._sight(pixels, cone, [])], now)
+
+    def _sight(self, pixels: Bytes, cone: Cone, all_cones: Sequence[Cone]) -> Sight:
+        axis, half_angle, distance = cone
+        nearer = np.array([[*a, h] for a, h, d in all_cones if d < distance - 1e-6])
+        frame = frame_about(axis)
+        points, normals, scale, around = cast_rays(frame, half_angle, self._rays, self._lens)
+        reach = (INSIDE_PX[0], OUTSIDE_PX[1])
+        free = ways(frame, half_angle, scale, around, nearer.reshape(-1, 4), reach, self._margin_px)
+        part, corner = _cut(pixels, points)
+        return Sight(
+            part, points - corner, normals, around, free, half_angle, float(np.mean(scale))
+        )
+
+
+def _cut(pixels: Bytes, points: Floats) -> tuple[Bytes, Floats]:
+    """The part of a picture that rays across an outline (n, 2) touch, and its corner (2,) in px."""
+    reach = STEPS[-1] + _BORDER_PX
+    size = np.array(pixels.shape[1::-1])
+    low = np.clip(np.floor(points.min(axis=0) - reach), 0, size - 1).astype(int)
+    high = np.clip(np.ceil(points.max(axis=0) + reach), 1, size).astype(int)
+    part = np.ascontiguousarray(pixels[low[1] : high[1] + 1, low[0] : high[0] + 1])
+    return part, low.astype(np.float64)

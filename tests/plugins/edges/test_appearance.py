@@ -1,0 +1,100 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from measure.geometry import tangent_cone
+from measure.simulation import Renderer, scene_catalogue
+from measure_plugins._edges.appearance import GLOSSY, MATT, bent_table, first_appearance
+from measure_plugins._edges.learner import AppearanceLearner
+from measure_plugins._edges.lens import lens_row
+from measure_plugins._edges.tone import tone_table
+
+CAMERA = "cam1"
+TIMES_S = (0.0, 0.4)
+
+
+@pytest.fixture(scope="module")
+def learnt():
+    """What is learnt from two pictures of each scene by one camera."""
+    return {name: _learn(name) for name in ("still", "sharpened", "matt")}
+
+
+def _learn(name):
+    scene = scene_catalogue()[name]
+    renderer, camera = Renderer(scene, CAMERA), scene.camera(CAMERA)
+    learner = AppearanceLearner(lens_row(camera.intrinsics), 72, 7.0)
+    start = first_appearance("srgb")
+    shown = [
+        learner.shown(renderer.picture(time_s, k), _cones(scene, camera, time_s), [], start)
+        for k, time_s in enumerate(TIMES_S)
+    ]
+    assert shown[0] is None, "the first picture is only kept"
+    return shown[1]
+
+
+def _cones(scene, camera, time_s):
+    pose = scene.trajectory.at(np.array([time_s]))[0]
+    out = []
+    for ball in scene.body.balls:
+        center = camera.camera_from_world.apply(pose.apply(ball.center_mm))
+        cone = tangent_cone(center, ball.radius_mm)
+        out.append((cone.axis, cone.half_angle, float(np.linalg.norm(center))))
+    return out
+
+
+def test_a_standard_camera_and_glossy_balls_are_left_as_they_are(learnt):
+    assert learnt["still"].index == GLOSSY
+    assert np.all(np.abs(learnt["still"].bends) < 1e-6)
+    assert 0.8 < learnt["still"].blur_px < 1.3
+
+
+def test_a_bent_tone_curve_is_found(learnt):
+    true = _true_table("sharpened")
+    seen = slice(20, 160)  # the values that the balls before black cloth show
+    before, after = (
+        _off(table[seen], true[seen]) for table in (tone_table("srgb"), learnt["sharpened"].table())
+    )
+    assert learnt["sharpened"].index == GLOSSY
+    assert after < 0.5 * before
+
+
+def test_matt_paint_is_found(learnt):
+    assert learnt["matt"].index == MATT
+    assert np.all(np.abs(learnt["matt"].bends) < 1e-6)
+
+
+def _true_table(name):
+    """Light (256,) of each picture value of the scene's camera."""
+    from measure.simulation.sensor import tone_curve
+
+    levels = tone_curve(scene_catalogue()[name].sensor_of(CAMERA).tone)
+    return np.interp(np.arange(256), levels, np.linspace(0, 1, len(levels)))
+
+
+def _off(table, true):
+    """Relative RMS error of a table; its scale means nothing."""
+    scale = (table @ true) / (table @ table)
+    return np.sqrt(np.mean((np.log(scale * table + 1e-4) - np.log(true + 1e-4)) ** 2))
+
+
+@pytest.mark.parametrize("bends", [(0, 0, 0), (0.05, -0.1, 0.05), (-0.05, 0.1, -0.05), (0, 0, 0.3)])
+def test_tables_rise_from_0_to_1(bends):
+    table = bent_table("srgb", np.array(bends, dtype=float))
+    assert np.all(np.diff(table) >= 0)
+    assert table[255] == pytest.approx(1.0)
+    assert table[0] < 0.01
+    assert np.allclose(bent_table("srgb", np.zeros(3)), tone_table("srgb"), atol=1e-3)
+
+
+def test_too_few_balls_teach_nothing():
+    scene = replace(scene_catalogue()["still"], shown=("red",))
+    renderer, camera = Renderer(scene, CAMERA), scene.camera(CAMERA)
+    learner = AppearanceLearner(lens_row(camera.intrinsics), 72, 7.0)
+    start = first_appearance("srgb")
+    for k, time_s in enumerate(TIMES_S):
+        red = _cones(scene, camera, time_s)[scene.body.index("red")]
+        learnt = learner.shown(renderer.picture(time_s, k), [red], [], start)
+    assert learnt is start
