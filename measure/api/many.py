@@ -13,16 +13,15 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
 
 from measure.api.run import RunOptions, run
 from measure.errors import ConfigError, MeasureError
 from measure.host import Registry
+from measure.host.cluster import connected
 from measure.measuring import Profile
 from measure.results import Summary
 
 _ATTEMPTS = 3
-_CONNECT_S = 10.0
 
 Finished = Callable[[int, int | None], None]
 """Told how many recordings are finished, and of how many."""
@@ -198,7 +197,7 @@ def _cores() -> int:
 
 def _on_cluster(jobs: Sequence[_Job], address: str) -> Iterator[Outcome]:
     """By a dask scheduler, which gives a lost worker's task to another one."""
-    with _client(address) as (client, distributed):
+    with connected(address, "--cluster") as (client, distributed):
         waiting = {client.submit(_measure, job, pure=False): job for job in jobs}
         for future in distributed.as_completed(list(waiting), loop=client.loop):
             job = waiting[future]
@@ -208,24 +207,3 @@ def _on_cluster(jobs: Sequence[_Job], address: str) -> Iterator[Outcome]:
             else:
                 line = f"the cluster gave it up: {type(error).__name__}: {error}"
                 yield Outcome(job.session, job.run, error=" ".join(line.split()))
-
-
-@contextmanager
-def _client(address: str) -> Iterator[tuple[Any, Any]]:
-    try:
-        import distributed
-    except ImportError:
-        raise ConfigError(
-            "--cluster needs dask.distributed: pip install 'triball[cluster]'"
-        ) from None
-    try:
-        client = distributed.Client(address, timeout=_CONNECT_S, set_as_default=False)
-    except (OSError, ValueError, TypeError) as error:
-        reason = " ".join(str(error).split())
-        raise ConfigError(f"--cluster {address}: no scheduler answers there ({reason})") from error
-    try:
-        if not client.scheduler_info().get("workers"):
-            raise ConfigError(f"--cluster {address}: the scheduler has no workers; start some")
-        yield client, distributed
-    finally:
-        client.close()

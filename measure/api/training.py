@@ -123,10 +123,11 @@ def sweep(
 ) -> SweepState:
     """Help a sweep along until it has enough trials."""
     from measure.learning import sweeping
+    from measure.learning.study import read_space
 
     job = sweeping.SweepJob(str(data.resolve()), estimator, dict(settings), seed)
     return sweeping.sweep(
-        job, sweeping.read_space(space), journal, trials, scheduler=scheduler, report=report
+        job, read_space(space), journal, trials, scheduler=scheduler, report=report
     )
 
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from measure.arrays import Floats
 from measure.errors import EstimatorError
+from measure.host.onnx_seal import seal
 
 Value: TypeAlias = str  # the name of a tensor inside the graph
 
@@ -93,7 +94,7 @@ class Graph:
         outputs: Mapping[str, tuple[Value, tuple[int, ...]]],
         metadata: Mapping[str, Any],
     ) -> bytes:
-        """The finished model, checked.
+        """The finished model, checked and sealed.
 
         Args:
             inputs: names and widths of inputs (N, width).
@@ -120,4 +121,4 @@ class Graph:
         )
         helper.set_model_props(model, {key: json.dumps(text) for key, text in metadata.items()})
         self._onnx.checker.check_model(model)
-        return bytes(model.SerializeToString())
+        return seal(model.SerializeToString())

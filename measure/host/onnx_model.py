@@ -3,7 +3,7 @@
 The contract of the file. Inputs: `features` (N, F) a raw state; `memory` (N, S), zeros after a
 reset; `tick` (N, 1), one if slow memory shall advance. Outputs: `error_mm` (N, 3), `covariance`
 (N, 9), `strangeness` (N, 1), above one if unlike training; `memory_out` (N, S). Metadata, as JSON:
-`measure` (format, estimator, robot, features, period_s, memory) and `card`.
+`measure` (format, estimator, robot, features, period_s, memory) and `card`; last a checksum.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.host.dataset import Dataset
 from measure.host.estimator import Correction
+from measure.host.onnx_seal import is_intact
 from measure.robots import StateSchema
 
 FORMAT = 1
@@ -60,6 +61,10 @@ class OnnxModel:
         except Exception as error:  # onnxruntime has no common error class
             reason = str(error).strip().splitlines()[0]
             raise EstimatorError(f"{where}: not a usable ONNX file: {reason}") from None
+        if not is_intact(content):
+            raise EstimatorError(
+                f"{where}: damaged, its checksum does not match: copy it again, or train it again"
+            )
         if self.facts.get("format") != FORMAT:
             raise EstimatorError(
                 f"{where}: of format {self.facts.get('format')}, this version reads {FORMAT}: "

@@ -19,7 +19,7 @@ from measure.learning.scores import Evaluation, Score, evaluate
 from measure.learning.server import DEFAULT_ADDRESS, EstimateClient, EstimateServer
 from measure.learning.simulated import PAPER_MINUTES, PAPER_PAIRS, simulated_dataset
 from measure.learning.splits import Split, split_by_rows, split_by_trajectory
-from measure.learning.sweeping import SweepState
+from measure.learning.study import SweepState
 from measure.learning.training import Trained, same_robot, train
 
 __all__ = [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import math
 import socket
 import time
 from collections.abc import Callable
@@ -65,23 +66,28 @@ class EstimateServer:
             except TimeoutError:
                 data = b""
             if data:
-                self._socket.sendto(self._answer(data).pack(), sender)
+                self._socket.sendto(self.answer(data), sender)
             now = time.monotonic()
             if tell is not None and now - told >= tell_every_s:
                 told = now
                 tell(self)
 
-    def _answer(self, data: bytes) -> AnswerPacket:
+    def answer(self, data: bytes) -> bytes:
+        """The datagram that goes back for one that came in; how long it takes is kept."""
         begun = time.perf_counter()
+        packed = self._judged(data).pack()
+        self._durations[self._answered % len(self._durations)] = time.perf_counter() - begun
+        self._answered += 1
+        return packed
+
+    def _judged(self, data: bytes) -> AnswerPacket:
         packet = StatePacket.unpack(data)
         if packet is None:
             return AnswerPacket(0, float("nan"), self.guarded.refuse(Refusal.MALFORMED))
-        if not np.isfinite(packet.time_s):
+        if not math.isfinite(packet.time_s):
             reason = self.guarded.refuse(Refusal.NOT_A_NUMBER)
             return AnswerPacket(packet.sequence, packet.time_s, reason)
         answer = self.guarded.update(packet.state, packet.time_s, packet.sequence)
-        self._durations[self._answered % len(self._durations)] = time.perf_counter() - begun
-        self._answered += 1
         return AnswerPacket(packet.sequence, packet.time_s, answer)
 
     def latency_us(self) -> dict[str, float]:

@@ -7,10 +7,8 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Self
 
 import numpy as np
 import pytest
@@ -20,6 +18,7 @@ from measure.errors import ConfigError
 from measure.host import Registry
 from measure.results import read_run
 from measure.simulation import scene_catalogue, write_session
+from tests.dask_cluster import Cluster, wait_for
 
 SCRIPT = """
 import sys
@@ -95,7 +94,7 @@ def test_two_recordings_of_one_name_are_refused(tmp_path):
 
 
 def test_no_scheduler_is_said_in_one_line(tmp_path, monkeypatch):
-    monkeypatch.setattr("measure.api.many._CONNECT_S", 0.3)
+    monkeypatch.setattr("measure.host.cluster._CONNECT_S", 0.3)
     with pytest.raises(ConfigError, match=r"--cluster tcp://127\.0\.0\.1:9: no scheduler"):
         measure([tmp_path / "x"], tmp_path, cluster="tcp://127.0.0.1:9")
 
@@ -154,14 +153,6 @@ def test_a_killed_dask_worker_loses_no_recording(sessions, one_by_one, tmp_path)
     assert poses(out) == one_by_one
 
 
-def wait_for(done, process, timeout_s=120.0):
-    end = time.monotonic() + timeout_s
-    while not done():
-        assert process.poll() is None, "it ended before anything was measured"
-        assert time.monotonic() < end
-        time.sleep(0.02)
-
-
 def worker_of(parent: int) -> int:
     """The process id of one pool worker: a spawned child that is not the resource tracker."""
     children = Path(f"/proc/{parent}/task/{parent}/children").read_text().split()
@@ -170,62 +161,3 @@ def worker_of(parent: int) -> int:
         if any(b"spawn_main" in word for word in words):
             return child
     raise AssertionError("no worker")
-
-
-class Cluster:
-    """A dask scheduler and two single-threaded workers, each a process of its own."""
-
-    def __init__(self, folder: Path) -> None:
-        file = folder / "scheduler.json"
-        common = ["--scheduler-file", str(file), "--no-dashboard"]
-        self.scheduler = _start(
-            [
-                sys.executable,
-                "-m",
-                "distributed.cli.dask_scheduler",
-                *common,
-                "--port",
-                "0",
-                "--host",
-                "127.0.0.1",
-            ],
-            folder / "scheduler.log",
-        )
-        wait_for(file.exists, self.scheduler)
-        self.workers = [
-            _start(
-                [
-                    sys.executable,
-                    "-m",
-                    "distributed.cli.dask_worker",
-                    *common,
-                    "--nthreads",
-                    "1",
-                    "--no-nanny",
-                    "--local-directory",
-                    str(folder),
-                    "--host",
-                    "127.0.0.1",
-                ],
-                folder / f"worker{k}.log",
-            )
-            for k in range(2)
-        ]
-        self.address = json.loads(file.read_text())["address"]
-
-    def __enter__(self) -> Self:
-        from distributed import Client
-
-        with Client(self.address, set_as_default=False) as client:
-            client.wait_for_workers(2, timeout=60)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for process in (*self.workers, self.scheduler):
-            process.kill()
-            process.wait()
-
-
-def _start(command: list[str], log: Path) -> subprocess.Popen:
-    with log.open("wb") as out:
-        return subprocess.Popen(command, stdout=out, stderr=subprocess.STDOUT)

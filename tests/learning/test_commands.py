@@ -16,6 +16,7 @@ import pytest
 from measure.cli import main
 from measure.host import Dataset
 from measure.learning import files
+from tests.dask_cluster import Cluster, wait_for
 
 pytest.importorskip("torch", reason="training needs the extra 'train'")
 
@@ -113,6 +114,72 @@ def test_an_interrupted_training_resumes(data: Path, tmp_path: Path) -> None:
     )
 
 
+def test_files_that_do_not_fit_are_refused(
+    small: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each is one line that names the trouble, and exit code 2."""
+    from measure.robots import RobotLog, read_log, write_log
+    from measure.robots.simulator import simulate
+
+    run = simulate(8.0, 5, log_hz=50.0)
+    log, poses, metres = tmp_path / "log.csv", tmp_path / "poses.csv", tmp_path / "metres.csv"
+    write_log(log, RobotLog(small.schema, run.times_s + 1.5, run.states))
+    lines = log.read_text().splitlines()
+    lacking = lines[0].replace("tau_0", "tau_x").replace("jpos_1", "jpos_x")
+    (tmp_path / "lacking.csv").write_text("\n".join([lacking, *lines[1:]]))
+    for path, scale in ((poses, 1.0), (metres, 1e-3)):
+        table = np.column_stack([run.times_s, scale * run.world_from_tip.translation])
+        np.savetxt(path, table[::5], delimiter=",", header="time_s,x_mm,y_mm,z_mm", comments="")
+    good, other, data = tmp_path / "good.onnx", tmp_path / "other.onnx", tmp_path / "d.parquet"
+    files.write_dataset(data, small, [], "the small simulated data set")
+    words = ["train", str(data), "-o", str(good), "--estimator", "offset"]
+    assert main(words) == 0
+    assert len(read_log(log, small.schema).times_s) == len(run.times_s)
+    content = bytearray(good.read_bytes())
+    place = content.index(b"raven2-left")
+    content[place : place + 11] = b"raven2-lefT"
+    other.write_bytes(content)
+    out = str(tmp_path / "out.csv")
+    cases = [
+        (
+            ["dataset", str(poses), "--robot-log", str(tmp_path / "lacking.csv"), "-o", out],
+            "lacking.csv: lacks 2 of 119 columns: tau_0, jpos_1",
+        ),
+        (
+            ["estimate", str(good), "--input", str(tmp_path / "lacking.csv"), "--output", out],
+            "lacks 2 of 118 columns: tau_0, jpos_1",
+        ),
+        (
+            ["dataset", str(metres), "--robot-log", str(log), "-o", out],
+            "the measured positions look like metres",
+        ),
+        (
+            ["estimate", str(other), "--input", str(log), "--output", out],
+            "other.onnx: damaged, its checksum does not match",
+        ),
+        (
+            ["ablate", str(_other_robot(small, tmp_path)), str(good)],
+            "trained for robot 'raven2-left', not 'raven2-right'",
+        ),
+    ]
+    capsys.readouterr()
+    for words, reason in cases:
+        assert main(words) == 2, words
+        told = capsys.readouterr().err
+        assert reason in told
+        assert told.startswith("measure: ")
+        assert told.count("\n") == 1
+
+
+def _other_robot(small: Dataset, tmp_path: Path) -> Path:
+    from dataclasses import replace
+
+    path = tmp_path / "right.parquet"
+    schema = replace(small.schema, robot="raven2-right")
+    files.write_dataset(path, replace(small, schema=schema), [], "another robot")
+    return path
+
+
 SPACE = """
 [penalty]
 low = 1e-6
@@ -147,3 +214,39 @@ def test_a_killed_worker_loses_no_trial(data: Path, tmp_path: Path) -> None:
     assert len(scores) >= 8
     assert scores == sorted(scores)
     assert all(0 < score < 100 for score in scores)
+
+
+@pytest.mark.slow
+def test_a_killed_dask_worker_loses_no_trial(data: Path, tmp_path: Path) -> None:
+    pytest.importorskip("optuna", reason="a sweep needs the extra 'sweep'")
+    pytest.importorskip("distributed", reason="a scheduler needs the extra 'cluster'")
+    space, journal = tmp_path / "space.toml", tmp_path / "journal.log"
+    space.write_text(SPACE)
+    with Cluster(tmp_path) as cluster:
+        words = [sys.executable, "-m", "measure.cli", "sweep", str(data), str(space)]
+        words += ["--journal", str(journal), "--estimator", "ridge", "--trials", "12", "--json"]
+        words += ["--scheduler", cluster.address]
+        with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as runner:
+            wait_for(lambda: journal.exists() and '"op_code":6' in journal.read_text(), runner)
+            cluster.workers[0].send_signal(signal.SIGKILL)
+            printed, _ = runner.communicate(timeout=240)
+            assert runner.returncode == 0
+        assert cluster.workers[0].poll() == -signal.SIGKILL
+        assert cluster.workers[1].poll() is None
+    state = json.loads(printed)
+    assert (state["finished"], state["failed"], state["running"]) == (12, 0, 0)
+    assert all(0 < score < 100 for score, _ in state["best"])
+
+
+def test_a_scheduler_that_is_not_there_is_named(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("optuna", reason="a sweep needs the extra 'sweep'")
+    pytest.importorskip("distributed", reason="a scheduler needs the extra 'cluster'")
+    monkeypatch.setattr("measure.host.cluster._CONNECT_S", 0.3)
+    space = tmp_path / "space.toml"
+    space.write_text(SPACE)
+    words = ["sweep", str(data), str(space), "--journal", str(tmp_path / "journal.log")]
+    words += ["--estimator", "ridge", "--scheduler", "tcp://127.0.0.1:9"]
+    assert main(words) == 2
+    assert "--scheduler tcp://127.0.0.1:9: no scheduler answers there" in capsys.readouterr().err

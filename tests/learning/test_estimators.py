@@ -127,6 +127,11 @@ def test_bad_data_and_files_are_refused(
     path.write_bytes(content[: len(content) // 2])
     with pytest.raises(EstimatorError, match=r"model.onnx: not a usable ONNX file"):
         OnnxModel.load(path)
+    flipped = bytearray(content)
+    flipped[len(content) // 3] ^= 1
+    path.write_bytes(flipped)
+    with pytest.raises(EstimatorError, match=r"model.onnx: (damaged|not a usable ONNX file)"):
+        OnnxModel.load(path)
     path.write_bytes(b"")
     with pytest.raises(EstimatorError, match="not a usable ONNX file"):
         OnnxModel.load(path)

@@ -1,0 +1,197 @@
+"""A sweep's trials in an optuna journal: asked for, finished, given back by dead workers."""
+
+from __future__ import annotations
+
+import json
+import os
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from measure.errors import EstimatorError
+
+_LEAST_PATIENCE_S = 600.0
+
+
+class Range(BaseModel):
+    """What one setting may be: a list of choices, or numbers between two limits."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    choices: list[Any] | None = None
+    low: float | None = None
+    high: float | None = None
+    log: bool = False
+    integer: bool = False
+
+
+@dataclass(frozen=True)
+class SweepState:
+    """How far a sweep is: finished, failed, running, and the best trials as (mm, settings)."""
+
+    finished: int
+    failed: int
+    running: int
+    best: tuple[tuple[float, dict[str, Any]], ...]
+
+
+def read_space(path: Path) -> dict[str, Range]:
+    """Read a search space: a TOML table per setting.
+
+    Raises:
+        EstimatorError: missing, not TOML, or a table that makes no sense.
+    """
+    try:
+        tables = tomllib.loads(path.read_text())
+        return {name: Range.model_validate(table) for name, table in tables.items()}
+    except OSError:
+        raise EstimatorError(f"{path}: no such search space") from None
+    except (tomllib.TOMLDecodeError, ValidationError) as error:
+        raise EstimatorError(f"{path}: {' '.join(str(error).split())[:200]}") from None
+
+
+def sweep_state(study: Any) -> SweepState:
+    """Counts and the ten best trials."""
+    import optuna
+
+    states = optuna.trial.TrialState
+    trials = study.get_trials(deepcopy=False)
+    done = [t for t in trials if t.state == states.COMPLETE]
+    best = sorted(done, key=lambda t: t.value)[:10]
+    return SweepState(
+        len(done),
+        sum(t.state == states.FAIL for t in trials),
+        sum(t.state == states.RUNNING for t in trials),
+        tuple((float(t.value), _chosen(t.params)) for t in best),
+    )
+
+
+def _chosen(params: Mapping[str, Any]) -> dict[str, Any]:
+    """Parameters as settings: a choice is kept as JSON, for a list cannot be one of optuna's."""
+    return {k: json.loads(v) if isinstance(v, str) else v for k, v in params.items()}
+
+
+def open_study(journal: Path, identity: str) -> Any:
+    """The study in a journal, which is started if absent.
+
+    Raises:
+        EstimatorError: an extra is missing, or the journal is of another sweep.
+    """
+    try:
+        import optuna
+        from optuna.storages import JournalStorage
+        from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
+    except ImportError:
+        raise EstimatorError(
+            "a sweep needs the extra 'sweep': pip install 'triball[sweep]'"
+        ) from None
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    journal.parent.mkdir(parents=True, exist_ok=True)
+    storage = JournalStorage(
+        JournalFileBackend(str(journal), lock_obj=JournalFileOpenLock(str(journal)))
+    )
+    study = optuna.create_study(
+        study_name="sweep",
+        storage=storage,
+        load_if_exists=True,
+        sampler=optuna.samplers.TPESampler(constant_liar=True),
+    )
+    written = study.user_attrs.get("job")
+    if written is None:
+        study.set_user_attr("job", identity)
+    elif written != identity:
+        raise EstimatorError(f"{journal}: belongs to another sweep ({written}): use another file")
+    return study
+
+
+def ask(study: Any, space: Mapping[str, Range]) -> tuple[Any, dict[str, Any]]:
+    """The next trial, marked as this process's, and its settings."""
+    trial = study.ask()
+    trial.set_user_attr("worker", f"{os.uname().nodename}:{os.getpid()}")
+    return trial, _suggest(trial, space)
+
+
+def _suggest(trial: Any, space: Mapping[str, Range]) -> dict[str, Any]:
+    out: dict[str, Any] = {}
+    for name, range_ in space.items():
+        if range_.choices is not None:
+            text = trial.suggest_categorical(name, [json.dumps(c) for c in range_.choices])
+            out[name] = json.loads(text)
+        elif range_.low is None or range_.high is None:
+            raise EstimatorError(f"'{name}': give choices, or low and high")
+        elif range_.integer:
+            out[name] = trial.suggest_int(name, int(range_.low), int(range_.high), log=range_.log)
+        else:
+            out[name] = trial.suggest_float(name, range_.low, range_.high, log=range_.log)
+    return out
+
+
+def finish(study: Any, trial: Any, work: Callable[[], float]) -> None:
+    """Do a trial's work and tell its score; settings that cannot be fitted fail."""
+    try:
+        value = work()
+    except EstimatorError:
+        raise
+    except (ArithmeticError, ValueError, RuntimeError) as error:
+        fail(study, trial, str(error))
+        return
+    if np.isfinite(value):
+        study.tell(trial, value)
+    else:
+        fail(study, trial, "the score is not a number")
+
+
+def fail(study: Any, trial: Any, reason: str) -> None:
+    """Close a trial without a score; it is not tried again."""
+    import optuna
+
+    trial.set_user_attr("error", reason[:300])
+    study.tell(trial, state=optuna.trial.TrialState.FAIL)
+
+
+def requeue_dead(study: Any) -> None:
+    """Give back what dead workers were trying: their settings are queued for the next worker."""
+    import optuna
+
+    trials = study.get_trials(deepcopy=False)
+    took = [t.duration.total_seconds() for t in trials if t.duration is not None]
+    patience_s = max(_LEAST_PATIENCE_S, 10.0 * max(took, default=0.0))
+    for trial in trials:
+        if trial.state != optuna.trial.TrialState.RUNNING or not _abandoned(trial, patience_s):
+            continue
+        try:
+            study.tell(trial.number, state=optuna.trial.TrialState.FAIL)
+        except (ValueError, RuntimeError):
+            continue  # another worker was faster
+        study.enqueue_trial(trial.params)
+
+
+def _abandoned(trial: Any, patience_s: float) -> bool:
+    """A worker of this machine is known to be gone; one of another is given up after a while."""
+    host, _, pid = trial.user_attrs.get("worker", "").rpartition(":")
+    if host == os.uname().nodename:
+        return not _alive(int(pid))
+    return bool((datetime.now() - trial.datetime_start).total_seconds() > patience_s)
+
+
+def queued(study: Any) -> bool:
+    """Whether settings wait to be tried again."""
+    import optuna
+
+    return any(t.state == optuna.trial.TrialState.WAITING for t in study.get_trials(deepcopy=False))
+
+
+def _alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True
