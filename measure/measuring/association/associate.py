@@ -229,10 +229,14 @@ def _refined(
     settings = search.settings
     by_name = {camera.name: camera for camera in search.cameras}
     covariance = np.eye(6)
+    before: list[Detection] = []
     for _ in range(_ROUNDS):
         chosen = search.chosen(agreeing, row)
         if len(chosen) < settings.min_views:
             return None
+        if [id(d) for d in chosen] == [id(d) for d in before]:
+            break
+        before = chosen
         time_s = float(np.mean([d.time_s for d in chosen]))
         try:
             seen = Sightings.of(chosen, search.body, by_name, time_s, settings.extra_px)

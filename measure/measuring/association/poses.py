@@ -11,7 +11,7 @@ import numpy as np
 from measure.arrays import Floats, Ints
 from measure.geometry import RigidTransform
 from measure.measuring.association.points import BallPoints, Candidates
-from measure.model import Body, Camera
+from measure.model import Body, Camera, Rig
 
 _MOST_POSES = 400
 _SLACK_MM = 1.0
@@ -85,10 +85,11 @@ def support(
     """Compare the balls of m poses, projected, with the candidates: in place and in size."""
     m = len(poses.translation)
     centers = np.einsum("mij,kj->mki", poses.rotation, body.centers) + poses.translation[:, None]
+    everywhere = _projected(centers.reshape(-1, 3), cameras)
     chosen = np.full((m, len(body.balls), len(cameras)), -1, np.int64)
     expected, score = np.zeros(m, np.int64), np.zeros(m)
     for number, camera in enumerate(cameras):
-        pixels = camera.project(centers.reshape(-1, 3)).reshape(m, len(body.balls), 2)
+        pixels = everywhere[number].reshape(m, len(body.balls), 2)
         distances = np.linalg.norm(centers - camera.center, axis=2)
         expected += camera.intrinsics.contains(pixels).sum(axis=1)
         for ball, candidate in enumerate(candidates):
@@ -108,6 +109,13 @@ def support(
             chosen[agrees, ball, number] = rows[best[agrees]]
             score += np.where(agrees, 1 - least**2, 0.0)
     return Support(chosen, expected, score)
+
+
+def _projected(points: Floats, cameras: Sequence[Camera]) -> Floats:
+    """Pixels (cameras, n, 2) of points (n, 3), all cameras in one go."""
+    rig = Rig.of(cameras).take(np.repeat(np.arange(len(cameras)), len(points)))
+    pixels, _ = rig.project(np.tile(points, (len(cameras), 1)))
+    return pixels.reshape(len(cameras), len(points), 2)
 
 
 def _fitting_rows(

@@ -14,8 +14,11 @@ from measure_plugins._acquisition.circles import circles_along, finish
 from measure_plugins._acquisition.color_table import classify, color_table
 
 _REDUCED_WIDTH = 320
+_ONE = np.eye(2)
 _SD_REDUCED_PX = 0.8
 _FULL_ARC = 0.7
+_LEAST_BORDER = 10
+"""Specks with a shorter border, in reduced pixels, show too little of any circle."""
 _PLAIN = 0.6
 """A circle seen more than this is a ball: what lies inside it is part of it."""
 
@@ -80,11 +83,12 @@ def _circles(bits: Bytes, bit: int, step: int, height: int, config: AcquisitionS
     largest = config.max_radius_share * height / step
     mask = cv2.medianBlur(bits & bit, 3)
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    borders = [contour[:, 0] for contour in contours if len(contour) >= _LEAST_BORDER]
     best = np.zeros((config.max_candidates, 4))
-    for contour in contours:
-        border = contour.reshape(-1, 2)
-        if len(border) >= 2 * smallest:
-            circles_along(border, mask, smallest, largest, config.min_seen, best)
+    if borders:
+        ends = np.cumsum([len(border) for border in borders])
+        joined = np.concatenate(borders)
+        circles_along(joined, ends, mask, smallest, largest, config.min_seen, best)
     circles = finish(mask, best[best[:, 3] > 0], smallest, largest, config.min_filled)
     circles = _distinct(circles[np.argsort(-_scores(circles), kind="stable")])
     scale = np.array([step, step, step, 1.0, 1.0])
@@ -121,7 +125,7 @@ def _detection(ball: str, camera: str, time_s: float, circle: Floats, step: int)
         time_s=time_s,
         center_px=np.array([x, y]),
         radius_px=float(radius),
-        covariance_px=sd**2 * np.eye(2),
+        covariance_px=sd**2 * _ONE,
         score=float(min(1.0, seen / 0.9) * np.sqrt(filled)),
         color_match=float(filled),
     )

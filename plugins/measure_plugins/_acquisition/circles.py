@@ -25,23 +25,35 @@ _SPANS = (3, 5, 8, 13, 21, 34, 55)
 
 @njit(cache=True)
 def circles_along(
-    border: Ints,
+    borders: Ints,
+    ends: Ints,
     mask: Bytes,
     smallest: float,
     largest: float,
     least: float,
     best: Floats,
 ) -> None:
-    """Look for circles along the border of one patch, and keep the best ones found so far.
+    """Look for circles along the borders of patches, and keep the best ones.
 
     Args:
-        border: (n, 2) pixels x, y along the patch's border, in order.
+        borders: (n, 2) pixels x, y along the border of one patch after the other, each in order.
+        ends: (patches,) the row after each patch's last.
         mask: (h, w), not zero where the picture has the colour.
         smallest: least radius in reduced pixels.
         largest: greatest radius in reduced pixels.
         least: least share of a circle that must be seen.
         best: (k, 4) centre x, y, radius, share seen (0: free row); changed in place.
     """
+    start = 0
+    for end in ends:
+        _along_one(borders[start:end], mask, smallest, largest, least, best)
+        start = end
+
+
+@njit(cache=True)
+def _along_one(
+    border: Ints, mask: Bytes, smallest: float, largest: float, least: float, best: Floats
+) -> None:
     n = len(border)
     for span in _SPANS:
         if 2 * span >= n + span:
@@ -54,8 +66,9 @@ def circles_along(
                 continue
             if not (_parts(mask, a, x, y) and _parts(mask, b, x, y) and _parts(mask, c, x, y)):
                 continue
-            seen = _share_seen(mask, x, y, r)
-            if seen >= max(least, _LEAST_ARC / r):
+            needed = max(least, _LEAST_ARC / r)
+            seen = _share_seen(mask, x, y, r, needed)
+            if seen >= needed:
                 _keep(best, x, y, r, seen)
 
 
@@ -156,9 +169,12 @@ def _parts(mask: Bytes, point: Ints, x: float, y: float) -> bool:
 
 
 @njit(cache=True)
-def _share_seen(mask: Bytes, x: float, y: float, r: float) -> float:
+def _share_seen(mask: Bytes, x: float, y: float, r: float, needed: float) -> float:
+    """Share of a circle that parts colour from other; given up once it cannot reach `needed`."""
     hits = 0
     for k in range(_ANGLES):
+        if hits + _ANGLES - k < needed * _ANGLES:
+            return 0.0
         c, s = _COSINES[k], _SINES[k]
         if _at(mask, x + (r + _REACH) * c, y + (r + _REACH) * s) == 0:
             hits += _at(mask, x + (r - _REACH) * c, y + (r - _REACH) * s) == 1

@@ -211,7 +211,10 @@ class OutlineDetector(Detector):
                 float(np.arcsin(radius / distance)),
                 distance,
             )
-        axis = self.camera.intrinsics.unproject(expectation.center_px[None])[0]
+        from measure_plugins._edges.lens import bearing_and_slopes
+
+        axis = np.empty(3)
+        bearing_and_slopes(expectation.center_px, self._lens, 0.0, 0.0, axis, np.empty(6))
         half_angle = float(np.mean(expectation.radius_px)) / self.camera.intrinsics.focal_px
         return axis, half_angle, radius / float(np.sin(half_angle))
 
