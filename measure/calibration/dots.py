@@ -1,10 +1,11 @@
-"""Sub-pixel places of bright dots and balls, and of crosses.
+"""Sub-pixel places of bright dots and balls.
 
 A marker head is a small shaded ball: its centroid lies a pixel or two towards the light, and its
 dark side fades into the background. So the whole picture of a shaded ball is fitted: intensity
 a + b . n over its disc (n the surface normal; light from all sides plus light from one), blurred
 by the lens, on a flat background, in linear light, with a robust loss because the post hides a
-part. A flat printed dot is the case b = 0.
+part. A flat printed dot is the case b = 0. A ball's outline is an ellipse away from the middle
+of the image.
 """
 
 from __future__ import annotations
@@ -14,16 +15,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from measure.arrays import Bytes, Floats
+from measure.arrays import Floats
+from measure.calibration.pattern_fit import BLUR_PX, SUPERSAMPLING, fit_pattern
 from measure.model import Intrinsics
 
-_BLUR_PX = 0.8
-"""Optics and colour mosaic together; the fits of recorded dots are best about here."""
-_SUPERSAMPLING = 3
-_ITERATIONS = 25
-_NUDGE_PX = 0.1
 _NOISE_FLOOR = 0.1
-_TUKEY = 4.7
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,13 +35,6 @@ class Dot:
     center_px: Floats
     radius_px: float
     misfit: float
-
-
-def linear_light(bgr: Bytes) -> Floats:
-    """Luminance (h, w), 0 to 1, proportional to light (sRGB's curve undone)."""
-    code = np.arange(256) / 255.0
-    curve = np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
-    return curve[bgr] @ np.array([0.0722, 0.7152, 0.2126])
 
 
 def dot_candidates(light: Floats, radius_px: tuple[float, float] = (1.5, 25.0)) -> list[Dot]:
@@ -108,70 +97,25 @@ def refine_dot(light: Floats, dot: Dot, shape: Floats | None = None) -> Dot | No
     root = near / np.sqrt(np.maximum(values, 0) + _NOISE_FLOOR)
     shape = np.eye(2) if shape is None else shape
     start = np.array([*(dot.center_px - [u, v]), dot.radius_px])
-    unknowns, misfit = _fit(values, root, start, shape)
+    side = 2 * half + 1
+    fit = fit_pattern(
+        values, root, start, lambda here: _basis(here, side, shape), np.array([-half, -half, 0.7])
+    )
+    unknowns = fit.unknowns
     moved = float(np.linalg.norm(unknowns[:2] - start[:2]))
     if moved > 1.5 * dot.radius_px + 1 or not 0.4 < unknowns[2] / dot.radius_px < 2.5:
         return None
-    return Dot(unknowns[:2] + np.array([u, v]), float(unknowns[2]), misfit)
-
-
-def _fit(values: Floats, root: Floats, start: Floats, shape: Floats) -> tuple[Floats, float]:
-    """Gauss-Newton over (x, y, radius); shading and background follow linearly."""
-    half = (int(np.sqrt(len(values))) - 1) // 2
-    unknowns, robust, misfit = start, np.ones_like(values), np.inf
-    for _ in range(_ITERATIONS):
-        weights = root**2 * robust
-        step = _step(values, weights, unknowns, shape)
-        unknowns = np.maximum(unknowns + step, [-half, -half, 0.7])
-        whitened = (_residuals(values, weights, unknowns, shape) * root)[root > 0]
-        misfit = 1.4826 * float(np.median(np.abs(whitened))) + 1e-4
-        t = np.zeros_like(values)
-        t[root > 0] = np.minimum(np.abs(whitened) / (_TUKEY * misfit), 1)
-        robust = (1 - t**2) ** 2
-        if np.abs(step).max() < 2e-3:
-            break
-    return unknowns, misfit
-
-
-def _step(values: Floats, weights: Floats, unknowns: Floats, shape: Floats) -> Floats:
-    """A damped Gauss-Newton step (3,), at most 0.7 px."""
-    residuals = _residuals(values, weights, unknowns, shape)
-    columns = []
-    for nudge in np.eye(3) * _NUDGE_PX:
-        before = _residuals(values, weights, unknowns - nudge, shape)
-        after = _residuals(values, weights, unknowns + nudge, shape)
-        columns.append((before - after) / (2 * _NUDGE_PX))
-    jacobian = np.column_stack(columns)
-    weighted = (jacobian * weights[:, None]).T
-    normal = weighted @ jacobian
-    normal[np.diag_indices(3)] *= 1.001
-    step = np.linalg.lstsq(normal, weighted @ residuals, rcond=None)[0]
-    return np.asarray(step * min(1.0, 0.7 / max(float(np.abs(step).max()), 1e-9)))
-
-
-def _residuals(values: Floats, weights: Floats, unknowns: Floats, shape: Floats) -> Floats:
-    basis = _basis(unknowns, int(np.sqrt(len(values))), shape)
-    root = np.sqrt(weights)
-    amounts = np.linalg.lstsq(basis * root[:, None], values * root, rcond=None)[0]
-    return values - basis @ amounts
+    return Dot(unknowns[:2] + np.array([u, v]), float(unknowns[2]), fit.misfit)
 
 
 def _basis(unknowns: Floats, side: int, shape: Floats) -> Floats:
     """Blurred pictures (pixels, 5) of the disc, of the normal's components on it, and of 1."""
-    grid = (np.arange(side * _SUPERSAMPLING) + 0.5) / _SUPERSAMPLING - side / 2
+    grid = (np.arange(side * SUPERSAMPLING) + 0.5) / SUPERSAMPLING - side / 2
     offsets = np.stack(np.meshgrid(grid - unknowns[0], grid - unknowns[1]))
     x, y = np.einsum("ij,jvu->ivu", shape, offsets) / unknowns[2]
     disc = (x**2 + y**2 < 1).astype(np.float64)
     depth = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
     layers = np.dstack([disc, x * disc, y * disc, depth])
-    blurred = cv2.GaussianBlur(layers, (0, 0), _BLUR_PX * _SUPERSAMPLING)
+    blurred = cv2.GaussianBlur(layers, (0, 0), BLUR_PX * SUPERSAMPLING)
     small = cv2.resize(blurred, (side, side), interpolation=cv2.INTER_AREA)
     return np.column_stack([small.reshape(-1, 4), np.ones(side * side)])
-
-
-def refine_cross(light: Floats, place: Floats, half: int = 6) -> Floats:
-    """Centre (2,) of a cross or saddle near `place`, by the gradient rule of board corners."""
-    gray = np.asarray(light / max(float(light.max()), 1e-9), dtype=np.float32)
-    start = np.asarray(place, dtype=np.float32).reshape(1, 1, 2)
-    refined = cv2.cornerSubPix(gray, start, (half, half), (-1, -1), (3, 50, 1e-3))
-    return np.asarray(refined, dtype=np.float64).reshape(2)

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from measure.arrays import Bytes, Floats, Ints
-from measure.calibration.dots import (
-    Dot,
-    dot_candidates,
-    linear_light,
-    outline_shape,
-    refine_cross,
-    refine_dot,
-)
+from measure.calibration.crosses import Cross, cross_candidates, refine_cross
+from measure.calibration.dots import Dot, dot_candidates, outline_shape, refine_dot
 from measure.calibration.extrinsics import fit_rig
+from measure.calibration.pattern_fit import linear_light
 from measure.calibration.sights import MarkSight, Sights, Tolerances
 from measure.calibration.targets import MarkerField
 from measure.errors import CalibrationError
@@ -24,6 +20,8 @@ from measure.model import Camera
 
 MarkerKind = Literal["dot", "cross"]
 
+_SINGULARS: dict[MarkerKind, str] = {"dot": "bright dot", "cross": "cross"}
+_PLURALS: dict[MarkerKind, str] = {"dot": "bright dots", "cross": "crosses"}
 _FIRST_REACH_PX = 40.0
 _LAST_REACH_PX = 4.0
 _ROUNDS = 6
@@ -63,25 +61,26 @@ def find_markers(
     Raises:
         CalibrationError: too few markers fit the pose.
     """
-    light = linear_light(bgr)
-    candidates = dot_candidates(light)
+    light, plural = linear_light(bgr), _PLURALS[kind]
+    candidates: list[Dot] | list[Cross]
+    candidates = dot_candidates(light) if kind == "dot" else cross_candidates(light)
     if len(candidates) < _MIN_MARKERS:
         raise CalibrationError(
-            f"camera {camera.name}: {len(candidates)} bright dots in the marker picture, at least "
+            f"camera {camera.name}: {len(candidates)} {plural} in the marker picture, at least "
             f"{_MIN_MARKERS} are needed; mark them by hand in marks.csv"
         )
-    rough = np.stack([dot.center_px for dot in candidates])
+    rough = np.stack([candidate.center_px for candidate in candidates])
     for reach in np.geomspace(_FIRST_REACH_PX, _LAST_REACH_PX, _ROUNDS):
         ids, numbers = assign(camera.project(markers.points), rough, float(reach))
         if len(ids) < _MIN_MARKERS:
             raise CalibrationError(
-                f"camera {camera.name}: only {len(ids)} bright dots lie within {reach:.0f} "
-                "px of where "
-                "the board's pose puts the markers; are board and markers in the same world, is "
-                "the picture mirrored? (or mark them by hand in marks.csv)"
+                f"camera {camera.name}: only {len(ids)} {plural} lie within {reach:.0f} px of "
+                "where the board's pose puts the markers; are board and markers in the same "
+                "world, is the picture mirrored? (or mark them by hand in marks.csv)"
             )
         camera = _located(camera, markers, ids, rough[numbers])
-    return _refined(light, camera, markers, ids, [candidates[i] for i in numbers], kind)
+    chosen = {markers.names[i]: candidates[n] for i, n in zip(ids, numbers, strict=True)}
+    return _refined(light, camera, markers, chosen, kind)
 
 
 def assign(predicted: Floats, found: Floats, reach_px: float) -> tuple[Ints, Ints]:
@@ -118,31 +117,42 @@ def _refined(
     light: Floats,
     camera: Camera,
     markers: MarkerField,
-    ids: Ints,
-    dots: list[Dot],
+    chosen: Mapping[str, Dot | Cross],
     kind: MarkerKind,
 ) -> FoundMarkers:
-    marks: dict[str, Floats] = {}
+    places: dict[str, Floats] = {}
+    radii: dict[str, float] = {}
     doubtful: dict[str, str] = {}
-    sizes: dict[str, float] = {}
-    distance = np.linalg.norm(markers.points - camera.center, axis=1)
-    for number, dot in zip(ids, dots, strict=True):
-        name = markers.names[number]
-        shape = outline_shape(camera.intrinsics, dot.center_px)
-        fitted = refine_dot(light, dot, shape)
-        if fitted is None:
-            doubtful[name] = "its picture is not that of a bright dot"
-            continue
-        marks[name] = fitted.center_px if kind == "dot" else refine_cross(light, dot.center_px)
-        sizes[name] = fitted.radius_px * float(distance[number])
-    usual = float(np.median(list(sizes.values()))) if sizes else 1.0
-    for name, size in sizes.items():
-        if not 1 / _SIZE_RATIO < size / usual < _SIZE_RATIO:
-            doubtful[name] = f"its size is {size / usual:.2f} times that of the other markers"
-            del marks[name]
+    for name, rough in chosen.items():
+        if isinstance(rough, Dot):
+            shape = outline_shape(camera.intrinsics, rough.center_px)
+            dot = refine_dot(light, rough, shape)
+            if dot is not None:
+                places[name], radii[name] = dot.center_px, dot.radius_px
+        else:
+            cross = refine_cross(light, rough)
+            if cross is not None:
+                places[name] = cross.center_px
+        if name not in places:
+            doubtful[name] = f"its picture is not that of a {_SINGULARS[kind]}"
+    doubtful |= _wrong_sizes(camera, markers, radii)
+    marks = {name: place for name, place in places.items() if name not in doubtful}
     visible = camera.intrinsics.contains(camera.project(markers.points), 5.0)
     for number, name in enumerate(markers.names):
         if visible[number] and name not in marks and name not in doubtful:
-            doubtful[name] = "no bright dot near its place"
-    radii = {n: s / float(distance[markers.index(n)]) for n, s in sizes.items() if n in marks}
-    return FoundMarkers(marks, doubtful, radii)
+            doubtful[name] = f"no {_SINGULARS[kind]} near its place"
+    return FoundMarkers(marks, doubtful, {n: r for n, r in radii.items() if n in marks})
+
+
+def _wrong_sizes(
+    camera: Camera, markers: MarkerField, radius_px: Mapping[str, float]
+) -> dict[str, str]:
+    """Dots that are larger or smaller than the others at their distances, with the reason."""
+    distance = np.linalg.norm(markers.points - camera.center, axis=1)
+    sizes = {name: r * float(distance[markers.index(name)]) for name, r in radius_px.items()}
+    usual = float(np.median(list(sizes.values()))) if sizes else 1.0
+    return {
+        name: f"its size is {size / usual:.2f} times that of the other markers"
+        for name, size in sizes.items()
+        if not 1 / _SIZE_RATIO < size / usual < _SIZE_RATIO
+    }
