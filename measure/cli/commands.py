@@ -25,7 +25,10 @@ class Command:
 
 GROUPS: dict[str, tuple[Command, ...]] = {
     "First steps": (
-        Command("demo", "Render a short session, measure it, and compare with the exact truth."),
+        Command(
+            "demo",
+            "Render a session, measure it, compare with the truth; correct a simulated robot.",
+        ),
     ),
     "Set up": (
         Command("target", "Draw a printable board, marker field or body."),

@@ -24,7 +24,7 @@ def demo(
     json: JsonFlag = False,
     registry: InjectedRegistry,
 ) -> None:
-    """Render a short session, measure it, compare with the truth; correct a simulated robot.
+    """Render a session, measure it, compare with the truth; correct a simulated robot.
 
     Four webcams look at three balls that move. The pictures have lens distortion, blur, a colour
     mosaic, noise and JPEG artefacts; where the balls really were is known exactly. Then the second
