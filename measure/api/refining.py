@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from measure.arrays import Floats
-from measure.calibration import Refinement, RefineSettings
 from measure.host import Registry
 from measure.session import Calibration, read_calibration
 
+if TYPE_CHECKING:
+    from measure.calibration import RefinedRig, RefineSettings
+    from measure.measuring import Measurement, Profile
+    from measure.session import Session
+
+_log = logging.getLogger(__name__)
+
 LOOSE_WORLD = (
-    "the first calibration does not say how its cameras' errors hang together, so the world frame "
-    "may have moved while the cameras were sharpened against each other: do not trust absolute "
-    "positions to better than that calibration's; `measure calibrate` with its default method says"
+    "the first calibration does not say how its cameras' errors hang together (`measure calibrate` "
+    "with its default method does), so the world frame may have moved a little while the cameras "
+    "were sharpened against each other: do not trust absolute positions beyond that calibration's"
 )
 
 
@@ -26,15 +34,12 @@ class RefineResult:
 
     Attributes:
         calibration: the refined cameras.
-        refinement: residuals, clocks, ball centres.
-        expected_mm: error of the body's position expected from the calibration alone, before and
-            after, as the covariances have it; NaN where there was none before.
+        rig: residuals, clocks, ball centres, verdict.
         notes: reasons to doubt it, in words.
     """
 
     calibration: Calibration
-    refinement: Refinement
-    expected_mm: tuple[float, float]
+    rig: RefinedRig
     notes: tuple[str, ...] = ()
 
 
@@ -57,36 +62,42 @@ def refine(
         progress: told how many frame sets are measured, and of how many.
 
     Raises:
-        CalibrationError: too little motion, or nothing to hold on to.
+        CalibrationError: too little motion, or a result that is worse than the first calibration.
         SessionError, PluginError, ConfigError: as when measuring.
     """
-    from measure.api.measuring import measure_session
     from measure.api.profiles import load_profile
-    from measure.calibration import body_pose_sd, recording_of, refine_rig
-    from measure.measuring import Measurement
+    from measure.calibration import refine_measured, rough_cameras
     from measure.session import open_session
 
-    measured: list[Measurement] = []
+    chosen = load_profile(profile)
     with open_session(session, calibration=calibration) as opened:
-        for _, measurement in measure_session(opened, load_profile(profile), registry):
-            measured.append(measurement)
-            if progress is not None:
-                progress(len(measured), None)
-        recording = recording_of(measured, opened.body)
         joint = _joint_covariance(opened.calibration_path)
-        refinement = refine_rig(opened.cameras, opened.body, recording, settings, joint)
-        picked = np.unique(np.linspace(0, len(recording.times_s) - 1, 20).astype(int))
-        poses = [recording.world_from_body[int(i)] for i in picked]
-        before, _ = body_pose_sd(opened.cameras, opened.body, poses)
-        after, _ = body_pose_sd(
-            refinement.cameras, opened.body, poses, refinement.covariance, refinement.columns
-        )
-        known = all(camera.pose_covariance is not None for camera in opened.cameras)
-    first = float(np.sqrt(np.mean(before**2))) if known else float("nan")
-    expected = (first, float(np.sqrt(np.mean(after**2))))
-    notes = () if joint is not None else (LOOSE_WORLD,)
-    values = _provenance(str(session), refinement, expected) | {"notes": list(notes)}
-    return RefineResult(Calibration(refinement.cameras, values), refinement, expected, notes)
+        given = (opened.cameras, opened.body)
+        measured = _measure(opened, chosen, registry, progress)
+        rough = rough_cameras(*given, measured, settings, joint)
+        if rough is not None:
+            _log.warning("the cameras disagree much: measuring again with roughly refined ones")
+            measured = _measure(replace(opened, cameras=rough), chosen, registry, progress)
+        rig = refine_measured(*given, measured, settings, joint)
+    notes = rig.verdict.notes + (() if rig.refinement.world_held else (LOOSE_WORLD,))
+    values = _provenance(str(session), rig) | {"notes": list(notes)}
+    return RefineResult(Calibration(rig.refinement.cameras, values), rig, notes)
+
+
+def _measure(
+    opened: Session,
+    profile: Profile,
+    registry: Registry,
+    progress: Callable[[int, int | None], None] | None,
+) -> list[Measurement]:
+    from measure.api.measuring import measure_session
+
+    measured = []
+    for _, measurement in measure_session(opened, profile, registry):
+        measured.append(measurement)
+        if progress is not None:
+            progress(len(measured), None)
+    return measured
 
 
 def _joint_covariance(path: Path) -> Floats | None:
@@ -95,17 +106,22 @@ def _joint_covariance(path: Path) -> Floats | None:
     return None if values is None else np.asarray(values, dtype=np.float64)
 
 
-def _provenance(
-    session: str, refinement: Refinement, expected_mm: tuple[float, float]
-) -> dict[str, object]:
+def _provenance(session: str, rig: RefinedRig) -> dict[str, object]:
+    refinement, verdict = rig.refinement, rig.verdict
+    clocks = {c.camera: c for c in rig.clocks if np.isfinite(c.offset_sd_s)}
     return {
         "refined_from": session,
         "frame_sets": refinement.frames,
-        "clock_offsets_s": refinement.clock_offsets_s,
-        "clock_sds_s": refinement.clock_sds_s,
+        "clock_offsets_s": {name: clock.offset_s for name, clock in clocks.items()},
+        "clock_sds_s": {name: clock.offset_sd_s for name, clock in clocks.items()},
+        "clocks_applied": rig.clocks_applied,
         "ball_centers_mm": refinement.centers,
         "ball_center_sds_mm": refinement.center_sds,
-        "noise_factor": refinement.noise_factor,
-        "body_position_sd_mm": expected_mm[1],
+        "view_scatter_px": refinement.scatter.view_px,
+        "constant_scatter_px": refinement.scatter.constant_px,
+        "camera_position_sd_mm": list(verdict.camera_sd_mm),
+        "held_out_px": list(verdict.held_out_px),
+        "surprise": verdict.surprise,
+        "body_position_sd_mm": list(verdict.body_sd_mm),
         "joint_covariance": refinement.covariance,
     }

@@ -8,11 +8,20 @@ from measure.calibration.extrinsics import RigFit, fit_rig
 from measure.calibration.intrinsics import LensCalibration, calibrate_lens
 from measure.calibration.judgement import Finding, Workspace, body_cost, body_pose_sd, paper_body
 from measure.calibration.markers import find_markers
-from measure.calibration.motion import recording_of
 from measure.calibration.paper import fit_rig_by_paper
 from measure.calibration.printing import target_sheet
 from measure.calibration.procedure import Method, RigCalibration, calibrate_capture
-from measure.calibration.refine import Refinement, RefineSettings, refine_rig
+from measure.calibration.refining import (
+    RefinedRig,
+    Refinement,
+    RefineSettings,
+    RefineVerdict,
+    judge_refinement,
+    recording_of,
+    refine_measured,
+    refine_rig,
+    rough_cameras,
+)
 from measure.calibration.sights import Sights, Tolerances
 from measure.calibration.targets import MarkerField, read_board, read_markers
 from measure.calibration.verdict import Verdict, judge, judgement_lines, provenance
@@ -29,6 +38,8 @@ __all__ = [
     "MarkerField",
     "Method",
     "RefineSettings",
+    "RefineVerdict",
+    "RefinedRig",
     "Refinement",
     "RigCalibration",
     "RigFit",
@@ -48,6 +59,7 @@ __all__ = [
     "fit_rig",
     "fit_rig_by_paper",
     "judge",
+    "judge_refinement",
     "judgement_lines",
     "open_capture",
     "paper_body",
@@ -55,7 +67,9 @@ __all__ = [
     "read_board",
     "read_markers",
     "recording_of",
+    "refine_measured",
     "refine_rig",
+    "rough_cameras",
     "target_sheet",
     "write_sheet",
 ]

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 from cyclopts import Parameter
 
 from measure.cli import console
 from measure.cli.console import JsonFlag
 from measure.cli.injected import InjectedRegistry
+
+if TYPE_CHECKING:
+    from measure.api import RefineResult
+    from measure.measuring.clocks import CameraClock
 
 
 def refine(
@@ -20,7 +25,6 @@ def refine(
     profile: str = "precise",
     calibration: Path | None = None,
     body_tolerance_mm: float = 0.05,
-    clock_tolerance_s: float = 0.02,
     json: JsonFlag = False,
     registry: InjectedRegistry,
 ) -> None:
@@ -32,28 +36,49 @@ def refine(
         profile: how to measure the session, by name or TOML file.
         calibration: first calibration, if not the session's own.
         body_tolerance_mm: how exactly the balls sit on the body (standard deviation); 0 is exact.
-        clock_tolerance_s: how exactly the cameras' clocks agree; 0 trusts the time stamps.
     """
     from measure.api import refine as run
     from measure.calibration import RefineSettings
     from measure.session import write_calibration
 
-    settings = RefineSettings(body_tolerance_mm, clock_tolerance_s)
+    settings = RefineSettings(body_tolerance_mm)
     with console.progress("measuring") as progress:
         result = run(session, registry, profile, settings, calibration, progress)
     write_calibration(output, result.calibration)
     if json:
         console.print_json({"output": output, **result.calibration.provenance})
         return
-    refinement = result.refinement
-    rows = [
-        (name, before, after, 1000 * refinement.clock_offsets_s[name])
-        for name, (before, after) in refinement.rms_px.items()
-    ]
-    console.print_table(("camera", "rms_before_px", "rms_after_px", "clock_offset_ms"), rows)
-    console.print_text(
-        f"{refinement.frames} frame sets; expected body position error from the calibration "
-        f"{result.expected_mm[1]:.3f} mm (was {result.expected_mm[0]:.3f} mm); wrote {output}"
-    )
+    _print(result)
+    console.print_text(f"wrote {output}")
+
+
+def _print(result: RefineResult) -> None:
+    """The cameras, the clocks, and what it is all worth."""
+    rig = result.rig
+    refinement, verdict = rig.refinement, rig.verdict
+    rows = []
+    for name, (before, after) in refinement.rms_px.items():
+        change = refinement.change[refinement.columns[name]]
+        moved, turned = np.linalg.norm(change[:3]), np.degrees(np.linalg.norm(change[3:6]))
+        rows.append((name, before, after, float(moved), float(turned)))
+    console.print_table(("camera", "rms_before_px", "rms_after_px", "moved_mm", "turned_deg"), rows)
+    for clock in rig.clocks:
+        if np.isfinite(clock.offset_sd_s):
+            console.print_text(
+                f"clock of {clock.camera}: {1000 * clock.offset_s:+.1f} ms, "
+                f"sd {1000 * clock.offset_sd_s:.1f} ms{_clock_words(clock, rig.clocks_applied)}"
+            )
     for note in result.notes:
         console.print_text(f"note: {note}")
+    camera, body = verdict.camera_sd_mm, verdict.body_sd_mm
+    console.print_text(
+        f"{refinement.frames} frame sets; camera positions known to {camera[1]:.3f} mm (were "
+        f"{camera[0]:.3f} mm); expected body position error from the calibration {body[1]:.3f} mm "
+        f"(was {body[0]:.3f} mm)"
+    )
+
+
+def _clock_words(clock: CameraClock, applied: bool) -> str:
+    if clock.offset_visible and applied:
+        return ": applied here; write it into session.toml as time_offset_s"
+    return ": applied here" if applied else ": not beyond doubt, not applied"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,12 +12,14 @@ from measure.calibration.lens import stack
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
 from measure.measuring import Measurement
-from measure.model import Body
+from measure.model import Body, Detection
+from measure.model.observations import Reason
 
 MIN_FRAMES = 10
 _WINDOW = 9
 _DEGREE = 4
 _LEAST_SPREAD_MM = 20.0
+_DOUBTFUL_SHARE = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,23 +55,59 @@ class Recording:
     world_from_body: RigidTransform
     tracks: dict[str, Track]
 
+    def part(self, start: int, stop: int) -> Recording:
+        """Only the frame sets from `start` up to `stop`."""
+        tracks = {}
+        for name, track in self.tracks.items():
+            keep = (track.frame >= start) & (track.frame < stop)
+            tracks[name] = Track(
+                track.frame[keep] - start,
+                track.ball[keep],
+                track.pixels[keep],
+                track.covariance[keep],
+                track.lead_s[keep],
+            )
+        return Recording(self.times_s[start:stop], self.world_from_body[start:stop], tracks)
 
-def recording_of(measurements: Iterable[Measurement], body: Body, limit: int = 1500) -> Recording:
+
+def calibration_doubted(measurements: Sequence[Measurement]) -> bool:
+    """Whether the cameras disagree so much that good views were set aside, or poses flagged."""
+    flagged = [m.pose is None or bool(m.pose.flags) for m in measurements]
+    if np.mean(flagged) > _DOUBTFUL_SHARE:
+        return True
+    aside: dict[str, list[bool]] = {}
+    for m in measurements:
+        for view in m.views:
+            if view.detection is not None:
+                aside.setdefault(view.camera, []).append(view.reason is Reason.INCONSISTENT)
+    return any(np.mean(views) > _DOUBTFUL_SHARE for views in aside.values())
+
+
+def recording_of(
+    measurements: Iterable[Measurement],
+    body: Body,
+    lead_s: Callable[[Detection], float] | None = None,
+    limit: int = 1500,
+    doubted: bool = False,
+) -> Recording:
     """Collect the poses and effective detections of measured frame sets.
 
     Args:
         measurements: of one session; those without a pose are passed over.
         body: the body.
+        lead_s: what to add to the time of a detection, if the clocks are known to be off.
         limit: most frame sets to keep: the first ones, because motion needs neighbours.
+        doubted: take flagged poses too, and views that disagree with the other cameras: for a first
+            rough refinement of cameras too far off to agree.
 
     Raises:
         CalibrationError: too few frame sets with a pose, or the body hardly moved.
     """
-    kept = [m for m in measurements if m.pose is not None and not m.pose.flags]
+    kept = [m for m in measurements if m.pose is not None and (doubted or not m.pose.flags)]
     if len(kept) < MIN_FRAMES:
         raise CalibrationError(
-            f"{len(kept)} frame sets with an unflagged pose, at least {MIN_FRAMES} are needed to "
-            "refine cameras from motion"
+            f"{len(kept)} frame sets with {'a' if doubted else 'an unflagged'} pose, at least "
+            f"{MIN_FRAMES} are needed to refine cameras from motion"
         )
     kept = kept[:limit]
     poses = stack([m.pose.world_from_body for m in kept if m.pose is not None])
@@ -78,15 +116,30 @@ def recording_of(measurements: Iterable[Measurement], body: Body, limit: int = 1
         raise CalibrationError(
             f"the body moved {spread:.1f} mm only: carry it through the whole workspace"
         )
+    return Recording(
+        np.array([m.time_s for m in kept]), poses, _tracks(kept, body, lead_s, doubted)
+    )
+
+
+def _tracks(
+    kept: Sequence[Measurement],
+    body: Body,
+    lead_s: Callable[[Detection], float] | None,
+    doubted: bool,
+) -> dict[str, Track]:
     rows: dict[str, list[tuple[int, int, Floats, Floats, float]]] = {}
     for number, m in enumerate(kept):
         for view in m.views:
-            if view.effective and view.detection is not None:
-                d = view.detection
-                rows.setdefault(d.camera, []).append(
-                    (number, body.index(d.ball), d.center_px, d.covariance_px, d.time_s - m.time_s)
-                )
-    tracks = {
+            d = view.detection
+            if d is None or not (
+                view.effective or (doubted and view.reason is Reason.INCONSISTENT)
+            ):
+                continue
+            lead = d.time_s - m.time_s + (0.0 if lead_s is None else lead_s(d))
+            rows.setdefault(d.camera, []).append(
+                (number, body.index(d.ball), d.center_px, d.covariance_px, lead)
+            )
+    return {
         name: Track(
             np.array([r[0] for r in seen], dtype=np.int64),
             np.array([r[1] for r in seen], dtype=np.int64),
@@ -96,7 +149,6 @@ def recording_of(measurements: Iterable[Measurement], body: Body, limit: int = 1
         )
         for name, seen in rows.items()
     }
-    return Recording(np.array([m.time_s for m in kept]), poses, tracks)
 
 
 class Motion:

@@ -1,0 +1,189 @@
+"""Whether a refined calibration deserves to replace the first one.
+
+Residuals cannot tell: what a recording gets wrong all the time it gets wrong in held-out frame sets
+too. What can be told is whether the change was to be expected from what the first calibration
+states, whether frame sets that played no part fit at least as well as before, and how much better
+the cameras are known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.calibration.judgement import body_pose_sd
+from measure.calibration.refining.halves import Halves
+from measure.calibration.refining.recording import Recording
+from measure.calibration.refining.refine import Refinement
+from measure.errors import CalibrationError
+from measure.geometry import chi_square_quantile
+from measure.model import Body, Camera
+
+_WORSE = 1.2
+_BEYOND_DOUBT = 3.0
+_LITTLE_GAIN = 0.9
+_LEAST_SHARE = 0.02
+"""Directions of which the recording tells less than this share of what was open say nothing."""
+SUSPICIOUS_PX = 0.4
+_TOO_FAR_PX = 1.5
+"""Edges of glossy balls lie up to about a pixel off; nothing that light does lies further."""
+_SURE = 0.999
+_POSES = 20
+
+
+@dataclass(frozen=True)
+class RefineVerdict:
+    """What is to be said about a refinement.
+
+    Attributes:
+        camera_sd_mm: of the cameras' places (3-D RMS), before and after, from the covariances.
+        body_sd_mm: of the body's position from the calibration alone (3-D RMS over the recorded
+            poses), before and after, from the covariances.
+        held_out_px: median residual of frame sets that played no part, before and after; NaN where
+            there are too few.
+        surprise: the size of the cameras' change against what the first calibration allows: about
+            one where it is right; NaN where the recording says nothing.
+        notes: reasons to doubt it, in words.
+    """
+
+    camera_sd_mm: tuple[float, float]
+    body_sd_mm: tuple[float, float]
+    held_out_px: tuple[float, float]
+    surprise: float
+    notes: tuple[str, ...]
+
+
+def judge_refinement(
+    first: tuple[Camera, ...],
+    body: Body,
+    recording: Recording,
+    refinement: Refinement,
+    halves: Halves,
+) -> RefineVerdict:
+    """Judge a refinement.
+
+    Args:
+        first: the cameras as calibrated.
+        body: nominal body.
+        recording: what they saw.
+        refinement: what came of it.
+        halves: how the recording's two halves compare.
+
+    Raises:
+        CalibrationError: the recording contradicts the first calibration, or frame sets that played
+            no part fit worse than before.
+    """
+    surprise, limit = _surprise(refinement)
+    if surprise > _BEYOND_DOUBT * limit:
+        raise CalibrationError(_contradiction(refinement, surprise))
+    held_out = halves.held_out_px
+    if held_out[1] > _WORSE * held_out[0]:
+        raise CalibrationError(
+            f"frame sets that played no part in the refinement fit worse after it "
+            f"({held_out[1]:.2f} px) than before ({held_out[0]:.2f} px): keep the first "
+            "calibration, or record a longer motion through the whole workspace"
+        )
+    notes = [_contradiction(refinement, surprise)] if surprise > limit else []
+    camera_sd = (
+        _camera_sd(refinement, refinement.prior),
+        _camera_sd(refinement, refinement.covariance),
+    )
+    body_sd = _body_sd(first, body, recording, refinement)
+    if max(camera_sd[1] / camera_sd[0], body_sd[1] / body_sd[0]) > _LITTLE_GAIN:
+        notes.append(
+            f"this recording adds little to the first calibration: camera positions known to "
+            f"{camera_sd[0]:.3f} mm before and {camera_sd[1]:.3f} mm after, body positions to "
+            f"{body_sd[0]:.3f} and {body_sd[1]:.3f} mm"
+        )
+    what, far = worst_misfit(refinement, body)
+    if far > SUSPICIOUS_PX:
+        notes.append(
+            f"{what}: half hidden, lit from one side, or the camera was moved a little since it "
+            "was calibrated"
+        )
+    if not np.isfinite(held_out[0]):
+        notes.append(f"{refinement.frames} frame sets are too few to hold some out and try them")
+    return RefineVerdict(camera_sd, body_sd, held_out, surprise, tuple(notes))
+
+
+def _body_sd(
+    first: tuple[Camera, ...], body: Body, recording: Recording, refinement: Refinement
+) -> tuple[float, float]:
+    picked = np.unique(np.linspace(0, len(recording.times_s) - 1, _POSES).astype(int))
+    poses = [recording.world_from_body[int(i)] for i in picked]
+    before, after = (
+        body_pose_sd(cameras, body, poses, covariance, refinement.columns)[0]
+        for cameras, covariance in (
+            (first, refinement.prior),
+            (refinement.cameras, refinement.covariance),
+        )
+    )
+    return float(np.sqrt(np.mean(before**2))), float(np.sqrt(np.mean(after**2)))
+
+
+def _camera_sd(refinement: Refinement, covariance: Floats) -> float:
+    places = [np.diag(covariance)[columns[:3]].sum() for columns in refinement.columns.values()]
+    return float(np.sqrt(np.mean(places)))
+
+
+def _surprise(refinement: Refinement) -> tuple[float, float]:
+    """Root mean squared change in its own standard deviations, and what it seldom exceeds.
+
+    If the prior is right, the change is normal with the covariance prior - posterior.
+    """
+    P = refinement.prior
+    scale = 1 / np.sqrt(np.diag(P))
+    lower = np.linalg.cholesky(P * scale[:, None] * scale + 1e-12 * np.eye(len(P)))
+    back = np.linalg.solve(lower, np.diag(scale))
+    told, axes = np.linalg.eigh(np.eye(len(P)) - back @ refinement.covariance @ back.T)
+    moved = axes.T @ back @ refinement.change
+    use = told > _LEAST_SHARE
+    if not np.any(use):
+        return float("nan"), float("inf")
+    count = int(np.count_nonzero(use))
+    limit = np.sqrt(chi_square_quantile(_SURE, count) / count)
+    return float(np.sqrt(np.mean(moved[use] ** 2 / told[use]))), float(limit)
+
+
+def _contradiction(refinement: Refinement, surprise: float) -> str:
+    """Which camera's change is the least to be expected, in words."""
+    worst, most = "", -1.0
+    for name, columns in refinement.columns.items():
+        change = refinement.change[columns]
+        size = float(change @ np.linalg.solve(refinement.prior[np.ix_(columns, columns)], change))
+        if size > most:
+            worst, most = name, size
+    change = refinement.change[refinement.columns[worst]]
+    return (
+        f"the recording contradicts the first calibration {surprise:.1f} times beyond its stated "
+        f"errors, most of all camera {worst} (by {np.linalg.norm(change[:3]):.2f} mm and "
+        f"{np.degrees(np.linalg.norm(change[3:6])):.2f} deg): if it was moved since, calibrate "
+        "again"
+    )
+
+
+def worst_misfit(refinement: Refinement, body: Body) -> tuple[str, float]:
+    """What neither the cameras' stated errors nor the motion explain: in words, and in px."""
+    far = np.linalg.norm(refinement.shifts_px, axis=2)
+    camera, ball = np.unravel_index(int(np.argmax(far)), far.shape)
+    shift, name = float(far[camera, ball]), list(refinement.columns)[int(camera)]
+    missing, miss = max(refinement.misfit_px.items(), key=lambda item: item[1])
+    if miss > shift:
+        return f"camera {missing} misses by {miss:.2f} px", miss
+    return f"ball {body.balls[ball].name} sits {shift:.2f} px off in {name} all the time", shift
+
+
+def refuse_misfit(refinement: Refinement, body: Body) -> None:
+    """Refuse a recording that the first calibration does not fit.
+
+    Raises:
+        CalibrationError: a ball sits too far off all through the recording, or a camera misses.
+    """
+    what, far = worst_misfit(refinement, body)
+    if far > _TOO_FAR_PX:
+        raise CalibrationError(
+            f"the first calibration does not fit the recording: {what}; if a camera was moved "
+            "since, calibrate again; else check the body file"
+        )

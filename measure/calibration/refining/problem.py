@@ -1,0 +1,265 @@
+"""The least-squares problem of refining: which unknown is where, residuals and derivatives.
+
+Unknown are the cameras (pose, free lens parameters; on demand their clocks), the body's ball
+centres, one pose of the body a frame set, and a constant shift of every ball in every camera: the
+light comes from one side all the time, so the edges of a ball sit a little off, always the same
+way. Without those shifts a thousand pictures would seem to know a hundred times better what they
+all get wrong alike.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from measure.arrays import Floats, Ints
+from measure.calibration.least_squares import Group, Huber, Linearised, Solution, solve
+from measure.calibration.lens import changed
+from measure.calibration.refining.priors import CameraPrior
+from measure.calibration.refining.recording import Motion, Recording
+from measure.calibration.refining.scatter import Scatter
+from measure.geometry import RigidTransform, skew
+from measure.model import Body, Camera
+
+_STEPS_A_ROUND = 2
+_TOLERANCE = 1e-7
+_HUBER_REACH = 2.5
+_CLOCK_SD_S = 0.02
+"""Clocks that are off at all are off by something like this."""
+
+
+@dataclass(frozen=True, eq=False)
+class RefinedState:
+    """The unknowns.
+
+    Attributes:
+        cameras: poses and lenses.
+        centers: (k, 3) ball centres in the body, mm.
+        shifts_px: (c, k, 2) constant shift of each ball in each camera.
+        clocks_s: (c,) what each camera's time stamps lack.
+        world_from_body: batch of (f,).
+    """
+
+    cameras: tuple[Camera, ...]
+    centers: Floats
+    shifts_px: Floats
+    clocks_s: Floats
+    world_from_body: RigidTransform
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Which shared unknown stands in which column.
+
+    Attributes:
+        free: by camera, which lens parameters are free.
+        cameras: by camera, its pose's and then its free lens parameters' columns.
+        centers: of the ball centres; empty if the body is exact.
+        shifts: (c, 2 k) of the constant shifts, by camera.
+        clocks: of the clocks of all cameras but the first; empty if the stamps are believed.
+        size: how many there are.
+    """
+
+    free: tuple[Ints, ...]
+    cameras: tuple[Ints, ...]
+    centers: Ints
+    shifts: Ints
+    clocks: Ints
+    size: int
+
+    @classmethod
+    def of(
+        cls,
+        cameras: tuple[Camera, ...],
+        balls: int,
+        body_is_exact: bool,
+        clocks_are_exact: bool = True,
+    ) -> Layout:
+        """Lay out: cameras, then centres, then shifts, then clocks."""
+        free, columns, size = [], [], 0
+        for camera in cameras:
+            P = camera.intrinsics.covariance
+            free.append(
+                np.flatnonzero(np.diag(P) > 0) if P is not None else np.zeros(0, dtype=np.int64)
+            )
+            columns.append(np.arange(size, size + 6 + len(free[-1])))
+            size = int(columns[-1][-1]) + 1
+        centers = np.arange(size, size if body_is_exact else size + 3 * balls)
+        size += len(centers)
+        count = 2 * balls * len(cameras)
+        shifts = np.arange(size, size + count).reshape(len(cameras), -1)
+        size += count
+        clocks = np.arange(size, size if clocks_are_exact else size + len(cameras) - 1)
+        return cls(tuple(free), tuple(columns), centers, shifts, clocks, size + len(clocks))
+
+
+class Problem:
+    """Residuals and derivatives at a state, under a given scatter."""
+
+    def __init__(
+        self, layout: Layout, body: Body, body_tolerance_mm: float, recording: Recording
+    ) -> None:
+        self.layout, self.body, self.recording = layout, body, recording
+        self._body_tolerance_mm = body_tolerance_mm
+
+    def start(self, cameras: tuple[Camera, ...]) -> RefinedState:
+        """The cameras as calibrated, the body as nominal, nothing shifted."""
+        shifts = np.zeros((len(cameras), len(self.body.balls), 2))
+        clocks, poses = np.zeros(len(cameras)), self.recording.world_from_body
+        return RefinedState(cameras, self.body.centers, shifts, clocks, poses)
+
+    def solve(
+        self, state: RefinedState, prior: CameraPrior | None, scatter: Scatter
+    ) -> Solution[RefinedState]:
+        """A few steps from a state; without a prior the cameras stay put.
+
+        The way between instants is held while solving, and taken anew in the next round.
+        """
+        motion = Motion(self.recording.times_s, state.world_from_body, state.centers)
+        roots = self._roots(scatter)
+        # The robust loss is about how residuals scatter, not about how far they hang together.
+        reach = _HUBER_REACH / np.sqrt(scatter.correlation)
+        return solve(
+            lambda s: self._linearise(s, motion, roots, prior, scatter),
+            self._step,
+            state,
+            Huber(float(reach)),
+            _STEPS_A_ROUND,
+            _TOLERANCE,
+            must_settle=False,
+        )
+
+    def residuals_px(self, state: RefinedState) -> dict[str, Floats]:
+        """By camera, what is left (n, 2) of its sightings."""
+        motion = Motion(self.recording.times_s, state.world_from_body, state.centers)
+        out = {}
+        for number, camera in enumerate(state.cameras):
+            track = self.recording.tracks[camera.name]
+            points, _, _ = self._points(number, state, motion)
+            shift = state.shifts_px[number, track.ball]
+            out[camera.name] = track.pixels - camera.project(points) - shift
+        return out
+
+    def _roots(self, scatter: Scatter) -> dict[str, Floats]:
+        """By camera, inverse Cholesky factors (n, 2, 2) of the sightings' covariances."""
+        extra = scatter.view_px**2 * np.eye(2)
+        return {
+            name: np.linalg.inv(
+                np.linalg.cholesky(scatter.correlation * (track.covariance + extra))
+            )
+            for name, track in self.recording.tracks.items()
+        }
+
+    def _points(
+        self, number: int, state: RefinedState, motion: Motion
+    ) -> tuple[Floats, Floats, Floats]:
+        """World places (n, 3) of a camera's sightings, their arms in the body, velocities."""
+        track = self.recording.tracks[state.cameras[number].name]
+        poses = state.world_from_body
+        arms = np.einsum("nij,nj->ni", poses.rotation[track.frame], state.centers[track.ball])
+        lead = track.lead_s + state.clocks_s[number]
+        moved, velocity = motion.at(track.frame, track.ball, lead)
+        return arms + poses.translation[track.frame] + moved, arms, velocity
+
+    def _step(self, state: RefinedState, shared: Floats, blocks: Floats) -> RefinedState:
+        layout = self.layout
+        shared = shared if len(shared) else np.zeros(layout.size)
+        cameras = tuple(
+            changed(camera, shared[columns], free)
+            for camera, columns, free in zip(
+                state.cameras, layout.cameras, layout.free, strict=True
+            )
+        )
+        centers = state.centers
+        if len(layout.centers):
+            centers = centers + shared[layout.centers].reshape(-1, 3)
+        shifts = state.shifts_px + shared[layout.shifts].reshape(state.shifts_px.shape)
+        clocks = state.clocks_s.copy()
+        if len(layout.clocks):
+            clocks[1:] += shared[layout.clocks]
+        poses = state.world_from_body.perturb(blocks)
+        return RefinedState(cameras, centers, shifts, clocks, poses)
+
+    def _linearise(
+        self,
+        state: RefinedState,
+        motion: Motion,
+        roots: dict[str, Floats],
+        prior: CameraPrior | None,
+        scatter: Scatter,
+    ) -> Linearised:
+        groups = tuple(
+            self._group(number, state, motion, roots) for number in range(len(state.cameras))
+        )
+        blocks = len(self.recording.times_s)
+        if prior is None:
+            nothing = np.zeros(0, dtype=np.int64)
+            held = tuple(
+                replace(g, columns=nothing, by_shared=g.by_shared[:, :, :0]) for g in groups
+            )
+            return Linearised(held, 0, blocks, np.zeros(0), np.zeros((0, 0)))
+        residuals, rows = self._priors(state, prior, scatter)
+        return Linearised(groups, self.layout.size, blocks, residuals, rows)
+
+    def _group(
+        self, number: int, state: RefinedState, motion: Motion, roots: dict[str, Floats]
+    ) -> Group:
+        layout, camera = self.layout, state.cameras[number]
+        track, root = self.recording.tracks[camera.name], roots[camera.name]
+        points, arms, velocity = self._points(number, state, motion)
+        predicted, by_world, by_camera, by_lens = camera.project_with_jacobians(points)
+        count, balls = len(points), len(state.centers)
+        rows = np.arange(count)
+        by_center = np.zeros((count, 3, balls if len(layout.centers) else 0, 3))
+        if len(layout.centers):
+            by_center[rows, :, track.ball] = state.world_from_body.rotation[track.frame]
+        by_shift = np.zeros((count, 2, balls, 2))
+        by_shift[rows, :, track.ball] = np.eye(2)
+        shared = [
+            by_camera,
+            by_lens[:, :, layout.free[number]],
+            by_world @ by_center.reshape(count, 3, -1),
+            by_shift.reshape(count, 2, -1),
+        ]
+        clock = layout.clocks[number - 1 : number] if number else layout.clocks[:0]
+        shared += [by_world @ velocity[:, :, None]] * len(clock)
+        by_pose = np.concatenate([by_world, -by_world @ skew(arms)], axis=2)
+        left = track.pixels - predicted - state.shifts_px[number, track.ball]
+        return Group(
+            np.einsum("nij,nj->ni", root, left),
+            np.concatenate([layout.cameras[number], layout.centers, layout.shifts[number], clock]),
+            root @ np.concatenate(shared, axis=2),
+            track.frame,
+            root @ by_pose,
+        )
+
+    def _priors(
+        self, state: RefinedState, prior: CameraPrior, scatter: Scatter
+    ) -> tuple[Floats, Floats]:
+        layout = self.layout
+        root = prior.root(scatter)
+        residuals = [-root @ prior.change(state.cameras, layout.free)]
+        rows = [_spread(root, np.concatenate(layout.cameras), layout.size)]
+        if len(layout.centers):
+            residuals.append(
+                (self.body.centers - state.centers).reshape(-1) / self._body_tolerance_mm
+            )
+            own = np.eye(len(layout.centers)) / self._body_tolerance_mm
+            rows.append(_spread(own, layout.centers, layout.size))
+        shifts = state.shifts_px.reshape(-1)
+        residuals.append(-shifts / scatter.constant_px)
+        own = np.eye(len(shifts)) / scatter.constant_px
+        rows.append(_spread(own, layout.shifts.reshape(-1), layout.size))
+        if len(layout.clocks):
+            residuals.append(-state.clocks_s[1:] / _CLOCK_SD_S)
+            rows.append(
+                _spread(np.eye(len(layout.clocks)) / _CLOCK_SD_S, layout.clocks, layout.size)
+            )
+        return np.concatenate(residuals), np.concatenate(rows)
+
+
+def _spread(root: Floats, columns: Ints, size: int) -> Floats:
+    row = np.zeros((len(root), size))
+    row[:, columns] = root
+    return row

@@ -1,0 +1,277 @@
+"""Bundle adjustment from the moving body: the balls are the calibration wand.
+
+Scale comes from the ball distances, the world frame from the first calibration. What is not known
+beforehand is how far to believe either side: how the detected centres scatter, how much of that
+stays the same all through the recording, and, where the first calibration does not say so itself,
+how far it is off. That is learnt round after round (`scatter`), and so a recording that cannot tell
+better than the first calibration leaves it as it is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from measure.arrays import Floats, Ints
+from measure.calibration.least_squares import Solution
+from measure.calibration.refining.priors import (
+    CameraPrior,
+    JointPrior,
+    LearntPrior,
+    workspace_grid,
+)
+from measure.calibration.refining.problem import Layout, Problem, RefinedState
+from measure.calibration.refining.recording import MIN_FRAMES, Recording, ball_places
+from measure.calibration.refining.scatter import Scatter, learnt_variance, of_views
+from measure.errors import CalibrationError
+from measure.model import Body, Camera
+
+_ROUNDS = 50
+_FREE_ROUNDS = 12
+_SETTLED_MM = 1e-3
+_START_PX = 5.0
+"""Cameras start free: misses that are first taken for the balls' own would stay with them."""
+_COUNT = 4.0
+"""How many observations what is usual counts for, against what a recording shows."""
+
+
+@dataclass(frozen=True)
+class RefineSettings:
+    """What may change, and how far (standard deviations).
+
+    Attributes:
+        body_tolerance_mm: of each coordinate of a ball's centre in the body; 0 keeps the body.
+        position_tolerance_mm: where cameras usually stand elsewhere than a calibration without
+            a joint covariance says, by axis; how far these ones do is learnt.
+        image_tolerance_px: by how much such a calibration usually misses.
+        constant_px: how far a ball's centre usually sits off all through a recording, by axis.
+        least_sd_px: no ball centre is believed better than this.
+    """
+
+    body_tolerance_mm: float = 0.05
+    position_tolerance_mm: float = 0.5
+    image_tolerance_px: float = 0.1
+    constant_px: float = 0.15
+    least_sd_px: float = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class Refinement:
+    """A refined rig.
+
+    Attributes:
+        cameras: with covariances.
+        centers: (k, 3) ball centres in the body, mm.
+        center_sds: (k, 3) their standard deviations.
+        rms_px: of the ball centres' residuals, before and after, by camera.
+        misfit_px: median length of the residuals after, by camera.
+        shifts_px: (c, k, 2) by which each ball sits off in each camera all the time.
+        scatter: how far everything scatters.
+        change: (p,) of all cameras' poses and free lens parameters.
+        covariance: (p, p) of those after the recording.
+        prior: (p, p) before it.
+        columns: by camera name, its rows in `covariance`.
+        frames: how many frame sets were used.
+        world_held: whether the first calibration said how all cameras' errors hang together.
+    """
+
+    cameras: tuple[Camera, ...]
+    centers: Floats
+    center_sds: Floats
+    rms_px: dict[str, tuple[float, float]]
+    misfit_px: dict[str, float]
+    shifts_px: Floats
+    scatter: Scatter
+    change: Floats
+    covariance: Floats
+    prior: Floats
+    columns: dict[str, Ints] = field(default_factory=dict)
+    frames: int = 0
+    world_held: bool = False
+
+
+def refine_rig(
+    cameras: tuple[Camera, ...],
+    body: Body,
+    recording: Recording,
+    settings: RefineSettings | None = None,
+    joint_covariance: Floats | None = None,
+    caution: float = 1.0,
+    clocks_are_exact: bool = True,
+) -> Refinement:
+    """Refine cameras by bundle adjustment.
+
+    Args:
+        cameras: as calibrated.
+        body: nominal body.
+        recording: what they saw.
+        settings: what may change.
+        joint_covariance: of all cameras' poses and free lens parameters together, camera after
+            camera: the prior. Without it, how far the cameras are off is learnt.
+        caution: by how much wider than the residuals tell the errors of views scatter, as a
+            variance, if more is known about that (see `halves`).
+        clocks_are_exact: whether the time stamps are believed. If not, the cameras' clocks are
+            refined too, so that the cameras owe nothing to them.
+
+    Raises:
+        CalibrationError: a camera saw next to nothing, or the motion leaves something undetermined.
+    """
+    settings = settings or RefineSettings()
+    _check_seen(cameras, recording)
+    layout = Layout.of(cameras, len(body.balls), settings.body_tolerance_mm == 0, clocks_are_exact)
+    prior = _prior(cameras, layout, body, recording, joint_covariance)
+    problem = Problem(layout, body, settings.body_tolerance_mm, recording)
+    scatter = Scatter(
+        constant_px=settings.constant_px,
+        image_px=_START_PX,
+        position_mm=settings.position_tolerance_mm,
+    )
+    first = problem.start(cameras)
+    before = _rms(problem.residuals_px(problem.solve(first, None, scatter).state))
+    state = first
+    for number in range(_ROUNDS):
+        solution = problem.solve(state, prior, scatter)
+        learnt = _learn(problem, prior, solution, scatter, settings, caution)
+        settled = _largest_step(state, solution.state) < _SETTLED_MM
+        state = solution.state
+        if settled and not learnt.differs(scatter):
+            return _answer(problem, prior, solution, before, scatter)
+        scatter = learnt if number < _FREE_ROUNDS else scatter.towards(learnt)
+    raise CalibrationError(f"the refinement did not settle in {_ROUNDS} rounds")
+
+
+def misfits_px(cameras: tuple[Camera, ...], body: Body, recording: Recording) -> Floats:
+    """How far each sighting misses (n,) with these cameras and the nominal body, poses fitted."""
+    problem = Problem(Layout.of(cameras, len(body.balls), True), body, 0.0, recording)
+    left = problem.residuals_px(problem.solve(problem.start(cameras), None, Scatter()).state)
+    return np.linalg.norm(np.concatenate(list(left.values())), axis=1)
+
+
+def _check_seen(cameras: tuple[Camera, ...], recording: Recording) -> None:
+    for camera in cameras:
+        seen = len(recording.tracks[camera.name].frame) if camera.name in recording.tracks else 0
+        if seen < MIN_FRAMES:
+            raise CalibrationError(
+                f"camera {camera.name}: saw a ball {seen} times, at least {MIN_FRAMES} are needed"
+            )
+
+
+def _prior(
+    cameras: tuple[Camera, ...],
+    layout: Layout,
+    body: Body,
+    recording: Recording,
+    joint: Floats | None,
+) -> CameraPrior:
+    size = sum(len(columns) for columns in layout.cameras)
+    if joint is not None and joint.shape == (size, size):
+        return JointPrior(cameras, joint)
+    places = ball_places(recording.world_from_body, body.centers)
+    return LearntPrior(cameras, layout.free, workspace_grid(places))
+
+
+def _largest_step(old: RefinedState, new: RefinedState) -> float:
+    """How far cameras and body poses moved, mm (a radian counts as the 100 mm it moves a ball)."""
+    steps = [
+        np.abs(new.world_from_body.difference(old.world_from_body)).max(axis=0),
+        *(
+            np.abs(b.world_from_camera.difference(a.world_from_camera))
+            for a, b in zip(old.cameras, new.cameras, strict=True)
+        ),
+    ]
+    return float(np.max(np.array(steps) * np.repeat([1.0, 100.0], 3)))
+
+
+def _learn(
+    problem: Problem,
+    prior: CameraPrior,
+    solution: Solution[RefinedState],
+    scatter: Scatter,
+    settings: RefineSettings,
+    caution: float,
+) -> Scatter:
+    """The scatter that a solution shows."""
+    state, P, layout = solution.state, solution.covariance, problem.layout
+    lin = solution.linearised
+    unknown = lin.n_blocks * lin.size_of_block
+    freedom = max(1 - unknown / lin.residuals.size, 0.1)
+    residuals = problem.residuals_px(state)
+    scatter = of_views(
+        scatter, residuals, problem.recording.tracks, freedom, settings.least_sd_px, caution
+    )
+    at = layout.shifts.reshape(-1)
+    known = 1 - np.diag(P)[at] / scatter.constant_px**2
+    constant = learnt_variance(
+        float(np.sum(state.shifts_px**2)), float(np.sum(known)), settings.constant_px**2, _COUNT
+    )
+    scatter = replace(scatter, constant_px=float(np.sqrt(constant)))
+    if isinstance(prior, LearntPrior):
+        own = np.concatenate(layout.cameras)
+        change = prior.change(state.cameras, layout.free)
+        scatter = prior.learn(
+            scatter,
+            change,
+            P[np.ix_(own, own)],
+            settings.image_tolerance_px,
+            settings.position_tolerance_mm,
+            _COUNT,
+        )
+    return scatter
+
+
+def _rms(residuals: dict[str, Floats]) -> dict[str, float]:
+    return {
+        name: float(np.sqrt(np.mean(np.sum(left**2, axis=1)))) for name, left in residuals.items()
+    }
+
+
+def _answer(
+    problem: Problem,
+    prior: CameraPrior,
+    solution: Solution[RefinedState],
+    before: dict[str, float],
+    scatter: Scatter,
+) -> Refinement:
+    state, P, layout = solution.state, solution.covariance, problem.layout
+    shifted = problem.residuals_px(replace(state, shifts_px=np.zeros_like(state.shifts_px)))
+    after = _rms(shifted)
+    cameras = _with_covariances(state.cameras, layout, P, after)
+    sds = np.zeros_like(state.centers)
+    if len(layout.centers):
+        sds = np.sqrt(np.diag(P)[layout.centers]).reshape(-1, 3)
+    own = np.concatenate(layout.cameras)
+    return Refinement(
+        cameras,
+        state.centers,
+        sds,
+        {name: (before[name], after[name]) for name in after},
+        {n: float(np.median(np.linalg.norm(left, axis=1))) for n, left in shifted.items()},
+        state.shifts_px,
+        scatter,
+        prior.change(state.cameras, layout.free),
+        P[np.ix_(own, own)],
+        prior.covariance_at(scatter),
+        {c.name: columns for c, columns in zip(cameras, layout.cameras, strict=True)},
+        len(problem.recording.times_s),
+        isinstance(prior, JointPrior),
+    )
+
+
+def _with_covariances(
+    cameras: tuple[Camera, ...], layout: Layout, P: Floats, rms_px: dict[str, float]
+) -> tuple[Camera, ...]:
+    out = []
+    for camera, columns, free in zip(cameras, layout.cameras, layout.free, strict=True):
+        mine = P[np.ix_(columns, columns)]
+        lens = np.zeros((12, 12))
+        lens[np.ix_(free, free)] = mine[6:, 6:]
+        out.append(
+            replace(
+                camera,
+                intrinsics=replace(camera.intrinsics, covariance=lens if len(free) else None),
+                pose_covariance=mine[:6, :6],
+                reprojection_rms_px=rms_px[camera.name],
+            )
+        )
+    return tuple(out)

@@ -1,0 +1,107 @@
+"""Cameras and clocks together, from measurements."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from measure.calibration import refine_measured, rough_cameras
+from measure.calibration.refining.recording import calibration_doubted, recording_of
+from measure.errors import CalibrationError
+from measure.measuring import Status
+from measure.model.observations import Reason, State
+from tests.measuring.test_clocks import CAMERAS, OFFSETS, moving, recorded, still
+from tests.scenes import RAVEN
+
+FIRST = tuple(CAMERAS.values())
+
+
+def slipped(seed: int = 1) -> tuple:
+    rng = np.random.default_rng(seed)
+    slip = np.repeat([0.3, np.deg2rad(0.05)], 3)
+    return tuple(
+        replace(c, world_from_camera=c.world_from_camera.perturb(rng.normal(0, slip)))
+        for c in FIRST
+    )
+
+
+@pytest.fixture(scope="module")
+def late():
+    return list(recorded(moving, OFFSETS))
+
+
+@pytest.fixture(scope="module")
+def in_step():
+    return list(recorded(moving))
+
+
+def test_clocks_that_are_off_are_found_and_applied(late) -> None:
+    found = refine_measured(slipped(), RAVEN, late)
+    assert found.clocks_applied
+    for clock, true in zip(found.clocks, OFFSETS, strict=True):
+        assert abs(clock.offset_s - true) < 4 * clock.offset_sd_s + 1e-5
+    leads = {c: t.lead_s[0] for c, t in found.recording.tracks.items()}
+    plain = {c: t.lead_s[0] for c, t in recording_of(late, RAVEN).tracks.items()}
+    moved = np.array([leads[c] - plain[c] for c in CAMERAS])
+    np.testing.assert_allclose(moved, OFFSETS, atol=1e-3)
+
+
+def test_cameras_in_step_are_left_in_step(in_step) -> None:
+    found = refine_measured(slipped(), RAVEN, in_step)
+    assert not found.clocks_applied
+    for clock in found.clocks:
+        assert abs(clock.offset_s) < 3 * clock.offset_sd_s
+
+
+def test_cameras_come_closer_to_the_truth(in_step) -> None:
+    first = slipped()
+    found = refine_measured(first, RAVEN, in_step).refinement.cameras
+
+    def off(cameras):
+        turns = [
+            a.world_from_camera.difference(b.world_from_camera)[3:]
+            for a, b in zip(cameras, FIRST, strict=True)
+        ]
+        return np.linalg.norm(turns - np.mean(turns, axis=0))
+
+    assert off(found) < 0.5 * off(first)
+
+
+def test_a_body_that_stands_still_is_refused() -> None:
+    with pytest.raises(CalibrationError, match=r"the body moved \d+\.\d mm only"):
+        refine_measured(FIRST, RAVEN, list(recorded(still, count=20)))
+
+
+def set_aside(measurements, camera: str):
+    """As when a camera disagrees: its views are inconsistent, and the poses flagged."""
+    out = []
+    for m in measurements:
+        views = tuple(
+            replace(v, state=State.SUSPENDED, reason=Reason.INCONSISTENT)
+            if v.camera == camera
+            else v
+            for v in m.views
+        )
+        pose = replace(m.pose, flags=(f"camera {camera} contradicts the others",))
+        out.append(replace(m, views=views, pose=pose, status=Status.FLAGGED))
+    return out
+
+
+def test_cameras_too_far_off_to_agree_are_refined_roughly_first(in_step) -> None:
+    doubtful = set_aside(in_step, "cam1")
+    assert calibration_doubted(doubtful)
+    with pytest.raises(CalibrationError, match="unflagged pose"):
+        refine_measured(slipped(), RAVEN, doubtful)
+    first = list(slipped())
+    turn = [0, 0, 0, 0, 0, np.deg2rad(0.5)]
+    first[1] = replace(first[1], world_from_camera=first[1].world_from_camera.perturb(turn))
+    rough = rough_cameras(tuple(first), RAVEN, doubtful)
+    assert rough is not None
+    error = rough[1].world_from_camera.difference(FIRST[1].world_from_camera)
+    assert np.degrees(np.linalg.norm(error[3:])) < 0.2
+
+
+def test_cameras_that_agree_need_no_rough_refinement(in_step) -> None:
+    assert rough_cameras(FIRST, RAVEN, in_step) is None

@@ -1,0 +1,137 @@
+"""`measure refine` from end to end: what it writes, what it says, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from measure.calibration import body_cost
+from measure.cli import main
+from measure.geometry import RigidTransform, align_points
+from measure.model import Camera
+from measure.session import Calibration, read_calibration, write_body, write_calibration
+from measure.simulation import scene_catalogue, write_session
+from tests.measuring.test_clocks import CAMERAS, moving, recorded, still
+from tests.scenes import RAVEN
+from tests.session.conftest import jpeg, write_recording
+
+
+def slipped(cameras: tuple[Camera, ...], mm: float, degrees: float) -> tuple[Camera, ...]:
+    rng = np.random.default_rng(3)
+    slip = np.repeat([mm, np.deg2rad(degrees)], 3)
+    return tuple(
+        replace(c, world_from_camera=c.world_from_camera.perturb(rng.normal(0, slip)))
+        for c in cameras
+    )
+
+
+def turn_errors_deg(found: tuple[Camera, ...], true: tuple[Camera, ...]) -> float:
+    """RMS of the cameras' rotation errors, apart from what all have in common."""
+    turns = np.stack(
+        [
+            a.world_from_camera.difference(b.world_from_camera)[3:]
+            for a, b in zip(found, true, strict=True)
+        ]
+    )
+    return float(np.degrees(np.sqrt(np.mean(np.sum((turns - turns.mean(axis=0)) ** 2, axis=1)))))
+
+
+def relative_error_mm(
+    found: tuple[Camera, ...], true: tuple[Camera, ...], poses: list[RigidTransform]
+) -> float:
+    """What wrong cameras do to a body's places (RMS), apart from what moves them all together."""
+    shifts, _ = body_cost(found, true, RAVEN, poses)
+    places = np.stack([pose.translation for pose in poses])
+    left = align_points(places, places + shifts).apply(places + shifts) - places
+    return float(np.sqrt(np.mean(np.sum(left**2, axis=1))))
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Path:
+    """A session whose pictures show nothing: what they are measured to show is made up."""
+    folder = write_recording(tmp_path / "rec", cameras=4, frames=2).path
+    for picture in folder.glob("cam*/*.jpg"):
+        picture.write_bytes(jpeg(0, (1280, 720)))
+    write_body(folder / "body.toml", RAVEN)
+    first = Calibration(slipped(tuple(CAMERAS.values()), 0.3, 0.05))
+    write_calibration(folder / "calibration.toml", first)
+    return folder
+
+
+def seen(monkeypatch: pytest.MonkeyPatch, path: object, count: int) -> None:
+    """Every measuring of a session gives the body on this path."""
+    measured = list(recorded(path, count=count))
+    monkeypatch.setattr("measure.api.refining._measure", lambda *_: measured)
+
+
+def test_it_writes_what_it_found_and_says_so(session, tmp_path, monkeypatch, capsys) -> None:
+    seen(monkeypatch, moving, 60)
+    out = tmp_path / "refined.toml"
+    assert main(["refine", str(session), "-o", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "rms_before_px" in said
+    assert "clock of cam1" in said
+    assert "not beyond doubt, not applied" in said
+    assert "the first calibration does not say how its cameras' errors hang together" in said
+    found, true = read_calibration(out), tuple(CAMERAS.values())
+    first = read_calibration(session / "calibration.toml").cameras
+    assert turn_errors_deg(found.cameras, true) < 0.5 * turn_errors_deg(first, true)
+    assert found.provenance["clocks_applied"] is False
+    assert all(camera.pose_covariance is not None for camera in found.cameras)
+
+
+def test_json_tells_the_same(session, tmp_path, monkeypatch, capsys) -> None:
+    seen(monkeypatch, moving, 40)
+    out = tmp_path / "refined.toml"
+    assert main(["refine", str(session), "-o", str(out), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["frame_sets"] == 40
+    assert told["held_out_px"][1] < told["held_out_px"][0]
+
+
+@pytest.mark.parametrize(
+    ("path", "count", "reason"),
+    [(still, 30, "the body moved"), (moving, 8, "8 frame sets with an unflagged pose")],
+)
+def test_a_recording_that_cannot_support_it_is_refused(
+    session, tmp_path, monkeypatch, capsys, path, count, reason
+) -> None:
+    seen(monkeypatch, path, count)
+    out = tmp_path / "refined.toml"
+    assert main(["refine", str(session), "-o", str(out)]) == 2
+    said = capsys.readouterr().err.strip().splitlines()
+    assert len(said) == 1
+    assert reason in said[0]
+    assert not out.exists()
+
+
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two seconds of a moving body before cameras that are not quite where the file says."""
+    scene = scene_catalogue()["still"]
+    stated = slipped(scene.cameras, 0.5, 0.1)
+    folder = tmp_path_factory.mktemp("moving") / "session"
+    return write_session(replace(scene, stated_cameras=stated), np.arange(20) * 0.1, folder)
+
+
+@pytest.mark.slow
+def test_pictures_of_a_moving_body_bring_the_cameras_together(rendered, tmp_path) -> None:
+    out, true = tmp_path / "refined.toml", scene_catalogue()["still"].cameras
+    assert main(["refine", str(rendered), "-o", str(out)]) == 0
+    first, found = (read_calibration(f).cameras for f in (rendered / "calibration.toml", out))
+    at = scene_catalogue()["still"].trajectory.at(np.arange(20) * 0.1)
+    before, after = (relative_error_mm(c, true, [at[i] for i in range(20)]) for c in (first, found))
+    assert after < 0.5 * before
+    assert turn_errors_deg(found, true) < turn_errors_deg(first, true)
+    errors = np.concatenate(
+        [
+            a.world_from_camera.difference(b.world_from_camera)
+            for a, b in zip(found, true, strict=True)
+        ]
+    )
+    covariance = np.asarray(read_calibration(out).provenance["joint_covariance"])
+    assert errors @ np.linalg.solve(covariance, errors) / len(errors) < 2.5
