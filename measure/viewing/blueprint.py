@@ -29,7 +29,7 @@ def run_blueprint(cameras: Sequence[Camera]) -> rrb.Blueprint:
         origin=entities.WORLD,
         name="Scene (uncertainty x100)",
         contents=["$origin/**", *(f"- {entities.image(name)}/**" for name in names)],
-        overrides={entities.TRAIL: rrb.VisibleTimeRanges(up_to_cursor())},
+        overrides={entities.TRAIL: up_to_cursor()},
         eye_controls=_eye(cameras),
     )
     pictures = rrb.Grid(
@@ -61,12 +61,14 @@ def framed(content: rrb.Container) -> rrb.Blueprint:
     )
 
 
-def up_to_cursor() -> rrb.VisibleTimeRange:
-    """Everything from the start to the time that is looked at."""
-    return rrb.VisibleTimeRange(
-        entities.TIMELINE_FRAME,
-        start=rrb.TimeRangeBoundary.infinite(),
-        end=rrb.TimeRangeBoundary.cursor_relative(),
+def up_to_cursor() -> rrb.VisibleTimeRanges:
+    """Everything from the start to the time that is looked at, on either timeline."""
+    start, end = rrb.TimeRangeBoundary.infinite(), rrb.TimeRangeBoundary.cursor_relative()
+    return rrb.VisibleTimeRanges(
+        [
+            rrb.VisibleTimeRange(name, start=start, end=end)
+            for name in (entities.TIMELINE_FRAME, entities.TIMELINE_TIME)
+        ]
     )
 
 

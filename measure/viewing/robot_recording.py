@@ -52,7 +52,7 @@ def write_robot_recording(path: Path, name: str, frames: Floats, traces: RobotTr
 
 def robot_blueprint() -> rrb.Blueprint:
     """The way in 3-D, the three positions per axis, and what is left of the error."""
-    everything = rrb.VisibleTimeRanges(up_to_cursor())
+    everything = up_to_cursor()
     scene = rrb.Spatial3DView(
         origin="robot",
         name="Reported, measured, corrected",
@@ -77,7 +77,7 @@ def robot_blueprint() -> rrb.Blueprint:
 def _log_styles(stream: rr.RecordingStream) -> None:
     lines = {}
     for kind, color in KINDS.items():
-        trail = rr.Points3D.from_fields(colors=[color], radii=[0.3])
+        trail = rr.Points3D.from_fields(colors=[color], radii=[0.5])
         stream.log(entities.robot(kind), trail, static=True)
         for axis in "xyz":
             lines[entities.robot_position(axis, kind)] = (kind, color)

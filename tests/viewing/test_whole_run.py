@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import time
 from pathlib import Path
 
 import cv2
@@ -13,8 +14,9 @@ from rerun.chunk import RrdReader
 from measure import api
 from measure.host import Registry
 from measure.results import read_run
-from measure.session import read_trajectory
+from measure.session import open_session, read_trajectory
 from measure.viewing import entities
+from measure.viewing.recording import RunRecording, open_recording
 from tests.viewing.reading import column, read_recording
 
 SETS = 12
@@ -115,3 +117,31 @@ def test_the_report_names_the_dark_camera(measured: Path):
     rows = [r for r in run.detections.to_pylist() if r["camera"] == DARK]
     assert len(rows) == SETS * len(BALLS)
     assert all(row["state"] == "suspended" and row["reason"] for row in rows)
+
+
+def test_logging_costs_less_than_a_tenth_of_measuring(session: Path, tmp_path: Path):
+    """Without pictures, in processor time of the same process; the best of three."""
+    with open_session(session) as opened:
+        began = time.process_time()
+        pairs = list(api.measure_session(opened, api.load_profile(), Registry.discover()))
+        measuring = time.process_time() - began
+        costs = []
+        for trial in range(3):
+            stream = open_recording("cost", opened.cameras, tmp_path / f"{trial}.rrd")
+            with RunRecording(stream, opened.body, opened.cameras, 0) as log:
+                began = time.process_time()
+                for frame_set, measurement in pairs:
+                    log.add(measurement, frame_set)
+            costs.append(time.process_time() - began)
+    print(f"logging {min(costs):.3f} s, measuring {measuring:.3f} s")
+    assert min(costs) <= 0.1 * measuring, f"{min(costs):.3f} s of {measuring:.3f} s"
+
+
+def test_a_recording_with_pictures_is_little_larger_than_the_pictures(
+    measured: Path, session: Path
+):
+    """300 frame sets of four cameras must fit in 110 MB where their JPEGs take 100 MB."""
+    pictures = sum(path.stat().st_size for path in session.rglob("*.jpg"))
+    beside = (measured / "run.rrd").stat().st_size - pictures
+    print(f"{beside / SETS * 300e-6:.1f} MB beside the pictures in 300 frame sets")
+    assert beside / SETS * 300 <= 10_000_000
