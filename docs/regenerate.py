@@ -1,19 +1,25 @@
 """Write what is generated in the docs: `python docs/regenerate.py`.
 
-`docs/cli.md` holds the help of every command; blocks marked `<!-- same as: FILE -->` hold a file of
-the repository. The tests compare.
+`docs/cli.md` holds the help of every command, `docs/settings.md` every setting of the built-in
+plugins and profiles; blocks marked `<!-- same as: FILE -->` hold a file of the repository. The
+tests compare.
 """
 
 from __future__ import annotations
 
 import contextlib
+import inspect
 import io
 import os
 import re
 from pathlib import Path
 
+from measure.api.profiles import load_profile, profile_names
 from measure.cli import build_app, main
 from measure.cli.commands import GROUPS
+from measure.host import Loaded, Registry, Setting, describe_settings
+from measure.measuring import Profile
+from measure.measuring.tracking import TRACKERS
 
 ROOT = Path(__file__).resolve().parents[1]
 HEAD = """# Command line
@@ -23,6 +29,27 @@ The help of every command. Written by `python docs/regenerate.py`.
 Exit codes: 0 done; 2 a mistake, which one line on stderr explains; 1 a defect of ours, with its
 traceback; 130 interrupted; 141 whoever read the output went away.
 """
+SETTINGS_HEAD = """# Settings
+
+Every setting of the stages that come with the program. Written by `python docs/regenerate.py` from
+the code that checks them; `measure plugins show NAME` prints the same of any plugin, also of
+others'.
+
+A stage is chosen with `--detector`, `--triangulator` or `--solver`, a setting changed with `--set`:
+
+```text
+measure run SESSION --out RUN --set detector.rays=128 --set tracking.lost_after=5
+```
+
+or both in a profile, a TOML file given with `--profile`. The `run.toml` of a run serves as one,
+too.
+"""
+KINDS = {
+    "detector": "Detectors",
+    "triangulator": "Triangulators",
+    "solver": "Pose solvers",
+    "estimator": "Estimators",
+}
 SAME = re.compile(r"<!-- same as: (\S+) -->\n```(\w+)\n(.*?)```\n", re.DOTALL)
 
 
@@ -52,6 +79,62 @@ def help_of(*tokens: str) -> str:
     return "".join(f"{line.rstrip()}\n" for line in out.getvalue().strip().splitlines())
 
 
+def settings_page() -> str:
+    """The text of `docs/settings.md`."""
+    parts = [SETTINGS_HEAD, profiles_section()]
+    own = [p for p in Registry.discover().loaded if p.distribution.name == "triball"]
+    for kind, title in KINDS.items():
+        parts.append(f"\n## {title}\n")
+        parts += [plugin_section(p) for p in sorted(own, key=lambda p: p.name) if p.kind == kind]
+    parts.append("\n## Tracking\n")
+    for name, tracker in sorted(TRACKERS.items()):
+        parts.append(section(name, tracker, describe_settings(tracker.Config)))
+    return "".join(parts)
+
+
+def profiles_section() -> str:
+    """What each profile chooses, and what the entries mean."""
+    profiles = {name: load_profile(name) for name in profile_names()}
+    entries = [name for name in Profile.model_fields if name != "name"]
+    meanings = attributes(Profile)
+    head = ["entry", *(f"`{name}`" for name in profiles), "what it is"]
+    rows = [
+        [f"`{entry}`", *(f"`{getattr(p, entry)!r}`" for p in profiles.values()), meanings[entry]]
+        for entry in entries
+    ]
+    return "\n## Profiles\n\n" + table(head, rows)
+
+
+def attributes(described: type) -> dict[str, str]:
+    """The lines below "Attributes:" of a docstring, by name."""
+    text = (inspect.getdoc(described) or "").partition("Attributes:")[2]
+    found = re.findall(r"^    (\w+): (.*?)(?=^    \w+: |\Z)", text, re.DOTALL | re.MULTILINE)
+    return {name: " ".join(words.split()) for name, words in found}
+
+
+def plugin_section(item: Loaded) -> str:
+    """One plugin: what it does, and its settings."""
+    return section(item.name, item.plugin, describe_settings(item.plugin.Config))
+
+
+def section(name: str, described: type, settings: list[Setting]) -> str:
+    """A heading, the first sentence of the docstring, and a table."""
+    words = (inspect.getdoc(described) or "").partition("\n\n")[0]
+    rows = [
+        [f"`{s.name}`", f"`{s.default}`", s.unit, f"`{s.type}`".replace("|", "or"), s.description]
+        for s in settings
+    ]
+    head = ["setting", "default", "unit", "type", "what it does"]
+    body = table(head, rows) if rows else "It has no settings.\n"
+    return f"\n### {name}\n\n{' '.join(words.split())}\n\n{body}"
+
+
+def table(head: list[str], rows: list[list[str]]) -> str:
+    """A Markdown table."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
+
+
 def with_files(text: str) -> str:
     """A page with the current text of every file it shows."""
 
@@ -64,5 +147,6 @@ def with_files(text: str) -> str:
 
 if __name__ == "__main__":
     (ROOT / "docs" / "cli.md").write_text(command_line_page(), encoding="utf-8")
+    (ROOT / "docs" / "settings.md").write_text(settings_page(), encoding="utf-8")
     for page in (ROOT / "docs").rglob("*.md"):
         page.write_text(with_files(page.read_text(encoding="utf-8")), encoding="utf-8")

@@ -10,7 +10,9 @@ from types import ModuleType
 
 import pytest
 
-from measure.host import hooks
+from measure.host import Registry, describe_settings, hooks
+from measure.measuring.tracking import TRACKERS
+from measure.results.tables import CSV_COLUMNS, SCHEMAS
 from tests.docs.pages import ROOT
 
 PLUGIN_PAGE = (ROOT / "docs" / "writing_a_plugin.md").read_text(encoding="utf-8")
@@ -29,6 +31,27 @@ def generator() -> ModuleType:
 def test_the_command_line_page_is_current(generator: ModuleType):
     page = (ROOT / "docs" / "cli.md").read_text(encoding="utf-8")
     assert page == generator.command_line_page(), "run: python docs/regenerate.py"
+
+
+def test_the_settings_page_is_current(generator: ModuleType):
+    page = (ROOT / "docs" / "settings.md").read_text(encoding="utf-8")
+    assert page == generator.settings_page(), "run: python docs/regenerate.py"
+
+
+def test_every_built_in_setting_has_a_description(generator: ModuleType):
+    own = [p for p in Registry.discover().loaded if p.distribution.name == "triball"]
+    described = {p.name: describe_settings(p.plugin.Config) for p in own}
+    described |= {name: describe_settings(t.Config) for name, t in TRACKERS.items()}
+    bare = [f"{name}.{s.name}" for name, found in described.items() for s in found
+            if not s.description]  # fmt: skip
+    assert sum(map(len, described.values())) > 40
+    assert bare == []
+
+
+def test_every_column_of_a_run_is_documented():
+    page = (ROOT / "docs" / "files.md").read_text(encoding="utf-8")
+    columns = {field.name for schema in SCHEMAS.values() for field in schema} | set(CSV_COLUMNS)
+    assert sorted(name for name in columns if f"`{name}`" not in page) == []
 
 
 @pytest.mark.parametrize("kind", hooks.KINDS, ids=lambda kind: kind.name)
