@@ -5,8 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from measure.arrays import Floats
-from measure.model import BallView, Body, Camera, Detection, Motion
+from measure.measuring.pose_fit import Sightings
+from measure.model import BallView, Body, Camera, Detection, Motion, Pose
+
+_COMMON_PX = 0.3
+"""What a detection is off by besides its noise: it makes all of them count about alike."""
 
 
 def detection_at(
@@ -43,3 +49,26 @@ def center_residuals(
             predicted = cameras[view.camera].project(there[None])[0]
             residuals[view.ball, view.camera] = view.detection.center_px - predicted
     return residuals
+
+
+def velocity_share(
+    detections: Sequence[Detection],
+    pose: Pose,
+    motion: Motion,
+    body: Body,
+    cameras: Mapping[str, Camera],
+) -> Floats:
+    """What an uncertain velocity adds to the covariance (6, 6) of a pose.
+
+    A velocity that is wrong carries the pictures of different times to different places, and the
+    pose to their weighted mean.
+    """
+    if motion.velocity_covariance is None or len({d.time_s for d in detections}) < 2:
+        return np.zeros((6, 6))
+    seen = Sightings.of(detections, body, cameras, pose.time_s, _COMMON_PX)
+    _, by_pose, by_velocity = seen.residuals(pose.world_from_body, motion.velocity)
+    gain = np.swapaxes(by_pose, 1, 2) @ np.linalg.inv(seen.noise)
+    normal = (gain @ by_pose).sum(axis=0)
+    # One ball alone leaves a turn open: its pose is the prediction's, whatever the velocity.
+    lever = np.linalg.lstsq(normal, (gain @ by_velocity).sum(axis=0), rcond=1e-9)[0]
+    return np.asarray(lever @ motion.velocity_covariance @ lever.T)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from measure.arrays import Floats
-from measure.model import BallView, Fix, Pose
+from measure.model import BallView, Fix, Motion, Pose
 
 
 class Status(StrEnum):
@@ -46,3 +46,18 @@ class Measurement:
     reason: str = ""
     residuals_px: dict[tuple[str, str], Floats] = field(default_factory=dict)
     searched: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Draft:
+    """A measurement that may be solved once more when later ones are known.
+
+    Attributes:
+        measurement: as it stands.
+        motion: the motion that brought its pictures to one instant; None if none was known.
+        doubts: the flags that its pose solver did not raise.
+    """
+
+    measurement: Measurement
+    motion: Motion | None
+    doubts: tuple[str, ...]

@@ -88,35 +88,29 @@ class Views:
         by_pose = np.concatenate([-by_point, by_point @ skew(seen - self.rig.centers)], axis=2)
         return self.pixels - predicted, by_point, by_pose
 
-    def by_camera(self, point: Floats) -> Floats:
-        """Jacobians (n, 2, 18) of the pixels by the cameras' poses and intrinsics.
-
-        Of cameras without a covariance, and of intrinsics without one, they are left at zero.
-        """
-        out = np.zeros((len(self), 2, 18))
-        if all(camera.covariance is None for camera in self.cameras):
+    def pose_noise(self, point: Floats) -> Floats:
+        """What uncertain camera poses add to the pixels' covariances (n, 2, 2)."""
+        out = np.zeros((len(self), 2, 2))
+        if all(camera.pose_covariance is None for camera in self.cameras):
             return out
         _, _, by_pose = self.sensitivity(point)
         for row, camera in enumerate(self.cameras):
-            if camera.covariance is not None:
-                out[row, :, :6] = by_pose[row]
-            if camera.intrinsics.covariance is not None:
-                seen = (point + self.shifts[row])[None]
-                out[row, :, 6:] = camera.project_with_jacobians(seen)[3][0]
+            if camera.pose_covariance is not None:
+                out[row] = propagate(by_pose[row], camera.pose_covariance)
         return out
 
-    def camera_noise(self, point: Floats) -> Floats:
-        """What uncertain cameras add to the pixels' covariances (n, 2, 2)."""
-        by_camera = self.by_camera(point)
+    def lens_noise(self, point: Floats) -> Floats:
+        """What uncertain intrinsics add to the pixels' covariances (n, 2, 2)."""
         out = np.zeros((len(self), 2, 2))
         for row, camera in enumerate(self.cameras):
-            if camera.covariance is not None:
-                out[row] = propagate(by_camera[row], camera.covariance)
+            if camera.intrinsics.covariance is not None:
+                by_lens = camera.project_with_jacobians((point + self.shifts[row])[None])[3]
+                out[row] = propagate(by_lens[0], camera.intrinsics.covariance)
         return out
 
     def total_noise(self, point: Floats) -> Floats:
         """The pixels' covariances (n, 2, 2), calibration included."""
-        return self.noise + self.camera_noise(point)
+        return self.noise + self.pose_noise(point) + self.lens_noise(point)
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,14 +166,14 @@ def leverage(views: Views, fit: PointFit) -> tuple[Floats, Floats]:
     """How a fitted point reacts to its inputs.
 
     Returns:
-        By the pixels (n, 3, 2), and by the cameras' poses and intrinsics (n, 3, 18): if camera i is
-        truly off by d, the fitted point errs by `by_camera[i] @ d`.
+        By the pixels (n, 3, 2), and by the camera poses (n, 3, 6): if the true pose of camera i is
+        `world_from_camera.perturb(d)`, the fitted point errs by `by_pose[i] @ d`.
     """
     weight = _weights(views, fit.point)
-    _, by_point, _ = views.sensitivity(fit.point)
+    _, by_point, by_pose = views.sensitivity(fit.point)
     gain = np.swapaxes(by_point, 1, 2) @ weight
     by_pixel = np.linalg.inv((gain @ by_point).sum(axis=0)) @ gain
-    return by_pixel, by_pixel @ views.by_camera(fit.point)
+    return by_pixel, by_pixel @ by_pose
 
 
 def disagreement(views: Views, fit: PointFit, extra_px: float) -> Floats:

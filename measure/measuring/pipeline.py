@@ -10,8 +10,9 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.host import Detector, PoseSolver, Triangulator
-from measure.measuring.instants import center_residuals, detection_at
-from measure.measuring.measurement import Measurement, Status
+from measure.measuring.instants import center_residuals, detection_at, velocity_share
+from measure.measuring.measurement import Draft, Measurement, Status
+from measure.measuring.pose_spline import motion_at, with_neighbours
 from measure.measuring.tracking import Tracker
 from measure.model import (
     BallView,
@@ -25,6 +26,11 @@ from measure.model import (
     Pose,
 )
 
+_ROUNDS = 2
+"""The first poses rest on predicted velocities; a spline through them is not yet the best one."""
+_SAME_MM = 1e-3
+_ARM_MM = np.array([1.0, 1.0, 1.0, 40.0, 40.0, 40.0])
+
 
 @dataclass(frozen=True, eq=False)
 class Stages:
@@ -36,7 +42,7 @@ class Stages:
         triangulator: locates single balls.
         solver: locates the body.
         own_times: whether each image counts at its own time.
-        neighbours: whether a pose is solved again with the velocity its neighbours give.
+        neighbours: whether a pose is solved again with the motion that those round it show.
         look_again: whether, after a search of whole frames, the balls are measured once more where
             they were found.
     """
@@ -68,51 +74,53 @@ class Pipeline:
     def measure(self, frame_sets: Iterable[FrameSet]) -> Iterator[Measurement]:
         """Measure frame sets in order of time; yields one measurement for each, in order."""
         with ThreadPoolExecutor(max_workers=len(self._cameras)) as pool:
-            first_pass = (self._measure_one(frame_set, pool) for frame_set in frame_sets)
-            if self.stages.neighbours:
-                yield from self._with_neighbours(first_pass)
-            else:
-                yield from first_pass
+            drafts: Iterator[Draft] = (self._draft(frame_set, pool) for frame_set in frame_sets)
+            for _ in range(_ROUNDS if self.stages.neighbours else 0):
+                drafts = map(self._again, with_neighbours(drafts))
+            for draft in drafts:
+                yield draft.measurement
 
-    def _measure_one(self, frame_set: FrameSet, pool: Executor) -> Measurement:
+    def _draft(self, frame_set: FrameSet, pool: Executor) -> Draft:
         expected = self.stages.tracker.expect(frame_set)
         if expected is None:
-            return _skipped(frame_set)
-        measured = self._look(frame_set, expected, pool)
+            return Draft(_skipped(frame_set), None, ())
+        draft = self._look(frame_set, expected, pool)
+        measured = draft.measurement
         if self.stages.look_again and measured.searched and measured.pose is not None:
             # A search only finds the balls; knowing where they are, they can be measured.
             expected = self.stages.tracker.expect(frame_set)
             if expected is not None:
                 again = self._look(frame_set, expected, pool)
-                measured = replace(again, searched=measured.searched)
-        return measured
+                searched = replace(again.measurement, searched=measured.searched)
+                draft = replace(again, measurement=searched)
+        return draft
 
     def _look(
         self, frame_set: FrameSet, expected: Mapping[str, Sequence[Expectation]], pool: Executor
-    ) -> Measurement:
+    ) -> Draft:
         tracker = self.stages.tracker
         views = tracker.judge(frame_set, self._detect(frame_set, expected, pool))
         time_s = self._instant(frame_set)
-        fixes = self._triangulate(views, time_s)
         prior = tracker.motion(time_s)
+        fixes = self._triangulate(views, time_s, prior)
         pose = self._solve(views, fixes, time_s, prior)
         verdict = tracker.conclude(frame_set, views, fixes, pose)
-        status = Status.LOST
-        if verdict.pose is not None:
-            status = Status.FLAGGED if verdict.pose.flags else Status.OK
         balls = len(self._body.balls)
-        return Measurement(
+        measured = Measurement(
             index=frame_set.index,
             time_s=time_s,
             frames=_frames(frame_set),
             views=views,
             fixes=fixes,
             pose=verdict.pose,
-            status=status,
+            status=_status(verdict.pose),
             reason=verdict.reason,
             residuals_px=self._residuals(views, verdict.pose, prior),
             searched=tuple(n for n in frame_set.images if len(expected.get(n, ())) < balls),
         )
+        raised = () if pose is None else pose.flags
+        flags = () if verdict.pose is None else verdict.pose.flags
+        return Draft(measured, prior, tuple(flag for flag in flags if flag not in raised))
 
     def _detect(
         self, frame_set: FrameSet, expected: Mapping[str, Sequence[Expectation]], pool: Executor
@@ -132,12 +140,13 @@ class Pipeline:
             return frame_set.time_s
         return float(np.mean([image.time_s for image in frame_set.images.values()]))
 
-    def _triangulate(self, views: Sequence[BallView], time_s: float) -> tuple[Fix, ...]:
-        motion = self.stages.tracker.motion(time_s) if self.stages.own_times else None
+    def _triangulate(
+        self, views: Sequence[BallView], time_s: float, motion: Motion | None
+    ) -> tuple[Fix, ...]:
         fixes = []
         for name in self._body.names:
             seen = [v.detection for v in views if v.ball == name and v.effective and v.detection]
-            if motion is not None:
+            if motion is not None and self.stages.own_times:
                 seen = [detection_at(d, time_s, motion, self._body, self._cameras) for d in seen]
             if len(seen) < 2:
                 continue
@@ -152,38 +161,39 @@ class Pipeline:
         seen = [v.detection for v in views if v.effective and v.detection is not None]
         if not seen:
             return None
-        return self.stages.solver.solve(fixes, seen, self._cameras, time_s, prior)
+        pose = self.stages.solver.solve(fixes, seen, self._cameras, time_s, prior)
+        if pose is None or prior is None or not self.stages.own_times:
+            return pose
+        share = velocity_share(seen, pose, prior, self._body, self._cameras)
+        return replace(pose, covariance=pose.covariance + share)
 
-    def _with_neighbours(self, measured: Iterable[Measurement]) -> Iterator[Measurement]:
-        """Solve each pose again with the velocity between the poses before and after it."""
-        before: Measurement | None = None
-        current: Measurement | None = None
-        for after in measured:
-            if current is not None:
-                yield self._again(before, current, after)
-            before, current = current, after
-        if current is not None:
-            yield self._again(before, current, None)
-
-    def _again(
-        self, before: Measurement | None, current: Measurement, after: Measurement | None
-    ) -> Measurement:
-        if current.pose is None:
-            return current
-        around = [m.pose for m in (before, current, after) if m is not None and m.pose is not None]
-        if len(around) < 2:
-            return current
-        first, last = around[0], around[-1]
-        step = last.world_from_body.difference(first.world_from_body)
-        motion = Motion(
-            current.pose.world_from_body, current.time_s, step / (last.time_s - first.time_s)
-        )
-        pose = self._solve(current.views, current.fixes, current.time_s, motion)
+    def _again(self, near: tuple[Sequence[Pose], Draft, Sequence[Pose]]) -> Draft:
+        """Solve a pose once more, with the motion that the poses round it show."""
+        before, draft, after = near
+        current = draft.measurement
+        times = {view.detection.time_s for view in current.views if view.detection is not None}
+        if current.pose is None or len(times) < 2:
+            return draft
+        motion = motion_at(current.pose, before, after)
+        if motion is None or not _differ(motion, draft.motion, times):
+            return draft
+        fixes = self._triangulate(current.views, current.time_s, motion)
+        pose = self._solve(current.views, fixes, current.time_s, motion)
         if pose is None:
-            return current
-        pose = replace(pose, flags=current.pose.flags)
-        residuals = self._residuals(current.views, pose, motion)
-        return replace(current, pose=pose, residuals_px=residuals)
+            return draft
+        pose = replace(
+            pose,
+            covariance=pose.covariance * motion.gain(times) ** 2,
+            flags=tuple(dict.fromkeys((*pose.flags, *draft.doubts))),
+        )
+        again = replace(
+            current,
+            fixes=fixes,
+            pose=pose,
+            status=_status(pose),
+            residuals_px=self._residuals(current.views, pose, motion),
+        )
+        return replace(draft, measurement=again, motion=motion)
 
     def _residuals(
         self, views: Sequence[BallView], pose: Pose | None, prior: Motion | None
@@ -193,8 +203,22 @@ class Pipeline:
         if prior is None or not self.stages.own_times:
             still = Motion.at_rest(pose.world_from_body, pose.time_s)
             return center_residuals(views, still, self._body, self._cameras)
-        moving = Motion(pose.world_from_body, pose.time_s, prior.velocity)
+        moving = replace(prior, world_from_body=pose.world_from_body, time_s=pose.time_s)
         return center_residuals(views, moving, self._body, self._cameras)
+
+
+def _status(pose: Pose | None) -> Status:
+    if pose is None:
+        return Status.LOST
+    return Status.FLAGGED if pose.flags else Status.OK
+
+
+def _differ(one: Motion, other: Motion | None, times_s: Iterable[float]) -> bool:
+    """Whether two motions carry pictures of these times to places that differ at all."""
+    if other is None:
+        return True
+    change = [one.moved(t) - other.moved(t) + other.moved(one.time_s) for t in times_s]
+    return bool(np.max(np.abs(change) * _ARM_MM) > _SAME_MM)
 
 
 def _frames(frame_set: FrameSet) -> dict[str, int]:

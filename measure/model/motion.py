@@ -19,12 +19,14 @@ class Motion:
         time_s: the instant.
         velocity: (6,) mm/s and rad/s, both in the world.
         covariance: (6, 6) of the pose at `time_s`; None if unknown.
+        velocity_covariance: (6, 6) of the velocity; None if unknown.
     """
 
     world_from_body: RigidTransform
     time_s: float
     velocity: Floats
     covariance: Floats | None = None
+    velocity_covariance: Floats | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "velocity", floats("velocity", self.velocity, 6))
@@ -34,6 +36,10 @@ class Motion:
         """A body that does not move."""
         return cls(world_from_body, time_s, np.zeros(6))
 
+    def moved(self, time_s: float) -> Floats:
+        """How far (6,) the body has moved at another time, in the chart of the pose."""
+        return np.asarray(self.velocity * (time_s - self.time_s))
+
     def at(self, time_s: float) -> RigidTransform:
-        """The pose at another time, by constant velocity."""
-        return self.world_from_body.perturb(self.velocity * (time_s - self.time_s))
+        """The pose at another time."""
+        return self.world_from_body.perturb(self.moved(time_s))

@@ -25,9 +25,14 @@ def agree_with_prediction(
 
 
 def agree_with_each_other(
-    innovations: Floats, jacobians: Floats, noise: Floats, prior: Floats, gate: float
-) -> Bools:
-    """Whether one small change of the predicted pose explains innovations (n, 2).
+    innovations: Floats,
+    jacobians: Floats,
+    noise: Floats,
+    prior: Floats,
+    gate: float,
+    lead_s: Floats,
+) -> tuple[Bools, Floats, Floats]:
+    """Whether one small change of the predicted pose and velocity explains innovations (n, 2).
 
     A robust linear update of the prediction (Tukey's weights); what is left over is compared with
     the detections' own noise, so a camera or ball that contradicts the majority stands out.
@@ -36,9 +41,15 @@ def agree_with_each_other(
         innovations: detected minus predicted centres, px.
         jacobians: (n, 2, 6) of the centres by the pose's chart.
         noise: (n, 2, 2) covariances of the detections.
-        prior: (6, 6) covariance of the predicted pose.
+        prior: (12, 12) covariance of the predicted pose and velocity at a common instant.
         gate: greatest squared Mahalanobis distance.
+        lead_s: (n,) times of the pictures after that instant.
+
+    Returns:
+        Which are explained (n,), the change of pose and velocity (12,), and its covariance
+        (12, 12).
     """
+    jacobians = np.concatenate([jacobians, jacobians * lead_s[:, None, None]], axis=2)
     inverse = np.linalg.inv(noise)
     information = np.linalg.inv(prior)
     distances = np.zeros(len(innovations))
@@ -51,4 +62,4 @@ def agree_with_each_other(
         residuals = innovations - jacobians @ step
         distances = np.einsum("ni,nij,nj->n", residuals, inverse, residuals)
         width = max(gate, width / 4)
-    return np.asarray(distances <= gate)
+    return np.asarray(distances <= gate), np.asarray(step), np.linalg.inv(normal)

@@ -88,4 +88,10 @@ class MotionState:
 
     def motion(self) -> Motion:
         """As the pipeline hands it to solvers."""
-        return Motion(self.world_from_body, self.time_s, self.velocity, self.covariance[:6, :6])
+        return Motion(
+            self.world_from_body,
+            self.time_s,
+            self.velocity,
+            self.covariance[:6, :6],
+            velocity_covariance=self.covariance[6:, 6:],
+        )

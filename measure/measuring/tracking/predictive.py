@@ -104,10 +104,11 @@ class PredictiveTracker:
         self._last_seen: MotionState | None = None
         self._waiting: dict[tuple[str, str], int] = {}
         self._misses = 0
+        self._faster: tuple[Floats, Floats] | None = None
 
     def expect(self, frame_set: FrameSet) -> Mapping[str, Sequence[Expectation]]:
         """Windows from the predicted pose at each image's own time; the whole frame without one."""
-        self._windows = self._found = None
+        self._windows = self._found = self._faster = None
         if self._state is not None and frame_set.images:
             latest = max(image.time_s for image in frame_set.images.values())
             if latest - self._state.time_s > self.config.max_gap_s:
@@ -131,10 +132,20 @@ class PredictiveTracker:
         return self._track(frame_set, self._windows, detections)
 
     def motion(self, time_s: float) -> Motion | None:
-        """The predicted motion at `time_s`; right after a search, the pose found, at rest."""
+        """The predicted motion at `time_s`; right after a search, the pose found, at rest.
+
+        Its velocity takes in what pictures of different times say, so that a body that speeds up
+        is not seen where it was going to be.
+        """
         if self._state is None:
             return None
-        return self._state.at(time_s, self._acceleration).motion()
+        predicted = self._state.at(time_s, self._acceleration).motion()
+        if self._faster is None:
+            return predicted
+        faster, covariance = self._faster
+        return replace(
+            predicted, velocity=predicted.velocity + faster, velocity_covariance=covariance
+        )
 
     def conclude(
         self,
@@ -160,7 +171,7 @@ class PredictiveTracker:
             self._misses = 0
             extra = _chart(_LEFT_OUT_MM, _LEFT_OUT_RAD)
             self._state = self._state.updated(pose, extra, self._acceleration)
-            self._last_seen = self._state
+            self._last_seen, self._faster = self._state, None
         return Verdict(replace(pose, flags=flags))
 
     def _search(
@@ -234,15 +245,20 @@ class PredictiveTracker:
         colored = np.array([not d.color_match < self.config.min_color_match for d in seen])
         usable = np.nonzero(near & colored)[0]
         agreeing = np.zeros(len(seen), np.bool_)
+        times = np.array([d.time_s for d in seen])
+        instant = float(times.mean())
+        lead_s = times - instant
         if len(usable):
             some = np.asarray(rows)[usable]
-            agreeing[usable] = agree_with_each_other(
+            agreeing[usable], change, covariance = agree_with_each_other(
                 innovations[usable],
                 windows.jacobians[some],
                 noise[usable],
-                self._state.at(seen[0].time_s, self._acceleration).covariance[:6, :6],
+                self._state.at(instant, self._acceleration).covariance,
                 gate,
+                lead_s[usable],
             )
+            self._faster = change[6:], covariance[6:, 6:]
         return [
             Reason.JUMPED
             if not n

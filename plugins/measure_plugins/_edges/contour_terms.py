@@ -18,7 +18,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure_plugins._edges.contours import Contours
 from measure_plugins._edges.jit import compiled
-from measure_plugins._edges.rotation import skew
+from measure_plugins._edges.rotation import rotation_of, skew
 from measure_plugins._edges.selection import median
 
 OWN = 3
@@ -89,7 +89,7 @@ def collect(
         first, last = contours.start[k], contours.start[k + 1]
         turn = contours.rotations[contours.view_of[k]]
         arm = rotation @ contours.centers_body[k]
-        moved = contours.motion[k, :3] + skew(contours.motion[k, 3:]) @ arm
+        moved = contours.motion[k, :3] + rotation_of(contours.motion[k, 3:]) @ arm - arm
         center = turn @ (translation + arm + moved) + contours.translations[contours.view_of[k]]
         terms.arms[k, :, :3] = turn
         terms.arms[k, :, 3:] = -(turn @ skew(arm))

@@ -1,0 +1,144 @@
+"""The motion that poses show: exact where it can be, and told how far to trust it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from measure.geometry import RigidTransform
+from measure.measuring import Measurement, Status
+from measure.measuring.measurement import Draft
+from measure.measuring.pose_spline import REACH, motion_at, with_neighbours
+from measure.model import Pose
+from tests.scenes import RAVEN, TARGET, ring
+from tests.tracking_rig import run
+
+TURN = 2 * np.pi * 3.0
+CAMERAS = ring()
+PHASES = [0.0, 0.011, 0.024, 0.006]
+
+
+def shaken(time_s):
+    """Three hertz, 6 mm and 5 degrees: up to 110 mm/s and 2100 mm/s^2."""
+    waves = np.sin(TURN * time_s + np.array([0.0, 1.5, 3.2]))
+    return RigidTransform.from_rotvec(0.08 * waves[::-1], TARGET + [6, 5, 4] * waves)
+
+
+def pose(time_s, path=shaken, sd=1e-3):
+    return Pose(time_s, path(time_s), np.eye(6) * sd**2, 0.0, 0.0, ("cam0",), ("red",))
+
+
+def poses(count, path=shaken):
+    return [pose(k / 30, path) for k in range(count)]
+
+
+def test_a_spline_follows_a_shaking_body_between_its_pictures():
+    knots = poses(7)
+    motion = motion_at(knots[3], knots[:3], knots[4:])
+    for lead_s in (-0.015, -0.004, 0.009, 0.015):
+        off = motion.at(0.1 + lead_s).difference(shaken(0.1 + lead_s))
+        assert np.linalg.norm(off[:3]) < 0.01
+        assert np.linalg.norm(off[3:]) < np.radians(0.01)
+    # The slope between the neighbours, by contrast, misses the truth by ten times as much.
+    step = knots[4].world_from_body.difference(knots[2].world_from_body) * 15
+    missed = shaken(0.1).perturb(0.015 * step).difference(shaken(0.115))
+    assert np.linalg.norm(missed[:3]) > 0.1
+
+
+def test_at_its_own_time_the_spline_is_the_pose():
+    knots = poses(7)
+    motion = motion_at(knots[2], knots[:2], knots[3:])
+    np.testing.assert_allclose(motion.at(knots[2].time_s).matrix, shaken(2 / 30).matrix, atol=1e-12)
+    np.testing.assert_allclose(motion.moved(knots[2].time_s), 0, atol=1e-12)
+
+
+@pytest.mark.parametrize("at", [0, 1, 3, 6])
+def test_a_straight_path_is_exact_and_its_noise_is_what_the_knots_say(at):
+    way = np.array([40.0, -20, 10])
+    knots = poses(7, lambda t: RigidTransform(np.eye(3), TARGET + way * t))
+    motion = motion_at(knots[at], knots[:at], knots[at + 1 :])
+    np.testing.assert_allclose(motion.velocity, [*way, 0, 0, 0], atol=1e-9)
+    rng = np.random.default_rng(3)
+    found = []
+    for _ in range(300):
+        noisy = [
+            Pose(p.time_s, p.world_from_body.perturb(rng.normal(scale=1e-3, size=6)), p.covariance,
+                 0.0, 0.0, (), ())
+            for p in knots
+        ]  # fmt: skip
+        found.append(motion_at(noisy[at], noisy[:at], noisy[at + 1 :]).velocity)
+    told = np.sqrt(np.diag(motion.velocity_covariance))
+    np.testing.assert_allclose(np.std(found, axis=0), told, rtol=0.2)
+
+
+def test_a_path_with_a_kink_is_known_to_be_uncertain():
+    away = np.array([200.0, 0, 0])
+    kink = lambda t: RigidTransform(np.eye(3), TARGET + max(t - 0.1, 0.0) * away)
+    knots = poses(7, kink)
+    motion = motion_at(knots[4], knots[:4], knots[5:])
+    assert motion.velocity_covariance[0, 0] ** 0.5 > 3
+    assert motion.velocity_covariance[1, 1] ** 0.5 < 0.1
+
+
+def test_a_pose_alone_has_no_motion_and_two_have_an_uncertain_one():
+    one, two = poses(2)
+    assert motion_at(one, [], []) is None
+    motion = motion_at(one, [], [two])
+    step = two.world_from_body.difference(one.world_from_body)
+    np.testing.assert_allclose(motion.velocity, step * 30)
+    assert motion.velocity_covariance[0, 0] ** 0.5 >= abs(motion.velocity[0])
+
+
+def draft(index, status=Status.OK, time_s=None):
+    time_s = index / 30 if time_s is None else time_s
+    known = status in (Status.OK, Status.FLAGGED)
+    measured = Measurement(index, time_s, {}, (), (), pose(time_s) if known else None, status)
+    return Draft(measured, None, ())
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 4, 6, 7, 8, 20])
+def test_every_measurement_comes_once_in_order_with_its_neighbours(count):
+    got = list(with_neighbours(draft(k) for k in range(count)))
+    assert [d.measurement.index for _, d, _ in got] == list(range(count))
+    for before, d, after in got:
+        k = d.measurement.index
+        assert [round(p.time_s * 30) for p in before] == list(range(max(k - REACH, 0), k))
+        assert [round(p.time_s * 30) for p in after] == list(
+            range(k + 1, min(k + 1 + REACH, count))
+        )
+
+
+def test_no_more_is_read_ahead_than_needed():
+    read = []
+    drafts = with_neighbours(draft(k) for k in range(100) if read.append(k) is None)
+    next(drafts)
+    assert len(read) == REACH + 1
+
+
+def test_lost_and_doubted_poses_are_no_knots_and_a_pause_ends_the_spline():
+    drafts = [draft(0), draft(1, Status.FLAGGED), draft(2), draft(3, Status.LOST), draft(4)]
+    before, _, after = list(with_neighbours(drafts))[2]
+    assert [p.time_s for p in before] == [0.0]
+    assert [p.time_s for p in after] == [4 / 30]
+    drafts = [draft(0), draft(1), draft(2, time_s=5.0), draft(3, time_s=5.03)]
+    before, _, after = list(with_neighbours(drafts))[1]
+    assert (len(before), len(after)) == (1, 0)
+
+
+def test_a_shaking_body_seen_by_cameras_out_of_step():
+    """Position to the detections' noise, and the covariance that says so, before and after."""
+    world = lambda t: [(RAVEN, shaken(t))]
+    sharp = {"sd_px": 0.03}
+    live, _, _ = run(RAVEN, world, CAMERAS, 40, phases=PHASES, **sharp)
+    offline, _, _ = run(RAVEN, world, CAMERAS, 40, phases=PHASES, neighbours=True, **sharp)
+    errors = {}
+    for name, measured in (("live", live), ("offline", offline)):
+        assert all(m.pose is not None for m in measured)
+        off = np.stack([m.pose.world_from_body.difference(shaken(m.pose.time_s)) for m in measured])
+        errors[name] = np.sqrt(np.mean(np.sum(off[4:-4, :3] ** 2, axis=1)))
+    assert errors["live"] < 0.15
+    assert errors["offline"] < 0.02
+    inside = [
+        d @ np.linalg.solve(m.pose.covariance, d) < 12.6 for d, m in zip(off, offline, strict=True)
+    ]
+    assert np.mean(inside) >= 0.9
