@@ -49,6 +49,12 @@ class Intrinsics:
         return float((self.matrix[0, 0] + self.matrix[1, 1]) / 2)
 
     @cached_property
+    def row(self) -> Floats:
+        """Fx skew cx fy cy k1 k2 p1 p2 k3 k4 k5 k6 as (13,), for compiled loops."""
+        k = self.matrix
+        return np.concatenate([[k[0, 0], k[0, 1], k[0, 2], k[1, 1], k[1, 2]], self.distortion])
+
+    @cached_property
     def reach(self) -> float:
         """Ideal (undistorted, normalised) radius beyond which the lens model folds back."""
         return fold_radius(self.distortion)

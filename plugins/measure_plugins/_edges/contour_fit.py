@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from measure.arrays import Floats
+from measure.compiling import compiled
 from measure_plugins._edges.contour_terms import OWN, Terms, collect, empty_terms
 from measure_plugins._edges.contours import Contours
-from measure_plugins._edges.jit import compiled
 from measure_plugins._edges.rotation import rotation_of, rotvec_of, skew
 from measure_plugins._edges.selection import median
 

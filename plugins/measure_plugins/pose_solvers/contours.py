@@ -19,7 +19,7 @@ from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform, align_points
 from measure.host import PoseSolver, Settings, hookimpl, setting
-from measure.model import Body, Camera, Detection, Fix, Intrinsics, Motion, Pose
+from measure.model import Camera, Detection, Fix, Intrinsics, Motion, Pose
 
 if TYPE_CHECKING:
     from measure_plugins._edges.contour_fit import ContourFit
@@ -47,10 +47,6 @@ class ContoursSolver(PoseSolver):
     name = "contours"
     Config = ContoursConfig
     config: ContoursConfig
-
-    def __init__(self, config: Settings, body: Body) -> None:
-        super().__init__(config, body)
-        self._lenses: dict[str, tuple[Camera, Floats]] = {}
 
     def warm_up(self) -> None:
         """Compile the joint fit (seconds, once per machine), by fitting circles to nothing."""
@@ -128,20 +124,12 @@ class ContoursSolver(PoseSolver):
             seen.append(Seen(points, sd, view, ball.center_mm, ball.radius_mm, moved[d.time_s]))
         contours, kept = pack(
             seen,
-            np.stack([self._lens(camera) for camera in used]),
+            np.stack([camera.intrinsics.row for camera in used]),
             np.array([camera.camera_from_world.rotation for camera in used], order="C"),
             np.stack([camera.camera_from_world.translation for camera in used]),
         )
         names = [detections[i].ball for i in kept]
         return _Outlines(contours, names, used)
-
-    def _lens(self, camera: Camera) -> Floats:
-        from measure_plugins._edges.lens import lens_row
-
-        known = self._lenses.get(camera.name)
-        if known is None or known[0] is not camera:
-            known = self._lenses[camera.name] = (camera, lens_row(camera.intrinsics))
-        return known[1]
 
     def _start(
         self,
