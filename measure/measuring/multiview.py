@@ -89,27 +89,26 @@ class Views:
         )
         return self.pixels - predicted, by_point, by_pose
 
-    def pose_noise(self, point: Floats) -> Floats:
-        """What uncertain camera poses add to the pixels' covariances (n, 2, 2)."""
-        from measure.measuring.point_kernels import pose_noise
+    def by_camera(self, point: Floats) -> Floats:
+        """Jacobians (n, 2, 18) of the pixels by the cameras' poses and intrinsics.
 
-        out = np.zeros((len(self), 2, 2))
-        pose_noise(self.sensitivity(point)[2], self.rig.pose_covariances, out)
-        return out
+        Of cameras without a covariance, and of intrinsics without one, they are left at zero.
+        """
+        from measure.measuring.point_kernels import by_cameras
 
-    def lens_noise(self, point: Floats) -> Floats:
-        """What uncertain intrinsics add to the pixels' covariances (n, 2, 2)."""
-        from measure.measuring.point_kernels import lens_noise
-
-        rig, out = self.rig, np.zeros((len(self), 2, 2))
-        lens_noise(
-            rig.lenses, rig.rotation, rig.centers, point + self.shifts, rig.lens_covariances, out
+        rig, by_pose = self.rig, self.sensitivity(point)[2]
+        return by_cameras(
+            rig.lenses, rig.rotation, rig.centers, point + self.shifts, by_pose, rig.covariances
         )
-        return out
+
+    def camera_noise(self, point: Floats) -> Floats:
+        """What uncertain cameras add to the pixels' covariances (n, 2, 2)."""
+        by_camera = self.by_camera(point)
+        return by_camera @ self.rig.covariances @ np.swapaxes(by_camera, 1, 2)
 
     def total_noise(self, point: Floats) -> Floats:
         """The pixels' covariances (n, 2, 2), calibration included."""
-        return self.noise + self.pose_noise(point) + self.lens_noise(point)
+        return self.noise + self.camera_noise(point)
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,14 +163,14 @@ def leverage(views: Views, fit: PointFit) -> tuple[Floats, Floats]:
     """How a fitted point reacts to its inputs.
 
     Returns:
-        By the pixels (n, 3, 2), and by the camera poses (n, 3, 6): if the true pose of camera i is
-        `world_from_camera.perturb(d)`, the fitted point errs by `by_pose[i] @ d`.
+        By the pixels (n, 3, 2), and by the cameras' poses and intrinsics (n, 3, 18): if camera i is
+        truly off by d, the fitted point errs by `by_camera[i] @ d`.
     """
     weight = _weights(views, fit.point)
-    _, by_point, by_pose = views.sensitivity(fit.point)
+    _, by_point, _ = views.sensitivity(fit.point)
     gain = np.swapaxes(by_point, 1, 2) @ weight
     by_pixel = np.linalg.inv((gain @ by_point).sum(axis=0)) @ gain
-    return by_pixel, by_pixel @ by_pose
+    return by_pixel, by_pixel @ views.by_camera(fit.point)
 
 
 def disagreement(views: Views, fit: PointFit, extra_px: float) -> Floats:

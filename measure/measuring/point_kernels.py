@@ -48,28 +48,23 @@ def sensitivities(
 
 
 @compiled
-def pose_noise(by_pose: Floats, pose_covariances: Floats, noise: Floats) -> None:
-    """Add what uncertain camera poses (n, 6, 6) do to the pixels' covariances (n, 2, 2)."""
-    for i in range(len(noise)):
-        _add_propagated(by_pose[i], pose_covariances[i], noise[i])
-
-
-@compiled
-def lens_noise(
+def by_cameras(
     lenses: Floats,
     rotation: Floats,
     centers: Floats,
     seen: Floats,
-    lens_covariances: Floats,
-    noise: Floats,
-) -> None:
-    """Add what uncertain intrinsics (n, 12, 12) do to the pixels' covariances (n, 2, 2)."""
-    by_lens = np.zeros((2, 12))
-    for i in range(len(noise)):
-        if lens_covariances[i, 0, 0] > 0:
+    by_pose: Floats,
+    covariances: Floats,
+) -> Floats:
+    """Jacobians (n, 2, 18) of pixels by poses and intrinsics; zero where nothing is uncertain."""
+    out = np.zeros((len(seen), 2, 18))
+    for i in range(len(seen)):
+        if covariances[i, 0, 0] > 0:
+            out[i, :, :6] = by_pose[i]
+        if covariances[i, 6, 6] > 0:
             x, y = _ideal(rotation[i], centers[i], seen[i])
-            _by_lens(x, y, lenses[i], by_lens)
-            _add_propagated(by_lens, lens_covariances[i], noise[i])
+            _by_lens(x, y, lenses[i], out[i, :, 6:])
+    return out
 
 
 @compiled
@@ -103,19 +98,6 @@ def _by_lens(x: float, y: float, lens: Floats, out: Floats) -> None:
 def _lens_column(out: Floats, column: int, du: float, dv: float, lens: Floats) -> None:
     out[0, column] = lens[0] * du + lens[1] * dv
     out[1, column] = lens[3] * dv
-
-
-@compiled
-def _add_propagated(jacobian: Floats, covariance: Floats, out: Floats) -> None:
-    """Add `J C J^T` of a (2, k) Jacobian to (2, 2)."""
-    k = jacobian.shape[1]
-    for a in range(2):
-        for j in range(k):
-            half = 0.0
-            for i in range(k):
-                half += jacobian[a, i] * covariance[i, j]
-            out[a, 0] += half * jacobian[0, j]
-            out[a, 1] += half * jacobian[1, j]
 
 
 @compiled

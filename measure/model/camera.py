@@ -131,6 +131,8 @@ class Camera:
         world_from_camera: pose; the camera looks along its +z, x right, y down.
         pose_covariance: (6, 6) of `world_from_camera` in its `perturb` chart, or None if unknown.
         reprojection_rms_px: of the calibration, or None if unknown.
+        pose_intrinsics_covariance: (6, 12) covariance of the two, or None if unknown. A fit of both
+            leaves them strongly correlated: a turned camera and a moved principal point look alike.
     """
 
     name: str
@@ -138,12 +140,16 @@ class Camera:
     world_from_camera: RigidTransform
     pose_covariance: Floats | None = None
     reprojection_rms_px: float | None = None
+    pose_intrinsics_covariance: Floats | None = None
 
     def __post_init__(self) -> None:
         if self.pose_covariance is not None:
             object.__setattr__(
                 self, "pose_covariance", floats("pose_covariance", self.pose_covariance, 6, 6)
             )
+        if self.pose_intrinsics_covariance is not None:
+            cross = floats("pose_intrinsics_covariance", self.pose_intrinsics_covariance, 6, 12)
+            object.__setattr__(self, "pose_intrinsics_covariance", cross)
 
     @cached_property
     def camera_from_world(self) -> RigidTransform:
@@ -161,6 +167,23 @@ class Camera:
         if self.pose_covariance is None:
             return None
         return UncertainTransform(self.world_from_camera, self.pose_covariance)
+
+    @cached_property
+    def covariance(self) -> Floats | None:
+        """(18, 18) of pose and intrinsics together, or None if neither is known.
+
+        What is not known counts as exact, and as independent.
+        """
+        pose, lens = self.pose_covariance, self.intrinsics.covariance
+        if pose is None and lens is None:
+            return None
+        out = np.zeros((18, 18))
+        out[:6, :6] = 0.0 if pose is None else pose
+        out[6:, 6:] = 0.0 if lens is None else lens
+        if pose is not None and lens is not None and self.pose_intrinsics_covariance is not None:
+            out[:6, 6:] = self.pose_intrinsics_covariance
+            out[6:, :6] = self.pose_intrinsics_covariance.T
+        return out
 
     def project(self, points_world: ArrayLike) -> Floats:
         """Pixels (n, 2) of world points (n, 3); NaN for points without an image."""

@@ -24,8 +24,7 @@ class Rig:
         reach: (n,) ideal radii beyond which the lens models fold back.
         rotation: (n, 3, 3) world_from_camera rotations.
         centers: (n, 3) projection centres in the world, mm.
-        pose_covariances: (n, 6, 6) of the camera poses; zero where unknown.
-        lens_covariances: (n, 12, 12) of fx fy cx cy and the distortion; zero where unknown.
+        covariances: (n, 18, 18) of pose and intrinsics (see `Camera`); zero where unknown.
     """
 
     names: tuple[str, ...]
@@ -33,8 +32,7 @@ class Rig:
     reach: Floats
     rotation: Floats
     centers: Floats
-    pose_covariances: Floats
-    lens_covariances: Floats
+    covariances: Floats
 
     @classmethod
     def of(cls, cameras: Sequence[Camera]) -> Rig:
@@ -58,8 +56,7 @@ class Rig:
             self.reach[index],
             self.rotation[index],
             self.centers[index],
-            self.pose_covariances[index],
-            self.lens_covariances[index],
+            self.covariances[index],
         )
 
     def project(self, points_world: Floats) -> tuple[Floats, Floats]:
@@ -102,8 +99,7 @@ def _stacked(cameras: tuple[Camera, ...]) -> Rig:
         np.array([lens.reach for lens in lenses], dtype=np.float64),
         np.array([c.world_from_camera.rotation for c in cameras]).reshape(-1, 3, 3),
         np.array([c.center for c in cameras]).reshape(-1, 3),
-        _covariances([c.pose_covariance for c in cameras], 6),
-        _covariances([lens.covariance for lens in lenses], 12),
+        _covariances([c.covariance for c in cameras], 18),
     )
 
 

@@ -21,7 +21,13 @@ _LENS = np.diag(np.r_[1.0, 1.2, 0.5, 0.7, np.full(8, 1e-3)]) ** 2 + 1e-9
 
 def _uncertain(camera: Camera) -> Camera:
     lens = replace(camera.intrinsics, distortion=np.array([0.06, -0.12, 1e-3, -2e-3, 0.02]))
-    return replace(camera, intrinsics=replace(lens, covariance=_LENS), pose_covariance=_POSE)
+    sd_pose, sd_lens = np.sqrt(np.diag(_POSE)), np.sqrt(np.diag(_LENS))
+    return replace(
+        camera,
+        intrinsics=replace(lens, covariance=_LENS),
+        pose_covariance=_POSE,
+        pose_intrinsics_covariance=0.02 * np.outer(sd_pose, sd_lens),
+    )
 
 
 def _seen(cameras: dict[str, Camera], time_s: float = 0.0) -> list[Detection]:
@@ -36,8 +42,12 @@ def test_a_calibrations_uncertainty_is_propagated_by_the_cameras_own_jacobians()
     views = Views.of(_seen(cameras), cameras)
     for i, camera in enumerate(cameras.values()):
         _, _, by_pose, by_lens = camera.project_with_jacobians(TARGET[None])
-        np.testing.assert_allclose(views.pose_noise(TARGET)[i], propagate(by_pose[0], _POSE))
-        np.testing.assert_allclose(views.lens_noise(TARGET)[i], propagate(by_lens[0], _LENS))
+        both = np.concatenate([by_pose, by_lens], axis=2)[0]
+        np.testing.assert_allclose(views.by_camera(TARGET)[i], both, atol=1e-9)
+        joint = camera.covariance
+        assert joint is not None
+        assert np.any(joint[:6, 6:])
+        np.testing.assert_allclose(views.camera_noise(TARGET)[i], propagate(both, joint))
 
 
 def test_a_fit_weighs_as_it_says():

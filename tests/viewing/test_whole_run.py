@@ -16,10 +16,12 @@ from measure.host import Registry
 from measure.results import read_run
 from measure.session import open_session, read_trajectory
 from measure.viewing import entities
-from measure.viewing.recording import RunRecording, open_recording
+from measure.viewing.recording import RunRecording
+from measure.viewing.stream import open_recording
 from tests.viewing.reading import column, read_recording
 
 SETS = 12
+REPEATS = 10
 DARK = "cam3"
 CAMERAS = ("cam0", "cam1", "cam2", DARK)
 BALLS = ("green", "yellow", "red")
@@ -64,7 +66,7 @@ def test_every_entity_stands_in_the_recording_on_both_timelines(measured: Path, 
         *(entities.distance(*pair) for pair in read_run(measured).body.distances()),
         *(make(camera) for camera in CAMERAS
           for make in (entities.image, entities.centers, entities.outlines, entities.edges,
-                       entities.residual)),
+                       entities.suspended, entities.residual)),
     }  # fmt: skip
     assert still | moving <= set(stored)
     for entity in moving:
@@ -120,7 +122,10 @@ def test_the_report_names_the_dark_camera(measured: Path):
 
 
 def test_logging_costs_less_than_a_tenth_of_measuring(session: Path, tmp_path: Path):
-    """Without pictures, in processor time of the same process; the best of three."""
+    """Without pictures, in processor time of the same process; the best of three.
+
+    In itself it stays below the time that two pictures take to decode: tracking may become faster.
+    """
     with open_session(session) as opened:
         began = time.process_time()
         pairs = list(api.measure_session(opened, api.load_profile(), Registry.discover()))
@@ -130,11 +135,18 @@ def test_logging_costs_less_than_a_tenth_of_measuring(session: Path, tmp_path: P
             stream = open_recording("cost", opened.cameras, tmp_path / f"{trial}.rrd")
             with RunRecording(stream, opened.body, opened.cameras, 0) as log:
                 began = time.process_time()
-                for frame_set, measurement in pairs:
+                for frame_set, measurement in pairs * REPEATS:
                     log.add(measurement, frame_set)
-            costs.append(time.process_time() - began)
-    print(f"logging {min(costs):.3f} s, measuring {measuring:.3f} s")
-    assert min(costs) <= 0.1 * measuring, f"{min(costs):.3f} s of {measuring:.3f} s"
+            costs.append((time.process_time() - began) / REPEATS)
+        jpeg = next((session / "cam0").glob("*.jpg")).read_bytes()
+        began = time.process_time()
+        for _ in range(10):
+            cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
+        picture = (time.process_time() - began) / 10
+    words = f"logging {min(costs):.4f} s, measuring {measuring:.3f} s, a picture {picture:.4f} s"
+    print(words)
+    assert min(costs) <= 0.1 * measuring, words
+    assert min(costs) <= 2 * picture * SETS, words
 
 
 def test_a_recording_with_pictures_is_little_larger_than_the_pictures(

@@ -266,11 +266,14 @@ def _with_covariances(
         mine = P[np.ix_(columns, columns)]
         lens = np.zeros((12, 12))
         lens[np.ix_(free, free)] = mine[6:, 6:]
+        cross = np.zeros((6, 12))
+        cross[:, free] = mine[:6, 6:]
         out.append(
             replace(
                 camera,
                 intrinsics=replace(camera.intrinsics, covariance=lens if len(free) else None),
                 pose_covariance=mine[:6, :6],
+                pose_intrinsics_covariance=cross if len(free) else None,
                 reprojection_rms_px=rms_px[camera.name],
             )
         )
