@@ -25,7 +25,7 @@ EFFECTIVE_COLOR = (80, 220, 120)
 REASON_COLORS = {
     Reason.JUMPED: (255, 140, 0),
     Reason.COLOR: (220, 80, 220),
-    Reason.NOT_FOUND: (150, 150, 150),
+    Reason.NOT_FOUND: (165, 125, 60),
     Reason.INCONSISTENT: (255, 60, 60),
     Reason.RECOVERING: (90, 190, 255),
     Reason.NO_IMAGE: (110, 110, 110),

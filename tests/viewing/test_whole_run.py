@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import shutil
+import signal
+import socket
+import subprocess
 import time
 from pathlib import Path
 
@@ -18,6 +21,7 @@ from measure.session import open_session, read_trajectory
 from measure.viewing import entities
 from measure.viewing.recording import RunRecording
 from measure.viewing.stream import open_recording
+from measure.viewing.viewer import viewer_program
 from tests.viewing.reading import column, read_recording
 
 SETS = 12
@@ -157,3 +161,26 @@ def test_a_recording_with_pictures_is_little_larger_than_the_pictures(
     beside = (measured / "run.rrd").stat().st_size - pictures
     print(f"{beside / SETS * 300e-6:.1f} MB beside the pictures in 300 frame sets")
     assert beside / SETS * 300 <= 10_000_000
+
+
+def test_a_viewer_that_runs_already_is_sent_what_is_measured(session: Path, tmp_path: Path):
+    """`--connect`: here to Rerun's own receiver, which writes what it gets into a file."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    heard = tmp_path / "heard.rrd"
+    command = [viewer_program(), "--save", heard, "--bind", "127.0.0.1", "--port", str(port)]
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as receiver:
+        try:
+            options = api.RunOptions(
+                viewer=f"rerun+http://127.0.0.1:{port}/proxy", recording=False, image_every=6
+            )
+            api.run(session, tmp_path / "run", api.load_profile(), Registry.discover(), options)
+        finally:
+            receiver.send_signal(signal.SIGINT)
+            receiver.wait(30)
+    stored = read_recording(heard)
+    error = column(stored[entities.error("x")], "Scalars:scalars")
+    assert sorted(error) == list(range(SETS))
+    assert sorted(column(stored[entities.image("cam0")], "EncodedImage:blob")) == [0, 6]
+    assert not (tmp_path / "run" / "run.rrd").exists()
