@@ -65,8 +65,11 @@ class GuardedModel:
         Args:
             state: the features.
             time_s: its stamp, which must grow; NaN where stamps are not recorded.
-            sequence: its number, which must grow by one; jumps count as losses.
+            sequence: its number, which must grow by one; jumps count as losses. Zero begins a
+                new trajectory: the robot's program was started again.
         """
+        if sequence == 0:
+            self.reset()
         reason = self._judge(state, time_s, sequence)
         if reason is not None:
             self.counters.refused[reason] += 1

@@ -111,7 +111,7 @@ class EstimateClient:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.settimeout(timeout_s)
         self._socket.connect(address)
-        self._sequence = 0
+        self._sequence = -1
 
     def ask(self, state: Floats, time_s: float) -> AnswerPacket | None:
         """Send the next state and wait for its answer; None if it did not come in time."""

@@ -63,6 +63,18 @@ def test_bad_states_are_refused_and_counted(guarded: GuardedModel, split: Split)
     assert [counts[reason.value] for reason in Refusal] == [0, 1, 1, 1, 1]
 
 
+def test_a_program_that_was_started_again_begins_anew(guarded: GuardedModel, split: Split) -> None:
+    states = split.test.states
+    first = [guarded.update(states[i], 100.0 + i, i) for i in range(5)]
+    assert guarded.update(states[0], 0.0, 3) is Refusal.REPEATED
+    again = [guarded.update(states[i], float(i), i) for i in range(5)]
+    for a, b in zip(first, again, strict=True):
+        assert isinstance(a, Correction)
+        assert isinstance(b, Correction)
+        np.testing.assert_array_equal(a.error_mm, b.error_mm)
+    assert guarded.counters.lost == 0
+
+
 def test_a_refused_state_leaves_no_trace(guarded: GuardedModel, split: Split) -> None:
     states = split.test.states
     first = [guarded.update(states[i], float(i)) for i in range(5)]
