@@ -98,8 +98,8 @@ def run(
         )
         measured = measure_session(session, profile, registry, start=writer.next_index)
         log = (
-            stack.enter_context(_Recording(session, out, options))
-            if options.recording or options.viewer
+            stack.enter_context(_Recording(session, out, options, writer.next_index))
+            if (options.recording or options.viewer) and writer.next_index < total
             else None
         )
         for frame_set, measurement in measured:
@@ -146,16 +146,19 @@ def resolved(profile: Profile, registry: Registry) -> Mapping[str, Any]:
 
 
 class _Recording:
-    """`run.rrd`, with the error against truth where the session has one."""
+    """`run.rrd`, with the error against truth where the session has one; its further parts."""
 
-    def __init__(self, session: Session, out: Path, options: RunOptions) -> None:
+    def __init__(self, session: Session, out: Path, options: RunOptions, start: int) -> None:
         from measure.viewing.recording import RunRecording
         from measure.viewing.stream import open_recording
         from measure.viewing.videos import passed_videos
 
-        self._path = out / "run.rrd" if options.recording else None
+        # A run that goes on must not overwrite what was recorded before.
+        name = f"run-{start:06d}.rrd" if start else "run.rrd"
+        self._path = out / name if options.recording else None
         self._need_room()
-        stream = open_recording(session.name, session.cameras, self._path, options.viewer)
+        run_id = digest([(out / "run.toml").read_bytes()])
+        stream = open_recording(session.name, session.cameras, self._path, options.viewer, run_id)
         videos = passed_videos(session) if options.image_every else {}
         self._log = RunRecording(
             stream,

@@ -23,8 +23,10 @@ from measure.viewing.videos import PassedVideo
 
 HELD_SETS = 120
 """Frame sets held back at most: sent together they cost a fraction of what each would."""
+PERIOD_S = 2.0
+"""Nothing is held back longer: that is how much a kill may cost."""
 LIVE_PERIOD_S = 0.2
-"""With somebody watching, nothing is held back longer."""
+"""The same where somebody watches."""
 _LEVELS = {Status.OK: "INFO", Status.FLAGGED: "WARN", Status.LOST: "ERROR", Status.SKIPPED: "WARN"}
 
 
@@ -96,7 +98,7 @@ class RunRecording:
         self._log_status(measured)
         self._sets.append(measured)
         self._pictured.append(pictured)
-        late = self._live and time.monotonic() - self._sent_at > LIVE_PERIOD_S
+        late = time.monotonic() - self._sent_at > (LIVE_PERIOD_S if self._live else PERIOD_S)
         if late or len(self._sets) >= HELD_SETS:
             self._send()
 

@@ -23,6 +23,7 @@ def open_recording(
     cameras: Sequence[Camera],
     path: Path | None = None,
     address: str | None = None,
+    part_of: str | None = None,
 ) -> rr.RecordingStream:
     """A recording that is written as it goes: to a file, to a viewer that runs, or to both.
 
@@ -31,11 +32,12 @@ def open_recording(
         cameras: for the layout that travels inside.
         path: the .rrd file, overwritten; no viewer is needed for it.
         address: of a viewer, as `rerun+http://127.0.0.1:9876/proxy`.
+        part_of: recordings of one such name are shown as one; a name of its own if omitted.
 
     Raises:
         ConfigError: no viewer listens at the address.
     """
-    stream = rr.RecordingStream("triball")
+    stream = rr.RecordingStream("triball", recording_id=part_of)
     if address is not None:
         _check_listening(address)
     sinks: list[rr.FileSink | rr.GrpcSink] = [rr.FileSink(path)] if path else []

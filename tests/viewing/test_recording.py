@@ -134,3 +134,28 @@ def test_a_viewer_that_does_not_listen_is_said_not_silently_skipped(address, sai
     monkeypatch.setattr(stream, "CONNECT_WITHIN_S", 0.0)
     with pytest.raises(ConfigError, match=said):
         open_recording("test", CAMERAS, address=address)
+
+
+def test_a_run_without_any_pose_still_has_a_recording_that_says_so(tmp_path):
+    stored = _record(tmp_path / "run.rrd", 20, lost=range(20))
+    said = column(stored[entities.STATUS], "TextLog:text")
+    assert said == {0: ["lost: nothing seen"]}
+    assert np.isnan(list(column(stored[entities.POSITION_SD], "Scalars:scalars").values())).all()
+    axes = column(stored[entities.BODY], "TransformAxes3D:axis_length")
+    assert set(np.ravel(list(axes.values()))) == {0.0}
+    shown = column(stored[entities.ball("red")], "Ellipsoids3D:centers")
+    assert len(shown) == 20
+    assert not any(shown.values())
+
+
+@pytest.mark.slow
+def test_ten_thousand_frame_sets_are_all_there(tmp_path):
+    path = tmp_path / "run.rrd"
+    lost = set(range(4000, 4100))
+    stored = _record(path, 10_000, lost)
+    error = column(stored[entities.error("x")], "Scalars:scalars")
+    assert list(error) == list(range(10_000))
+    assert {k for k, value in error.items() if np.isnan(value[0])} == lost
+    said = column(stored[entities.STATUS], "TextLog:text")
+    assert said == {0: ["ok"], 4000: ["lost: nothing seen"], 4100: ["ok"]}
+    assert path.stat().st_size < 20_000_000

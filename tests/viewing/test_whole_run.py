@@ -21,7 +21,7 @@ from measure.session import open_session, read_trajectory
 from measure.viewing import entities
 from measure.viewing.recording import RunRecording
 from measure.viewing.stream import open_recording
-from measure.viewing.viewer import viewer_program
+from measure.viewing.viewer import recordings_of, viewer_program
 from tests.viewing.reading import column, read_recording
 
 SETS = 12
@@ -184,3 +184,28 @@ def test_a_viewer_that_runs_already_is_sent_what_is_measured(session: Path, tmp_
     assert sorted(error) == list(range(SETS))
     assert sorted(column(stored[entities.image("cam0")], "EncodedImage:blob")) == [0, 6]
     assert not (tmp_path / "run" / "run.rrd").exists()
+
+
+def test_an_interrupted_run_is_recorded_in_parts_that_are_shown_as_one(
+    session: Path, tmp_path: Path
+):
+    def stop(done: int, total: int | None) -> None:
+        if done == 5:
+            raise KeyboardInterrupt
+
+    out, profile, registry = tmp_path / "run", api.load_profile(), Registry.discover()
+    with pytest.raises(KeyboardInterrupt):
+        api.run(session, out, profile, registry, report=stop)
+    api.run(session, out, profile, registry, api.RunOptions(resume=True))
+    parts = recordings_of(out)
+    assert [part.name for part in parts] == ["run.rrd", "run-000005.rrd"]
+    names = {RrdReader(part).recordings()[0].recording_id for part in parts}
+    assert len(names) == 1, "the viewer would show two recordings"
+    frames = [
+        list(column(read_recording(part)[entities.error("x")], "Scalars:scalars")) for part in parts
+    ]
+    assert frames == [list(range(5)), list(range(5, SETS))]
+    api.run(session, out, profile, registry, api.RunOptions(resume=True))
+    assert recordings_of(out) == parts, "nothing was left to measure"
+    api.run(session, out, profile, registry, api.RunOptions(overwrite=True))
+    assert recordings_of(out) == [out / "run.rrd"]
