@@ -133,7 +133,7 @@ def fit_pose(
         normal = (gain @ jacobian).sum(axis=0)
         if step_number == 0:
             _check(normal, weight)
-        step = np.linalg.solve(normal, np.einsum("nij,nj->i", gain, residuals))
+        step = _step(normal, np.einsum("nij,nj->i", gain, residuals), weight)
         pose = pose.perturb(step)
         if step_number > 2 and np.max(np.abs(step)) < tolerance:
             break
@@ -145,11 +145,21 @@ def fit_pose(
     )
 
 
+def _step(normal: Floats, gradient: Floats, weight: Floats) -> Floats:
+    try:
+        return np.asarray(np.linalg.solve(normal, gradient), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        raise _undetermined(weight) from None
+
+
+def _undetermined(weight: Floats) -> DegenerateGeometryError:
+    count = int(np.sum(weight > 0))
+    return DegenerateGeometryError(f"{count} ball sightings do not determine a pose")
+
+
 def _check(normal: Floats, weight: Floats) -> None:
     """Raise if the information matrix (mm and rad scaled to each other) is singular."""
     scale = np.sqrt(np.clip(np.diag(normal), 1e-30, None))
     spread = np.linalg.eigvalsh(normal / np.outer(scale, scale))
     if not spread[0] > 1e-9 * spread[-1]:
-        raise DegenerateGeometryError(
-            f"{int(np.sum(weight > 0))} ball sightings do not determine a pose"
-        )
+        raise _undetermined(weight)

@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
+from dataclasses import replace
+from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from measure.api import check
 from measure.cli.app import main
 from measure.host import Registry
 from measure.measuring.checks import Level
+from measure.session import Calibration, read_calibration, write_calibration
+from tests.calibration.altered import turned
 
 
 @pytest.fixture(scope="module")
@@ -65,6 +72,56 @@ def test_swapped_calibrations_are_told(clutter, tmp_path, capsys):
     assert code == 0
     found = json.loads(capsys.readouterr().out)
     assert "wrong" in [finding["level"] for finding in found["findings"]]
+
+
+def still(shared):
+    """A recording in which a camera that faces another one sees most balls half hidden."""
+    return shared / "renders" / "still"
+
+
+def alarms(session, capsys, *more):
+    samples = ["--samples", "12", "--clock-samples", "0", "--json"]
+    assert main(["check", str(session), *samples, *more]) == 0
+    found = json.loads(capsys.readouterr().out)["findings"]
+    return [f["text"] for f in found if f["level"] == "wrong"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["cam0", "cam2"])
+def test_only_the_camera_that_was_moved_by_half_a_degree_is_named(shared, tmp_path, capsys, name):
+    cameras = list(read_calibration(still(shared) / "calibration.toml").cameras)
+    at = [camera.name for camera in cameras].index(name)
+    pose = cameras[at].world_from_camera
+    turn = pose.rotate(np.array([0, np.deg2rad(0.5), 0]))
+    cameras[at] = replace(cameras[at], world_from_camera=pose.perturb([0, 0, 0, *turn]))
+    write_calibration(tmp_path / "moved.toml", Calibration(tuple(cameras)))
+    (text,) = alarms(still(shared), capsys, "--calibration", str(tmp_path / "moved.toml"))
+    said = re.fullmatch(rf"{name} sees the balls (.*) px \((.*) deg\) from where .*", text)
+    assert said is not None, text
+    assert float(said[1]) == pytest.approx(12.3, abs=1.5)
+    assert float(said[2]) == pytest.approx(0.5, abs=0.1)
+
+
+@pytest.mark.slow
+def test_a_camera_that_is_knocked_on_the_way_is_named_with_the_time(shared, tmp_path, capsys):
+    session = tmp_path / "still"
+    shutil.copytree(still(shared), session, copy_function=shutil.copyfile)
+    for folder in (session, *filter(Path.is_dir, session.iterdir())):
+        folder.chmod(0o755)
+    for picture in sorted((session / "cam2").glob("*.jpg"))[15:]:
+        knocked = turned(0.5, 1)(np.asarray(cv2.imread(str(picture)), np.uint8))
+        cv2.imwrite(str(picture), knocked, [cv2.IMWRITE_JPEG_QUALITY, 95])
+    (text,) = alarms(session, capsys)
+    said = re.match(r"cam2 was moved by (.*) px \((.*) deg\) at about (.*) s:", text)
+    assert said is not None, text
+    assert float(said[1]) == pytest.approx(12.4, abs=1.5)
+    assert float(said[2]) == pytest.approx(0.5, abs=0.1)
+    assert float(said[3]) == pytest.approx(0.5, abs=0.1)
+
+
+@pytest.mark.slow
+def test_a_recording_with_a_pole_before_the_body_is_looked_at_to_the_end(shared, capsys):
+    assert alarms(shared / "renders" / "occluded", capsys) == []
 
 
 def test_a_broken_session_is_one_line(tmp_path, clutter, capsys):

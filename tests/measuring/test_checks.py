@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform
 from measure.measuring.checks import (
     Level,
@@ -16,6 +17,7 @@ from measure.measuring.checks import (
     survey_frame_set,
     with_velocities,
 )
+from measure.measuring.pose_fit import Sightings, fit_pose
 from tests.scenes import RAVEN, TARGET, moved, ring, see
 
 CAMERAS = ring()
@@ -72,6 +74,22 @@ def test_a_camera_wrong_from_the_start_is_named():
     assert misfit.camera == "cam2"
     assert misfit.since_s is None
     assert "calibrate it" in misfit_findings([misfit])[0].text
+
+
+def test_a_pose_that_every_witness_contradicts_is_undetermined():
+    seen = see(CAMERAS, RAVEN, path, 0.0, np.random.default_rng(0), np.zeros(4))
+    rng = np.random.default_rng(1)
+    scattered = [
+        replace(
+            d,
+            center_px=d.center_px + rng.normal(0, 60, 2),
+            covariance_px=np.eye(2) * 1e-6,
+        )
+        for d in seen
+    ]
+    sightings = Sightings.of(scattered, RAVEN, CAMERAS, 0.0)
+    with pytest.raises(DegenerateGeometryError, match="do not determine a pose"):
+        fit_pose(path(0.0), sightings)
 
 
 def test_two_cameras_cannot_be_judged():

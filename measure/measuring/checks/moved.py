@@ -24,8 +24,8 @@ _LEAST_STEP_PX, _LEAST_BIAS_PX = 2.5, 3.5
 _LEAST_INSTANTS = 3
 _LEAST_SHARE = 0.25
 _SIGMAS = 5.0
-_WELL_SEEN = 0.75
 _ALIKE_PX = 0.7
+_FAR_OFF = 6.0
 
 
 @dataclass(frozen=True)
@@ -54,33 +54,37 @@ class _Differences:
     Attributes:
         times_s: (k,) instants.
         shifts_px: (k, 2) mean difference of its balls.
-        turns: (k, 3) rotation vectors of the camera that explain them, rad.
+        turns: (k, 3) least rotation vectors of the camera that explain them, rad.
+        unsure_px: standard deviation of what the others predict; cameras that face each other see
+            the body's place along their common line badly.
+        others_off: how far the others are off among themselves, mean in standard deviations.
     """
 
     times_s: Floats
     shifts_px: Floats
     turns: Floats
+    unsure_px: float
+    others_off: float
 
 
 def camera_misfits(
     surveys: Sequence[Surveyed], body: Body, cameras: Sequence[Camera]
 ) -> tuple[Misfit, ...]:
-    """Find cameras that do not fit, the worst first, each judged without those before it.
+    """Find cameras that do not fit, each judged without those before it.
 
+    A camera that is off spoils the pose by which the others are judged, so those seem to be off as
+    well. It is taken for the culprit if the others agree best without it, not if it differs most.
     Needs three cameras: of two that disagree nobody can tell which one errs.
     """
     found: list[Misfit] = []
     while len(cameras) - len(found) >= 3:
         out = {misfit.camera for misfit in found}
         rest = [camera for camera in cameras if camera.name not in out]
-        candidates = [
-            misfit
-            for camera in rest
-            if (misfit := _misfit(camera, surveys, body, rest)) is not None
-        ]
-        if not candidates:
+        judged = [_judged(camera, surveys, body, rest) for camera in rest]
+        doubted = [pair for pair in judged if pair is not None]
+        if not doubted:
             break
-        found.append(max(candidates, key=lambda misfit: misfit.shift_px))
+        found.append(min(doubted, key=lambda pair: pair[1])[0])
     return tuple(found)
 
 
@@ -100,74 +104,72 @@ def misfit_findings(misfits: Collection[Misfit]) -> list[Finding]:
     return out
 
 
-def _misfit(
+def _judged(
     camera: Camera, surveys: Sequence[Surveyed], body: Body, cameras: Sequence[Camera]
-) -> Misfit | None:
+) -> tuple[Misfit, float] | None:
+    """How a camera differs, and how badly the others fit without it; None if it does not."""
     differences = _differences(camera, surveys, body, cameras)
     if differences is None:
         return None
-    shifts = differences.shifts_px
-    split = _step(shifts)
+    shifts, turns = differences.shifts_px, differences.turns
+    split = _step(shifts, differences.unsure_px)
+    since = None
     if split is not None:
-        after, before = shifts[split:], shifts[:split]
-        turn = differences.turns[split:].mean(axis=0) - differences.turns[:split].mean(axis=0)
-        return Misfit(
-            camera.name,
-            float(np.linalg.norm(after.mean(axis=0) - before.mean(axis=0))),
-            float(np.degrees(np.linalg.norm(turn))),
-            float(differences.times_s[split]),
-            len(shifts),
-        )
-    middle = np.median(shifts, axis=0)
-    if np.linalg.norm(middle) < max(
-        _LEAST_BIAS_PX, _SIGMAS * _spread(shifts) / np.sqrt(len(shifts))
-    ):
-        return None
-    turn = np.median(differences.turns, axis=0)
-    return Misfit(
-        camera.name,
-        float(np.linalg.norm(middle)),
-        float(np.degrees(np.linalg.norm(turn))),
-        None,
-        len(shifts),
-    )
+        since = float(differences.times_s[split])
+        shift = shifts[split:].mean(axis=0) - shifts[:split].mean(axis=0)
+        turn = turns[split:].mean(axis=0) - turns[:split].mean(axis=0)
+    else:
+        shift, turn = np.median(shifts, axis=0), np.median(turns, axis=0)
+        noise = np.hypot(_spread(shifts) / np.sqrt(len(shifts)), differences.unsure_px)
+        if np.linalg.norm(shift) < max(_LEAST_BIAS_PX, _SIGMAS * noise):
+            return None
+    size, angle = float(np.linalg.norm(shift)), float(np.degrees(np.linalg.norm(turn)))
+    return Misfit(camera.name, size, angle, since, len(shifts)), differences.others_off
 
 
 def _differences(
     camera: Camera, surveys: Sequence[Surveyed], body: Body, cameras: Sequence[Camera]
 ) -> _Differences | None:
     """Seen minus predicted, instant by instant; None if too few."""
-    by_name = {c.name: c for c in cameras}
-    times, shifts, turns = [], [], []
-    for survey in surveys:
-        own = [d for d in survey.nearest if d.camera == camera.name]
-        others = [d for d in survey.agreeing if d.camera != camera.name and d.camera in by_name]
-        if len(own) < 2 or len(others) < 4 or survey.world_from_body is None:
-            continue
-        try:
-            seen = Sightings.of(others, body, by_name, survey.time_s, _EXTRA_PX)
-            pose = fit_pose(survey.world_from_body, seen, survey.velocity).world_from_body
-        except DegenerateGeometryError:
-            continue
-        centers = np.stack(
-            [
-                pose.perturb(survey.velocity * (d.time_s - survey.time_s)).apply(
-                    body.centers[body.index(d.ball)]
-                )
-                for d in own
-            ]
-        )
-        pixels, _, by_pose, _ = camera.project_with_jacobians(centers)
-        residuals = np.stack([d.center_px for d in own]) - pixels
-        if not _alike(residuals):
-            continue
-        turn = np.linalg.lstsq(by_pose[:, :, 3:].reshape(-1, 3), residuals.reshape(-1))[0]
-        times.append(survey.time_s)
-        shifts.append(np.median(residuals, axis=0))
-        turns.append(turn)
-    if len(times) < max(_LEAST_INSTANTS, _LEAST_SHARE * len(surveys)):
+    rows = [_difference(camera, survey, body, cameras) for survey in surveys]
+    kept = [row for row in rows if row is not None]
+    if len(kept) < max(_LEAST_INSTANTS, _LEAST_SHARE * len(surveys)):
         return None
-    return _Differences(np.array(times), np.stack(shifts), np.stack(turns))
+    times, shifts, turns, unsure, off = zip(*kept, strict=True)
+    return _Differences(
+        np.array(times),
+        np.stack(shifts),
+        np.stack(turns),
+        float(np.median(unsure)),
+        float(np.mean(off)),
+    )
+
+
+def _difference(
+    camera: Camera, survey: Surveyed, body: Body, cameras: Sequence[Camera]
+) -> tuple[float, Floats, Floats, float, float] | None:
+    """A row of `_Differences`; None if too little was seen, or a ball is off by itself."""
+    by_name = {c.name: c for c in cameras}
+    own = [d for d in survey.nearest if d.camera == camera.name]
+    others = [d for d in survey.nearest if d.camera != camera.name and d.camera in by_name]
+    if len(own) < 2 or len(others) < 4 or survey.world_from_body is None:
+        return None
+    try:
+        seen = Sightings.of(others, body, by_name, survey.time_s, _EXTRA_PX)
+        fit = fit_pose(survey.world_from_body, seen, survey.velocity)
+    except DegenerateGeometryError:
+        return None
+    mine = Sightings.of(own, body, by_name, survey.time_s)
+    residuals, by_body, _ = mine.residuals(fit.world_from_body, survey.velocity)
+    if not _alike(residuals):
+        return None
+    _, _, by_pose, _ = camera.project_with_jacobians(fit.world_from_body.apply(mine.points_body))
+    # The least turn: half-hidden balls tell nothing of one about the line of sight.
+    turn = np.linalg.lstsq(by_pose[:, :, 3:].mean(axis=0), np.median(residuals, axis=0))[0]
+    together = by_body.mean(axis=0)
+    variance = np.linalg.eigvalsh(together @ fit.covariance @ together.T)[-1]
+    off = float(np.mean(np.minimum(np.sqrt(fit.distances), _FAR_OFF)))
+    return survey.time_s, np.median(residuals, axis=0), turn, float(np.sqrt(variance)), off
 
 
 def _alike(residuals: Floats) -> bool:
@@ -180,8 +182,8 @@ def _alike(residuals: Floats) -> bool:
     return bool(apart < _ALIKE_PX + 0.3 * np.linalg.norm(middle))
 
 
-def _step(shifts: Floats) -> int | None:
-    """Where a step in (k, 2) is, by least squares; None if there is none beyond doubt."""
+def _step(shifts: Floats, unsure_px: float) -> int | None:
+    """Where a step in (k, 2) is, by least deviations; None if there is none beyond doubt."""
     best: tuple[float, int] | None = None
     for split in range(_LEAST_INSTANTS, len(shifts) - _LEAST_INSTANTS + 1):
         before, after = shifts[:split], shifts[split:]
@@ -195,7 +197,8 @@ def _step(shifts: Floats) -> int | None:
     before, after = shifts[:split], shifts[split:]
     step = float(np.linalg.norm(np.median(after, axis=0) - np.median(before, axis=0)))
     noise = np.hypot(_spread(before) / np.sqrt(len(before)), _spread(after) / np.sqrt(len(after)))
-    return split if step > max(_LEAST_STEP_PX, _SIGMAS * float(noise)) else None
+    noise = float(np.hypot(noise, unsure_px))
+    return split if step > max(_LEAST_STEP_PX, _SIGMAS * noise) else None
 
 
 def _spread(shifts: Floats) -> float:
