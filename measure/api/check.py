@@ -190,7 +190,7 @@ def _clock_findings(clocks: Sequence[CameraClock]) -> list[Finding]:
             level = Level.WRONG if abs(clock.offset_s) > _OFFSET_WRONG_S else Level.WEAK
             text = (
                 f"{clock.camera}: the clock is {1e3 * clock.offset_s:+.1f} +- {sd:.1f} ms off the "
-                f"others' mean: add {clock.offset_s:+.4f} to its time_offset_s in session.toml"
+                f"others: add {clock.offset_s:+.4f} to its time_offset_s in session.toml"
             )
             out.append(Finding(level, "clock", text))
         if clock.rolling:

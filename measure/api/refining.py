@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,7 +12,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.host import Registry
-from measure.session import Calibration, read_calibration
+from measure.session import Calibration, clock_values, read_calibration
 
 if TYPE_CHECKING:
     from measure.calibration import RefinedRig, RefineSettings
@@ -79,8 +79,9 @@ def refine(
             _log.warning("the cameras disagree much: measuring again with roughly refined ones")
             measured = _measure(replace(opened, cameras=rough), chosen, registry, progress)
         rig = refine_measured(*given, measured, settings, joint)
+        clocks = clock_values(opened.clock_digest, _shifts(rig, opened.clock_shifts_s))
     notes = rig.verdict.notes + (() if rig.refinement.world_held else (LOOSE_WORLD,))
-    values = _provenance(str(session), rig) | {"notes": list(notes)}
+    values = _provenance(str(session), rig) | clocks | {"notes": list(notes)}
     return RefineResult(Calibration(rig.refinement.cameras, values), rig, notes)
 
 
@@ -104,6 +105,15 @@ def _joint_covariance(path: Path) -> Floats | None:
     """The covariance of all cameras together, where the first calibration holds it."""
     values = read_calibration(path).provenance.get("joint_covariance")
     return None if values is None else np.asarray(values, dtype=np.float64)
+
+
+def _shifts(rig: RefinedRig, before: Mapping[str, float]) -> dict[str, float]:
+    """What to add to the stamps as recorded, by camera."""
+    shifts = dict(before)
+    if rig.clocks_applied:
+        for clock in rig.clocks:
+            shifts[clock.camera] = shifts.get(clock.camera, 0.0) + clock.offset_s
+    return shifts
 
 
 def _provenance(session: str, rig: RefinedRig) -> dict[str, object]:

@@ -138,14 +138,9 @@ def _answer(solution: Solution[RigState], problem: RigProblem) -> RigFit:
 def _with_covariance(camera: Camera, P: Floats, free: Ints, rms_px: float) -> Camera:
     lens = np.zeros((12, 12))
     lens[np.ix_(free, free)] = P[6:, 6:]
-    cross = np.zeros((6, 12))
-    cross[:, free] = P[:6, 6:]
+    intrinsics = replace(camera.intrinsics, covariance=lens)
     return replace(
-        camera,
-        intrinsics=replace(camera.intrinsics, covariance=lens),
-        pose_covariance=P[:6, :6],
-        pose_intrinsics_covariance=cross,
-        reprojection_rms_px=rms_px,
+        camera, intrinsics=intrinsics, pose_covariance=P[:6, :6], reprojection_rms_px=rms_px
     )
 
 

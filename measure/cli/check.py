@@ -75,25 +75,34 @@ def _print(found: SessionCheck) -> None:
     if lengths:
         console.print_table(("body", "measured_mm", "sd_mm", "file_mm", "frame sets"), lengths)
     for blind in found.body.blind_to:
-        console.print_text(f"this body cannot show {blind}")
+        console.print_text(f"this recording cannot show {blind}")
     if found.clocks:
-        clocks = [
-            (
-                c.camera,
-                1e3 * c.offset_s,
-                1e3 * c.offset_sd_s,
-                *_readout(c),
-            )
-            for c in found.clocks
-        ]
-        heads = ("clock", "offset_ms", "sd_ms", "readout_ms", "readout_sd_ms")
-        console.print_table(heads, clocks)
+        _print_clocks(found.clocks)
     if found.accuracy is not None and np.any(np.isfinite(found.accuracy[:, 3])):
         position, turn = found.accuracy[:, 3], found.accuracy[:, 4]
         console.print_text(
             "noise allows, within 40 mm of where the body was, "
             f"{np.nanmin(position):.3f} to {np.nanmax(position):.3f} mm "
             f"and {np.nanmin(turn):.3f} to {np.nanmax(turn):.3f} deg (one standard deviation)"
+        )
+
+
+def _print_clocks(clocks: tuple[CameraClock, ...]) -> None:
+    """The clocks, and what the motion does not tell of them."""
+    told = [c for c in clocks if np.isfinite(c.offset_sd_s)]
+    if told:
+        rows = [(c.camera, 1e3 * c.offset_s, 1e3 * c.offset_sd_s, *_readout(c)) for c in told]
+        heads = ("clock", "offset_ms", "sd_ms", "readout_ms", "readout_sd_ms")
+        console.print_table(heads, rows)
+    if unknown := [c.camera for c in clocks if c not in told]:
+        console.print_text(
+            f"whether the clocks of {', '.join(unknown)} agree cannot be seen: "
+            "move the body to and fro for some seconds"
+        )
+    if blurred := [c.camera for c in told if not np.isfinite(c.readout_sd_s)]:
+        console.print_text(
+            f"whether the shutters of {', '.join(blurred)} roll cannot be seen: "
+            "move the body faster, and up and down in the pictures"
         )
 
 

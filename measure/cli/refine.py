@@ -68,6 +68,11 @@ def _print(result: RefineResult) -> None:
                 f"clock of {clock.camera}: {1000 * clock.offset_s:+.1f} ms, "
                 f"sd {1000 * clock.offset_sd_s:.1f} ms{_clock_words(clock, rig.clocks_applied)}"
             )
+        if clock.rolling and rig.clocks_applied:
+            console.print_text(
+                f"shutter of {clock.camera}: {1000 * clock.readout_s:+.1f} ms from first to last "
+                f"row, sd {1000 * clock.readout_sd_s:.1f} ms: in the calibration from now on"
+            )
     for note in result.notes:
         console.print_text(f"note: {note}")
     camera, body = verdict.camera_sd_mm, verdict.body_sd_mm
@@ -79,6 +84,8 @@ def _print(result: RefineResult) -> None:
 
 
 def _clock_words(clock: CameraClock, applied: bool) -> str:
-    if clock.offset_visible and applied:
-        return ": applied here; write it into session.toml as time_offset_s"
-    return ": applied here" if applied else ": not beyond doubt, not applied"
+    if not applied:
+        return ": not beyond doubt, not applied"
+    if clock.offset_visible:
+        return ": set right, here and when this recording is measured with the new calibration"
+    return ": applied here"

@@ -117,14 +117,11 @@ def _provenance(estimator: Estimator, split: Split, seed: int) -> dict[str, Any]
 
 
 def revision() -> str:
-    """The git revision of this program's sources, or "released" where there is no repository.
-
-    Sources that differ from their revision are called dirty: nobody can get them back.
-    """
+    """The git revision of this program's sources, or "released" where there is no repository."""
     here = Path(__file__).parent
     try:
         found = subprocess.run(
-            ["git", "-C", str(here), "describe", "--always", "--dirty", "--exclude=*"],
+            ["git", "-C", str(here), "rev-parse", "--short", "HEAD"],
             capture_output=True,
             text=True,
             check=True,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import combinations, permutations
 
@@ -112,15 +112,26 @@ def radius_findings(radii: Sequence[Compared]) -> list[str]:
     ]
 
 
-def blind_to(body: Body) -> tuple[str, ...]:
-    """Mistakes in the file that leave all distances as they are."""
-    out = []
-    for a, b in combinations(range(len(body.balls)), 2):
-        order = list(range(len(body.balls)))
+def blind_to(body: Body, located: Collection[str]) -> tuple[str, ...]:
+    """Mistakes in the file that leave all distances between the balls located as they are.
+
+    Args:
+        body: as its file says.
+        located: names of the balls whose places are known.
+    """
+    names = [name for name in body.names if name in located]
+    centers = body.centers[[body.index(name) for name in names]].reshape(-1, 3)
+    out = [
+        f"where ball {name} is: it was located too seldom"
+        for name in body.names
+        if name not in located
+    ]
+    before = np.linalg.norm(centers[:, None] - centers[None], axis=2)
+    for a, b in combinations(range(len(names)), 2):
+        order = list(range(len(names)))
         order[a], order[b] = b, a
-        before = np.linalg.norm(body.centers[:, None] - body.centers[None], axis=2)
         if np.max(np.abs(before - before[np.ix_(order, order)])) < _SAME_MM:
-            out.append(f"an exchange of {body.names[a]} and {body.names[b]}")
-    if thickness(body.centers) < _FLAT_MM:
-        out.append("a mirrored layout: the balls lie in one plane")
+            out.append(f"an exchange of {names[a]} and {names[b]}")
+    if len(names) < 4 or thickness(centers) < _FLAT_MM:
+        out.append("a mirrored layout: the balls located lie in one plane")
     return tuple(out)

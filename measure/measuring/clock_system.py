@@ -67,6 +67,25 @@ def bias_deviations(instants: Sequence[Instant], clocks: Floats, bias_px: float)
     return np.asarray(bias_px * np.linalg.norm(totals, axis=2) / squares)
 
 
+def from_the_middle(offsets_s: Floats, told: Bools) -> Floats:
+    """The matrix (c, c) that gives offsets (c,) relative to their median.
+
+    Motion shows differences only. Most often it is one clock that is wrong: measured from the
+    median, that one has the whole offset and the others have none.
+
+    Args:
+        offsets_s: (c,).
+        told: (c,) which of them the motion tells; the others are left alone.
+    """
+    matrix, index = np.eye(len(offsets_s)), np.nonzero(told)[0]
+    if len(index):
+        order = index[np.argsort(offsets_s[index])]
+        middle = order[[(len(order) - 1) // 2, len(order) // 2]]
+        for one in middle:
+            matrix[index, one] -= 0.5
+    return matrix
+
+
 @dataclass(frozen=True, eq=False)
 class Reduced:
     """One instant's say about the clocks, its pose eliminated."""
@@ -110,11 +129,19 @@ def reduce_instant(instant: Instant, clocks: Floats, readout: Bools) -> Reduced:
     )
 
 
-def solve_clocks(parts: Sequence[Reduced], readout: Bools) -> tuple[Floats, Floats]:
+def solve_clocks(
+    parts: Sequence[Reduced], clocks: Floats, readout: Bools, bias: Floats
+) -> tuple[Floats, Floats]:
     """One Gauss-Newton step (c, 2) for the clocks, and their standard deviations (c, 2).
 
     Errors of neighbouring frames are alike (the light, the edges), so what the residuals say is
     compared with a jackknife over stretches of the recording; the larger one counts.
+
+    Args:
+        parts: of all instants, linearised about `clocks`.
+        clocks: (c, 2) offsets and readout times.
+        readout: (c,) which cameras' shutters may roll.
+        bias: (c, 2) standard deviations from constant errors of the detections.
     """
     normal = sum((p.normal for p in parts), np.zeros_like(parts[0].normal))
     right = sum((p.right for p in parts), np.zeros_like(parts[0].right))
@@ -122,20 +149,27 @@ def solve_clocks(parts: Sequence[Reduced], readout: Bools) -> tuple[Floats, Floa
     told = told & np.stack([np.ones_like(readout), readout], axis=1).reshape(-1)
     scale = sum(p.chi_square for p in parts) / max(sum(p.degrees for p in parts), 1)
     step, covariance = _constrained(normal, right, told)
-    formal = np.sqrt(np.diag(covariance) * max(1.0, scale))
+    gauge = np.eye(len(step))
+    gauge[::2, ::2] = from_the_middle((clocks.reshape(-1) + step)[::2], told[::2])
+    finite = np.where(np.isfinite(covariance), covariance, 0.0)
+    formal = np.sqrt(np.diag(gauge @ finite @ gauge.T) * max(1.0, scale))
+    off = _left_out(parts, normal, right, told) - step
+    blocks = len(off)
+    spread = np.sqrt((blocks - 1) * np.mean((off @ gauge.T) ** 2, axis=0))
+    sd = np.hypot(np.maximum(formal, spread), np.sqrt(gauge**2 @ bias.reshape(-1) ** 2))
+    sd[~told] = np.inf
+    step = gauge @ (clocks.reshape(-1) + step) - clocks.reshape(-1)
+    return step.reshape(-1, 2), sd.reshape(-1, 2)
+
+
+def _left_out(parts: Sequence[Reduced], normal: Floats, right: Floats, told: Bools) -> Floats:
+    """The steps (b, 2 c) without one of b stretches of the recording each."""
     blocks = np.array_split(np.arange(len(parts)), min(_BLOCKS, len(parts)))
-    without = np.stack(
-        [
-            _constrained(
-                normal - sum(parts[i].normal for i in block),
-                right - sum(parts[i].right for i in block),
-                told,
-            )[0]
-            for block in blocks
-        ]
-    )
-    spread = np.sqrt((len(blocks) - 1) * np.mean((without - step) ** 2, axis=0))
-    return step.reshape(-1, 2), np.maximum(formal, spread).reshape(-1, 2)
+    steps = []
+    for block in blocks:
+        less = normal - sum(parts[i].normal for i in block)
+        steps.append(_constrained(less, right - sum(parts[i].right for i in block), told)[0])
+    return np.stack(steps)
 
 
 def _weights(residuals: Floats, noise: Floats) -> Floats:

@@ -4,7 +4,8 @@ A picture stamped too late shows the moving body where it is not yet: the error 
 ball's path in the image and grows with its speed. All pictures are fitted together: one pose per
 instant, and per camera a clock offset and the time its rolling shutter takes. The poses are
 eliminated instant by instant (Schur complement; Triggs et al. 2000, section 6), which leaves a
-small system for the clocks. Only differences between cameras can be seen: the offsets' mean is 0.
+small system for the clocks. Only differences between cameras can be seen: the offsets' median is
+0.
 """
 
 from __future__ import annotations
@@ -127,10 +128,11 @@ def _estimate(
             for s, pose, (v, a) in zip(seen, poses, motion, strict=True)
         ]
         parts = [reduce_instant(instant, clocks, readout) for instant in instants]
-        step, sd = solve_clocks(parts, readout)
+        bias = bias_deviations(instants, clocks, extra_px)
+        step, sd = solve_clocks(parts, clocks, readout, bias)
         clocks = clocks + step
         poses = [pose.perturb(p.move(step)) for pose, p in zip(poses, parts, strict=True)]
-    return clocks, np.hypot(sd, bias_deviations(instants, clocks, extra_px))
+    return clocks, sd
 
 
 def _count_cameras(measurement: Measurement) -> int:

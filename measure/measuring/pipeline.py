@@ -10,7 +10,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.host import Detector, PoseSolver, Triangulator
-from measure.measuring.instants import center_residuals, detections_at, velocity_share
+from measure.measuring.instants import center_residuals, detection_at, velocity_share
 from measure.measuring.measurement import Draft, Measurement, Status
 from measure.measuring.pose_spline import motion_at, with_neighbours
 from measure.measuring.tracking import Tracker
@@ -128,11 +128,22 @@ class Pipeline:
         names = list(frame_set.images)
 
         def detect(name: str) -> list[Detection]:
-            return self.stages.detectors[name].detect(
+            found = self.stages.detectors[name].detect(
                 frame_set.images[name], expected.get(name, ())
             )
+            return self._at_their_rows(found) if self.stages.own_times else found
 
         return dict(zip(names, pool.map(detect, names), strict=True))
+
+    def _at_their_rows(self, found: list[Detection]) -> list[Detection]:
+        """Detections at the times when a rolling shutter exposed their rows."""
+        cameras = self._cameras
+        return [
+            replace(d, time_s=d.time_s + float(cameras[d.camera].row_delay_s(d.center_px[1])))
+            if cameras[d.camera].readout_s
+            else d
+            for d in found
+        ]
 
     def _instant(self, frame_set: FrameSet) -> float:
         """With own times: the middle of the images' times, where moving them costs least."""
@@ -143,12 +154,11 @@ class Pipeline:
     def _triangulate(
         self, views: Sequence[BallView], time_s: float, motion: Motion | None
     ) -> tuple[Fix, ...]:
-        used = [v.detection for v in views if v.effective and v.detection is not None]
-        if motion is not None and self.stages.own_times:
-            used = detections_at(used, time_s, motion, self._body, self._cameras)
         fixes = []
         for name in self._body.names:
-            seen = [d for d in used if d.ball == name]
+            seen = [v.detection for v in views if v.ball == name and v.effective and v.detection]
+            if motion is not None and self.stages.own_times:
+                seen = [detection_at(d, time_s, motion, self._body, self._cameras) for d in seen]
             if len(seen) < 2:
                 continue
             fix = self.stages.triangulator.triangulate(seen, self._cameras)

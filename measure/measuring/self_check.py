@@ -47,7 +47,7 @@ class BodyCheck:
         distances: of every pair of balls that was located often enough.
         radii: of every ball that was located often enough.
         findings: what is wrong, a line each; empty if nothing is.
-        blind_to: what this body's shape cannot show, a line each.
+        blind_to: what the balls located cannot show, a line each.
     """
 
     distances: tuple[Compared, ...]
@@ -90,12 +90,13 @@ def check_body(located: Iterable[Located], body: Body) -> BodyCheck:
     radii = tuple(
         compared for name in body.names if (compared := _radius(frames, body, name)) is not None
     )
+    known = {name for compared in distances for name in compared.what}
     findings = [*layout_findings(distances, body), *radius_findings(radii)]
     if _mostly_mirrored(frames, body):
         findings.append(
             "the balls form the mirror image of the body file: one coordinate has the wrong sign"
         )
-    return BodyCheck(distances, radii, tuple(findings), blind_to(body))
+    return BodyCheck(distances, radii, tuple(findings), blind_to(body, known))
 
 
 def _sizes(

@@ -3,6 +3,7 @@
 from measure.session.body_file import read_body, write_body
 from measure.session.calibration_file import Calibration
 from measure.session.calibrations import read_calibration, read_intrinsics, write_calibration
+from measure.session.clock_shifts import clock_values
 from measure.session.files import FileModel, load_toml
 from measure.session.opening import open_session, session_truth
 from measure.session.pairing import Pairing, pair_nearest
@@ -21,6 +22,7 @@ __all__ = [
     "Stream",
     "Trajectory",
     "VideoStream",
+    "clock_values",
     "decode_picture",
     "dump_toml",
     "load_toml",

@@ -18,6 +18,7 @@ from measure.session.toml_text import dump_toml
 
 Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Row = list[FiniteFloat]
+LONGEST_READOUT_S = 0.2
 UNIT_TOLERANCE = 1e-3
 """How far the length of a written quaternion may be from 1."""
 
@@ -65,7 +66,7 @@ class CameraModel(FileModel):
     reprojection_rms_px: Annotated[FiniteFloat, Field(ge=0)] | None = None
     pose_covariance: list[Row] | None = None
     intrinsics_covariance: list[Row] | None = None
-    pose_intrinsics_covariance: list[Row] | None = None
+    readout_s: Annotated[FiniteFloat, Field(ge=-LONGEST_READOUT_S, le=LONGEST_READOUT_S)] = 0.0
 
     @field_validator("matrix")
     @classmethod
@@ -102,20 +103,6 @@ class CameraModel(FileModel):
             value = getattr(self, name)
             if value is not None and len(value) != size:
                 raise ValueError(f"{name} must be {size}x{size}, got {len(value)}x{len(value)}")
-        cross = self.pose_intrinsics_covariance
-        if cross is not None:
-            if [len(row) for row in cross] != [12] * 6:
-                raise ValueError("pose_intrinsics_covariance must be 6x12")
-            if self.pose_covariance is None or self.intrinsics_covariance is None:
-                raise ValueError("pose_intrinsics_covariance needs the other two covariances")
-            own = [p + c for p, c in zip(self.pose_covariance, cross, strict=True)]
-            _checked_covariance(
-                own
-                + [
-                    list(c) + row
-                    for *c, row in zip(*cross, self.intrinsics_covariance, strict=True)
-                ]
-            )
         return self
 
     def camera(self) -> Camera:
@@ -129,15 +116,7 @@ class CameraModel(FileModel):
         )
         pose = RigidTransform.from_quat_wxyz(self.quat_wxyz, self.translation_mm)
         known = None if self.pose_covariance is None else np.array(self.pose_covariance)
-        cross = self.pose_intrinsics_covariance
-        return Camera(
-            self.name,
-            intrinsics,
-            pose,
-            known,
-            self.reprojection_rms_px,
-            None if cross is None else np.array(cross),
-        )
+        return Camera(self.name, intrinsics, pose, known, self.reprojection_rms_px, self.readout_s)
 
 
 class CalibrationModel(FileModel):
@@ -177,7 +156,7 @@ def _camera_values(camera: Camera) -> dict[str, Any]:
         "reprojection_rms_px": camera.reprojection_rms_px,
         "pose_covariance": camera.pose_covariance,
         "intrinsics_covariance": camera.intrinsics.covariance,
-        "pose_intrinsics_covariance": camera.pose_intrinsics_covariance,
+        "readout_s": camera.readout_s or None,
     }
 
 

@@ -7,7 +7,9 @@ from pathlib import Path
 from measure.errors import CalibrationError, SessionError
 from measure.model import Body, Camera
 from measure.session.body_file import read_body
+from measure.session.calibration_file import Calibration
 from measure.session.calibrations import read_calibration
+from measure.session.clock_shifts import clock_digest, shift_clocks, shift_notes
 from measure.session.files import load_toml, missing_message
 from measure.session.image_stream import open_image_stream
 from measure.session.session import Session
@@ -39,11 +41,14 @@ def open_session(
     folder = file.parent
     measured = _body(given, file, body)
     calibration_path = _calibration_path(given, file, calibration)
-    cameras = _cameras(given, calibration_path, file)
+    calibration_read = read_calibration(calibration_path, given.session.calibration_unit)
+    cameras = _cameras(given, calibration_read, calibration_path, file)
     streams: dict[str, Stream] = {}
     try:
         for table, camera in zip(given.cameras, cameras, strict=True):
             streams[table.name] = _open_stream(table, folder, camera, calibration_path)
+        digest = clock_digest(streams.values())
+        shifts = shift_clocks(streams, digest, calibration_read.provenance, calibration_path)
         _check_overlap(list(streams.values()))
     except BaseException:
         for stream in streams.values():
@@ -59,7 +64,9 @@ def open_session(
         truth_path=_optional(folder, given.session.truth, file),
         robot_log=_optional(folder, given.robot.log if given.robot else None, file),
         description=given.session.description,
-        notes=tuple(note for stream in streams.values() for note in stream.notes),
+        notes=(*(n for stream in streams.values() for n in stream.notes), *shift_notes(shifts)),
+        clock_digest=digest,
+        clock_shifts_s=shifts,
     )
 
 
@@ -104,8 +111,9 @@ def _calibration_path(given: SessionModel, file: Path, override: Path | str | No
     return file.parent / given.session.calibration
 
 
-def _cameras(given: SessionModel, path: Path, file: Path) -> tuple[Camera, ...]:
-    calibration = read_calibration(path, given.session.calibration_unit)
+def _cameras(
+    given: SessionModel, calibration: Calibration, path: Path, file: Path
+) -> tuple[Camera, ...]:
     out = []
     for table in given.cameras:
         if table.name not in calibration.names:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -32,6 +32,8 @@ class Session:
         truth_path: the known poses, if there are any; only evaluation reads them.
         robot_log: the robot's log, if there is one.
         notes: what a user should know: missing frames and the like.
+        clock_digest: a fingerprint of the stamps as they were recorded.
+        clock_shifts_s: by camera, what a calibration refined from these stamps has added to them.
     """
 
     name: str
@@ -44,6 +46,8 @@ class Session:
     robot_log: Path | None = None
     description: str = ""
     notes: tuple[str, ...] = field(default=())
+    clock_digest: str = ""
+    clock_shifts_s: Mapping[str, float] = field(default_factory=dict)
 
     def __enter__(self) -> Self:
         return self

@@ -14,7 +14,7 @@ from measure.model.observations import State
 from tests.scenes import RAVEN, TARGET, ring, see
 
 CAMERAS = ring()
-OFFSETS = np.array([0.004, -0.007, 0.0, 0.003])
+OFFSETS = np.array([0.002, -0.007, 0.007, -0.002])
 
 
 def moving(time_s):
@@ -54,6 +54,12 @@ def clocks(*args, **kwargs):
     return estimate_clocks(
         recorded(*args, **kwargs), RAVEN, list(CAMERAS.values()), readout, extra_px=0.0
     )
+
+
+def test_one_late_camera_is_the_only_one_that_is_off():
+    found = clocks(moving, [0.0, 0.007, 0.0, 0.0])
+    assert [clock.offset_visible for clock in found] == [False, True, False, False]
+    assert abs(found[1].offset_s - 0.007) < 3 * found[1].offset_sd_s
 
 
 @pytest.mark.parametrize("readout", [False, True])

@@ -8,7 +8,7 @@ noise wants them.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -84,6 +84,8 @@ def refine_measured(
     refinement = refine_rig(cameras, body, recording, settings, joint_covariance, halves.caution)
     refuse_misfit(refinement, body)
     verdict = judge_refinement(cameras, body, recording, refinement, halves)
+    if applied:
+        refinement = replace(refinement, cameras=_with_readout(refinement.cameras, clocks))
     return RefinedRig(recording, refinement, clocks, applied, verdict)
 
 
@@ -130,16 +132,29 @@ def _clocks(
     return estimate_clocks(measurements[:_FOR_CLOCKS], body, free.cameras), believed
 
 
+def _with_readout(cameras: tuple[Camera, ...], clocks: Sequence[CameraClock]) -> tuple[Camera, ...]:
+    """The cameras with the readout times that were seen beyond doubt added to their own."""
+    return tuple(
+        replace(camera, readout_s=camera.readout_s + clock.readout_s) if clock.rolling else camera
+        for camera, clock in zip(cameras, clocks, strict=True)
+    )
+
+
 def _lead(
     clocks: tuple[CameraClock, ...], cameras: tuple[Camera, ...]
 ) -> Callable[[Detection], float]:
     """What to add to a detection's time: its camera's offset, its row's if the shutter rolls."""
     by_name = {clock.camera: clock for clock in clocks}
-    heights = {camera.name: camera.intrinsics.size_wh[1] for camera in cameras}
+    rolling = {
+        camera.name: replace(camera, readout_s=by_name[camera.name].readout_s)
+        if by_name[camera.name].rolling
+        else replace(camera, readout_s=0.0)
+        for camera in cameras
+    }
 
     def lead(detection: Detection) -> float:
-        clock, height = by_name[detection.camera], heights[detection.camera]
-        row = float(detection.center_px[1] - (height - 1) / 2) / height
-        return clock.offset_s + (row * clock.readout_s if clock.rolling else 0.0)
+        clock = by_name[detection.camera]
+        delay = float(rolling[detection.camera].row_delay_s(detection.center_px[1]))
+        return clock.offset_s + delay
 
     return lead

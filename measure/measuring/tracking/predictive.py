@@ -15,11 +15,12 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.geometry import chi_square_quantile
-from measure.host.settings import Settings, setting
+from measure.host.settings import Settings
 from measure.measuring.association import Association, AssociationSettings, associate
 from measure.measuring.tracking.doubts import contradictions, jumped, strangers, weaknesses
 from measure.measuring.tracking.gates import agree_with_each_other, agree_with_prediction
 from measure.measuring.tracking.motion_filter import MotionState
+from measure.measuring.tracking.predictive_settings import PredictiveConfig
 from measure.measuring.tracking.tracker import Verdict
 from measure.measuring.tracking.windows import Windows, predict_windows
 from measure.model import (
@@ -40,52 +41,6 @@ _LEFT_OUT_MM, _LEFT_OUT_RAD = 0.02, 0.0005
 _SUSPICIOUS = (Reason.JUMPED, Reason.COLOR, Reason.INCONSISTENT)
 
 
-class PredictiveConfig(Settings):
-    """Settings of tracking in SE(3)."""
-
-    acceleration_mm_s2: float = setting(
-        1500.0, "Standard deviation of the body's acceleration.", unit="mm/s^2", gt=0
-    )
-    turning_rad_s2: float = setting(
-        15.0, "Standard deviation of its angular acceleration.", unit="rad/s^2", gt=0
-    )
-    speed_mm_s: float = setting(
-        60.0, "Standard deviation of the speed of a body just found.", unit="mm/s", gt=0
-    )
-    turning_rad_s: float = setting(
-        0.7, "Standard deviation of its turning rate.", unit="rad/s", gt=0
-    )
-    confidence: float = setting(
-        0.9999, "Detections less likely than the rest are not believed.", gt=0.5, lt=1
-    )
-    model_px: float = setting(
-        0.5,
-        "Systematic error of a detection, added to its standard deviation in every gate.",
-        unit="px",
-        ge=0,
-    )
-    reach_sigmas: float = setting(3.5, "Standard deviations of the prediction to search.", gt=0)
-    reach_floor_px: float = setting(3.0, "Least reach of a search.", unit="px", gt=0)
-    size_slack: float = setting(0.15, "Relative error of an outline's radius.", gt=0, lt=1)
-    recover_frames: int = setting(
-        1, "Frames a detection must be good again after it was not believed.", ge=0
-    )
-    lost_after: int = setting(3, "Frames without a believed pose before all is searched.", ge=1)
-    max_gap_s: float = setting(0.5, "A longer pause than this ends the prediction.", unit="s", gt=0)
-    min_color_match: float = setting(
-        0.15, "Least share of a ball's inside that has its colour, where that is checked.", ge=0
-    )
-    max_rms_px: float = setting(
-        2.5, "A pose with larger reprojection errors is flagged.", unit="px", gt=0
-    )
-    max_sd_mm: float = setting(
-        2.0, "A pose with a larger standard deviation is flagged.", unit="mm", gt=0
-    )
-    distance_tolerance_mm: float = setting(
-        1.0, "Error of a distance between two balls that is not worth a flag.", unit="mm", ge=0
-    )
-
-
 class PredictiveTracker:
     """Predicts, gates, judges, and starts again when lost."""
 
@@ -100,6 +55,7 @@ class PredictiveTracker:
         self._windows: Windows | None = None
         self._found: Association | None = None
         self._strangers: tuple[str, ...] = ()
+        self._confirmed: set[str] = set()
         self._doubts: tuple[str, ...] = ()
         self._last_seen: MotionState | None = None
         self._waiting: dict[tuple[str, str], int] = {}
@@ -164,6 +120,7 @@ class PredictiveTracker:
             pose, fixes, views, self._body, c.distance_tolerance_mm, c.max_rms_px
         )
         weak = weaknesses(pose, views, c.max_sd_mm) + self._still_strange(views) + self._doubts
+        weak += self._unconfirmed(views)
         flags = tuple(dict.fromkeys((*pose.flags, *wrong, *weak)))
         if wrong:
             self._missed()
@@ -186,6 +143,7 @@ class PredictiveTracker:
             speed = _chart(self.config.speed_mm_s, self.config.turning_rad_s)
             self._state = MotionState.begin(found.world_from_body, found.covariance, time_s, speed)
             self._strangers = strangers(found, self._body, present, detections)
+            self._confirmed = set()
             self._doubts = found.doubts + jumped(self._last_seen, self._state, self._acceleration)
         chosen = {(d.camera, d.ball): d for d in found.detections}
         return tuple(
@@ -286,6 +244,20 @@ class PredictiveTracker:
         return tuple(
             f"camera {name} sees balls, but none where the others do: check its calibration"
             for name in self._strangers
+        )
+
+    def _unconfirmed(self, views: Sequence[BallView]) -> tuple[str, ...]:
+        """Balls that no two cameras have seen since the body was found.
+
+        Three balls fit a body whose fourth is somewhere else, or its mirror image, equally well.
+        """
+        for ball in self._body.names:
+            if sum(view.ball == ball and view.effective for view in views) >= 2:
+                self._confirmed.add(ball)
+        return tuple(
+            f"ball {ball} has not been seen where the body file puts it: hidden, or a wrong file?"
+            for ball in self._body.names
+            if ball not in self._confirmed and len(self._body.balls) > 3
         )
 
     def _missed(self) -> None:

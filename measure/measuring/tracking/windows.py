@@ -83,13 +83,21 @@ def predict_windows(
     centers = arms + shifts
     pixels, by_point = rig.project(centers)
     by_pose = np.concatenate([by_point, -by_point @ skew(arms)], axis=2)
+    delays = np.concatenate(
+        [
+            c.row_delay_s(rows)
+            for c, rows in zip(present, pixels[:, 1].reshape(-1, count), strict=True)
+        ]
+    )
+    velocities = np.repeat([s.velocity for s in each], count, axis=0)
+    pixels = pixels + delays[:, None] * np.einsum("nij,nj->ni", by_pose, velocities)
     covariances = np.repeat([s.covariance[:6, :6] for s in each], count, axis=0)
     in_camera = np.einsum("nji,nj->ni", rig.rotation, centers - rig.centers)
     hidden = ~np.all(np.isfinite(pixels), axis=1)
     pixels[hidden], by_pose[hidden] = _OUT_OF_SIGHT_PX, 0.0
     distance = np.linalg.norm(in_camera, axis=1)
     radii = np.tile(body.radii, len(present))
-    focal = rig.focal_px
+    focal = np.trace(rig.affine, axis1=1, axis2=2) / 2
     # The radius that the cone's half-angle has across the line of sight.
     apparent = focal * radii / np.sqrt(np.maximum(distance**2 - radii**2, 1.0))
     return Windows(

@@ -16,8 +16,8 @@ from typing import NamedTuple
 import numpy as np
 
 from measure.arrays import Floats
-from measure.compiling import compiled
 from measure_plugins._edges.contours import Contours
+from measure_plugins._edges.jit import compiled
 from measure_plugins._edges.rotation import rotation_of, skew
 from measure_plugins._edges.selection import median
 
@@ -175,6 +175,10 @@ def _eliminate(moments: Floats, variances: Floats, k: int, terms: Terms) -> None
         for b in range(OWN):
             own[a, b] = moments[row, _OWN_COLUMNS[b]]
         own[a, a] += 1 / variances[a]
+    if not np.all(np.isfinite(own)):
+        # A step that put the camera inside the ball: the equations say so, LAPACK would raise.
+        terms.normal[k] = np.nan
+        return
     inverse = np.linalg.inv(own)
     gain = inverse @ cross
     terms.own_covariance[k] = inverse

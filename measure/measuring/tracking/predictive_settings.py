@@ -1,0 +1,51 @@
+"""Settings of predictive tracking."""
+
+from __future__ import annotations
+
+from measure.host.settings import Settings, setting
+
+
+class PredictiveConfig(Settings):
+    """Settings of tracking in SE(3)."""
+
+    acceleration_mm_s2: float = setting(
+        1500.0, "Standard deviation of the body's acceleration.", unit="mm/s^2", gt=0
+    )
+    turning_rad_s2: float = setting(
+        15.0, "Standard deviation of its angular acceleration.", unit="rad/s^2", gt=0
+    )
+    speed_mm_s: float = setting(
+        60.0, "Standard deviation of the speed of a body just found.", unit="mm/s", gt=0
+    )
+    turning_rad_s: float = setting(
+        0.7, "Standard deviation of its turning rate.", unit="rad/s", gt=0
+    )
+    confidence: float = setting(
+        0.9999, "Detections less likely than the rest are not believed.", gt=0.5, lt=1
+    )
+    model_px: float = setting(
+        0.5,
+        "Systematic error of a detection, added to its standard deviation in every gate.",
+        unit="px",
+        ge=0,
+    )
+    reach_sigmas: float = setting(3.5, "Standard deviations of the prediction to search.", gt=0)
+    reach_floor_px: float = setting(3.0, "Least reach of a search.", unit="px", gt=0)
+    size_slack: float = setting(0.15, "Relative error of an outline's radius.", gt=0, lt=1)
+    recover_frames: int = setting(
+        1, "Frames a detection must be good again after it was not believed.", ge=0
+    )
+    lost_after: int = setting(3, "Frames without a believed pose before all is searched.", ge=1)
+    max_gap_s: float = setting(0.5, "A longer pause than this ends the prediction.", unit="s", gt=0)
+    min_color_match: float = setting(
+        0.15, "Least share of a ball's inside that has its colour, where that is checked.", ge=0
+    )
+    max_rms_px: float = setting(
+        2.5, "A pose with larger reprojection errors is flagged.", unit="px", gt=0
+    )
+    max_sd_mm: float = setting(
+        2.0, "A pose with a larger standard deviation is flagged.", unit="mm", gt=0
+    )
+    distance_tolerance_mm: float = setting(
+        1.0, "Error of a distance between two balls that is not worth a flag.", unit="mm", ge=0
+    )

@@ -1,0 +1,186 @@
+"""What must not be measured with confidence, on rendered pictures through the whole profile.
+
+A second body stands in `test_second_body.py`.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from measure.api import load_profile, measure_session
+from measure.cli.app import main
+from measure.host import Registry
+from measure.measuring import Measurement, Status
+from measure.model import BallColor, Body
+from measure.session import open_session, read_trajectory, write_body, write_calibration
+from measure.session.calibration_file import Calibration
+from measure.simulation import scene_catalogue, write_session
+from measure.simulation.degraded import (
+    misstated_body,
+    swapped_calibrations,
+    upside_down,
+    with_balls,
+    without_balls,
+)
+from measure.simulation.scene import Scene
+
+RIGHT_MM = 0.5
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return scene_catalogue()["still"]
+
+
+@pytest.fixture(scope="module")
+def rendered(scene, tmp_path_factory) -> Path:
+    """Four frame sets, all as the files say."""
+    return write_session(scene, np.arange(4) / 30, tmp_path_factory.mktemp("good") / "session")
+
+
+@pytest.fixture(scope="module")
+def four(tmp_path_factory) -> Path:
+    """A body whose balls do not lie in one plane."""
+    folder = tmp_path_factory.mktemp("four") / "session"
+    scene = scene_catalogue()["four-balls"]
+    red = replace(scene.body.balls[0], name="red", color=BallColor.named("red"))
+    body = Body("four balls", (red, *scene.body.balls[1:]))
+    return write_session(replace(scene, body=body), np.arange(4) / 30, folder)
+
+
+def measured(folder: Path, calibration: Path | None = None) -> list[Measurement]:
+    with open_session(folder, calibration=calibration) as session:
+        stages = measure_session(session, load_profile("precise"), Registry.discover())
+        return [measurement for _, measurement in stages]
+
+
+def errors_mm(folder: Path, found: list[Measurement]) -> list[float]:
+    truth = read_trajectory(folder / "truth.csv")
+    poses = [m.pose for m in found if m.pose is not None]
+    return [
+        float(np.linalg.norm(p.world_from_body.difference(truth.at(p.time_s))[:3])) for p in poses
+    ]
+
+
+def test_the_recording_itself_is_measured_with_confidence(rendered):
+    found = measured(rendered)
+    assert [m.status for m in found] == [Status.OK] * 4
+    assert max(errors_mm(rendered, found)) < 0.15
+
+
+@pytest.mark.parametrize("shown", [(), ("green",), ("green", "red")], ids=len)
+def test_too_few_balls_give_no_pose_and_a_reason(scene, shown, tmp_path):
+    lacking = with_balls(scene, *shown) if shown else without_balls(scene)
+    found = measured(write_session(lacking, np.arange(2) / 30, tmp_path))
+    assert [m.status for m in found] == [Status.LOST] * 2
+    assert all(m.reason for m in found)
+
+
+def test_a_camera_upside_down_is_left_out_and_named(scene, rendered, tmp_path):
+    given = upside_down(scene, "cam2").cameras
+    write_calibration(tmp_path / "c.toml", Calibration(given))
+    found = measured(rendered, tmp_path / "c.toml")
+    assert all(m.status is not Status.OK for m in found)
+    assert all(any("cam2" in flag for flag in m.pose.flags) for m in found if m.pose)
+    assert all(error < RIGHT_MM for error in errors_mm(rendered, found))
+
+
+@pytest.mark.parametrize(
+    "pair", [("cam0", "cam1"), ("cam0", "cam2"), ("cam1", "cam3")], ids="-".join
+)
+def test_swapped_calibrations_are_never_a_confident_pose(scene, rendered, pair, tmp_path):
+    given = swapped_calibrations(scene, *pair).stated_cameras
+    write_calibration(tmp_path / "c.toml", Calibration(given))
+    assert all(m.status is not Status.OK for m in measured(rendered, tmp_path / "c.toml"))
+
+
+def checked(folder: Path, body: Body, tmp_path: Path, capsys) -> dict:
+    """What `measure check` prints, given another body file."""
+    write_body(tmp_path / "body.toml", body)
+    given = ["--body", str(tmp_path / "body.toml"), "--clock-samples", "0", "--json"]
+    assert main(["check", str(folder), *given]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def wrong(found: dict) -> str:
+    return " / ".join(f["text"] for f in found["findings"] if f["level"] == "wrong")
+
+
+def test_check_finds_nothing_wrong_with_the_right_body(scene, rendered, tmp_path, capsys):
+    found = checked(rendered, scene.body, tmp_path, capsys)
+    assert wrong(found) == ""
+    for length in (*found["body"]["distances"], *found["body"]["radii"]):
+        off = abs(length["measured_mm"] - length["file_mm"])
+        assert off < 4 * length["sd_mm"] + 0.1
+        assert length["sd_mm"] < (0.2 if len(length["what"]) == 2 else 0.5)
+
+
+def test_check_tells_a_body_of_another_size(scene, rendered, tmp_path, capsys):
+    small = {b.name: tuple(b.center_mm * 33 / 38) for b in scene.body.balls}
+    found = checked(rendered, misstated_body(scene, small).stated_body, tmp_path, capsys)
+    said = wrong(found)
+    assert "1.15" in said
+    assert "times as far apart" in said
+    assert "+-" in said
+    assert "38.0 mm from the origin, not 33.0 mm" in said
+
+
+def test_check_tells_exchanged_colours(scene, rendered, tmp_path, capsys):
+    at = {b.name: tuple(b.center_mm) for b in scene.body.balls}
+    swapped = {"green": at["yellow"], "yellow": at["green"]}
+    found = checked(rendered, misstated_body(scene, swapped).stated_body, tmp_path, capsys)
+    assert "the colours of green and yellow are exchanged" in wrong(found)
+
+
+def test_check_tells_another_radius(scene, rendered, tmp_path, capsys):
+    balls = tuple(replace(b, radius_mm=17.0) for b in scene.body.balls)
+    found = checked(rendered, Body("small", balls), tmp_path, capsys)
+    assert wrong(found).count("has a radius of") == 3
+
+
+def mirrored(body: Body) -> Body:
+    return Body(
+        "mirrored", tuple(replace(b, center_mm=b.center_mm * [1, 1, -1]) for b in body.balls)
+    )
+
+
+def test_check_tells_a_mirrored_layout(four, tmp_path, capsys):
+    with open_session(four) as session:
+        body = session.body
+    assert "mirror image" in wrong(checked(four, mirrored(body), tmp_path, capsys))
+    assert wrong(checked(four, body, tmp_path, capsys)) == ""
+
+
+def test_a_mirrored_layout_is_never_a_confident_pose(four, tmp_path):
+    """Three of the balls fit as well as ever: it is the fourth that tells."""
+    assert all(m.status is Status.OK for m in measured(four))
+    with open_session(four) as session:
+        body = session.body
+    shutil.copytree(four, tmp_path / "s")
+    write_body(tmp_path / "s" / "body.toml", mirrored(body))
+    assert all(m.status is not Status.OK for m in measured(tmp_path / "s"))
+
+
+def test_check_says_what_a_flat_body_cannot_show(scene, rendered, tmp_path, capsys):
+    blind = checked(rendered, scene.body, tmp_path, capsys)["body"]["blind_to"]
+    assert any("green and red" in text for text in blind)
+    assert any("mirrored" in text for text in blind)
+
+
+@pytest.mark.parametrize("change", ["33", "exchanged"])
+def test_a_wrong_body_file_is_never_a_confident_pose(scene, rendered, change, tmp_path):
+    at = {b.name: b.center_mm for b in scene.body.balls}
+    places = {
+        "33": {name: tuple(center * 33 / 38) for name, center in at.items()},
+        "exchanged": {"green": tuple(at["yellow"]), "yellow": tuple(at["green"])},
+    }[change]
+    shutil.copytree(rendered, tmp_path / "s")
+    write_body(tmp_path / "s" / "body.toml", misstated_body(scene, places).stated_body)
+    assert all(m.status is not Status.OK for m in measured(tmp_path / "s"))
