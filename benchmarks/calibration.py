@@ -40,9 +40,10 @@ from measure.simulation import CaptureScene, write_capture
 
 BODY = paper_body()
 NOISE_PX = 0.3
+Poses = list[RigidTransform]
 
 
-def poses(middle: np.ndarray) -> list[RigidTransform]:
+def poses(middle: np.ndarray) -> Poses:
     """Where the body is."""
     rng = np.random.default_rng(1)
     out = []
@@ -80,7 +81,7 @@ def plain_opencv(rig: RigCalibration, sights: Sights) -> tuple[Camera, ...]:
     return tuple(out)
 
 
-def cost(found: tuple[Camera, ...], true: tuple[Camera, ...], at: list[RigidTransform]) -> float:
+def cost(found: tuple[Camera, ...], true: tuple[Camera, ...], at: Poses) -> float:
     """Body position error, 3-D RMS in mm."""
     shifts, _ = body_cost(found, true, BODY, at)
     return float(np.sqrt(np.mean(np.sum(shifts**2, axis=1))))
@@ -135,7 +136,7 @@ def normalised(found: tuple[Camera, ...], true: tuple[Camera, ...]) -> float:
     return float(np.mean(values))
 
 
-def simulated(seed: int, at: list[RigidTransform]) -> list[list[float]]:
+def simulated(seed: int, at: Poses) -> list[list[float]]:
     """Cost of the body, error of the marks and normalised error, by hand and found."""
     with TemporaryDirectory() as folder:
         capture = open_capture(write_capture(CaptureScene(seed=seed), folder))
@@ -153,7 +154,7 @@ def simulated(seed: int, at: list[RigidTransform]) -> list[list[float]]:
     ]
 
 
-def print_simulated(count: int, at: list[RigidTransform]) -> None:
+def print_simulated(count: int, at: Poses) -> None:
     """Hand marks against found markers over simulated captures."""
     if not count:
         return
@@ -166,6 +167,51 @@ def print_simulated(count: int, at: list[RigidTransform]) -> None:
         )
     wins = int(np.sum(rows[:, 1, 0] < rows[:, 0, 0]))
     print(f"found costs the body less than by hand in {wins} of {count}")
+
+
+def print_methods(rows: dict[str, tuple[Camera, ...]], true: tuple[Camera, ...], at: Poses) -> None:
+    """What each method's cameras cost the body, and each camera against the truth."""
+    for name, cameras in rows.items():
+        print(f"{name:8} body position error {cost(cameras, true, at):.4f} mm RMS")
+        print_cameras(name, cameras, true)
+
+
+def print_marks(by_hand: RigCalibration, found: RigCalibration, true: tuple[Camera, ...]) -> None:
+    """How far the marks are off."""
+    hand, offsets = mark_errors(by_hand.sights, true), mark_errors(found.sights, true)
+    print(
+        f"marks: by hand {np.sqrt(np.mean(np.concatenate(hand) ** 2)):.3f} px, found "
+        f"{np.sqrt(np.mean(np.concatenate(offsets) ** 2)):.3f} px per axis "
+        f"({sum(map(len, offsets))} found)"
+    )
+
+
+def redraws(
+    by_hand: RigCalibration, tolerance_mm: float, true: tuple[Camera, ...], at: Poses, count: int
+) -> np.ndarray:
+    """Cost (count, 3) of OpenCV, the paper's method and the joint fit with fresh mark noise."""
+    start, base = by_hand.cameras_before, by_hand.sights
+    base = replace(base, tolerances=Tolerances(tolerance_mm))
+    rows = []
+    for seed in range(count):
+        sights = redrawn(base, true, seed)
+        joint, _ = fit_rig_with_boards(start, sights)
+        by_paper = fit_rig_by_paper(start, sights).cameras
+        cameras = (plain_opencv(by_hand, sights), by_paper, joint.cameras)
+        rows.append([cost(c, true, at) for c in cameras])
+    return np.array(rows)
+
+
+def print_redraws(draws: np.ndarray, found_mm: float) -> None:
+    """Their RMS, the joint fit against OpenCV, and found markers against the joint fit's draws."""
+    rms = np.sqrt(np.mean(draws**2, axis=0))
+    worst = np.max(draws[:, 2] / draws[:, 0])
+    print(
+        f"{len(draws)} redraws: opencv {rms[0]:.4f}, paper {rms[1]:.4f}, joint {rms[2]:.4f} mm\n"
+        f"joint / opencv: {rms[2] / rms[0]:.2f} (worst single draw {worst:.2f})\n"
+        f"found / joint: {found_mm / rms[2]:.2f}; found costs the body less than by hand in "
+        f"{np.sum(found_mm < draws[:, 2])} of {len(draws)}"
+    )
 
 
 def main() -> None:
@@ -181,43 +227,16 @@ def main() -> None:
     lenses = {name: lens.intrinsics for name, lens in by_hand.lenses.items()}
     found = calibrate_capture(in_pictures(capture, lenses))
     at = poses(np.array([0.0, 0.0, 250.0]))
-    start, sights = by_hand.cameras_before, by_hand.sights
-    base = replace(sights, tolerances=Tolerances(capture.markers.tolerance_mm))
     rows = {
-        "opencv": plain_opencv(by_hand, sights),
-        "paper": fit_rig_by_paper(start, sights).cameras,
+        "opencv": plain_opencv(by_hand, by_hand.sights),
+        "paper": fit_rig_by_paper(by_hand.cameras_before, by_hand.sights).cameras,
         "joint": by_hand.cameras,
         "found": found.cameras,
     }
-    for name, cameras in rows.items():
-        print(f"{name:8} body position error {cost(cameras, true, at):.4f} mm RMS")
-        print_cameras(name, cameras, true)
-    hand, offsets = mark_errors(sights, true), mark_errors(found.sights, true)
-    print(
-        f"marks: by hand {np.sqrt(np.mean(np.concatenate(hand) ** 2)):.3f} px, found "
-        f"{np.sqrt(np.mean(np.concatenate(offsets) ** 2)):.3f} px per axis "
-        f"({sum(map(len, offsets))} found)"
-    )
-    draws = np.array(
-        [
-            [
-                cost(plain_opencv(by_hand, s), true, at),
-                cost(fit_rig_by_paper(start, s).cameras, true, at),
-                cost(
-                    fit_rig_with_boards(start, replace(s, tolerances=base.tolerances))[0].cameras,
-                    true,
-                    at,
-                ),
-            ]
-            for s in (redrawn(base, true, seed) for seed in range(options.draws))
-        ]
-    )
-    rms = np.sqrt(np.mean(draws**2, axis=0))
-    worst = np.max(draws[:, 2] / draws[:, 0])
-    print(
-        f"{options.draws} redraws: opencv {rms[0]:.4f}, paper {rms[1]:.4f}, joint {rms[2]:.4f} mm"
-    )
-    print(f"joint / opencv: {rms[2] / rms[0]:.2f} (worst single draw {worst:.2f})")
+    print_methods(rows, true, at)
+    print_marks(by_hand, found, true)
+    draws = redraws(by_hand, capture.markers.tolerance_mm, true, at, options.draws)
+    print_redraws(draws, cost(found.cameras, true, at))
     print_simulated(options.captures, at)
 
 

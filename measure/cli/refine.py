@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from cyclopts import Parameter
@@ -25,6 +25,9 @@ def refine(
     profile: str = "precise",
     calibration: Path | None = None,
     body_tolerance_mm: float = 0.05,
+    file_format: Annotated[
+        Literal["triball", "anipose", "caliscope", "opencv"], Parameter(name="--format")
+    ] = "triball",
     json: JsonFlag = False,
     registry: InjectedRegistry,
 ) -> None:
@@ -36,6 +39,7 @@ def refine(
         profile: how to measure the session, by name or TOML file.
         calibration: first calibration, if not the session's own.
         body_tolerance_mm: how exactly the balls sit on the body (standard deviation); 0 is exact.
+        file_format: of the output; only "triball" holds covariances and notes.
     """
     from measure.api import refine as run
     from measure.calibration import RefineSettings
@@ -44,7 +48,7 @@ def refine(
     settings = RefineSettings(body_tolerance_mm)
     with console.progress("measuring") as progress:
         result = run(session, registry, profile, settings, calibration, progress)
-    write_calibration(output, result.calibration)
+    write_calibration(output, result.calibration, file_format)
     if json:
         console.print_json({"output": output, **result.calibration.provenance})
         return

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from measure.cli import main
 from measure.geometry import RigidTransform
 from measure.session import read_calibration
 from tests.calibration.altered import AlteredCapture, mirrored, turned
+from tests.calibration.test_crosses import picture
 
 ALL = ("cam0", "cam1", "cam2", "cam3")
 MIXED = {"m02": "m03", "m03": "m04", "m04": "m02", "m10": "m11", "m11": "m10"}
@@ -59,6 +60,37 @@ def cost_mm(capture: AlteredCapture) -> float:
     return float(np.sqrt(np.mean(np.sum(shifts**2, axis=1))))
 
 
+# --- other programs' files ---
+
+
+@pytest.mark.parametrize(
+    ("form", "name"),
+    [("anipose", "c.toml"), ("caliscope", "c.toml"), ("opencv", "c.yml")],
+)
+def test_other_programs_files_are_written_and_known_lenses_read_from_them(
+    altered, form: str, name: str
+) -> None:
+    capture = altered("cam0", "cam2")
+    output, foreign = capture.folder / "calibration.toml", capture.folder / name
+    assert main(["calibrate", str(capture.folder), "-o", str(output)]) == 0
+    said = ["-o", str(foreign), "--format", form, "--report", str(capture.folder / "r.html")]
+    assert main(["calibrate", str(capture.folder), *said]) == 0
+    ours, theirs = read_calibration(output).cameras, read_calibration(foreign).cameras
+    for a, b in zip(ours, theirs, strict=True):
+        assert np.abs(a.world_from_camera.difference(b.world_from_camera)).max() < 1e-6
+        np.testing.assert_allclose(a.intrinsics.matrix, b.intrinsics.matrix, atol=1e-6)
+    capture.substitute("capture.toml", "known.toml", name)
+    assert main(["calibrate", str(capture.folder), "-o", str(output)]) == 0
+    assert cost_mm(capture) < 0.02
+
+
+def test_a_foreign_file_of_something_else(altered, capsys) -> None:
+    capture = altered("cam0", "cam2")
+    capture.write("known.yml", "%YAML:1.0\n---\nanswer: 42\n")
+    capture.substitute("capture.toml", "known.toml", "known.yml")
+    assert "known.yml" in refusal(capture, capsys)
+
+
 # --- what may be left out ---
 
 
@@ -79,6 +111,33 @@ def test_without_hand_marks_the_markers_are_found(altered) -> None:
     capture.without_hand_marks()
     assert written(capture)["trustworthy"]
     assert cost_mm(capture) < 0.02
+
+
+def with_crosses(capture: AlteredCapture, cameras: Sequence[str]) -> None:
+    """Crosses where the dots were, none of them marked by hand."""
+    capture.without_hand_marks()
+    capture.substitute("capture.toml", r"\[capture\]\n", '[capture]\nmarker_kind = "cross"\n')
+    places = np.array([line.split(",")[1:] for line in capture.lines("markers.csv")[1:]], float)
+    for camera in read_calibration(capture.source / "truth_calibration.toml").cameras:
+        if camera.name in cameras:
+            drawn = picture(camera, places, np.random.default_rng(1))
+            capture.change_picture(f"{camera.name}_markers.jpg", lambda _, drawn=drawn: drawn)
+
+
+def test_crosses_are_found_and_named_too(altered) -> None:
+    capture = altered("cam0", "cam2")
+    with_crosses(capture, ("cam0", "cam2"))
+    judgement = written(capture)
+    assert judgement["trustworthy"]
+    assert cost_mm(capture) < 0.02
+
+
+def test_dots_where_the_file_says_crosses(altered, capsys) -> None:
+    capture = altered("cam0", "cam2")
+    with_crosses(capture, ("cam0",))
+    said = refusal(capture, capsys)
+    assert "camera cam2" in said
+    assert "crosses" in said
 
 
 def test_without_boards_the_marks_suffice(altered) -> None:

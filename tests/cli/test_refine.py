@@ -93,6 +93,15 @@ def test_json_tells_the_same(session, tmp_path, monkeypatch, capsys) -> None:
     assert told["held_out_px"][1] < told["held_out_px"][0]
 
 
+def test_other_programs_can_have_it(session, tmp_path, monkeypatch) -> None:
+    seen(monkeypatch, moving, 40)
+    ours, theirs = tmp_path / "refined.toml", tmp_path / "refined.yml"
+    assert main(["refine", str(session), "-o", str(ours)]) == 0
+    assert main(["refine", str(session), "-o", str(theirs), "--format", "opencv"]) == 0
+    for a, b in zip(*(read_calibration(f).cameras for f in (ours, theirs)), strict=True):
+        assert np.abs(a.world_from_camera.difference(b.world_from_camera)).max() < 1e-6
+
+
 @pytest.mark.parametrize(
     ("path", "count", "reason"),
     [(still, 30, "the body moved"), (moving, 8, "8 frame sets with an unflagged pose")],
