@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from measure.arrays import Floats
-    from measure.learning import Corrected, DriftMonitor, EstimateServer, Evaluation
+    from measure.learning import Corrected, DriftMonitor, EstimateServer, Evaluation, Zeroing
 
 
-def rezero(model_path: Path, stretch: Path) -> tuple[Floats, Floats, DriftMonitor]:
-    """Offset and SD (3,) from a short measured data set, and what it says of drift."""
+def rezero(model_path: Path, stretch: Path) -> tuple[Zeroing, DriftMonitor]:
+    """What a restart left, from a short measured data set, and what that says of drift."""
     from measure import learning
     from measure.host import OnnxModel
 
@@ -20,7 +19,7 @@ def rezero(model_path: Path, stretch: Path) -> tuple[Floats, Floats, DriftMonito
 
 
 def estimate_file(
-    model_path: Path, states: Path, out: Path | None, offset_mm: Floats | None = None
+    model_path: Path, states: Path, out: Path | None, zeroing: Zeroing | None = None
 ) -> Corrected:
     """Correct recorded states; write `run, i, t_s, ex, ey, ez, sd_mm, unfamiliar` if `out`.
 
@@ -32,7 +31,7 @@ def estimate_file(
 
     model = OnnxModel.load(model_path)
     table = learning.read_states(states, model)
-    corrected = learning.correct(table, model, offset_mm)
+    corrected = learning.correct(table, model, zeroing)
     if out is not None:
         learning.write_corrected(out, table, corrected)
     return corrected
@@ -42,7 +41,7 @@ def estimate_online(
     model_path: Path,
     address: tuple[str, int],
     *,
-    offset_mm: Floats | None = None,
+    zeroing: Zeroing | None = None,
     seconds: float | None = None,
     started: Callable[[EstimateServer], None],
     tell: Callable[[EstimateServer], None],
@@ -51,7 +50,7 @@ def estimate_online(
     from measure import learning
     from measure.host import OnnxModel
 
-    server = learning.EstimateServer(OnnxModel.load(model_path), address, offset_mm)
+    server = learning.EstimateServer(OnnxModel.load(model_path), address, zeroing)
     started(server)
     try:
         server.serve(seconds, tell)

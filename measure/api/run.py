@@ -13,13 +13,12 @@ from typing import Any, Self, get_args
 from measure.api.measuring import measure_session
 from measure.api.profiles import find_tracker
 from measure.errors import ConfigError, MeasureError, RunError
-from measure.geometry import RigidTransform
 from measure.host import Registry
 from measure.host.settings import read_settings
 from measure.measuring import Profile
 from measure.measuring.profile import Stage
 from measure.results import Provenance, RunWriter, Summary, digest
-from measure.session import Session, open_session
+from measure.session import Session, Trajectory, open_session, read_trajectory
 
 RESERVED_BYTES = 32_000_000
 """The recording is not written to a disk with less room: more than it holds back at a time."""
@@ -99,8 +98,8 @@ def run(
         )
         measured = measure_session(session, profile, registry, start=writer.next_index)
         log = (
-            stack.enter_context(_Recording(session, out, options))
-            if options.recording or options.viewer
+            stack.enter_context(_Recording(session, out, options, writer.next_index))
+            if (options.recording or options.viewer) and writer.next_index < total
             else None
         )
         for frame_set, measurement in measured:
@@ -147,18 +146,29 @@ def resolved(profile: Profile, registry: Registry) -> Mapping[str, Any]:
 
 
 class _Recording:
-    """`run.rrd`, with the error against truth where the session has one."""
+    """`run.rrd`, with the error against truth where the session has one; its further parts."""
 
-    def __init__(self, session: Session, out: Path, options: RunOptions) -> None:
-        from measure.viewing.recording import RunRecording, open_recording
+    def __init__(self, session: Session, out: Path, options: RunOptions, start: int) -> None:
+        from measure.viewing.recording import RunRecording
+        from measure.viewing.stream import open_recording
         from measure.viewing.videos import passed_videos
 
-        self._path = out / "run.rrd" if options.recording else None
+        # A run that goes on must not overwrite what was recorded before.
+        name = f"run-{start:06d}.rrd" if start else "run.rrd"
+        self._path = out / name if options.recording else None
         self._need_room()
-        stream = open_recording(session.name, session.cameras, self._path, options.viewer)
+        run_id = digest([(out / "run.toml").read_bytes()])
+        stream = open_recording(session.name, session.cameras, self._path, options.viewer, run_id)
         videos = passed_videos(session) if options.image_every else {}
-        self._log = RunRecording(stream, session.body, session.cameras, options.image_every, videos)
-        self._truth = _truth(session)
+        self._log = RunRecording(
+            stream,
+            session.body,
+            session.cameras,
+            options.image_every,
+            videos,
+            _truth(session),
+            live=options.viewer is not None,
+        )
 
     def __enter__(self) -> Self:
         return self
@@ -194,21 +204,14 @@ class _Recording:
 
     def add(self, measurement: Any, frame_set: Any) -> None:
         self._need_room()
-        self._log.add(measurement, frame_set, self._truth(measurement.time_s))
+        self._log.add(measurement, frame_set)
 
 
-def _truth(session: Session) -> Callable[[float], RigidTransform | None]:
-    """The true pose at a time, None where it is unknown; truth never stops a measurement."""
+def _truth(session: Session) -> Trajectory | None:
+    """The true poses, if they can be read; truth never stops a measurement."""
     if session.truth_path is None:
-        return lambda _: None
+        return None
     try:
-        from measure.session import read_trajectory
-
-        trajectory = read_trajectory(session.truth_path)
+        return read_trajectory(session.truth_path)
     except MeasureError:
-        return lambda _: None
-
-    def at(time_s: float) -> RigidTransform | None:
-        return trajectory.at(time_s) if trajectory.covers(time_s)[0] else None
-
-    return at
+        return None

@@ -179,9 +179,10 @@ def _answer(
     ):
         P = solution.covariance[np.ix_(columns[camera.name], columns[camera.name])] * factor
         poses = 0 if number == 0 else 6
-        pose, lens = np.zeros((6, 6)), np.zeros((12, 12))
+        pose, lens, cross = np.zeros((6, 6)), np.zeros((12, 12)), np.zeros((6, 12))
         pose[:poses, :poses] = P[:poses, :poses]
         lens[np.ix_(free[camera.name], free[camera.name])] = P[poses:, poses:]
+        cross[:poses, free[camera.name]] = P[:poses, poses:]
         residuals = group.residuals * sds[camera.name]
         total = float(np.sum(residuals**2))
         out.append(
@@ -189,6 +190,7 @@ def _answer(
                 camera,
                 intrinsics=replace(camera.intrinsics, covariance=lens),
                 pose_covariance=pose,
+                pose_intrinsics_covariance=cross,
                 reprojection_rms_px=float(np.sqrt(total / len(residuals))),
             )
         )

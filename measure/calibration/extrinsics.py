@@ -138,9 +138,14 @@ def _answer(solution: Solution[RigState], problem: RigProblem) -> RigFit:
 def _with_covariance(camera: Camera, P: Floats, free: Ints, rms_px: float) -> Camera:
     lens = np.zeros((12, 12))
     lens[np.ix_(free, free)] = P[6:, 6:]
-    intrinsics = replace(camera.intrinsics, covariance=lens)
+    cross = np.zeros((6, 12))
+    cross[:, free] = P[:6, 6:]
     return replace(
-        camera, intrinsics=intrinsics, pose_covariance=P[:6, :6], reprojection_rms_px=rms_px
+        camera,
+        intrinsics=replace(camera.intrinsics, covariance=lens),
+        pose_covariance=P[:6, :6],
+        pose_intrinsics_covariance=cross,
+        reprojection_rms_px=rms_px,
     )
 
 

@@ -132,7 +132,11 @@ def _body_covariance(
     inverse = np.linalg.inv(normal * scale[:, None] * scale) * scale[:, None] * scale
     if covariance is None or columns is None:
         return sum(
-            (inverse @ part @ _camera_covariance(c) @ part.T @ inverse for c, part in parts),
+            (
+                inverse @ part @ c.covariance @ part.T @ inverse
+                for c, part in parts
+                if c.covariance is not None
+            ),
             np.zeros((6, 6)),
         )
     gain = np.zeros((6, len(covariance)))
@@ -141,15 +145,6 @@ def _body_covariance(
         free = np.flatnonzero(np.diag(P) > 0) if P is not None else np.zeros(0, dtype=np.int64)
         gain[:, columns[camera.name]] = inverse @ part[:, np.concatenate([np.arange(6), 6 + free])]
     return gain @ covariance @ gain.T
-
-
-def _camera_covariance(camera: Camera) -> Floats:
-    out = np.zeros((18, 18))
-    if camera.pose_covariance is not None:
-        out[:6, :6] = camera.pose_covariance
-    if camera.intrinsics.covariance is not None:
-        out[6:, 6:] = camera.intrinsics.covariance
-    return out
 
 
 def body_cost(

@@ -21,7 +21,7 @@ from measure.errors import CalibrationError
 State = TypeVar("State")
 
 _MAX_DAMPING = 1e12
-_START_DAMPING = 1e-4
+_LEAST_DAMPING = 1e-15
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +90,34 @@ class Huber:
         )
 
 
+@dataclass(frozen=True)
+class Limits:
+    """When Levenberg-Marquardt stops.
+
+    Attributes:
+        steps: most steps to take; those that are tried in vain do not count.
+        tolerance: settled once a step lowers the cost by less than this share.
+        must_settle: whether reaching the limit is an error.
+        damping: to start with, as a share of the diagonal. Parameters that only a weak prior holds
+            hardly move before it has fallen below the prior's share.
+    """
+
+    steps: int = 300
+    tolerance: float = 1e-10
+    must_settle: bool = True
+    damping: float = 1e-4
+
+    def reached(self, taken: int) -> bool:
+        """Whether that many steps are enough.
+
+        Raises:
+            CalibrationError: they are, but should not be.
+        """
+        if taken >= self.steps and self.must_settle:
+            raise CalibrationError(f"the calibration did not settle in {self.steps} steps")
+        return taken >= self.steps
+
+
 @dataclass(frozen=True, eq=False)
 class Solution(Generic[State]):
     """Where Levenberg-Marquardt ended.
@@ -100,7 +128,7 @@ class Solution(Generic[State]):
         covariance: (n_shared, n_shared) of the shared parameters, for whitened residuals of
             standard deviation 1.
         cost: sum of losses and squared priors.
-        iterations: linear systems solved.
+        iterations: steps taken.
     """
 
     state: State
@@ -124,9 +152,7 @@ def solve(
     step: Callable[[State, Floats, Floats], State],
     start: State,
     loss: Huber | None = None,
-    max_iterations: int = 300,
-    tolerance: float = 1e-10,
-    must_settle: bool = True,
+    limits: Limits | None = None,
 ) -> Solution[State]:
     """Minimise the sum of losses of the whitened residuals plus the squared priors.
 
@@ -135,39 +161,32 @@ def solve(
         step: the state after shared (n_shared,) and block (n_blocks, b) increments.
         start: where to begin.
         loss: robust loss on the length of each residual; squares if omitted.
-        max_iterations: limit on linear systems solved.
-        tolerance: settled once a step lowers the cost by less than this share.
-        must_settle: False returns where the limit was reached instead of refusing.
+        limits: when to stop.
 
     Raises:
         CalibrationError: the start has no finite cost, the data leave parameters undetermined, or
             the limit was reached.
     """
-    loss = loss or Huber()
+    loss, limits = loss or Huber(), limits or Limits()
     state, here = start, linearise(start)
     cost = _cost(here, loss)
     if not np.isfinite(cost):
         raise CalibrationError("the calibration starts from a pose that cannot see its own targets")
-    damping = _START_DAMPING
-    for iteration in range(1, max_iterations + 1):
-        system = _normal_equations(here, loss)
-        shared, blocks, predicted = system.increment(damping)
+    damping, taken, done = limits.damping, 0, False
+    while not done:
+        shared, blocks, predicted = _normal_equations(here, loss).increment(damping)
         candidate = step(state, shared, blocks)
         there = linearise(candidate)
-        candidate_cost = _cost(there, loss)
-        done = predicted <= 0.1 * tolerance * cost + 1e-15
-        if np.isfinite(candidate_cost) and candidate_cost <= cost:
-            done = done or cost - candidate_cost <= tolerance * cost
-            state, here, cost = candidate, there, candidate_cost
-            damping = max(damping / 10, 1e-15)
+        gain = cost - _cost(there, loss)
+        done = predicted <= 0.1 * limits.tolerance * cost + 1e-15
+        if np.isfinite(gain) and gain >= 0:
+            state, here, cost, taken = candidate, there, cost - gain, taken + 1
+            damping = max(damping / 10, _LEAST_DAMPING)
+            done = done or gain <= limits.tolerance * cost or limits.reached(taken)
         else:
             damping *= 10
             done = done or damping > _MAX_DAMPING
-        if done or (iteration == max_iterations and not must_settle):
-            return Solution(
-                state, here, _normal_equations(here, loss).covariance(), cost, iteration
-            )
-    raise CalibrationError(f"the calibration did not settle in {max_iterations} steps")
+    return Solution(state, here, _normal_equations(here, loss).covariance(), cost, taken)
 
 
 def _cost(lin: Linearised, loss: Huber) -> float:

@@ -168,6 +168,14 @@ def _with_covariances(cameras: tuple[Camera, ...], sights: Sights, sd_px: float)
     covariance = shifts @ shifts.T
     for camera, block in zip(cameras, own, strict=True):
         covariance[np.ix_(columns[camera.name], columns[camera.name])] += block
-    poses = [covariance[np.ix_(c[:6], c[:6])] for c in columns.values()]
-    located = tuple(replace(c, pose_covariance=P) for c, P in zip(cameras, poses, strict=True))
+    located = tuple(_with_its_part(c, covariance, columns[c.name]) for c in cameras)
     return PaperFit(located, covariance, columns, sd_px)
+
+
+def _with_its_part(camera: Camera, covariance: Floats, columns: Ints) -> Camera:
+    """The camera with its part of the joint covariance."""
+    P = covariance[np.ix_(columns, columns)]
+    lens, cross = camera.intrinsics.covariance, np.zeros((6, 12))
+    if lens is not None:
+        cross[:, np.diag(lens) > 0] = P[:6, 6:]
+    return replace(camera, pose_covariance=P[:6, :6], pose_intrinsics_covariance=cross)

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
 from measure.cli import console
 from measure.cli.console import JsonFlag, shares
+
+if TYPE_CHECKING:
+    from measure.host import Dataset
+    from measure.learning import TrajectoryFacts
 
 
 def dataset(
@@ -53,25 +57,18 @@ def dataset(
         seed: simulated: of motion, restarts and noise.
         wear: simulated: slack and friction relative to new cables.
     """
-    from measure import api
     from measure.errors import ConfigError
-    from measure.learning import PAPER_MINUTES, PAPER_PAIRS, AssemblySettings
 
     if bool(runs) == (simulate_min is not None):
         raise ConfigError("give runs, or --simulate-min MINUTES, but not both")
     if simulate_min is not None:
-        count = pairs or round(PAPER_PAIRS * simulate_min / PAPER_MINUTES)
-        with console.progress("simulating", unit="per mille") as report:
-            data, facts = api.simulate_dataset(
-                out,
-                minutes=simulate_min,
-                pairs=count,
-                restarts=restarts,
-                seed=seed,
-                wear=wear,
-                report=shares(report),
-            )
+        data, facts = _simulated(
+            out, simulate_min, pairs=pairs, restarts=restarts, seed=seed, wear=wear
+        )
     else:
+        from measure import api
+        from measure.learning import AssemblySettings
+
         settings = AssemblySettings(
             clock_offset_s=clock_offset_s,
             largest_offset_s=largest_offset_s,
@@ -82,30 +79,39 @@ def dataset(
         data, facts = api.make_dataset(runs, robot_log, robot, out, settings, topic=topic)
     if json:
         console.print_json({"data": str(out), "rows": len(data), "recordings": facts})
-        return
-    if facts:
-        columns = (
-            "recording",
-            "rows",
-            "usable",
-            "not measured",
-            "no state",
-            "outliers",
-            "offset_s",
+    else:
+        _conclude(data, facts, clock_offset_s, out)
+
+
+def _simulated(
+    out: Path, minutes: float, *, pairs: int | None, **options: Any
+) -> tuple[Dataset, list[TrajectoryFacts]]:
+    from measure import api
+    from measure.learning import PAPER_MINUTES, PAPER_PAIRS
+
+    count = pairs or round(PAPER_PAIRS * minutes / PAPER_MINUTES)
+    with console.progress("simulating", unit="per mille") as report:
+        return api.simulate_dataset(
+            out, minutes=minutes, pairs=count, report=shares(report), **options
         )
-        rows = [
-            (
-                f.name,
-                f.rows,
-                f.usable,
-                f.not_measured,
-                f.no_state,
-                f.outliers,
-                f.clock.offset_s if f.clock else clock_offset_s,
-            )
-            for f in facts
-        ]
-        console.print_table(columns, rows)
+
+
+_COLUMNS = ("recording", "rows", "usable", "not measured", "no state", "outliers", "uncertain")
+
+
+def _conclude(
+    data: Dataset, facts: list[TrajectoryFacts], given_offset_s: float | None, out: Path
+) -> None:
+    """What became of every recording; a clock offset that was estimated has an SD."""
+    rows = [
+        (
+            *(f.name, f.rows, f.usable, f.not_measured, f.no_state, f.outliers, f.uncertain),
+            *((f.clock.offset_s, f.clock.sd_s) if f.clock else (given_offset_s, None)),
+        )
+        for f in facts
+    ]
+    if rows:
+        console.print_table((*_COLUMNS, "clock offset_s", "SD_s"), rows)
     console.print_text(
         f"{int(data.usable.sum())} labels in {len(data.present())} trajectories written to {out}"
     )

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
 from measure.cli import console
 from measure.cli.console import JsonFlag
+
+if TYPE_CHECKING:
+    from measure.learning import Zeroing
 
 
 def estimate(
@@ -32,7 +35,7 @@ def estimate(
         model: an ONNX file made by `measure train`, or `shipped` for the one that comes along.
         input_: recorded states (.parquet, .csv, .bag, .mcap).
         output: where to write the errors (.parquet or .csv): run, i, ex, ey, ez in mm, and more.
-        rezero: a short measured data set of today: removes a restart's static offset, and says
+        rezero: a short measured data set of today: finds how the joints were homed, and says
             whether the cables have changed.
         host: address to listen on; other machines can reach it only if it is not the loopback.
         port: to listen on; 0 takes a free one.
@@ -41,22 +44,40 @@ def estimate(
     from measure import api
     from measure.errors import ConfigError
 
-    path = api.shipped_model() if str(model) == "shipped" else model
-    offset = None
-    if rezero is not None:
-        offset, sd, monitor = api.rezero(path, rezero)
-        x, y, z = offset
-        console.note(
-            f"offset {x:+.3f} {y:+.3f} {z:+.3f} mm (SD {sd.max():.3f}); {monitor.sentence()}"
-        )
-    if input_ is not None:
-        if output is None:
-            raise ConfigError("--input needs --output: where shall the errors go?")
-        counts = api.estimate_file(path, input_, output, offset).counts
-        _conclude(counts, json, f"written to {output}")
-        return
-    if output is not None:
+    if (input_ is None) and (output is not None):
         raise ConfigError("--output needs --input: live estimates go back by UDP")
+    if input_ is not None and output is None:
+        raise ConfigError("--input needs --output: where shall the errors go?")
+    path = api.shipped_model() if str(model) == "shipped" else model
+    zeroing = None if rezero is None else _zeroing(path, rezero)
+    if input_ is not None:
+        counts = api.estimate_file(path, input_, output, zeroing).counts
+        _conclude(counts, json, f"written to {output}")
+    else:
+        _serve(path, (host, port), zeroing, seconds, json)
+
+
+def _zeroing(model: Path, stretch: Path) -> Zeroing:
+    """What a restart left, which is told, and what the rest says of drift."""
+    from measure import api
+
+    zeroing, monitor = api.rezero(model, stretch)
+    x, y, z = zeroing.mean_mm
+    console.note(
+        f"offset {x:+.3f} {y:+.3f} {z:+.3f} mm on average (SD {zeroing.sd_mm:.3f}); "
+        f"{monitor.sentence()}"
+    )
+    return zeroing
+
+
+def _serve(
+    model: Path,
+    address: tuple[str, int],
+    zeroing: Zeroing | None,
+    seconds: float | None,
+    json: bool,
+) -> None:
+    from measure import api
 
     def line(server: Any) -> None:
         console.note(_counted(server.guarded.counters.values()))
@@ -65,7 +86,7 @@ def estimate(
         console.note("listening on udp://{}:{}".format(*server.address))
 
     served = api.estimate_online(
-        path, (host, port), offset_mm=offset, seconds=seconds, started=started, tell=line
+        model, address, zeroing=zeroing, seconds=seconds, started=started, tell=line
     )
     latency = served.latency_us()
     counts = served.guarded.counters.values()

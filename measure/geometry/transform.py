@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -93,8 +94,8 @@ class RigidTransform:
         cls, rotvec: ArrayLike, translation: ArrayLike = (0.0, 0.0, 0.0)
     ) -> RigidTransform:
         """From rotation vectors (..., 3) in rad and translations (..., 3) in mm."""
-        rotation = Rotation.from_rotvec(floats("rotvec", rotvec, "...", 3))
-        return cls(rotation.as_matrix(), floats("translation", translation, "...", 3))
+        rotation = _exponential(floats("rotvec", rotvec, "...", 3))
+        return cls(rotation, floats("translation", translation, "...", 3))
 
     @property
     def quat_wxyz(self) -> Floats:
@@ -106,7 +107,7 @@ class RigidTransform:
     @property
     def rotvec(self) -> Floats:
         """Rotation vectors (..., 3) in rad, of length at most pi."""
-        return np.asarray(Rotation.from_matrix(self.rotation).as_rotvec())
+        return _logarithm(self.rotation)
 
     @property
     def matrix(self) -> Floats:
@@ -143,13 +144,44 @@ class RigidTransform:
         on the left by exp(`delta[3:]`).
         """
         d = floats("delta", delta, "...", 6)
-        turn = Rotation.from_rotvec(d[..., 3:]).as_matrix()
+        turn = _exponential(d[..., 3:])
         return RigidTransform(turn @ self.rotation, self.translation + d[..., :3])
 
     def difference(self, reference: RigidTransform) -> Floats:
         """The `delta` (..., 6) with `reference.perturb(delta) == self`."""
         turn = self.rotation @ np.swapaxes(reference.rotation, -1, -2)
         shift, turn = np.broadcast_arrays(
-            self.translation - reference.translation, Rotation.from_matrix(turn).as_rotvec()
+            self.translation - reference.translation, _logarithm(turn)
         )
         return np.concatenate([shift, turn], axis=-1)
+
+
+def _exponential(rotvec: Floats) -> Floats:
+    """Rotations (..., 3, 3) of rotation vectors (..., 3) in rad; a single one by Rodrigues."""
+    if rotvec.ndim > 1:
+        return np.asarray(Rotation.from_rotvec(rotvec).as_matrix())
+    x, y, z = rotvec.tolist()
+    square = x * x + y * y + z * z
+    if not square > 1e-16:  # also not a number, which has to stay one
+        return np.eye(3) + skew(rotvec)
+    angle = math.sqrt(square)
+    a, b = math.sin(angle) / angle, 2 * (math.sin(angle / 2) / angle) ** 2
+    return np.array(
+        [
+            [1 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y],
+            [b * x * y + a * z, 1 - b * (x * x + z * z), b * y * z - a * x],
+            [b * x * z - a * y, b * y * z + a * x, 1 - b * (x * x + y * y)],
+        ]
+    )
+
+
+def _logarithm(rotation: Floats) -> Floats:
+    """Rotation vectors (..., 3) of rotations (..., 3, 3); a single one far from 180 deg by hand."""
+    if rotation.ndim == 2:
+        (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
+        x, y, z = (h - f) / 2, (c - g) / 2, (d - b) / 2
+        sine, cosine = math.sqrt(x * x + y * y + z * z), (a + e + i - 1) / 2
+        if cosine > 0:
+            ratio = math.atan2(sine, cosine) / sine if sine > 1e-12 else 1.0
+            return np.array([x * ratio, y * ratio, z * ratio])
+    return np.asarray(Rotation.from_matrix(rotation).as_rotvec())

@@ -5,7 +5,7 @@ from measure.learning.ablation import Importance, ablate, field_groups, single_f
 from measure.learning.assemble import AssemblySettings, PoseTrack, TrajectoryFacts, assemble, join
 from measure.learning.clock import ClockOffset, estimate_offset
 from measure.learning.exercise import Exercise, exercise
-from measure.learning.guard import Counters, DriftMonitor, GuardedModel, Refusal, rezero_offset
+from measure.learning.guard import Counters, DriftMonitor, GuardedModel, Refusal
 from measure.learning.offline import (
     Corrected,
     StateTable,
@@ -21,6 +21,7 @@ from measure.learning.simulated import PAPER_MINUTES, PAPER_PAIRS, simulated_dat
 from measure.learning.splits import Split, split_by_rows, split_by_trajectory
 from measure.learning.study import SweepState
 from measure.learning.training import Trained, same_robot, train
+from measure.learning.zeroing import Zeroing, fit_zeroing
 
 __all__ = [
     "DEFAULT_ADDRESS",
@@ -47,6 +48,7 @@ __all__ = [
     "SweepState",
     "Trained",
     "TrajectoryFacts",
+    "Zeroing",
     "ablate",
     "assemble",
     "correct",
@@ -55,10 +57,10 @@ __all__ = [
     "exercise",
     "field_groups",
     "files",
+    "fit_zeroing",
     "join",
     "read_states",
     "rezero",
-    "rezero_offset",
     "same_robot",
     "simulated_dataset",
     "single_fields",

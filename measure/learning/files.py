@@ -18,7 +18,7 @@ from measure.host import Dataset
 from measure.learning.assemble import PoseTrack, TrajectoryFacts
 from measure.learning.scores import Score
 from measure.results import read_run
-from measure.robots import StateSchema, read_columns
+from measure.robots import ROBOT_KEY, StateSchema, read_columns
 
 _KEY = b"measure.schema"
 _ERRORS = ("ex_mm", "ey_mm", "ez_mm")
@@ -50,7 +50,9 @@ def write_dataset(path: Path, data: Dataset, facts: Sequence[TrajectoryFacts], s
         columns[name] = data.covariances[:, i, j]
     for index, name in enumerate(data.schema.names):
         columns[name] = data.states[:, index].astype(np.float32)
-    table = pa.table(columns).replace_schema_metadata({_KEY: json.dumps(data.schema.to_dict())})
+    table = pa.table(columns).replace_schema_metadata(
+        {_KEY: json.dumps(data.schema.to_dict()), ROBOT_KEY: data.schema.robot}
+    )
     parquet.write_table(table, path, compression="zstd")
     card = {
         "source": source,

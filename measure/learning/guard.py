@@ -11,8 +11,8 @@ from enum import StrEnum
 import numpy as np
 
 from measure.arrays import Floats
-from measure.errors import EstimatorError
 from measure.host import Correction, OnnxModel
+from measure.learning.zeroing import Zeroing
 
 
 class Refusal(StrEnum):
@@ -50,23 +50,26 @@ class Counters:
 class GuardedModel:
     """A model that answers good states and refuses, and counts, all others."""
 
-    def __init__(self, model: OnnxModel, offset_mm: Floats | None = None) -> None:
+    def __init__(self, model: OnnxModel, zeroing: Zeroing | None = None) -> None:
         self.model = model
         self.counters = Counters()
-        self.offset_mm = np.zeros(3) if offset_mm is None else offset_mm
+        self.zeroing = zeroing
         self._last_sequence: int | None = None
         self._last_time_s = -np.inf
 
     def update(
         self, state: Floats, time_s: float, sequence: int | None = None
     ) -> Correction | Refusal:
-        """Correct a state, or say why not; the offset of a re-zero is included.
+        """Correct a state, or say why not; a re-zero is included.
 
         Args:
             state: the features.
             time_s: its stamp, which must grow; NaN where stamps are not recorded.
-            sequence: its number, which must grow by one; jumps count as losses.
+            sequence: its number, which must grow by one; jumps count as losses. Zero begins a
+                new trajectory: the robot's program was started again.
         """
+        if sequence == 0:
+            self.reset()
         reason = self._judge(state, time_s, sequence)
         if reason is not None:
             self.counters.refused[reason] += 1
@@ -79,8 +82,12 @@ class GuardedModel:
         correction = self.model.update(state, time_s)
         self.counters.corrected += 1
         self.counters.unfamiliar += correction.unfamiliar
+        if self.zeroing is None:
+            return correction
         return Correction(
-            correction.error_mm + self.offset_mm, correction.covariance, correction.unfamiliar
+            correction.error_mm + self.zeroing.offset_mm(state),
+            correction.covariance + self.zeroing.covariance,
+            correction.unfamiliar,
         )
 
     def refuse(self, reason: Refusal) -> Refusal:
@@ -104,35 +111,6 @@ class GuardedModel:
         if time_s <= self._last_time_s:
             return Refusal.STALE
         return None
-
-
-def rezero_offset(
-    residuals_mm: Floats, covariances: Floats, prior_sd_mm: float = 2.0
-) -> tuple[Floats, Floats]:
-    """The static offset after a restart, from a short measured stretch.
-
-    The mean residual, shrunk towards zero by what the residuals' scatter leaves open: hysteresis
-    correlates neighbours, so they count as one observation in five.
-
-    Args:
-        residuals_mm: (n, 3) measured minus corrected position.
-        covariances: (n, 3, 3) of the corrections.
-        prior_sd_mm: how large an offset is expected to be.
-
-    Returns:
-        The offset (3,) to add to corrections, and its SD (3,).
-
-    Raises:
-        EstimatorError: fewer than 10 measured states.
-    """
-    if len(residuals_mm) < 10:
-        raise EstimatorError(
-            f"re-zeroing needs at least 10 measured states, got {len(residuals_mm)}"
-        )
-    scatter = residuals_mm.var(axis=0) + np.diagonal(covariances, axis1=1, axis2=2).mean(axis=0)
-    noise = scatter / (len(residuals_mm) / 5.0)
-    gain = prior_sd_mm**2 / (prior_sd_mm**2 + noise)
-    return gain * np.median(residuals_mm, axis=0), np.sqrt(gain * noise)
 
 
 @dataclass

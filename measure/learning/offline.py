@@ -11,8 +11,9 @@ import numpy as np
 from measure.arrays import Bools, Floats
 from measure.errors import EstimatorError
 from measure.host import Correction, Dataset, OnnxModel
-from measure.learning.guard import DriftMonitor, GuardedModel, rezero_offset, runs_of
-from measure.robots import Feature, Reading, StateSchema, read_columns, read_log
+from measure.learning.guard import DriftMonitor, GuardedModel, runs_of
+from measure.learning.zeroing import Zeroing, fit_zeroing
+from measure.robots import Feature, Reading, StateSchema, check_robot, read_columns, read_log
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +48,8 @@ def read_states(path: Path, model: OnnxModel) -> StateTable:
     """States from Parquet or CSV (columns `run`, `i` and `t_s` or `time_s` optional) or a bag.
 
     Raises:
-        EstimatorError: features are missing (they are named), or the file cannot be read.
+        EstimatorError: features are missing (they are named), the states are of another robot, or
+            the file cannot be read.
     """
     if not path.exists():
         raise EstimatorError(f"{path}: no such file of states")
@@ -56,6 +58,7 @@ def read_states(path: Path, model: OnnxModel) -> StateTable:
         count = len(log.times_s)
         return StateTable(np.array([path.stem] * count), np.arange(count), log.times_s, log.states)
     columns = read_columns(path, model.features)
+    check_robot(path, model.robot)
     states = np.stack([columns[name].astype(np.float64) for name in model.features], axis=1)
     count = len(states)
     run = _optional(path, "run", _optional(path, "trajectory", np.array([path.stem] * count)))
@@ -64,12 +67,12 @@ def read_states(path: Path, model: OnnxModel) -> StateTable:
     return StateTable(run, index, times.astype(np.float64), states)
 
 
-def correct(table: StateTable, model: OnnxModel, offset_mm: Floats | None = None) -> Corrected:
+def correct(table: StateTable, model: OnnxModel, zeroing: Zeroing | None = None) -> Corrected:
     """Stream every run through the model, from a reset each."""
     count = len(table.states)
     errors, covariances = np.full((count, 3), np.nan), np.full((count, 3, 3), np.nan)
     unfamiliar = np.zeros(count, dtype=bool)
-    guarded = GuardedModel(model, offset_mm)
+    guarded = GuardedModel(model, zeroing)
     for rows in runs_of(table.run.tolist()):
         guarded.reset()
         for row in range(rows.start, rows.stop):
@@ -104,13 +107,15 @@ def write_corrected(path: Path, table: StateTable, corrected: Corrected) -> None
         parquet.write_table(out, path)
 
 
-# What a restart leaves per axis once its mean is gone: joints that were homed a little differently
-# err differently in every pose. An assumption; cables that changed leave more.
-_RESTART_SD_MM = 0.3
+def rezero(
+    model: OnnxModel, stretch: Dataset, monitor: DriftMonitor | None = None
+) -> tuple[Zeroing, DriftMonitor]:
+    """What a restart left, from a measured stretch, and what the rest says of drift.
 
-
-def rezero(model: OnnxModel, stretch: Dataset) -> tuple[Floats, Floats, DriftMonitor]:
-    """The offset of a restart from a measured stretch, its SD, and what the rest says of drift.
+    Args:
+        model: a trained one.
+        stretch: measured after the restart.
+        monitor: one that goes on; a new one if absent.
 
     Raises:
         EstimatorError: another robot's data, or too few labels.
@@ -118,13 +123,14 @@ def rezero(model: OnnxModel, stretch: Dataset) -> tuple[Floats, Floats, DriftMon
     estimates = model.predict(stretch)
     used = stretch.usable
     residuals = (stretch.errors_mm - estimates.errors_mm)[used]
-    offset, sd = rezero_offset(residuals, estimates.covariances[used])
-    monitor = DriftMonitor()
+    zeroing = fit_zeroing(stretch.schema, stretch.states[used], residuals)
+    monitor = monitor or DriftMonitor()
     promised = estimates.covariances[used] + stretch.covariances[used]
-    promised = promised + _RESTART_SD_MM**2 * np.eye(3)
-    for residual, covariance in zip(residuals - offset, promised, strict=True):
+    promised = promised + zeroing.covariance
+    left = residuals - zeroing.offset_mm(stretch.states[used])
+    for residual, covariance in zip(left, promised, strict=True):
         monitor.add(residual, covariance)
-    return offset, sd, monitor
+    return zeroing, monitor
 
 
 def schema_of(model: OnnxModel) -> StateSchema:

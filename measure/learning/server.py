@@ -14,6 +14,7 @@ from measure.arrays import Floats
 from measure.host import OnnxModel
 from measure.learning.guard import GuardedModel, Refusal
 from measure.learning.packets import LARGEST, AnswerPacket, StatePacket
+from measure.learning.zeroing import Zeroing
 
 DEFAULT_ADDRESS = ("127.0.0.1", 47_118)
 
@@ -28,9 +29,9 @@ class EstimateServer:
         self,
         model: OnnxModel,
         address: tuple[str, int] = DEFAULT_ADDRESS,
-        offset_mm: Floats | None = None,
+        zeroing: Zeroing | None = None,
     ) -> None:
-        self.guarded = GuardedModel(model, offset_mm)
+        self.guarded = GuardedModel(model, zeroing)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4 << 20)
         self._socket.bind(address)
@@ -110,7 +111,7 @@ class EstimateClient:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.settimeout(timeout_s)
         self._socket.connect(address)
-        self._sequence = 0
+        self._sequence = -1
 
     def ask(self, state: Floats, time_s: float) -> AnswerPacket | None:
         """Send the next state and wait for its answer; None if it did not come in time."""

@@ -117,11 +117,14 @@ def _provenance(estimator: Estimator, split: Split, seed: int) -> dict[str, Any]
 
 
 def revision() -> str:
-    """The git revision of this program's sources, or "released" where there is no repository."""
+    """The git revision of this program's sources, or "released" where there is no repository.
+
+    Sources that differ from their revision are called dirty: nobody can get them back.
+    """
     here = Path(__file__).parent
     try:
         found = subprocess.run(
-            ["git", "-C", str(here), "rev-parse", "--short", "HEAD"],
+            ["git", "-C", str(here), "describe", "--always", "--dirty", "--exclude=*"],
             capture_output=True,
             text=True,
             check=True,

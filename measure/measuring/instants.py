@@ -9,25 +9,34 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.measuring.pose_fit import Sightings
-from measure.model import BallView, Body, Camera, Detection, Motion, Pose
+from measure.model import BallView, Body, Camera, Detection, Motion, Pose, Rig
 
 _COMMON_PX = 0.3
 """What a detection is off by besides its noise: it makes all of them count about alike."""
 
 
-def detection_at(
-    detection: Detection, time_s: float, motion: Motion, body: Body, cameras: Mapping[str, Camera]
-) -> Detection:
-    """The detection as it would have been at `time_s`, by the body's predicted motion.
+def detections_at(
+    detections: Sequence[Detection],
+    time_s: float,
+    motion: Motion,
+    body: Body,
+    cameras: Mapping[str, Camera],
+) -> list[Detection]:
+    """The detections as they would have been at `time_s`, by the body's predicted motion.
 
-    Only the centre is moved; outline points stay as they were seen. To first order the error of the
-    prediction's *position* cancels, only that of its velocity counts.
+    Only the centres are moved; outline points stay as they were seen. To first order the error of
+    the prediction's *position* cancels, only that of its velocity counts.
     """
-    camera = cameras[detection.camera]
-    center = body.balls[body.index(detection.ball)].center_mm
-    then, now = motion.at(detection.time_s).apply(center), motion.at(time_s).apply(center)
-    before, after = camera.project([then, now])
-    return replace(detection, center_px=detection.center_px + (after - before), time_s=time_s)
+    late = [d for d in detections if d.time_s != time_s]
+    if not late:
+        return list(detections)
+    then = _projected(late, [d.time_s for d in late], motion, body, cameras)
+    now = _projected(late, [time_s] * len(late), motion, body, cameras)
+    moved = {
+        id(d): replace(d, center_px=d.center_px + shift, time_s=time_s)
+        for d, shift in zip(late, now - then, strict=True)
+    }
+    return [moved.get(id(d), d) for d in detections]
 
 
 def center_residuals(
@@ -41,14 +50,13 @@ def center_residuals(
         body: the body.
         cameras: by name.
     """
-    residuals = {}
-    for view in views:
-        if view.effective and view.detection is not None:
-            center = body.balls[body.index(view.ball)].center_mm
-            there = motion.at(view.detection.time_s).apply(center)
-            predicted = cameras[view.camera].project(there[None])[0]
-            residuals[view.ball, view.camera] = view.detection.center_px - predicted
-    return residuals
+    seen = [view.detection for view in views if view.effective and view.detection is not None]
+    if not seen:
+        return {}
+    predicted = _projected(seen, [d.time_s for d in seen], motion, body, cameras)
+    return {
+        (d.ball, d.camera): d.center_px - pixel for d, pixel in zip(seen, predicted, strict=True)
+    }
 
 
 def velocity_share(
@@ -72,3 +80,17 @@ def velocity_share(
     # One ball alone leaves a turn open: its pose is the prediction's, whatever the velocity.
     lever = np.linalg.lstsq(normal, (gain @ by_velocity).sum(axis=0), rcond=1e-9)[0]
     return np.asarray(lever @ motion.velocity_covariance @ lever.T)
+
+
+def _projected(
+    seen: Sequence[Detection],
+    times_s: Sequence[float],
+    motion: Motion,
+    body: Body,
+    cameras: Mapping[str, Camera],
+) -> Floats:
+    """Pixels (n, 2) of the detections' balls, in their cameras, with the body at `times_s`."""
+    poses = {time_s: motion.at(time_s) for time_s in dict.fromkeys(times_s)}
+    balls = {time_s: pose.apply(body.centers) for time_s, pose in poses.items()}
+    centers = [balls[t][body.index(d.ball)] for d, t in zip(seen, times_s, strict=True)]
+    return Rig.of([cameras[d.camera] for d in seen]).project(np.array(centers))[0]

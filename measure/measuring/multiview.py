@@ -14,11 +14,9 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
-from measure.geometry import nearest_point, propagate, skew, squared_mahalanobis
+from measure.geometry import nearest_point, squared_mahalanobis
 from measure.model import Camera, Detection, Rig
-
-_STEPS = 12
-_STEP_TOLERANCE_MM = 1e-7
+from measure.model.camera import MIN_DEPTH_MM
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,34 +81,34 @@ class Views:
 
     def sensitivity(self, point: Floats) -> tuple[Floats, Floats, Floats]:
         """Residuals (n, 2), Jacobians by the point (n, 2, 3) and by the camera poses (n, 2, 6)."""
-        seen = point + self.shifts
-        predicted, by_point = self.rig.project(seen)
-        by_pose = np.concatenate([-by_point, by_point @ skew(seen - self.rig.centers)], axis=2)
+        from measure.measuring.point_kernels import sensitivities
+
+        rig = self.rig
+        predicted, by_point, by_pose = sensitivities(
+            rig.lenses, rig.reach, rig.rotation, rig.centers, point + self.shifts, MIN_DEPTH_MM
+        )
         return self.pixels - predicted, by_point, by_pose
 
-    def pose_noise(self, point: Floats) -> Floats:
-        """What uncertain camera poses add to the pixels' covariances (n, 2, 2)."""
-        out = np.zeros((len(self), 2, 2))
-        if all(camera.pose_covariance is None for camera in self.cameras):
-            return out
-        _, _, by_pose = self.sensitivity(point)
-        for row, camera in enumerate(self.cameras):
-            if camera.pose_covariance is not None:
-                out[row] = propagate(by_pose[row], camera.pose_covariance)
-        return out
+    def by_camera(self, point: Floats) -> Floats:
+        """Jacobians (n, 2, 18) of the pixels by the cameras' poses and intrinsics.
 
-    def lens_noise(self, point: Floats) -> Floats:
-        """What uncertain intrinsics add to the pixels' covariances (n, 2, 2)."""
-        out = np.zeros((len(self), 2, 2))
-        for row, camera in enumerate(self.cameras):
-            if camera.intrinsics.covariance is not None:
-                by_lens = camera.project_with_jacobians((point + self.shifts[row])[None])[3]
-                out[row] = propagate(by_lens[0], camera.intrinsics.covariance)
-        return out
+        Of cameras without a covariance, and of intrinsics without one, they are left at zero.
+        """
+        from measure.measuring.point_kernels import by_cameras
+
+        rig, by_pose = self.rig, self.sensitivity(point)[2]
+        return by_cameras(
+            rig.lenses, rig.rotation, rig.centers, point + self.shifts, by_pose, rig.covariances
+        )
+
+    def camera_noise(self, point: Floats) -> Floats:
+        """What uncertain cameras add to the pixels' covariances (n, 2, 2)."""
+        by_camera = self.by_camera(point)
+        return by_camera @ self.rig.covariances @ np.swapaxes(by_camera, 1, 2)
 
     def total_noise(self, point: Floats) -> Floats:
         """The pixels' covariances (n, 2, 2), calibration included."""
-        return self.noise + self.pose_noise(point) + self.lens_noise(point)
+        return self.noise + self.camera_noise(point)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,25 +134,24 @@ def fit_point(views: Views) -> PointFit:
     Raises:
         DegenerateGeometryError: parallel rays, or the point is not in front of every camera.
     """
-    point = views.start()
-    weight = _weights(views, point)
-    for _ in range(_STEPS):
-        residuals, by_point, _ = views.sensitivity(point)
-        if not np.all(np.isfinite(residuals)):
-            raise DegenerateGeometryError(
-                f"the rays of {', '.join(views.rig.names)} meet behind a camera"
-            )
-        gain = np.swapaxes(by_point, 1, 2) @ weight
-        step = np.linalg.solve(
-            (gain @ by_point).sum(axis=0), np.einsum("nij,nj->i", gain, residuals)
-        )
-        point = point + step
-        if np.max(np.abs(step)) < _STEP_TOLERANCE_MM:
-            break
-    residuals, by_point, _ = views.sensitivity(point)
-    information = (np.swapaxes(by_point, 1, 2) @ weight @ by_point).sum(axis=0)
-    chi_square = float(np.einsum("ni,nij,nj->", residuals, weight, residuals))
-    return PointFit(point, np.linalg.inv(information), residuals, chi_square)
+    from measure.measuring.point_kernels import refine_point
+
+    rig, start = views.rig, views.start()
+    point, information, residuals, chi_square, seen = refine_point(
+        rig.lenses,
+        rig.reach,
+        rig.rotation,
+        rig.centers,
+        views.pixels,
+        views.shifts,
+        views.total_noise(start),
+        start,
+        MIN_DEPTH_MM,
+    )
+    if not seen:
+        raise DegenerateGeometryError(f"the rays of {', '.join(rig.names)} meet behind a camera")
+    covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
+    return PointFit(point, covariance, residuals, chi_square)
 
 
 def ray_distances(views: Views, point: Floats) -> Floats:
@@ -166,14 +163,14 @@ def leverage(views: Views, fit: PointFit) -> tuple[Floats, Floats]:
     """How a fitted point reacts to its inputs.
 
     Returns:
-        By the pixels (n, 3, 2), and by the camera poses (n, 3, 6): if the true pose of camera i is
-        `world_from_camera.perturb(d)`, the fitted point errs by `by_pose[i] @ d`.
+        By the pixels (n, 3, 2), and by the cameras' poses and intrinsics (n, 3, 18): if camera i is
+        truly off by d, the fitted point errs by `by_camera[i] @ d`.
     """
     weight = _weights(views, fit.point)
-    _, by_point, by_pose = views.sensitivity(fit.point)
+    _, by_point, _ = views.sensitivity(fit.point)
     gain = np.swapaxes(by_point, 1, 2) @ weight
     by_pixel = np.linalg.inv((gain @ by_point).sum(axis=0)) @ gain
-    return by_pixel, by_pixel @ by_pose
+    return by_pixel, by_pixel @ views.by_camera(fit.point)
 
 
 def disagreement(views: Views, fit: PointFit, extra_px: float) -> Floats:

@@ -10,7 +10,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.host import Detector, PoseSolver, Triangulator
-from measure.measuring.instants import center_residuals, detection_at, velocity_share
+from measure.measuring.instants import center_residuals, detections_at, velocity_share
 from measure.measuring.measurement import Draft, Measurement, Status
 from measure.measuring.pose_spline import motion_at, with_neighbours
 from measure.measuring.tracking import Tracker
@@ -154,11 +154,12 @@ class Pipeline:
     def _triangulate(
         self, views: Sequence[BallView], time_s: float, motion: Motion | None
     ) -> tuple[Fix, ...]:
+        used = [v.detection for v in views if v.effective and v.detection is not None]
+        if motion is not None and self.stages.own_times:
+            used = detections_at(used, time_s, motion, self._body, self._cameras)
         fixes = []
         for name in self._body.names:
-            seen = [v.detection for v in views if v.ball == name and v.effective and v.detection]
-            if motion is not None and self.stages.own_times:
-                seen = [detection_at(d, time_s, motion, self._body, self._cameras) for d in seen]
+            seen = [d for d in used if d.ball == name]
             if len(seen) < 2:
                 continue
             fix = self.stages.triangulator.triangulate(seen, self._cameras)

@@ -49,6 +49,12 @@ class Intrinsics:
         return float((self.matrix[0, 0] + self.matrix[1, 1]) / 2)
 
     @cached_property
+    def row(self) -> Floats:
+        """Fx skew cx fy cy k1 k2 p1 p2 k3 k4 k5 k6 as (13,), for compiled loops."""
+        k = self.matrix
+        return np.concatenate([[k[0, 0], k[0, 1], k[0, 2], k[1, 1], k[1, 2]], self.distortion])
+
+    @cached_property
     def reach(self) -> float:
         """Ideal (undistorted, normalised) radius beyond which the lens model folds back."""
         return fold_radius(self.distortion)
@@ -125,6 +131,8 @@ class Camera:
         world_from_camera: pose; the camera looks along its +z, x right, y down.
         pose_covariance: (6, 6) of `world_from_camera` in its `perturb` chart, or None if unknown.
         reprojection_rms_px: of the calibration, or None if unknown.
+        pose_intrinsics_covariance: (6, 12) covariance of the two, or None if unknown. A fit of both
+            leaves them strongly correlated: a turned camera and a moved principal point look alike.
         readout_s: rolling shutter: time from the first row's exposure to the last's, negative if
             from the bottom up; an image's time is that of its middle row.
     """
@@ -134,6 +142,7 @@ class Camera:
     world_from_camera: RigidTransform
     pose_covariance: Floats | None = None
     reprojection_rms_px: float | None = None
+    pose_intrinsics_covariance: Floats | None = None
     readout_s: float = 0.0
 
     def __post_init__(self) -> None:
@@ -141,6 +150,9 @@ class Camera:
             object.__setattr__(
                 self, "pose_covariance", floats("pose_covariance", self.pose_covariance, 6, 6)
             )
+        if self.pose_intrinsics_covariance is not None:
+            cross = floats("pose_intrinsics_covariance", self.pose_intrinsics_covariance, 6, 12)
+            object.__setattr__(self, "pose_intrinsics_covariance", cross)
 
     @cached_property
     def camera_from_world(self) -> RigidTransform:
@@ -158,6 +170,23 @@ class Camera:
         if self.pose_covariance is None:
             return None
         return UncertainTransform(self.world_from_camera, self.pose_covariance)
+
+    @cached_property
+    def covariance(self) -> Floats | None:
+        """(18, 18) of pose and intrinsics together, or None if neither is known.
+
+        What is not known counts as exact, and as independent.
+        """
+        pose, lens = self.pose_covariance, self.intrinsics.covariance
+        if pose is None and lens is None:
+            return None
+        out = np.zeros((18, 18))
+        out[:6, :6] = 0.0 if pose is None else pose
+        out[6:, 6:] = 0.0 if lens is None else lens
+        if pose is not None and lens is not None and self.pose_intrinsics_covariance is not None:
+            out[:6, 6:] = self.pose_intrinsics_covariance
+            out[6:, :6] = self.pose_intrinsics_covariance.T
+        return out
 
     def row_delay_s(self, row_px: ArrayLike) -> Floats:
         """How much later than the middle row other rows (...) are exposed."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,7 +12,6 @@ from numpy.typing import ArrayLike
 from measure.arrays import Floats
 from measure.geometry import Rays
 from measure.model.camera import MIN_DEPTH_MM, Camera
-from measure.model.distortion import bend, undistort
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,50 +20,43 @@ class Rig:
 
     Attributes:
         names: (n,) of the cameras.
-        affine: (n, 2, 2) upper left parts of the camera matrices, px.
-        principal: (n, 2) principal points, px.
-        distortion: (8, n) coefficients, one column per camera.
+        lenses: (n, 13) fx skew cx fy cy and the distortion, see `Intrinsics.row`.
         reach: (n,) ideal radii beyond which the lens models fold back.
         rotation: (n, 3, 3) world_from_camera rotations.
         centers: (n, 3) projection centres in the world, mm.
+        covariances: (n, 18, 18) of pose and intrinsics (see `Camera`); zero where unknown.
     """
 
     names: tuple[str, ...]
-    affine: Floats
-    principal: Floats
-    distortion: Floats
+    lenses: Floats
     reach: Floats
     rotation: Floats
     centers: Floats
+    covariances: Floats
 
     @classmethod
     def of(cls, cameras: Sequence[Camera]) -> Rig:
-        """Stack `cameras`."""
-        matrices = np.stack([camera.intrinsics.matrix for camera in cameras])
-        return cls(
-            tuple(camera.name for camera in cameras),
-            matrices[:, :2, :2],
-            matrices[:, :2, 2],
-            np.stack([camera.intrinsics.distortion for camera in cameras], axis=1),
-            np.array([camera.intrinsics.reach for camera in cameras]),
-            np.stack([camera.world_from_camera.rotation for camera in cameras]),
-            np.stack([camera.center for camera in cameras]),
-        )
+        """Stack `cameras`; the same cameras are stacked only once."""
+        return _stacked(tuple(cameras))
 
     def __len__(self) -> int:
         return len(self.names)
+
+    @property
+    def focal_px(self) -> Floats:
+        """Mean focal lengths (n,) in px."""
+        return (self.lenses[:, 0] + self.lenses[:, 3]) / 2
 
     def take(self, rows: ArrayLike) -> Rig:
         """The cameras of some `rows`, in that order."""
         index = np.asarray(rows, dtype=np.int64)
         return Rig(
-            tuple(self.names[i] for i in index),
-            self.affine[index],
-            self.principal[index],
-            self.distortion[:, index],
+            tuple(self.names[i] for i in index.tolist()),
+            self.lenses[index],
             self.reach[index],
             self.rotation[index],
             self.centers[index],
+            self.covariances[index],
         )
 
     def project(self, points_world: Floats) -> tuple[Floats, Floats]:
@@ -76,23 +69,40 @@ class Rig:
             Pixels (n, 2) and their Jacobians by the world point (n, 2, 3); NaN for
             points without an image.
         """
-        from_center = np.broadcast_to(points_world, (len(self), 3)) - self.centers
-        p = np.einsum("nji,nj->ni", self.rotation, from_center)
-        depth = np.where(p[:, 2] > MIN_DEPTH_MM, p[:, 2], np.nan)
-        ideal = p[:, :2] / depth[:, None]
-        ideal[np.sum(ideal**2, axis=1) >= self.reach**2] = np.nan
-        bent, by_ideal = bend(ideal, self.distortion)
-        ideal_by_point = np.zeros((len(self), 2, 3))
-        ideal_by_point[:, 0, 0] = ideal_by_point[:, 1, 1] = 1 / depth
-        ideal_by_point[:, :, 2] = -ideal / depth[:, None]
-        pixels = np.einsum("nij,nj->ni", self.affine, bent) + self.principal
-        by_world = self.affine @ by_ideal @ ideal_by_point @ np.swapaxes(self.rotation, 1, 2)
-        return pixels, by_world
+        from measure.model.rig_kernels import project_rows
+
+        points = np.broadcast_to(points_world, (len(self), 3))
+        return project_rows(
+            self.lenses,
+            self.reach,
+            self.rotation,
+            self.centers,
+            np.ascontiguousarray(points, dtype=np.float64),
+            MIN_DEPTH_MM,
+        )
 
     def rays(self, pixels: Floats) -> Rays:
         """World rays of pixel i (n, 2) in camera i; NaN where the lens has no inverse."""
-        centred = (pixels - self.principal)[:, :, None]
-        bent: Floats = (np.linalg.inv(self.affine) @ centred)[:, :, 0]
-        ideal = undistort(bent, self.distortion, self.reach)
-        bearings = np.column_stack([ideal, np.ones(len(ideal))])
-        return Rays(self.centers, np.einsum("nij,nj->ni", self.rotation, bearings))
+        from measure.model.rig_kernels import ray_rows
+
+        seen = np.ascontiguousarray(pixels, dtype=np.float64)
+        return Rays(self.centers, ray_rows(seen, self.lenses, self.reach, self.rotation))
+
+
+@lru_cache(maxsize=256)
+def _stacked(cameras: tuple[Camera, ...]) -> Rig:
+    """Cameras compare by identity: what is kept never stands for a camera that was changed."""
+    lenses = [camera.intrinsics for camera in cameras]
+    return Rig(
+        tuple(camera.name for camera in cameras),
+        np.array([lens.row for lens in lenses]).reshape(-1, 13),
+        np.array([lens.reach for lens in lenses], dtype=np.float64),
+        np.array([c.world_from_camera.rotation for c in cameras]).reshape(-1, 3, 3),
+        np.array([c.center for c in cameras]).reshape(-1, 3),
+        _covariances([c.covariance for c in cameras], 18),
+    )
+
+
+def _covariances(known: Sequence[Floats | None], size: int) -> Floats:
+    unknown = np.zeros((size, size))
+    return np.array([unknown if c is None else c for c in known]).reshape(-1, size, size)

@@ -145,6 +145,8 @@ def _prepare(folder: Path, provenance: Provenance, resume: bool, overwrite: bool
     if overwrite:
         for name in (*_OWN_FILES, "calibration.toml"):
             (folder / name).unlink(missing_ok=True)
+        for part in folder.glob("run-*.rrd"):
+            part.unlink()
         for name in SCHEMAS:
             (folder / f"{name}.parquet").unlink(missing_ok=True)
             (folder / f"{name}.arrows").unlink(missing_ok=True)

@@ -1,19 +1,28 @@
 """Robots: what their states mean, their kinematics, and a simulated cable-driven arm."""
 
 from measure.robots.chain import Joint, SerialChain, dh_link
-from measure.robots.logs import find_schema, read_columns, read_log, write_log
+from measure.robots.logs import (
+    ROBOT_KEY,
+    check_robot,
+    find_schema,
+    read_columns,
+    read_log,
+    write_log,
+)
 from measure.robots.psm import psm_schema
 from measure.robots.raven import raven_chain, raven_schema
 from measure.robots.robot_log import RobotLog
 from measure.robots.schema import Feature, Reading, StateSchema
 
 __all__ = [
+    "ROBOT_KEY",
     "Feature",
     "Joint",
     "Reading",
     "RobotLog",
     "SerialChain",
     "StateSchema",
+    "check_robot",
     "dh_link",
     "find_schema",
     "psm_schema",

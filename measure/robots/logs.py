@@ -15,6 +15,8 @@ from measure.robots.robot_log import RobotLog
 from measure.robots.schema import StateSchema
 
 TIME = "time_s"
+ROBOT_KEY = b"measure.robot"
+"""Under which a Parquet file of states names its robot."""
 SCHEMAS: dict[str, Callable[[], StateSchema]] = {
     "raven": lambda: raven_schema("left"),
     "raven-right": lambda: raven_schema("right"),
@@ -86,7 +88,8 @@ def write_log(path: Path, log: RobotLog) -> None:
     else:
         from pyarrow import parquet
 
-        parquet.write_table(table, path, compression="zstd")
+        named = table.replace_schema_metadata({ROBOT_KEY: log.schema.robot})
+        parquet.write_table(named, path, compression="zstd")
 
 
 def read_columns(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
@@ -110,8 +113,24 @@ def read_columns(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
     return {name: table[name].to_numpy() for name in names}
 
 
+def check_robot(path: Path, robot: str) -> None:
+    """Refuse a Parquet file that says it holds another robot's states; most files say nothing.
+
+    Raises:
+        EstimatorError: it names another robot.
+    """
+    from pyarrow import parquet
+
+    if path.suffix != ".parquet":
+        return
+    named = (parquet.read_schema(path).metadata or {}).get(ROBOT_KEY, b"").decode()
+    if named not in ("", robot):
+        raise EstimatorError(f"{path}: holds states of robot '{named}', not of '{robot}'")
+
+
 def _read_table(path: Path, schema: StateSchema) -> tuple[Floats, Floats]:
     columns = read_columns(path, (TIME, *schema.names))
+    check_robot(path, schema.robot)
     states = np.stack([columns[name].astype(np.float64) for name in schema.names], axis=1)
     return columns[TIME].astype(np.float64), states
 

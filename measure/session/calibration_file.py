@@ -66,6 +66,7 @@ class CameraModel(FileModel):
     reprojection_rms_px: Annotated[FiniteFloat, Field(ge=0)] | None = None
     pose_covariance: list[Row] | None = None
     intrinsics_covariance: list[Row] | None = None
+    pose_intrinsics_covariance: list[Row] | None = None
     readout_s: Annotated[FiniteFloat, Field(ge=-LONGEST_READOUT_S, le=LONGEST_READOUT_S)] = 0.0
 
     @field_validator("matrix")
@@ -103,6 +104,20 @@ class CameraModel(FileModel):
             value = getattr(self, name)
             if value is not None and len(value) != size:
                 raise ValueError(f"{name} must be {size}x{size}, got {len(value)}x{len(value)}")
+        cross = self.pose_intrinsics_covariance
+        if cross is not None:
+            if [len(row) for row in cross] != [12] * 6:
+                raise ValueError("pose_intrinsics_covariance must be 6x12")
+            if self.pose_covariance is None or self.intrinsics_covariance is None:
+                raise ValueError("pose_intrinsics_covariance needs the other two covariances")
+            own = [p + c for p, c in zip(self.pose_covariance, cross, strict=True)]
+            _checked_covariance(
+                own
+                + [
+                    list(c) + row
+                    for *c, row in zip(*cross, self.intrinsics_covariance, strict=True)
+                ]
+            )
         return self
 
     def camera(self) -> Camera:
@@ -116,7 +131,16 @@ class CameraModel(FileModel):
         )
         pose = RigidTransform.from_quat_wxyz(self.quat_wxyz, self.translation_mm)
         known = None if self.pose_covariance is None else np.array(self.pose_covariance)
-        return Camera(self.name, intrinsics, pose, known, self.reprojection_rms_px, self.readout_s)
+        cross = self.pose_intrinsics_covariance
+        return Camera(
+            self.name,
+            intrinsics,
+            pose,
+            known,
+            self.reprojection_rms_px,
+            None if cross is None else np.array(cross),
+            self.readout_s,
+        )
 
 
 class CalibrationModel(FileModel):
@@ -156,6 +180,7 @@ def _camera_values(camera: Camera) -> dict[str, Any]:
         "reprojection_rms_px": camera.reprojection_rms_px,
         "pose_covariance": camera.pose_covariance,
         "intrinsics_covariance": camera.intrinsics.covariance,
+        "pose_intrinsics_covariance": camera.pose_intrinsics_covariance,
         "readout_s": camera.readout_s or None,
     }
 

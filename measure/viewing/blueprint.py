@@ -41,12 +41,12 @@ def run_blueprint(cameras: Sequence[Camera]) -> rrb.Blueprint:
         plot("Position SD [mm]", "plots/position_sd_mm"),
         plot("Residual [px]", "plots/residual_px"),
         plot("Ball distances [mm]", "plots/distance_mm"),
-        rrb.TextLogView(origin=entities.STATUS, name="Status"),
+        _status(),
         name="Traces",
     )
     return framed(
         rrb.Vertical(
-            rrb.Horizontal(scene, pictures, column_shares=[3, 4]), traces, row_shares=[5, 2]
+            rrb.Horizontal(scene, pictures, column_shares=[3, 4]), traces, row_shares=[5, 3]
         )
     )
 
@@ -77,6 +77,14 @@ def plot(name: str, origin: str) -> rrb.TimeSeriesView:
     return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=LEGEND)
 
 
+def _status() -> rrb.TextLogView:
+    """How frame sets ended: when and why, without the entity's path, which is always the same."""
+    frame = rrb.encodings.TimelineColumn(entities.TIMELINE_FRAME, visible=True)
+    body = rrb.encodings.TextLogColumn("body")
+    columns = rrb.TextLogColumns(timeline_columns=[frame], text_log_columns=[body])
+    return rrb.TextLogView(origin=entities.STATUS, name="Status", columns=columns)
+
+
 def _eye(cameras: Sequence[Camera]) -> rrb.EyeControls3D:
     """A place from which all cameras and what they look at are in view."""
     centers = np.stack([camera.center for camera in cameras])
@@ -84,7 +92,7 @@ def _eye(cameras: Sequence[Camera]) -> rrb.EyeControls3D:
     reach = float(np.linalg.norm(centers - target, axis=1).max())
     return rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital,
-        position=target + 0.95 * reach * _EYE_BESIDE,
+        position=target + 1.08 * reach * _EYE_BESIDE,
         look_target=target,
         eye_up=(0.0, 0.0, 1.0),
     )

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from measure.model import BallView
-from measure.model.observations import Reason, State
+from measure.model.observations import Reason
 
 WORLD = "world"
 BODY = "world/body"
@@ -26,11 +25,12 @@ EFFECTIVE_COLOR = (80, 220, 120)
 REASON_COLORS = {
     Reason.JUMPED: (255, 140, 0),
     Reason.COLOR: (220, 80, 220),
-    Reason.NOT_FOUND: (150, 150, 150),
+    Reason.NOT_FOUND: (165, 125, 60),
     Reason.INCONSISTENT: (255, 60, 60),
     Reason.RECOVERING: (90, 190, 255),
     Reason.NO_IMAGE: (110, 110, 110),
 }
+UNKNOWN_COLOR = (150, 150, 150)
 _NAMED_COLORS = {
     "red": (214, 40, 40),
     "orange": (244, 140, 30),
@@ -74,6 +74,11 @@ def outlines(name: str) -> str:
 def edges(name: str) -> str:
     """Outline points the detector measured in a camera's picture."""
     return f"world/cameras/{name}/image/edges"
+
+
+def suspended(name: str) -> str:
+    """Balls that are not used in a camera's picture, with the reason."""
+    return f"world/cameras/{name}/image/suspended"
 
 
 def ball(name: str) -> str:
@@ -131,10 +136,3 @@ def ball_color(name: str, index: int) -> tuple[int, int, int]:
 def line_color(index: int) -> tuple[int, int, int]:
     """RGB for the n-th of several traces."""
     return _LINES[index % len(_LINES)]
-
-
-def view_color(view: BallView) -> tuple[int, int, int]:
-    """RGB for the state of a ball in a camera."""
-    if view.state is State.EFFECTIVE:
-        return EFFECTIVE_COLOR
-    return REASON_COLORS.get(view.reason, (150, 150, 150))

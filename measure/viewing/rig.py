@@ -46,6 +46,10 @@ def _log_camera(stream: rr.RecordingStream, camera: Camera) -> None:
         ),
         static=True,
     )
+    dots = rr.Points2D.from_fields(radii=rr.Radius.ui_points(1.5))
+    stream.log(entities.edges(camera.name), dots, static=True)
+    why = rr.Points2D.from_fields(radii=rr.Radius.ui_points(4.0), show_labels=True)
+    stream.log(entities.suspended(camera.name), why, static=True)
 
 
 def _log_body(stream: rr.RecordingStream, body: Body) -> None:
@@ -61,7 +65,6 @@ def _log_body(stream: rr.RecordingStream, body: Body) -> None:
         stream.log(entities.ball(ball.name), shape, static=True)
         rays = rr.LineStrips3D.from_fields(colors=[(*color, 150)], radii=[0.25])
         stream.log(entities.rays(ball.name), rays, static=True)
-    stream.log(entities.BODY, rr.TransformAxes3D(40.0), static=True)
     trail = rr.Points3D.from_fields(colors=[(120, 200, 255)], radii=[0.6])
     stream.log(entities.TRAIL, trail, static=True)
     haze = rr.Ellipsoids3D.from_fields(colors=[(255, 120, 220)], fill_mode="majorwireframe")

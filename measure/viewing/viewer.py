@@ -30,6 +30,11 @@ class Viewer:
     listens: str
 
 
+def recordings_of(run: Path) -> list[Path]:
+    """A run's recording and, where the run was interrupted, its further parts; or the one file."""
+    return [run / "run.rrd", *sorted(run.glob("run-*.rrd"))] if run.is_dir() else [run]
+
+
 def open_viewer(recordings: Sequence[Path], web: bool = False, bind: str = LOOPBACK) -> Viewer:
     """Start the viewer on .rrd files.
 

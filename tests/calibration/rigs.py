@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,9 +31,9 @@ def lens(number: int) -> Intrinsics:
     return Intrinsics(SIZE, matrix, np.array([0.06, -0.12, 0.0006, -0.0008, 0.0]))
 
 
-def cameras() -> tuple[Camera, ...]:
+def cameras(azimuths_deg: Sequence[float] = (50, 130, 228, 318)) -> tuple[Camera, ...]:
     out = []
-    for number, azimuth in enumerate(np.deg2rad([50, 130, 228, 318])):
+    for number, azimuth in enumerate(np.deg2rad(azimuths_deg)):
         center = np.array([410 * np.cos(azimuth), 410 * np.sin(azimuth), 380.0 + 5 * number])
         pose = looking_at(center, np.array([0.0, 0.0, 250.0]))
         out.append(Camera(f"cam{number}", lens(number), pose))

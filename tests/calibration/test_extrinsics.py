@@ -86,6 +86,18 @@ def test_true_errors_lie_within_the_papers_covariances() -> None:
     assert 0.6 < np.mean(of_body) < 1.5
 
 
+@pytest.mark.parametrize("fitted", [fit_rig, fit_rig_by_paper])
+def test_cameras_carry_what_their_poses_and_lenses_have_in_common(fitted) -> None:
+    """Each camera by itself says nearly what all say together; pose and lens apart, far more."""
+    noisy = rig(np.random.default_rng(3), lens_sd=LENS_SD)
+    fit = fitted(noisy.start, noisy.sights)
+    together, _ = body_pose_sd(fit.cameras, paper_body(), poses(), fit.covariance, fit.columns)
+    single, _ = body_pose_sd(fit.cameras, paper_body(), poses())
+    assert np.all((single / together > 0.5) & (single / together < 1.5))
+    apart = tuple(replace(camera, pose_intrinsics_covariance=None) for camera in fit.cameras)
+    assert np.all(body_pose_sd(apart, paper_body(), poses())[0] > 3 * together)
+
+
 def test_three_marks_say_nothing_about_their_own_error() -> None:
     noisy = rig(np.random.default_rng(1))
     marks = {

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import doctest
-import os
 import re
 import shlex
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
 
 import pytest
 
+from measure.cli import main
 from measure.cli.commands import GROUPS
 from tests.docs.pages import PAGES, ROOT, Block, blocks, name_of
 
@@ -77,7 +76,8 @@ def test_commands_that_are_only_shown_exist(page: Path):
 def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder that the tutorial's first command makes."""
     folder = tmp_path_factory.mktemp("docs")
-    _run(DEMO, folder)
+    with contextlib.chdir(folder):
+        _run(DEMO)
     return folder / "triball-demo"
 
 
@@ -104,31 +104,21 @@ def test_a_page_can_be_followed(page: Path, demo: Path, tmp_path: Path):
     """Its files are written and its commands run, in order, in an empty folder with the demo."""
     (tmp_path / "triball-demo").symlink_to(demo)
     (tmp_path / "calibration_targets").symlink_to(ROOT / "calibration_targets")
-    for block in blocks(page):
-        if file := block.marked("file"):
-            (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
-            (tmp_path / file).write_text(block.text, encoding="utf-8")
-        elif _runnable(block) and block.language == "python":
-            _python("-c", block.text, folder=tmp_path)
-        elif _runnable(block):
-            for line in block.text.replace("\\\n", " ").splitlines():
-                if line.split("#")[0].strip() not in ("", DEMO):
-                    _run(line, tmp_path)
+    with contextlib.chdir(tmp_path):
+        for block in blocks(page):
+            if file := block.marked("file"):
+                Path(file).parent.mkdir(parents=True, exist_ok=True)
+                Path(file).write_text(block.text, encoding="utf-8")
+            elif _runnable(block) and block.language == "python":
+                exec(compile(block.text, f"{page}:{block.line}", "exec"), {"__name__": "__main__"})
+            elif _runnable(block):
+                for line in block.text.replace("\\\n", " ").splitlines():
+                    if line.split("#")[0].strip() not in ("", DEMO):
+                        _run(line)
 
 
-def _run(line: str, folder: Path) -> None:
+def _run(line: str) -> None:
+    """In this process: loading and compiling everything anew costs more than most commands do."""
     words = shlex.split(line, comments=True)
     assert words[0] == "measure", f"only `measure` is run here; mark the block to skip: {line}"
-    _python("-m", "measure.cli", *words[1:], folder=folder)
-
-
-def _python(*arguments: str, folder: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, *arguments],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        check=False,
-        env={**os.environ, "PYTHONWARNINGS": "default"},
-    )
-    assert done.returncode == 0, f"{shlex.join(arguments)}\n{done.stdout}\n{done.stderr}"
+    assert main(words[1:]) == 0, line

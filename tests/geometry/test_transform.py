@@ -159,3 +159,10 @@ def test_nothing_is_changed_in_place(rng):
     (a.perturb(delta) @ a).inverse()
     for now, before in zip((rotation, shift, delta), copies, strict=True):
         np.testing.assert_array_equal(now, before)
+
+
+@given(rotvecs())
+def test_one_rotation_is_what_a_batch_of_it_is(rotvec):
+    one, many = RigidTransform.from_rotvec(rotvec), RigidTransform.from_rotvec(np.stack([rotvec]))
+    np.testing.assert_allclose(one.rotation, many.rotation[0], atol=1e-14)
+    np.testing.assert_allclose(one.rotvec, many.rotvec[0], atol=1e-9)

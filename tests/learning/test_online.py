@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.host import Correction, OnnxModel, Registry
 from measure.host.estimator import quiet
@@ -23,8 +25,8 @@ from measure.learning import (
     StatePacket,
     correct,
     exercise,
+    fit_zeroing,
     read_states,
-    rezero_offset,
 )
 from measure.learning.offline import schema_of
 
@@ -59,6 +61,18 @@ def test_bad_states_are_refused_and_counted(guarded: GuardedModel, split: Split)
     assert counts["corrected"] == 2
     assert counts["lost"] == 3
     assert [counts[reason.value] for reason in Refusal] == [0, 1, 1, 1, 1]
+
+
+def test_a_program_that_was_started_again_begins_anew(guarded: GuardedModel, split: Split) -> None:
+    states = split.test.states
+    first = [guarded.update(states[i], 100.0 + i, i) for i in range(5)]
+    assert guarded.update(states[0], 0.0, 3) is Refusal.REPEATED
+    again = [guarded.update(states[i], float(i), i) for i in range(5)]
+    for a, b in zip(first, again, strict=True):
+        assert isinstance(a, Correction)
+        assert isinstance(b, Correction)
+        np.testing.assert_array_equal(a.error_mm, b.error_mm)
+    assert guarded.counters.lost == 0
 
 
 def test_a_refused_state_leaves_no_trace(guarded: GuardedModel, split: Split) -> None:
@@ -160,15 +174,40 @@ def test_offline_is_online(model_path: Path, split: Split, tmp_path: Path) -> No
     np.testing.assert_allclose(schema.position_mm(data.states), data.reported_mm, atol=1e-9)
 
 
-def test_rezero_finds_a_restarts_offset() -> None:
-    rng = np.random.default_rng(1)
-    true = np.array([0.8, -0.5, 0.2])
-    covariances = np.tile(0.3**2 * np.eye(3), (60, 1, 1))
-    offset, sd = rezero_offset(true + rng.normal(0, 0.3, (60, 3)), covariances)
-    assert np.abs(offset - true).max() < 4 * sd.max()
-    assert sd.max() < 0.3
-    with pytest.raises(EstimatorError, match="at least 10"):
-        rezero_offset(np.zeros((5, 3)), covariances[:5])
+def test_rezero_finds_joints_homed_otherwise(split: Split) -> None:
+    """Found on one stretch, the zeros hold on another, where the tip is off otherwise."""
+    schema, rng = split.train.schema, np.random.default_rng(1)
+    assert schema.chain is not None
+    zeros = np.array([1e-3, -1e-3, 0.1, 0.02, -0.03, 0.02])
+
+    def offsets(states: Floats) -> Floats:
+        q = schema.joint_positions(states)
+        assert schema.chain is not None
+        return schema.chain.tip_mm(q + zeros) - schema.chain.tip_mm(q)
+
+    states, later = split.train.states[:200], split.test.states
+    noisy = offsets(states) + rng.normal(0.0, 0.2, (200, 3))
+    noisy[::40] += 20.0  # false detections
+    zeroing = fit_zeroing(schema, states, noisy)
+    before = np.linalg.norm(offsets(later), axis=1).mean()
+    left = np.linalg.norm(offsets(later) - zeroing.offset_mm(later), axis=1).mean()
+    constant = np.linalg.norm(offsets(later) - zeroing.mean_mm, axis=1).mean()
+    assert before > 0.5
+    assert left < 0.25 * before
+    assert constant > 2.0 * left
+    assert 0.0 < zeroing.sd_mm < 0.3
+    assert zeroing.offset_mm(later[3]) == pytest.approx(zeroing.offset_mm(later)[3])
+    with pytest.raises(EstimatorError, match="at least 10 measured states, got 5"):
+        fit_zeroing(schema, states[:5], noisy[:5])
+
+
+def test_rezero_without_kinematics_finds_the_offset(split: Split) -> None:
+    schema = replace(split.train.schema, chain=None, joints=())
+    rng, true = np.random.default_rng(1), np.array([0.8, -0.5, 0.2])
+    states = split.train.states[:60]
+    zeroing = fit_zeroing(schema, states, true + rng.normal(0, 0.3, (60, 3)))
+    assert np.linalg.norm(zeroing.offset_mm(states[0]) - true) < 3 * zeroing.sd_mm
+    assert zeroing.sd_mm < 0.3
 
 
 def test_drift_is_seen_and_calm_is_not_drift() -> None:

@@ -31,6 +31,96 @@ def test_what_is_written_is_read(name: str, log: RobotLog, tmp_path: Path) -> No
     np.testing.assert_allclose(again.states, log.states, rtol=1e-6, atol=1e-6)
 
 
+# The robot's public control software, word for word; not taken from the program under test.
+RAVEN_STATE = """
+Header hdr
+int32 runlevel
+int32 sublevel
+int32 last_seq
+int32[2] type
+int32[6] pos
+float32[18] ori
+float32[18] ori_d
+int32[6] pos_d
+duration dt
+int32[16] encVals
+int32[16] dac_val
+float32[16] tau
+float32[16] mpos
+float32[16] jpos
+float32[16] mvel
+float32[16] jvel
+float32[16] mpos_d
+float32[16] jpos_d
+float32[2] grasp_d
+float32[16] encoffsets
+float32[12] jac_vel
+float32[12] jac_f
+"""
+COUNTS = (2, 6, 18, 18, 6, 16, 16, 16, 16, 16, 16, 16, 16, 16, 2, 16, 12, 12)  # without dt
+
+
+@pytest.mark.parametrize(("arm", "place"), [("left", 0), ("right", 1)])
+@pytest.mark.parametrize("name", ["log.bag", "log_ros2"])
+def test_each_number_of_the_robots_own_message_has_its_place(
+    name: str, arm: str, place: int, tmp_path: Path
+) -> None:
+    """A bag written with rosbags alone, its 236 numbers counted from one, both arms filled."""
+    path = tmp_path / name
+    _write_counted(path, RAVEN_STATE)
+    log = read_log(path, find_schema("raven" if arm == "left" else "raven-right"))
+    wanted = []
+    start = 1
+    for count in COUNTS:
+        half = count // 2
+        wanted += range(start + place * half, start + (place + 1) * half)
+        start += count
+    assert start == 237  # with run level, sub-level, last_seq and dt they are 240
+    np.testing.assert_array_equal(log.states[0], wanted)
+    np.testing.assert_allclose(log.times_s, [100.0, 100.001])
+
+
+def test_an_older_message_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "old.bag"
+    _write_counted(path, RAVEN_STATE.replace("float32[12] jac_f\n", ""))
+    with pytest.raises(EstimatorError, match=r"no field 'jac_f', expected 12"):
+        read_log(path, raven_schema())
+
+
+def _write_counted(path: Path, definition: str) -> None:
+    from rosbags import rosbag1, rosbag2, typesys
+
+    ros1 = path.suffix == ".bag"
+    store = typesys.get_typestore(
+        typesys.Stores.ROS1_NOETIC if ros1 else typesys.Stores.ROS2_HUMBLE
+    )
+    text = definition.replace("Header hdr", "std_msgs/Header hdr")
+    if not ros1:
+        text = text.replace("duration dt", "builtin_interfaces/Duration dt")
+    kind = "raven_2/msg/raven_state"
+    store.register(typesys.get_types_from_msg(text, kind))
+    names = [line.split() for line in definition.split("\n") if "[" in line]
+    values, start = {}, 1
+    for (number, name), count in zip(names, COUNTS[: len(names)], strict=True):
+        dtype = np.int32 if number.startswith("int32") else np.float32
+        values[name] = np.arange(start, start + count, dtype=dtype)
+        start += count
+    writer = rosbag1.Writer(path) if ros1 else rosbag2.Writer(path, version=9)
+    with writer:
+        connection = writer.add_connection("/ravenstate", kind, typestore=store)
+        for index in range(2):
+            stamp = store.types["builtin_interfaces/msg/Time"](sec=100, nanosec=1_000_000 * index)
+            seq = {"seq": index} if ros1 else {}
+            message = store.types[kind](
+                hdr=store.types["std_msgs/msg/Header"](stamp=stamp, frame_id="", **seq),
+                runlevel=3, sublevel=0, last_seq=index,
+                dt=store.types["builtin_interfaces/msg/Duration"](sec=0, nanosec=1_000_000),
+                **values,
+            )  # fmt: skip
+            data = (store.serialize_ros1 if ros1 else store.serialize_cdr)(message, kind)
+            writer.write(connection, round(1e9 * 100 + 1e6 * index), data)
+
+
 def test_missing_features_are_named(log: RobotLog, tmp_path: Path) -> None:
     path = tmp_path / "log.parquet"
     keep = [i for i, name in enumerate(log.schema.names) if not name.startswith("tau")]

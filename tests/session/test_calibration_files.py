@@ -31,9 +31,10 @@ def _camera(seed: int, name: str) -> Camera:
     x /= np.linalg.norm(x)
     focal, offset = 1400 + rng.normal(0, 10, 2), rng.normal(0, 10, 2)
     matrix = [[focal[0], 0, 640 + offset[0]], [0, focal[1], 360 + offset[1]], [0, 0, 1]]
-    lens = Intrinsics((1280, 720), np.array(matrix), rng.normal(0, 0.05, 5), _spd(rng, 12))
+    known = _spd(rng, 18)
+    lens = Intrinsics((1280, 720), np.array(matrix), rng.normal(0, 0.05, 5), known[6:, 6:])
     pose = RigidTransform(np.stack([x, np.cross(z, x), z], axis=1), place)
-    return Camera(name, lens, pose, _spd(rng, 6), float(rng.random()))
+    return Camera(name, lens, pose, known[:6, :6], float(rng.random()), known[:6, 6:])
 
 
 def _cameras(seed: int = 1, count: int = 3) -> Calibration:
@@ -54,6 +55,7 @@ def test_our_format_keeps_every_digit(tmp_path_factory: pytest.TempPathFactory, 
         assert np.array_equal(old.intrinsics.distortion, new.intrinsics.distortion)
         assert np.array_equal(old.intrinsics.covariance, new.intrinsics.covariance)
         assert np.array_equal(old.pose_covariance, new.pose_covariance)
+        assert np.array_equal(old.covariance, new.covariance)
         assert old.reprojection_rms_px == new.reprojection_rms_px
         assert np.array_equal(old.center, new.center)
         difference = old.world_from_camera.difference(new.world_from_camera)
@@ -196,6 +198,8 @@ def test_metres_in_a_file_of_millimetres_are_refused(tmp_path: Path) -> None:
     [
         ("pose_covariance", "[[1.0, 0.0], [0.0, 1.0]]", "must be 6x6, got 2x2"),
         ("pose_covariance", "[[1.0, 0.0]]", "not square"),
+        ("pose_intrinsics_covariance", "[[1.0, 0.0]]", "must be 6x12"),
+        ("pose_intrinsics_covariance", f"{6 * [12 * [0.0]]}", "needs the other two"),
         ("intrinsics_covariance", "[[1.0, 2.0], [2.0, 1.0]]", "negative eigenvalues"),
         ("pose_covariance", "[[1.0, 0.5], [0.0, 1.0]]", "symmetric"),
         ("distortion", "[0.1, 0.2]", "expected 0, 4, 5 or 8 coefficients, got 2"),

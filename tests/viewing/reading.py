@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +11,12 @@ from rerun.chunk import RrdReader
 
 
 def read_recording(path: Path) -> dict[str, list[pa.RecordBatch]]:
-    """The batches of every entity."""
+    """The batches of every entity; also of a file whose writer was killed before its end."""
     stored: dict[str, list[pa.RecordBatch]] = {}
-    for chunk in RrdReader(path).store().stream():
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "RRD file has no footer")
+        chunks = list(RrdReader(path).stream())
+    for chunk in chunks:
         entity = str(chunk.entity_path).lstrip("/")
         stored.setdefault(entity, []).append(chunk.to_record_batch())
     return stored

@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from measurements import BODY, CAMERAS, measurement
 
 from measure.errors import ConfigError
 from measure.geometry import RigidTransform
-from measure.viewing import entities, recording
-from measure.viewing.recording import RunRecording, open_recording
+from measure.model.observations import BallView, Reason, State
+from measure.session import Trajectory
+from measure.viewing import entities, recording, stream
+from measure.viewing.recording import RunRecording
+from measure.viewing.stream import open_recording
 from tests.viewing.reading import column, read_recording
 
 
 def _record(path, count, lost=()):
-    with RunRecording(open_recording("test", CAMERAS, path), BODY, CAMERAS, 0) as run:
+    k = np.arange(count)[:, None]
+    aside = RigidTransform.from_rotvec(k * [0, 0, 0.01], k * [0.1, 0, 0] + [0.05, 0, 0])
+    truth = Trajectory(np.arange(count) / 30, aside)
+    stream = open_recording("test", CAMERAS, path)
+    with RunRecording(stream, BODY, CAMERAS, 0, truth=truth) as run:
         for index in range(count):
-            truth = RigidTransform.from_rotvec([0, 0, 0.01 * index], [0.1 * index + 0.05, 0, 0])
-            run.add(measurement(index, index in lost), truth=truth)
+            run.add(measurement(index, index in lost))
     return read_recording(path)
 
 
@@ -62,6 +70,57 @@ def test_a_lost_ball_leaves_no_ellipsoid(recorded):
     assert centers[8][0] == pytest.approx(measurement(8).fixes[2].center, abs=1e-3)
 
 
+def test_a_lost_body_leaves_no_axes_no_trail_and_no_uncertainty(recorded):
+    """What was logged last stays in view: it must be wiped away."""
+    axes = column(recorded[entities.BODY], "TransformAxes3D:axis_length")
+    assert [axes[k][0] for k in (6, 7, 8)] == [40.0, 0.0, 40.0]
+    for entity, name in (
+        (entities.TRAIL, "Points3D:positions"),
+        (entities.UNCERTAINTY, "Ellipsoids3D:half_sizes"),
+    ):
+        shown = column(recorded[entity], name)
+        assert [len(shown[k]) for k in (6, 7, 8)] == [1, 0, 1]
+
+
+def test_a_ball_that_is_not_used_is_marked_where_it_should_be_with_the_reason(tmp_path):
+    one = measurement(5)
+    missed = BallView("red", "cam0", State.SUSPENDED, Reason.NOT_FOUND)
+    jumped = replace(one.views[1], state=State.SUSPENDED, reason=Reason.JUMPED)
+    rest = [v for v in one.views if (v.ball, v.camera) not in (("red", "cam0"), ("green", "cam1"))]
+    assert (jumped.ball, jumped.camera) == ("green", "cam1")
+    path = tmp_path / "run.rrd"
+    with RunRecording(open_recording("test", CAMERAS, path), BODY, CAMERAS, 0) as run:
+        run.add(measurement(4))
+        run.add(replace(one, views=(missed, jumped, *rest)))
+        run.add(replace(measurement(6, lost=True), views=(missed,)))
+    stored = read_recording(path)
+    marks = stored[entities.suspended("cam0")]
+    assert list(column(marks, "Points2D:labels").values()) == [[], ["red: not found"], []]
+    expected = CAMERAS[0].project(one.pose.world_from_body.apply(BODY.centers))[2]
+    assert column(marks, "Points2D:positions")[5][0] == pytest.approx(expected, abs=1e-3)
+    (label,) = column(stored[entities.suspended("cam1")], "Points2D:labels")[5]
+    assert label == "green: moved too far between frames"
+    red, green, blue = entities.REASON_COLORS[Reason.JUMPED]
+    color = column(stored[entities.suspended("cam1")], "Points2D:colors")[5]
+    assert color == [red << 24 | green << 16 | blue << 8 | 255]
+    centers = column(stored[entities.centers("cam1")], "Points2D:colors")[5]
+    assert color[0] in centers
+    assert len(set(centers)) == 2
+
+
+def test_somebody_who_watches_sees_each_frame_set_soon(tmp_path, monkeypatch):
+    """Sent at once, not when a batch is full; without a watcher, all in one."""
+    sent = []
+    monkeypatch.setattr(recording, "LIVE_PERIOD_S", 0.0)
+    monkeypatch.setattr(recording, "send_views", lambda _, sets, *rest: sent.append(len(sets)))
+    for live in (True, False):
+        log = open_recording("test", CAMERAS, tmp_path / f"{live}.rrd")
+        with RunRecording(log, BODY, CAMERAS, 0, live=live) as run:
+            for index in range(3):
+                run.add(measurement(index))
+    assert sent == [1, 1, 1, 3]
+
+
 def test_size_without_images(tmp_path):
     _record(tmp_path / "run.rrd", 300)
     assert (tmp_path / "run.rrd").stat().st_size < 1_000_000
@@ -72,6 +131,31 @@ def test_size_without_images(tmp_path):
     [("localhost:9876", "is no viewer's address"), ("rerun+http://127.0.0.1:1/proxy", "no viewer")],
 )
 def test_a_viewer_that_does_not_listen_is_said_not_silently_skipped(address, said, monkeypatch):
-    monkeypatch.setattr(recording, "CONNECT_WITHIN_S", 0.0)
+    monkeypatch.setattr(stream, "CONNECT_WITHIN_S", 0.0)
     with pytest.raises(ConfigError, match=said):
         open_recording("test", CAMERAS, address=address)
+
+
+def test_a_run_without_any_pose_still_has_a_recording_that_says_so(tmp_path):
+    stored = _record(tmp_path / "run.rrd", 20, lost=range(20))
+    said = column(stored[entities.STATUS], "TextLog:text")
+    assert said == {0: ["lost: nothing seen"]}
+    assert np.isnan(list(column(stored[entities.POSITION_SD], "Scalars:scalars").values())).all()
+    axes = column(stored[entities.BODY], "TransformAxes3D:axis_length")
+    assert set(np.ravel(list(axes.values()))) == {0.0}
+    shown = column(stored[entities.ball("red")], "Ellipsoids3D:centers")
+    assert len(shown) == 20
+    assert not any(shown.values())
+
+
+@pytest.mark.slow
+def test_ten_thousand_frame_sets_are_all_there(tmp_path):
+    path = tmp_path / "run.rrd"
+    lost = set(range(4000, 4100))
+    stored = _record(path, 10_000, lost)
+    error = column(stored[entities.error("x")], "Scalars:scalars")
+    assert list(error) == list(range(10_000))
+    assert {k for k, value in error.items() if np.isnan(value[0])} == lost
+    said = column(stored[entities.STATUS], "TextLog:text")
+    assert said == {0: ["ok"], 4000: ["lost: nothing seen"], 4100: ["ok"]}
+    assert path.stat().st_size < 20_000_000

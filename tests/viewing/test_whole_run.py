@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import shutil
+import signal
+import socket
+import subprocess
 import time
 from pathlib import Path
 
@@ -16,10 +19,13 @@ from measure.host import Registry
 from measure.results import read_run
 from measure.session import open_session, read_trajectory
 from measure.viewing import entities
-from measure.viewing.recording import RunRecording, open_recording
+from measure.viewing.recording import RunRecording
+from measure.viewing.stream import open_recording
+from measure.viewing.viewer import recordings_of, viewer_program
 from tests.viewing.reading import column, read_recording
 
 SETS = 12
+REPEATS = 10
 DARK = "cam3"
 CAMERAS = ("cam0", "cam1", "cam2", DARK)
 BALLS = ("green", "yellow", "red")
@@ -64,7 +70,7 @@ def test_every_entity_stands_in_the_recording_on_both_timelines(measured: Path, 
         *(entities.distance(*pair) for pair in read_run(measured).body.distances()),
         *(make(camera) for camera in CAMERAS
           for make in (entities.image, entities.centers, entities.outlines, entities.edges,
-                       entities.residual)),
+                       entities.suspended, entities.residual)),
     }  # fmt: skip
     assert still | moving <= set(stored)
     for entity in moving:
@@ -120,7 +126,10 @@ def test_the_report_names_the_dark_camera(measured: Path):
 
 
 def test_logging_costs_less_than_a_tenth_of_measuring(session: Path, tmp_path: Path):
-    """Without pictures, in processor time of the same process; the best of three."""
+    """Without pictures, in processor time of the same process; the best of three.
+
+    In itself it stays below the time that two pictures take to decode: tracking may become faster.
+    """
     with open_session(session) as opened:
         began = time.process_time()
         pairs = list(api.measure_session(opened, api.load_profile(), Registry.discover()))
@@ -130,11 +139,18 @@ def test_logging_costs_less_than_a_tenth_of_measuring(session: Path, tmp_path: P
             stream = open_recording("cost", opened.cameras, tmp_path / f"{trial}.rrd")
             with RunRecording(stream, opened.body, opened.cameras, 0) as log:
                 began = time.process_time()
-                for frame_set, measurement in pairs:
+                for frame_set, measurement in pairs * REPEATS:
                     log.add(measurement, frame_set)
-            costs.append(time.process_time() - began)
-    print(f"logging {min(costs):.3f} s, measuring {measuring:.3f} s")
-    assert min(costs) <= 0.1 * measuring, f"{min(costs):.3f} s of {measuring:.3f} s"
+            costs.append((time.process_time() - began) / REPEATS)
+        jpeg = next((session / "cam0").glob("*.jpg")).read_bytes()
+        began = time.process_time()
+        for _ in range(10):
+            cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
+        picture = (time.process_time() - began) / 10
+    words = f"logging {min(costs):.4f} s, measuring {measuring:.3f} s, a picture {picture:.4f} s"
+    print(words)
+    assert min(costs) <= 0.1 * measuring, words
+    assert min(costs) <= 2 * picture * SETS, words
 
 
 def test_a_recording_with_pictures_is_little_larger_than_the_pictures(
@@ -145,3 +161,51 @@ def test_a_recording_with_pictures_is_little_larger_than_the_pictures(
     beside = (measured / "run.rrd").stat().st_size - pictures
     print(f"{beside / SETS * 300e-6:.1f} MB beside the pictures in 300 frame sets")
     assert beside / SETS * 300 <= 10_000_000
+
+
+def test_a_viewer_that_runs_already_is_sent_what_is_measured(session: Path, tmp_path: Path):
+    """`--connect`: here to Rerun's own receiver, which writes what it gets into a file."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    heard = tmp_path / "heard.rrd"
+    command = [viewer_program(), "--save", heard, "--bind", "127.0.0.1", "--port", str(port)]
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as receiver:
+        try:
+            options = api.RunOptions(
+                viewer=f"rerun+http://127.0.0.1:{port}/proxy", recording=False, image_every=6
+            )
+            api.run(session, tmp_path / "run", api.load_profile(), Registry.discover(), options)
+        finally:
+            receiver.send_signal(signal.SIGINT)
+            receiver.wait(30)
+    stored = read_recording(heard)
+    error = column(stored[entities.error("x")], "Scalars:scalars")
+    assert sorted(error) == list(range(SETS))
+    assert sorted(column(stored[entities.image("cam0")], "EncodedImage:blob")) == [0, 6]
+    assert not (tmp_path / "run" / "run.rrd").exists()
+
+
+def test_an_interrupted_run_is_recorded_in_parts_that_are_shown_as_one(
+    session: Path, tmp_path: Path
+):
+    def stop(done: int, total: int | None) -> None:
+        if done == 5:
+            raise KeyboardInterrupt
+
+    out, profile, registry = tmp_path / "run", api.load_profile(), Registry.discover()
+    with pytest.raises(KeyboardInterrupt):
+        api.run(session, out, profile, registry, report=stop)
+    api.run(session, out, profile, registry, api.RunOptions(resume=True))
+    parts = recordings_of(out)
+    assert [part.name for part in parts] == ["run.rrd", "run-000005.rrd"]
+    names = {RrdReader(part).recordings()[0].recording_id for part in parts}
+    assert len(names) == 1, "the viewer would show two recordings"
+    frames = [
+        list(column(read_recording(part)[entities.error("x")], "Scalars:scalars")) for part in parts
+    ]
+    assert frames == [list(range(5)), list(range(5, SETS))]
+    api.run(session, out, profile, registry, api.RunOptions(resume=True))
+    assert recordings_of(out) == parts, "nothing was left to measure"
+    api.run(session, out, profile, registry, api.RunOptions(overwrite=True))
+    assert recordings_of(out) == [out / "run.rrd"]

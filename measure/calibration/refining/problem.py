@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from measure.arrays import Floats, Ints
-from measure.calibration.least_squares import Group, Huber, Linearised, Solution, solve
+from measure.calibration.least_squares import Group, Huber, Limits, Linearised, Solution, solve
 from measure.calibration.lens import changed
 from measure.calibration.refining.priors import CameraPrior
 from measure.calibration.refining.recording import Motion, Recording
@@ -22,8 +22,8 @@ from measure.calibration.refining.scatter import Scatter
 from measure.geometry import RigidTransform, skew
 from measure.model import Body, Camera
 
-_STEPS_A_ROUND = 2
-_TOLERANCE = 1e-7
+_A_ROUND = Limits(steps=2, tolerance=1e-7, must_settle=False, damping=1e-12)
+"""A long recording outweighs what holds the world's place by many orders of magnitude."""
 _HUBER_REACH = 2.5
 _CLOCK_SD_S = 0.02
 """Clocks that are off at all are off by something like this."""
@@ -125,9 +125,7 @@ class Problem:
             self._step,
             state,
             Huber(float(reach)),
-            _STEPS_A_ROUND,
-            _TOLERANCE,
-            must_settle=False,
+            _A_ROUND,
         )
 
     def residuals_px(self, state: RefinedState) -> dict[str, Floats]:
@@ -154,13 +152,15 @@ class Problem:
     def _points(
         self, number: int, state: RefinedState, motion: Motion
     ) -> tuple[Floats, Floats, Floats]:
-        """World places (n, 3) of a camera's sightings, their arms in the body, velocities."""
+        """World places (n, 3) of a camera's sightings, their arms from the body, velocities."""
         track = self.recording.tracks[state.cameras[number].name]
         poses = state.world_from_body
-        arms = np.einsum("nij,nj->ni", poses.rotation[track.frame], state.centers[track.ball])
         lead = track.lead_s + state.clocks_s[number]
         moved, velocity = motion.at(track.frame, track.ball, lead)
-        return arms + poses.translation[track.frame] + moved, arms, velocity
+        turn = poses.rotation[track.frame]
+        arms = np.einsum("nij,nj->ni", turn, state.centers[track.ball] + moved)
+        points = arms + poses.translation[track.frame]
+        return points, arms, np.einsum("nij,nj->ni", turn, velocity)
 
     def _step(self, state: RefinedState, shared: Floats, blocks: Floats) -> RefinedState:
         layout = self.layout

@@ -155,17 +155,24 @@ class Motion:
     """Where each ball is a little before or after its frame set's instant.
 
     A polynomial through the nine nearest frame sets: it smooths, so that the noise of one pose does
-    not come back through the neighbours' motion.
+    not come back through the neighbours' motion. Its coefficients are in the body's axes, so that
+    it turns with the body when the whole world is turned: held in the world's, it would speak
+    against every such turn, from noise alone.
     """
 
     def __init__(self, times_s: Floats, poses: RigidTransform, centers: Floats) -> None:
         points = ball_places(poses, centers).reshape(len(times_s), -1)
         window, operator = _polynomials(times_s)
         near = points[window].reshape(len(times_s), window.shape[1], -1)
-        self._coefficients = (operator @ near).reshape(len(times_s), -1, len(centers), 3)
+        in_world = (operator @ near).reshape(len(times_s), -1, len(centers), 3)
+        self._coefficients = np.einsum("fpkj,fji->fpki", in_world, poses.rotation)
 
     def at(self, frame: Ints, ball: Ints, lead_s: Floats) -> tuple[Floats, Floats]:
-        """Way (n, 3) of each ball from its frame set's instant, and its velocity (n, 3) there."""
+        """Way of each ball from its frame set's instant, and its velocity there.
+
+        Returns:
+            Both (n, 3), in the axes of the body at the frame set's instant.
+        """
         slopes = self._coefficients[frame, 1:, ball]
         powers = np.arange(1, slopes.shape[1] + 1)
         way = lead_s[:, None] ** powers

@@ -172,13 +172,13 @@ def _prior(
 
 
 def _largest_step(old: RefinedState, new: RefinedState) -> float:
-    """How far cameras and body poses moved, mm (a radian counts as the 100 mm it moves a ball)."""
+    """How far cameras moved, mm (a radian counts as the 100 mm by which it shifts what is seen).
+
+    Poses of the body at the recording's ends come to rest much later, and move no camera any more.
+    """
     steps = [
-        np.abs(new.world_from_body.difference(old.world_from_body)).max(axis=0),
-        *(
-            np.abs(b.world_from_camera.difference(a.world_from_camera))
-            for a, b in zip(old.cameras, new.cameras, strict=True)
-        ),
+        np.abs(b.world_from_camera.difference(a.world_from_camera))
+        for a, b in zip(old.cameras, new.cameras, strict=True)
     ]
     return float(np.max(np.array(steps) * np.repeat([1.0, 100.0], 3)))
 
@@ -266,11 +266,14 @@ def _with_covariances(
         mine = P[np.ix_(columns, columns)]
         lens = np.zeros((12, 12))
         lens[np.ix_(free, free)] = mine[6:, 6:]
+        cross = np.zeros((6, 12))
+        cross[:, free] = mine[:6, 6:]
         out.append(
             replace(
                 camera,
                 intrinsics=replace(camera.intrinsics, covariance=lens if len(free) else None),
                 pose_covariance=mine[:6, :6],
+                pose_intrinsics_covariance=cross if len(free) else None,
                 reprojection_rms_px=rms_px[camera.name],
             )
         )

@@ -45,7 +45,7 @@ class Candidates:
     ) -> Candidates:
         """Stack the candidates of `ball`; `rig` and `rays` have a row for each."""
         sd = np.sqrt([np.trace(d.covariance_px) / 2 for d in detections]).reshape(-1)
-        focal = np.trace(rig.affine, axis1=1, axis2=2) / 2
+        focal = rig.focal_px
         radius = np.array([d.radius_px for d in detections])
         return cls(
             tuple(detections),

@@ -97,7 +97,7 @@ def predict_windows(
     pixels[hidden], by_pose[hidden] = _OUT_OF_SIGHT_PX, 0.0
     distance = np.linalg.norm(in_camera, axis=1)
     radii = np.tile(body.radii, len(present))
-    focal = np.trace(rig.affine, axis1=1, axis2=2) / 2
+    focal = rig.focal_px
     # The radius that the cone's half-angle has across the line of sight.
     apparent = focal * radii / np.sqrt(np.maximum(distance**2 - radii**2, 1.0))
     return Windows(

@@ -10,7 +10,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from measure.learning import Trained
-from measure.learning.scores import Score
+from measure.learning.scores import Evaluation, Score
 from measure.viewing.report import figures, style
 from measure.viewing.report.page import Page
 
@@ -52,6 +52,12 @@ def estimator_report(trained: Trained, card: Mapping[str, Any]) -> str:
     if trained.curve:
         words = "RMS on validation trajectories after every pass, and the training loss."
         page.figures("Learning curve", words, _curve(trained))
+    _tables(page, result)
+    return page.render("Made by measure train. Everything on this page is inside this file.")
+
+
+def _tables(page: Page, result: Evaluation) -> None:
+    """Scores of the parts: every test trajectory, every range of speeds."""
     columns = ("trajectory", "labels", "RMS before", "RMS after", "SD before", "SD after")
     page.table(
         "By trajectory", "In mm; all unseen in training.", columns,
@@ -64,7 +70,6 @@ def estimator_report(trained: Trained, card: Mapping[str, Any]) -> str:
         [(f"{low:g} to {high:g}", b.rows, b.rms_mm, a.rms_mm)
          for low, high, b, a in result.by_speed if b.rows],
     )  # fmt: skip
-    return page.render("Made by measure train. Everything on this page is inside this file.")
 
 
 def write_estimator_report(trained: Trained, card: Mapping[str, Any], path: Path) -> None:

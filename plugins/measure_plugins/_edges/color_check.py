@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from measure.arrays import Bytes, Floats
-from measure_plugins._edges.jit import compiled
+from measure.compiling import compiled
 
 _RINGS = (0.25, 0.5, 0.7, 0.85)
 """Radii, as shares of the outline's, where the colour is looked at."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from measure.arrays import Floats
-from measure_plugins._edges.jit import compiled
+from measure.compiling import compiled
 from measure_plugins._edges.linear import cholesky, solve_factored
 from measure_plugins._edges.selection import kth_smallest
 

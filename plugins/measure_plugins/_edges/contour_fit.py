@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from measure.arrays import Floats
+from measure.compiling import compiled
 from measure_plugins._edges.contour_terms import OWN, Terms, collect, empty_terms
 from measure_plugins._edges.contours import Contours
-from measure_plugins._edges.jit import compiled
 from measure_plugins._edges.rotation import rotation_of, rotvec_of, skew
 from measure_plugins._edges.selection import median
 
@@ -40,6 +40,7 @@ class ContourFit(NamedTuple):
         shifts_px: (k, 3) of each ball-view: x, y and radius by which its outline sits off.
         shift_sd_px: (2,) estimated scatter of those: centre (per axis) and radius.
         by_camera: (c, 6, 6) how the pose reacts to each camera's pose, in their `perturb` charts.
+        by_shift: (k, 6, 3) how the pose reacts to what shifts a ball-view's outline, per px.
         solved: whether the outlines determine the pose.
         converged: whether the steps died out.
     """
@@ -51,6 +52,7 @@ class ContourFit(NamedTuple):
     shifts_px: Floats
     shift_sd_px: Floats
     by_camera: Floats
+    by_shift: Floats
     solved: bool
     converged: bool
 
@@ -95,6 +97,7 @@ def fit_contours(
     variances = doubt.reshape(-1, 1) * scatter
     collect(contours, rotation, translation, offsets, shifts, variances, terms)
     by_camera = _by_camera(contours, terms, rotation, translation)
+    by_shift = _by_shift(contours, terms, variances)
     return ContourFit(
         rotation,
         translation,
@@ -103,6 +106,7 @@ def fit_contours(
         shifts,
         np.sqrt(scatter[1:]),
         by_camera,
+        by_shift,
         solved,
         _within(step, _SETTLED_MM, _SETTLED_RAD),
     )
@@ -222,4 +226,22 @@ def _by_camera(contours: Contours, terms: Terms, rotation: Floats, translation: 
     out = np.empty((c, 6, 6))
     for view in range(c):
         out[view] = (inverse @ right[view])[:6]
+    return out
+
+
+@compiled
+def _by_shift(contours: Contours, terms: Terms, variances: Floats) -> Floats:
+    """How the fitted pose reacts to shifts (x, y, radius, in px) of single outlines: (k, 6, 3).
+
+    A shift s leaves, its ball-view's own unknowns eliminated, the right side gain^T (s / variance).
+    """
+    count = 6 + len(contours.rotations)
+    normal, _ = _equations(contours, terms, np.zeros(count - 6))
+    inverse, _ = _inverse(normal)
+    out = np.empty((len(contours.view_of), 6, OWN))
+    for k in range(len(out)):
+        right = (
+            _shared(contours, terms, k, count).T @ (terms.gain[k] / variances[k].reshape(-1, 1)).T
+        )
+        out[k] = (inverse @ right)[:6]
     return out

@@ -16,8 +16,8 @@ from typing import NamedTuple
 import numpy as np
 
 from measure.arrays import Floats
+from measure.compiling import compiled
 from measure_plugins._edges.contours import Contours
-from measure_plugins._edges.jit import compiled
 from measure_plugins._edges.rotation import rotation_of, skew
 from measure_plugins._edges.selection import median
 

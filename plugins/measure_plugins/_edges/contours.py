@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from measure.arrays import Floats, Ints
-from measure_plugins._edges.jit import compiled
-from measure_plugins._edges.lens import bearing_and_slopes
+from measure.compiling import compiled
+from measure.model.lens import bearing_and_slopes
 
 
 class Contours(NamedTuple):

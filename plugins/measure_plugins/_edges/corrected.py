@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from measure.arrays import Bytes, Floats
+from measure.compiling import compiled
 from measure_plugins._edges.crossing import crossings, levels, project, uncertainty
-from measure_plugins._edges.jit import compiled
 from measure_plugins._edges.prediction import predict_light
 from measure_plugins._edges.radial import STEPS, Radial
 from measure_plugins._edges.rays import FREE, sample

@@ -34,10 +34,19 @@ class AppearanceLearner:
         self._count, self._kept, self._due = 0, 1, _FIRST
         self._pictures: deque[list[Sight]] = deque(maxlen=_REMEMBERED)
 
+    def wants(self, found: int) -> bool:
+        """Whether a picture is one to keep or to learn from; asked once about every picture.
+
+        Args:
+            found: number of balls found in it.
+        """
+        self._count += found > 0
+        return self._count >= self._kept
+
     def shown(
         self, pixels: Bytes, seen: Sequence[Cone], others: Sequence[Cone], now: Appearance
     ) -> Appearance | None:
-        """A new appearance, if this picture is one to learn from.
+        """Keep a picture that is wanted; a new appearance, if it is one to learn from.
 
         Args:
             pixels: (h, w, 3) the picture.
@@ -45,9 +54,6 @@ class AppearanceLearner:
             others: outlines of balls that are there but were not found.
             now: the appearance at present.
         """
-        self._count += bool(seen)
-        if self._count < self._kept:
-            return None
         self._kept = 2 * self._count
         self._pictures.append([self._sight(pixels, cone, (*seen, *others)) for cone in seen])
         if self._count < self._due:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from measure.arrays import Floats
-from measure_plugins._edges.jit import compiled
+from measure.compiling import compiled
 
 
 @compiled

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from measure.arrays import Bytes, Floats
+from measure.compiling import compiled
 from measure_plugins._edges.corrected import (
     INSIDE_PX,
     OUTSIDE_PX,
@@ -15,7 +16,6 @@ from measure_plugins._edges.corrected import (
     corrected_edges,
 )
 from measure_plugins._edges.crossing import crossings, levels, project, uncertainty
-from measure_plugins._edges.jit import compiled
 from measure_plugins._edges.radial import Radial
 from measure_plugins._edges.rays import FREE, cast_rays, frame_about, sample, ways
 

@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from measure.arrays import Bools, Floats, Ints
+from measure.compiling import compiled
+from measure.model.lens import to_pixel
 from measure_plugins._edges.cone_fit import consensus, refine
 from measure_plugins._edges.corrected import SEARCH_PX
-from measure_plugins._edges.jit import compiled
-from measure_plugins._edges.lens import to_pixel
 from measure_plugins._edges.look import Look, Search, View, look_closely, look_roughly
 from measure_plugins._edges.radial import Radial
 from measure_plugins._edges.rays import FREE

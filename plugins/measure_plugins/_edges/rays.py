@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from measure.arrays import Bytes, Floats, Ints
-from measure_plugins._edges.jit import compiled
-from measure_plugins._edges.lens import to_pixel
+from measure.compiling import compiled
+from measure.model.lens import to_pixel
 
 FREE, HIDDEN, OUTSIDE = 0, 1, 2
 """What stands in a ray's way: nothing, a nearer ball, the picture's border."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from measure.arrays import Floats
-from measure_plugins._edges.jit import compiled
+from measure.compiling import compiled
 
 
 @compiled

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from measure.arrays import Floats
-from measure_plugins._edges.jit import compiled
+from measure.compiling import compiled
 
 _CHROMA_PX = 0.8
 """Blur of the colour channels beyond that of brightness; its exact size hardly matters, because

@@ -69,9 +69,8 @@ class OutlineDetector(Detector):
         from measure_plugins._acquisition.color_table import color_table
         from measure_plugins._edges.appearance import first_appearance
         from measure_plugins._edges.learner import AppearanceLearner
-        from measure_plugins._edges.lens import lens_row
 
-        self._lens = lens_row(camera.intrinsics)
+        self._lens = camera.intrinsics.row
         self._see(first_appearance(self.config.tone))
         self._learner = AppearanceLearner(self._lens, self.config.rays, self.config.margin_px)
         colors = tuple(dict.fromkeys(ball.color for ball in body.balls))
@@ -115,6 +114,8 @@ class OutlineDetector(Detector):
     ) -> list[Detection]:
         """A picture's detections once more, if it has just taught something; else none."""
         if not self.config.learn or any(e.center_camera is None for e in expected):
+            return []
+        if not self._learner.wants(len(found)):
             return []
         cones = {e.ball: self._cone(e) for e in expected}
         axes = {d.ball: self.camera.intrinsics.unproject(d.center_px[None])[0] for d in found}
@@ -211,7 +212,7 @@ class OutlineDetector(Detector):
                 float(np.arcsin(radius / distance)),
                 distance,
             )
-        from measure_plugins._edges.lens import bearing_and_slopes
+        from measure.model.lens import bearing_and_slopes
 
         axis = np.empty(3)
         bearing_and_slopes(expectation.center_px, self._lens, 0.0, 0.0, axis, np.empty(6))

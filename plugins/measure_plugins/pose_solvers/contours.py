@@ -9,7 +9,6 @@ limits the pose, and it is what the covariance is made of.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -19,11 +18,11 @@ from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform, align_points
 from measure.host import PoseSolver, Settings, hookimpl, setting
-from measure.model import Body, Camera, Detection, Fix, Intrinsics, Motion, Pose
+from measure.model import Camera, Detection, Fix, Intrinsics, Motion, Pose
+from measure_plugins.pose_solvers._outlines import Outlines
 
 if TYPE_CHECKING:
     from measure_plugins._edges.contour_fit import ContourFit
-    from measure_plugins._edges.contours import Contours
 
 
 class ContoursConfig(Settings):
@@ -47,10 +46,6 @@ class ContoursSolver(PoseSolver):
     name = "contours"
     Config = ContoursConfig
     config: ContoursConfig
-
-    def __init__(self, config: Settings, body: Body) -> None:
-        super().__init__(config, body)
-        self._lenses: dict[str, tuple[Camera, Floats]] = {}
 
     def warm_up(self) -> None:
         """Compile the joint fit (seconds, once per machine), by fitting circles to nothing."""
@@ -107,7 +102,7 @@ class ContoursSolver(PoseSolver):
         cameras: Mapping[str, Camera],
         time_s: float,
         prior: Motion | None,
-    ) -> _Outlines | None:
+    ) -> Outlines | None:
         """The outlines ready for the fit; None if there are none."""
         from measure_plugins._edges.contours import Seen, pack
 
@@ -128,25 +123,17 @@ class ContoursSolver(PoseSolver):
             seen.append(Seen(points, sd, view, ball.center_mm, ball.radius_mm, moved[d.time_s]))
         contours, kept = pack(
             seen,
-            np.stack([self._lens(camera) for camera in used]),
+            np.stack([camera.intrinsics.row for camera in used]),
             np.array([camera.camera_from_world.rotation for camera in used], order="C"),
             np.stack([camera.camera_from_world.translation for camera in used]),
         )
         names = [detections[i].ball for i in kept]
-        return _Outlines(contours, names, used)
-
-    def _lens(self, camera: Camera) -> Floats:
-        from measure_plugins._edges.lens import lens_row
-
-        known = self._lenses.get(camera.name)
-        if known is None or known[0] is not camera:
-            known = self._lenses[camera.name] = (camera, lens_row(camera.intrinsics))
-        return known[1]
+        return Outlines(contours, names, used)
 
     def _start(
         self,
         fixes: Sequence[Fix],
-        outlines: _Outlines,
+        outlines: Outlines,
         time_s: float,
         prior: Motion | None,
     ) -> RigidTransform | None:
@@ -168,15 +155,12 @@ class ContoursSolver(PoseSolver):
             return None
 
     def _pose(
-        self, fit: ContourFit, outlines: _Outlines, fixes: Sequence[Fix], time_s: float
+        self, fit: ContourFit, outlines: Outlines, fixes: Sequence[Fix], time_s: float
     ) -> Pose:
         world_from_body = RigidTransform(fit.rotation, fit.translation)
         covariance = fit.covariance * _small_sample(max(2.0 * len(outlines.balls) - 6.0, 1.0))
         covariance[:3, :3] += outlines.common_shift_mm(fit) ** 2 * np.eye(3)
-        for camera, lever in zip(outlines.cameras, fit.by_camera, strict=True):
-            if camera.pose_covariance is not None:
-                # What the camera's own uncertain pose adds.
-                covariance += lever @ camera.pose_covariance @ lever.T
+        covariance += outlines.covariance_of_cameras(fit)
         covariance = (covariance + covariance.T) / 2
         centers = dict(zip(self.body.names, world_from_body.apply(self.body.centers), strict=True))
         distances = [float(np.sum((fix.center - centers[fix.ball]) ** 2)) for fix in fixes]
@@ -192,7 +176,7 @@ class ContoursSolver(PoseSolver):
             flags=self._flags(fit, outlines, covariance),
         )
 
-    def _flags(self, fit: ContourFit, outlines: _Outlines, covariance: Floats) -> tuple[str, ...]:
+    def _flags(self, fit: ContourFit, outlines: Outlines, covariance: Floats) -> tuple[str, ...]:
         flags = []
         off = np.hypot(fit.shifts_px[:, 0], fit.shifts_px[:, 1])
         for i in np.nonzero(off > self.config.max_shift_px)[0]:
@@ -210,56 +194,6 @@ class ContoursSolver(PoseSolver):
         if position > self.config.max_position_sd_mm or rotation > self.config.max_rotation_sd_deg:
             flags.append(f"poorly determined: {position:.2g} mm, {rotation:.2g} deg (1 sd)")
         return tuple(flags)
-
-
-@dataclass(frozen=True, eq=False)
-class _Outlines:
-    """Packed outlines with the names that go with them.
-
-    Attributes:
-        contours: k ball-views in c views.
-        balls: (k,) names.
-        cameras: (c,).
-    """
-
-    contours: Contours
-    balls: list[str]
-    cameras: list[Camera]
-
-    @property
-    def seen_by(self) -> tuple[str, ...]:
-        """Names of the cameras that have an outline in the fit."""
-        return tuple(
-            self.cameras[view].name for view in sorted(set(self.contours.view_of.tolist()))
-        )
-
-    def center_by_size(self, i: int) -> Floats | None:
-        """World centre (3,) of a ball from the size and place of ball-view i."""
-        from measure.geometry import fit_cone
-
-        points = self.contours.points(i)
-        try:
-            cone = fit_cone(
-                self.contours.bearings[:, points].T, 1 / self.contours.sd_px[points] ** 2
-            )
-        except DegenerateGeometryError:
-            return None
-        camera = self.cameras[self.contours.view_of[i]]
-        return camera.world_from_camera.apply(cone.center(float(self.contours.radii[i])))
-
-    def common_shift_mm(self, fit: ContourFit) -> float:
-        """Standard deviation per axis of what shifts all ball-views alike, in mm.
-
-        Light falls on all balls from the same side in all cameras, so part of what shifts their
-        outlines is common to them; it moves the body and leaves no residual. It is taken to be as
-        large as the part that differs and is seen.
-        """
-        view = self.contours.view_of
-        places = self.contours.centers_body @ fit.rotation.T + fit.translation
-        cameras = np.stack([camera.center for camera in self.cameras])[view]
-        focal = np.array([camera.intrinsics.focal_px for camera in self.cameras])[view]
-        scales = np.linalg.norm(places - cameras, axis=1) / focal
-        return float(fit.shift_sd_px[0] * np.mean(scales))
 
 
 @lru_cache(maxsize=64)

@@ -149,7 +149,7 @@ def _covariance(
     fits: Sequence[tuple[PointFit, Views | None]],
     chi_square: float,
 ) -> Floats:
-    """(6, 6): pixel noise ball by ball, and each camera's pose error over all balls at once."""
+    """(6, 6): pixel noise ball by ball, and each camera's own error over all balls at once."""
     jacobians = _jacobians(pose, points_body)
     gain = np.swapaxes(jacobians, 1, 2) @ weight
     by_fix = np.linalg.inv((gain @ jacobians).sum(axis=0)) @ gain
@@ -159,8 +159,8 @@ def _covariance(
     for (fit, views), lever in zip(fits, by_fix, strict=True):
         own, levers = _parts(views, fit)
         for camera, sensitivity in levers:
-            assert camera.pose_covariance is not None
-            known[camera.name] = camera.pose_covariance
+            assert camera.covariance is not None
+            known[camera.name] = camera.covariance
             by_camera[camera.name] = by_camera.get(camera.name, 0.0) + lever @ sensitivity
         out += lever @ own @ lever.T
     degrees = 3 * len(points_body) - 6
@@ -172,21 +172,21 @@ def _covariance(
 
 
 def _parts(views: Views | None, fit: PointFit) -> tuple[Floats, list[tuple[Camera, Floats]]]:
-    """A fix's own covariance (3, 3), and how it reacts to each uncertain camera pose (3, 6).
+    """A fix's own covariance (3, 3), and how it reacts to each uncertain camera (3, 18).
 
     Where the triangulator doubts a fix (a covariance beyond what pixels and calibration explain),
     the own part is wider by the same ratio.
     """
-    if views is None or all(camera.pose_covariance is None for camera in views.cameras):
+    if views is None or all(camera.covariance is None for camera in views.cameras):
         return fit.covariance, []
-    by_pixel, by_pose = leverage(views, fit)
-    own = propagate(by_pixel, views.noise + views.lens_noise(fit.point)).sum(axis=0)
-    shared = propagate(by_pixel, views.pose_noise(fit.point)).sum(axis=0)
+    by_pixel, by_camera = leverage(views, fit)
+    own = propagate(by_pixel, views.noise).sum(axis=0)
+    shared = propagate(by_pixel, views.camera_noise(fit.point)).sum(axis=0)
     doubt = max(1.0, float(np.trace(fit.covariance) / np.trace(own + shared)))
     levers = [
         (camera, sensitivity)
-        for camera, sensitivity in zip(views.cameras, by_pose, strict=True)
-        if camera.pose_covariance is not None
+        for camera, sensitivity in zip(views.cameras, by_camera, strict=True)
+        if camera.covariance is not None
     ]
     return own * doubt, levers
 

@@ -41,13 +41,14 @@ def case(
     slip: Floats = PRIOR,
     stated: bool = True,
     drift_px: float = 0.0,
+    true: tuple[Camera, ...] | None = None,
 ) -> Case:
     """Asynchronous cameras off by `slip`; each ball sits `constant_px` off in each camera.
 
     With `drift_px`, what it sits off changes along the recording by that much from end to end.
     """
     rng = np.random.default_rng(seed)
-    true, times = cameras(), np.arange(frames) / 30
+    true, times = true or cameras(), np.arange(frames) / 30
     centers = BODY.centers * (1 + grown_mm / 38)
     tracks, start = {}, []
     for camera in true:

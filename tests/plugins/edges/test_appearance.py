@@ -9,7 +9,6 @@ from measure.geometry import tangent_cone
 from measure.simulation import Renderer, scene_catalogue
 from measure_plugins._edges.appearance import GLOSSY, MATT, bent_table, first_appearance
 from measure_plugins._edges.learner import AppearanceLearner
-from measure_plugins._edges.lens import lens_row
 from measure_plugins._edges.tone import tone_table
 
 CAMERA = "cam1"
@@ -25,12 +24,13 @@ def learnt():
 def _learn(name):
     scene = scene_catalogue()[name]
     renderer, camera = Renderer(scene, CAMERA), scene.camera(CAMERA)
-    learner = AppearanceLearner(lens_row(camera.intrinsics), 72, 7.0)
+    learner = AppearanceLearner(camera.intrinsics.row, 72, 7.0)
     start = first_appearance("srgb")
-    shown = [
-        learner.shown(renderer.picture(time_s, k), _cones(scene, camera, time_s), [], start)
-        for k, time_s in enumerate(TIMES_S)
-    ]
+    shown = []
+    for k, time_s in enumerate(TIMES_S):
+        assert learner.wants(3)
+        cones = _cones(scene, camera, time_s)
+        shown.append(learner.shown(renderer.picture(time_s, k), cones, [], start))
     assert shown[0] is None, "the first picture is only kept"
     return shown[1]
 
@@ -92,9 +92,10 @@ def test_tables_rise_from_0_to_1(bends):
 def test_too_few_balls_teach_nothing():
     scene = replace(scene_catalogue()["still"], shown=("red",))
     renderer, camera = Renderer(scene, CAMERA), scene.camera(CAMERA)
-    learner = AppearanceLearner(lens_row(camera.intrinsics), 72, 7.0)
+    learner = AppearanceLearner(camera.intrinsics.row, 72, 7.0)
     start = first_appearance("srgb")
     for k, time_s in enumerate(TIMES_S):
         red = _cones(scene, camera, time_s)[scene.body.index("red")]
+        assert learner.wants(1)
         learnt = learner.shown(renderer.picture(time_s, k), [red], [], start)
     assert learnt is start

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from measure.geometry import RigidTransform, squared_mahalanobis, tangent_cone
-from measure.model import Body, Detection, Motion
+from measure.model import Body, Camera, Detection, Intrinsics, Motion
 from measure_plugins.pose_solvers.contours import ContoursConfig, ContoursSolver
 from tests.scenes import FOUR, RAVEN, ring
 
@@ -158,6 +158,77 @@ def test_uncertain_cameras_widen_the_covariance():
         covariances.append(np.diag(pose.covariance))
     ratio = np.sqrt(np.mean(covariances, axis=0) / np.mean(np.square(errors), axis=0))
     assert np.all((ratio > 0.6) & (ratio < 2.0))
+
+
+def test_uncertain_lenses_widen_the_covariance_by_what_they_do_to_the_pose():
+    lens = np.diag([3, 3, 0.6, 0.6, 3e-3, 0.01, 3e-4, 3e-4, 0, 0, 0, 0]) ** 2
+    ratio = _stated_over_seen(
+        lambda rng: (np.zeros(6), rng.multivariate_normal(np.zeros(12), lens))
+    )
+    assert np.all((ratio > 0.7) & (ratio < 1.4))
+
+
+def test_what_a_turned_camera_and_a_moved_principal_point_undo_is_not_stated():
+    focal = ring()["cam0"].intrinsics.focal_px
+
+    def off(rng):
+        turn = rng.normal(scale=1e-3, size=2)
+        lens = np.zeros(12)
+        lens[2:4] = focal * turn + rng.normal(scale=0.05, size=2)
+        return np.array([0, 0, 0, -turn[1], turn[0], 0]), lens
+
+    ratio = _stated_over_seen(off)
+    assert np.all((ratio > 0.7) & (ratio < 1.4))
+    taken_apart = _stated_over_seen(off, joined=False)
+    assert np.all(taken_apart > 5)
+
+
+def _stated_over_seen(draw, joined=True):
+    """Stated sd over RMS (3,) of what cameras that are off by `draw` do to the position.
+
+    Rotations react little, mostly by way of the weights. A draw is the pose's error in the
+    camera's own axes (6,), and the intrinsics' (12,).
+    """
+    prior = Motion.at_rest(POSE, 0.0)
+    seen = see_all(RAVEN, ring(), POSE)
+    exact = solve(RAVEN, seen, ring(), prior)
+    rng = np.random.default_rng(5)
+    many = np.array([np.concatenate(draw(rng)) for _ in range(4000)])
+    known = many.T @ many / len(many)
+    errors, added = [], []
+    for _ in range(40):
+        cameras = {name: _off(camera, *draw(rng), known, joined) for name, camera in ring().items()}
+        stated = solve(RAVEN, seen, cameras, prior)
+        unstated = solve(RAVEN, seen, {n: _unstated(c) for n, c in cameras.items()}, prior)
+        errors.append(stated.world_from_body.difference(exact.world_from_body)[:3])
+        added.append(np.diag(stated.covariance - unstated.covariance)[:3])
+    return np.sqrt(np.mean(added, axis=0) / np.mean(np.square(errors), axis=0))
+
+
+def _unstated(camera):
+    lens = camera.intrinsics
+    return Camera(
+        camera.name,
+        Intrinsics(lens.size_wh, lens.matrix, lens.distortion),
+        camera.world_from_camera,
+    )
+
+
+def _off(camera, pose, lens, known, joined):
+    """The camera with errors in pose (6,) and intrinsics (12,), stating their covariance."""
+    matrix = camera.intrinsics.matrix.copy()
+    matrix[[0, 1, 0, 1], [0, 1, 2, 2]] += lens[:4]
+    inside, size = camera.intrinsics, camera.intrinsics.size_wh
+    lens_off = Intrinsics(size, matrix, inside.distortion + lens[4:], known[6:, 6:])
+    turn = np.kron(np.eye(2), camera.world_from_camera.rotation)
+    return Camera(
+        camera.name,
+        lens_off,
+        camera.world_from_camera.perturb(turn @ pose),
+        turn @ known[:6, :6] @ turn.T,
+        None,
+        turn @ known[:6, 6:] if joined else None,
+    )
 
 
 def test_a_wrong_ball_is_flagged_and_does_not_pull():

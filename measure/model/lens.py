@@ -1,22 +1,18 @@
-"""The lens as a row of numbers, and its compiled projection and inverse (model/distortion.py)."""
+"""The lens model in compiled code: `distortion.py` for one point and a row of numbers.
+
+The row is `Intrinsics.row`: fx skew cx fy cy k1 k2 p1 p2 k3 k4 k5 k6.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
 from measure.arrays import Floats
-from measure.model import Intrinsics
-from measure_plugins._edges.jit import compiled
+from measure.compiling import compiled
 
 _NEWTON_STEPS = 20
 _NEWTON_TOLERANCE = 1e-9
 """Steps shrink by their square: the last one leaves nothing."""
-
-
-def lens_row(intrinsics: Intrinsics) -> Floats:
-    """Fx skew cx fy cy k1 k2 p1 p2 k3 k4 k5 k6 as (13,)."""
-    k = intrinsics.matrix
-    return np.concatenate([[k[0, 0], k[0, 1], k[0, 2], k[1, 1], k[1, 2]], intrinsics.distortion])
 
 
 @compiled

@@ -1,0 +1,79 @@
+"""After a restart, and with worn cables: `python -m benchmarks.restarts [MODEL]`.
+
+For restarts of the simulated robot that no network has seen: the error as reported, corrected, and
+corrected with the offset that the first minute shows (`--rezero`), both over the two minutes that
+follow. Then how many seconds of measuring it takes until the drift monitor asks for training, for
+cables as they were and with their slack and friction grown.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from measure import api
+from measure.arrays import Floats
+from measure.host import Dataset, OnnxModel
+from measure.learning import DriftMonitor, simulated_dataset
+from measure.learning.offline import rezero
+from measure.robots.simulator import Cables
+
+MINUTES, FIRST_S = 3.0, 60.0
+SEEDS = range(21, 27)
+WEARS = (1.0, 1.2, 1.4, 1.6, 2.0)
+
+
+def main() -> None:
+    """Print a line for every wear."""
+    parser = argparse.ArgumentParser(prog="benchmarks.restarts", description=__doc__)
+    parser.add_argument("model", nargs="?", type=Path, default=api.shipped_model())
+    model = OnnxModel.load(parser.parse_args().model)
+    print("wear  reported  corrected  re-zeroed  residuals  alarm after, s (- : never)")
+    for wear in WEARS:
+        found = [one(model, seed, wear) for seed in SEEDS]
+        sizes = np.sqrt(np.mean([size for size, _, _ in found], axis=0))
+        ratio = np.median([ratio for _, ratio, _ in found])
+        alarms = "  ".join("-" if s is None else f"{s:.0f}" for _, _, s in found)
+        reported, corrected, zeroed = sizes
+        print(
+            f"{wear:4.1f}  {reported:8.3f}  {corrected:9.3f}  {zeroed:9.3f}  {ratio:9.2f}  {alarms}"
+        )
+
+
+def one(model: OnnxModel, seed: int, wear: float) -> tuple[Floats, float, float | None]:
+    """A restart's mean squares (reported, corrected, re-zeroed), residual size, time of alarm."""
+    data, _ = simulated_dataset(
+        minutes=MINUTES, pairs=1059, restarts=1, seed=seed, cables=Cables(wear=wear)
+    )
+    early = data.times_s - data.times_s[0] < FIRST_S
+    zeroing, _ = rezero(model, replace(data, usable=data.usable & early))
+    judged = data.usable & ~early
+    left = data.errors_mm - model.predict(data).errors_mm
+    sizes = [
+        (e[judged] ** 2).sum(axis=1).mean()
+        for e in (data.errors_mm, left, left - zeroing.offset_mm(data.states))
+    ]
+    ratio, alarm = watch(model, data)
+    return np.array(sizes), ratio, alarm
+
+
+def watch(model: OnnxModel, data: Dataset) -> tuple[float, float | None]:
+    """Residuals over promised at the end of a stretch, and when the monitor first fired, in s."""
+    fired: list[float] = []
+
+    class Watched(DriftMonitor):
+        def add(self, residual_mm: Floats, covariance: Floats) -> None:
+            super().add(residual_mm, covariance)
+            if self.due:
+                fired.append(float(times[self.count - 1]))
+
+    times = data.times_s[data.usable] - data.times_s[0]
+    _, monitor = rezero(model, data, Watched())
+    return monitor.ratio**0.5, fired[0] if fired else None
+
+
+if __name__ == "__main__":
+    main()

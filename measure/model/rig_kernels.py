@@ -1,0 +1,109 @@
+"""Projection through many cameras at once, row by row, compiled."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.compiling import compiled
+from measure.model.lens import bend, bend_slopes
+
+_NEWTON_STEPS = 20
+_NEWTON_TOLERANCE = 1e-12
+_NEWTON_FAILED = 1e-9
+
+
+@compiled
+def project_one(
+    lens: Floats,
+    reach: float,
+    rotation: Floats,
+    center: Floats,
+    point: Floats,
+    min_depth: float,
+    pixel: Floats,
+    by_point: Floats,
+) -> None:
+    """Project a world point into a camera; NaN where it has no image.
+
+    Args:
+        lens: (13,) see `Intrinsics.row`.
+        reach: ideal radius beyond which the lens model folds back.
+        rotation: (3, 3) of world_from_camera.
+        center: (3,) the projection centre, mm.
+        point: (3,) mm.
+        min_depth: points nearer to the camera's plane than this, mm, have no image.
+        pixel: (2,) filled.
+        by_point: (2, 3) filled with the pixel's derivatives by the world point.
+    """
+    dx, dy, dz = point[0] - center[0], point[1] - center[1], point[2] - center[2]
+    px = rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz
+    py = rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz
+    pz = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
+    x, y = px / pz, py / pz
+    if not (pz > min_depth and x * x + y * y < reach * reach):
+        pixel[:] = np.nan
+        by_point[:] = np.nan
+        return
+    u, v = bend(x, y, lens)
+    pixel[0], pixel[1] = lens[0] * u + lens[1] * v + lens[2], lens[3] * v + lens[4]
+    a, b, c, d = bend_slopes(x, y, lens)
+    ux, uy = (lens[0] * a + lens[1] * c) / pz, (lens[0] * b + lens[1] * d) / pz
+    vx, vy = lens[3] * c / pz, lens[3] * d / pz
+    uz, vz = -(ux * x + uy * y), -(vx * x + vy * y)
+    for k in range(3):
+        by_point[0, k] = ux * rotation[k, 0] + uy * rotation[k, 1] + uz * rotation[k, 2]
+        by_point[1, k] = vx * rotation[k, 0] + vy * rotation[k, 1] + vz * rotation[k, 2]
+
+
+@compiled
+def project_rows(
+    lenses: Floats,
+    reach: Floats,
+    rotation: Floats,
+    centers: Floats,
+    points: Floats,
+    min_depth: float,
+) -> tuple[Floats, Floats]:
+    """`project_one` for every row: pixels (n, 2) and their derivatives (n, 2, 3)."""
+    n = len(lenses)
+    pixels, by_point = np.empty((n, 2)), np.empty((n, 2, 3))
+    for i in range(n):
+        project_one(
+            lenses[i], reach[i], rotation[i], centers[i], points[i], min_depth, pixels[i],
+            by_point[i],
+        )  # fmt: skip
+    return pixels, by_point
+
+
+@compiled
+def ideal_point(pixel: Floats, lens: Floats, reach: float) -> tuple[float, float]:
+    """The undistorted normalised point of a pixel (Newton); NaN where the lens has no inverse."""
+    yd = (pixel[1] - lens[4]) / lens[3]
+    xd = (pixel[0] - lens[2] - lens[1] * yd) / lens[0]
+    x, y, size, det = xd, yd, np.inf, 1.0
+    for _ in range(_NEWTON_STEPS):
+        u, v = bend(x, y, lens)
+        a, b, c, d = bend_slopes(x, y, lens)
+        det = a * d - b * c
+        step_x, step_y = (d * (xd - u) - b * (yd - v)) / det, (a * (yd - v) - c * (xd - u)) / det
+        x, y = x + step_x, y + step_y
+        size = max(abs(step_x), abs(step_y))
+        if not size > _NEWTON_TOLERANCE:
+            break
+    if size < _NEWTON_FAILED and det > 0 and x * x + y * y < reach * reach:
+        return x, y
+    return np.nan, np.nan
+
+
+@compiled
+def ray_rows(pixels: Floats, lenses: Floats, reach: Floats, rotation: Floats) -> Floats:
+    """Unit directions (n, 3) in the world of pixel i (n, 2) in camera i; NaN without an inverse."""
+    out = np.empty((len(pixels), 3))
+    for i in range(len(pixels)):
+        x, y = ideal_point(pixels[i], lenses[i], reach[i])
+        length = np.sqrt(x * x + y * y + 1)
+        for k in range(3):
+            turned = rotation[i, k, 0] * x + rotation[i, k, 1] * y + rotation[i, k, 2]
+            out[i, k] = turned / length
+    return out

@@ -1,0 +1,80 @@
+"""What moves in the 3-D scene: balls, rays, the body, its trail and its uncertainty."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import rerun as rr
+from scipy.spatial.transform import Rotation
+
+from measure.arrays import Floats
+from measure.measuring import Measurement
+from measure.model import Body, Camera
+from measure.viewing import entities
+from measure.viewing.columns import Columns, lengths, points
+
+AXES_MM = 40.0
+
+
+def send_balls(
+    columns: Columns, sets: Sequence[Measurement], body: Body, cameras: Sequence[Camera]
+) -> None:
+    """Every ball's fix, the rays that made it, and how far the balls are apart."""
+    centers = np.full((len(sets), len(body.balls), 3), np.nan)
+    eyes = {camera.name: camera.center for camera in cameras}
+    for number, ball in enumerate(body.balls):
+        fixes = [[fix for fix in one.fixes if fix.ball == ball.name] for one in sets]
+        here = np.array(lengths(fixes), dtype=bool)
+        places = points((fix.center for row in fixes for fix in row), 3)
+        centers[here, number] = places
+        columns.send(
+            entities.ball(ball.name), rr.Ellipsoids3D.columns(centers=places).partition(here)
+        )
+        used = [[name for fix in row for name in fix.cameras] for row in fixes]
+        ends = np.repeat(centers[:, number], lengths(used), axis=0)
+        starts = points((eyes[name] for row in used for name in row), 3)
+        strips = rr.LineStrips3D.columns(strips=np.stack([starts, ends], axis=1))
+        columns.send(entities.rays(ball.name), strips.partition(lengths(used)))
+    names = list(body.names)
+    for (first, second), nominal in body.distances().items():
+        apart = centers[:, names.index(first)] - centers[:, names.index(second)]
+        columns.scalars(entities.distance(first, second), np.linalg.norm(apart, axis=1) - nominal)
+
+
+def send_poses(columns: Columns, sets: Sequence[Measurement]) -> None:
+    """The body's axes, trail and uncertainty; without a pose none of them is shown."""
+    poses = [one.pose for one in sets if one.pose is not None]
+    here = np.array([one.pose is not None for one in sets])
+    place, turn = np.zeros((len(sets), 3)), np.zeros((len(sets), 4))
+    turn[:, 3] = 1.0
+    covariance = np.array([pose.covariance[:3, :3] for pose in poses]).reshape(-1, 3, 3)
+    if poses:
+        place[here] = [pose.world_from_body.translation for pose in poses]
+        rotations = np.stack([pose.world_from_body.rotation for pose in poses])
+        turn[here] = Rotation.from_matrix(rotations).as_quat()
+    # What was logged last stays in view: a frame set without a pose must wipe the axes away.
+    columns.send(
+        entities.BODY,
+        rr.Transform3D.columns(translation=place, quaternion=turn),
+        rr.TransformAxes3D.columns(axis_length=AXES_MM * here),
+    )
+    columns.send(
+        entities.TRAIL, rr.Points3D.columns(positions=place[here]).partition(here.astype(int))
+    )
+    half, axes = _ellipsoids(covariance)
+    haze = rr.Ellipsoids3D.columns(centers=place[here], half_sizes=half, quaternions=axes)
+    columns.send(entities.UNCERTAINTY, haze.partition(here.astype(int)))
+    sd = np.full(len(sets), np.nan)
+    sd[here] = np.sqrt(np.trace(covariance, axis1=1, axis2=2))
+    columns.scalars(entities.POSITION_SD, sd)
+
+
+def _ellipsoids(covariances: Floats) -> tuple[Floats, Floats]:
+    """Half axes (n, 3) as they are drawn, and their rotations (n, 4), scalar last."""
+    if not len(covariances):
+        return np.zeros((0, 3)), np.zeros((0, 4))
+    values, axes = np.linalg.eigh(covariances)
+    axes[np.linalg.det(axes) < 0, :, 0] *= -1
+    half = entities.UNCERTAINTY_SCALE * np.sqrt(np.maximum(values, 0.0))
+    return half, Rotation.from_matrix(axes).as_quat()

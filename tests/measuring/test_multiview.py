@@ -1,0 +1,101 @@
+"""One point in several cameras: the compiled sums against the formulas they stand for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from measure.arrays import Floats
+from measure.errors import DegenerateGeometryError
+from measure.geometry import RigidTransform, propagate
+from measure.measuring.instants import detections_at
+from measure.measuring.multiview import Views, fit_point
+from measure.model import Camera, Detection, Motion
+from tests.scenes import RAVEN, TARGET, ring, see
+
+_POSE = np.diag([0.1, 0.2, 0.3, 1e-3, 2e-3, 3e-3]) ** 2 + 1e-8
+_LENS = np.diag(np.r_[1.0, 1.2, 0.5, 0.7, np.full(8, 1e-3)]) ** 2 + 1e-9
+
+
+def _uncertain(camera: Camera) -> Camera:
+    lens = replace(camera.intrinsics, distortion=np.array([0.06, -0.12, 1e-3, -2e-3, 0.02]))
+    sd_pose, sd_lens = np.sqrt(np.diag(_POSE)), np.sqrt(np.diag(_LENS))
+    return replace(
+        camera,
+        intrinsics=replace(lens, covariance=_LENS),
+        pose_covariance=_POSE,
+        pose_intrinsics_covariance=0.02 * np.outer(sd_pose, sd_lens),
+    )
+
+
+def _seen(cameras: dict[str, Camera], time_s: float = 0.0) -> list[Detection]:
+    return [
+        Detection("red", name, time_s, camera.project(TARGET[None])[0], 50.0, 0.01 * np.eye(2))
+        for name, camera in cameras.items()
+    ]
+
+
+def test_a_calibrations_uncertainty_is_propagated_by_the_cameras_own_jacobians():
+    cameras = {name: _uncertain(camera) for name, camera in ring().items()}
+    views = Views.of(_seen(cameras), cameras)
+    for i, camera in enumerate(cameras.values()):
+        _, _, by_pose, by_lens = camera.project_with_jacobians(TARGET[None])
+        both = np.concatenate([by_pose, by_lens], axis=2)[0]
+        np.testing.assert_allclose(views.by_camera(TARGET)[i], both, atol=1e-9)
+        joint = camera.covariance
+        assert joint is not None
+        assert np.any(joint[:6, 6:])
+        np.testing.assert_allclose(views.camera_noise(TARGET)[i], propagate(both, joint))
+
+
+def test_a_fit_weighs_as_it_says():
+    cameras = {name: _uncertain(camera) for name, camera in ring().items()}
+    seen = [
+        replace(d, center_px=d.center_px + 0.3 * np.random.default_rng(i).normal(size=2))
+        for i, d in enumerate(_seen(cameras))
+    ]
+    views = Views.of(seen, cameras)
+    fit = fit_point(views)
+    residuals, by_point, _ = views.sensitivity(fit.point)
+    weight = np.linalg.inv(views.total_noise(fit.point))
+    gradient = np.einsum("nia,nij,nj->a", by_point, weight, residuals)
+    information = np.einsum("nia,nij,njb->ab", by_point, weight, by_point)
+    size = np.sqrt(np.diag(information))
+    assert np.max(np.abs(gradient / size)) < 1e-2, "the weights are those of a point near by"
+    np.testing.assert_allclose(fit.covariance @ information, np.eye(3), atol=1e-2)
+
+
+def test_a_point_behind_a_camera_is_refused():
+    two = list(ring().values())[:2]
+    cameras = {c.name: replace(c, world_from_camera=_turned_round(c)) for c in two}
+    seen = [replace(d, center_px=p) for d, p in zip(_seen(ring())[:2], _pixels(two), strict=True)]
+    with pytest.raises(DegenerateGeometryError, match="behind"):
+        fit_point(Views.of(seen, cameras))
+
+
+def _turned_round(camera: Camera) -> RigidTransform:
+    """Looking the other way: the same line of sight meets the point behind the camera."""
+    return RigidTransform(camera.world_from_camera.rotation * [-1.0, 1.0, -1.0], camera.center)
+
+
+def _pixels(cameras: list[Camera]) -> list[Floats]:
+    return [camera.intrinsics.matrix[:2, 2] for camera in cameras]
+
+
+def test_detections_are_carried_to_one_instant():
+    cameras, velocity = ring(), np.array([40.0, -20, 10, 0.2, 0.4, -0.3])
+    motion = Motion(RigidTransform.from_rotvec([0.1, 0.2, 0.3], TARGET), 1.0, velocity)
+    times = {name: 1.0 + 0.01 * i for i, name in enumerate(cameras)}
+    seen = [d for t in times.values() for d in see(cameras, RAVEN, motion.at(t), 0.0, time_s=t)]
+    seen = [d for d in seen if d.time_s == times[d.camera]]
+    assert len(seen) == 12
+    carried = detections_at(seen, 1.0, motion, RAVEN, cameras)
+    truth = see(cameras, RAVEN, motion.at(1.0), 0.0, time_s=1.0)
+    expected = {(d.ball, d.camera): d.center_px for d in truth}
+    for before, after in zip(seen, carried, strict=True):
+        assert (after.ball, after.camera, after.time_s) == (before.ball, before.camera, 1.0)
+        np.testing.assert_allclose(after.center_px, expected[after.ball, after.camera], atol=1e-6)
+    shifts = np.array([d.center_px for d in seen]) - [d.center_px for d in carried]
+    assert np.max(np.abs(shifts)) > 1
