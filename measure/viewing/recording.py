@@ -23,10 +23,10 @@ from measure.viewing.videos import PassedVideo
 
 HELD_SETS = 120
 """Frame sets held back at most: sent together they cost a fraction of what each would."""
-PERIOD_S = 2.0
-"""Nothing is held back longer: that is how much a kill may cost."""
+PERIOD_S, WORTH_SENDING = 2.0, 30
+"""So many are not held back longer: what a kill may cost. Fewer at a time would swell the file."""
 LIVE_PERIOD_S = 0.2
-"""The same where somebody watches."""
+"""Where somebody watches nothing is held back longer, be it only one frame set."""
 _LEVELS = {Status.OK: "INFO", Status.FLAGGED: "WARN", Status.LOST: "ERROR", Status.SKIPPED: "WARN"}
 
 
@@ -98,9 +98,14 @@ class RunRecording:
         self._log_status(measured)
         self._sets.append(measured)
         self._pictured.append(pictured)
-        late = time.monotonic() - self._sent_at > (LIVE_PERIOD_S if self._live else PERIOD_S)
-        if late or len(self._sets) >= HELD_SETS:
+        if self._due():
             self._send()
+
+    def _due(self) -> bool:
+        held, waited_s = len(self._sets), time.monotonic() - self._sent_at
+        if self._live:
+            return waited_s > LIVE_PERIOD_S
+        return held >= HELD_SETS or (held >= WORTH_SENDING and waited_s > PERIOD_S)
 
     def _send(self) -> None:
         sets = self._sets

@@ -85,10 +85,30 @@ def test_the_truth_is_quoted_and_a_run_too_sure_of_itself_is_found_out(tmp_path)
     small[:, 0], large[:, 0] = 0.01, 0.1
     tone, sentence = verdict(run, small)
     assert tone == "good"
-    assert sentence.endswith("Against the truth it is off by 0.010 mm RMS, 0.010 mm at most.")
+    assert "Against the truth it is off by 0.010 mm RMS, 0.010 mm at most." in sentence
     tone, sentence = verdict(run, large)
     assert tone == "doubtful"
     assert "more than it claims, for only 0% of the errors lie inside" in sentence
+
+
+def test_what_all_frame_sets_err_by_alike_is_said_not_to_be_counted(tmp_path):
+    _, sentence = verdict(_run(tmp_path / "run", 20), None)
+    assert "The calibration is taken as exact: its file states no uncertainty." in sentence
+    assert "distances differ" not in sentence
+    known = [replace(c, pose_covariance=np.diag([1e-5] * 3 + [1e-10] * 3)) for c in CAMERAS]
+
+    def longer(index):
+        """Green sits 0.2 mm farther out than the body file says, give or take 0.05 mm."""
+        seen = measurement(index)
+        green, *rest = seen.fixes
+        out = 0.2 + 0.05 * np.sin(index)
+        place = seen.pose.world_from_body
+        moved = replace(green, center=green.center + place.rotate([out, 0.0, 0.0]))
+        return replace(seen, fixes=(moved, *rest))
+
+    _, sentence = verdict(_run(tmp_path / "long", 20, measure=longer, cameras=known), None)
+    assert "taken as exact" not in sentence
+    assert "distances differ from the body file's by up to 0.20 mm" in sentence
 
 
 def test_a_camera_that_never_helps_is_named(tmp_path):

@@ -12,6 +12,7 @@ from measure.arrays import Floats, Ints
 from measure.calibration import camera_rows
 from measure.results import Run, Summary
 from measure.results.accuracy import accuracy_map
+from measure.results.distances import ball_distances
 from measure.session import dump_toml
 from measure.viewing.report import figures, places, style
 from measure.viewing.report.page import Page
@@ -180,21 +181,15 @@ def _states(run: Run) -> tuple[Ints, list[str], list[str]]:
 
 def _add_distances(page: Page, run: Run) -> None:
     """The body measured with itself: its balls' distances against the body file."""
-    at = {name: np.full((run.poses.num_rows, 3), np.nan) for name in run.body.names}
-    place = np.column_stack([run.balls[name].to_numpy() for name in ("x_mm", "y_mm", "z_mm")])
-    columns = {index: row for row, index in enumerate(run.poses["index"].to_pylist())}
-    for ball, index, center in zip(
-        run.balls["ball"].to_pylist(), run.balls["index"].to_pylist(), place, strict=True
-    ):
-        at[ball][columns[index]] = center
-    rows, curves = [], {}
-    for (first, second), nominal in run.body.distances().items():
-        apart = np.linalg.norm(at[first] - at[second], axis=1)
-        known = apart[np.isfinite(apart)]
-        curves[f"{first}-{second}"] = apart - nominal
-        mean = float(known.mean()) if len(known) else np.nan
-        error = float(known.std() / np.sqrt(len(known))) if len(known) else np.nan
-        rows.append((f"{first}-{second}", nominal, mean, mean - nominal, error, len(known)))
+    found = ball_distances(run)
+    names = ["-".join(one.balls) for one in found]
+    rows = [
+        (name, one.nominal_mm, one.mean_mm, one.off_mm, one.standard_error_mm, one.count)
+        for name, one in zip(names, found, strict=True)
+    ]
+    curves = {
+        name: one.measured_mm - one.nominal_mm for name, one in zip(names, found, strict=True)
+    }
     page.table(
         "Ball distances",
         "Measured against the body file; a difference far above its standard error means that the "
