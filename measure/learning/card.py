@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from measure.learning.scores import speed_range
+
 
 def write_card(path: Path, card: Mapping[str, Any]) -> None:
     """Write a model card as Markdown."""
@@ -66,7 +68,7 @@ def _scores(scores: Mapping[str, Any]) -> list[str]:
         "| speed, mm/s | labels | RMS before | RMS after |",
         "|---|---|---|---|",
         *(
-            f"| {low:g} to {high:g} | {b['rows']} | {b['rms_mm']:.3f} | {a['rms_mm']:.3f} |"
+            f"| {speed_range(low, high)} | {b['rows']} | {b['rms_mm']:.3f} | {a['rms_mm']:.3f} |"
             for low, high, b, a in scores["by_speed"]
             if b["rows"]
         ),

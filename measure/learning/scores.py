@@ -120,6 +120,11 @@ def evaluate(data: Dataset, estimates: Estimates, used: Bools | None = None) -> 
     )
 
 
+def speed_range(low: float, high: float) -> str:
+    """A range of speeds in words."""
+    return f"{low:g} to {high:g}" if np.isfinite(high) else f"over {low:g}"
+
+
 def speeds_mm_s(data: Dataset) -> Floats:
     """Speed of the reported position (n,); NaN where times are unknown."""
     out = np.full(len(data), np.nan)

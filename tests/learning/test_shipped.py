@@ -7,8 +7,18 @@ import pytest
 
 from measure import api
 from measure.host import OnnxModel
-from measure.learning import Score, rezero, simulated_dataset
-from measure.robots.simulator import Cables
+from measure.learning import (
+    PAPER_MINUTES,
+    PAPER_PAIRS,
+    AssemblySettings,
+    Score,
+    assemble,
+    evaluate,
+    rezero,
+    simulated_dataset,
+)
+from measure.learning.simulated import recording
+from measure.robots.simulator import Cables, simulate
 
 
 def test_the_shipped_network_corrects_a_restart_it_has_not_seen() -> None:
@@ -26,8 +36,36 @@ def test_the_shipped_network_says_what_it_is() -> None:
     assert len(model.features) == 118
     assert "simulated" in model.card["about"]
     assert model.card["data"]["training"]["digest"]
-    assert "simulated" in path.with_suffix(".card.md").read_text()
+    card_text = path.with_suffix(".card.md").read_text()
+    assert "simulated" in card_text
     assert path.stat().st_size < 2_000_000
+    assert model.card["settings"] == model.facts["settings"]
+    assert "measure train" in model.card["command"]
+    assert model.card["revision"]
+    assert "dirty" not in model.card["revision"]
+    assert f"RMS {model.card['scores']['rms_change']:+.1%}" in card_text
+
+
+@pytest.mark.slow
+def test_the_scores_on_its_card_are_true() -> None:
+    """A session of its data is simulated again; a test trajectory scores what the card says."""
+    model = OnnxModel.load(api.shipped_model())
+    name, (before, after) = next(iter(model.card["scores"]["by_trajectory"].items()))
+    session = int(name.removeprefix("session_").partition("/")[0])
+    edges = np.round(np.linspace(0, PAPER_PAIRS, 5)).astype(int)
+    pairs, seconds = int(np.diff(edges)[session]), 60.0 * PAPER_MINUTES / 4
+    run = simulate(seconds, 1000 + session, log_hz=50.0)
+    made = recording(
+        run, f"session_{session:02d}", 1 + session, frame_hz=pairs / (seconds - 0.25), pairs=pairs
+    )
+    data, _ = assemble([made], AssemblySettings(cut_s=210.0))
+    assert name in model.card["data"]["test"]["trajectories"]
+    assert name not in model.card["data"]["training"]["trajectories"]
+    part = data.select([name])
+    result = evaluate(part, model.predict(part))
+    assert result.before.rms_mm == pytest.approx(before["rms_mm"], rel=1e-3)
+    assert result.after.rms_mm == pytest.approx(after["rms_mm"], rel=1e-2)
+    assert result.after.rows == after["rows"]
 
 
 def test_it_is_fast_enough_for_a_kilohertz() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from measure.learning import Trained
-from measure.learning.scores import Evaluation, Score
+from measure.learning.scores import Evaluation, Score, speed_range
 from measure.viewing.report import figures, style
 from measure.viewing.report.page import Page
 
@@ -47,7 +47,10 @@ def estimator_report(trained: Trained, card: Mapping[str, Any]) -> str:
         _bars(result.before, result.after, "sd"),
     )  # fmt: skip
     if np.isfinite(trained.test.times_s).all():
-        words = "Measured, reported and corrected position of one test trajectory, per axis."
+        words = (
+            "Measured, reported and corrected position of one test trajectory, per axis, and how "
+            "far the latter two are from what was measured."
+        )
         page.figures("Over time", words, *_over_time(trained))
     if trained.curve:
         words = "RMS on validation trajectories after every pass, and the training loss."
@@ -67,7 +70,7 @@ def _tables(page: Page, result: Evaluation) -> None:
     page.table(
         "By speed", "Speed of the reported tip, mm/s; errors in mm.",
         ("speed", "labels", "RMS before", "RMS after"),
-        [(f"{low:g} to {high:g}", b.rows, b.rms_mm, a.rms_mm)
+        [(speed_range(low, high), b.rows, b.rms_mm, a.rms_mm)
          for low, high, b, a in result.by_speed if b.rows],
     )  # fmt: skip
 
@@ -103,13 +106,18 @@ def _over_time(trained: Trained) -> list[go.Figure]:
         "corrected": reported + trained.estimates.errors_mm[rows][shown],
     }  # fmt: skip
     colors = {"measured": style.ACCENT, "reported": style.BAD, "corrected": style.GOOD}
-    return [
+    axes = [
         figures.over_time(
             times[shown], {name: values[:, axis] for name, values in curves.items()},
             f"{'xyz'[axis]} [mm]", colors,
         )
         for axis in range(3)
     ]  # fmt: skip
+    away = {
+        name: np.linalg.norm(curves[name] - curves["measured"], axis=1)
+        for name in ("reported", "corrected")
+    }
+    return [*axes, figures.over_time(times[shown], away, "3-D error [mm]", colors)]
 
 
 def _curve(trained: Trained) -> go.Figure:
