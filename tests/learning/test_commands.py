@@ -53,6 +53,27 @@ def test_train_estimate_and_ablate(
     assert cost["type"] == 0.0
 
 
+def test_inputs_are_ranked_by_shuffling_and_by_leaving_them_out(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Groups are also fitted without; single fields are the groups' members that vary."""
+    model = tmp_path / "model.onnx"
+    words = ["train", str(data), "-o", str(model), "--estimator", "ridge", "--set", "features=pose"]
+    assert main(words) == 0
+    capsys.readouterr()
+    assert main(["ablate", str(data), str(model), "--remove", "--json"]) == 0
+    groups = {item["name"]: item for item in json.loads(capsys.readouterr().out)["inputs"]}
+    assert groups["jpos"]["permutation_mm"] > 0.1
+    assert groups["type"]["removal_mm"] == pytest.approx(0.0, abs=1e-6)
+    assert all(np.isfinite(item["removed_mm"]) for item in groups.values())
+    assert sum(item["features"] for item in groups.values()) == 118
+    assert main(["ablate", str(data), str(model), "--single", "--json"]) == 0
+    single = {item["name"]: item for item in json.loads(capsys.readouterr().out)["inputs"]}
+    assert {"jpos_0", "tau_6", "ori_22"} <= set(single)
+    assert "jpos_3" not in single  # void in the message: it never varies
+    assert all(item["removed_mm"] is None for item in single.values())
+
+
 def test_mistakes_are_explained(
     data: Path, small: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
