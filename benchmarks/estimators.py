@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import resource
 import shutil
 import subprocess
@@ -33,7 +34,8 @@ from the same {training} of them, was chosen and stopped by {validation}, and is
 that none has seen. Reported position: RMS {rms:.3f} mm, SD {sd:.3f} mm
 (x {x:.2f}, y {y:.2f}, z {z:.2f} mm RMS). The labels' own noise is 0.17 mm.
 
-Made by `python -m benchmarks.estimators FOLDER --out docs/estimators.md`, which runs for each line
+Made by `python -m benchmarks.estimators FOLDER --out docs/estimators.md --ship`, which also puts the
+network of the last line into the package, and runs for each line
 
 ```text
 measure dataset --simulate-min {minutes:g} --seed 1 --out sim.parquet
@@ -60,7 +62,7 @@ class Row:
     @property
     def file(self) -> str:
         """Of the model."""
-        return "-".join(self.title.replace(",", "").split()) + ".onnx"
+        return re.sub("[^a-z0-9]+", "-", self.title) + ".onnx"
 
 
 FOREST = "--estimator forest --set trees=20"
