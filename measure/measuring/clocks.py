@@ -11,7 +11,7 @@ small system for the clocks. Only differences between cameras can be seen: the o
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,7 +25,8 @@ from measure.measuring.clock_system import (
 )
 from measure.measuring.measurement import Measurement
 from measure.measuring.pose_fit import Sightings
-from measure.model import Body, Camera
+from measure.measuring.pose_spline import REACH, motion_at
+from measure.model import Body, Camera, Pose
 
 _ROUNDS = 4
 _VISIBLE_SIGMAS = 4.0
@@ -115,23 +116,24 @@ def _estimate(
     names = {camera.name: i for i, camera in enumerate(cameras)}
     by_name = {camera.name: camera for camera in cameras}
     seen = [_sightings(m, body, by_name, extra_px) for m in usable]
-    times = np.array([m.pose.time_s for m in usable if m.pose is not None])
-    poses = [m.pose.world_from_body for m in usable if m.pose is not None]
-    noise = [m.pose.covariance for m in usable if m.pose is not None]
+    poses = [m.pose for m in usable if m.pose is not None]
     heights = np.array([camera.intrinsics.size_wh[1] for camera in cameras])
     clocks = np.zeros((len(cameras), 2))
     sd = np.full((len(cameras), 2), np.inf)
     for _ in range(_ROUNDS):
-        motion = _derivatives(times, poses, noise)
+        motion = _derivatives(poses)
         instants = [
-            _instant(s, names, heights, pose, v, a)
+            _instant(s, names, heights, pose.world_from_body, v, a)
             for s, pose, (v, a) in zip(seen, poses, motion, strict=True)
         ]
         parts = [reduce_instant(instant, clocks, readout) for instant in instants]
         bias = bias_deviations(instants, clocks, extra_px)
         step, sd = solve_clocks(parts, clocks, readout, bias)
         clocks = clocks + step
-        poses = [pose.perturb(p.move(step)) for pose, p in zip(poses, parts, strict=True)]
+        poses = [
+            replace(pose, world_from_body=pose.world_from_body.perturb(p.move(step)))
+            for pose, p in zip(poses, parts, strict=True)
+        ]
     return clocks, sd
 
 
@@ -160,24 +162,19 @@ def _instant(
     return Instant(sightings, index, rows, pose, velocity, acceleration)
 
 
-def _derivatives(
-    times: Floats, poses: Sequence[RigidTransform], noise: Sequence[Floats]
-) -> list[tuple[Floats, Floats]]:
-    """Velocity and acceleration (6,) at each pose, from a parabola through five poses around it.
+def _derivatives(poses: Sequence[Pose]) -> list[tuple[Floats, Floats]]:
+    """Velocity and acceleration (6,) at each pose, by a spline through the poses around it.
 
     A velocity that the poses' noise explains is taken for none: a clock must not be read from it.
     """
     gate = chi_square_quantile(0.9999, 6)
     out = []
     for k, pose in enumerate(poses):
-        first = min(max(k - 2, 0), max(len(poses) - 5, 0))
-        near = range(first, min(first + 5, len(poses)))
-        lead = times[list(near)] - times[k]
-        moved = np.stack([poses[i].difference(pose) for i in near])
-        design = np.stack([np.ones_like(lead), lead, lead**2 / 2], axis=1)
-        fitted = np.linalg.lstsq(design, moved, rcond=None)[0]
-        spread = np.linalg.inv(design.T @ design)[1, 1]
-        if fitted[1] @ np.linalg.solve(noise[k] * spread, fitted[1]) < gate:
-            fitted = np.zeros_like(fitted)
-        out.append((fitted[1], fitted[2]))
+        motion = motion_at(pose, poses[max(k - REACH, 0) : k], poses[k + 1 : k + 1 + REACH])
+        velocity = acceleration = np.zeros(6)
+        if motion is not None and motion.velocity_covariance is not None:
+            noise = motion.velocity_covariance
+            if motion.velocity @ np.linalg.solve(noise, motion.velocity) >= gate:
+                velocity, acceleration = motion.velocity, motion.path(0.0, 2)
+        out.append((velocity, acceleration))
     return out

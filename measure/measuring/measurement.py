@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 from measure.arrays import Floats
@@ -61,3 +61,12 @@ class Draft:
     measurement: Measurement
     motion: Motion | None
     doubts: tuple[str, ...]
+
+    def doubted(self, flag: str) -> Draft:
+        """The same with one more reason to doubt its pose, if it has one."""
+        measured = self.measurement
+        if measured.pose is None:
+            return self
+        pose = replace(measured.pose, flags=(*measured.pose.flags, flag))
+        measured = replace(measured, pose=pose, status=Status.FLAGGED)
+        return replace(self, measurement=measured, doubts=(*self.doubts, flag))

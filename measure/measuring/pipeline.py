@@ -13,6 +13,7 @@ from measure.host import Detector, PoseSolver, Triangulator
 from measure.measuring.instants import center_residuals, detections_at, velocity_share
 from measure.measuring.measurement import Draft, Measurement, Status
 from measure.measuring.pose_spline import motion_at, with_neighbours
+from measure.measuring.repeats import Repeats
 from measure.measuring.tracking import Tracker
 from measure.model import (
     BallView,
@@ -62,6 +63,7 @@ class Pipeline:
     def __init__(self, body: Body, cameras: Sequence[Camera], stages: Stages) -> None:
         self._body = body
         self._cameras = {camera.name: camera for camera in cameras}
+        self._repeats = Repeats()
         self.stages = stages
 
     def warm_up(self) -> None:
@@ -81,6 +83,11 @@ class Pipeline:
                 yield draft.measurement
 
     def _draft(self, frame_set: FrameSet, pool: Executor) -> Draft:
+        frame_set, doubt = self._repeats.sort_out(frame_set)
+        draft = self._first_draft(frame_set, pool)
+        return draft.doubted(doubt) if doubt else draft
+
+    def _first_draft(self, frame_set: FrameSet, pool: Executor) -> Draft:
         expected = self.stages.tracker.expect(frame_set)
         if expected is None:
             return Draft(_skipped(frame_set), None, ())
