@@ -53,7 +53,10 @@ def fit_common_views(
     instants = sorted(boards)
     sds = {name: lens.fit.sd_px for name, lens in lenses.items()}
     free = {name: np.array(lens.model.free, dtype=np.int64) for name, lens in lenses.items()}
-    solution = _solve(cameras, boards, instants, points, views, sds, free)
+    order = {instant: number for number, instant in enumerate(instants)}
+    problem = _Problem(points, views, sds, free, _columns(cameras, free), order)
+    start = _State(cameras, stack([boards[i] for i in instants]))
+    solution = solve(problem.linearise, problem.step, start, Huber(_HUBER_REACH))
     poses = solution.state.world_from_board
     corners = np.einsum("fij,nj->fni", poses.rotation, points) + poses.translation[:, None]
     return _answer(solution, sds, free), corners.reshape(-1, 3)
@@ -101,62 +104,60 @@ def _start(
     return tuple(placed[name] for name in lenses), boards
 
 
-def _solve(
-    cameras: tuple[Camera, ...],
-    boards: dict[int, RigidTransform],
-    instants: list[int],
-    points: Floats,
-    views: Mapping[str, Mapping[int, Corners]],
-    sds: Mapping[str, float],
-    free: Mapping[str, Ints],
-) -> Solution[_State]:
-    columns = _columns(cameras, free)
-    size = sum(len(c) for c in columns.values())
-    order = {instant: i for i, instant in enumerate(instants)}
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """Boards seen by several cameras at the same instants; the first camera is the world.
 
-    def linearise(state: _State) -> Linearised:
-        groups = []
-        for number, camera in enumerate(state.cameras):
-            mine = sorted(views[camera.name].items())
-            block = np.concatenate([np.full(len(v.ids), order[i]) for i, v in mine])
-            ids = np.concatenate([v.ids for _, v in mine])
-            pixels = np.concatenate([v.pixels for _, v in mine])
-            poses = state.world_from_board
-            turned = np.einsum("nij,nj->ni", poses.rotation[block], points[ids])
-            predicted, by_world, by_pose, by_lens = camera.project_with_jacobians(
-                turned + poses.translation[block]
-            )
-            shared = (
-                [by_lens[:, :, free[camera.name]]]
-                if number == 0
-                else [
-                    by_pose,
-                    by_lens[:, :, free[camera.name]],
-                ]
-            )
-            sd = sds[camera.name]
-            own = np.concatenate([by_world, -by_world @ skew(turned)], axis=2)
-            groups.append(
-                Group(
-                    (pixels - predicted) / sd,
-                    columns[camera.name],
-                    np.concatenate(shared, axis=2) / sd,
-                    block,
-                    own / sd,
-                )
-            )
-        return Linearised(tuple(groups), size, len(instants), np.zeros(0), np.zeros((0, size)))
+    Attributes:
+        points: (n, 3) of the board.
+        views: by camera name and instant.
+        sds: of a corner, by camera name, px.
+        free: by camera name, which lens parameters are free.
+        columns: by camera name, its unknowns' columns.
+        order: number of each instant's board.
+    """
 
-    def step(state: _State, shared: Floats, blocks: Floats) -> _State:
+    points: Floats
+    views: Mapping[str, Mapping[int, Corners]]
+    sds: Mapping[str, float]
+    free: Mapping[str, Ints]
+    columns: Mapping[str, Ints]
+    order: Mapping[int, int]
+
+    def linearise(self, state: _State) -> Linearised:
+        groups = tuple(self._group(n, state) for n in range(len(state.cameras)))
+        size = sum(len(c) for c in self.columns.values())
+        return Linearised(groups, size, len(self.order), np.zeros(0), np.zeros((0, size)))
+
+    def step(self, state: _State, shared: Floats, blocks: Floats) -> _State:
         cameras = []
         for number, camera in enumerate(state.cameras):
-            part = shared[columns[camera.name]]
+            part = shared[self.columns[camera.name]]
             part = np.concatenate([np.zeros(6), part]) if number == 0 else part
-            cameras.append(changed(camera, part, free[camera.name]))
+            cameras.append(changed(camera, part, self.free[camera.name]))
         return _State(tuple(cameras), state.world_from_board.perturb(blocks))
 
-    start = _State(cameras, stack([boards[i] for i in instants]))
-    return solve(linearise, step, start, Huber(_HUBER_REACH))
+    def _group(self, number: int, state: _State) -> Group:
+        camera, poses = state.cameras[number], state.world_from_board
+        mine = sorted(self.views[camera.name].items())
+        block = np.concatenate([np.full(len(v.ids), self.order[i]) for i, v in mine])
+        ids = np.concatenate([v.ids for _, v in mine])
+        pixels = np.concatenate([v.pixels for _, v in mine])
+        turned = np.einsum("nij,nj->ni", poses.rotation[block], self.points[ids])
+        placed = turned + poses.translation[block]
+        predicted, by_world, by_pose, by_lens = camera.project_with_jacobians(placed)
+        shared = [by_lens[:, :, self.free[camera.name]]]
+        if number > 0:
+            shared = [by_pose, *shared]
+        own = np.concatenate([by_world, -by_world @ skew(turned)], axis=2)
+        sd = self.sds[camera.name]
+        return Group(
+            (pixels - predicted) / sd,
+            self.columns[camera.name],
+            np.concatenate(shared, axis=2) / sd,
+            block,
+            own / sd,
+        )
 
 
 def _columns(cameras: tuple[Camera, ...], free: Mapping[str, Ints]) -> dict[str, Ints]:

@@ -123,7 +123,7 @@ def _choose_model(
         try:
             error = _held_out_rms(points, views, model)
         except CalibrationError as problem:
-            reasons.append(f"{model.name} refused: {problem}")
+            reasons.append(f"lens model {model.name} refused: {problem}")
             continue
         held_out[model.name] = error
         if best is None or error < held_out[best.name] * (1 - _LEAST_GAIN):
@@ -131,7 +131,7 @@ def _choose_model(
         else:
             added = " ".join(model.parameters.split()[len(best.free) :])
             reasons.append(
-                f"{model.name} refused: {added} changes the held-out error from "
+                f"lens model {model.name} refused: {added} changes the held-out error from "
                 f"{held_out[best.name]:.4f} to {error:.4f} px"
             )
     if best is None:

@@ -153,13 +153,10 @@ def _locate_all(
             found[camera.name] = finds
         if sight is not None:
             marks[camera.name] = sight
-    disagreement, sights_of_boards = {}, {}
+    sights_of_boards = {}
     if board is not None:
         sights_of_boards = {name: board_sight(board, s) for name, s in seen.items()}
-        for start in starts:
-            if start.name in seen and start.name in marks:
-                apart = check_board_against_marks(start, board, seen, markers, marks[start.name])
-                disagreement[start.name] = apart
+    disagreement = _disagreement(board, starts, seen, markers, marks)
     sights = Sights(markers.points, sights_of_boards, marks, _stated_tolerances(capture))
     base = RigCalibration(
         tuple(starts),
@@ -174,6 +171,23 @@ def _locate_all(
         tolerances=sights.tolerances,
     )
     return _by_paper(base, capture) if method == "paper" else _joint(base, capture)
+
+
+def _disagreement(
+    board: Board | None,
+    starts: list[Camera],
+    seen: dict[str, SeenBoard],
+    markers: MarkerField,
+    marks: dict[str, MarkSight],
+) -> dict[str, float]:
+    """Between board and markers at the markers, mm, by camera that saw both."""
+    if board is None:
+        return {}
+    return {
+        start.name: check_board_against_marks(start, board, seen, markers, marks[start.name])
+        for start in starts
+        if start.name in seen and start.name in marks
+    }
 
 
 def _boards_of(capture: Capture, lenses: dict[str, LensCalibration]) -> dict[str, SeenBoard]:

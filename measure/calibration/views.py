@@ -77,12 +77,7 @@ def find_views(
     size: tuple[int, int] | None = None
     mirrored = 0
     for name, bgr in pictures:
-        here = (bgr.shape[1], bgr.shape[0])
-        if size is not None and here != size:
-            raise CalibrationError(
-                f"camera {camera}: {name} is {here[0]}x{here[1]} px, the others {size[0]}x{size[1]}"
-            )
-        size = here
+        size = _size_as_before(size, bgr, name, camera)
         gray = np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY), np.uint8)
         try:
             corners = board.find(gray, name)
@@ -101,6 +96,18 @@ def find_views(
         )
     chosen = choose_views(board, seen, size, camera, left_out, limit)
     return replace(chosen, mirrored=mirrored)
+
+
+def _size_as_before(
+    size_wh: tuple[int, int] | None, bgr: Bytes, name: str, camera: str
+) -> tuple[int, int]:
+    here = (bgr.shape[1], bgr.shape[0])
+    if size_wh is not None and here != size_wh:
+        raise CalibrationError(
+            f"camera {camera}: {name} is {here[0]}x{here[1]} px, the others "
+            f"{size_wh[0]}x{size_wh[1]}"
+        )
+    return here
 
 
 def choose_views(

@@ -17,6 +17,7 @@ from measure.calibration.drawing import BAR_MM, Sheet
 from measure.calibration.targets import read_markers
 from measure.errors import ConfigError
 from measure.session import read_body
+from tests.chromium import Chromium, find_chromium
 
 TARGETS = Path(__file__).parents[2] / "calibration_targets"
 PX_PER_MM = 200 / 25.4
@@ -77,6 +78,28 @@ def test_svg_is_in_millimetres_and_says_the_same(tmp_path: Path) -> None:
     assert len(squares) == 35
     corner = (float(squares[0].get("x", 0)) + 25, float(squares[0].get("y", 0)) + 25)
     assert corner == pytest.approx(sheet.origin_mm, abs=1e-3)
+
+
+@pytest.mark.browser
+@pytest.mark.slow
+@pytest.mark.skipif(find_chromium() is None, reason="no chromium on this machine")
+@pytest.mark.parametrize("name", ["chessboard_9x6_25.toml", "charuco_8x5_27.toml"])
+def test_a_browser_draws_every_corner_of_the_svg_at_its_place(name: str, tmp_path: Path) -> None:
+    sheet, path = draw_target(TARGETS / name, tmp_path / "board.svg")
+    shown = tmp_path / "shown.html"
+    shown.write_text(f'<body style="margin:0"><img src="{path.name}"></body>')
+    with Chromium(1300, 900) as page:
+        page.open(shown.as_uri())
+        page.wait_for("document.readyState == 'complete' && document.images[0].complete", 60)
+        picture = page.screenshot()
+    gray = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_GRAYSCALE)
+    board = read_board(TARGETS / name)
+    found = board.find(np.asarray(gray, np.uint8))
+    assert found is not None
+    assert len(found.ids) == len(board.points)
+    first = board.points[found.ids] - board.points[0]
+    places = (found.pixels + 0.5) / 96 * 25.4  # CSS: 96 px an inch
+    np.testing.assert_allclose(places, first[:, :2] + sheet.origin_mm, atol=0.3)
 
 
 def test_the_papers_body_is_drawn_and_true(tmp_path: Path) -> None:

@@ -78,19 +78,35 @@ def judge_refinement(
     surprise, limit = _surprise(refinement)
     if surprise > _BEYOND_DOUBT * limit:
         raise CalibrationError(_contradiction(refinement, surprise))
-    held_out = halves.held_out_px
-    if held_out[1] > _WORSE * held_out[0]:
-        raise CalibrationError(
-            f"frame sets that played no part in the refinement fit worse after it "
-            f"({held_out[1]:.2f} px) than before ({held_out[0]:.2f} px): keep the first "
-            "calibration, or record a longer motion through the whole workspace"
-        )
-    notes = [_contradiction(refinement, surprise)] if surprise > limit else []
+    _refuse_worse(halves)
     camera_sd = (
         _camera_sd(refinement, refinement.prior),
         _camera_sd(refinement, refinement.covariance),
     )
     body_sd = _body_sd(first, body, recording, refinement)
+    notes = [_contradiction(refinement, surprise)] if surprise > limit else []
+    notes += _notes(body, refinement, halves, camera_sd, body_sd)
+    return RefineVerdict(camera_sd, body_sd, halves.held_out_px, surprise, tuple(notes))
+
+
+def _refuse_worse(halves: Halves) -> None:
+    before, after = halves.held_out_px
+    if after > _WORSE * before:
+        raise CalibrationError(
+            f"frame sets that played no part in the refinement fit worse after it "
+            f"({after:.2f} px) than before ({before:.2f} px): keep the first "
+            "calibration, or record a longer motion through the whole workspace"
+        )
+
+
+def _notes(
+    body: Body,
+    refinement: Refinement,
+    halves: Halves,
+    camera_sd: tuple[float, float],
+    body_sd: tuple[float, float],
+) -> list[str]:
+    notes = []
     if max(camera_sd[1] / camera_sd[0], body_sd[1] / body_sd[0]) > _LITTLE_GAIN:
         notes.append(
             f"this recording adds little to the first calibration: camera positions known to "
@@ -103,9 +119,9 @@ def judge_refinement(
             f"{what}: half hidden, lit from one side, or the camera was moved a little since it "
             "was calibrated"
         )
-    if not np.isfinite(held_out[0]):
+    if not np.isfinite(halves.held_out_px[0]):
         notes.append(f"{refinement.frames} frame sets are too few to hold some out and try them")
-    return RefineVerdict(camera_sd, body_sd, held_out, surprise, tuple(notes))
+    return notes
 
 
 def _body_sd(

@@ -122,12 +122,22 @@ def refine_rig(
     layout = Layout.of(cameras, len(body.balls), settings.body_tolerance_mm == 0, clocks_are_exact)
     prior = _prior(cameras, layout, body, recording, joint_covariance)
     problem = Problem(layout, body, settings.body_tolerance_mm, recording)
+    return _settled(problem, prior, problem.start(cameras), settings, caution)
+
+
+def _settled(
+    problem: Problem,
+    prior: CameraPrior,
+    first: RefinedState,
+    settings: RefineSettings,
+    caution: float,
+) -> Refinement:
+    """Solve and learn by turns until neither changes anything."""
     scatter = Scatter(
         constant_px=settings.constant_px,
         image_px=_START_PX,
         position_mm=settings.position_tolerance_mm,
     )
-    first = problem.start(cameras)
     before = _rms(problem.residuals_px(problem.solve(first, None, scatter).state))
     state = first
     for number in range(_ROUNDS):

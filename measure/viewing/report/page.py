@@ -36,7 +36,7 @@ p { margin:.3em 0 .7em; color:var(--soft); max-width:75ch; }
 .scroll { overflow-x:auto; } table { border-collapse:collapse; font-variant-numeric:tabular-nums; }
 th,td { text-align:right; padding:3px 12px 3px 0; border-bottom:1px solid var(--line);
   white-space:nowrap; } th:first-child,td:first-child { text-align:left; }
-td.words { text-align:left; white-space:normal; min-width:16em; }
+th.words,td.words { text-align:left; white-space:normal; min-width:16em; }
 pre { white-space:pre-wrap; overflow-wrap:anywhere; background:var(--paper); padding:10px;
   border-radius:8px; font-size:.85rem; }
 .pair { display:grid; gap:10px;
@@ -56,7 +56,7 @@ document.querySelectorAll("script.spec").forEach((spec) => {
 """
 
 _LONG = 40
-"""Longer texts in a table are broken into lines."""
+"""A column with longer texts is set as words: flush left, broken into lines."""
 
 
 @dataclass
@@ -93,8 +93,13 @@ class Page:
         self, heading: str, words: str, columns: Sequence[str], rows: Iterable[Sequence[object]]
     ) -> None:
         """A section with one table; floats get four significant digits."""
-        head = "".join(f"<th>{html.escape(column)}</th>" for column in columns)
-        body = "".join("<tr>" + "".join(map(_cell, row)) + "</tr>" for row in rows)
+        kept = [list(row) for row in rows]
+        texts = [any(_is_long(row[n]) for row in kept) for n in range(len(columns))]
+        head = "".join(
+            f"<th{_words(long)}>{html.escape(column)}</th>"
+            for column, long in zip(columns, texts, strict=True)
+        )
+        body = "".join("<tr>" + "".join(map(_cell, row, texts)) + "</tr>" for row in kept)
         table = f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
         self._section(heading, words, f'<div class="scroll">{table}</div>')
 
@@ -133,9 +138,15 @@ class Page:
         )
 
 
-def _cell(value: object) -> str:
+def _cell(value: object, is_text: bool) -> str:
     if isinstance(value, float):
         return f"<td>{'–' if value != value else f'{value:.4g}'}</td>"
-    text = str(value)
-    words = ' class="words"' if len(text) > _LONG else ""
-    return f"<td{words}>{html.escape(text)}</td>"
+    return f"<td{_words(is_text)}>{html.escape(str(value))}</td>"
+
+
+def _is_long(value: object) -> bool:
+    return isinstance(value, str) and len(value) > _LONG
+
+
+def _words(is_text: bool) -> str:
+    return ' class="words"' if is_text else ""
