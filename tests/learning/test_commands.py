@@ -36,7 +36,10 @@ def test_train_estimate_and_ablate(
     scores = json.loads(capsys.readouterr().out)["test"]
     assert scores["rms_change"] < -0.6
     card = (tmp_path / "model.card.md").read_text()
-    assert "On unseen trajectories" in (tmp_path / "model.report.html").read_text()
+    page = (tmp_path / "model.report.html").read_text()
+    assert "On unseen trajectories" in page
+    for heading in ("Distribution of the error", "Over time", "How to repeat it"):
+        assert f"<h2>{heading}</h2>" in page
     assert "# ridge for raven2-left" in card
     assert "measure" in card
     assert main(["estimate", str(model), "--input", str(data), "--output", str(out)]) == 0

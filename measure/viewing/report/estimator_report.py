@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,10 @@ from measure.learning.scores import Evaluation, Score, speed_range
 from measure.viewing.report import figures, style
 from measure.viewing.report.page import Page
 
+_TOO_SURE = 1.5
+"""Errors larger than this many promised standard deviations make the verdict doubtful."""
+_UNLIKE = 0.1
+"""So does a larger share of states that the estimator calls unfamiliar."""
 _SHOWN_S = 60.0
 """How much of a test trajectory is drawn."""
 
@@ -26,13 +31,8 @@ def estimator_report(trained: Trained, card: Mapping[str, Any]) -> str:
         card: the model card's values.
     """
     result = trained.evaluation
-    verdict = (
-        f"On unseen trajectories the error falls from {result.before.rms_mm:.2f} to "
-        f"{result.after.rms_mm:.2f} mm RMS ({result.rms_change:+.1%}), its SD from "
-        f"{result.before.sd_mm:.2f} to {result.after.sd_mm:.2f} mm ({result.sd_change:+.1%})."
-    )
-    tone = "good" if result.rms_change < -0.5 else "doubtful" if result.rms_change < 0 else "bad"
-    page = Page(f"{card['estimator']} for {card['robot']}", verdict, tone)
+    tone, sentence = verdict(result)
+    page = Page(f"{card['estimator']} for {card['robot']}", sentence, tone)
     page.facts(
         [
             ("training labels", str(card["data"]["training"]["usable"])),
@@ -46,6 +46,7 @@ def estimator_report(trained: Trained, card: Mapping[str, Any]) -> str:
         "RMS and standard deviation", words, _bars(result.before, result.after, "rms"),
         _bars(result.before, result.after, "sd"),
     )  # fmt: skip
+    _add_errors(page, trained)
     if np.isfinite(trained.test.times_s).all():
         words = (
             "Measured, reported and corrected position of one test trajectory, per axis, and how "
@@ -56,6 +57,20 @@ def estimator_report(trained: Trained, card: Mapping[str, Any]) -> str:
         words = "RMS on validation trajectories after every pass, and the training loss."
         page.figures("Learning curve", words, _curve(trained))
     _tables(page, result)
+    kept = (
+        "estimator",
+        "settings",
+        "seed",
+        "robot",
+        "data",
+        "created",
+        "triball",
+        "revision",
+        "python",
+    )
+    made_from = {key: card[key] for key in kept if card.get(key) is not None}
+    page.text("How to repeat it", "", str(card.get("command", "")))
+    page.text("Settings, data and versions", "", json.dumps(made_from, indent=2))
     return page.render("Made by measure train. Everything on this page is inside this file.")
 
 
@@ -73,6 +88,39 @@ def _tables(page: Page, result: Evaluation) -> None:
         [(speed_range(low, high), b.rows, b.rms_mm, a.rms_mm)
          for low, high, b, a in result.by_speed if b.rows],
     )  # fmt: skip
+
+
+def verdict(result: Evaluation) -> tuple[str, str]:
+    """Tone and sentence; one that promises too much is not good, however much it corrects."""
+    moves = "falls" if result.rms_change < 0 else "rises"
+    words = (
+        f"On unseen trajectories the error {moves} from {result.before.rms_mm:.2f} to "
+        f"{result.after.rms_mm:.2f} mm RMS ({result.rms_change:+.1%}), its SD from "
+        f"{result.before.sd_mm:.2f} to {result.after.sd_mm:.2f} mm ({result.sd_change:+.1%})."
+    )
+    doubts = []
+    if (times := result.consistency**0.5) > _TOO_SURE:
+        doubts.append(f"its errors are {times:.1f} times as large as it promises")
+    if result.unfamiliar > _UNLIKE:
+        doubts.append(f"it calls {result.unfamiliar:.0%} of the test unlike its training")
+    tone = "good" if result.rms_change < -0.5 else "doubtful" if result.rms_change < 0 else "bad"
+    if not doubts:
+        return tone, words
+    return "bad" if tone == "bad" else "doubtful", f"{words} But {' and '.join(doubts)}."
+
+
+def _add_errors(page: Page, trained: Trained) -> None:
+    """What was wrong, and what is left of it."""
+    data = trained.test
+    before = np.where(data.usable[:, None], data.errors_mm, np.nan)
+    left = before - trained.estimates.errors_mm
+    axes = ("x", "y", "z")
+    page.figures(
+        "Distribution of the error",
+        "Before the correction, and what is left after it, per axis; all test trajectories.",
+        figures.histograms(before, axes, "error before [mm]", "labels"),
+        figures.histograms(left, axes, "error after [mm]", "labels"),
+    )
 
 
 def write_estimator_report(trained: Trained, card: Mapping[str, Any], path: Path) -> None:

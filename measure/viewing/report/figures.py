@@ -46,8 +46,10 @@ def over_time(
     return figure
 
 
-def histograms(values: Floats, names: Sequence[str], label: str) -> go.Figure:
-    """One histogram per column of values (n, k), overlaid."""
+def histograms(
+    values: Floats, names: Sequence[str], label: str, counted: str = "frame sets"
+) -> go.Figure:
+    """One histogram per column of values (n, k), overlaid; `counted` names the rows."""
     figure = style.figure(barmode="overlay")
     for column, name in zip(values.T, names, strict=True):
         finite = column[np.isfinite(column)]
@@ -65,7 +67,7 @@ def histograms(values: Floats, names: Sequence[str], label: str) -> go.Figure:
             )
         )
     figure.update_xaxes(title=label)
-    figure.update_yaxes(title="frame sets")
+    figure.update_yaxes(title=counted)
     return figure
 
 
