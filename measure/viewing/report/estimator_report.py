@@ -19,6 +19,9 @@ _TOO_SURE = 1.5
 """Errors larger than this many promised standard deviations make the verdict doubtful."""
 _UNLIKE = 0.1
 """So does a larger share of states that the estimator calls unfamiliar."""
+_MADE_FROM = (
+    "estimator", "settings", "seed", "robot", "data", "created", "triball", "revision", "python",
+)  # fmt: skip
 _SHOWN_S = 60.0
 """How much of a test trajectory is drawn."""
 
@@ -57,20 +60,7 @@ def estimator_report(trained: Trained, card: Mapping[str, Any]) -> str:
         words = "RMS on validation trajectories after every pass, and the training loss."
         page.figures("Learning curve", words, _curve(trained))
     _tables(page, result)
-    kept = (
-        "estimator",
-        "settings",
-        "seed",
-        "robot",
-        "data",
-        "created",
-        "triball",
-        "revision",
-        "python",
-    )
-    made_from = {key: card[key] for key in kept if card.get(key) is not None}
-    page.text("How to repeat it", "", str(card.get("command", "")))
-    page.text("Settings, data and versions", "", json.dumps(made_from, indent=2))
+    _add_provenance(page, card)
     return page.render("Made by measure train. Everything on this page is inside this file.")
 
 
@@ -121,6 +111,12 @@ def _add_errors(page: Page, trained: Trained) -> None:
         figures.histograms(before, axes, "error before [mm]", "labels"),
         figures.histograms(left, axes, "error after [mm]", "labels"),
     )
+
+
+def _add_provenance(page: Page, card: Mapping[str, Any]) -> None:
+    made_from = {key: card[key] for key in _MADE_FROM if card.get(key) is not None}
+    page.text("How to repeat it", "", str(card.get("command", "")))
+    page.text("Settings, data and versions", "", json.dumps(made_from, indent=2))
 
 
 def write_estimator_report(trained: Trained, card: Mapping[str, Any], path: Path) -> None:
