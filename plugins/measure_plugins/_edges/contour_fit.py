@@ -10,6 +10,7 @@ from measure.arrays import Floats
 from measure.compiling import compiled
 from measure_plugins._edges.contour_terms import OWN, Terms, collect, empty_terms
 from measure_plugins._edges.contours import Contours
+from measure_plugins._edges.linear import cholesky, solve_factored
 from measure_plugins._edges.rotation import rotation_of, rotvec_of, skew
 from measure_plugins._edges.selection import median
 
@@ -134,23 +135,46 @@ def _equations(contours: Contours, terms: Terms, offsets: Floats) -> tuple[Float
     for view in range(len(offsets)):
         normal[6 + view, 6 + view] = 1 / _OFFSET_SD_PX**2
         right[6 + view] = -offsets[view] / _OFFSET_SD_PX**2
+    half = np.empty((4, 6))
     for k in range(len(contours.view_of)):
-        made_of = _shared(contours, terms, k, count)
-        normal += made_of.T @ terms.normal[k] @ made_of
-        right += made_of.T @ terms.right[k]
+        _add_terms(terms, k, 6 + contours.view_of[k], half, normal, right)
     return normal, right
+
+
+@compiled
+def _add_terms(
+    terms: Terms, k: int, offset: int, half: Floats, normal: Floats, right: Floats
+) -> None:
+    """Add ball-view k's terms; its centre moves by its arms, its view's offset is a row alone."""
+    arms, own = terms.arms[k], terms.normal[k]
+    for a in range(4):
+        for j in range(6):
+            half[a, j] = own[a, 0] * arms[0, j] + own[a, 1] * arms[1, j] + own[a, 2] * arms[2, j]
+    for i in range(6):
+        for a in range(3):
+            right[i] += arms[a, i] * terms.right[k, a]
+            for j in range(6):
+                normal[i, j] += arms[a, i] * half[a, j]
+        normal[offset, i] += half[3, i]
+        normal[i, offset] += half[3, i]
+    normal[offset, offset] += own[3, 3]
+    right[offset] += terms.right[k, 3]
 
 
 @compiled
 def _inverse(normal: Floats) -> tuple[Floats, bool]:
     """The inverse of a normal matrix, and whether the equations determine their unknowns."""
+    n = len(normal)
     size = np.sqrt(np.diag(normal))
+    inverse, factor, unit = np.zeros((n, n)), np.empty((n, n)), np.zeros(n)
     if not np.all(size > 0) or not np.all(np.isfinite(normal)):
-        return np.zeros_like(normal), False
-    scaled = normal / np.outer(size, size)
-    if not np.linalg.det(scaled) > 0:
-        return np.zeros_like(normal), False
-    inverse = np.linalg.inv(scaled)
+        return inverse, False
+    if not cholesky(normal / np.outer(size, size), factor):
+        return inverse, False
+    for i in range(n):
+        unit[i] = 1.0
+        solve_factored(factor, unit, inverse[i])
+        unit[i] = 0.0
     solved = np.all(np.isfinite(inverse)) and np.max(np.diag(inverse)) < _ILL_CONDITIONED
     return inverse / np.outer(size, size), bool(solved)
 
@@ -159,8 +183,13 @@ def _inverse(normal: Floats) -> tuple[Floats, bool]:
 def _own_steps(contours: Contours, terms: Terms, step: Floats) -> Floats:
     """The ball-views' own unknowns (k, 3), given the step of the shared ones."""
     out = np.empty((len(contours.view_of), OWN))
+    shared = np.empty(4)
     for k in range(len(out)):
-        out[k] = terms.offset[k] - terms.gain[k] @ (_shared(contours, terms, k, len(step)) @ step)
+        for a in range(3):
+            shared[a] = np.sum(terms.arms[k, a] * step[:6])
+        shared[3] = step[6 + contours.view_of[k]]
+        for a in range(OWN):
+            out[k, a] = terms.offset[k, a] - np.sum(terms.gain[k, a] * shared)
     return out
 
 
@@ -182,13 +211,17 @@ def _scatter(
     prior = _SCATTER_PRIOR_COUNT * _SCATTER_PRIOR_PX**2
     center, known_center = prior, _SCATTER_PRIOR_COUNT
     radius, known_radius = prior, _SCATTER_PRIOR_COUNT
-    apart = np.empty(len(doubt))
+    apart, reach = np.empty(len(doubt)), np.empty(7)
     for k in range(len(doubt)):
-        made_of = _shared(contours, terms, k, len(covariance))
-        reach = terms.gain[k] @ made_of
-        spread = terms.own_covariance[k] + reach @ covariance @ reach.T
         for a in range(OWN):
-            known = min(max(1 - spread[a, a] / (scatter[a] * doubt[k]), 0.02), 1.0)
+            gain = terms.gain[k, a]
+            for j in range(6):
+                arms = terms.arms[k, :, j]
+                reach[j] = gain[0] * arms[0] + gain[1] * arms[1] + gain[2] * arms[2]
+            reach[6] = gain[3]
+            spread = terms.own_covariance[k, a, a]
+            spread += _variance(reach, covariance, 6 + contours.view_of[k])
+            known = min(max(1 - spread / (scatter[a] * doubt[k]), 0.02), 1.0)
             if a < 2:
                 center += shifts[k, a] ** 2 / doubt[k]
                 known_center += known
@@ -201,6 +234,17 @@ def _scatter(
     out[2] = max(radius / known_radius, _RADIUS_SCATTER_FLOOR_PX**2)
     typical = max(median(apart.copy(), len(apart)) / 1.386, 0.05**2)
     return out, np.maximum(1.0, apart / (9.0 * typical))
+
+
+@compiled
+def _variance(reach: Floats, covariance: Floats, offset: int) -> float:
+    """Variance of `reach` (7,) times the pose and one offset, whose row of `covariance` is told."""
+    total = reach[6] ** 2 * covariance[offset, offset]
+    for i in range(6):
+        total += 2 * reach[6] * reach[i] * covariance[offset, i]
+        for j in range(6):
+            total += reach[i] * reach[j] * covariance[i, j]
+    return float(total)
 
 
 @compiled

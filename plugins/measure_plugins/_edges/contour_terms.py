@@ -18,7 +18,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.compiling import compiled
 from measure_plugins._edges.contours import Contours
-from measure_plugins._edges.rotation import rotation_of, skew
+from measure_plugins._edges.rotation import rotation_of, times
 from measure_plugins._edges.selection import median
 
 OWN = 3
@@ -87,12 +87,19 @@ def collect(
     """
     for k in range(len(contours.view_of)):
         first, last = contours.start[k], contours.start[k + 1]
-        turn = contours.rotations[contours.view_of[k]]
-        arm = rotation @ contours.centers_body[k]
-        moved = contours.motion[k, :3] + rotation_of(contours.motion[k, 3:]) @ arm - arm
-        center = turn @ (translation + arm + moved) + contours.translations[contours.view_of[k]]
+        turn, here = contours.rotations[contours.view_of[k]], contours.motion[k]
+        arm = times(rotation, contours.centers_body[k])
+        moved = here[:3].copy()
+        if np.any(here[3:] != 0):
+            moved += times(rotation_of(here[3:]), arm) - arm
+        center = times(turn, translation + arm + moved) + contours.translations[contours.view_of[k]]
         terms.arms[k, :, :3] = turn
-        terms.arms[k, :, 3:] = -(turn @ skew(arm))
+        for a in range(3):
+            # A turn about the body's origin moves the centre by its cross product with the arm.
+            x, y, z = turn[a]
+            terms.arms[k, a, 3] = arm[1] * z - arm[2] * y
+            terms.arms[k, a, 4] = arm[2] * x - arm[0] * z
+            terms.arms[k, a, 5] = arm[0] * y - arm[1] * x
         columns = _columns(center, contours.radii[k], contours, first, last)
         columns[6] -= offsets[contours.view_of[k]]
         weights = _weights(columns, shifts[k], contours.sd_px[first:last])
@@ -154,18 +161,21 @@ def _weights(columns: Floats, shift: Floats, sd: Floats) -> Floats:
 @compiled
 def _moments(columns: Floats, weights: Floats) -> Floats:
     """Weighted sums of products of the columns, (7, 7)."""
-    out = np.empty((_COLUMNS, _COLUMNS))
+    out, weighted = np.empty((_COLUMNS, _COLUMNS)), np.empty(len(weights))
     for a in range(_COLUMNS):
-        weighted = weights * columns[a]
+        for i in range(len(weights)):
+            weighted[i] = weights[i] * columns[a, i]
         for b in range(a + 1):
-            out[a, b] = np.sum(weighted * columns[b])
-            out[b, a] = out[a, b]
+            total = 0.0
+            for i in range(len(weights)):
+                total += weighted[i] * columns[b, i]
+            out[a, b] = out[b, a] = total
     return out
 
 
 @compiled
 def _eliminate(moments: Floats, variances: Floats, k: int, terms: Terms) -> None:
-    """Ball-view k's terms from its moments."""
+    """Ball-view k's terms from its moments; not a number where a step led inside the ball."""
     own, cross = np.empty((OWN, OWN)), np.empty((OWN, _SHARED))
     right = np.empty(OWN)
     for a in range(OWN):
@@ -175,14 +185,25 @@ def _eliminate(moments: Floats, variances: Floats, k: int, terms: Terms) -> None
         for b in range(OWN):
             own[a, b] = moments[row, _OWN_COLUMNS[b]]
         own[a, a] += 1 / variances[a]
-    if not np.all(np.isfinite(own)):
-        # A step that put the camera inside the ball: the equations say so, LAPACK would raise.
-        terms.normal[k] = np.nan
-        return
-    inverse = np.linalg.inv(own)
-    gain = inverse @ cross
+    inverse = _inverse3(own)
+    gain, offset = terms.gain[k], terms.offset[k]
+    for a in range(OWN):
+        offset[a] = np.sum(inverse[a] * right)
+        for j in range(_SHARED):
+            gain[a, j] = np.sum(inverse[a] * cross[:, j])
     terms.own_covariance[k] = inverse
-    terms.gain[k] = gain
-    terms.offset[k] = inverse @ right
-    terms.normal[k] = moments[:_SHARED, :_SHARED] - cross.T @ gain
-    terms.right[k] = moments[:_SHARED, 6] - cross.T @ terms.offset[k]
+    for i in range(_SHARED):
+        terms.right[k, i] = moments[i, 6] - np.sum(cross[:, i] * offset)
+        for j in range(_SHARED):
+            terms.normal[k, i, j] = moments[i, j] - np.sum(cross[:, i] * gain[:, j])
+
+
+@compiled
+def _inverse3(m: Floats) -> Floats:
+    """The inverse of a matrix (3, 3) by its cofactors."""
+    out = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            a, b, c, d = (i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3
+            out[j, i] = m[a, c] * m[b, d] - m[a, d] * m[b, c]
+    return out / np.sum(m[0] * out[:, 0])

@@ -15,6 +15,15 @@ def skew(v: Floats) -> Floats:
 
 
 @compiled
+def times(matrix: Floats, v: Floats) -> Floats:
+    """A matrix (3, 3) times a vector (3,); for so few numbers a library call costs more."""
+    out = np.empty(3)
+    for i in range(3):
+        out[i] = matrix[i, 0] * v[0] + matrix[i, 1] * v[1] + matrix[i, 2] * v[2]
+    return out
+
+
+@compiled
 def rotation_of(rotvec: Floats) -> Floats:
     """The rotation (3, 3) of a rotation vector (3,) in rad (Rodrigues)."""
     angle = np.sqrt(np.sum(rotvec * rotvec))
