@@ -44,7 +44,7 @@ def main() -> None:
     print(f"{'session':12}" + "".join(f"{name:>13}" for name in names))
     for folder in given.sessions:
         with open_session(folder) as session:
-            reference, table, first = _stages(session, given.profile, given.repeats)
+            reference, table, first = stages(session, given.profile, given.repeats)
         ratios = "".join(f"{value / reference:11.2f} x" for value in (*table, first))
         print(f"{session.name:12}{1e3 * reference:13.3f}{ratios}")
         if given.whole:
@@ -65,7 +65,7 @@ def _watch(stage: object, method: str, spent: list[float]) -> None:
     setattr(stage, method, timed)
 
 
-def _stages(session: Session, profile: str, repeats: int) -> tuple[float, Floats, float]:
+def stages(session: Session, profile: str, repeats: int) -> tuple[float, Floats, float]:
     """Reference operation, the stages with the rest and all (5,), and the first frame set, in s."""
     sets = [_decoded(frame_set) for frame_set in session.frame_sets()]
     registry = Registry.discover()

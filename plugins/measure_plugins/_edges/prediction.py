@@ -46,13 +46,15 @@ def predict_light(
     """
     m, n = profiles.shape[1:]
     own = own_color(profiles, free, steps)
-    _, behind_grey = behind = split(background, own)
+    behind, behind_grey = np.empty(n), np.empty(n)
+    split(background, own, behind, behind_grey)
     amounts, grey = np.empty((m, n)), np.empty((m, n))
     for j in range(m):
-        amount, colorless = split(profiles[:, j], own)
-        for i in range(n):
-            amounts[j, i] = amount[i] - radial.outside[j] * behind[0][i]
-            grey[j, i] = colorless[i] - radial.outside[j] * behind_grey[i]
+        split(profiles[:, j], own, amounts[j], grey[j])
+        if radial.outside[j] > 0:
+            for i in range(n):
+                amounts[j, i] -= radial.outside[j] * behind[i]
+                grey[j, i] -= radial.outside[j] * behind_grey[i]
     angular = angular_terms(around)
     shading = radial_amounts(fit_shading(amounts, free, angular, steps, radial.diffuse), angular)
     reflected = reflected_light(grey, free, radial.solve_grey)

@@ -47,16 +47,21 @@ def cast_rays(
     """
     points, normals = np.empty((count, 2)), np.empty((count, 2))
     scale, around = np.empty(count), np.empty((count, 2))
+    wide = half_angle + _TILT
+    near, aside = np.cos(half_angle), np.sin(half_angle)
+    near2, aside2 = np.cos(wide), np.sin(wide)
     for i in range(count):
         phi = 2 * np.pi * i / count
         cosine, sine = np.cos(phi), np.sin(phi)
         around[i, 0], around[i, 1] = cosine, sine
-        side = cosine * frame[0] + sine * frame[1]
-        at = np.cos(half_angle) * frame[2] + np.sin(half_angle) * side
-        u, v = to_pixel(at[0], at[1], at[2], lens)
-        wide = half_angle + _TILT
-        at = np.cos(wide) * frame[2] + np.sin(wide) * side
-        u2, v2 = to_pixel(at[0], at[1], at[2], lens)
+        x = cosine * frame[0, 0] + sine * frame[1, 0]
+        y = cosine * frame[0, 1] + sine * frame[1, 1]
+        z = cosine * frame[0, 2] + sine * frame[1, 2]
+        c, d, e = frame[2]
+        u, v = to_pixel(near * c + aside * x, near * d + aside * y, near * e + aside * z, lens)
+        u2, v2 = to_pixel(
+            near2 * c + aside2 * x, near2 * d + aside2 * y, near2 * e + aside2 * z, lens
+        )
         length = np.sqrt((u2 - u) ** 2 + (v2 - v) ** 2)
         points[i, 0], points[i, 1] = u, v
         normals[i, 0], normals[i, 1] = (u2 - u) / length, (v2 - v) / length
@@ -100,13 +105,15 @@ def ways(
     if len(near) == 0:
         return out
     for i in range(len(scale)):
-        side = around[i, 0] * frame[0] + around[i, 1] * frame[1]
         for step in range(5):
             s = reach[0] + (reach[1] - reach[0]) * step / 4
             beta = half_angle + s / scale[i]
-            at = np.cos(beta) * frame[2] + np.sin(beta) * side
+            along, aside = np.cos(beta), np.sin(beta)
             for k in near:
-                cosine = at[0] * nearer[k, 0] + at[1] * nearer[k, 1] + at[2] * nearer[k, 2]
+                cosine = 0.0
+                for a in range(3):
+                    side = around[i, 0] * frame[0, a] + around[i, 1] * frame[1, a]
+                    cosine += (along * frame[2, a] + aside * side) * nearer[k, a]
                 if cosine > np.cos(nearer[k, 3] + margin_px / scale[i]):
                     out[i] = HIDDEN
     return out

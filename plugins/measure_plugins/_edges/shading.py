@@ -22,6 +22,7 @@ _COLORLESS = 0.15
 _FIT_LAST_PX = 1.0
 _OWN_LAST_PX = -3.0
 _ROUNDS = 4
+_NEIGHBOURS = np.exp(-0.5 * (np.arange(5) / 1.5) ** 2)
 
 
 @compiled
@@ -57,19 +58,19 @@ def own_color(profiles: Floats, free: Floats, steps: Floats) -> Floats:
 
 
 @compiled
-def split(colors: Floats, own: Floats) -> tuple[Floats, Floats]:
+def split(colors: Floats, own: Floats, amount: Floats, grey: Floats) -> None:
     """Amounts (n,) of a ball's own colour and of grey in colours (3, n), by least squares."""
     b = np.sum(own) * GREY
     apart = 1 - b * b
     separable = apart > _COLORLESS**2
-    n = colors.shape[1]
-    amount, grey = np.empty(n), np.zeros(n)
-    for i in range(n):
+    per, mixed, greyness = 1 / apart, b / apart, 1.0
+    if not separable:
+        per, mixed, greyness = 1.0, 0.0, 0.0
+    for i in range(len(amount)):
         p = colors[0, i] * own[0] + colors[1, i] * own[1] + colors[2, i] * own[2]
         q = (colors[0, i] + colors[1, i] + colors[2, i]) * GREY
-        amount[i] = (p - b * q) / apart if separable else p
-        grey[i] = (q - b * p) / apart if separable else 0.0
-    return amount, grey
+        amount[i] = per * p - mixed * q
+        grey[i] = greyness * (per * q - mixed * p)
 
 
 @compiled
@@ -170,11 +171,11 @@ def _residuals(seen: Floats, shape: Floats, rays: Floats, out: Floats) -> None:
 
 @compiled
 def _median_size(off: Floats, free: Floats) -> float:
-    """Median of the sizes of residuals (m, n) on free rays."""
+    """Median of the sizes of residuals (m, n) on free rays, from every third step."""
     m, n = off.shape
     sizes = np.empty(m * n)
     count = 0
-    for j in range(m):
+    for j in range(0, m, 3):
         for i in range(n):
             if free[i] == 0:
                 sizes[count] = abs(off[j, i])
@@ -208,7 +209,7 @@ def reflected_light(grey: Floats, free: Floats, solve: Floats) -> Floats:
         for shift in range(-4, 5):
             other = (i + shift) % n
             if free[other] == 0:
-                w = np.exp(-0.5 * (shift / 1.5) ** 2)
+                w = _NEIGHBOURS[abs(shift)]
                 total += w
                 for k in range(knots):
                     out[k, i] += w * single[k, other]

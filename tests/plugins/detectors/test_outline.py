@@ -58,6 +58,18 @@ def hidden_elsewhere(camera):
     ]
 
 
+@pytest.mark.parametrize("off_mm", [0.2, 0.8, 2.5, 4.0])
+def test_the_outline_is_the_same_wherever_it_was_predicted(camera, detector, off_mm):
+    """Near, at the edge of a narrow look and beyond it: 0.5 to 10 px off."""
+    center = at_angle(6.0, 40.0)
+    pixels = picture(camera, center, background=(30, 30, 30))
+    true = camera.intrinsics.project(center[None])[0]
+    for shift in ((off_mm, 0, 0), (0, -off_mm, 0.5)):
+        expected = expect(camera, "red", center, 20.0, shift=shift, reach_px=14.0)
+        (found,) = detector.detect(image_of(camera, pixels), [expected, *hidden_elsewhere(camera)])
+        assert np.max(np.abs(found.center_px - true)) < 0.03
+
+
 def test_covariance_matches_scatter(camera, detector):
     rng = np.random.default_rng(4)
     center = at_angle(5.0, 40.0)

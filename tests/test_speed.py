@@ -1,0 +1,20 @@
+"""Tracking keeps its pace, told in reference operations: a busy machine slows both alike."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from benchmarks.tracking_timing import stages
+from measure.session import open_session
+
+_MOST_REFERENCES = 36.0
+"""CPU time of a tracked frame set; 24 were measured, on a busy machine."""
+
+
+@pytest.mark.slow
+def test_a_tracked_frame_set_costs_no_more_than_it_did(shared: Path) -> None:
+    with open_session(shared / "renders" / "still") as session:
+        reference_s, spent_s, _ = stages(session, "precise", repeats=2)
+    assert spent_s[-1] / reference_s < _MOST_REFERENCES
