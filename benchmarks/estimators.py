@@ -34,8 +34,8 @@ from the same {training} of them, was chosen and stopped by {validation}, and is
 that none has seen. Reported position: RMS {rms:.3f} mm, SD {sd:.3f} mm
 (x {x:.2f}, y {y:.2f}, z {z:.2f} mm RMS). The labels' own noise is 0.17 mm.
 
-Made by `python -m benchmarks.estimators FOLDER --out docs/estimators.md --ship`, which also puts the
-network of the last line into the package, and runs for each line
+Made by `python -m benchmarks.estimators FOLDER --out docs/estimators.md --ship`, which also puts
+the network of the last line into the package, and runs for each line
 
 ```text
 measure dataset --simulate-min {minutes:g} --seed 1 --out sim.parquet
