@@ -27,7 +27,8 @@ def main() -> None:
     parser.add_argument("--second", type=float, default=60.0, help="seconds of the second one")
     parser.add_argument("--frame-hz", type=float, default=15.0, help="frame sets per second")
     parser.add_argument("--cut-s", type=float, default=60.0, help="length of a trajectory")
-    parser.add_argument("--options", default="", help="of `measure train`")
+    parser.add_argument("--pairing", default="", help="options of `measure dataset`")
+    parser.add_argument("--options", default="", help="options of `measure train`")
     given = parser.parse_args()
     given.folder.mkdir(parents=True, exist_ok=True)
     for made, words in commands(given):
@@ -42,7 +43,7 @@ def main() -> None:
 def commands(given: argparse.Namespace) -> list[tuple[str, str]]:
     """What each command makes, and its words."""
     hz = f"--frame-hz {given.frame_hz:g}"
-    pair = "--robot-log {0}/robot.parquet --out {0}.parquet"
+    pair = f"--robot-log {{0}}/robot.parquet --out {{0}}.parquet {given.pairing}"
     estimate = "estimate model.onnx --input second/robot.parquet --output"
     return [
         ("first/session.toml", f"simulate first --seconds {given.seconds:g} {hz} --seed 1"),

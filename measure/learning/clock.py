@@ -12,6 +12,7 @@ from measure.errors import EstimatorError
 _GRID_HZ = 100.0
 _SPAN_S = 0.1  # velocities are differences over twice this
 _LEAST_CORRELATION = 0.8
+_SPARSE_S = 0.4  # poses farther apart miss most of a hand's motion
 
 
 @dataclass(frozen=True)
@@ -58,9 +59,12 @@ def estimate_offset(
     lags, scores = _scores(measured, grid, robot_times_s, reported_mm, largest_s)
     best = int(np.nanargmax(scores)) if np.isfinite(scores).any() else 0
     if not scores[best] >= _LEAST_CORRELATION:
+        step = float(np.median(np.diff(camera_times_s)))
+        hint = f" Poses every {step:.2g} s hardly show speeds: give the clock offset."
         raise EstimatorError(
             f"no clock offset within {largest_s:g} s makes the measured and the reported speed "
             f"agree (best correlation {scores[best]:.2f}): is this the log of this recording?"
+            + (hint if step > _SPARSE_S else "")
         )
     return _refine(
         measured, robot_times_s, reported_mm, grid, lags[best] / _GRID_HZ, float(scores[best])

@@ -57,6 +57,14 @@ def test_clocks_that_do_not_match(pair: tuple[PoseTrack, RobotLog]) -> None:
     other, _ = recording(simulate(30.0, 9, log_hz=100.0), "other", 9, frame_hz=30.0)
     with pytest.raises(EstimatorError, match="no clock offset within 5 s"):
         assemble([(other, log)])
+    sparse = replace(
+        other,
+        times_s=other.times_s[::30],
+        positions_mm=other.positions_mm[::30],
+        covariances=other.covariances[::30],
+    )
+    with pytest.raises(EstimatorError, match="Poses every 1 s hardly show speeds"):
+        assemble([(sparse, log)])
     late = replace(track, times_s=track.times_s + 1000.0)
     with pytest.raises(EstimatorError, match="share less than 2 s"):
         assemble([(late, log)])
