@@ -15,7 +15,6 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform
-from measure.host.settings import Settings, setting
 from measure.measuring.association.leftovers import signs_of_another
 from measure.measuring.association.points import Candidates, by_ball, meeting_points
 from measure.measuring.association.poses import (
@@ -24,6 +23,7 @@ from measure.measuring.association.poses import (
     poses_from_triples,
     support,
 )
+from measure.measuring.association.settings import AssociationSettings
 from measure.measuring.pose_fit import Sightings, fit_pose
 from measure.model import Body, Camera, Detection
 
@@ -34,40 +34,6 @@ _MOST_MISFIT = 25.0
 """One outline alone may decide, but not beyond five standard deviations."""
 _TOLERANCE = 1e-3
 """Steps, in mm and rad, that no longer change who agrees."""
-
-
-class AssociationSettings(Settings):
-    """When candidates of several cameras count as one body."""
-
-    sigmas: float = setting(
-        3.5, "Candidates agree with a pose within this many standard deviations.", gt=0
-    )
-    extra_px: float = setting(
-        1.5, "Added to every candidate's standard deviation in quadrature.", unit="px", ge=0
-    )
-    range_ratio: float = setting(
-        1.4, "How far an outline's size may mislead about the distance, as a factor.", gt=1
-    )
-    min_views: int = setting(5, "Least number of ball sightings, over all cameras.", ge=4)
-    min_share: float = setting(
-        0.4, "Least share of the balls in view, over all cameras, that must be found.", ge=0, le=1
-    )
-    rival_score: float = setting(
-        0.5,
-        "Another pose whose score is this share of the best one's makes the answer ambiguous.",
-        gt=0,
-        le=1,
-    )
-    twin_score: float = setting(
-        0.9,
-        "The same, for a pose that rests mostly on the same candidates: a mirror image, say.",
-        gt=0,
-        le=1,
-    )
-    rival_mm: float = setting(
-        8.0, "Poses count as different if some ball is this far apart.", unit="mm", gt=0
-    )
-    max_points: int = setting(40, "Most possible centres kept per ball.", ge=3)
 
 
 @dataclass(frozen=True, eq=False)
