@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 
@@ -264,50 +262,3 @@ def test_the_mistake_is_explained_in_one_line(recording: Recording, name: str) -
     assert "\n" not in message
     for part in expected:
         assert part in message, message
-
-
-def test_a_missing_folder_is_named_with_near_names(recording: Recording) -> None:
-    with pytest.raises(SessionError, match="did you mean rec"):
-        open_session(recording.path.with_name("recc"))
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
-def test_an_unreadable_file_is_named(recording: Recording) -> None:
-    (recording.path / "body.toml").chmod(0)
-    with pytest.raises(SessionError, match=r"body\.toml: cannot be read: Permission denied"):
-        open_session(recording.path)
-
-
-def test_an_unreadable_file_is_named_whoever_reads(
-    recording: Recording, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    read_text = Path.read_text
-
-    def refuse(path: Path, *args: object, **kwargs: object) -> str:
-        if path.name == "body.toml":
-            raise PermissionError(13, "Permission denied", str(path))
-        return read_text(path, *args, **kwargs)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(Path, "read_text", refuse)
-    with pytest.raises(SessionError, match=r"body\.toml: cannot be read: Permission denied"):
-        open_session(recording.path)
-
-
-@pytest.mark.parametrize(
-    ("data", "words"),
-    [
-        (jpeg(60)[:-40], "truncated JPEG"),
-        (jpeg(60, (32, 24)), "is 32x24 px, the first image 64x48"),
-        (b"hello", "not a picture"),
-    ],
-)
-def test_a_bad_image_raises_at_its_own_frame(recording: Recording, data: bytes, words: str) -> None:
-    (recording.path / "cam2/000003.jpg").write_bytes(data)
-    done = []
-    with (
-        open_session(recording.path) as session,
-        pytest.raises(SessionError, match=r"camera 'cam2', frame 3: .*000003\.jpg") as caught,
-    ):
-        done.extend(frame_set.index for frame_set in session.frame_sets(prefetch=4))
-    assert done == [0, 1, 2]
-    assert words in str(caught.value)
