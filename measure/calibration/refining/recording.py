@@ -107,7 +107,8 @@ def recording_of(
     if len(kept) < MIN_FRAMES:
         raise CalibrationError(
             f"{len(kept)} frame sets with {'a' if doubted else 'an unflagged'} pose, at least "
-            f"{MIN_FRAMES} are needed to refine cameras from motion"
+            f"{MIN_FRAMES} are needed to refine cameras from motion; `measure check` names a "
+            "camera that was moved"
         )
     kept = kept[:limit]
     poses = stack([m.pose.world_from_body for m in kept if m.pose is not None])
