@@ -40,6 +40,8 @@ class ContourFit(NamedTuple):
         offsets_px: (c,) outward edge offset of every view.
         shifts_px: (k, 3) of each ball-view: x, y and radius by which its outline sits off.
         shift_sd_px: (2,) estimated scatter of those: centre (per axis) and radius.
+        by_step: (k, 6, 3) how the pose reacts if a ball-view shows its ball elsewhere, per mm of
+            the world's axes.
         by_camera: (c, 6, 6) how the pose reacts to each camera's pose, in their `perturb` charts.
         by_shift: (k, 6, 3) how the pose reacts to what shifts a ball-view's outline, per px.
         solved: whether the outlines determine the pose.
@@ -52,6 +54,7 @@ class ContourFit(NamedTuple):
     offsets_px: Floats
     shifts_px: Floats
     shift_sd_px: Floats
+    by_step: Floats
     by_camera: Floats
     by_shift: Floats
     solved: bool
@@ -97,8 +100,10 @@ def fit_contours(
             break
     variances = doubt.reshape(-1, 1) * scatter
     collect(contours, rotation, translation, offsets, shifts, variances, terms)
-    by_camera = _by_camera(contours, terms, rotation, translation)
-    by_shift = _by_shift(contours, terms, variances)
+    normal, _ = _equations(contours, terms, offsets)
+    normal[:6, :6] += prior_information
+    inverse, _ = _inverse(normal)
+    by_step = _by_step(contours, terms, inverse)
     return ContourFit(
         rotation,
         translation,
@@ -106,8 +111,9 @@ def fit_contours(
         offsets,
         shifts,
         np.sqrt(scatter[1:]),
-        by_camera,
-        by_shift,
+        by_step,
+        _by_camera(contours, by_step, rotation, translation),
+        _by_shift(contours, terms, variances, inverse),
         solved,
         _within(step, _SETTLED_MM, _SETTLED_RAD),
     )
@@ -248,44 +254,42 @@ def _variance(reach: Floats, covariance: Floats, offset: int) -> float:
 
 
 @compiled
-def _by_camera(contours: Contours, terms: Terms, rotation: Floats, translation: Floats) -> Floats:
-    """How the fitted pose (6,) reacts to the cameras' poses: (c, 6, 6), in their `perturb` charts.
-
-    Moving a camera by (dt, w) moves every ball, as the camera sees it, by -dt - w x (X - t).
-    """
-    c = len(contours.rotations)
-    normal, _ = _equations(contours, terms, np.zeros(c))
-    inverse, _ = _inverse(normal)
-    right = np.zeros((c, 6 + c, 6))
-    for k in range(len(contours.view_of)):
-        view = contours.view_of[k]
-        turn = contours.rotations[view]
-        camera = -(turn.T @ contours.translations[view])
-        arm = rotation @ contours.centers_body[k] + translation - camera
-        moves = np.empty((3, 6))
-        moves[:, :3] = turn
-        moves[:, 3:] = -(turn @ skew(arm))
-        made_of = _shared(contours, terms, k, 6 + c)
-        right[view] += made_of.T @ (np.ascontiguousarray(terms.normal[k][:, :3]) @ moves)
-    out = np.empty((c, 6, 6))
-    for view in range(c):
-        out[view] = (inverse @ right[view])[:6]
+def _by_step(contours: Contours, terms: Terms, inverse: Floats) -> Floats:
+    """How the fitted pose reacts to steps of single ball-views' balls in the world: (k, 6, 3)."""
+    out = np.empty((len(contours.view_of), 6, 3))
+    for k in range(len(out)):
+        turn = contours.rotations[contours.view_of[k]]
+        right = np.ascontiguousarray(terms.normal[k][:, :3]) @ turn
+        out[k] = (inverse @ (_shared(contours, terms, k, len(inverse)).T @ right))[:6]
     return out
 
 
 @compiled
-def _by_shift(contours: Contours, terms: Terms, variances: Floats) -> Floats:
+def _by_camera(
+    contours: Contours, by_step: Floats, rotation: Floats, translation: Floats
+) -> Floats:
+    """How the fitted pose (6,) reacts to the cameras' poses: (c, 6, 6), in their `perturb` charts.
+
+    Moving a camera by (dt, w) moves every ball, as the camera sees it, by -dt - w x (X - t).
+    """
+    out = np.zeros((len(contours.rotations), 6, 6))
+    for k in range(len(contours.view_of)):
+        view = contours.view_of[k]
+        camera = -(contours.rotations[view].T @ contours.translations[view])
+        arm = rotation @ contours.centers_body[k] + translation - camera
+        out[view, :, :3] += by_step[k]
+        out[view, :, 3:] -= by_step[k] @ skew(arm)
+    return out
+
+
+@compiled
+def _by_shift(contours: Contours, terms: Terms, variances: Floats, inverse: Floats) -> Floats:
     """How the fitted pose reacts to shifts (x, y, radius, in px) of single outlines: (k, 6, 3).
 
     A shift s leaves, its ball-view's own unknowns eliminated, the right side gain^T (s / variance).
     """
-    count = 6 + len(contours.rotations)
-    normal, _ = _equations(contours, terms, np.zeros(count - 6))
-    inverse, _ = _inverse(normal)
     out = np.empty((len(contours.view_of), 6, OWN))
     for k in range(len(out)):
-        right = (
-            _shared(contours, terms, k, count).T @ (terms.gain[k] / variances[k].reshape(-1, 1)).T
-        )
-        out[k] = (inverse @ right)[:6]
+        right = (terms.gain[k] / variances[k].reshape(-1, 1)).T
+        out[k] = (inverse @ (_shared(contours, terms, k, len(inverse)).T @ right))[:6]
     return out

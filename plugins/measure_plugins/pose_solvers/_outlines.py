@@ -67,19 +67,23 @@ class Outlines:
             out += lever @ camera.covariance @ lever.T
         return out
 
-    def common_shift_mm(self, fit: ContourFit) -> float:
-        """Standard deviation per axis of what shifts all ball-views alike, in mm.
+    def covariance_of_light(self, fit: ContourFit) -> Floats:
+        """What shifts a ball alike in all cameras adds to the pose's covariance (6, 6).
 
-        Light falls on all balls from the same side in all cameras, so part of what shifts their
-        outlines is common to them; it moves the body and leaves no residual. It is taken to be as
-        large as the part that differs and is seen.
+        Light falls on a ball from the same side whoever looks, and shifts its outlines by its
+        colour: the part that all cameras share moves the ball and leaves little residual. It is
+        taken to be as large as the part that differs and is seen, and each ball's own.
         """
         view = self.contours.view_of
         places = self.contours.centers_body @ fit.rotation.T + fit.translation
         cameras = np.stack([camera.center for camera in self.cameras])[view]
         focal = np.array([camera.intrinsics.focal_px for camera in self.cameras])[view]
-        scales = np.linalg.norm(places - cameras, axis=1) / focal
-        return float(fit.shift_sd_px[0] * np.mean(scales))
+        mm_per_px = float(np.mean(np.linalg.norm(places - cameras, axis=1) / focal))
+        out, balls = np.zeros((6, 6)), np.array(self.balls)
+        for ball in dict.fromkeys(self.balls):
+            lever = fit.by_step[balls == ball].sum(axis=0)
+            out += lever @ lever.T
+        return out * (fit.shift_sd_px[0] * mm_per_px) ** 2
 
 
 def shifts_by_lens(camera: Camera, centers: Floats, radii: Floats) -> Floats:
