@@ -17,7 +17,7 @@ def own_recordings(folder: Path, frames: int) -> dict[str, Path]:
     out = {}
     for name, scene in scene_catalogue().items():
         target = folder / f"{name}-{frames}"
-        if not (target / "session.toml").exists():
+        if not (target / "truth.csv").exists():
             write_session(scene, times, target)
         out[f"own {name}"] = target
     return out

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from benchmarks.bound import pose_bound
 from benchmarks.methods import Method
 from measure.arrays import Floats
 from measure.host import Registry
@@ -18,6 +19,8 @@ from measure.session import Session, Trajectory
 
 WRONG_MM = 2.0
 """A pose that is believed ("ok") and further off than this is a wrong answer."""
+_REFERENCES = 3
+"""Reference operations before every frame set: what slows the machine down slows both."""
 
 
 @dataclass(frozen=True)
@@ -28,6 +31,7 @@ class Trial:
         center_px: RMS error per axis of the effective detections against the true centres.
         position_mm: 3-D RMS over the frame sets with a pose.
         rotation_deg: RMS over the same.
+        over_bound: the first over its Cramér-Rao bound.
         missing: share of frame sets without a pose.
         wrong: share of frame sets that are "ok" and further off than `WRONG_MM`.
         flagged: share of frame sets with a flagged pose.
@@ -39,12 +43,36 @@ class Trial:
     center_px: float
     position_mm: float
     rotation_deg: float
+    over_bound: float
     missing: float
     wrong: float
     flagged: float
     covered: float
     first_ref: float
     later_ref: float
+
+
+@dataclass(frozen=True)
+class CenterError:
+    """How far one effective detection is off.
+
+    Attributes:
+        error_px: (2,) detected minus true centre.
+        from_axis: (2,) the true centre seen from the picture of the optical axis, as tangents.
+    """
+
+    error_px: Floats
+    from_axis: Floats
+
+    @property
+    def outward_px(self) -> float:
+        """The error's part that points away from the optical axis."""
+        return float(self.error_px @ self.from_axis / np.linalg.norm(self.from_axis))
+
+    @property
+    def off_axis_deg(self) -> float:
+        """Angle between the line of sight and the optical axis."""
+        return float(np.degrees(np.arctan(np.linalg.norm(self.from_axis))))
 
 
 def reference_s(picture: np.ndarray, repeats: int = 30) -> float:
@@ -57,18 +85,57 @@ def reference_s(picture: np.ndarray, repeats: int = 30) -> float:
     return float(np.median(spent))
 
 
-def run_trial(method: Method, session: Session, truth: Trajectory, registry: Registry) -> Trial:
-    """Measure a recording, decoded beforehand, and compare it with the truth."""
+def run_trial(
+    method: Method, session: Session, truth: Trajectory, registry: Registry, bounds: Floats
+) -> Trial:
+    """Measure a recording, decoded beforehand, and compare it with the truth.
+
+    Args:
+        method: the method.
+        session: the recording.
+        truth: where the body was.
+        registry: where parts are looked up.
+        bounds: (n, 6, 6) see `bounds_of`.
+    """
+    measured, steps = measure_timed(method, session, registry)
+    return _score(session, truth, measured, steps, bounds)
+
+
+def measure_timed(
+    method: Method, session: Session, registry: Registry
+) -> tuple[list[Measurement], Floats]:
+    """The measurements, and CPU time (n,) of every frame set, in reference operations."""
     sets = [_decoded(frame_set) for frame_set in session.frame_sets()]
     method.pipeline(session, registry)  # compiled code is compiled now, not while it is timed
     for _ in method.pipeline(session, registry).measure(iter(sets[:2])):
         pass
-    spent: list[float] = []
+    steps: list[float] = []
     pipeline = method.pipeline(session, registry)
-    measured = list(pipeline.measure(_timed(sets, spent)))
-    steps = np.diff([*spent, time.process_time()])
-    reference = reference_s(next(iter(sets[0].images.values())).pixels)
-    return _score(session, truth, measured, steps / reference)
+    measured = list(pipeline.measure(_timed(sets, steps)))
+    return measured, np.array(steps)
+
+
+def bounds_of(session: Session, truth: Trajectory) -> Floats:
+    """Cramér-Rao bounds (n, 6, 6) of all frame sets' poses."""
+    sets = session.frame_sets()
+    return np.array([pose_bound(session.body, session.cameras, s, truth, s.time_s) for s in sets])
+
+
+def center_errors(
+    session: Session, truth: Trajectory, measured: list[Measurement]
+) -> Iterator[CenterError]:
+    """Errors of all effective detections, each at its own picture's time."""
+    for one in measured:
+        for view in one.views:
+            if not view.effective or view.detection is None:
+                continue
+            camera = session.camera(view.camera)
+            place = truth.at(np.array([view.detection.time_s]))[0]
+            ball = session.body.balls[session.body.index(view.ball)]
+            center = place.apply(ball.center_mm)[None]
+            seen = camera.camera_from_world.apply(center)[0]
+            error = view.detection.center_px - camera.project(center)[0]
+            yield CenterError(error, seen[:2] / seen[2])
 
 
 def _decoded(frame_set: FrameSet) -> FrameSet:
@@ -77,14 +144,20 @@ def _decoded(frame_set: FrameSet) -> FrameSet:
     return frame_set
 
 
-def _timed(sets: Iterable[FrameSet], spent: list[float]) -> Iterator[FrameSet]:
+def _timed(sets: Iterable[FrameSet], steps: list[float]) -> Iterator[FrameSet]:
     for frame_set in sets:
-        spent.append(time.process_time())
+        reference = reference_s(next(iter(frame_set.images.values())).pixels, _REFERENCES)
+        start = time.process_time()
         yield frame_set
+        steps.append((time.process_time() - start) / reference)
 
 
 def _score(
-    session: Session, truth: Trajectory, measured: list[Measurement], steps: Floats
+    session: Session,
+    truth: Trajectory,
+    measured: list[Measurement],
+    steps: Floats,
+    bounds: Floats,
 ) -> Trial:
     errors, inside, wrong = [], [], 0
     for one in measured:
@@ -99,10 +172,13 @@ def _score(
     count = len(measured)
     flagged = sum(one.status is Status.FLAGGED for one in measured)
     table = np.array(errors).reshape(-1, 6)
+    off = [center.error_px for center in center_errors(session, truth, measured)]
+    bound = float(np.sqrt(np.mean(np.trace(bounds[:, :3, :3], axis1=1, axis2=2))))
     return Trial(
-        center_px=_center_error(session, truth, measured),
+        center_px=_rms(np.array(off).reshape(-1, 2)) / np.sqrt(2),
         position_mm=_rms(table[:, :3]),
         rotation_deg=float(np.degrees(_rms(table[:, 3:]))),
+        over_bound=_rms(table[:, :3]) / bound,
         missing=1 - len(errors) / count,
         wrong=wrong / count,
         flagged=flagged / count,
@@ -115,16 +191,3 @@ def _score(
 def _rms(rows: Floats) -> float:
     """Root of the mean squared length of rows; NaN if there are none."""
     return float(np.sqrt(np.mean(np.sum(rows**2, axis=1)))) if len(rows) else float("nan")
-
-
-def _center_error(session: Session, truth: Trajectory, measured: list[Measurement]) -> float:
-    squares = []
-    for one in measured:
-        for view in one.views:
-            if not view.effective or view.detection is None:
-                continue
-            place = truth.at(np.array([view.detection.time_s]))[0]
-            ball = session.body.balls[session.body.index(view.ball)]
-            true = session.camera(view.camera).project(place.apply(ball.center_mm)[None])[0]
-            squares.append(np.mean((view.detection.center_px - true) ** 2))
-    return float(np.sqrt(np.mean(squares))) if squares else float("nan")
