@@ -33,7 +33,7 @@ def run_blueprint(cameras: Sequence[Camera]) -> rrb.Blueprint:
         eye_controls=_eye(cameras),
     )
     pictures = rrb.Grid(
-        *(rrb.Spatial2DView(origin=entities.image(name), name=name) for name in names),
+        *map(_picture, cameras),
         name="Cameras",
     )
     traces = rrb.Horizontal(
@@ -75,6 +75,15 @@ def up_to_cursor() -> rrb.VisibleTimeRanges:
 def plot(name: str, origin: str) -> rrb.TimeSeriesView:
     """A plot of all traces below an entity."""
     return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=LEGEND)
+
+
+def _picture(camera: Camera) -> rrb.Spatial2DView:
+    """The whole of a camera's picture, also of a run that keeps no pictures."""
+    width, height = camera.intrinsics.size_wh
+    bounds = rrb.VisualBounds2D(x_range=[0, width], y_range=[0, height])
+    return rrb.Spatial2DView(
+        origin=entities.image(camera.name), name=camera.name, visual_bounds=bounds
+    )
 
 
 def _status() -> rrb.TextLogView:
