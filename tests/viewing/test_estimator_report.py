@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from measure.learning.scores import Evaluation, Score
-from measure.viewing.report.estimator_report import verdict
+from measure.viewing.report.estimator_report import judged_on, verdict
 
 
 def _score(rms_mm: float) -> Score:
@@ -33,3 +33,20 @@ def test_the_verdict(after_mm, consistency, unfamiliar, tone, said):
     assert f"the error {moves} from 6.00 to {after_mm:.2f} mm RMS" in sentence
     assert (said or "RMS") in sentence
     assert ("But" in sentence) == (said is not None)
+
+
+def _part(digest: str, *trajectories: str) -> dict[str, object]:
+    return {"digest": digest, "trajectories": list(trajectories)}
+
+
+@pytest.mark.parametrize(
+    ("test", "said"),
+    [
+        (_part("t", "c"), "unseen trajectories"),
+        (_part("v", "b"), "trajectories that training was stopped by"),
+        (_part("t", "a", "c"), "labels between those learnt from (not on unseen trajectories)"),
+    ],
+)
+def test_what_was_judged_on_is_said(test, said):
+    data = {"training": _part("l", "a"), "validation": _part("v", "b"), "test": test}
+    assert judged_on(data) == said

@@ -34,7 +34,8 @@ def estimator_report(trained: Trained, card: Mapping[str, Any]) -> str:
         card: the model card's values.
     """
     result = trained.evaluation
-    tone, sentence = verdict(result)
+    judged = judged_on(card["data"])
+    tone, sentence = verdict(result, judged)
     page = Page(f"{card['estimator']} for {card['robot']}", sentence, tone)
     page.facts(
         [
@@ -59,16 +60,16 @@ def estimator_report(trained: Trained, card: Mapping[str, Any]) -> str:
     if trained.curve:
         words = "RMS on validation trajectories after every pass, and the training loss."
         page.figures("Learning curve", words, _curve(trained))
-    _tables(page, result)
+    _tables(page, result, judged)
     _add_provenance(page, card)
     return page.render("Made by measure train. Everything on this page is inside this file.")
 
 
-def _tables(page: Page, result: Evaluation) -> None:
+def _tables(page: Page, result: Evaluation, judged: str) -> None:
     """Scores of the parts: every test trajectory, every range of speeds."""
     columns = ("trajectory", "labels", "RMS before", "RMS after", "SD before", "SD after")
     page.table(
-        "By trajectory", "In mm; all unseen in training.", columns,
+        "By trajectory", f"In mm; {judged}.", columns,
         [(n, b.rows, b.rms_mm, a.rms_mm, b.sd_mm, a.sd_mm)
          for n, (b, a) in result.by_trajectory.items()],
     )  # fmt: skip
@@ -80,11 +81,24 @@ def _tables(page: Page, result: Evaluation) -> None:
     )  # fmt: skip
 
 
-def verdict(result: Evaluation) -> tuple[str, str]:
+def judged_on(data: Mapping[str, Any]) -> str:
+    """What the test data are to the estimator, in words.
+
+    Args:
+        data: the card's, with digest and trajectories of training, validation and test.
+    """
+    if set(data["test"]["trajectories"]) & set(data["training"]["trajectories"]):
+        return "labels between those learnt from (not on unseen trajectories)"
+    if data["test"]["digest"] == data["validation"]["digest"]:
+        return "trajectories that training was stopped by"
+    return "unseen trajectories"
+
+
+def verdict(result: Evaluation, judged: str = "unseen trajectories") -> tuple[str, str]:
     """Tone and sentence; one that promises too much is not good, however much it corrects."""
     moves = "falls" if result.rms_change < 0 else "rises"
     words = (
-        f"On unseen trajectories the error {moves} from {result.before.rms_mm:.2f} to "
+        f"On {judged} the error {moves} from {result.before.rms_mm:.2f} to "
         f"{result.after.rms_mm:.2f} mm RMS ({result.rms_change:+.1%}), its SD from "
         f"{result.before.sd_mm:.2f} to {result.after.sd_mm:.2f} mm ({result.sd_change:+.1%})."
     )
