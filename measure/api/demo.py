@@ -11,6 +11,7 @@ import numpy as np
 
 from measure.api.correcting import correct_simulated_robot
 from measure.api.evaluate import evaluate
+from measure.api.measuring import a_word_if_it_takes_long
 from measure.api.run import RunOptions, run
 from measure.errors import ConfigError
 from measure.host import Registry
@@ -73,7 +74,13 @@ def demo(
         ConfigError: the folder holds something else, or there are no frames.
         MeasureError: what `run` raises.
     """
-    session = render_demo(folder, frames, lambda done, total: _tell(report, done, total + frames))
+    with a_word_if_it_takes_long() as begun:
+
+        def rendered(done: int, total: int) -> None:
+            begun()
+            _tell(report, done, total + frames)
+
+        session = render_demo(folder, frames, rendered)
     pictures = frames * len(list(session.glob("cam*.csv")))
     options = RunOptions(image_every=max(frames // 10, 1), overwrite=True)
     summary = run(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 
 from measure.host import Registry
@@ -41,7 +41,7 @@ def measure_session(
     from measure.api.profiles import build_pipeline
 
     pipeline = build_pipeline(profile, registry, session.body, session.cameras)
-    with _a_word_if_it_takes_long():
+    with a_word_if_it_takes_long():
         pipeline.warm_up()
     waiting: deque[FrameSet] = deque()
 
@@ -55,13 +55,17 @@ def measure_session(
 
 
 @contextmanager
-def _a_word_if_it_takes_long() -> Iterator[None]:
-    """Tell the user why nothing seems to happen, but only if nothing does."""
+def a_word_if_it_takes_long() -> Iterator[Callable[[], None]]:
+    """Tell the user why nothing seems to happen, but only if nothing does.
+
+    Yields:
+        A function to call once something has.
+    """
     word = "compiling the hot loops: once after an installation, about a minute"
     timer = threading.Timer(PATIENCE_S, _log.warning, [word])
     timer.daemon = True
     timer.start()
     try:
-        yield
+        yield timer.cancel
     finally:
         timer.cancel()

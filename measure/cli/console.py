@@ -122,23 +122,32 @@ def _bar(label: str, unit: str, out: TextIO) -> Iterator[Report]:
 
 
 class _Lines:
-    """Progress as lines of text, at most one every few seconds."""
+    """Progress as lines of text, at most one every few seconds.
+
+    The pace is counted from the first report on: what comes before it is start-up.
+    """
 
     def __init__(
         self, label: str, unit: str, out: TextIO, clock: Callable[[], float] = time.monotonic
     ) -> None:
         self._label, self._unit, self._out, self._clock = label, unit, out, clock
-        self._start = self._last = clock()
+        self._last = clock()
+        self._first: tuple[float, int] | None = None
 
     def __call__(self, done: int, total: int | None) -> None:
         now = self._clock()
+        if self._first is None:
+            self._first = now, done
         if now - self._last < _LINE_EVERY_S:
             return
         self._last = now
-        rate = done / (now - self._start)
-        count = f"{done} {self._unit}" if total is None else f"{done}/{total} {self._unit}"
-        left = f", {(total - done) / rate:.0f} s left" if total is not None and rate > 0 else ""
-        print(f"{self._label}: {count}, {rate:.3g} per s{left}", file=self._out, flush=True)
+        text = f"{self._label}: {done}" + ("" if total is None else f"/{total}") + f" {self._unit}"
+        start, done_before = self._first
+        if now > start and done > done_before:
+            rate = (done - done_before) / (now - start)
+            text += f", {rate:.3g} per s"
+            text += "" if total is None else f", {(total - done) / rate:.0f} s left"
+        print(text, file=self._out, flush=True)
 
 
 def _cell(value: object) -> str:

@@ -37,9 +37,23 @@ def test_without_a_terminal_progress_is_a_line_every_few_seconds():
 def test_without_a_total_there_is_no_promise():
     out, clock = io.StringIO(), Clock()
     report = console._Lines("reading", "rows", out, clock)
+    report(0, None)
     clock.now = 5.0
     report(40, None)
     assert out.getvalue() == "reading: 40 rows, 8 per s\n"
+
+
+def test_a_slow_start_does_not_count_as_the_pace():
+    out, clock = io.StringIO(), Clock()
+    report = console._Lines("rendering", "pictures", out, clock)
+    clock.now = 60.0
+    report(1, 101)
+    clock.now = 65.0
+    report(51, 101)
+    assert out.getvalue().splitlines() == [
+        "rendering: 1/101 pictures",
+        "rendering: 51/101 pictures, 10 per s, 5 s left",
+    ]
 
 
 def test_short_work_is_silent_without_a_terminal():
