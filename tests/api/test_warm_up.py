@@ -30,10 +30,10 @@ def test_every_stage_is_warmed_up_once_and_cameras_share_it():
 def test_only_a_long_warm_up_is_explained(monkeypatch, caplog):
     monkeypatch.setattr(measuring, "PATIENCE_S", 0.05)
     with caplog.at_level(logging.WARNING):
-        with measuring._a_word_if_it_takes_long():
+        with measuring.a_word_if_it_takes_long():
             pass
         time.sleep(0.1)
         assert caplog.text == ""
-        with measuring._a_word_if_it_takes_long():
+        with measuring.a_word_if_it_takes_long():
             time.sleep(0.2)
     assert "compiling" in caplog.text
