@@ -10,7 +10,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from measure.arrays import Bytes
+from measure.arrays import Bytes, Floats
+from measure.calibration import body_cost, paper_body
+from measure.geometry import RigidTransform
+from measure.session import read_calibration
 
 Picture = Callable[[Bytes], Bytes]
 
@@ -123,3 +126,15 @@ def turned(degrees: float, axis: int) -> Picture:
         return np.asarray(warped, np.uint8)
 
     return change
+
+
+def cost_mm(capture: AlteredCapture) -> float:
+    """What the written calibration costs the body, in mm."""
+    found = read_calibration(capture.folder / "calibration.toml").cameras
+    truth = read_calibration(capture.source / "truth_calibration.toml").cameras
+    true = tuple(next(c for c in truth if c.name == camera.name) for camera in found)
+    middle: Floats = np.array([0.0, 0.0, 250.0])
+    rng = np.random.default_rng(0)
+    poses = [RigidTransform(np.eye(3), middle + rng.uniform(-40, 40, 3)) for _ in range(10)]
+    shifts, _ = body_cost(found, true, paper_body(), poses)
+    return float(np.sqrt(np.mean(np.sum(shifts**2, axis=1))))

@@ -11,12 +11,9 @@ import cv2
 import numpy as np
 import pytest
 
-from measure.arrays import Floats
-from measure.calibration import body_cost, paper_body
 from measure.cli import main
-from measure.geometry import RigidTransform
 from measure.session import read_calibration
-from tests.calibration.altered import AlteredCapture, mirrored, turned
+from tests.calibration.altered import AlteredCapture, cost_mm, mirrored, turned
 from tests.calibration.test_crosses import picture
 
 ALL = ("cam0", "cam1", "cam2", "cam3")
@@ -46,18 +43,6 @@ def written(capture: AlteredCapture, *more: str) -> dict[str, Any]:
     assert main(["calibrate", str(capture.folder), "-o", str(output), *more]) == 0
     judgement: dict[str, Any] = tomllib.loads(output.read_text())["provenance"]["judgement"]
     return judgement
-
-
-def cost_mm(capture: AlteredCapture) -> float:
-    """What the written calibration costs the body, in mm."""
-    found = read_calibration(capture.folder / "calibration.toml").cameras
-    truth = read_calibration(capture.source / "truth_calibration.toml").cameras
-    true = tuple(next(c for c in truth if c.name == camera.name) for camera in found)
-    middle: Floats = np.array([0.0, 0.0, 250.0])
-    rng = np.random.default_rng(0)
-    poses = [RigidTransform(np.eye(3), middle + rng.uniform(-40, 40, 3)) for _ in range(10)]
-    shifts, _ = body_cost(found, true, paper_body(), poses)
-    return float(np.sqrt(np.mean(np.sum(shifts**2, axis=1))))
 
 
 # --- other programs' files ---
