@@ -82,7 +82,7 @@ def corrected_edges(
     Returns:
         The edges; their contrast in picture values from 0 to 1.
     """
-    light, values = sample(pixels, table, points, normals, STEPS, free)
+    light, values = sample(pixels, table, points, normals, STEPS, free, True)
     within, background = levels(light, STEPS, INSIDE_PX), levels(light, STEPS, _BACKGROUND_PX)
     predicted = predicted_values(light, free, around, background, inverse, radial)
     inside, outside = levels(values, STEPS, INSIDE_PX), levels(values, STEPS, OUTSIDE_PX)
@@ -118,7 +118,7 @@ def compare(
     radial: Radial,
 ) -> tuple[Floats, Floats]:
     """Picture values (3, m, n) at `LATER_STEPS`: seen, and predicted. Arguments as above."""
-    light, values = sample(pixels, table, points, normals, STEPS, free)
+    light, values = sample(pixels, table, points, normals, STEPS, free, True)
     background = levels(light, STEPS, _BACKGROUND_PX)
     predicted = predicted_values(light, free, around, background, inverse, radial)
     return values[:, _FIRST:], predicted

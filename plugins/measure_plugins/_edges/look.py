@@ -101,7 +101,7 @@ def look_roughly(
     points, normals, scale, around = cast_rays(frame, half_angle, search.rays, view.lens)
     reach = (inside[0], outside[1])
     free = ways(frame, half_angle, scale, around, search.nearer, reach, search.margin_px)
-    profiles, _ = sample(view.pixels, view.table, points, normals, steps, free)
+    profiles, _ = sample(view.pixels, view.table, points, normals, steps, free, False)
     within, without = levels(profiles, steps, inside), levels(profiles, steps, outside)
     x, contrast = project(profiles, within, without, False)
     at, slope = crossings(x, steps, reach_px)

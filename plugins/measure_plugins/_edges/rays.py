@@ -134,7 +134,13 @@ def _near(frame: Floats, half_angle: float, scale: Floats, nearer: Floats, reach
 
 @compiled
 def sample(
-    image: Bytes, table: Floats, points: Floats, normals: Floats, steps: Floats, free: Floats
+    image: Bytes,
+    table: Floats,
+    points: Floats,
+    normals: Floats,
+    steps: Floats,
+    free: Floats,
+    values_too: bool,
 ) -> tuple[Floats, Floats]:
     """Light and picture values along the rays, both by bilinear interpolation.
 
@@ -145,13 +151,15 @@ def sample(
         normals: (n, 2) unit vectors.
         steps: (m,) px along the normals.
         free: (n,) FREE to sample a ray; set to OUTSIDE in place where it leaves the picture.
+        values_too: whether the picture values are wanted.
 
     Returns:
-        Light, and values from 0 to 1, both (3, m, n); zeros where the ray is not free.
+        Light, and values from 0 to 1, both (3, m, n), the values empty (0, m, n) if not wanted;
+        zeros where the ray is not free.
     """
     height, width = image.shape[:2]
     m, n = len(steps), len(points)
-    light, values = np.zeros((3, m, n)), np.zeros((3, m, n))
+    light, values = np.zeros((3, m, n)), np.zeros((3 if values_too else 0, m, n))
     for i in range(n):
         if free[i] != FREE:
             continue
@@ -171,5 +179,6 @@ def sample(
                 p, q = image[y, x, c], image[y, x + 1, c]
                 r, s = image[y + 1, x, c], image[y + 1, x + 1, c]
                 light[c, j, i] = w00 * table[p] + w01 * table[q] + w10 * table[r] + w11 * table[s]
-                values[c, j, i] = (w00 * p + w01 * q + w10 * r + w11 * s) / 255
+                if values_too:
+                    values[c, j, i] = (w00 * p + w01 * q + w10 * r + w11 * s) / 255
     return light, values

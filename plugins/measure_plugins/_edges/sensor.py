@@ -54,24 +54,26 @@ def blur_chroma(values: Floats, step_px: float) -> Floats:
     out = np.empty((3, m, n))
     weights = _weights(step_px)
     reach = len(weights) // 2
-    brightness = np.empty((m, n))
+    bluer, redder = np.empty((m, n)), np.empty((m, n))
     for j in range(m):
         for i in range(n):
-            brightness[j, i] = (
-                0.114 * values[0, j, i] + 0.587 * values[1, j, i] + 0.299 * values[2, j, i]
-            )
-    blue, red = np.empty(n), np.empty(n)
+            blue, red = values[0, j, i], values[2, j, i]
+            brightness = 0.114 * blue + 0.587 * values[1, j, i] + 0.299 * red
+            out[1, j, i] = brightness
+            bluer[j, i], redder[j, i] = blue - brightness, red - brightness
+    b, r = np.empty(n), np.empty(n)
     for j in range(m):
-        blue[:], red[:] = 0.0, 0.0
+        b[:], r[:] = 0.0, 0.0
         for k in range(len(weights)):
             at = min(max(j + k - reach, 0), m - 1)
             for i in range(n):
-                blue[i] += weights[k] * (values[0, at, i] - brightness[at, i])
-                red[i] += weights[k] * (values[2, at, i] - brightness[at, i])
+                b[i] += weights[k] * bluer[at, i]
+                r[i] += weights[k] * redder[at, i]
         for i in range(n):
-            out[0, j, i] = brightness[j, i] + blue[i]
-            out[2, j, i] = brightness[j, i] + red[i]
-            out[1, j, i] = brightness[j, i] - (0.114 * blue[i] + 0.299 * red[i]) / 0.587
+            brightness = out[1, j, i]
+            out[0, j, i] = brightness + b[i]
+            out[2, j, i] = brightness + r[i]
+            out[1, j, i] = brightness - (0.114 * b[i] + 0.299 * r[i]) / 0.587
     return out
 
 

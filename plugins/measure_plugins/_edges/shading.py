@@ -112,61 +112,69 @@ def fit_shading(
     used = (np.searchsorted(steps, _FIT_LAST_PX, side="right") + 1) // 2
     seen, shape = np.ascontiguousarray(amounts[: 2 * used : 2]), lobes[: 2 * used : 2].copy()
     coefficients, limit = np.zeros(9), np.inf
-    factor, off = np.empty((9, 9)), seen.copy()
+    factor, off = np.empty((9, 9)), seen
+    radial_pairs, angular_pairs = _pairs(shape.T), _pairs(angular)
     for turn in range(_ROUNDS):
-        normal, right = _shading_equations(seen, off, limit, free, angular, shape)
+        weights = _shading_weights(off, limit, free)
+        right = _shading_side(seen * weights, angular, shape)
+        normal = _shading_matrix(weights, angular_pairs, radial_pairs)
         cholesky(normal, factor)
         solve_factored(factor, right, coefficients)
         if turn < _ROUNDS - 1:
-            _residuals(seen, shape, radial_amounts(coefficients, angular), off)
+            off = seen - shape @ radial_amounts(coefficients, angular)
             limit = 5 * 1.4826 * _median_size(off, free) + 5e-4
     return coefficients
 
 
 @compiled
-def _shading_equations(
-    seen: Floats, off: Floats, limit: float, free: Floats, angular: Floats, shape: Floats
-) -> tuple[Floats, Floats]:
-    """Normal matrix (9, 9) and right side (9,): first summed along each ray, then over rays."""
-    m, n = seen.shape
-    weight = np.empty((m, n))
+def _pairs(rows: Floats) -> Floats:
+    """Products (k (k + 1) / 2, n) of every row of (k, n) with those up to itself."""
+    k, n = rows.shape
+    out = np.empty((k * (k + 1) // 2, n))
+    at = 0
+    for a in range(k):
+        for b in range(a + 1):
+            for i in range(n):
+                out[at, i] = rows[a, i] * rows[b, i]
+            at += 1
+    return out
+
+
+@compiled
+def _shading_weights(off: Floats, limit: float, free: Floats) -> Floats:
+    """Tukey's weights of residuals (m, n) on free rays."""
+    m, n = off.shape
+    weights = np.empty((m, n))
     for j in range(m):
         for i in range(n):
             t = off[j, i] / limit
             w = max(1 - t * t, 0.0)
-            weight[j, i] = w * w if free[i] == 0 else 0.0
-    normal, right = 1e-3 * np.eye(9), np.zeros(9)
-    along = np.empty(n)
-    for p in range(6):
-        along[:] = 0.0
-        for j in range(m):
-            for i in range(n):
-                along[i] += weight[j, i] * shape[j, p] * seen[j, i]
-        for a in range(9):
-            if LOBE[a] == p:
-                right[a] = np.sum(along * angular[a])
-        for q in range(p + 1):
-            along[:] = 0.0
-            for j in range(m):
-                both = shape[j, p] * shape[j, q]
-                for i in range(n):
-                    along[i] += both * weight[j, i]
-            for a in range(9):
-                for b in range(a + 1):
-                    if LOBE[a] == p and LOBE[b] == q:
-                        normal[a, b] += np.sum(along * angular[a] * angular[b])
-    return normal, right
+            weights[j, i] = w * w if free[i] == 0 else 0.0
+    return weights
 
 
 @compiled
-def _residuals(seen: Floats, shape: Floats, rays: Floats, out: Floats) -> None:
-    m, n = seen.shape
-    for j in range(m):
-        for i in range(n):
-            out[j, i] = seen[j, i]
-        for p in range(6):
-            for i in range(n):
-                out[j, i] -= shape[j, p] * rays[p, i]
+def _shading_side(weighted: Floats, angular: Floats, shape: Floats) -> Floats:
+    """Right side (9,) of the weighted fit: first summed along each ray, then over rays."""
+    along = np.ascontiguousarray(shape.T) @ weighted
+    right = np.empty(9)
+    for a in range(9):
+        right[a] = np.sum(along[LOBE[a]] * angular[a])
+    return right
+
+
+@compiled
+def _shading_matrix(weights: Floats, angular_pairs: Floats, radial_pairs: Floats) -> Floats:
+    """Normal matrix (9, 9), its lower half: first summed along each ray, then over rays."""
+    along = radial_pairs @ weights
+    normal = 1e-3 * np.eye(9)
+    at = 0
+    for a in range(9):
+        for b in range(a + 1):
+            row = LOBE[a] * (LOBE[a] + 1) // 2 + LOBE[b]
+            normal[a, b] += np.sum(along[row] * angular_pairs[at])
+            at += 1
+    return normal
 
 
 @compiled
