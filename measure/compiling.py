@@ -7,6 +7,8 @@ from typing import Any, TypeVar, cast
 
 import numba
 
+from measure.kernel_sources import digest
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 _REORDERED = {"reassoc", "contract", "nsz", "arcp"}
@@ -18,9 +20,19 @@ not a number."""
 def compiled(function: F) -> F:
     """`function` compiled by numba on its first call; the machine code is kept on disk.
 
-    It runs without the interpreter's lock, so that cameras are measured side by side.
+    It runs without the interpreter's lock, so that cameras are measured side by side. The code on
+    disk is used until a source changes that it may be made of.
     """
-    return cast(
-        "F",
-        numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_REORDERED)(function),
-    )
+    kernel = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_REORDERED)(function)
+    _tie(kernel, digest(function.__module__))
+    return cast("F", kernel)
+
+
+def _tie(kernel: object, stamp: str) -> None:
+    """Let a kernel's machine code on disk hold only as long as the stamp stays the same.
+
+    Numba has no public way to say so. Where compilation is switched off, nothing is on disk.
+    """
+    kept: Any = getattr(getattr(kernel, "_cache", None), "_cache_file", None)
+    if kept is not None:
+        kept._source_stamp = (kept._source_stamp, stamp)  # noqa: SLF001

@@ -1,0 +1,72 @@
+"""Machine code on disk follows the sources it is made of."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+_PART = """from measure.compiling import compiled
+SIZE = {size}
+
+@compiled
+def part(x: float) -> float:
+    return {factor} * x
+"""
+_WHOLE = """from measure.compiling import compiled
+from parts.part import (
+    SIZE,
+    part,
+)
+
+@compiled
+def whole(x: float) -> float:
+    return part(x) + SIZE
+"""
+_CALL = """from parts.whole import whole
+print(whole(1.0), sum(whole.stats.cache_hits.values()))
+"""
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """A package of two kernels, one made of the other."""
+    folder = tmp_path / "parts"
+    folder.mkdir()
+    (folder / "__init__.py").write_text("", "utf-8")
+    (folder / "unused.py").write_text("", "utf-8")
+    (folder / "part.py").write_text(_PART.format(factor=2.0, size=0.5), "utf-8")
+    (folder / "whole.py").write_text(_WHOLE, "utf-8")
+    return folder
+
+
+def _call(package: Path) -> list[float]:
+    """The outer kernel's answer in a new process, and whether it was loaded from disk."""
+    paths = [str(package.parent), *(path for path in sys.path if path)]
+    done = subprocess.run(
+        [sys.executable, "-c", _CALL],
+        env={
+            **os.environ,
+            "PYTHONPATH": os.pathsep.join(paths),
+            "NUMBA_CACHE_DIR": str(package.parent / "cache"),
+        },
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return [float(word) for word in done.stdout.split()]
+
+
+@pytest.mark.parametrize(("changed", "answer"), [((3.0, 0.5), 3.5), ((2.0, 7.5), 9.5)])
+def test_a_kernel_follows_the_functions_and_constants_of_other_files(
+    package: Path, changed: tuple[float, float], answer: float
+) -> None:
+    assert _call(package) == [2.5, 0]
+    (package / "unused.py").write_text("x = 1\n", "utf-8")
+    assert _call(package) == [2.5, 1]
+    text = _PART.format(factor=changed[0], size=changed[1])
+    (package / "part.py").write_text(text, "utf-8")
+    assert _call(package) == [answer, 0]
