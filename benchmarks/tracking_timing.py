@@ -3,9 +3,15 @@
 All figures are multiples of one `cv2.cvtColor(BGR2HSV)` of one picture, timed in the same process.
 For the stages of tracking that is CPU time per frame set on one thread, pictures decoded before,
 the median over frame sets of the best of some repeats; *the rest* is predicting, judging and what
-lies between the stages. `--whole` measures the session's pictures forth and back many times over
-with everything that `measure run` does, images not logged: frame sets per second of the clock,
-from the first frame set to the last, and CPU time per frame set.
+lies between the stages. *first* is the whole first frame set, in which the body is searched; the
+last two columns are its acquisition, from decoded pictures to named and located balls: *search*,
+all candidates of all pictures with a rough outline of each, and *associate*, which of them are the
+body. What *first* costs beyond them every tracked frame set costs as well: the outlines measured
+precisely, poses solved; and once per run, what the pictures teach about their light.
+
+`--whole` measures the session's pictures forth and back many times over with everything that
+`measure run` does, images not logged: frame sets per second of the clock, from the first frame set
+to the last, and CPU time per frame set.
 """
 
 from __future__ import annotations
@@ -40,12 +46,12 @@ def main() -> None:
     parser.add_argument("--whole", action="store_true", help="time `measure run` as well")
     given = parser.parse_args()
     cv2.setNumThreads(1)
-    names = ("reference ms", *STAGES, "the rest", "all", "first")
+    names = ("reference ms", *STAGES, "the rest", "all", "first", "search", "associate")
     print(f"{'session':12}" + "".join(f"{name:>13}" for name in names))
     for folder in given.sessions:
         with open_session(folder) as session:
             reference, table, first = stages(session, given.profile, given.repeats)
-        ratios = "".join(f"{value / reference:11.2f} x" for value in (*table, first))
+        ratios = "".join(f"{value / reference:11.2f} x" for value in (*table, *first))
         print(f"{session.name:12}{1e3 * reference:13.3f}{ratios}")
         if given.whole:
             print(f"{'':12}{_whole(folder, given.profile, reference)}")
@@ -65,32 +71,45 @@ def _watch(stage: object, method: str, spent: list[float]) -> None:
     setattr(stage, method, timed)
 
 
-def stages(session: Session, profile: str, repeats: int) -> tuple[float, Floats, float]:
-    """Reference operation, the stages with the rest and all (5,), and the first frame set, in s."""
+def stages(session: Session, profile: str, repeats: int) -> tuple[float, Floats, Floats]:
+    """CPU time in s of the reference operation, of tracking and of the first frame set.
+
+    Returns:
+        Reference; the stages, the rest, all (5,); the first frame set, its search, its
+        association (3,).
+    """
     sets = [_decoded(frame_set) for frame_set in session.frame_sets()]
     registry = Registry.discover()
-    tables, references = [], []
+    tables, begins, references = [], [], []
     for _ in range(repeats):
         references.append(reference_s(next(iter(sets[0].images.values())).pixels))
-        tables.append(_once(session, profile, registry, sets))
+        table, acquisition = _once(session, profile, registry, sets)
+        tables.append(table)
+        begins.append([table[0, -1], *acquisition])
     best = np.min(tables, axis=0)
-    return min(references), np.median(best[1:], axis=0), float(best[0, -1])
+    return min(references), np.median(best[1:], axis=0), np.min(begins, axis=0)
 
 
-def _once(session: Session, profile: str, registry: Registry, sets: Sequence[FrameSet]) -> Floats:
-    """(n, 5) s of every frame set: the stages, the rest, all."""
+def _once(
+    session: Session, profile: str, registry: Registry, sets: Sequence[FrameSet]
+) -> tuple[Floats, tuple[float, float]]:
+    """(n, 5) s of every frame set: the stages, the rest, all; and the first search, association."""
     pipeline = build_pipeline(load_profile(profile), registry, session.body, session.cameras)
-    spent: dict[str, list[float]] = {stage: [] for stage in STAGES}
+    spent: dict[str, list[float]] = {stage: [] for stage in (*STAGES, "judge")}
     for detector in pipeline.stages.detectors.values():
         _watch(detector, "detect", spent["detect"])
     _watch(pipeline.stages.triangulator, "triangulate", spent["triangulate"])
     _watch(pipeline.stages.solver, "solve", spent["solve"])
+    _watch(pipeline.stages.tracker, "judge", spent["judge"])
     pipeline.warm_up()
     rows: list[list[float]] = []
-    start = 0.0
+    start, acquisition = 0.0, (0.0, 0.0)
 
     def note() -> None:
+        nonlocal acquisition
         whole = time.process_time() - start
+        if not rows:  # every camera is searched, then the tracker judges; both are done again later
+            acquisition = sum(spent["detect"][: len(sets[0].images)]), spent["judge"][0]
         parts = [sum(spent[stage]) for stage in STAGES]
         rows.append([*parts, whole - sum(parts), whole])
         for times in spent.values():
@@ -108,7 +127,7 @@ def _once(session: Session, profile: str, registry: Registry, sets: Sequence[Fra
 
     for _ in pipeline.measure(handed_out()):
         pass
-    return np.array(rows)
+    return np.array(rows), acquisition
 
 
 def _decoded(frame_set: FrameSet) -> FrameSet:

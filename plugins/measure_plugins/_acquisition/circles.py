@@ -23,7 +23,7 @@ _SPANS = (3, 5, 8, 13, 21, 34, 55)
 """Border pixels between the three points."""
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def circles_along(
     borders: Ints,
     ends: Ints,
@@ -50,7 +50,7 @@ def circles_along(
         start = end
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _along_one(
     border: Ints, mask: Bytes, smallest: float, largest: float, least: float, best: Floats
 ) -> None:
@@ -72,7 +72,7 @@ def _along_one(
                 _keep(best, x, y, r, seen)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def finish(
     mask: Bytes, circles: Floats, smallest: float, largest: float, least_filled: float
 ) -> Floats:
@@ -91,7 +91,7 @@ def finish(
     return out[:count]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _refined(mask: Bytes, circle: Floats) -> Floats:
     """Fit a circle (x, y, r, seen) to the colour's edge near it; returns the same columns."""
     x, y, r, seen = circle[0], circle[1], circle[2], circle[3]
@@ -119,7 +119,7 @@ def _refined(mask: Bytes, circle: Floats) -> Floats:
     return np.array([x, y, r, seen])
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _share_filled(mask: Bytes, x: float, y: float, r: float) -> float:
     """Share of the circle's inside, a tenth in from its edge, that has the colour."""
     inside = 0
@@ -134,7 +134,7 @@ def _share_filled(mask: Bytes, x: float, y: float, r: float) -> float:
     return matching / inside if inside else 0.0
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _through(a: Ints, b: Ints, c: Ints) -> tuple[float, float, float]:
     """Centre and radius of the circle through three points; radius -1 if they lie on a line."""
     bx, by = float(b[0] - a[0]), float(b[1] - a[1])
@@ -148,7 +148,7 @@ def _through(a: Ints, b: Ints, c: Ints) -> tuple[float, float, float]:
     return a[0] + x, a[1] + y, np.sqrt(x * x + y * y) + 0.5
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _at(mask: Bytes, x: float, y: float) -> int:
     """1 inside the colour, 0 outside, -1 off the picture."""
     column, row = int(np.floor(x + 0.5)), int(np.floor(y + 0.5))
@@ -157,7 +157,7 @@ def _at(mask: Bytes, x: float, y: float) -> int:
     return 1 if mask[row, column] else 0
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _parts(mask: Bytes, point: Ints, x: float, y: float) -> bool:
     """Whether colour lies on the side of a border point that faces (x, y), and none beyond."""
     dx, dy = point[0] - x, point[1] - y
@@ -168,7 +168,7 @@ def _parts(mask: Bytes, point: Ints, x: float, y: float) -> bool:
     return _at(mask, point[0] - 1.0 * dx, point[1] - 1.0 * dy) == 1
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _share_seen(mask: Bytes, x: float, y: float, r: float, needed: float) -> float:
     """Share of a circle that parts colour from other; given up once it cannot reach `needed`."""
     hits = 0
@@ -181,7 +181,7 @@ def _share_seen(mask: Bytes, x: float, y: float, r: float, needed: float) -> flo
     return hits / _ANGLES
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _edge(mask: Bytes, x: float, y: float, r: float, k: int, reach: float) -> float:
     """Where the colour ends along one radius, relative to `r`; NaN if not within `reach`."""
     c, s = _COSINES[k], _SINES[k]
@@ -198,7 +198,7 @@ def _edge(mask: Bytes, x: float, y: float, r: float, k: int, reach: float) -> fl
     return np.nan
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _keep(best: Floats, x: float, y: float, r: float, seen: float) -> None:
     """Put a circle into `best`: in place of its double if better, else of the worst."""
     merit = seen * np.sqrt(r)

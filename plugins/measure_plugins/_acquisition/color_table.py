@@ -39,7 +39,7 @@ def color_table(colors: tuple[BallColor, ...]) -> Bytes:
     return table
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def classify(pixels: Bytes, table: Bytes, step: int) -> Bytes:
     """Colour bits of an image reduced by `step`.
 

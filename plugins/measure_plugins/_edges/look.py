@@ -17,9 +17,18 @@ from measure_plugins._edges.corrected import (
 )
 from measure_plugins._edges.crossing import crossings, levels, project, uncertainty
 from measure_plugins._edges.radial import Radial
-from measure_plugins._edges.rays import FREE, cast_rays, frame_about, sample, ways
+from measure_plugins._edges.rays import (
+    FREE,
+    cast_rays,
+    frame_about,
+    sample,
+    sample_nearest,
+    ways,
+)
 
 _STEP_PX = 0.5
+_WIDE_STEP_PX = 1.0
+"""A wide look only leads to a near one: whole pixels will do."""
 _LIGHT_PER_VALUE = 0.3
 """Slope of tone curves in the shade, where contrast is scarce."""
 
@@ -96,12 +105,16 @@ def look_roughly(
     wider = max(reach_px - SEARCH_PX, 0.0)
     inside = (INSIDE_PX[0] - wider, INSIDE_PX[1] - wider)
     outside = (OUTSIDE_PX[0] + wider, OUTSIDE_PX[1] + wider)
-    steps = np.arange(inside[0], outside[1] + 1e-9, _STEP_PX)
+    step = _WIDE_STEP_PX if wider > 0 else _STEP_PX
+    steps = np.arange(inside[0], outside[1] + 1e-9, step)
     frame = frame_about(axis)
     points, normals, scale, around = cast_rays(frame, half_angle, search.rays, view.lens)
     reach = (inside[0], outside[1])
     free = ways(frame, half_angle, scale, around, search.nearer, reach, search.margin_px)
-    profiles, _ = sample(view.pixels, view.table, points, normals, steps, free, False)
+    if wider > 0:
+        profiles = sample_nearest(view.pixels, view.table, points, normals, steps, free)
+    else:
+        profiles, _ = sample(view.pixels, view.table, points, normals, steps, free, False)
     within, without = levels(profiles, steps, inside), levels(profiles, steps, outside)
     x, contrast = project(profiles, within, without, False)
     at, slope = crossings(x, steps, reach_px)

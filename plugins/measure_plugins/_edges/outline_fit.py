@@ -22,6 +22,7 @@ _FIRST_GATE_PX = 2.5
 _BLOCKS = 12
 _TURNS = 8
 _FEWEST_EDGES = 6
+_INLIER = 0.1
 _ROUGHLY_SETTLED_PX = 0.5
 _SETTLED_PX = 0.1
 """Corrected edges are looked at again until the axis moves less: the prediction, fitted at a place
@@ -74,8 +75,14 @@ class _Fit(NamedTuple):
 
 
 @compiled
-def measure_roughly(view: View, search: Search) -> Outline:
-    """Measure an outline whose size nobody knows, by its half-level crossings."""
+def measure_roughly(view: View, search: Search, hopeless: float) -> Outline:
+    """Measure an outline whose size nobody knows, by its half-level crossings.
+
+    Args:
+        view: where to look.
+        search: for what.
+        hopeless: a near look in which a smaller share of edges agrees is the last.
+    """
     axis, half_angle, reach = search.axis, search.half_angle, _reach(view, search)
     for turn in range(_TURNS):
         look = look_roughly(view, search, axis, half_angle, reach)
@@ -85,6 +92,8 @@ def measure_roughly(view: View, search: Search) -> Outline:
             break
         if near and _moved(fit) < _ROUGHLY_SETTLED_PX:
             return _outline(view, look, half_angle, fit)
+        if turn > 0 and _agreement(look, fit) < hopeless:
+            break
         axis = _turned(look, fit)
         half_angle += fit.solution[2] / np.mean(look.scale)
         reach = SEARCH_PX
@@ -142,6 +151,13 @@ def _moved(fit: _Fit) -> float:
 
 
 @compiled
+def _agreement(look: Look, fit: _Fit) -> float:
+    """Share of the rays that should show an edge whose edges lie on one outline."""
+    inliers = np.nonzero(fit.weights > _INLIER)[0]
+    return len(inliers) / max(np.sum(look.clear) + _overflow(look, inliers), 1.0)
+
+
+@compiled
 def _turned(look: Look, fit: _Fit) -> Floats:
     """The axis (3,) that a fit has found."""
     turn_by = fit.solution[0] * look.frame[0] + fit.solution[1] * look.frame[1]
@@ -161,7 +177,7 @@ def _nothing(search: Search) -> Outline:
 def _outline(view: View, look: Look, half_angle: float, fit: _Fit) -> Outline:
     px, axis = np.mean(look.scale), _turned(look, fit)
     center = np.array(to_pixel(axis[0], axis[1], axis[2], view.lens))
-    inliers = np.nonzero(fit.weights > 0.1)[0]
+    inliers = np.nonzero(fit.weights > _INLIER)[0]
     points, sd = np.empty((len(inliers), 2)), np.empty(len(inliers))
     standard = np.zeros(len(fit.weights))
     for k, i in enumerate(inliers):
@@ -175,7 +191,7 @@ def _outline(view: View, look: Look, half_angle: float, fit: _Fit) -> Outline:
         apart = point - center
         radius += np.sqrt(np.sum(apart * apart)) / len(look.points)
     to_image = _image_directions(look.frame, view.lens) / px
-    correlation = _correlation(standard, fit.weights > 0.1)
+    correlation = _correlation(standard, fit.weights > _INLIER)
     middle = len(sd) // 2
     return Outline(
         axis,

@@ -157,28 +157,57 @@ def sample(
         Light, and values from 0 to 1, both (3, m, n), the values empty (0, m, n) if not wanted;
         zeros where the ray is not free.
     """
-    height, width = image.shape[:2]
     m, n = len(steps), len(points)
     light, values = np.zeros((3, m, n)), np.zeros((3 if values_too else 0, m, n))
-    for i in range(n):
-        if free[i] != FREE:
-            continue
-        for end in (steps[0], steps[m - 1]):
-            u, v = points[i, 0] + end * normals[i, 0], points[i, 1] + end * normals[i, 1]
-            if not (u >= 0 and v >= 0 and u < width - 1 and v < height - 1):
-                free[i] = OUTSIDE
-        if free[i] != FREE:
-            continue
-        for j in range(m):
+    one = np.uint64(1)  # unsigned: no look whether an index counts from the end
+    _mark_outside(image, points, normals, steps, free)
+    for j in range(m):
+        for i in range(n):
+            if free[i] != FREE:
+                continue
             u = points[i, 0] + steps[j] * normals[i, 0]
             v = points[i, 1] + steps[j] * normals[i, 1]
-            x, y = int(u), int(v)
+            x, y = np.uint64(u), np.uint64(v)
             a, b = u - x, v - y
             w00, w01, w10, w11 = (1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b
             for c in range(3):
-                p, q = image[y, x, c], image[y, x + 1, c]
-                r, s = image[y + 1, x, c], image[y + 1, x + 1, c]
+                p, q = image[y, x, c], image[y, x + one, c]
+                r, s = image[y + one, x, c], image[y + one, x + one, c]
                 light[c, j, i] = w00 * table[p] + w01 * table[q] + w10 * table[r] + w11 * table[s]
                 if values_too:
                     values[c, j, i] = (w00 * p + w01 * q + w10 * r + w11 * s) / 255
     return light, values
+
+
+@compiled
+def sample_nearest(
+    image: Bytes, table: Floats, points: Floats, normals: Floats, steps: Floats, free: Floats
+) -> Floats:
+    """Light (3, m, n) of the nearest pixels, where a pixel is near enough; else as `sample`."""
+    m, n = len(steps), len(points)
+    light = np.zeros((3, m, n))
+    _mark_outside(image, points, normals, steps, free)
+    for j in range(m):
+        for i in range(n):
+            if free[i] != FREE:
+                continue
+            x = np.uint64(points[i, 0] + steps[j] * normals[i, 0] + 0.5)
+            y = np.uint64(points[i, 1] + steps[j] * normals[i, 1] + 0.5)
+            for c in range(3):
+                light[c, j, i] = table[image[y, x, c]]
+    return light
+
+
+@compiled
+def _mark_outside(
+    image: Bytes, points: Floats, normals: Floats, steps: Floats, free: Floats
+) -> None:
+    """Set free rays that leave the picture to OUTSIDE."""
+    height, width = image.shape[:2]
+    for i in range(len(points)):
+        if free[i] != FREE:
+            continue
+        for end in (steps[0], steps[len(steps) - 1]):
+            u, v = points[i, 0] + end * normals[i, 0], points[i, 1] + end * normals[i, 1]
+            if not (u >= 0 and v >= 0 and u < width - 1 and v < height - 1):
+                free[i] = OUTSIDE

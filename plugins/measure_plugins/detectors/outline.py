@@ -25,6 +25,10 @@ if TYPE_CHECKING:
     from measure_plugins._edges.radial import Radial
 
 
+_HOPELESS = 2 / 3
+"""A candidate that so far reaches less than this of the least agreement is given up."""
+
+
 class OutlineConfig(Settings):
     """Settings of the `outline` detector."""
 
@@ -191,7 +195,7 @@ class OutlineDetector(Detector):
             self.config.margin_px,
         )
         if expectation.center_camera is None:
-            return measure_roughly(view, search)
+            return measure_roughly(view, search, _HOPELESS * self.config.min_agreement)
         return measure_closely(view, search, self._radial(axis, half_angle))
 
     def _radial(self, axis: Floats, half_angle: float) -> Radial:
@@ -216,7 +220,7 @@ class OutlineDetector(Detector):
 
         axis = np.empty(3)
         bearing_and_slopes(expectation.center_px, self._lens, 0.0, 0.0, axis, np.empty(6))
-        half_angle = float(np.mean(expectation.radius_px)) / self.camera.intrinsics.focal_px
+        half_angle = sum(expectation.radius_px) / 2 / self.camera.intrinsics.focal_px
         return axis, half_angle, radius / float(np.sin(half_angle))
 
     def _color_match(self, view: View, ball: str, outline: Outline) -> float:
