@@ -11,19 +11,18 @@ from measure.kernel_sources import digest
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-_REORDERED = {"reassoc", "contract", "nsz", "arcp"}
-"""What the compiler may do to sums and products, so that loops use the processor's vectors. It
-decides once, when compiling: the same picture gives the same bits on every run. Not a number stays
-not a number."""
-
 
 def compiled(function: F) -> F:
     """`function` compiled by numba on its first call; the machine code is kept on disk.
 
+    Sums stay in the order in which they are written. Where the compiler may reorder them, a kernel
+    rounds differently inside each of its callers, and whose copy of it is called depends on what
+    else the process has loaded: the first run after an installation would not repeat to the bit.
+
     It runs without the interpreter's lock, so that cameras are measured side by side. The code on
     disk is used until a source changes that it may be made of.
     """
-    kernel = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_REORDERED)(function)
+    kernel = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
     _tie(kernel, digest(function.__module__))
     return cast("F", kernel)
 

@@ -21,6 +21,9 @@ ELSEWHERE = ("demo-command", "test-command")
 """Blocks with these marks are whole installations: `.ci/run` runs them."""
 COMMANDS = {command.name for commands in GROUPS.values() for command in commands}
 
+pytestmark = pytest.mark.timeout(900)
+"""The first page's commands compile everything on a machine that has just been set up."""
+
 by_page = pytest.mark.parametrize("page", PAGES, ids=name_of)
 
 

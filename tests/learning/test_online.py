@@ -120,7 +120,7 @@ def server(model_path: Path) -> Iterator[EstimateServer]:
 
 
 def test_answers_over_udp(server: EstimateServer, model_path: Path, split: Split) -> None:
-    client = EstimateClient(server.address)
+    client = EstimateClient(server.address, timeout_s=5.0)
     model = OnnxModel.load(model_path)
     for row in range(30):
         packet = client.ask(split.test.states[row], float(split.test.times_s[row]))
