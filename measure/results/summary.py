@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,6 +13,9 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+
+_NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(\.\d+)?(e[-+]?\d+)?(?![\w.]*\w)")
+"""A number that stands alone: not part of a name such as cam0."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +33,7 @@ class Summary:
         rms_px: median reprojection error.
         effective: share of frame sets in which a camera saw a ball effectively, by "ball@camera".
         suspended: how often each reason suspended a view.
-        reasons: how often each reason kept a frame set from being "ok".
+        reasons: how often each reason, its numbers left out, kept a frame set from being "ok".
         notes: what the session left to be known: missing pictures and the like.
     """
 
@@ -74,7 +78,9 @@ class Summary:
 def summarise(detections: pa.Table, poses: pa.Table, notes: Sequence[str] = ()) -> Summary:
     """Count and average the tables of a run."""
     statuses = Counter(poses["status"].to_pylist())
-    doubts = Counter(text for text in poses["reason"].to_pylist() if text)
+    doubts = Counter(
+        kind for text in poses["reason"].to_pylist() if text for kind in sorted(_kinds(text))
+    )
     seen = detections.group_by(["ball", "camera", "state"], use_threads=False)
     effective = {
         f"{row['ball']}@{row['camera']}": row["index_count"] / poses.num_rows
@@ -96,6 +102,11 @@ def summarise(detections: pa.Table, poses: pa.Table, notes: Sequence[str] = ()) 
         reasons=dict(doubts.most_common()),
         notes=tuple(notes),
     )
+
+
+def _kinds(reasons: str) -> set[str]:
+    """A row's reasons without their numbers, so that they can be counted."""
+    return {_NUMBER.sub("…", reason) for reason in reasons.split("; ")}
 
 
 def _median(column: pa.ChunkedArray) -> float:

@@ -173,3 +173,20 @@ def test_a_long_pause_starts_a_new_search():
     assert tracker.motion(0.2) is not None
     late = next(iter(frame_sets(CAMERAS, 1, start_s=3.0)))
     assert all(len(e) == 0 for e in tracker.expect(late).values())
+
+
+@pytest.mark.parametrize(
+    ("sd", "followed"),
+    [
+        ((0.1, 0.1, 0.1, 0.01, 0.01, 0.01), True),
+        ((30.0, 0.1, 0.1, 0.01, 0.01, 0.01), False),
+        ((0.1, 0.1, 0.1, 0.01, 0.01, 2.0), False),
+    ],
+)
+def test_a_body_known_less_well_than_a_ball_is_large_is_searched_again(sd, followed):
+    """Windows as large as the picture would be followed from one wrong ball to the next."""
+    measured, _, tracker = run(RAVEN, one_body(), CAMERAS, 5)
+    last = measured[-1]
+    pose = replace(last.pose, covariance=np.diag(np.square(sd)))
+    tracker.conclude(next(frame_sets(CAMERAS, 1, start_s=5 / 30)), last.views, last.fixes, pose)
+    assert (tracker.motion(0.2) is not None) == followed

@@ -124,6 +124,8 @@ class PredictiveTracker:
         flags = tuple(dict.fromkeys((*pose.flags, *wrong, *weak)))
         if wrong:
             self._missed()
+        elif self._lost_sight(pose):
+            self._forget()
         elif self._state is not None:
             self._misses = 0
             extra = _chart(_LEFT_OUT_MM, _LEFT_OUT_RAD)
@@ -259,6 +261,17 @@ class PredictiveTracker:
             for ball in self._body.names
             if ball not in self._confirmed and len(self._body.balls) > 3
         )
+
+    def _lost_sight(self, pose: Pose) -> bool:
+        """Whether the balls' places are known less well than a ball is large.
+
+        Windows would be as large as the picture, and balls be taken for each other: searching is
+        quicker and safer.
+        """
+        move_mm, turn = (np.sqrt(np.trace(pose.covariance[k : k + 3, k : k + 3])) for k in (0, 3))
+        arm_mm = max(float(np.linalg.norm(ball.center_mm)) for ball in self._body.balls)
+        least = min(ball.radius_mm for ball in self._body.balls)
+        return bool(np.hypot(move_mm, turn * arm_mm) > least)
 
     def _missed(self) -> None:
         """A body just found that contradicts itself is not followed at all."""
