@@ -163,6 +163,15 @@ def test_a_recording_with_pictures_is_little_larger_than_the_pictures(
     assert beside / SETS * 300 <= 10_000_000
 
 
+def _wait_until_settled(path: Path, still_s: float = 2.0, at_most_s: float = 60.0) -> None:
+    """Until a file has not grown for a while: what was sent may still be on its way."""
+    size, since, end = -1, time.monotonic(), time.monotonic() + at_most_s
+    while time.monotonic() < min(since + still_s, end):
+        if path.exists() and path.stat().st_size != size:
+            size, since = path.stat().st_size, time.monotonic()
+        time.sleep(0.1)
+
+
 def test_a_viewer_that_runs_already_is_sent_what_is_measured(session: Path, tmp_path: Path):
     """`--connect`: here to Rerun's own receiver, which writes what it gets into a file."""
     with socket.socket() as probe:
@@ -176,6 +185,7 @@ def test_a_viewer_that_runs_already_is_sent_what_is_measured(session: Path, tmp_
                 viewer=f"rerun+http://127.0.0.1:{port}/proxy", recording=False, image_every=6
             )
             api.run(session, tmp_path / "run", api.load_profile(), Registry.discover(), options)
+            _wait_until_settled(heard)
         finally:
             receiver.send_signal(signal.SIGINT)
             receiver.wait(30)
