@@ -56,7 +56,10 @@ class Sines:
         times = np.asarray(times_s, dtype=np.float64)[..., None, None]
         turn = 2 * np.pi * self.frequencies_hz * times + self.phases
         delta = np.sum(self.amplitudes * np.sin(turn), axis=-2)
-        return self.middle.perturb(delta)
+        # As one of many also where it is alone: single rotations are computed in another way, and a
+        # time's pose must not depend on what other times are asked for with it.
+        poses = self.middle.perturb(np.atleast_2d(delta))
+        return poses if delta.ndim > 1 else poses[0]
 
 
 @dataclass(frozen=True)

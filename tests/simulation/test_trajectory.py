@@ -29,7 +29,7 @@ def test_motion_is_smooth_and_repeats_with_the_seed() -> None:
     a, b = random_motion(7, MIDDLE), random_motion(7, MIDDLE)
     times = np.linspace(0, 3, 400)
     assert np.array_equal(a.at(times).matrix, b.at(times).matrix)
-    np.testing.assert_allclose(a.at(1.5).matrix, a.at([1.5]).matrix[0], rtol=0, atol=1e-13)
+    assert np.array_equal(a.at(1.5).matrix, a.at(np.array([1.5])).matrix[0])
     second = np.diff(a.at(times).translation, 2, axis=0) / (times[1] ** 2)
     assert np.abs(second).max() < 500
 
