@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-import math
-
-import cv2
 import numpy as np
 
 from measure.arrays import Bytes, Floats
 from measure.host import Settings, setting
 from measure.model import BallColor, Body, Camera, Detection, Image
-from measure_plugins._acquisition.circles import circles_along, finish
+from measure_plugins._acquisition.circles import find_circles
 from measure_plugins._acquisition.color_table import classify, color_table
+from measure_plugins._acquisition.patches import majority
 
 _REDUCED_WIDTH = 320
 _ONE = np.eye(2)
 _SD_REDUCED_PX = 0.8
 _FULL_ARC = 0.7
-_LEAST_BORDER = 10
-"""Specks with a shorter border, in reduced pixels, show too little of any circle."""
-_PLAIN = 0.6
-"""A circle seen more than this is a ball: what lies inside it is part of it."""
 
 
 class AcquisitionSettings(Settings):
@@ -58,7 +52,7 @@ def find_candidates(
     colors = tuple(dict.fromkeys(ball.color for ball in body.balls))
     pixels = np.ascontiguousarray(image.pixels)
     step = max(1, round(pixels.shape[1] / _REDUCED_WIDTH))
-    bits = classify(pixels, color_table(colors), step)
+    bits = majority(classify(pixels, color_table(colors), step))
     circles = {
         color: _circles(bits, 1 << i, step, pixels.shape[0], config)
         for i, color in enumerate(colors)
@@ -74,45 +68,18 @@ def warm_up() -> None:
     """Compile the loops, or load them from the cache, before the first picture arrives."""
     bits = classify(np.zeros((64, 64, 3), np.uint8), color_table((BallColor.named("red"),)), 4)
     bits[5:12, 5:12] = 1
-    _circles(bits, 1, 4, 64, AcquisitionSettings(max_radius_share=1.0))
+    _circles(majority(bits), 1, 4, 64, AcquisitionSettings(max_radius_share=1.0))
 
 
 def _circles(bits: Bytes, bit: int, step: int, height: int, config: AcquisitionSettings) -> Floats:
     """Circles (k, 5) of one colour, best first: centre x, y, radius in px, share seen, filled."""
-    smallest = config.min_radius_px / step
-    largest = config.max_radius_share * height / step
-    mask = cv2.medianBlur(bits & bit, 3)
-    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    borders = [contour[:, 0] for contour in contours if len(contour) >= _LEAST_BORDER]
-    best = np.zeros((config.max_candidates, 4))
-    if borders:
-        ends = np.cumsum([len(border) for border in borders])
-        joined = np.concatenate(borders)
-        circles_along(joined, ends, mask, smallest, largest, config.min_seen, best)
-    circles = finish(mask, best[best[:, 3] > 0], smallest, largest, config.min_filled)
-    circles = _distinct(circles[np.argsort(-_scores(circles), kind="stable")])
+    radii = (config.min_radius_px / step, config.max_radius_share * height / step)
+    circles = find_circles(
+        bits, bit, radii, config.min_seen, config.min_filled, config.max_candidates
+    )
     scale = np.array([step, step, step, 1.0, 1.0])
     shift = np.array([(step - 1) / 2, (step - 1) / 2, 0, 0, 0])
     return circles * scale + shift
-
-
-def _distinct(circles: Floats) -> Floats:
-    """Leave out circles that repeat a better one, or lie within one that is plainly a ball."""
-    kept: list[list[float]] = []
-    for row in circles.tolist():
-        x, y, radius = row[:3]
-        for better in kept:
-            apart = math.hypot(x - better[0], y - better[1])
-            plain = better[3] > _PLAIN
-            if apart < (0.9 * better[2] if plain else 0.4 * max(radius, better[2])):
-                break
-        else:
-            kept.append(row)
-    return np.array(kept).reshape(-1, 5)
-
-
-def _scores(circles: Floats) -> Floats:
-    return circles[:, 3] * np.sqrt(circles[:, 2] * circles[:, 4])
 
 
 def _detection(ball: str, camera: str, time_s: float, circle: Floats, step: int) -> Detection:

@@ -8,9 +8,11 @@ samples). A circle bent the wrong way, round something in front of the ball, fin
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from measure.arrays import Bytes, Floats, Ints
+from measure.compiling import compiled
+from measure_plugins._acquisition.patches import borders
+from measure_plugins._edges.linear import cholesky, solve_factored
 
 _ANGLES = 48
 _COSINES = np.cos(2 * np.pi * np.arange(_ANGLES) / _ANGLES)
@@ -19,50 +21,73 @@ _REACH = 1.5
 """Inside and outside are looked up this far from the circle, in reduced pixels."""
 _LEAST_ARC = 2.0
 """A circle needs this much arc in sight, in reduced pixels over 2 pi: 13 pixels of border."""
-_SPANS = (3, 5, 8, 13, 21, 34, 55)
+_SPANS = (55, 34, 21, 13, 8, 5)
 """Border pixels between the three points."""
+_LEAST_BORDER = 10
+"""Specks with a shorter border, in reduced pixels, show too little of any circle."""
+_CLEAR = 0.8
+"""A circle seen more than this leaves nothing to look for along its part of a border."""
+_PLAIN = 0.6
+"""A circle seen more than this is a ball: what lies inside it is part of it."""
 
 
-@njit(cache=True, nogil=True)
-def circles_along(
-    borders: Ints,
-    ends: Ints,
-    mask: Bytes,
-    smallest: float,
-    largest: float,
-    least: float,
-    best: Floats,
-) -> None:
-    """Look for circles along the borders of patches, and keep the best ones.
+@compiled
+def find_circles(
+    bits: Bytes,
+    bit: int,
+    radii: tuple[float, float],
+    least_seen: float,
+    least_filled: float,
+    most: int,
+) -> Floats:
+    """Circles of one colour, the best first.
 
     Args:
-        borders: (n, 2) pixels x, y along the border of one patch after the other, each in order.
-        ends: (patches,) the row after each patch's last.
-        mask: (h, w), not zero where the picture has the colour.
-        smallest: least radius in reduced pixels.
-        largest: greatest radius in reduced pixels.
-        least: least share of a circle that must be seen.
-        best: (k, 4) centre x, y, radius, share seen (0: free row); changed in place.
+        bits: (h, w) colours of each pixel.
+        bit: the colour's.
+        radii: least and greatest radius, in pixels of `bits`.
+        least_seen: least share of a circle that must be seen.
+        least_filled: least share of its inside that must have the colour.
+        most: how many circles to find.
+
+    Returns:
+        (k, 5) centre x, y, radius, share of the circle seen, share of its inside filled.
     """
+    mask = _mask(bits, bit)
+    pixels, ends = borders(bits, bit, _LEAST_BORDER)
+    best = np.zeros((most, 4))
     start = 0
     for end in ends:
-        _along_one(borders[start:end], mask, smallest, largest, least, best)
+        _along(pixels[start:end], mask, radii, least_seen, best)
         start = end
+    return _distinct(_finished(mask, best, radii, least_filled))
 
 
-@njit(cache=True, nogil=True)
-def _along_one(
-    border: Ints, mask: Bytes, smallest: float, largest: float, least: float, best: Floats
+@compiled
+def _mask(bits: Bytes, bit: int) -> Bytes:
+    out = np.empty(bits.shape, np.uint8)
+    for i in range(bits.shape[0]):
+        for j in range(bits.shape[1]):
+            out[i, j] = bits[i, j] & bit
+    return out
+
+
+@compiled
+def _along(
+    border: Ints, mask: Bytes, radii: tuple[float, float], least: float, best: Floats
 ) -> None:
+    """Keep the best circles along a border: far-apart points first, which tell circles best."""
     n = len(border)
+    explained = np.zeros(n, np.uint8)
     for span in _SPANS:
-        if 2 * span >= n + span:
-            break
-        stride = max(1, span // 2)
-        for i in range(0, n, stride):
+        if span >= n:
+            continue
+        for i in range(0, n, max(1, span // 2)):
+            if explained[i]:
+                continue
             a, b, c = border[i], border[(i + span) % n], border[(i + 2 * span) % n]
             x, y, r = _through(a, b, c)
-            if not smallest <= r <= largest or 2 * span > 5 * r:
+            if not radii[0] <= r <= radii[1] or 2 * span > 5 * r:
                 continue
             if not (_parts(mask, a, x, y) and _parts(mask, b, x, y) and _parts(mask, c, x, y)):
                 continue
@@ -70,56 +95,94 @@ def _along_one(
             seen = _share_seen(mask, x, y, r, needed)
             if seen >= needed:
                 _keep(best, x, y, r, seen)
+            if seen >= _CLEAR:
+                _explain(border, x, y, r, explained)
 
 
-@njit(cache=True, nogil=True)
-def finish(
-    mask: Bytes, circles: Floats, smallest: float, largest: float, least_filled: float
+@compiled
+def _explain(border: Ints, x: float, y: float, r: float, explained: Bytes) -> None:
+    """Mark what lies on a circle that is clear: looking on would find it again and again."""
+    for i in range(len(border)):
+        dx, dy = border[i, 0] - x, border[i, 1] - y
+        if abs(np.sqrt(dx * dx + dy * dy) - r) < _REACH:
+            explained[i] = 1
+
+
+@compiled
+def _finished(
+    mask: Bytes, circles: Floats, radii: tuple[float, float], least_filled: float
 ) -> Floats:
     """Refine circles (k, 4) and keep those that are still such; (m, 5), the last: share filled."""
     out = np.empty((len(circles), 5))
     count = 0
     for i in range(len(circles)):
-        refined = _refined(mask, circles[i])
-        x, y, r = refined[0], refined[1], refined[2]
-        if not smallest <= r <= largest:
+        if not circles[i, 3] > 0:
+            continue
+        x, y, r, seen = _refined(mask, circles[i])
+        if not radii[0] <= r <= radii[1]:
             continue
         filled = _share_filled(mask, x, y, r)
         if filled >= least_filled:
-            out[count, :4], out[count, 4] = refined, filled
+            out[count] = (x, y, r, seen, filled)
             count += 1
     return out[:count]
 
 
-@njit(cache=True, nogil=True)
-def _refined(mask: Bytes, circle: Floats) -> Floats:
-    """Fit a circle (x, y, r, seen) to the colour's edge near it; returns the same columns."""
+@compiled
+def _distinct(circles: Floats) -> Floats:
+    """Sort circles (k, 5); leave out repeats of better ones and what lies in a plain ball."""
+    order = np.argsort(-circles[:, 3] * np.sqrt(circles[:, 2] * circles[:, 4]), kind="mergesort")
+    out = np.empty(circles.shape)
+    count = 0
+    for i in order:
+        x, y, r = circles[i, 0], circles[i, 1], circles[i, 2]
+        new = True
+        for k in range(count):
+            apart = np.sqrt((x - out[k, 0]) ** 2 + (y - out[k, 1]) ** 2)
+            reach = 0.9 * out[k, 2] if out[k, 3] > _PLAIN else 0.4 * max(r, out[k, 2])
+            new = new and apart >= reach
+        if new:
+            out[count] = circles[i]
+            count += 1
+    return out[:count]
+
+
+@compiled
+def _refined(mask: Bytes, circle: Floats) -> tuple[float, float, float, float]:
+    """Fit a circle (x, y, r, seen) to the colour's edge near it; returns the same numbers."""
     x, y, r, seen = circle[0], circle[1], circle[2], circle[3]
+    normal, right = np.empty((3, 3)), np.empty(3)
+    factor, step = np.empty((3, 3)), np.empty(3)
     for reach in (3.0, 2.0, 1.5):
-        normal, right = np.zeros((3, 3)), np.zeros(3)
-        row = np.ones(3)
+        normal[:], right[:] = 0.0, 0.0
         hits = 0
         for k in range(_ANGLES):
             offset = _edge(mask, x, y, r, k, reach)
             if np.isnan(offset):
                 continue
-            row[0], row[1] = _COSINES[k], _SINES[k]
+            c, s = _COSINES[k], _SINES[k]
             hits += 1
-            for a in range(3):
-                right[a] += row[a] * offset
-                for b in range(3):
-                    normal[a, b] += row[a] * row[b]
+            normal[0, 0] += c * c
+            normal[1, 0] += s * c
+            normal[1, 1] += s * s
+            normal[2, 0] += c
+            normal[2, 1] += s
+            right[0] += c * offset
+            right[1] += s * offset
+            right[2] += offset
         if hits < 6:
             break
+        normal[2, 2] = hits
         for a in range(3):
             normal[a, a] += 0.02  # a short arc: stay near what three points said
-        step = np.linalg.solve(normal, right)
+        cholesky(normal, factor)
+        solve_factored(factor, right, step)
         x, y, r = x + step[0], y + step[1], r + step[2]
         seen = hits / _ANGLES
-    return np.array([x, y, r, seen])
+    return x, y, r, seen
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _share_filled(mask: Bytes, x: float, y: float, r: float) -> float:
     """Share of the circle's inside, a tenth in from its edge, that has the colour."""
     inside = 0
@@ -134,7 +197,7 @@ def _share_filled(mask: Bytes, x: float, y: float, r: float) -> float:
     return matching / inside if inside else 0.0
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _through(a: Ints, b: Ints, c: Ints) -> tuple[float, float, float]:
     """Centre and radius of the circle through three points; radius -1 if they lie on a line."""
     bx, by = float(b[0] - a[0]), float(b[1] - a[1])
@@ -148,7 +211,7 @@ def _through(a: Ints, b: Ints, c: Ints) -> tuple[float, float, float]:
     return a[0] + x, a[1] + y, np.sqrt(x * x + y * y) + 0.5
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _at(mask: Bytes, x: float, y: float) -> int:
     """1 inside the colour, 0 outside, -1 off the picture."""
     column, row = int(np.floor(x + 0.5)), int(np.floor(y + 0.5))
@@ -157,7 +220,7 @@ def _at(mask: Bytes, x: float, y: float) -> int:
     return 1 if mask[row, column] else 0
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _parts(mask: Bytes, point: Ints, x: float, y: float) -> bool:
     """Whether colour lies on the side of a border point that faces (x, y), and none beyond."""
     dx, dy = point[0] - x, point[1] - y
@@ -168,7 +231,7 @@ def _parts(mask: Bytes, point: Ints, x: float, y: float) -> bool:
     return _at(mask, point[0] - 1.0 * dx, point[1] - 1.0 * dy) == 1
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _share_seen(mask: Bytes, x: float, y: float, r: float, needed: float) -> float:
     """Share of a circle that parts colour from other; given up once it cannot reach `needed`."""
     hits = 0
@@ -181,7 +244,7 @@ def _share_seen(mask: Bytes, x: float, y: float, r: float, needed: float) -> flo
     return hits / _ANGLES
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _edge(mask: Bytes, x: float, y: float, r: float, k: int, reach: float) -> float:
     """Where the colour ends along one radius, relative to `r`; NaN if not within `reach`."""
     c, s = _COSINES[k], _SINES[k]
@@ -198,7 +261,7 @@ def _edge(mask: Bytes, x: float, y: float, r: float, k: int, reach: float) -> fl
     return np.nan
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _keep(best: Floats, x: float, y: float, r: float, seen: float) -> None:
     """Put a circle into `best`: in place of its double if better, else of the worst."""
     merit = seen * np.sqrt(r)

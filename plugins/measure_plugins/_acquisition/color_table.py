@@ -5,9 +5,9 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 
 from measure.arrays import Bytes
+from measure.compiling import compiled
 from measure.model import BallColor
 
 _BITS = 6
@@ -39,7 +39,7 @@ def color_table(colors: tuple[BallColor, ...]) -> Bytes:
     return table
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def classify(pixels: Bytes, table: Bytes, step: int) -> Bytes:
     """Colour bits of an image reduced by `step`.
 
