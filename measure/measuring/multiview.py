@@ -9,14 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
-from measure.geometry import nearest_point, squared_mahalanobis
 from measure.model import Camera, Detection, Rig
 from measure.model.camera import MIN_DEPTH_MM
+
+if TYPE_CHECKING:
+    from measure.measuring.point_fit import PointFit
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +53,8 @@ class Views:
         return cls(
             used,
             Rig.of(used),
-            np.stack([d.center_px for d in detections]),
-            np.stack([d.covariance_px for d in detections]),
+            np.array([d.center_px for d in detections]),
+            np.array([d.covariance_px for d in detections]),
             np.zeros((len(used), 3)) if shifts is None else shifts,
         )
 
@@ -67,17 +70,6 @@ class Views:
             self.noise[rows],
             self.shifts[rows],
         )
-
-    def start(self) -> Floats:
-        """The point (3,) nearest to all rays, mm.
-
-        Raises:
-            DegenerateGeometryError: fewer than two views, or parallel rays.
-        """
-        if len(self) < 2:
-            raise DegenerateGeometryError(f"{len(self)} view does not determine a point")
-        rays = self.rig.rays(self.pixels)
-        return nearest_point(type(rays)(rays.origins - self.shifts, rays.directions))
 
     def sensitivity(self, point: Floats) -> tuple[Floats, Floats, Floats]:
         """Residuals (n, 2), Jacobians by the point (n, 2, 3) and by the camera poses (n, 2, 6)."""
@@ -103,55 +95,56 @@ class Views:
 
     def camera_noise(self, point: Floats) -> Floats:
         """What uncertain cameras add to the pixels' covariances (n, 2, 2)."""
-        by_camera = self.by_camera(point)
-        return by_camera @ self.rig.covariances @ np.swapaxes(by_camera, 1, 2)
+        from measure.measuring.point_kernels import camera_noise
+
+        rig = self.rig
+        return camera_noise(
+            rig.lenses,
+            rig.reach,
+            rig.rotation,
+            rig.centers,
+            point + self.shifts,
+            rig.covariances,
+            MIN_DEPTH_MM,
+        )
 
     def total_noise(self, point: Floats) -> Floats:
         """The pixels' covariances (n, 2, 2), calibration included."""
         return self.noise + self.camera_noise(point)
 
 
-@dataclass(frozen=True, eq=False)
-class PointFit:
-    """A fitted point.
-
-    Attributes:
-        point: (3,) mm.
-        covariance: (3, 3) mm^2 from the weights, calibration included.
-        residuals_px: (n, 2).
-        chi_square: of the residuals under the weights, 2 n - 3 degrees of freedom.
-    """
-
-    point: Floats
-    covariance: Floats
-    residuals_px: Floats
-    chi_square: float
-
-
-def fit_point(views: Views) -> PointFit:
+def fit_point(views: Views, extra_px: float = 0.0) -> PointFit:
     """Gauss-Newton on the reprojection error of n >= 2 views, weighted by full covariances.
 
-    Raises:
-        DegenerateGeometryError: parallel rays, or the point is not in front of every camera.
-    """
-    from measure.measuring.point_kernels import refine_point
+    Args:
+        views: what was seen.
+        extra_px: added to every pixel's standard deviation in quadrature, for `disagreement` alone.
 
-    rig, start = views.rig, views.start()
-    point, information, residuals, chi_square, seen = refine_point(
+    Raises:
+        DegenerateGeometryError: fewer than two views, parallel rays, or the point is not in front
+            of every camera.
+    """
+    from measure.measuring.point_fit import FITTED, PARALLEL, fit_rows
+
+    if len(views) < 2:
+        raise DegenerateGeometryError(f"{len(views)} view does not determine a point")
+    rig = views.rig
+    fit = fit_rows(
         rig.lenses,
         rig.reach,
         rig.rotation,
         rig.centers,
+        rig.covariances,
         views.pixels,
+        views.noise,
         views.shifts,
-        views.total_noise(start),
-        start,
+        extra_px,
         MIN_DEPTH_MM,
     )
-    if not seen:
-        raise DegenerateGeometryError(f"the rays of {', '.join(rig.names)} meet behind a camera")
-    covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
-    return PointFit(point, covariance, residuals, chi_square)
+    if fit.end != FITTED:
+        what = "are parallel" if fit.end == PARALLEL else "meet behind a camera"
+        raise DegenerateGeometryError(f"the rays of {', '.join(rig.names)} {what}")
+    return fit
 
 
 def ray_distances(views: Views, point: Floats) -> Floats:
@@ -159,31 +152,15 @@ def ray_distances(views: Views, point: Floats) -> Floats:
     return views.rig.rays(views.pixels).distances(point + views.shifts)
 
 
-def leverage(views: Views, fit: PointFit) -> tuple[Floats, Floats]:
-    """How a fitted point reacts to its inputs.
+def leverage(views: Views, point: Floats) -> tuple[Floats, Floats]:
+    """How a point fitted to `views` reacts to its inputs.
 
     Returns:
         By the pixels (n, 3, 2), and by the cameras' poses and intrinsics (n, 3, 18): if camera i is
         truly off by d, the fitted point errs by `by_camera[i] @ d`.
     """
-    weight = _weights(views, fit.point)
-    _, by_point, _ = views.sensitivity(fit.point)
+    weight = np.linalg.inv(views.total_noise(point))
+    _, by_point, _ = views.sensitivity(point)
     gain = np.swapaxes(by_point, 1, 2) @ weight
     by_pixel = np.linalg.inv((gain @ by_point).sum(axis=0)) @ gain
-    return by_pixel, by_pixel @ views.by_camera(fit.point)
-
-
-def disagreement(views: Views, fit: PointFit, extra_px: float) -> Floats:
-    """Squared Mahalanobis distances (n,) of the residuals, 2 degrees of freedom each.
-
-    Args:
-        views: as fitted.
-        fit: the fit.
-        extra_px: added to every pixel's standard deviation in quadrature.
-    """
-    noise = views.total_noise(fit.point) + extra_px**2 * np.eye(2)
-    return squared_mahalanobis(fit.residuals_px, noise)
-
-
-def _weights(views: Views, point: Floats) -> Floats:
-    return np.asarray(np.linalg.inv(views.total_noise(point)), dtype=np.float64)
+    return by_pixel, by_pixel @ views.by_camera(point)

@@ -1,4 +1,4 @@
-"""One point from several pictures, compiled: see `multiview`."""
+"""How pixels of a point depend on it and on its cameras, compiled: see `multiview`."""
 
 from __future__ import annotations
 
@@ -8,9 +8,6 @@ from measure.arrays import Floats
 from measure.compiling import compiled
 from measure.model.lens import bend
 from measure.model.rig_kernels import project_one
-
-_STEPS = 12
-_STEP_TOLERANCE_MM = 1e-7
 
 
 @compiled
@@ -101,65 +98,21 @@ def _lens_column(out: Floats, column: int, du: float, dv: float, lens: Floats) -
 
 
 @compiled
-def refine_point(
+def camera_noise(
     lenses: Floats,
     reach: Floats,
     rotation: Floats,
     centers: Floats,
-    pixels: Floats,
-    shifts: Floats,
-    noise: Floats,
-    start: Floats,
+    seen: Floats,
+    covariances: Floats,
     min_depth: float,
-) -> tuple[Floats, Floats, Floats, float, bool]:
-    """Gauss-Newton from `start` with fixed weights.
-
-    Args:
-        lenses: (n, 13).
-        reach: (n,) of the lens models.
-        rotation: (n, 3, 3) of world_from_camera.
-        centers: (n, 3) of the cameras.
-        pixels: (n, 2).
-        shifts: (n, 3) where each camera saw the point, relative to where it is.
-        noise: (n, 2, 2) total covariances of the pixels.
-        start: (3,) mm.
-        min_depth: see `rig_kernels.project_one`.
-
-    Returns:
-        The point (3,), its information (3, 3), residuals (n, 2), chi-square, and whether the point
-        stayed in front of every camera.
-    """
-    n = len(pixels)
-    point, pixel, by_point = start.copy(), np.empty(2), np.empty((2, 3))
-    weight = np.empty((n, 3))
-    for i in range(n):
-        det = noise[i, 0, 0] * noise[i, 1, 1] - noise[i, 0, 1] * noise[i, 1, 0]
-        weight[i, 0], weight[i, 1] = noise[i, 1, 1] / det, noise[i, 0, 0] / det
-        weight[i, 2] = -noise[i, 0, 1] / det
-    normal, right, residuals = np.empty((3, 3)), np.empty(3), np.empty((n, 2))
-    chi_square, settled = 0.0, False
-    for turn in range(_STEPS + 1):
-        normal[:], right[:], chi_square = 0.0, 0.0, 0.0
-        for i in range(n):
-            project_one(
-                lenses[i], reach[i], rotation[i], centers[i], point + shifts[i], min_depth, pixel,
-                by_point,
-            )  # fmt: skip
-            u, v = pixels[i, 0] - pixel[0], pixels[i, 1] - pixel[1]
-            residuals[i, 0], residuals[i, 1] = u, v
-            wu, wv = weight[i, 0] * u + weight[i, 2] * v, weight[i, 2] * u + weight[i, 1] * v
-            chi_square += u * wu + v * wv
-            for a in range(3):
-                right[a] += by_point[0, a] * wu + by_point[1, a] * wv
-                ga = weight[i, 0] * by_point[0, a] + weight[i, 2] * by_point[1, a]
-                gb = weight[i, 2] * by_point[0, a] + weight[i, 1] * by_point[1, a]
-                for b in range(3):
-                    normal[a, b] += ga * by_point[0, b] + gb * by_point[1, b]
-        if not np.isfinite(chi_square):
-            return point, normal, residuals, chi_square, False
-        if settled or turn == _STEPS:
-            break
-        step = np.linalg.solve(normal, right)
-        point += step
-        settled = np.max(np.abs(step)) < _STEP_TOLERANCE_MM
-    return point, normal, residuals, chi_square, True
+) -> Floats:
+    """What uncertain cameras add to the covariances (n, 2, 2) of the pixels of points (n, 3)."""
+    out = np.zeros((len(seen), 2, 2))
+    if not np.any(covariances):
+        return out
+    _, _, by_pose = sensitivities(lenses, reach, rotation, centers, seen, min_depth)
+    by_camera = by_cameras(lenses, rotation, centers, seen, by_pose, covariances)
+    for i in range(len(seen)):
+        out[i] = by_camera[i] @ covariances[i] @ by_camera[i].T
+    return out

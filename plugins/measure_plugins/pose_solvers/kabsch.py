@@ -8,6 +8,7 @@ so their part of the covariance is carried per camera, not per ball.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform, align_points, chi_square_quantile, propagate, skew
 from measure.host import PoseSolver, Settings, hookimpl, setting
 from measure.measuring.body_checks import layout_flags
-from measure.measuring.multiview import PointFit, Views, fit_point, leverage
+from measure.measuring.multiview import Views, fit_point, leverage
 from measure.model import Camera, Detection, Fix, Motion, Pose
 
 _STEPS = 10
@@ -36,6 +37,15 @@ class KabschConfig(Settings):
     huber: float = setting(
         3.0, "A fix further than this many standard deviations off gets a smaller weight.", gt=0
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Located:
+    """A ball at the pose's instant: centre (3,) in mm, its covariance (3, 3), and its pixels."""
+
+    point: Floats
+    covariance: Floats
+    views: Views | None
 
 
 class KabschSolver(PoseSolver):
@@ -58,8 +68,8 @@ class KabschSolver(PoseSolver):
             return None
         at = [self._at(fix, detections, cameras, time_s, prior) for fix in fixes]
         points_body = self.body.centers[[self.body.index(fix.ball) for fix in fixes]]
-        centers = np.stack([fit.point for fit, _ in at])
-        covariances = np.stack([fit.covariance for fit, _ in at])
+        centers = np.stack([located.point for located in at])
+        covariances = np.stack([located.covariance for located in at])
         try:
             start = align_points(centers, points_body, 1 / np.trace(covariances, axis1=1, axis2=2))
         except DegenerateGeometryError:
@@ -91,11 +101,11 @@ class KabschSolver(PoseSolver):
         cameras: Mapping[str, Camera],
         time_s: float,
         prior: Motion | None,
-    ) -> tuple[PointFit, Views | None]:
+    ) -> _Located:
         """The fix at `time_s`: each camera's pixel is where a moving ball was at its own time."""
         used = [d for d in detections if d.ball == fix.ball and d.camera in fix.cameras]
         if len(used) < 2:
-            return PointFit(fix.center, fix.covariance, np.zeros((0, 2)), 0.0), None
+            return _Located(fix.center, fix.covariance, None)
         shifts = np.zeros((len(used), 3))
         if prior is not None:
             center = self.body.centers[self.body.index(fix.ball)]
@@ -103,14 +113,14 @@ class KabschSolver(PoseSolver):
             shifts -= prior.at(time_s).apply(center)
         views = Views.of(used, cameras, shifts)
         if not np.any(views.shifts):
-            return PointFit(fix.center, fix.covariance, views.sensitivity(fix.center)[0], 0), views
+            return _Located(fix.center, fix.covariance, views)
         try:
             fit = fit_point(views)
         except DegenerateGeometryError:
-            return PointFit(fix.center, fix.covariance, np.zeros((0, 2)), 0.0), None
+            return _Located(fix.center, fix.covariance, None)
         # What the triangulator found doubtful stays doubtful.
         wider = max(1.0, float(np.trace(fix.covariance) / np.trace(fit.covariance)))
-        return PointFit(fit.point, fit.covariance * wider, fit.residuals_px, 0.0), views
+        return _Located(fit.point, fit.covariance * wider, views)
 
 
 def _jacobians(world_from_body: RigidTransform, points_body: Floats) -> Floats:
@@ -146,7 +156,7 @@ def _covariance(
     pose: RigidTransform,
     points_body: Floats,
     weight: Floats,
-    fits: Sequence[tuple[PointFit, Views | None]],
+    balls: Sequence[_Located],
     chi_square: float,
 ) -> Floats:
     """(6, 6): pixel noise ball by ball, and each camera's own error over all balls at once."""
@@ -156,8 +166,8 @@ def _covariance(
     out = np.zeros((6, 6))
     by_camera: dict[str, Floats] = {}
     known: dict[str, Floats] = {}
-    for (fit, views), lever in zip(fits, by_fix, strict=True):
-        own, levers = _parts(views, fit)
+    for located, lever in zip(balls, by_fix, strict=True):
+        own, levers = _parts(located)
         for camera, sensitivity in levers:
             assert camera.covariance is not None
             known[camera.name] = camera.covariance
@@ -171,18 +181,19 @@ def _covariance(
     return (out + out.T) / 2
 
 
-def _parts(views: Views | None, fit: PointFit) -> tuple[Floats, list[tuple[Camera, Floats]]]:
+def _parts(located: _Located) -> tuple[Floats, list[tuple[Camera, Floats]]]:
     """A fix's own covariance (3, 3), and how it reacts to each uncertain camera (3, 18).
 
     Where the triangulator doubts a fix (a covariance beyond what pixels and calibration explain),
     the own part is wider by the same ratio.
     """
+    views = located.views
     if views is None or all(camera.covariance is None for camera in views.cameras):
-        return fit.covariance, []
-    by_pixel, by_camera = leverage(views, fit)
+        return located.covariance, []
+    by_pixel, by_camera = leverage(views, located.point)
     own = propagate(by_pixel, views.noise).sum(axis=0)
-    shared = propagate(by_pixel, views.camera_noise(fit.point)).sum(axis=0)
-    doubt = max(1.0, float(np.trace(fit.covariance) / np.trace(own + shared)))
+    shared = propagate(by_pixel, views.camera_noise(located.point)).sum(axis=0)
+    doubt = max(1.0, float(np.trace(located.covariance) / np.trace(own + shared)))
     levers = [
         (camera, sensitivity)
         for camera, sensitivity in zip(views.cameras, by_camera, strict=True)
@@ -191,12 +202,12 @@ def _parts(views: Views | None, fit: PointFit) -> tuple[Floats, list[tuple[Camer
     return own * doubt, levers
 
 
-def _rms_px(fits: Sequence[tuple[PointFit, Views | None]], centers: Floats) -> float:
+def _rms_px(balls: Sequence[_Located], centers: Floats) -> float:
     """RMS distance in px of the body's balls, as posed, from their detections; NaN if none."""
     errors = [
-        views.sensitivity(center)[0]
-        for (_, views), center in zip(fits, centers, strict=True)
-        if views is not None
+        located.views.sensitivity(center)[0]
+        for located, center in zip(balls, centers, strict=True)
+        if located.views is not None
     ]
     if not errors:
         return float("nan")

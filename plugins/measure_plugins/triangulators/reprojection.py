@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,8 +16,11 @@ from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
 from measure.geometry import chi_square_quantile
 from measure.host import Settings, Triangulator, hookimpl, setting
-from measure.measuring.multiview import PointFit, Views, disagreement, fit_point, ray_distances
+from measure.measuring.multiview import Views, fit_point
 from measure.model import Camera, Detection, Fix
+
+if TYPE_CHECKING:
+    from measure.measuring.point_fit import PointFit
 
 
 class ReprojectionConfig(Settings):
@@ -54,6 +58,12 @@ class ReprojectionTriangulator(Triangulator):
     Config = ReprojectionConfig
     config: ReprojectionConfig
 
+    def warm_up(self) -> None:
+        """Compile the fit (seconds, once per machine), by fitting a point to nothing."""
+        from measure.measuring.point_fit import warm_up
+
+        warm_up()
+
     def triangulate(
         self, detections: Sequence[Detection], cameras: Mapping[str, Camera]
     ) -> Fix | None:
@@ -64,14 +74,14 @@ class ReprojectionTriangulator(Triangulator):
         chosen, rivals = self._choose(views)
         if chosen is None:
             return None
-        kept = views.take(chosen.rows)
+        used = [detections[row] for row in chosen.rows]
         return Fix(
             ball=detections[0].ball,
-            time_s=float(np.mean([detections[row].time_s for row in chosen.rows])),
+            time_s=sum(d.time_s for d in used) / len(used),
             center=chosen.fit.point,
             covariance=_honest_covariance(chosen, rivals),
-            cameras=kept.rig.names,
-            residuals_mm=ray_distances(kept, chosen.fit.point),
+            cameras=tuple(d.camera for d in used),
+            residuals_mm=chosen.fit.distances_mm,
             dropped=tuple(n for i, n in enumerate(views.rig.names) if i not in chosen.rows),
         )
 
@@ -92,14 +102,13 @@ class ReprojectionTriangulator(Triangulator):
         return best, rivals
 
     def _try(self, views: Views, rows: list[int]) -> _Candidate | None:
-        some = views.take(rows)
+        some = views if len(rows) == len(views) else views.take(rows)
         try:
-            fit = fit_point(some)
+            fit = fit_point(some, self.config.tolerance_px)
         except DegenerateGeometryError:
             return None
-        distance = disagreement(some, fit, self.config.tolerance_px).sum()
         gate = chi_square_quantile(self.config.confidence, 2 * len(rows) - 3)
-        return _Candidate(rows, fit, float(distance) / gate)
+        return _Candidate(rows, fit, float(fit.disagreement.sum()) / gate)
 
 
 def _honest_covariance(chosen: _Candidate, rivals: Sequence[_Candidate]) -> Floats:
@@ -114,8 +123,10 @@ def _honest_covariance(chosen: _Candidate, rivals: Sequence[_Candidate]) -> Floa
     covariance = fit.covariance
     if fit.chi_square > chi_square_quantile(0.99, degrees):
         covariance = covariance * (fit.chi_square / degrees)
-    apart = [rival.fit.point - fit.point for rival in rivals]
-    return covariance + sum((np.outer(d, d) for d in apart), np.zeros((3, 3)))
+    for rival in rivals:
+        apart = rival.fit.point - fit.point
+        covariance = covariance + np.outer(apart, apart)
+    return covariance
 
 
 @hookimpl
