@@ -16,17 +16,19 @@ from measure.api.profiles import load_profile
 from measure.arrays import Floats
 from measure.geometry import RigidTransform
 from measure.host import Registry
-from measure.measuring import Profile
+from measure.measuring import Measurement, Profile
 from measure.measuring.checks import (
     Coverage,
     Finding,
     Level,
     Misfit,
+    RepeatCount,
     Surveyed,
     camera_misfits,
     coverage_findings,
     expected_accuracy,
     misfit_findings,
+    repeat_findings,
     stamp_findings,
     survey_frame_set,
     with_velocities,
@@ -104,14 +106,16 @@ def check(
         total = len(session.pair().times_s)
         chosen = _spread_pairs(total, samples)
         work = len(chosen) + min(clock_samples, total)
-        surveys, located = [], []
+        surveys, located, repeats = [], [], RepeatCount()
         for done, (frame_set, seen) in enumerate(_search(session, chosen, registry, profile), 1):
             surveys.append(survey_frame_set(seen, session.body, session.cameras, frame_set.time_s))
+            repeats.look(frame_set)
             located.append(locate_in_candidates(seen, session.body, session.cameras))
             if report is not None:
                 report(done, work)
-        clocks = _clocks(session, surveys, registry, profile, clock_samples)
-        return _concluded(session, total, surveys, located, clocks)
+        clocks = _clocks(session, surveys, registry, profile, clock_samples, repeats)
+        stalls = _stalls(session, repeats)
+        return _concluded(session, total, surveys, located, clocks, stalls)
 
 
 def _spread_pairs(total: int, samples: int) -> list[int]:
@@ -144,13 +148,32 @@ def _clocks(
     registry: Registry,
     profile: Profile,
     samples: int,
+    repeats: RepeatCount,
 ) -> tuple[CameraClock, ...]:
     """Compare the clocks, if the body can be followed at all."""
     found = sum(survey.world_from_body is not None for survey in surveys)
     if not samples or found < len(surveys) / 2:
         return ()
-    measured = (m for _, m in measure_session(session, profile, registry))
-    return estimate_clocks(islice(measured, samples), session.body, session.cameras)
+
+    def measured() -> Iterator[Measurement]:
+        for frame_set, measurement in islice(measure_session(session, profile, registry), samples):
+            repeats.look(frame_set)
+            yield measurement
+
+    return estimate_clocks(measured(), session.body, session.cameras)
+
+
+def _stalls(session: Session, passed: RepeatCount) -> list[Finding]:
+    """Pictures that come twice: in all files, or among those of a video that were decoded."""
+    out = []
+    for name, stream in session.streams.items():
+        positions, looked_at = stream.repeated(), len(stream) - 1
+        if positions is None:
+            again = sorted(passed.repeated.get(name, ()))
+            positions = np.nonzero(np.isin(stream.frames, again))[0]
+            looked_at = len(passed.looked_at.get(name, ()))
+        out += repeat_findings(name, positions, looked_at, stream.times_s, stream.frames)
+    return out
 
 
 def _concluded(
@@ -159,8 +182,9 @@ def _concluded(
     surveys: Sequence[Surveyed],
     located: Sequence[Located],
     clocks: tuple[CameraClock, ...],
+    stalls: list[Finding],
 ) -> SessionCheck:
-    findings = [Finding(Level.NOTE, "frames", note) for note in session.notes]
+    findings = stalls + [Finding(Level.NOTE, "frames", note) for note in session.notes]
     for stream in session.streams.values():
         findings += stamp_findings(stream.name, stream.times_s, stream.frames)
     shape = check_body(located, session.body)

@@ -28,14 +28,19 @@ class Repeats:
         Returns:
             The frame set to measure; and a flag for its pose, empty if there is nothing to doubt.
         """
-        again = [name for name, image in frame_set.images.items() if self._repeats(image)]
-        self._last.update(frame_set.images)
+        again = self.repeated(frame_set)
         if not again:
             return frame_set, ""
         fresh = {name: i for name, i in frame_set.images.items() if name not in again}
         if len(fresh) >= _ENOUGH:
             return replace(frame_set, images=fresh), ""
         return frame_set, f"the pictures of {', '.join(again)} repeat those before: a stall?"
+
+    def repeated(self, frame_set: FrameSet) -> list[str]:
+        """The cameras whose picture is the last one that was asked about, once more."""
+        again = [name for name, image in frame_set.images.items() if self._repeats(image)]
+        self._last.update(frame_set.images)
+        return again
 
     def _repeats(self, image: Image) -> bool:
         last = self._last.get(image.camera)

@@ -37,7 +37,7 @@ class ImageStream(Stream):
         """The frame at position `index`: the file is read now, the pixels decode on first use."""
         self.check_index(index)
         where = f"{self.place(index)}: "
-        data = read_bytes(self.files[index], where)
+        data = self._content(index)
 
         def decode() -> Bytes:
             pixels = decode_picture(data, f"{where}{self.files[index]}")
@@ -55,6 +55,15 @@ class ImageStream(Stream):
             decode,
             data if data.startswith(JPEG_START) else None,
         )
+
+    def repeated(self) -> Ints | None:
+        """Positions of files with the content of the one before; most differ in size already."""
+        sizes = [file.stat().st_size for file in self.files]
+        alike = [k for k in range(1, len(sizes)) if sizes[k] == sizes[k - 1]]
+        return np.array([k for k in alike if self._content(k) == self._content(k - 1)], np.int64)
+
+    def _content(self, index: int) -> bytes:
+        return read_bytes(self.files[index], f"{self.place(index)}: ")
 
 
 def open_image_stream(

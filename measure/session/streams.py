@@ -63,6 +63,13 @@ class Stream(ABC):
             SessionError: with camera, file and frame if it cannot be read.
         """
 
+    def repeated(self) -> Ints | None:
+        """Positions of pictures that are the one before once more, to the last bit.
+
+        None where that cannot be told without decoding everything.
+        """
+        return None
+
     def close(self) -> None:  # noqa: B027 -- most streams hold nothing open
         """Let go of open files."""
 

@@ -23,9 +23,11 @@ def write_video(
     frames: int = 24,
     options: dict[str, str] | None = None,
     container: dict[str, str] | None = None,
+    shows: list[int] | None = None,
 ) -> None:
-    """Frame k has the grey `level(k)`; `ticks` are its times in 1/90000 s, else 30 a second."""
+    """Frame k has the grey `level(k)`, or `level(shows[k])`; `ticks` are its times in 1/90000 s, else 30 a second."""
     count = frames if ticks is None else len(ticks)
+    shows = list(range(count)) if shows is None else shows
     with av.open(str(path), "w", options=container or {}) as out:
         stream = out.add_stream(codec, rate=30, options=options or {})
         stream.width, stream.height = SIZE_WH
@@ -33,7 +35,7 @@ def write_video(
         if ticks is not None:
             stream.time_base = stream.codec_context.time_base = TIME_BASE
         for k in range(count):
-            pixels = np.full((SIZE_WH[1], SIZE_WH[0], 3), level(k), np.uint8)
+            pixels = np.full((SIZE_WH[1], SIZE_WH[0], 3), level(shows[k]), np.uint8)
             frame = av.VideoFrame.from_ndarray(pixels, format="bgr24")
             if ticks is not None:
                 frame.pts, frame.time_base = ticks[k], TIME_BASE

@@ -8,6 +8,7 @@ from measure.measuring.checks.coverage import (
 )
 from measure.measuring.checks.finding import Finding, Level
 from measure.measuring.checks.moved import Misfit, camera_misfits, misfit_findings
+from measure.measuring.checks.repeated import RepeatCount, repeat_findings
 from measure.measuring.checks.stamps import stamp_findings
 from measure.measuring.checks.survey import Surveyed, survey_frame_set, with_velocities
 
@@ -16,12 +17,14 @@ __all__ = [
     "Finding",
     "Level",
     "Misfit",
+    "RepeatCount",
     "Surveyed",
     "camera_misfits",
     "coverage_findings",
     "expected_accuracy",
     "expected_sd",
     "misfit_findings",
+    "repeat_findings",
     "stamp_findings",
     "survey_frame_set",
     "with_velocities",
