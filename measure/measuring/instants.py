@@ -59,6 +59,21 @@ def center_residuals(
     }
 
 
+def pose_residuals(
+    views: Sequence[BallView],
+    pose: Pose,
+    prior: Motion | None,
+    body: Body,
+    cameras: Mapping[str, Camera],
+) -> dict[tuple[str, str], Floats]:
+    """`center_residuals` of a pose that moves as `prior` says; of one at rest without a prior."""
+    if prior is None:
+        motion = Motion.at_rest(pose.world_from_body, pose.time_s)
+    else:
+        motion = replace(prior, world_from_body=pose.world_from_body, time_s=pose.time_s)
+    return center_residuals(views, motion, body, cameras)
+
+
 def velocity_share(
     detections: Sequence[Detection],
     pose: Pose,

@@ -10,7 +10,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.host import Detector, PoseSolver, Triangulator
-from measure.measuring.instants import center_residuals, detections_at, velocity_share
+from measure.measuring.instants import detections_at, pose_residuals, velocity_share
 from measure.measuring.measurement import Draft, Measurement, Status
 from measure.measuring.pose_spline import motion_at, with_neighbours
 from measure.measuring.repeats import Repeats
@@ -219,11 +219,8 @@ class Pipeline:
     ) -> dict[tuple[str, str], Floats]:
         if pose is None:
             return {}
-        if prior is None or not self.stages.own_times:
-            still = Motion.at_rest(pose.world_from_body, pose.time_s)
-            return center_residuals(views, still, self._body, self._cameras)
-        moving = replace(prior, world_from_body=pose.world_from_body, time_s=pose.time_s)
-        return center_residuals(views, moving, self._body, self._cameras)
+        moving = prior if self.stages.own_times else None
+        return pose_residuals(views, pose, moving, self._body, self._cameras)
 
 
 def _status(pose: Pose | None) -> Status:

@@ -25,7 +25,10 @@ def write_video(
     container: dict[str, str] | None = None,
     shows: list[int] | None = None,
 ) -> None:
-    """Frame k has the grey `level(k)`, or `level(shows[k])`; `ticks` are its times in 1/90000 s, else 30 a second."""
+    """Frame k has the grey `level(k)`, or `level(shows[k])`.
+
+    `ticks` are its times in 1/90000 s, else 30 a second.
+    """
     count = frames if ticks is None else len(ticks)
     shows = list(range(count)) if shows is None else shows
     with av.open(str(path), "w", options=container or {}) as out:

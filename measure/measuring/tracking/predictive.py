@@ -17,6 +17,8 @@ from measure.arrays import Floats
 from measure.geometry import chi_square_quantile
 from measure.host.settings import Settings
 from measure.measuring.association import Association, AssociationSettings, associate
+from measure.measuring.instants import pose_residuals
+from measure.measuring.tracking.consistency import inconsistencies
 from measure.measuring.tracking.doubts import contradictions, jumped, strangers, weaknesses
 from measure.measuring.tracking.gates import agree_with_each_other, agree_with_prediction
 from measure.measuring.tracking.motion_filter import MotionState
@@ -120,7 +122,7 @@ class PredictiveTracker:
             pose, fixes, views, self._body, c.distance_tolerance_mm, c.max_rms_px
         )
         weak = weaknesses(pose, views, c.max_sd_mm) + self._still_strange(views) + self._doubts
-        weak += self._unconfirmed(views)
+        weak += self._unconfirmed(views) + self._inconsistent(views, fixes, pose)
         flags = tuple(dict.fromkeys((*pose.flags, *wrong, *weak)))
         if wrong:
             self._missed()
@@ -261,6 +263,14 @@ class PredictiveTracker:
             for ball in self._body.names
             if ball not in self._confirmed and len(self._body.balls) > 3
         )
+
+    def _inconsistent(
+        self, views: Sequence[BallView], fixes: Sequence[Fix], pose: Pose
+    ) -> tuple[str, ...]:
+        cameras = {camera.name: camera for camera in self._cameras}
+        off = pose_residuals(views, pose, self.motion(pose.time_s), self._body, cameras)
+        c = self.config
+        return inconsistencies(pose, views, fixes, off, self._body, c.own_px, c.confidence)
 
     def _lost_sight(self, pose: Pose) -> bool:
         """Whether the balls' places are known less well than a ball is large.

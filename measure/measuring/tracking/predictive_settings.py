@@ -29,6 +29,13 @@ class PredictiveConfig(Settings):
         unit="px",
         ge=0,
     )
+    own_px: float = setting(
+        0.3,
+        "Standard deviation of what one sighting is off by besides its noise, where all sightings "
+        "together are held against the pose.",
+        unit="px",
+        ge=0,
+    )
     reach_sigmas: float = setting(3.5, "Standard deviations of the prediction to search.", gt=0)
     reach_floor_px: float = setting(3.0, "Least reach of a search.", unit="px", gt=0)
     size_slack: float = setting(0.15, "Relative error of an outline's radius.", gt=0, lt=1)

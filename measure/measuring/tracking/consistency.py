@@ -1,0 +1,118 @@
+"""What the sightings of one frame set, taken together, say against the pose fitted to them.
+
+A fit leaves out what it does not believe, and gives way to what is wrong with all of a camera or
+all of a ball: its residuals stay small. What then stands out is sightings left out in number, and
+errors that several sightings have in common.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.geometry import chi_square_quantile
+from measure.model import BallView, Body, Fix, Pose
+from measure.model.observations import Reason
+
+_DISBELIEVED = (Reason.JUMPED, Reason.INCONSISTENT, Reason.RECOVERING)
+_MANY = 2
+_LEAST_SIGHTINGS = 5
+"""As many as a search must find before it calls something the body."""
+
+
+def inconsistencies(
+    pose: Pose,
+    views: Sequence[BallView],
+    fixes: Sequence[Fix],
+    residuals_px: Mapping[tuple[str, str], Floats],
+    body: Body,
+    own_px: float,
+    confidence: float,
+) -> tuple[str, ...]:
+    """Reasons to doubt a pose, a line each.
+
+    Args:
+        pose: the pose.
+        views: what was seen, and what of it is believed.
+        fixes: the balls' centres.
+        residuals_px: (2,) of every believed sighting, by (ball, camera).
+        body: as its file says.
+        own_px: standard deviation of what a sighting is off by besides its noise.
+        confidence: what is less likely than this is doubted.
+    """
+    believed = [view for view in views if view.effective and view.detection is not None]
+    variances = {
+        (v.ball, v.camera): float(np.trace(v.detection.covariance_px)) / 2
+        for v in believed
+        if v.detection is not None
+    }
+    found = tuple(_disbelieved(views))
+    found += tuple(_balls_aside(pose, fixes, variances, body, own_px, confidence))
+    found += tuple(_cameras_aside(residuals_px, variances, own_px, confidence))
+    if len(believed) < _LEAST_SIGHTINGS:
+        found += (f"only {len(believed)} sightings of balls: little would show a mistake",)
+    return found
+
+
+def _disbelieved(views: Sequence[BallView]) -> Iterable[str]:
+    """Balls that more cameras see elsewhere than where the pose puts them, or that two do."""
+    for ball in dict.fromkeys(view.ball for view in views):
+        seen = [view for view in views if view.ball == ball]
+        against = [v for v in seen if v.detection is not None and v.reason in _DISBELIEVED]
+        backing = sum(view.effective for view in seen)
+        if len(against) >= _MANY or (against and len(against) >= backing):
+            cameras = ", ".join(view.camera for view in against)
+            yield (
+                f"ball {ball} is seen elsewhere by {cameras}: "
+                "a wrong body file, another ball, or a camera that was moved?"
+            )
+
+
+def _balls_aside(
+    pose: Pose,
+    fixes: Sequence[Fix],
+    variances: Mapping[tuple[str, str], float],
+    body: Body,
+    own_px: float,
+    confidence: float,
+) -> Iterable[str]:
+    """Balls that are not where the body puts them, by rays alone."""
+    if not fixes:
+        return
+    gate = chi_square_quantile(confidence, 3)
+    expected = pose.world_from_body.apply(
+        np.stack([body.balls[body.index(fix.ball)].center_mm for fix in fixes])
+    )
+    for fix, center in zip(fixes, expected, strict=True):
+        off = fix.center - center
+        own = [variances[fix.ball, name] for name in fix.cameras if (fix.ball, name) in variances]
+        wider = 1 + own_px**2 * float(np.mean([1 / v for v in own])) if own else 1.0
+        if off @ np.linalg.solve(fix.covariance * wider, off) > gate:
+            yield (
+                f"ball {fix.ball} is {np.linalg.norm(off):.1f} mm from where the body puts it: "
+                "a wrong body file, or a camera that was moved?"
+            )
+
+
+def _cameras_aside(
+    residuals_px: Mapping[tuple[str, str], Floats],
+    variances: Mapping[tuple[str, str], float],
+    own_px: float,
+    confidence: float,
+) -> Iterable[str]:
+    """Cameras that see all balls aside in the same way."""
+    gate = chi_square_quantile(confidence, 2)
+    for camera in dict.fromkeys(name for _, name in residuals_px):
+        own = [key for key in residuals_px if key[1] == camera and key in variances]
+        if len(own) < _MANY:
+            continue
+        weights = 1 / (np.array([variances[key] for key in own]) + own_px**2)
+        total = float(np.sum(weights))
+        mean = weights @ np.stack([residuals_px[key] for key in own]) / total
+        if float(mean @ mean) * total > gate:
+            yield (
+                f"camera {camera} sees all balls {np.linalg.norm(mean):.1f} px aside: "
+                "was it moved, or is its clock off?"
+            )

@@ -1,0 +1,107 @@
+"""Errors that a fit hides are flagged: of a whole camera, of a ball, of sightings left out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from measure.geometry import RigidTransform
+from measure.measuring import Status
+from measure.measuring.tracking.consistency import inconsistencies
+from measure.model import Body
+from tests.measurements import BODY, measurement
+from tests.scenes import FOUR, RAVEN, TARGET, moved, ring
+from tests.tracking_rig import run
+
+EDGES_PX = 0.3
+"""What edges of real balls are off by, each ball in each camera by its own, all the time."""
+
+
+def path(time_s):
+    shift = 25 * np.array([np.sin(2.4 * time_s), np.cos(1.7 * time_s), np.sin(1.1 * time_s)])
+    rotvec = 0.3 * np.array([np.sin(1.5 * time_s), np.cos(1.2 * time_s), np.sin(0.7 * time_s)])
+    return RigidTransform.from_rotvec(rotvec, TARGET + shift)
+
+
+def edges(ball, camera, _):
+    rng = np.random.default_rng([ord(ball[0]), int(camera[-1])])
+    return rng.normal(0, EDGES_PX, 2)
+
+
+def measured(body, cameras, believed_body=None, believed=None, count=20, bias=edges):
+    world = lambda t: [(body, path(t))]
+    return run(believed_body or body, world, cameras, count, believed=believed, bias=bias)[0]
+
+
+def flags(found):
+    return {flag for m in found if m.pose is not None for flag in m.pose.flags}
+
+
+def turned(cameras, name, degrees):
+    pose = cameras[name].world_from_camera
+    rotvec = pose.rotate(np.array([0, np.radians(degrees), 0]))
+    return {**cameras, name: moved(cameras[name], pose.perturb([0, 0, 0, *rotvec]))}
+
+
+def displaced(body, ball, offset_mm):
+    balls = [
+        replace(b, center_mm=b.center_mm + np.array(offset_mm)) if b.name == ball else b
+        for b in body.balls
+    ]
+    return Body(body.name, tuple(balls))
+
+
+@pytest.mark.parametrize("count", [2, 3, 4])
+@pytest.mark.parametrize("body", [RAVEN, FOUR], ids=lambda body: body.name)
+def test_edges_that_are_off_as_edges_are_raise_no_flag(body, count):
+    found = measured(body, ring(count), count=60)
+    assert [m.status for m in found] == [Status.OK] * 60
+
+
+@pytest.mark.parametrize(("count", "degrees"), [(3, 0.25), (3, 0.4), (4, 0.25), (4, 0.4)])
+def test_a_camera_that_stands_wrong_is_never_believed(count, degrees):
+    cameras = ring(count)
+    found = measured(RAVEN, turned(cameras, "cam1", degrees), believed=cameras)
+    assert all(m.status is not Status.OK for m in found)
+
+
+@pytest.mark.parametrize("count", [3, 4])
+@pytest.mark.parametrize(
+    ("body", "ball", "offset_mm"),
+    [(RAVEN, "green", (3, 0, 0)), (FOUR, "blue", (0, 0, 5)), (FOUR, "white", (0, 3, 3))],
+    ids=["green", "blue", "white"],
+)
+def test_a_body_file_with_a_ball_elsewhere_is_never_believed(body, ball, offset_mm, count):
+    found = measured(body, ring(count), displaced(body, ball, offset_mm))
+    assert all(m.status is not Status.OK for m in found)
+
+
+def test_a_ball_that_two_cameras_see_elsewhere_is_named():
+    """It is not believed there; the pose may rest on where a third sees it."""
+    aside = lambda ball, camera, t: (
+        np.array([9.0, -7.0]) if ball == "red" and camera in ("cam1", "cam2") and t > 0.3 else 0.0
+    )
+    found = measured(RAVEN, ring(4), bias=aside)
+    assert all(m.status is Status.OK for m in found[:9])
+    assert all(m.status is Status.FLAGGED for m in found[11:])
+    assert any("ball red is seen elsewhere by cam1, cam2" in flag for flag in flags(found))
+
+
+def test_one_sighting_that_is_wrong_for_once_is_left_out_without_a_word():
+    once = lambda ball, camera, t: (
+        np.array([9.0, -7.0]) if (ball, camera) == ("red", "cam1") and 0.29 < t < 0.31 else 0.0
+    )
+    assert all(m.status is Status.OK for m in measured(RAVEN, ring(4), bias=once))
+
+
+@pytest.mark.parametrize(("count", "flagged"), [(4, True), (5, False)])
+def test_a_pose_of_few_sightings_is_flagged(count, flagged):
+    one = measurement(0)
+    believed = one.views[:count]
+    residuals = {(view.ball, view.camera): np.zeros(2) for view in believed}
+    found = inconsistencies(one.pose, believed, (), residuals, BODY, EDGES_PX, 0.9999)
+    assert bool(found) == flagged
+    if flagged:
+        assert found[0].startswith("only 4 sightings")
