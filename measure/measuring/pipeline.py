@@ -70,6 +70,7 @@ class Pipeline:
         """Let every stage compile or load what is slow; detectors of all cameras share that."""
         for detector in list(self.stages.detectors.values())[:1]:
             detector.warm_up()
+        self.stages.tracker.warm_up()
         self.stages.triangulator.warm_up()
         self.stages.solver.warm_up()
 

@@ -14,9 +14,10 @@ import numpy as np
 from measure.arrays import Floats, Ints
 from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform, skew
+from measure.measuring.fit_kernels import fit_rows
 from measure.model import Body, Camera, Detection, Rig
+from measure.model.camera import MIN_DEPTH_MM
 
-_STEPS = 15
 _STEP_TOLERANCE = 1e-8
 
 
@@ -118,48 +119,36 @@ def fit_pose(
     Raises:
         DegenerateGeometryError: the sightings do not determine a pose.
     """
-    speed = np.zeros(6) if velocity is None else velocity
-    inverse = np.linalg.inv(sightings.noise)
-    pose = start
-    for step_number in range(_STEPS):
-        residuals, jacobian, _ = sightings.residuals(pose, speed)
-        seen = np.all(np.isfinite(residuals), axis=1)
-        residuals[~seen], jacobian[~seen] = 0.0, 0.0
-        distance = np.einsum("ni,nij,nj->n", residuals, inverse, residuals)
-        # The first steps see everything: a start that is a little off must not lose its witnesses.
-        width = tukey if step_number > 1 else 1e3
-        weight = seen * np.maximum(1 - distance / width**2, 0.0) ** 2
-        gain = np.swapaxes(jacobian, 1, 2) @ (inverse * weight[:, None, None])
-        normal = (gain @ jacobian).sum(axis=0)
-        if step_number == 0:
-            _check(normal, weight)
-        step = _step(normal, np.einsum("nij,nj->i", gain, residuals), weight)
-        pose = pose.perturb(step)
-        if step_number > 2 and np.max(np.abs(step)) < tolerance:
-            break
-    _check(normal, weight)
-    residuals, _, _ = sightings.residuals(pose, speed)
-    distance = np.einsum("ni,nij,nj->n", residuals, inverse, residuals)
-    return PoseFit(
-        pose, np.linalg.inv(normal), residuals, np.nan_to_num(np.asarray(distance), nan=np.inf)
-    )
-
-
-def _step(normal: Floats, gradient: Floats, weight: Floats) -> Floats:
+    s = sightings
     try:
-        return np.asarray(np.linalg.solve(normal, gradient), dtype=np.float64)
+        rotation, translation, normal, residuals, distances, weighing = fit_rows(
+            s.rig.lenses,
+            s.rig.reach,
+            s.rig.rotation,
+            s.rig.centers,
+            s.points_body,
+            s.pixels,
+            _inverse(s.noise),
+            s.lead_s,
+            np.zeros(6) if velocity is None else np.ascontiguousarray(velocity),
+            np.ascontiguousarray(start.rotation),
+            np.ascontiguousarray(start.translation),
+            tukey,
+            tolerance,
+            MIN_DEPTH_MM,
+        )
     except np.linalg.LinAlgError:
-        raise _undetermined(weight) from None
+        raise _undetermined(len(s)) from None
+    if weighing < 0:
+        raise _undetermined(-weighing - 1)
+    distances = np.nan_to_num(distances, nan=np.inf)
+    pose = RigidTransform(rotation, translation)
+    return PoseFit(pose, _inverse(normal), residuals, distances)
 
 
-def _undetermined(weight: Floats) -> DegenerateGeometryError:
-    count = int(np.sum(weight > 0))
+def _inverse(matrix: Floats) -> Floats:
+    return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
+
+
+def _undetermined(count: int) -> DegenerateGeometryError:
     return DegenerateGeometryError(f"{count} ball sightings do not determine a pose")
-
-
-def _check(normal: Floats, weight: Floats) -> None:
-    """Raise if the information matrix (mm and rad scaled to each other) is singular."""
-    scale = np.sqrt(np.clip(np.diag(normal), 1e-30, None))
-    spread = np.linalg.eigvalsh(normal / np.outer(scale, scale))
-    if not spread[0] > 1e-9 * spread[-1]:
-        raise _undetermined(weight)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from measure.geometry import RigidTransform
-from measure.measuring.association import associate
+from measure.measuring import fit_kernels
+from measure.measuring.association import agreement, associate, meeting, warm_up
 from measure.model import Ball, BallColor, Body, Camera, Detection
 from tests.scenes import FOUR, RAVEN, TARGET, a_pose, ring, see
 
@@ -176,3 +177,21 @@ def test_swapped_calibrations_give_no_confident_wrong_pose(pair):
             error = found.world_from_body.difference(truth)
             assert np.linalg.norm(error[:3]) < 5
             assert {d.camera for d in found.detections}.isdisjoint({a, b})
+
+
+def test_warming_up_compiles_all_that_a_search_runs():
+    """For the very types that a search uses: else the first one would compile them again."""
+    warm_up(RAVEN, list(CAMERAS.values()))
+    loops = (
+        meeting.meetings,
+        meeting.meeting_centers,
+        agreement.agreeing,
+        agreement.fitting_pairs,
+        agreement.fitting_triples,
+        fit_kernels.fit_rows,
+    )
+    before = [len(loop.signatures) for loop in loops]
+    assert min(before) > 0
+    truth = a_pose(np.random.default_rng(2))
+    assert_found(find(rough(truth)), truth)
+    assert [len(loop.signatures) for loop in loops] == before

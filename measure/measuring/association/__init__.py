@@ -2,5 +2,6 @@
 
 from measure.measuring.association.associate import Association, associate
 from measure.measuring.association.settings import AssociationSettings
+from measure.measuring.association.warm_up import warm_up
 
-__all__ = ["Association", "AssociationSettings", "associate"]
+__all__ = ["Association", "AssociationSettings", "associate", "warm_up"]

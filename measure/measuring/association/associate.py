@@ -131,7 +131,8 @@ def _best(search: _Search, poses: RigidTransform) -> Association | None:
             finalists.append(refined)
     if not finalists:
         return None
-    finalists.sort(key=lambda item: _size_misfit(search, item[1]) / _MOST_MISFIT - item[0])
+    if len(finalists) > 1:
+        finalists.sort(key=lambda item: _size_misfit(search, item[1]) / _MOST_MISFIT - item[0])
     best_score, best = finalists[0]
     for score, rival in finalists[1:]:
         twin = _share_in_common(rival, best) > 0.5

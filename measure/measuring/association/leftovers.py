@@ -16,7 +16,7 @@ import numpy as np
 from measure.arrays import Bools, Floats
 from measure.geometry import RigidTransform
 from measure.measuring.association.points import BallPoints, Candidates, by_ball, meeting_points
-from measure.model import Body, Camera, Detection
+from measure.model import Body, Camera, Detection, Rig
 
 _OWN_RADII = 0.8
 """Candidates within this many radii of the body's own ball belong to it: a reflection, a double."""
@@ -50,6 +50,8 @@ def signs_of_another(
         sigmas: distances fit within this many standard deviations.
     """
     left = _unexplained(world_from_body, body, cameras, detections)
+    if len({d.ball for some in left.values() for d in some}) < 2:
+        return ()
     candidates = by_ball(left, body.balls, cameras)
     located = [meeting_points(c, sigmas, _SIZE_RATIO, _MOST_POINTS) for c in candidates]
     distances = np.linalg.norm(body.centers[:, None] - body.centers[None], axis=2)
@@ -86,15 +88,18 @@ def _unexplained(
     """Candidates that do not lie on a ball of the body found."""
     centers = world_from_body.apply(body.centers)
     alike = {a.name: np.array([a.color == b.color for b in body.balls]) for a in body.balls}
+    rig, balls = Rig.of(cameras), len(body.balls)
+    everywhere = rig.take(np.repeat(np.arange(len(rig)), balls))
+    pixels = everywhere.project(np.tile(centers, (len(rig), 1)))[0].reshape(-1, balls, 2)
+    away = np.linalg.norm(centers - rig.centers[:, None], axis=2)
+    reach = _OWN_RADII * rig.focal_px[:, None] * body.radii / away
     out = {}
-    for camera in cameras:
-        pixels = camera.project(centers)
-        away = np.linalg.norm(centers - camera.center, axis=1)
-        reach = _OWN_RADII * camera.intrinsics.focal_px * body.radii / away
+    for number, camera in enumerate(cameras):
+        seen = detections.get(camera.name, ())
+        places = np.array([d.center_px for d in seen]).reshape(-1, 1, 2)
+        near = np.linalg.norm(places - pixels[number], axis=2) < reach[number]
         out[camera.name] = [
-            d
-            for d in detections.get(camera.name, ())
-            if not np.any((np.linalg.norm(pixels - d.center_px, axis=1) < reach) & alike[d.ball])
+            d for d, close in zip(seen, near, strict=True) if not np.any(close & alike[d.ball])
         ]
     return out
 

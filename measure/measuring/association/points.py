@@ -7,12 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from measure.arrays import Bools, Floats, Ints
+from measure.arrays import Floats, Ints
 from measure.geometry import Rays
+from measure.measuring.association.meeting import meeting_centers, meetings
 from measure.model import Ball, Camera, Detection, Rig
-
-_FLOOR_MM = 1.0
-"""Rays that pass this close always meet: cameras are not quite simultaneous."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,71 +86,13 @@ def meeting_points(
         range_ratio: how far the outline's size may mislead about the distance, as a factor.
         most: keep this many, those that most cameras see.
     """
-    first, second = np.nonzero(candidates.cameras[:, None] < candidates.cameras[None, :])
-    points, ok = _midpoints(candidates, first, second, sigmas, range_ratio)
-    points = points[ok]
-    if not len(points):
-        return BallPoints(np.zeros((0, 3)), np.zeros(0), np.zeros(0, np.int64))
-    member = _members(candidates, points, sigmas, range_ratio)
-    member[np.arange(len(points)), first[ok]] = True
-    member[np.arange(len(points)), second[ok]] = True
-    member = np.unique(member, axis=0)
-    return _refined(candidates, member, most)
-
-
-def _midpoints(
-    c: Candidates, first: Ints, second: Ints, sigmas: float, range_ratio: float
-) -> tuple[Floats, Bools]:
-    """Midpoints (m, 3) of the common perpendiculars of pairs of rays, and which pairs meet."""
-    o1, o2, d1, d2 = c.origins[first], c.origins[second], c.directions[first], c.directions[second]
-    between = o2 - o1
-    cosine = np.einsum("ni,ni->n", d1, d2)
-    along1, along2 = np.einsum("ni,ni->n", between, d1), np.einsum("ni,ni->n", between, d2)
-    sine2 = np.maximum(1 - cosine**2, 1e-12)
-    s, t = (along1 - cosine * along2) / sine2, (cosine * along1 - along2) / sine2
-    foot1, foot2 = o1 + s[:, None] * d1, o2 + t[:, None] * d2
-    gap = np.linalg.norm(foot1 - foot2, axis=1)
-    limit = sigmas * np.hypot(s * c.angle_sd[first], t * c.angle_sd[second]) + _FLOOR_MM
-    with np.errstate(invalid="ignore"):
-        ok = (gap < limit) & (sine2 > 1e-3) & (s > 0) & (t > 0)
-        ok &= _in_range(s, c.range_mm[first], range_ratio)
-        ok &= _in_range(t, c.range_mm[second], range_ratio)
-    return (foot1 + foot2) / 2, ok
-
-
-def _in_range(distance: Floats, told: Floats, ratio: float) -> Bools:
-    return (distance < told * ratio) & (distance * ratio > told)
-
-
-def _members(c: Candidates, points: Floats, sigmas: float, range_ratio: float) -> Bools:
-    """Which candidates (k, n) see the points (k, 3): at most one per camera, the nearest."""
-    away = points[:, None, :] - c.origins
-    distance = np.linalg.norm(away, axis=2)
-    off = np.linalg.norm(np.cross(away, c.directions), axis=2)
-    scaled = off / (sigmas * distance * c.angle_sd + _FLOOR_MM)
-    near = (scaled < 1) & _in_range(distance, c.range_mm, range_ratio)
-    scaled = np.where(near, scaled, np.inf)
-    member = np.zeros(near.shape, np.bool_)
-    rows = np.arange(len(points))
-    for camera in np.unique(c.cameras):
-        columns = np.nonzero(c.cameras == camera)[0]
-        best = columns[np.argmin(scaled[:, columns], axis=1)]
-        member[rows, best] = np.isfinite(scaled[rows, best])
-    return member
-
-
-def _refined(c: Candidates, member: Bools, most: int) -> BallPoints:
-    """Least squares on the rays of each set of members (k, n)."""
-    across = np.eye(3) - c.directions[:, :, None] * c.directions[:, None, :]
-    weight = member / (c.angle_sd * c.range_mm) ** 2
-    normal = np.einsum("kn,nij->kij", weight, across)
-    right = np.einsum("kn,nij,nj->ki", weight, across, c.origins)
-    covariance = np.linalg.inv(normal)
-    points = np.einsum("kij,kj->ki", covariance, right)
-    support = member.sum(axis=1)
+    c = candidates
+    member = meetings(
+        c.cameras, c.origins, c.directions, c.range_mm, c.angle_sd, sigmas, range_ratio
+    )
+    points, sd, support = meeting_centers(member, c.origins, c.directions, c.angle_sd * c.range_mm)
     order = np.argsort(-support, kind="stable")[:most]
-    sd = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3)
-    return BallPoints(points[order], sd[order], support[order].astype(np.int64))
+    return BallPoints(points[order], sd[order], support[order])
 
 
 def by_ball(

@@ -10,8 +10,10 @@ import numpy as np
 
 from measure.arrays import Floats, Ints
 from measure.geometry import RigidTransform
+from measure.measuring.association.agreement import agreeing, fitting_pairs, fitting_triples
 from measure.measuring.association.points import BallPoints, Candidates
 from measure.model import Body, Camera, Rig
+from measure.model.camera import MIN_DEPTH_MM
 
 _MOST_POSES = 400
 _SLACK_MM = 1.0
@@ -21,14 +23,15 @@ _ANGLES = 90
 
 def poses_from_triples(body: Body, points: Sequence[BallPoints], sigmas: float) -> RigidTransform:
     """Poses (m) of every three balls whose possible centres are as far apart as in the body."""
-    found = []
+    targets, sources = [np.zeros((0, 3, 3))], [np.zeros((0, 3, 3))]
     for triple in combinations(range(len(body.balls)), 3):
-        if _on_a_line(body.centers[list(triple)]):
+        centers = body.centers[list(triple)]
+        if _on_a_line(centers):
             continue
-        rows = _fitting_rows(body, points, triple, sigmas)
-        target = np.stack([points[b].points[rows[:, k]] for k, b in enumerate(triple)], axis=1)
-        found.append(align_batch(target, body.centers[list(triple)]))
-    return _joined(found)
+        rows = _fitting_triples(body, points, triple, sigmas)
+        targets.append(np.stack([points[b].points[rows[:, k]] for k, b in enumerate(triple)], 1))
+        sources.append(np.broadcast_to(centers, targets[-1].shape))
+    return align_batch(np.concatenate(targets), np.concatenate(sources))
 
 
 def poses_from_pairs(body: Body, points: Sequence[BallPoints], sigmas: float) -> RigidTransform:
@@ -38,19 +41,20 @@ def poses_from_pairs(body: Body, points: Sequence[BallPoints], sigmas: float) ->
     """
     found = []
     for pair in combinations(range(len(body.balls)), 2):
-        rows = _fitting_rows(body, points, pair, sigmas)[:20]
+        rows = _fitting_pairs(body, points, pair, sigmas)[:20]
         target = np.stack([points[b].points[rows[:, k]] for k, b in enumerate(pair)], axis=1)
         found.append(_spun(target, body.centers[list(pair)]))
     return _joined(found)
 
 
 def align_batch(target: Floats, source: Floats) -> RigidTransform:
-    """Least-squares poses (m) of points (m, k, 3) on the same source points (k, 3)."""
-    centre, origin = target.mean(axis=1), source.mean(axis=0)
-    u, _, vt = np.linalg.svd(np.swapaxes(target - centre[:, None], 1, 2) @ (source - origin))
+    """Least-squares poses (m) of points (m, k, 3) on source points (m, k, 3), or (k, 3) for all."""
+    centre, origin = target.mean(axis=-2, keepdims=True), source.mean(axis=-2, keepdims=True)
+    u, _, vt = np.linalg.svd(np.swapaxes(target - centre, 1, 2) @ (source - origin))
     u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
     rotation = u @ vt
-    return RigidTransform(rotation, centre - rotation @ origin)
+    turned = rotation @ np.swapaxes(origin, -1, -2)
+    return RigidTransform(rotation, centre[:, 0] - turned[:, :, 0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,58 +87,51 @@ def support(
     range_ratio: float,
 ) -> Support:
     """Compare the balls of m poses, projected, with the candidates: in place and in size."""
-    m = len(poses.translation)
-    centers = np.einsum("mij,kj->mki", poses.rotation, body.centers) + poses.translation[:, None]
-    everywhere = _projected(centers.reshape(-1, 3), cameras)
-    chosen = np.full((m, len(body.balls), len(cameras)), -1, np.int64)
-    expected, score = np.zeros(m, np.int64), np.zeros(m)
-    for number, camera in enumerate(cameras):
-        pixels = everywhere[number].reshape(m, len(body.balls), 2)
-        distances = np.linalg.norm(centers - camera.center, axis=2)
-        expected += camera.intrinsics.contains(pixels).sum(axis=1)
-        for ball, candidate in enumerate(candidates):
-            rows = np.nonzero(candidate.cameras == number)[0]
-            if not len(rows):
-                continue
-            off = np.linalg.norm(pixels[:, ball, None] - candidate.pixels[rows], axis=2)
-            share = np.nan_to_num(off, nan=1e9) / (
-                sigmas * np.hypot(candidate.sd_px[rows], extra_px)
-            )
-            told = candidate.range_mm[rows]
-            away = distances[:, ball, None]
-            share[(away > told * range_ratio) | (told > away * range_ratio)] = np.inf
-            best = np.argmin(share, axis=1)
-            least = share[np.arange(m), best]
-            agrees = least < 1
-            chosen[agrees, ball, number] = rows[best[agrees]]
-            score += np.where(agrees, 1 - least**2, 0.0)
-    return Support(chosen, expected, score)
+    rig = Rig.of(cameras)
+    sd_px = np.concatenate([c.sd_px for c in candidates])
+    return Support(
+        *agreeing(
+            np.ascontiguousarray(poses.rotation),
+            np.ascontiguousarray(poses.translation),
+            body.centers,
+            rig.lenses,
+            rig.reach,
+            rig.rotation,
+            rig.centers,
+            np.array([c.intrinsics.size_wh for c in cameras]) - 1.0,
+            np.cumsum([0, *map(len, candidates)]),
+            np.concatenate([c.cameras for c in candidates]),
+            np.concatenate([c.pixels for c in candidates]),
+            sigmas * np.hypot(sd_px, extra_px),
+            np.concatenate([c.range_mm for c in candidates]),
+            range_ratio,
+            MIN_DEPTH_MM,
+        )
+    )
 
 
-def _projected(points: Floats, cameras: Sequence[Camera]) -> Floats:
-    """Pixels (cameras, n, 2) of points (n, 3), all cameras in one go."""
-    rig = Rig.of(cameras).take(np.repeat(np.arange(len(cameras)), len(points)))
-    pixels, _ = rig.project(np.tile(points, (len(cameras), 1)))
-    return pixels.reshape(len(cameras), len(points), 2)
+def _misfits(body: Body, points: Sequence[BallPoints], i: int, j: int, sigmas: float) -> Floats:
+    a, b = points[i], points[j]
+    distance = float(np.linalg.norm(body.centers[i] - body.centers[j]))
+    return fitting_pairs(a.points, a.sd_mm, b.points, b.sd_mm, distance, sigmas, _SLACK_MM)
 
 
-def _fitting_rows(
-    body: Body, points: Sequence[BallPoints], balls: Sequence[int], sigmas: float
+def _fitting_pairs(
+    body: Body, points: Sequence[BallPoints], pair: tuple[int, int], sigmas: float
 ) -> Ints:
-    """Rows of `points` (m, k), one per ball, whose mutual distances are the body's; best first."""
-    misfit = np.zeros(tuple(len(points[b].points) for b in balls))
-    for i, j in combinations(range(len(balls)), 2):
-        a, b = points[balls[i]], points[balls[j]]
-        apart = np.linalg.norm(a.points[:, None] - b.points[None], axis=2)
-        expected = np.linalg.norm(body.centers[balls[i]] - body.centers[balls[j]])
-        limit = sigmas * np.hypot(a.sd_mm[:, None], b.sd_mm[None]) + _SLACK_MM
-        share = np.abs(apart - expected) / limit
-        shape = [1] * len(balls)
-        shape[i], shape[j] = share.shape
-        misfit = np.maximum(misfit, share.reshape(shape))
+    """Rows of `points` (m, 2), one per ball, as far apart as in the body; best first."""
+    misfit = _misfits(body, points, *pair, sigmas)
     rows = np.argwhere(misfit < 1)
-    order = np.argsort(misfit[tuple(rows.T)], kind="stable")[:_MOST_POSES]
-    return np.asarray(rows[order], dtype=np.int64)
+    return np.asarray(rows[np.argsort(misfit[tuple(rows.T)], kind="stable")], dtype=np.int64)
+
+
+def _fitting_triples(
+    body: Body, points: Sequence[BallPoints], triple: tuple[int, int, int], sigmas: float
+) -> Ints:
+    """Rows of `points` (m, 3), one per ball, whose distances are the body's; best first."""
+    sides = (_misfits(body, points, i, j, sigmas) for i, j in combinations(triple, 2))
+    rows, misfit = fitting_triples(*sides)
+    return rows[np.argsort(misfit, kind="stable")[:_MOST_POSES]]
 
 
 def _on_a_line(points: Floats) -> bool:

@@ -65,6 +65,9 @@ class FrameUpdate:
         """The factor on all tolerable ranges: 1 normally, more while it recovers."""
         return self._tolerance
 
+    def warm_up(self) -> None:
+        """Nothing here is compiled."""
+
     def expect(self, frame_set: FrameSet) -> Mapping[str, Sequence[Expectation]] | None:
         """Windows around the last circles or the last pose; None while frames are skipped."""
         if self._skip > 0:
@@ -113,8 +116,7 @@ class FrameUpdate:
         self._starting = False
         self._tolerance = 1 + (self._tolerance - 1) * self.config.tolerance_decay
         against = misfits(fixes, pose, self.config.flag_residual_mm, self.config.flag_rays_mm)
-        pose = replace(pose, flags=(*pose.flags, *against))
-        return Verdict(pose)
+        return Verdict(replace(pose, flags=(*pose.flags, *against)))
 
     def _problem(self, views: Sequence[BallView], fixes: Sequence[Fix], pose: Pose | None) -> str:
         if pose is not None and pose.residual_mm > self.config.max_residual_mm:

@@ -30,6 +30,9 @@ class Memoryless:
         self.config = config
         self._pairs = [(ball, camera.name) for camera in cameras for ball in body.names]
 
+    def warm_up(self) -> None:
+        """Nothing here is compiled."""
+
     def expect(self, frame_set: FrameSet) -> Mapping[str, Sequence[Expectation]]:
         """Search everything."""
         return dict.fromkeys(frame_set.images, ())

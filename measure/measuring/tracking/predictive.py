@@ -16,7 +16,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.geometry import chi_square_quantile
 from measure.host.settings import Settings
-from measure.measuring.association import Association, AssociationSettings, associate
+from measure.measuring.association import Association, AssociationSettings, associate, warm_up
 from measure.measuring.instants import pose_residuals
 from measure.measuring.tracking.consistency import inconsistencies
 from measure.measuring.tracking.doubts import contradictions, jumped, strangers, weaknesses
@@ -63,6 +63,10 @@ class PredictiveTracker:
         self._waiting: dict[tuple[str, str], int] = {}
         self._misses = 0
         self._faster: tuple[Floats, Floats] | None = None
+
+    def warm_up(self) -> None:
+        """Compile or load association's loops."""
+        warm_up(self._body, self._cameras)
 
     def expect(self, frame_set: FrameSet) -> Mapping[str, Sequence[Expectation]]:
         """Windows from the predicted pose at each image's own time; the whole frame without one."""

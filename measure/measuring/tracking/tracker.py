@@ -23,6 +23,9 @@ class Tracker(Protocol):
     `expect` -> (detectors run) -> `judge` -> (triangulator, solver) -> `conclude`.
     """
 
+    def warm_up(self) -> None:
+        """Compile or load what is slow, before the first frame set."""
+
     def expect(self, frame_set: FrameSet) -> Mapping[str, Sequence[Expectation]] | None:
         """Where each camera should look for each ball, by camera name.
 

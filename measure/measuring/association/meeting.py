@@ -1,0 +1,160 @@
+"""Where rays of candidates meet, compiled: see `points`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from measure.arrays import Bools, Floats, Ints
+from measure.compiling import compiled
+
+_FLOOR_MM = 1.0
+"""Rays that pass this close always meet: cameras are not quite simultaneous."""
+_LEAST_SINE2 = 1e-3
+
+
+@compiled
+def meetings(
+    cameras: Ints,
+    origins: Floats,
+    directions: Floats,
+    range_mm: Floats,
+    angle_sd: Floats,
+    sigmas: float,
+    range_ratio: float,
+) -> Bools:
+    """Which of n candidates see a common point, for every two whose rays meet.
+
+    Args:
+        cameras: (n,) index of the camera.
+        origins: (n, 3) of the rays, mm.
+        directions: (n, 3) of the rays.
+        range_mm: (n,) distance that the outline's radius tells.
+        angle_sd: (n,) standard deviation of the ray's angle, rad.
+        sigmas: rays meet if they pass within this many standard deviations.
+        range_ratio: how far the outline's size may mislead about the distance, as a factor.
+
+    Returns:
+        (k, n), each row different from the others, at most one candidate of a camera in each.
+    """
+    n = len(cameras)
+    member, count = np.zeros((n * n, n), np.bool_), 0
+    point = np.empty(3)
+    for i in range(n):
+        for j in range(n):
+            if cameras[i] >= cameras[j]:
+                continue
+            s, t, sine2 = _feet(origins[i], directions[i], origins[j], directions[j])
+            if not (sine2 > _LEAST_SINE2 and s > 0 and t > 0):
+                continue
+            gap = 0.0
+            for a in range(3):
+                one = origins[i, a] + s * directions[i, a]
+                other = origins[j, a] + t * directions[j, a]
+                gap += (one - other) ** 2
+                point[a] = (one + other) / 2
+            limit = sigmas * np.hypot(s * angle_sd[i], t * angle_sd[j]) + _FLOOR_MM
+            fits = _in_range(s, range_mm[i], range_ratio) and _in_range(t, range_mm[j], range_ratio)
+            if not (np.sqrt(gap) < limit and fits):
+                continue
+            row = member[count]
+            row[:] = False
+            _witnesses(
+                point, cameras, origins, directions, range_mm, angle_sd, sigmas, range_ratio, row
+            )
+            row[i] = row[j] = True
+            count += _is_new(member, count)
+    return member[:count]
+
+
+@compiled
+def _feet(o1: Floats, d1: Floats, o2: Floats, d2: Floats) -> tuple[float, float, float]:
+    """How far along two rays their common perpendicular stands; squared sine of their angle."""
+    cosine, along1, along2 = 0.0, 0.0, 0.0
+    for a in range(3):
+        cosine += d1[a] * d2[a]
+        along1 += (o2[a] - o1[a]) * d1[a]
+        along2 += (o2[a] - o1[a]) * d2[a]
+    sine2 = max(1 - cosine**2, 1e-12)
+    return (along1 - cosine * along2) / sine2, (cosine * along1 - along2) / sine2, sine2
+
+
+@compiled
+def _in_range(distance: float, told: float, ratio: float) -> bool:
+    return distance < told * ratio and distance * ratio > told
+
+
+@compiled
+def _witnesses(
+    point: Floats,
+    cameras: Ints,
+    origins: Floats,
+    directions: Floats,
+    range_mm: Floats,
+    angle_sd: Floats,
+    sigmas: float,
+    range_ratio: float,
+    row: Bools,
+) -> None:
+    """Mark in `row` (n,) who sees a point (3,): at most one per camera, the nearest."""
+    n = len(cameras)
+    nearest = np.full(np.max(cameras) + 1, 1.0)
+    best = np.full(len(nearest), -1)
+    for k in range(n):
+        x, y, z = point[0] - origins[k, 0], point[1] - origins[k, 1], point[2] - origins[k, 2]
+        distance = np.sqrt(x * x + y * y + z * z)
+        if not _in_range(distance, range_mm[k], range_ratio):
+            continue
+        dx, dy, dz = directions[k]
+        off = np.sqrt((y * dz - z * dy) ** 2 + (z * dx - x * dz) ** 2 + (x * dy - y * dx) ** 2)
+        scaled = off / (sigmas * distance * angle_sd[k] + _FLOOR_MM)
+        if scaled < nearest[cameras[k]]:
+            nearest[cameras[k]] = scaled
+            best[cameras[k]] = k
+    for k in best:
+        if k >= 0:
+            row[k] = True
+
+
+@compiled
+def _is_new(member: Bools, count: int) -> bool:
+    """Whether row `count` differs from all rows above it."""
+    alike = 0
+    for k in range(count):
+        alike += int(np.all(member[k] == member[count]))
+    return alike == 0
+
+
+@compiled
+def meeting_centers(
+    member: Bools, origins: Floats, directions: Floats, sd_mm: Floats
+) -> tuple[Floats, Floats, Ints]:
+    """Least squares on the rays of each set of members (k, n).
+
+    Args:
+        member: from `meetings`.
+        origins: (n, 3).
+        directions: (n, 3).
+        sd_mm: (n,) of each ray, at the distance where it meets others.
+
+    Returns:
+        Points (k, 3), their standard deviations (k,) in mm, and how many rays (k,).
+    """
+    m, n = member.shape
+    points, sd, support = np.empty((m, 3)), np.empty(m), np.zeros(m, np.int64)
+    normal, right = np.empty((3, 3)), np.empty(3)
+    for k in range(m):
+        normal[:], right[:] = 0.0, 0.0
+        for i in range(n):
+            if not member[k, i]:
+                continue
+            support[k] += 1
+            weight = 1 / sd_mm[i] ** 2
+            for a in range(3):
+                for b in range(3):
+                    across = (a == b) - directions[i, a] * directions[i, b]
+                    normal[a, b] += weight * across
+                    right[a] += weight * across * origins[i, b]
+        covariance = np.linalg.inv(normal)
+        points[k] = covariance @ right
+        sd[k] = np.sqrt((covariance[0, 0] + covariance[1, 1] + covariance[2, 2]) / 3)
+    return points, sd, support

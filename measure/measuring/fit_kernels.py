@@ -1,0 +1,184 @@
+"""The body's pose from ball centres, compiled: see `pose_fit`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.compiling import compiled
+from measure.model.rig_kernels import project_one
+
+_STEPS = 15
+_WIDE = 1e3
+"""The first steps see everything: a start that is a little off must not lose its witnesses."""
+_LEAST_SPREAD = 1e-9
+
+
+@compiled
+def fit_rows(
+    lenses: Floats,
+    reach: Floats,
+    rig_rotation: Floats,
+    rig_centers: Floats,
+    points_body: Floats,
+    pixels: Floats,
+    inverse: Floats,
+    lead_s: Floats,
+    velocity: Floats,
+    rotation: Floats,
+    translation: Floats,
+    tukey: float,
+    tolerance: float,
+    min_depth: float,
+) -> tuple[Floats, Floats, Floats, Floats, Floats, int]:
+    """Robust Gauss-Newton on the reprojection of n points of a body.
+
+    Args:
+        lenses: (n, 13).
+        reach: (n,) of the lens models.
+        rig_rotation: (n, 3, 3) of world_from_camera.
+        rig_centers: (n, 3).
+        points_body: (n, 3).
+        pixels: (n, 2).
+        inverse: (n, 2, 2) inverse covariances of the pixels.
+        lead_s: (n,) time of the picture after the common instant.
+        velocity: (6,) of the body, in the pose's `perturb` chart, per second.
+        rotation: (3, 3) of world_from_body to start from.
+        translation: (3,) the same.
+        tukey: a residual this many standard deviations off has no weight at all.
+        tolerance: stop when a step is smaller than this, in mm and rad.
+        min_depth: see `rig_kernels.project_one`.
+
+    Returns:
+        Rotation (3, 3), translation (3,), information (6, 6), residuals (n, 2) and their squared
+        Mahalanobis distances (n,) at the end; how many points have a say, negative if they do not
+        determine a pose.
+    """
+    n = len(pixels)
+    rotation, translation = rotation.copy(), translation.copy()
+    residuals, slopes, distance = np.empty((n, 2)), np.empty((n, 2, 6)), np.empty(n)
+    normal, right, change, weighing = np.empty((6, 6)), np.empty(6), np.empty(6), 0
+    for step in range(_STEPS):
+        for i in range(n):
+            _look(
+                lenses[i], reach[i], rig_rotation[i], rig_centers[i], points_body[i], pixels[i],
+                lead_s[i], velocity, rotation, translation, min_depth, residuals[i], slopes[i],
+            )  # fmt: skip
+        weighing = _equations(
+            residuals, slopes, inverse, tukey if step > 1 else _WIDE, normal, right
+        )
+        if step == 0 and not _determined(normal):
+            return rotation, translation, normal, residuals, distance, -weighing - 1
+        change[:] = np.linalg.solve(normal, right)
+        translation += change[:3]
+        rotation = _turned(rotation, change[3:])
+        if step > 2 and np.max(np.abs(change)) < tolerance:
+            break
+    for i in range(n):
+        _look(
+            lenses[i], reach[i], rig_rotation[i], rig_centers[i], points_body[i], pixels[i],
+            lead_s[i], velocity, rotation, translation, min_depth, residuals[i], slopes[i],
+        )  # fmt: skip
+        distance[i] = _squared(residuals[i], inverse[i])
+    if not _determined(normal):
+        weighing = -weighing - 1
+    return rotation, translation, normal, residuals, distance, weighing
+
+
+@compiled
+def _look(
+    lens: Floats,
+    reach: float,
+    rig_rotation: Floats,
+    rig_center: Floats,
+    point_body: Floats,
+    pixel: Floats,
+    lead_s: float,
+    velocity: Floats,
+    rotation: Floats,
+    translation: Floats,
+    min_depth: float,
+    residual: Floats,
+    slopes: Floats,
+) -> None:
+    """One point's residual (2,) and its image's derivatives (2, 6) by the pose, both filled in."""
+    arm, point = np.empty(3), np.empty(3)
+    for a in range(3):
+        arm[a] = 0.0
+        for b in range(3):
+            arm[a] += rotation[a, b] * point_body[b]
+    turn = velocity[3:]
+    for a in range(3):
+        b, c = (a + 1) % 3, (a + 2) % 3
+        moved = lead_s * (velocity[a] + turn[b] * arm[c] - turn[c] * arm[b])
+        point[a] = arm[a] + translation[a] + moved
+    seen, by_point = np.empty(2), np.empty((2, 3))
+    project_one(lens, reach, rig_rotation, rig_center, point, min_depth, seen, by_point)
+    for u in range(2):
+        residual[u] = pixel[u] - seen[u]
+        for a in range(3):
+            b, c = (a + 1) % 3, (a + 2) % 3
+            slopes[u, a] = by_point[u, a]
+            slopes[u, 3 + a] = arm[b] * by_point[u, c] - arm[c] * by_point[u, b]
+
+
+@compiled
+def _squared(residual: Floats, inverse: Floats) -> float:
+    u, v = residual[0], residual[1]
+    across = inverse[0, 1] + inverse[1, 0]
+    return u * u * inverse[0, 0] + u * v * across + v * v * inverse[1, 1]
+
+
+@compiled
+def _equations(
+    residuals: Floats, slopes: Floats, inverse: Floats, width: float, normal: Floats, right: Floats
+) -> int:
+    """Fill the normal equations (6, 6), (6,); how many points have a weight in them."""
+    normal[:], right[:] = 0.0, 0.0
+    weighing = 0
+    gain = np.empty((6, 2))
+    for i in range(len(residuals)):
+        distance = _squared(residuals[i], inverse[i])
+        weight = max(1 - distance / width**2, 0.0) ** 2
+        if not (np.isfinite(distance) and weight > 0):
+            continue
+        weighing += 1
+        for a in range(6):
+            for u in range(2):
+                gain[a, u] = 0.0
+                for v in range(2):
+                    gain[a, u] += slopes[i, v, a] * inverse[i, v, u] * weight
+            right[a] += gain[a, 0] * residuals[i, 0] + gain[a, 1] * residuals[i, 1]
+            for b in range(6):
+                normal[a, b] += gain[a, 0] * slopes[i, 0, b] + gain[a, 1] * slopes[i, 1, b]
+    return weighing
+
+
+@compiled
+def _determined(normal: Floats) -> bool:
+    """Whether an information matrix, mm and rad scaled to each other, is not singular."""
+    scaled, scale = np.empty((6, 6)), np.empty(6)
+    for a in range(6):
+        scale[a] = np.sqrt(max(normal[a, a], 1e-30))
+    for a in range(6):
+        for b in range(6):
+            scaled[a, b] = normal[a, b] / (scale[a] * scale[b])
+    if not np.all(np.isfinite(scaled)):
+        return False
+    spread = np.linalg.eigvalsh(scaled)
+    return spread[0] > _LEAST_SPREAD * spread[5]
+
+
+@compiled
+def _turned(rotation: Floats, turn: Floats) -> Floats:
+    """A rotation (3, 3) turned further by a rotation vector (3,), in its target's frame."""
+    x, y, z = turn
+    square = x * x + y * y + z * z
+    angle = np.sqrt(square)
+    a = np.sin(angle) / angle if square > 1e-16 else 1.0
+    b = 2 * (np.sin(angle / 2) / angle) ** 2 if square > 1e-16 else 0.0
+    by = np.empty((3, 3))
+    by[0] = (1 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y)
+    by[1] = (b * x * y + a * z, 1 - b * (x * x + z * z), b * y * z - a * x)
+    by[2] = (b * x * z - a * y, b * y * z + a * x, 1 - b * (x * x + y * y))
+    return by @ rotation
