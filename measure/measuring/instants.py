@@ -81,9 +81,9 @@ def velocity_share(
     body: Body,
     cameras: Mapping[str, Camera],
 ) -> Floats:
-    """What an uncertain velocity adds to the covariance (6, 6) of a pose.
+    """What an uncertain velocity, and none that changes, add to the covariance (6, 6) of a pose.
 
-    A velocity that is wrong carries the pictures of different times to different places, and the
+    A motion that is wrong carries the pictures of different times to different places, and the
     pose to their weighted mean.
     """
     if motion.velocity_covariance is None or len({d.time_s for d in detections}) < 2:
@@ -94,7 +94,13 @@ def velocity_share(
     normal = (gain @ by_pose).sum(axis=0)
     # One ball alone leaves a turn open: its pose is the prediction's, whatever the velocity.
     lever = np.linalg.lstsq(normal, (gain @ by_velocity).sum(axis=0), rcond=1e-9)[0]
-    return np.asarray(lever @ motion.velocity_covariance @ lever.T)
+    out = lever @ motion.velocity_covariance @ lever.T
+    if motion.acceleration_square is not None:
+        lead_s = np.array([d.time_s - pose.time_s for d in detections])
+        by_bend = by_velocity * (lead_s / 2)[:, None, None]
+        lever = np.linalg.lstsq(normal, (gain @ by_bend).sum(axis=0), rcond=1e-9)[0]
+        out = out + lever @ motion.acceleration_square @ lever.T
+    return np.asarray(out)
 
 
 def _projected(

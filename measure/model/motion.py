@@ -20,6 +20,8 @@ class Motion:
         velocity: (6,) mm/s and rad/s, both in the world.
         covariance: (6, 6) of the pose at `time_s`; None if unknown.
         velocity_covariance: (6, 6) of the velocity; None if unknown.
+        acceleration_square: (6, 6) mean square of the acceleration that `moved` leaves out, in
+            mm/s^2 and rad/s^2; None if it leaves out none, or that is unknown.
     """
 
     world_from_body: RigidTransform
@@ -27,6 +29,7 @@ class Motion:
     velocity: Floats
     covariance: Floats | None = None
     velocity_covariance: Floats | None = None
+    acceleration_square: Floats | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "velocity", floats("velocity", self.velocity, 6))

@@ -142,3 +142,23 @@ def test_a_shaking_body_seen_by_cameras_out_of_step():
         d @ np.linalg.solve(m.pose.covariance, d) < 12.6 for d, m in zip(off, offline, strict=True)
     ]
     assert np.mean(inside) >= 0.9
+
+
+@pytest.mark.parametrize(("hertz", "reach_mm"), [(0.5, 12.0), (1.0, 9.0), (3.0, 6.0), (5.0, 3.0)])
+def test_prediction_alone_knows_what_a_bent_path_costs(hertz, reach_mm):
+    """No spline: pictures of one frame set are brought together by a constant velocity."""
+
+    def path(time_s):
+        waves = np.sin(2 * np.pi * hertz * time_s + np.array([0.0, 1.5, 3.2]))
+        turn = reach_mm / 75 * waves[::-1]
+        return RigidTransform.from_rotvec(turn, TARGET + reach_mm * waves)
+
+    world = lambda t: [(RAVEN, path(t))]
+    live, _, _ = run(RAVEN, world, CAMERAS, 60, phases=PHASES, sd_px=0.2)
+    errors, told = [], []
+    for one in live[4:]:
+        errors.append(one.pose.world_from_body.difference(path(one.pose.time_s)))
+        told.append(one.pose.covariance)
+    squares = np.array([e @ np.linalg.solve(c, e) for e, c in zip(errors, told, strict=True)])
+    assert np.mean(squares < 12.6) >= 0.9
+    assert 0.4 < np.mean(squares) / 6 < 1.2  # nor is it much wider than need be

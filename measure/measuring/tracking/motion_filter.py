@@ -6,13 +6,18 @@ random (Bar-Shalom, Li and Kirubarajan 2001, section 6.3.2, discrete white-noise
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from measure.arrays import Floats
 from measure.geometry import RigidTransform
 from measure.model import Motion, Pose
+
+_STEADY_S = 0.3
+"""How far back accelerations count: a second or two of shaking has many phases in it."""
+_SETTLED = 2
+"""Measured poses after which changes of the velocity are the body's, not the filter's start."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,12 +29,16 @@ class MotionState:
         velocity: (6,) mm/s and rad/s in the world.
         time_s: the instant.
         covariance: (12, 12) of the pose's chart and the velocity.
+        acceleration_square: (6, 6) mean square of the accelerations so far, mm/s^2 and rad/s^2.
+        measured: number of measured poses it rests on.
     """
 
     world_from_body: RigidTransform
     velocity: Floats
     time_s: float
     covariance: Floats
+    acceleration_square: Floats = field(default_factory=lambda: np.zeros((6, 6)))
+    measured: int = 0
 
     @classmethod
     def begin(
@@ -62,7 +71,7 @@ class MotionState:
         covariance[index, index + 6] += variance * abs(dt) ** 3 / 2
         covariance[index + 6, index] += variance * abs(dt) ** 3 / 2
         moved = self.world_from_body.perturb(self.velocity * dt)
-        return MotionState(moved, self.velocity, time_s, covariance)
+        return replace(self, world_from_body=moved, time_s=time_s, covariance=covariance)
 
     def updated(self, pose: Pose, extra: Floats, acceleration_sd: Floats) -> MotionState:
         """The state after a measured pose.
@@ -84,7 +93,17 @@ class MotionState:
             predicted.velocity + step[6:],
             pose.time_s,
             covariance,
+            self._accelerated(step[6:], pose.time_s - self.time_s),
+            self.measured + 1,
         )
+
+    def _accelerated(self, faster: Floats, dt: float) -> Floats:
+        """The mean square acceleration after one more change of the velocity (6,)."""
+        if self.measured < _SETTLED or dt <= 0:
+            return self.acceleration_square
+        share = 1 / min(self.measured - _SETTLED + 1, max(_STEADY_S / dt, 1.0))
+        seen = np.outer(faster, faster) / dt**2
+        return np.asarray(self.acceleration_square + share * (seen - self.acceleration_square))
 
     def motion(self) -> Motion:
         """As the pipeline hands it to solvers."""
@@ -94,4 +113,5 @@ class MotionState:
             self.velocity,
             self.covariance[:6, :6],
             velocity_covariance=self.covariance[6:, 6:],
+            acceleration_square=self.acceleration_square,
         )
