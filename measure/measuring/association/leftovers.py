@@ -22,12 +22,14 @@ _OWN_RADII = 0.8
 """Candidates within this many radii of the body's own ball belong to it: a reflection, a double."""
 _SIZE_RATIO = 1.15
 """How far the outline of a ball that is really there misleads about its distance, as a factor."""
-_RANGE_SD, _RANGE_SIGMAS = 0.03, 2.5
+_RANGE_SD, _RANGE_SIGMAS, _STEPS = 0.03, 2.5, 9
 _HALF_SEEN_RATIO = 1.2
 _SLACK_MM = 1.0
 _HALF_SEEN_MM = 5.0
 """A mostly hidden ball's outline takes in the edge of what hides it, and leads this far astray."""
 _MOST_POINTS = 12
+_WELL_SEEN = 0.6
+"""The size of a ball of which less shows is not to be trusted without a third."""
 
 
 def signs_of_another(
@@ -39,8 +41,8 @@ def signs_of_another(
 ) -> tuple[str, ...]:
     """A line if some balls that are none of the body found are as far apart as in the body.
 
-    Two will do if two cameras locate one of them; else three, whose sizes tell how far away they
-    are.
+    Two will do if two cameras locate one of them, or one camera sees both well; else three, whose
+    sizes tell how far away they are.
 
     Args:
         world_from_body: the pose found.
@@ -74,9 +76,22 @@ def _signs(
     for i, j in permutations(balls, 2):
         distance = float(distances_mm[i, j])
         yield (i, j), _with_one_view(located[i], candidates[j], distance, sigmas)
+    lone = [_lone(c, p, sigmas) for c, p in zip(candidates, located, strict=True)]
     for three in combinations(balls, 3):
-        some = [candidates[k] for k in three]
+        some = [lone[k] for k in three]
         yield three, _by_sizes(some, distances_mm[np.ix_(three, three)])
+    for pair in combinations(balls, 2):
+        yield pair, _side_by_side([lone[k] for k in pair], distances_mm[np.ix_(pair, pair)])
+
+
+def _lone(candidates: Candidates, located: BallPoints, sigmas: float) -> Candidates:
+    """Those that no other camera sees: where the others are is known better than by their size."""
+    to_point = located.points[:, None] - candidates.origins
+    along = np.einsum("kni,ni->kn", to_point, candidates.directions)
+    off = np.linalg.norm(to_point - along[:, :, None] * candidates.directions, axis=2)
+    limit = sigmas * np.hypot(located.sd_mm[:, None], candidates.angle_sd * along) + _SLACK_MM
+    shared = np.any((off < limit) & _as_far(along, candidates.range_mm), axis=0)
+    return candidates.rows(np.nonzero(~shared)[0])
 
 
 def _unexplained(
@@ -130,28 +145,46 @@ def _with_one_view(
     return a.points[rows[0]] if len(rows) else None
 
 
-def _by_sizes(three: Sequence[Candidates], distances_mm: Floats) -> Floats | None:
-    """The middle (3,) of three candidates that may be three of the body's balls.
+def _by_sizes(some: Sequence[Candidates], distances_mm: Floats) -> Floats | None:
+    """The middle (3,) of candidates, one of each kind, that may be as many of the body's balls.
 
     Their sizes tell how far away they are, give or take a few percent.
     """
-    along = [c.range_mm[:, None] * c.directions for c in three]
-    points = [c.origins + a for c, a in zip(three, along, strict=True)]
-    fits = np.ones(tuple(len(c) for c in three), np.bool_)
-    for i, j in combinations(range(3), 2):
-        between = points[i][:, None] - points[j][None]
-        apart = np.linalg.norm(between, axis=2)
-        by_range = np.hypot(
-            np.sum(between * along[i][:, None], axis=2), np.sum(between * along[j][None], axis=2)
+    fits = np.ones(tuple(len(c) for c in some), np.bool_)
+    for i, j in combinations(range(len(some)), 2):
+        apart = np.linalg.norm(
+            _along(some[i])[:, None, :, None] - _along(some[j])[None, :, None, :], axis=-1
         )
-        limit = _RANGE_SIGMAS * _RANGE_SD * by_range / np.maximum(apart, 1e-9) + _SLACK_MM
-        shape = [1, 1, 1]
-        shape[i], shape[j] = apart.shape
-        fits &= (np.abs(apart - distances_mm[i, j]) < limit).reshape(shape)
+        shape = [1] * len(some)
+        shape[i], shape[j] = apart.shape[:2]
+        near, far = apart.min(axis=(2, 3)), apart.max(axis=(2, 3))
+        distance = distances_mm[i, j]
+        fits &= ((near < distance + _SLACK_MM) & (distance < far + _SLACK_MM)).reshape(shape)
     found = np.argwhere(fits)
     if not len(found):
         return None
-    return np.mean([p[k] for p, k in zip(points, found[0], strict=True)], axis=0)
+    middle = _STEPS // 2
+    points = [_along(c)[k, middle] for c, k in zip(some, found[0], strict=True)]
+    return np.asarray(np.mean(points, axis=0))
+
+
+def _side_by_side(pair: Sequence[Candidates], distances_mm: Floats) -> Floats | None:
+    """The same for two that one camera sees, and sees well: of their distance little is open."""
+    for camera in np.unique(pair[0].cameras):
+        some = [
+            c.rows(np.nonzero((c.cameras == camera) & (c.scores > _WELL_SEEN))[0]) for c in pair
+        ]
+        where = _by_sizes(some, distances_mm)
+        if where is not None:
+            return where
+    return None
+
+
+def _along(candidates: Candidates) -> Floats:
+    """Places (n, steps, 3) where the balls may be, given how far sizes mislead."""
+    wide = _RANGE_SIGMAS * _RANGE_SD
+    lengths = candidates.range_mm[:, None] * (1 + np.linspace(-wide, wide, _STEPS))
+    return candidates.origins[:, None] + lengths[:, :, None] * candidates.directions[:, None]
 
 
 def _as_far(distance: Floats, told: Floats) -> Bools:

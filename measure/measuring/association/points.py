@@ -59,6 +59,24 @@ class Candidates:
     def __len__(self) -> int:
         return len(self.cameras)
 
+    @property
+    def scores(self) -> Floats:
+        """How well each is seen (n,)."""
+        return np.array([d.score for d in self.detections], dtype=np.float64)
+
+    def rows(self, index: Ints) -> Candidates:
+        """Some of them."""
+        return Candidates(
+            tuple(self.detections[k] for k in index),
+            self.cameras[index],
+            self.pixels[index],
+            self.sd_px[index],
+            self.origins[index],
+            self.directions[index],
+            self.range_mm[index],
+            self.angle_sd[index],
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class BallPoints:
