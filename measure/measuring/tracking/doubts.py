@@ -117,6 +117,18 @@ def jumped(
     return (f"{text}, further than it can have moved: this may be another body",)
 
 
+def lost_sight(pose: Pose, body: Body) -> bool:
+    """Whether the balls' places are known less well than a ball is large.
+
+    Windows would be as large as the picture, and balls be taken for each other: searching is
+    quicker and safer.
+    """
+    covariance = pose.covariance
+    move_mm2, turn2 = np.trace(covariance[:3, :3]), np.trace(covariance[3:, 3:])
+    arm_mm = float(np.max(np.linalg.norm(body.centers, axis=1)))
+    return bool(np.sqrt(move_mm2 + turn2 * arm_mm**2) > np.min(body.radii))
+
+
 def cameras_at_odds(views: Sequence[BallView]) -> list[str]:
     """Cameras with two or more detections, none of them believed for where it is."""
     out = []

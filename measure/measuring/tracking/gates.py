@@ -1,15 +1,16 @@
-"""Which detections agree with the prediction, and with each other."""
+"""Which detections agree with the prediction, and with each other; compiled."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from measure.arrays import Bools, Floats
-from measure.geometry import squared_mahalanobis
+from measure.compiling import compiled
 
 _ROUNDS = 4
 
 
+@compiled
 def agree_with_prediction(
     innovations: Floats, predicted: Floats, noise: Floats, gate: float
 ) -> Bools:
@@ -21,9 +22,14 @@ def agree_with_prediction(
         noise: (n, 2, 2) covariances of the detected ones.
         gate: greatest squared Mahalanobis distance, from a chi-square distribution of 2 degrees.
     """
-    return np.asarray(squared_mahalanobis(innovations, predicted + noise) <= gate)
+    out = np.zeros(len(innovations), np.bool_)
+    for i in range(len(innovations)):
+        inverse = _inverse(predicted[i] + noise[i])
+        out[i] = _squared(innovations[i], inverse) <= gate
+    return out
 
 
+@compiled
 def agree_with_each_other(
     innovations: Floats,
     jacobians: Floats,
@@ -49,17 +55,54 @@ def agree_with_each_other(
         Which are explained (n,), the change of pose and velocity (12,), and its covariance
         (12, 12).
     """
-    jacobians = np.concatenate([jacobians, jacobians * lead_s[:, None, None]], axis=2)
-    inverse = np.linalg.inv(noise)
+    n = len(innovations)
+    inverse, slopes, distances = np.empty((n, 2, 2)), np.empty((n, 2, 12)), np.zeros(n)
+    for i in range(n):
+        inverse[i] = _inverse(noise[i])
+        slopes[i, :, :6] = jacobians[i]
+        slopes[i, :, 6:] = jacobians[i] * lead_s[i]
     information = np.linalg.inv(prior)
-    distances = np.zeros(len(innovations))
+    normal, covariance = np.empty((12, 12)), np.empty((12, 12))
+    right, step = np.empty(12), np.empty(12)
     width = 16.0 * gate
     for _ in range(_ROUNDS):
-        weight = np.maximum(1 - distances / (2.25 * width), 0.0) ** 2
-        gain = np.swapaxes(jacobians, 1, 2) @ (inverse * weight[:, None, None])
-        normal = (gain @ jacobians).sum(axis=0) + information
-        step = np.linalg.solve(normal, np.einsum("nij,nj->i", gain, innovations))
-        residuals = innovations - jacobians @ step
-        distances = np.einsum("ni,nij,nj->n", residuals, inverse, residuals)
+        normal[:], right[:] = information, 0.0
+        for i in range(n):
+            weight = max(1 - distances[i] / (2.25 * width), 0.0) ** 2
+            _add(slopes[i], inverse[i] * weight, innovations[i], normal, right)
+        step[:] = np.linalg.solve(normal, right)
+        for i in range(n):
+            left = innovations[i] - slopes[i] @ step
+            distances[i] = _squared(left, inverse[i])
         width = max(gate, width / 4)
-    return np.asarray(distances <= gate), np.asarray(step), np.linalg.inv(normal)
+    covariance[:] = np.linalg.inv(normal)
+    return distances <= gate, step, covariance
+
+
+@compiled
+def _add(slopes: Floats, weight: Floats, seen: Floats, normal: Floats, right: Floats) -> None:
+    """Add a detection (2,) with its slopes (2, 12) and weight (2, 2) to the normal equations."""
+    for a in range(12):
+        u = slopes[0, a] * weight[0, 0] + slopes[1, a] * weight[1, 0]
+        v = slopes[0, a] * weight[0, 1] + slopes[1, a] * weight[1, 1]
+        right[a] += u * seen[0] + v * seen[1]
+        for b in range(12):
+            normal[a, b] += u * slopes[0, b] + v * slopes[1, b]
+
+
+@compiled
+def _inverse(m: Floats) -> Floats:
+    """The inverse of a matrix (2, 2)."""
+    out = np.empty((2, 2))
+    determinant = m[0, 0] * m[1, 1] - m[0, 1] * m[1, 0]
+    out[0, 0], out[0, 1] = m[1, 1] / determinant, -m[0, 1] / determinant
+    out[1, 0], out[1, 1] = -m[1, 0] / determinant, m[0, 0] / determinant
+    return out
+
+
+@compiled
+def _squared(off: Floats, inverse: Floats) -> float:
+    """The squared Mahalanobis distance of `off` (2,)."""
+    across = inverse[0, 1] + inverse[1, 0]
+    u, v = off[0], off[1]
+    return float(u * u * inverse[0, 0] + u * v * across + v * v * inverse[1, 1])

@@ -12,6 +12,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.geometry import RigidTransform
+from measure.measuring.tracking.prediction_kernels import carried, corrected
 from measure.model import Motion, Pose
 
 _STEADY_S = 0.3
@@ -61,16 +62,8 @@ class MotionState:
             acceleration_sd: (6,) standard deviation of the acceleration, mm/s^2 and rad/s^2.
         """
         dt = time_s - self.time_s
-        step = np.eye(12)
-        step[:6, 6:] = dt * np.eye(6)
-        covariance = step @ self.covariance @ step.T
-        variance = acceleration_sd**2
-        index = np.arange(6)
-        covariance[index, index] += variance * dt**4 / 4
-        covariance[index + 6, index + 6] += variance * dt**2
-        covariance[index, index + 6] += variance * abs(dt) ** 3 / 2
-        covariance[index + 6, index] += variance * abs(dt) ** 3 / 2
         moved = self.world_from_body.perturb(self.velocity * dt)
+        covariance = carried(self.covariance, dt, acceleration_sd**2)
         return replace(self, world_from_body=moved, time_s=time_s, covariance=covariance)
 
     def updated(self, pose: Pose, extra: Floats, acceleration_sd: Floats) -> MotionState:
@@ -82,12 +75,11 @@ class MotionState:
             acceleration_sd: as in `at`.
         """
         predicted = self.at(pose.time_s, acceleration_sd)
-        noise = pose.covariance + np.diag(extra**2)
-        gain = np.linalg.solve(predicted.covariance[:6, :6] + noise, predicted.covariance[:6]).T
-        step = gain @ pose.world_from_body.difference(predicted.world_from_body)
-        keep = np.eye(12)
-        keep[:, :6] -= gain
-        covariance = keep @ predicted.covariance @ keep.T + gain @ noise @ gain.T
+        step, covariance = corrected(
+            predicted.covariance,
+            pose.covariance + np.diag(extra**2),
+            pose.world_from_body.difference(predicted.world_from_body),
+        )
         return MotionState(
             predicted.world_from_body.perturb(step[:6]),
             predicted.velocity + step[6:],

@@ -16,14 +16,22 @@ import numpy as np
 from measure.arrays import Floats
 from measure.geometry import chi_square_quantile
 from measure.host.settings import Settings
-from measure.measuring.association import Association, AssociationSettings, associate, warm_up
+from measure.measuring import association
+from measure.measuring.association import Association, AssociationSettings, associate
 from measure.measuring.instants import pose_residuals
 from measure.measuring.tracking.consistency import inconsistencies
-from measure.measuring.tracking.doubts import contradictions, jumped, strangers, weaknesses
+from measure.measuring.tracking.doubts import (
+    contradictions,
+    jumped,
+    lost_sight,
+    strangers,
+    weaknesses,
+)
 from measure.measuring.tracking.gates import agree_with_each_other, agree_with_prediction
 from measure.measuring.tracking.motion_filter import MotionState
 from measure.measuring.tracking.predictive_settings import PredictiveConfig
 from measure.measuring.tracking.tracker import Verdict
+from measure.measuring.tracking.warm_up import warm_up
 from measure.measuring.tracking.windows import Windows, predict_windows
 from measure.model import (
     BallView,
@@ -65,7 +73,8 @@ class PredictiveTracker:
         self._faster: tuple[Floats, Floats] | None = None
 
     def warm_up(self) -> None:
-        """Compile or load association's loops."""
+        """Compile or load the loops of searching and of tracking."""
+        association.warm_up(self._body, self._cameras)
         warm_up(self._body, self._cameras)
 
     def expect(self, frame_set: FrameSet) -> Mapping[str, Sequence[Expectation]]:
@@ -77,11 +86,10 @@ class PredictiveTracker:
                 self._forget()
         if self._state is None or not frame_set.images:
             return dict.fromkeys(frame_set.images, ())
-        states = {
-            name: self._state.at(image.time_s, self._acceleration)
-            for name, image in frame_set.images.items()
-        }
-        self._windows = predict_windows(states, self._body, self._cameras)
+        times_s = {name: image.time_s for name, image in frame_set.images.items()}
+        self._windows = predict_windows(
+            self._state, times_s, self._acceleration, self._body, self._cameras
+        )
         c = self.config
         return self._windows.expectations(c.reach_sigmas, c.reach_floor_px, c.size_slack)
 
@@ -130,7 +138,7 @@ class PredictiveTracker:
         flags = tuple(dict.fromkeys((*pose.flags, *wrong, *weak)))
         if wrong:
             self._missed()
-        elif self._lost_sight(pose):
+        elif lost_sight(pose, self._body):
             self._forget()
         elif self._state is not None:
             self._misses = 0
@@ -205,24 +213,23 @@ class PredictiveTracker:
             return []
         assert self._state is not None
         gate = chi_square_quantile(self.config.confidence, 2)
-        noise = np.stack([d.covariance_px for d in seen]) + self.config.model_px**2 * np.eye(2)
-        innovations = np.stack([d.center_px for d in seen]) - windows.centers_px[rows]
-        near = agree_with_prediction(innovations, windows.covariances_px[rows], noise, gate)
+        some, balls = np.array(rows), windows.balls
+        noise = np.array([d.covariance_px for d in seen]) + self.config.model_px**2 * np.eye(2)
+        off = np.array([d.center_px for d in seen]) - balls.centers_px[some]
+        near = agree_with_prediction(off, balls.covariances_px[some], noise, gate)
         colored = np.array([not d.color_match < self.config.min_color_match for d in seen])
         usable = np.nonzero(near & colored)[0]
         agreeing = np.zeros(len(seen), np.bool_)
         times = np.array([d.time_s for d in seen])
         instant = float(times.mean())
-        lead_s = times - instant
         if len(usable):
-            some = np.asarray(rows)[usable]
             agreeing[usable], change, covariance = agree_with_each_other(
-                innovations[usable],
-                windows.jacobians[some],
+                off[usable],
+                balls.jacobians[some[usable]],
                 noise[usable],
                 self._state.at(instant, self._acceleration).covariance,
                 gate,
-                lead_s[usable],
+                times[usable] - instant,
             )
             self._faster = change[6:], covariance[6:, 6:]
         return [
@@ -275,17 +282,6 @@ class PredictiveTracker:
         off = pose_residuals(views, pose, self.motion(pose.time_s), self._body, cameras)
         c = self.config
         return inconsistencies(pose, views, fixes, off, self._body, c.own_px, c.confidence)
-
-    def _lost_sight(self, pose: Pose) -> bool:
-        """Whether the balls' places are known less well than a ball is large.
-
-        Windows would be as large as the picture, and balls be taken for each other: searching is
-        quicker and safer.
-        """
-        move_mm, turn = (np.sqrt(np.trace(pose.covariance[k : k + 3, k : k + 3])) for k in (0, 3))
-        arm_mm = max(float(np.linalg.norm(ball.center_mm)) for ball in self._body.balls)
-        least = min(ball.radius_mm for ball in self._body.balls)
-        return bool(np.hypot(move_mm, turn * arm_mm) > least)
 
     def _missed(self) -> None:
         """A body just found that contradicts itself is not followed at all."""

@@ -4,36 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from measure.arrays import Floats
-from measure.geometry import propagate, skew
 from measure.measuring.tracking.motion_filter import MotionState
+from measure.measuring.tracking.prediction_kernels import Predicted, predict_balls
 from measure.model import Body, Camera, Expectation, Rig
+from measure.model.camera import MIN_DEPTH_MM
 
-_OUT_OF_SIGHT_PX = -1e4
+_DECIMALS = 7
+"""Of px and mm handed to detectors."""
 
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """Predictions of n rows, all balls of the first camera, then of the second, and so on.
+    """Predictions of n ball-views.
 
     Attributes:
-        keys: (camera, ball) of each row.
-        centers_px: (n, 2).
-        radii_px: (n,).
-        centers_camera: (n, 3) in mm.
-        covariances_px: (n, 2, 2) from the predicted pose's covariance.
-        jacobians: (n, 2, 6) by the pose's `perturb` chart.
+        keys: (camera, ball) of each.
+        balls: the predictions, in the same order.
     """
 
     keys: tuple[tuple[str, str], ...]
-    centers_px: Floats
-    radii_px: Floats
-    centers_camera: Floats
-    covariances_px: Floats
-    jacobians: Floats
+    balls: Predicted
 
     def expectations(
         self, sigmas: float, floor_px: float, size_slack: float
@@ -45,66 +40,78 @@ class Windows:
             floor_px: searched in any case.
             size_slack: relative error of the outline's radius that is still believed.
         """
-        reach = sigmas * np.sqrt(np.linalg.eigvalsh(self.covariances_px)[:, 1]) + floor_px
-        distances = np.linalg.norm(self.centers_camera, axis=1)
+        reach = sigmas * self.balls.spread_px + floor_px
+        distances = np.linalg.norm(self.balls.centers_camera, axis=1)
+        slack = size_slack + reach / np.maximum(distances, 1e-9)
+        least, most = self.balls.radii_px * (1 - slack), self.balls.radii_px * (1 + slack)
+        places_px, places_mm = _rounded(self.balls.centers_px), _rounded(self.balls.centers_camera)
+        columns = (least, most, 0.5 * self.balls.radii_px, reach)
+        sizes = _rounded(np.stack(columns, axis=1)).tolist()
         out: dict[str, list[Expectation]] = {}
         for row, (camera, ball) in enumerate(self.keys):
-            radius = float(self.radii_px[row])
-            slack = size_slack + reach[row] / max(distances[row], 1e-9)
+            low, high, apart, around = sizes[row]
             out.setdefault(camera, []).append(
                 Expectation(
                     ball=ball,
-                    center_px=self.centers_px[row],
-                    radius_px=(radius * (1 - slack), radius * (1 + slack)),
-                    min_distance_px=0.5 * radius,
-                    reach_px=float(reach[row]),
-                    center_camera=self.centers_camera[row],
+                    center_px=places_px[row],
+                    radius_px=(low, high),
+                    min_distance_px=apart,
+                    reach_px=around,
+                    center_camera=places_mm[row],
                 )
             )
         return out
 
 
 def predict_windows(
-    states: Mapping[str, MotionState], body: Body, cameras: Sequence[Camera]
+    state: MotionState,
+    times_s: Mapping[str, float],
+    acceleration_sd: Floats,
+    body: Body,
+    cameras: Sequence[Camera],
 ) -> Windows:
     """Predict every ball in every camera that has an image.
 
     Args:
-        states: the motion at each image's own time, by camera name.
+        state: the motion.
+        times_s: of the images, by camera name.
+        acceleration_sd: (6,) as in `MotionState.at`.
         body: the body.
-        cameras: all cameras; those without a state are left out.
+        cameras: all cameras; those without an image are left out.
     """
-    present = [camera for camera in cameras if camera.name in states]
-    count = len(body.balls)
-    rig = Rig.of(present).take(np.repeat(np.arange(len(present)), count))
-    each = [states[camera.name] for camera in present]
-    arms = np.concatenate([s.world_from_body.rotate(body.centers) for s in each])
-    shifts = np.repeat([s.world_from_body.translation for s in each], count, axis=0)
-    centers = arms + shifts
-    pixels, by_point = rig.project(centers)
-    by_pose = np.concatenate([by_point, -by_point @ skew(arms)], axis=2)
-    delays = np.concatenate(
-        [
-            c.row_delay_s(rows)
-            for c, rows in zip(present, pixels[:, 1].reshape(-1, count), strict=True)
-        ]
+    present = tuple(camera for camera in cameras if camera.name in times_s)
+    rig = Rig.of(present)
+    balls = predict_balls(
+        np.ascontiguousarray(state.world_from_body.rotation),
+        np.ascontiguousarray(state.world_from_body.translation),
+        state.velocity,
+        state.covariance,
+        acceleration_sd**2,
+        np.array([times_s[camera.name] - state.time_s for camera in present]),
+        body.centers,
+        body.radii,
+        rig.lenses,
+        rig.reach,
+        rig.rotation,
+        rig.centers,
+        _readouts(present),
+        MIN_DEPTH_MM,
     )
-    velocities = np.repeat([s.velocity for s in each], count, axis=0)
-    pixels = pixels + delays[:, None] * np.einsum("nij,nj->ni", by_pose, velocities)
-    covariances = np.repeat([s.covariance[:6, :6] for s in each], count, axis=0)
-    in_camera = np.einsum("nji,nj->ni", rig.rotation, centers - rig.centers)
-    hidden = ~np.all(np.isfinite(pixels), axis=1)
-    pixels[hidden], by_pose[hidden] = _OUT_OF_SIGHT_PX, 0.0
-    distance = np.linalg.norm(in_camera, axis=1)
-    radii = np.tile(body.radii, len(present))
-    focal = rig.focal_px
-    # The radius that the cone's half-angle has across the line of sight.
-    apparent = focal * radii / np.sqrt(np.maximum(distance**2 - radii**2, 1.0))
-    return Windows(
-        tuple((camera.name, ball) for camera in present for ball in body.names),
-        pixels,
-        apparent,
-        in_camera,
-        propagate(by_pose, covariances),
-        by_pose,
-    )
+    return Windows(tuple((camera.name, ball) for camera in present for ball in body.names), balls)
+
+
+def _rounded(values: Floats) -> Floats:
+    """Without the last bits, which depend on the order of sums.
+
+    Detectors choose between rays and edges that tie in 8-bit pictures: what is lost in rounding
+    elsewhere must not decide.
+    """
+    return np.round(values, _DECIMALS)
+
+
+@lru_cache(maxsize=64)
+def _readouts(cameras: tuple[Camera, ...]) -> Floats:
+    """Time in s from one row to the next, and the middle row, of c cameras: (c, 2)."""
+    heights = [camera.intrinsics.size_wh[1] for camera in cameras]
+    rows = [(c.readout_s / h, (h - 1) / 2) for c, h in zip(cameras, heights, strict=True)]
+    return np.array(rows, dtype=np.float64).reshape(-1, 2)

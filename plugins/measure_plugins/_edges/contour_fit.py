@@ -8,10 +8,10 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
+from measure.geometry.rotation_kernels import rotation_of, rotvec_of, skew
 from measure_plugins._edges.contour_terms import OWN, Terms, collect, empty_terms
 from measure_plugins._edges.contours import Contours
 from measure_plugins._edges.linear import cholesky, solve_factored
-from measure_plugins._edges.rotation import rotation_of, rotvec_of, skew
 from measure_plugins._edges.selection import median
 
 _STEPS = 15

@@ -17,8 +17,8 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
+from measure.geometry.rotation_kernels import rotation_of, times
 from measure_plugins._edges.contours import Contours
-from measure_plugins._edges.rotation import rotation_of, times
 from measure_plugins._edges.selection import median
 
 OWN = 3

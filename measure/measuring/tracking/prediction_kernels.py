@@ -1,0 +1,190 @@
+"""Prediction of the motion and of the balls in the pictures, compiled: see `motion_filter`."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.compiling import compiled
+from measure.geometry.rotation_kernels import rotation_of, times
+from measure.model.rig_kernels import project_one
+
+_OUT_OF_SIGHT_PX = -1e4
+
+
+class Predicted(NamedTuple):
+    """n predicted ball-views, all balls of the first camera, then of the second, and so on.
+
+    Attributes:
+        centers_px: (n, 2).
+        radii_px: (n,).
+        centers_camera: (n, 3) in mm.
+        covariances_px: (n, 2, 2) from the predicted pose's covariance.
+        jacobians: (n, 2, 6) by the pose's `perturb` chart.
+        spread_px: (n,) standard deviations of the centres where they are widest.
+    """
+
+    centers_px: Floats
+    radii_px: Floats
+    centers_camera: Floats
+    covariances_px: Floats
+    jacobians: Floats
+    spread_px: Floats
+
+
+@compiled
+def carried(covariance: Floats, dt: float, variance: Floats) -> Floats:
+    """The covariance (12, 12) of pose and velocity `dt` seconds on: see `MotionState.at`.
+
+    Args:
+        covariance: (12, 12).
+        dt: s, of either sign.
+        variance: (6,) of the acceleration.
+    """
+    out = covariance.copy()
+    for i in range(6):
+        for j in range(12):
+            out[i, j] += dt * covariance[6 + i, j]
+    for j in range(6):
+        for i in range(12):
+            out[i, j] += dt * out[i, 6 + j]
+    for i in range(6):
+        out[i, i] += variance[i] * dt**4 / 4
+        out[6 + i, 6 + i] += variance[i] * dt**2
+        out[i, 6 + i] += variance[i] * abs(dt) ** 3 / 2
+        out[6 + i, i] += variance[i] * abs(dt) ** 3 / 2
+    return out
+
+
+@compiled
+def predict_balls(
+    rotation: Floats,
+    translation: Floats,
+    velocity: Floats,
+    covariance: Floats,
+    variance: Floats,
+    leads_s: Floats,
+    balls: Floats,
+    radii: Floats,
+    lenses: Floats,
+    reach: Floats,
+    rig_rotation: Floats,
+    rig_centers: Floats,
+    readouts: Floats,
+    min_depth: float,
+) -> Predicted:
+    """Every ball of a moving body in every camera, at its picture's time.
+
+    Args:
+        rotation: (3, 3) of world_from_body.
+        translation: (3,) the same.
+        velocity: (6,) mm/s and rad/s in the world.
+        covariance: (12, 12) of pose and velocity.
+        variance: (6,) of the acceleration.
+        leads_s: (c,) times of the pictures after the pose's.
+        balls: (k, 3) centres in the body.
+        radii: (k,) mm.
+        lenses: (c, 13).
+        reach: (c,) of the lens models.
+        rig_rotation: (c, 3, 3) of world_from_camera.
+        rig_centers: (c, 3).
+        readouts: (c, 2) time in s from one row to the next, and the middle row.
+        min_depth: see `rig_kernels.project_one`.
+    """
+    count = len(balls)
+    out = _room(len(lenses) * count)
+    by_point, toward = np.empty((2, 3)), np.empty(3)
+    for camera in range(len(lenses)):
+        dt = leads_s[camera]
+        known = carried(covariance, dt, variance)
+        turned = rotation_of(velocity[3:] * dt) @ rotation
+        for ball in range(count):
+            row = camera * count + ball
+            arm = times(turned, balls[ball])
+            center = arm + translation + velocity[:3] * dt
+            pixel = out.centers_px[row]
+            project_one(
+                lenses[camera], reach[camera], rig_rotation[camera], rig_centers[camera], center,
+                min_depth, pixel, by_point,
+            )  # fmt: skip
+            toward[:] = center - rig_centers[camera]
+            out.centers_camera[row] = times(rig_rotation[camera].T, toward)
+            out.radii_px[row] = _apparent(lenses[camera], toward, radii[ball])
+            if np.isfinite(pixel[0]) and np.isfinite(pixel[1]):
+                _fill_slopes(by_point, arm, out.jacobians[row])
+                _roll(readouts[camera], velocity, out.jacobians[row], pixel)
+            else:
+                pixel[:] = _OUT_OF_SIGHT_PX
+            _fill_spread(row, known, out)
+    return out
+
+
+@compiled
+def _room(n: int) -> Predicted:
+    return Predicted(
+        np.zeros((n, 2)),
+        np.zeros(n),
+        np.zeros((n, 3)),
+        np.zeros((n, 2, 2)),
+        np.zeros((n, 2, 6)),
+        np.zeros(n),
+    )
+
+
+@compiled
+def _apparent(lens: Floats, toward: Floats, radius: float) -> float:
+    """The radius in px that the cone's half-angle has across the line of sight."""
+    square = toward[0] ** 2 + toward[1] ** 2 + toward[2] ** 2
+    return (lens[0] + lens[3]) / 2 * radius / np.sqrt(max(square - radius**2, 1.0))
+
+
+@compiled
+def _fill_slopes(by_point: Floats, arm: Floats, slopes: Floats) -> None:
+    """A ball's pixel by the pose (2, 6): a turn moves it by its cross product with the arm."""
+    for u in range(2):
+        for a in range(3):
+            b, c = (a + 1) % 3, (a + 2) % 3
+            slopes[u, a] = by_point[u, a]
+            slopes[u, 3 + a] = arm[b] * by_point[u, c] - arm[c] * by_point[u, b]
+
+
+@compiled
+def _roll(readout: Floats, velocity: Floats, slopes: Floats, pixel: Floats) -> None:
+    """Move a pixel on to the time when a rolling shutter exposes its row."""
+    delay = readout[0] * (pixel[1] - readout[1])
+    for u in range(2):
+        for a in range(6):
+            pixel[u] += delay * slopes[u, a] * velocity[a]
+
+
+@compiled
+def _fill_spread(row: int, known: Floats, out: Predicted) -> None:
+    """A pixel's covariance from the pose's, and its standard deviation where it is widest."""
+    slopes, spread = out.jacobians[row], out.covariances_px[row]
+    for u in range(2):
+        for v in range(2):
+            total = 0.0
+            for i in range(6):
+                for j in range(6):
+                    total += slopes[u, i] * known[i, j] * slopes[v, j]
+            spread[u, v] = total
+    half = (spread[0, 0] - spread[1, 1]) / 2
+    widest = (spread[0, 0] + spread[1, 1]) / 2 + np.sqrt(half**2 + spread[0, 1] * spread[1, 0])
+    out.spread_px[row] = np.sqrt(max(widest, 0.0))
+
+
+@compiled
+def corrected(known: Floats, noise: Floats, off: Floats) -> tuple[Floats, Floats]:
+    """The Kalman filter's change (12,) of pose and velocity, and the covariance (12, 12) after.
+
+    Args:
+        known: (12, 12) covariance of the prediction.
+        noise: (6, 6) covariance of the measured pose.
+        off: (6,) measured minus predicted pose, in the prediction's chart.
+    """
+    gain = np.linalg.solve(known[:6, :6] + noise, known[:6]).T.copy()
+    keep = np.eye(12)
+    keep[:, :6] -= gain
+    return gain @ off, keep @ known @ keep.T + gain @ noise @ gain.T

@@ -1,0 +1,151 @@
+"""The compiled prediction and gates against the formulas they stand for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from measure.arrays import Floats
+from measure.geometry import RigidTransform, chi_square_quantile, propagate, squared_mahalanobis
+from measure.measuring.tracking.gates import agree_with_each_other, agree_with_prediction
+from measure.measuring.tracking.motion_filter import MotionState
+from measure.measuring.tracking.windows import Windows, predict_windows
+from measure.model import Pose
+from tests.scenes import RAVEN, TARGET, ring
+
+_ACCELERATION = np.array([1500.0, 1200.0, 900.0, 15.0, 12.0, 9.0])
+_SIGMAS, _FLOOR_PX, _SLACK = 3.5, 3.0, 0.15
+
+
+@pytest.fixture
+def state() -> MotionState:
+    rng = np.random.default_rng(5)
+    mix = rng.normal(size=(12, 12)) * np.repeat([0.3, 0.003, 9.0, 0.09], 3)[:, None]
+    pose = RigidTransform.from_rotvec([0.3, -0.2, 0.5], TARGET)
+    return MotionState(pose, np.array([50.0, -30, 20, 0.4, 0.6, -0.5]), 2.0, mix @ mix.T)
+
+
+def test_the_covariance_is_carried_by_constant_velocity_and_random_acceleration(state):
+    for dt in (0.04, -0.03):
+        step = np.eye(12)
+        step[:6, 6:] = dt * np.eye(6)
+        kick = np.concatenate([0.5 * dt**2 * np.eye(6), abs(dt) * np.eye(6)])
+        expected = propagate(step, state.covariance) + propagate(kick, np.diag(_ACCELERATION**2))
+        later = state.at(2.0 + dt, _ACCELERATION)
+        np.testing.assert_allclose(later.covariance, expected, rtol=1e-10)
+        moved = state.world_from_body.perturb(state.velocity * dt)
+        np.testing.assert_allclose(later.world_from_body.matrix, moved.matrix, atol=1e-12)
+
+
+def test_a_measured_pose_corrects_the_prediction_as_kalman_says(state):
+    true = state.world_from_body.perturb([1.0, -0.5, 0.2, 0.01, -0.02, 0.01])
+    pose = Pose(2.0, true, np.diag([0.1, 0.1, 0.2, 1e-4, 1e-4, 2e-4]), 0.0, 0.0, (), ())
+    extra = np.full(6, 0.02)
+    after = state.updated(pose, extra, _ACCELERATION)
+    watch = np.eye(6, 12)
+    noise = pose.covariance + np.diag(extra**2)
+    information = np.linalg.inv(state.covariance) + watch.T @ np.linalg.inv(noise) @ watch
+    np.testing.assert_allclose(after.covariance @ information, np.eye(12), atol=1e-6)
+    assert np.trace(after.covariance) < np.trace(state.covariance)
+    gone = after.world_from_body.difference(true)
+    assert np.linalg.norm(gone) < 0.5 * np.linalg.norm(state.world_from_body.difference(true))
+
+
+def _windows(state: MotionState, leads_s: Floats, readout_s: float = 0.0) -> Windows:
+    cameras = [replace(camera, readout_s=readout_s) for camera in ring().values()]
+    times = {c.name: 2.0 + lead for c, lead in zip(cameras, leads_s, strict=True)}
+    return predict_windows(state, times, _ACCELERATION, RAVEN, cameras)
+
+
+def test_windows_are_where_the_cameras_see_the_moved_balls(state):
+    leads = np.array([0.0, 0.01, -0.02, 0.03])
+    windows = _windows(state, leads)
+    balls, row = windows.balls, 0
+    for camera, lead in zip(ring().values(), leads, strict=True):
+        later = state.at(2.0 + lead, _ACCELERATION)
+        centers = later.world_from_body.apply(RAVEN.centers)
+        for center, radius in zip(centers, RAVEN.radii, strict=True):
+            pixel = camera.project(center[None])
+            np.testing.assert_allclose(balls.centers_px[row], pixel[0], atol=1e-9)
+            inside = camera.camera_from_world.apply(center)
+            np.testing.assert_allclose(balls.centers_camera[row], inside, atol=1e-9)
+            outline = camera.outline(center, radius) - pixel[0]
+            size = np.mean(np.linalg.norm(outline, axis=1))
+            assert balls.radii_px[row] == pytest.approx(size, rel=0.05)
+            for axis, slope in enumerate(np.eye(6) * 1e-5):
+                aside = later.world_from_body.perturb(slope).apply(RAVEN.centers[row % 3])
+                numeric = (camera.project(aside[None])[0] - pixel[0]) / 1e-5
+                np.testing.assert_allclose(balls.jacobians[row, :, axis], numeric, rtol=1e-3)
+            spread = propagate(balls.jacobians[row], later.covariance[:6, :6])
+            np.testing.assert_allclose(balls.covariances_px[row], spread, rtol=1e-9)
+            widest = np.sqrt(np.linalg.eigvalsh(spread)[1])
+            assert balls.spread_px[row] == pytest.approx(widest, rel=1e-9)
+            row += 1
+    assert windows.keys[4] == ("cam1", RAVEN.names[1])
+
+
+def test_a_rolling_shutter_moves_windows_by_the_delay_of_their_rows(state):
+    still, rolled = _windows(state, np.zeros(4)), _windows(state, np.zeros(4), 0.02)
+    for row, (name, _) in enumerate(still.keys):
+        camera = replace(ring()[name], readout_s=0.02)
+        delay = camera.row_delay_s(still.balls.centers_px[row, 1])
+        moved = delay * still.balls.jacobians[row] @ state.velocity
+        np.testing.assert_allclose(
+            rolled.balls.centers_px[row], still.balls.centers_px[row] + moved, atol=1e-9
+        )
+
+
+def test_a_ball_behind_a_camera_is_expected_out_of_sight(state):
+    behind = replace(state, world_from_body=RigidTransform(np.eye(3), 4 * ring()["cam0"].center))
+    balls = _windows(behind, np.zeros(4)).balls
+    assert np.all(balls.centers_px[:3] < -1000)
+    assert not np.any(balls.spread_px[:3])
+
+
+def test_the_last_bits_of_a_pose_do_not_reach_detectors(state):
+    leads = np.array([0.0, 0.01, -0.02, 0.03])
+    same = replace(state, velocity=state.velocity * (1 + 1e-15))
+    other = replace(state, velocity=state.velocity * (1 + 1e-5))
+    expected, again, moved = (
+        [e.center_px for some in _expected(s, leads).values() for e in some]
+        for s in (state, same, other)
+    )
+    np.testing.assert_array_equal(expected, again)
+    assert np.any(np.array(expected) != moved)
+
+
+def _expected(state: MotionState, leads_s: Floats) -> dict:
+    return _windows(state, leads_s).expectations(_SIGMAS, _FLOOR_PX, _SLACK)
+
+
+def test_gates_are_those_of_the_mahalanobis_distance(state):
+    rng = np.random.default_rng(2)
+    mix = rng.normal(size=(2, 40, 2, 2))
+    predicted, noise = mix @ np.swapaxes(mix, -1, -2) + 0.01 * np.eye(2)
+    off = 3 * rng.normal(size=(40, 2))
+    expected = squared_mahalanobis(off, predicted + noise) <= 5.0
+    np.testing.assert_array_equal(agree_with_prediction(off, predicted, noise, 5.0), expected)
+    assert 5 < np.sum(expected) < 35
+
+
+def test_detections_that_agree_move_the_prediction_and_one_that_does_not_is_left_out(state):
+    leads = np.array([0.0, 0.01, -0.02, 0.03])
+    balls = _windows(state, leads).balls
+    lead_s = np.repeat(leads, 3)
+    slopes = np.concatenate([balls.jacobians, balls.jacobians * lead_s[:, None, None]], axis=2)
+    change = np.array([0.1, -0.2, 0.1, 0.001, 0.002, -0.001, 3.0, 1, -2, 0.02, 0.01, -0.03])
+    off = slopes @ change
+    off[7] += [6.0, -4.0]
+    noise = np.tile(0.01 * np.eye(2), (12, 1, 1))
+    gate = chi_square_quantile(0.9999, 2)
+    agreeing, step, covariance = agree_with_each_other(
+        off, balls.jacobians, noise, state.covariance, gate, lead_s
+    )
+    assert np.flatnonzero(~agreeing).tolist() == [7]
+    good = np.delete(slopes, 7, axis=0).reshape(-1, 12)
+    information = np.linalg.inv(state.covariance) + good.T @ good / 0.01
+    sd = np.sqrt(np.diag(np.linalg.inv(information)))
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance)), sd, rtol=0.05)
+    np.testing.assert_array_less(np.abs(step - change)[:6], 4 * sd[:6])
