@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +12,7 @@ from measure.calibration.lens import stack
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
 from measure.measuring import Measurement
-from measure.model import Body, Detection
+from measure.model import BallView, Body, Detection
 from measure.model.observations import Reason
 
 MIN_FRAMES = 10
@@ -20,6 +20,7 @@ _WINDOW = 9
 _DEGREE = 4
 _LEAST_SPREAD_MM = 20.0
 _DOUBTFUL_SHARE = 0.2
+_ELSEWHERE = (Reason.INCONSISTENT, Reason.JUMPED, Reason.RECOVERING)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +85,7 @@ def calibration_doubted(measurements: Sequence[Measurement]) -> bool:
 
 
 def recording_of(
-    measurements: Iterable[Measurement],
+    measurements: Sequence[Measurement],
     body: Body,
     lead_s: Callable[[Detection], float] | None = None,
     limit: int = 1500,
@@ -101,15 +102,16 @@ def recording_of(
             rough refinement of cameras too far off to agree.
 
     Raises:
-        CalibrationError: too few frame sets with a pose, or the body hardly moved.
+        CalibrationError: too few frame sets with a pose, the body hardly moved, or a camera sees
+            the balls where the others do not.
     """
     kept = [m for m in measurements if m.pose is not None and (doubted or not m.pose.flags)]
     if len(kept) < MIN_FRAMES:
         raise CalibrationError(
             f"{len(kept)} frame sets with {'a' if doubted else 'an unflagged'} pose, at least "
-            f"{MIN_FRAMES} are needed to refine cameras from motion; `measure check` names a "
-            "camera that was moved"
+            f"{MIN_FRAMES} are needed to refine cameras from motion{_most_aside(measurements)}"
         )
+    _refuse_strangers(kept, doubted)
     kept = kept[:limit]
     poses = stack([m.pose.world_from_body for m in kept if m.pose is not None])
     spread = float(np.linalg.norm(np.ptp(poses.translation, axis=0)))
@@ -122,6 +124,49 @@ def recording_of(
     )
 
 
+def _refuse_strangers(kept: Sequence[Measurement], doubted: bool) -> None:
+    """Refuse a camera that sees balls, but hardly ever where the others do."""
+    for name, aside in _aside(kept).items():
+        usable = sum(
+            view.camera == name and _usable(view, doubted) for m in kept for view in m.views
+        )
+        if usable < MIN_FRAMES <= aside:
+            raise CalibrationError(
+                f"camera {name} sees the balls elsewhere than the others in {aside} of {len(kept)} "
+                "frame sets: it does not stand where the first calibration says; if it was moved "
+                "since, calibrate it again"
+            )
+
+
+def _aside(measurements: Sequence[Measurement]) -> dict[str, int]:
+    """In how many frame sets each camera sees balls, but none where the others do."""
+    out: dict[str, int] = {}
+    for m in measurements:
+        for name in dict.fromkeys(view.camera for view in m.views):
+            own = [view for view in m.views if view.camera == name]
+            elsewhere = any(view.reason in _ELSEWHERE for view in own)
+            out[name] = out.get(name, 0) + (elsewhere and not any(v.effective for v in own))
+    return out
+
+
+def _most_aside(measurements: Sequence[Measurement]) -> str:
+    """The camera that contradicts the others most often, in words."""
+    aside = _aside(measurements)
+    if not any(aside.values()):
+        return "; `measure check` names a camera that was moved"
+    name = max(aside, key=lambda camera: aside[camera])
+    return (
+        f"; camera {name} sees the balls elsewhere than the others in {aside[name]} of "
+        f"{len(measurements)}: if it was moved, calibrate it again"
+    )
+
+
+def _usable(view: BallView, doubted: bool) -> bool:
+    if view.detection is None:
+        return False
+    return view.effective or (doubted and view.reason is Reason.INCONSISTENT)
+
+
 def _tracks(
     kept: Sequence[Measurement],
     body: Body,
@@ -132,9 +177,7 @@ def _tracks(
     for number, m in enumerate(kept):
         for view in m.views:
             d = view.detection
-            if d is None or not (
-                view.effective or (doubted and view.reason is Reason.INCONSISTENT)
-            ):
+            if d is None or not _usable(view, doubted):
                 continue
             lead = d.time_s - m.time_s + (0.0 if lead_s is None else lead_s(d))
             rows.setdefault(d.camera, []).append(

@@ -163,7 +163,9 @@ def _check_seen(cameras: tuple[Camera, ...], recording: Recording) -> None:
         seen = len(recording.tracks[camera.name].frame) if camera.name in recording.tracks else 0
         if seen < MIN_FRAMES:
             raise CalibrationError(
-                f"camera {camera.name}: saw a ball {seen} times, at least {MIN_FRAMES} are needed"
+                f"camera {camera.name}: saw a ball {seen} times where the others do, at least "
+                f"{MIN_FRAMES} are needed: is the body in its view, and does it stand where the "
+                "first calibration says? `measure check` tells"
             )
 
 

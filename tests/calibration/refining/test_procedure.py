@@ -92,7 +92,7 @@ def set_aside(measurements, camera: str):
 def test_cameras_too_far_off_to_agree_are_refined_roughly_first(in_step) -> None:
     doubtful = set_aside(in_step, "cam1")
     assert calibration_doubted(doubtful)
-    with pytest.raises(CalibrationError, match="unflagged pose"):
+    with pytest.raises(CalibrationError, match=r"unflagged pose.*camera cam1 sees the"):
         refine_measured(slipped(), RAVEN, doubtful)
     first = list(slipped())
     turn = [0, 0, 0, 0, 0, np.deg2rad(0.5)]
@@ -105,3 +105,16 @@ def test_cameras_too_far_off_to_agree_are_refined_roughly_first(in_step) -> None
 
 def test_cameras_that_agree_need_no_rough_refinement(in_step) -> None:
     assert rough_cameras(FIRST, RAVEN, in_step) is None
+
+
+@pytest.mark.parametrize("flagged", [False, True])
+def test_a_camera_that_sees_nothing_where_the_others_do_is_named(in_step, flagged) -> None:
+    """As after a search: what does not fit is set aside with no detection to tell where it was."""
+    blind = []
+    for m, aside in zip(in_step, set_aside(in_step, "cam2"), strict=True):
+        views = tuple(
+            replace(view, detection=None) if view.camera == "cam2" else view for view in aside.views
+        )
+        blind.append(replace(aside if flagged else m, views=views))
+    with pytest.raises(CalibrationError, match=r"camera cam2 sees the balls elsewhere .* in 90 of"):
+        (rough_cameras if flagged else refine_measured)(slipped(), RAVEN, blind)
