@@ -8,7 +8,7 @@ import pytest
 from measure.geometry import RigidTransform
 from measure.measuring import fit_kernels
 from measure.measuring.association import agreement, associate, meeting, warm_up
-from measure.model import Ball, BallColor, Body, Camera, Detection
+from measure.model import Ball, BallColor, Body, Camera, Detection, rig_kernels
 from tests.scenes import FOUR, RAVEN, TARGET, a_pose, ring, see
 
 CAMERAS = ring()
@@ -189,6 +189,8 @@ def test_warming_up_compiles_all_that_a_search_runs():
         agreement.fitting_pairs,
         agreement.fitting_triples,
         fit_kernels.fit_rows,
+        rig_kernels.project_rows,
+        rig_kernels.ray_rows,
     )
     before = [len(loop.signatures) for loop in loops]
     assert min(before) > 0

@@ -32,7 +32,7 @@ _PLAIN = 0.6
 
 
 @compiled
-def find_circles(
+def circles_of(
     bits: Bytes,
     bit: int,
     radii: tuple[float, float],
@@ -85,11 +85,15 @@ def _along(
         for i in range(0, n, max(1, span // 2)):
             if explained[i]:
                 continue
-            a, b, c = border[i], border[(i + span) % n], border[(i + 2 * span) % n]
-            x, y, r = _through(a, b, c)
+            j, k = (i + span) % n, (i + 2 * span) % n
+            x, y, r = _through(border, i, j, k)
             if not radii[0] <= r <= radii[1] or 2 * span > 5 * r:
                 continue
-            if not (_parts(mask, a, x, y) and _parts(mask, b, x, y) and _parts(mask, c, x, y)):
+            if not (
+                _parts(mask, border[i, 0], border[i, 1], x, y)
+                and _parts(mask, border[j, 0], border[j, 1], x, y)
+                and _parts(mask, border[k, 0], border[k, 1], x, y)
+            ):
                 continue
             needed = max(least, _LEAST_ARC / r)
             seen = _share_seen(mask, x, y, r, needed)
@@ -198,17 +202,18 @@ def _share_filled(mask: Bytes, x: float, y: float, r: float) -> float:
 
 
 @compiled
-def _through(a: Ints, b: Ints, c: Ints) -> tuple[float, float, float]:
-    """Centre and radius of the circle through three points; radius -1 if they lie on a line."""
-    bx, by = float(b[0] - a[0]), float(b[1] - a[1])
-    cx, cy = float(c[0] - a[0]), float(c[1] - a[1])
+def _through(border: Ints, i: int, j: int, k: int) -> tuple[float, float, float]:
+    """Centre and radius of the circle through three pixels; radius -1 if they lie on a line."""
+    ax, ay = border[i, 0], border[i, 1]
+    bx, by = float(border[j, 0] - ax), float(border[j, 1] - ay)
+    cx, cy = float(border[k, 0] - ax), float(border[k, 1] - ay)
     twice = 2 * (bx * cy - by * cx)
     if abs(twice) < 1e-6:
         return 0.0, 0.0, -1.0
     b2, c2 = bx * bx + by * by, cx * cx + cy * cy
     x, y = (cy * b2 - by * c2) / twice, (bx * c2 - cx * b2) / twice
     # Border pixels are the last ones inside: the edge is half a pixel further out.
-    return a[0] + x, a[1] + y, np.sqrt(x * x + y * y) + 0.5
+    return ax + x, ay + y, np.sqrt(x * x + y * y) + 0.5
 
 
 @compiled
@@ -221,14 +226,12 @@ def _at(mask: Bytes, x: float, y: float) -> int:
 
 
 @compiled
-def _parts(mask: Bytes, point: Ints, x: float, y: float) -> bool:
-    """Whether colour lies on the side of a border point that faces (x, y), and none beyond."""
-    dx, dy = point[0] - x, point[1] - y
-    distance = np.sqrt(dx * dx + dy * dy) + 1e-9
-    dx, dy = dx / distance, dy / distance
-    if _at(mask, point[0] + 2.0 * dx, point[1] + 2.0 * dy) != 0:
-        return False
-    return _at(mask, point[0] - 1.0 * dx, point[1] - 1.0 * dy) == 1
+def _parts(mask: Bytes, u: int, v: int, x: float, y: float) -> bool:
+    """Whether colour lies on the side of a border pixel u, v that faces (x, y), and none beyond."""
+    dx, dy = u - x, v - y
+    per = 1 / (np.sqrt(dx * dx + dy * dy) + 1e-9)
+    dx, dy = dx * per, dy * per
+    return _at(mask, u + 2 * dx, v + 2 * dy) == 0 and _at(mask, u - dx, v - dy) == 1
 
 
 @compiled

@@ -99,9 +99,17 @@ class Look(NamedTuple):
 
 @compiled
 def look_roughly(
-    view: View, search: Search, axis: Floats, half_angle: float, reach_px: float
+    view: View,
+    search: Search,
+    axis: Floats,
+    half_angle: float,
+    reach_px: float,
+    quickly: bool = False,
 ) -> Look:
-    """Find the half-level crossings, in light, within `reach_px` of the prediction."""
+    """Find the half-level crossings, in light, within `reach_px` of the prediction.
+
+    Far looks, and those that have to be quick, take the nearest pixels.
+    """
     wider = max(reach_px - SEARCH_PX, 0.0)
     inside = (INSIDE_PX[0] - wider, INSIDE_PX[1] - wider)
     outside = (OUTSIDE_PX[0] + wider, OUTSIDE_PX[1] + wider)
@@ -111,7 +119,7 @@ def look_roughly(
     points, normals, scale, around = cast_rays(frame, half_angle, search.rays, view.lens)
     reach = (inside[0], outside[1])
     free = ways(frame, half_angle, scale, around, search.nearer, reach, search.margin_px)
-    if wider > 0:
+    if wider > 0 or quickly:
         profiles = sample_nearest(view.pixels, view.table, points, normals, steps, free)
     else:
         profiles, _ = sample(view.pixels, view.table, points, normals, steps, free, False)

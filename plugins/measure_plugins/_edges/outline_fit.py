@@ -6,23 +6,28 @@ from typing import NamedTuple
 
 import numpy as np
 
-from measure.arrays import Bools, Floats, Ints
+from measure.arrays import Floats, Ints
 from measure.compiling import compiled
-from measure.model.lens import to_pixel
+from measure.model.lens import bearing_and_slopes, to_pixel
 from measure_plugins._edges.cone_fit import consensus, refine
 from measure_plugins._edges.corrected import SEARCH_PX
 from measure_plugins._edges.look import Look, Search, View, look_closely, look_roughly
 from measure_plugins._edges.radial import Radial
 from measure_plugins._edges.rays import FREE
 from measure_plugins._edges.selection import kth_smallest
+from measure_plugins._edges.spread import correlation, image_directions
 
 _CONSENSUS_TRIALS = 60
 _CONSENSUS_GATE_PX = 1.2
 _FIRST_GATE_PX = 2.5
-_BLOCKS = 12
 _TURNS = 8
 _FEWEST_EDGES = 6
 _INLIER = 0.1
+_FAR_SHARE, _SETTLED_SHARE = 0.67, 0.9
+"""Shares of the least agreement in the end below which a quick look is the last: quick looks are
+less sharp, and those from further away see only about where an outline is."""
+_CIRCLE_REACH = 0.2
+"""How far an outline may be from a circle found by colour, as a share of its radius."""
 _ROUGHLY_SETTLED_PX = 0.5
 _SETTLED_PX = 0.1
 """Corrected edges are looked at again until the axis moves less: the prediction, fitted at a place
@@ -75,6 +80,46 @@ class _Fit(NamedTuple):
 
 
 @compiled
+def approach(
+    view: View, circles: Floats, rays: int, min_contrast: float, agreement: float
+) -> Floats:
+    """Go from rough circles to about where their outlines are, by the nearest pixels.
+
+    Args:
+        view: where to look.
+        circles: (k, 5) of which the first are centre x, y and radius, px.
+        rays: across each outline.
+        min_contrast: see `Search`.
+        agreement: the least share of edges that agree in the end.
+
+    Returns:
+        (k, 4) unit axis and half angle of each outline; half angle 0 where there is none.
+    """
+    out = np.zeros((len(circles), 4))
+    slopes, nearer = np.empty(6), np.empty((0, 4))
+    for i, circle in enumerate(circles):
+        axis, radius = np.empty(3), circle[2]
+        bearing_and_slopes(circle[:2], view.lens, 0.0, 0.0, axis, slopes)
+        half_angle = 2 * radius / (view.lens[0] + view.lens[3])
+        search = Search(axis, half_angle, nearer, _CIRCLE_REACH * radius, rays, min_contrast, 0.0)
+        reach = _reach(view, search)
+        for turn in range(_TURNS):
+            look = look_roughly(view, search, axis, half_angle, reach, True)
+            fit = _fit(look, _GROWTH_UNKNOWN, turn == 0)
+            settled = turn > 0 and _moved(fit) < _ROUGHLY_SETTLED_PX
+            share = _SETTLED_SHARE if settled else _FAR_SHARE
+            if not np.isfinite(fit.scale) or _agreement(look, fit) < share * agreement:
+                break
+            axis = _turned(look, fit)
+            half_angle += fit.solution[2] / np.mean(look.scale)
+            if settled:
+                out[i, :3], out[i, 3] = axis, half_angle
+                break
+            reach = SEARCH_PX
+    return out
+
+
+@compiled
 def measure_roughly(view: View, search: Search, hopeless: float) -> Outline:
     """Measure an outline whose size nobody knows, by its half-level crossings.
 
@@ -87,7 +132,7 @@ def measure_roughly(view: View, search: Search, hopeless: float) -> Outline:
     for turn in range(_TURNS):
         look = look_roughly(view, search, axis, half_angle, reach)
         near = reach <= SEARCH_PX
-        fit = _fit(look, _GROWTH_UNKNOWN, turn == 0 or not near)
+        fit = _fit(look, _GROWTH_UNKNOWN, (turn == 0 and search.reach_px > 0) or not near)
         if not np.isfinite(fit.scale):
             break
         if near and _moved(fit) < _ROUGHLY_SETTLED_PX:
@@ -190,15 +235,15 @@ def _outline(view: View, look: Look, half_angle: float, fit: _Fit) -> Outline:
     for point in look.points:
         apart = point - center
         radius += np.sqrt(np.sum(apart * apart)) / len(look.points)
-    to_image = _image_directions(look.frame, view.lens) / px
-    correlation = _correlation(standard, fit.weights > _INLIER)
+    to_image = image_directions(look.frame, view.lens) / px
+    together = correlation(standard, fit.weights > _INLIER)
     middle = len(sd) // 2
     return Outline(
         axis,
         half_angle + fit.solution[2] / px,
         center,
         radius,
-        to_image @ (correlation * np.linalg.inv(fit.normal)[:2, :2]) @ to_image.T,
+        to_image @ (together * np.linalg.inv(fit.normal)[:2, :2]) @ to_image.T,
         points,
         sd,
         int(np.sum(look.clear)),
@@ -223,37 +268,3 @@ def _overflow(look: Look, inliers: Ints) -> int:
             to_ball, to_ground = look.edges.outside[:, i] - ball, look.edges.outside[:, i] - ground
             count += int(np.sum(to_ball**2) < np.sum(to_ground**2))
     return count
-
-
-@compiled
-def _image_directions(frame: Floats, lens: Floats) -> Floats:
-    """Image (2, 2) of a turn by one radian of the axis along e1 and e2: columns in px."""
-    h = 1e-6
-    out = np.empty((2, 2))
-    for k in range(2):
-        a, b = frame[2] + h * frame[k], frame[2] - h * frame[k]
-        u1, v1 = to_pixel(a[0], a[1], a[2], lens)
-        u2, v2 = to_pixel(b[0], b[1], b[2], lens)
-        out[0, k], out[1, k] = (u1 - u2) / (2 * h), (v1 - v2) / (2 * h)
-    return out
-
-
-@compiled
-def _correlation(standard: Floats, inliers: Bools) -> float:
-    """How much wider than for independent rays a mean over the outline scatters (batch means).
-
-    Neighbouring rays share pixels, shading and what stands behind: their errors go together.
-    """
-    n = len(standard)
-    squares, rays, blocks = 0.0, 0, 0
-    for block in range(_BLOCKS):
-        total, count = 0.0, 0
-        for i in range(block * n // _BLOCKS, (block + 1) * n // _BLOCKS):
-            if inliers[i]:
-                total += standard[i]
-                count += 1
-        if count > 1:
-            squares += total * total
-            rays += count
-            blocks += 1
-    return max(1.0, squares / rays) if blocks >= 4 else 4.0

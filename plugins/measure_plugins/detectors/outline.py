@@ -8,7 +8,7 @@ ellipse's bias. The edge points travel on with the detection, for a joint fit of
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -77,9 +77,9 @@ class OutlineDetector(Detector):
         self._lens = camera.intrinsics.row
         self._see(first_appearance(self.config.tone))
         self._learner = AppearanceLearner(self._lens, self.config.rays, self.config.margin_px)
-        colors = tuple(dict.fromkeys(ball.color for ball in body.balls))
-        self._colors = color_table(colors)
-        self._bits = {ball.name: 1 << colors.index(ball.color) for ball in body.balls}
+        self._colors = tuple(dict.fromkeys(ball.color for ball in body.balls))
+        self._table = color_table(self._colors)
+        self._bits = {ball.name: 1 << self._colors.index(ball.color) for ball in body.balls}
 
     def _see(self, appearance: Appearance) -> None:
         """Look at pictures through this appearance from now on."""
@@ -98,6 +98,7 @@ class OutlineDetector(Detector):
         image, expected = drawn_disc(self.body, self.camera)
         self._measure(image, expected)
         self._measure(image, [replace(one, center_camera=None) for one in expected])
+        self._searched(image, ())
         self._learner.warm_up(image.pixels, self._cone(expected[0]), self._appearance)
 
     def detect(self, image: Image, expected: Sequence[Expectation]) -> list[Detection]:
@@ -106,11 +107,26 @@ class OutlineDetector(Detector):
         known = {expectation.ball for expectation in expected}
         if len(known) == len(self.body.balls):
             return self._learnt(image, expected, found) or found
-        from measure_plugins._acquisition import AcquisitionSettings, find_candidates
+        return found + self._searched(image, known)
 
-        for candidate in find_candidates(image, self.body, self.camera, AcquisitionSettings()):
-            if candidate.ball not in known:
-                found += self._measure(image, [_expectation(candidate)]) or []
+    def _searched(self, image: Image, known: Collection[str]) -> list[Detection]:
+        """All that may be balls that are not `known`; what one ball may be, any of its colour."""
+        from measure_plugins._acquisition import AcquisitionSettings, find_circles
+        from measure_plugins._edges.outline_fit import approach
+
+        c, view, found = self.config, self._view(image), list[Detection]()
+        circles = find_circles(view.pixels, self._colors, AcquisitionSettings())
+        for color, some in zip(self._colors, circles, strict=True):
+            alike = [b.name for b in self.body.balls if b.color == color and b.name not in known]
+            if not alike:
+                continue
+            near = approach(view, some, c.rays // 2, c.min_contrast, c.min_agreement)
+            for (x, y, radius, *_), cone in zip(some, near, strict=True):
+                if cone[3] == 0:
+                    continue
+                expectation = _expectation(alike[0], np.array([x, y]), radius)
+                one = self._measure_one(image, view, expectation, (cone[:3], cone[3], np.inf), ())
+                found += [replace(one, ball=name) for name in alike] if one else []
         return found
 
     def _learnt(
@@ -130,10 +146,13 @@ class OutlineDetector(Detector):
         self._see(learnt)
         return self._measure(image, expected)
 
-    def _measure(self, image: Image, expected: Sequence[Expectation]) -> list[Detection]:
+    def _view(self, image: Image) -> View:
         from measure_plugins._edges.look import View
 
-        view = View(np.ascontiguousarray(image.pixels), self._tone, self._encoding, self._lens)
+        return View(np.ascontiguousarray(image.pixels), self._tone, self._encoding, self._lens)
+
+    def _measure(self, image: Image, expected: Sequence[Expectation]) -> list[Detection]:
+        view = self._view(image)
         cones = [self._cone(expectation) for expectation in expected]
         found = [
             self._measure_one(image, view, expectation, cone, cones)
@@ -228,19 +247,19 @@ class OutlineDetector(Detector):
         from measure_plugins._edges.color_check import color_share
 
         return color_share(
-            view.pixels, self._colors, self._bits[ball], outline.center_px, outline.points_px
+            view.pixels, self._table, self._bits[ball], outline.center_px, outline.points_px
         )
 
 
-def _expectation(candidate: Detection) -> Expectation:
-    """What a rough circle lets us expect."""
-    spread = 0.25 * candidate.radius_px + 3
+def _expectation(ball: str, center_px: Floats, radius_px: float) -> Expectation:
+    """What a rough circle, approached, lets us expect."""
+    spread = 0.25 * radius_px + 3
     return Expectation(
-        ball=candidate.ball,
-        center_px=candidate.center_px,
-        radius_px=(candidate.radius_px - spread, candidate.radius_px + spread),
+        ball=ball,
+        center_px=center_px,
+        radius_px=(radius_px - spread, radius_px + spread),
         min_distance_px=0.0,
-        reach_px=0.2 * candidate.radius_px,
+        reach_px=0.0,
     )
 
 

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from measure.model import Image
-from measure_plugins._acquisition import AcquisitionSettings, find_candidates
-from tests.scenes import FOUR, RAVEN, ring
+from measure_plugins._acquisition import AcquisitionSettings, find_circles
+from tests.scenes import FOUR, RAVEN
 
 BGR = {
     "green": (60, 140, 40),
@@ -16,7 +16,6 @@ BGR = {
     "blue": (170, 80, 30),
     "orange": (20, 110, 235),
 }
-CAMERA = ring()["cam0"]
 
 
 def picture(discs, background=(28, 28, 28), noise=3.0, seed=0, gain=1.0):
@@ -32,14 +31,15 @@ def picture(discs, background=(28, 28, 28), noise=3.0, seed=0, gain=1.0):
 
 
 def search(image, body=RAVEN, **settings):
-    found = find_candidates(image, body, CAMERA, AcquisitionSettings(**settings))
-    return {ball.name: [d for d in found if d.ball == ball.name] for ball in body.balls}
+    """Circles x, y, radius, share seen, share filled (k, 5) of each ball's colour."""
+    colors = [ball.color for ball in body.balls]
+    found = find_circles(image.pixels, colors, AcquisitionSettings(**settings))
+    return dict(zip(body.names, found, strict=True))
 
 
-def assert_at(detection, x, y, radius, within):
-    assert np.linalg.norm(detection.center_px - [x, y]) < within
-    assert detection.radius_px == pytest.approx(radius, rel=0.08, abs=2)
-    assert np.sqrt(detection.covariance_px[0, 0]) > 0.3
+def assert_at(circle, x, y, radius, within):
+    assert np.linalg.norm(circle[:2] - [x, y]) < within
+    assert circle[2] == pytest.approx(radius, rel=0.08, abs=2)
 
 
 @pytest.mark.parametrize("radius", [14.0, 45.0, 120.0])
@@ -49,15 +49,13 @@ def test_finds_each_ball_first(radius, gain):
     image = picture([(c, x, y, radius) for c, (x, y) in at.items()], gain=gain)
     for name, candidates in search(image).items():
         assert_at(candidates[0], *at[name], radius, 1.5)
-        assert candidates[0].camera == "cam0"
-        assert candidates[0].time_s == 0.5
 
 
 def test_hidden_behind_another_ball():
     found = search(picture([("green", 600, 300, 60), ("yellow", 650, 330, 60)]))
     assert_at(found["yellow"][0], 650, 330, 60, 1.5)
     assert_at(found["green"][0], 600, 300, 60, 4.0)
-    assert found["green"][0].covariance_px[0, 0] > found["yellow"][0].covariance_px[0, 0]
+    assert found["green"][0, 3] < 0.8 < found["yellow"][0, 3]  # the shares that are seen
 
 
 def test_two_touching_balls_of_one_colour_are_two_candidates():
@@ -81,8 +79,8 @@ def test_a_highlight_and_a_rod_in_front_do_not_split_a_ball():
 
 
 def test_no_ball_no_candidate():
-    assert search(picture([])) == {"green": [], "yellow": [], "red": []}
-    assert search(picture([("blue", 500, 300, 50)]))["red"] == []
+    assert all(len(circles) == 0 for circles in search(picture([])).values())
+    assert len(search(picture([("blue", 500, 300, 50)]))["red"]) == 0
 
 
 def test_a_box_is_a_worse_candidate_than_a_ball():
@@ -98,3 +96,14 @@ def test_other_image_sizes():
     small = cv2.resize(image.pixels, (640, 360), interpolation=cv2.INTER_AREA)
     found = search(Image("cam0", 0, 0.0, lambda: small))
     assert_at(found["green"][0], 160 - 0.25, 90 - 0.25, 30, 1.0)
+
+
+@pytest.mark.parametrize("most", [3, 10])
+def test_no_more_candidates_than_asked_for(most):
+    """However many balls there are: every candidate has to be looked at. The largest are kept."""
+    radii = np.linspace(15, 50, 24)
+    places = [(110 + 150 * (k % 8), 110 + 200 * (k // 8)) for k in range(24)]
+    discs = [("red", x, y, r) for (x, y), r in zip(places, radii, strict=True)]
+    found = search(picture(discs), max_candidates=most)["red"]
+    assert len(found) == most
+    assert found[:, 2] == pytest.approx(radii[::-1][:most], abs=2)

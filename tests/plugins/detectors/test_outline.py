@@ -176,13 +176,26 @@ def test_same_picture_same_bits(camera, detector):
 
 
 def test_warm_up_compiles_every_hot_loop(camera):
+    """For the very types that measuring uses: else the first picture would compile them again."""
+    from measure_plugins._acquisition import circles, color_table, patches
     from measure_plugins._edges import color_check, outline_fit, rays
 
     OutlineDetector(OutlineConfig(), RAVEN, camera).warm_up()
     loops = (
         outline_fit.measure_closely,
         outline_fit.measure_roughly,
+        outline_fit.approach,
         color_check.color_share,
         rays.radius_px,
+        color_table.classify,
+        patches.majority,
+        circles.circles_of,
     )
-    assert all(loop.signatures for loop in loops)
+    before = [len(loop.signatures) for loop in loops]
+    assert min(before) > 0
+    center = at_angle(3.0, 200.0)
+    image = image_of(camera, picture(camera, center))
+    fresh = OutlineDetector(OutlineConfig(), RAVEN, camera)
+    assert fresh.detect(image, [])
+    assert fresh.detect(image, everything_expected(camera, "red", center))
+    assert [len(loop.signatures) for loop in loops] == before
