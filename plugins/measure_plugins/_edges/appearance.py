@@ -1,12 +1,13 @@
-"""How a camera shows a ball: its tone curve, its blur, and whether the ball is glossy or matt."""
+"""How a camera shows balls: tone curve, blur, whether they are glossy or matt, what lights them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from measure.arrays import Floats
+from measure_plugins._edges.lamps import no_lamps
 from measure_plugins._edges.radial import BLUR_PX, REFRACTIVE_INDEX
 from measure_plugins._edges.tone import tone_table
 
@@ -26,12 +27,14 @@ class Appearance:
         bends: (3,) how the camera's curve departs from it, see `bent_table`.
         blur_px: sigma of the blur of brightness.
         index: refractive index of the balls' surface.
+        lamps: (k, 4) what lights the balls, in the camera frame, see `lamps`; none if not known.
     """
 
     tone: str
     bends: Floats
     blur_px: float
     index: float
+    lamps: Floats = field(default_factory=no_lamps)
 
     def table(self) -> Floats:
         """Light (256,) of each picture value."""

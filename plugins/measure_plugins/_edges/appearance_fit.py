@@ -15,6 +15,7 @@ import numpy as np
 from measure.arrays import Bytes, Floats
 from measure_plugins._edges.appearance import BENDS, GLOSSY, MATT, Appearance
 from measure_plugins._edges.corrected import LATER_STEPS, compare
+from measure_plugins._edges.lamps import no_lamps, seen_from
 from measure_plugins._edges.radial import radial
 from measure_plugins._edges.sensor import encoding
 
@@ -59,6 +60,7 @@ class Sight:
         free: (n,) 0 where the way is clear and an edge agrees with the outline.
         half_angle: of the cone, rad.
         scale: px per rad.
+        frame: (3, 3) about the axis, see `rays.frame_about`.
     """
 
     pixels: Bytes
@@ -68,20 +70,27 @@ class Sight:
     free: Floats
     half_angle: float
     scale: float
+    frame: Floats
 
 
 def learn_appearance(sights: Sequence[Sight], start: Appearance) -> Appearance:
     """Tone, blur and surface that explain the sights; the simplest unless another does clearly."""
-    useful = [s for s in sights if np.count_nonzero(s.free == 0) >= _FEWEST_RAYS]
-    if len(useful) < _FEWEST_SIGHTS:
+    useful = telling(sights)
+    if not useful:
         return start
-    start = replace(start, bends=np.zeros(BENDS))
+    start = replace(start, bends=np.zeros(BENDS), lamps=no_lamps())
     plain = _of_either_surface(useful, start, start, _STRAIGHT, (_CLEARLY_GLOSSY, _MATT_ABOVE))
     bent = _refined(useful, plain, _BENT)
     if _share(useful, bent, plain) ** 2 > _BENT_BELOW:
         return plain
     glossy, matt = (bent, start) if plain.index == GLOSSY else (start, bent)
     return _of_either_surface(useful, glossy, matt, _BENT, (0.0, _MATT_ABOVE_BENT))
+
+
+def telling(sights: Sequence[Sight]) -> list[Sight]:
+    """Those seen well enough to learn from; none if there are too few of them."""
+    useful = [s for s in sights if np.count_nonzero(s.free == 0) >= _FEWEST_RAYS]
+    return useful if len(useful) >= _FEWEST_SIGHTS else []
 
 
 def _of_either_surface(
@@ -193,6 +202,7 @@ def _residuals(
         sight.around,
         sight.free.copy(),
         tables,
+        seen_from(appearance.lamps, sight.frame),
     )
     use = sight.free == 0
     off = (seen - predicted)[:, _COMPARED][:, :, use]

@@ -62,6 +62,7 @@ def corrected_edges(
     around: Floats,
     free: Floats,
     radial: Radial,
+    lamps: Floats,
 ) -> Edges:
     """Find edges twice, by all colours and without grey, less the finder's errors on a prediction.
 
@@ -78,13 +79,14 @@ def corrected_edges(
         around: (n, 2) cosine and sine around the axis.
         free: (n,) `rays.FREE` where nothing is known to be in the way; may be set to OUTSIDE.
         radial: what the ball shows along a ray, see `radial.radial`.
+        lamps: (k, 4) in the frame about the axis, see `lamps`; none if they are not known.
 
     Returns:
         The edges; their contrast in picture values from 0 to 1.
     """
     light, values = sample(pixels, table, points, normals, STEPS, free, True)
     within, background = levels(light, STEPS, INSIDE_PX), levels(light, STEPS, _BACKGROUND_PX)
-    predicted = predicted_values(light, free, around, background, inverse, radial)
+    predicted = predicted_values(light, free, around, background, inverse, radial, lamps)
     inside, outside = levels(values, STEPS, INSIDE_PX), levels(values, STEPS, OUTSIDE_PX)
     model_inside = levels(predicted, LATER_STEPS, INSIDE_PX)
     model_outside = levels(predicted, LATER_STEPS, OUTSIDE_PX)
@@ -116,21 +118,37 @@ def compare(
     around: Floats,
     free: Floats,
     radial: Radial,
+    lamps: Floats,
 ) -> tuple[Floats, Floats]:
     """Picture values (3, m, n) at `LATER_STEPS`: seen, and predicted. Arguments as above."""
     light, values = sample(pixels, table, points, normals, STEPS, free, True)
     background = levels(light, STEPS, _BACKGROUND_PX)
-    predicted = predicted_values(light, free, around, background, inverse, radial)
+    predicted = predicted_values(light, free, around, background, inverse, radial, lamps)
     return values[:, _FIRST:], predicted
 
 
 @compiled
+def sampled_light(
+    pixels: Bytes, table: Floats, points: Floats, normals: Floats, free: Floats
+) -> tuple[Floats, Floats]:
+    """Light (3, m, n) at `STEPS`, and of the surroundings (3, n). Arguments as above."""
+    light, _ = sample(pixels, table, points, normals, STEPS, free, False)
+    return light, levels(light, STEPS, _BACKGROUND_PX)
+
+
+@compiled
 def predicted_values(
-    light: Floats, free: Floats, around: Floats, background: Floats, inverse: Floats, radial: Radial
+    light: Floats,
+    free: Floats,
+    around: Floats,
+    background: Floats,
+    inverse: Floats,
+    radial: Radial,
+    lamps: Floats,
 ) -> Floats:
     """Picture values (3, m, n) at `LATER_STEPS` that the model predicts along rays of `light`."""
     first = _FIRST - _MARGIN
-    predicted = predict_light(light, free, around, background, STEPS, radial, first)
+    predicted = predict_light(light, free, around, background, STEPS, radial, lamps, first)
     return blur_chroma(encode(predicted, inverse), _STEP_PX)[:, _MARGIN:]
 
 

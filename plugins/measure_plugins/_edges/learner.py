@@ -11,6 +11,7 @@ from measure.arrays import Bytes, Floats
 from measure_plugins._edges.appearance import Appearance
 from measure_plugins._edges.appearance_fit import Sight, learn_appearance, misfits
 from measure_plugins._edges.corrected import INSIDE_PX, OUTSIDE_PX
+from measure_plugins._edges.lamps_fit import learn_lamps, with_lamps
 from measure_plugins._edges.radial import STEPS
 from measure_plugins._edges.rays import cast_rays, frame_about, ways
 
@@ -59,11 +60,14 @@ class AppearanceLearner:
         if self._count < self._due:
             return None
         self._due = _LATER * self._count
-        return learn_appearance([sight for picture in self._pictures for sight in picture], now)
+        sights = [sight for picture in self._pictures for sight in picture]
+        return with_lamps(sights, learn_appearance(sights, now))
 
     def warm_up(self, pixels: Bytes, cone: Cone, now: Appearance) -> None:
         """Compile what a lesson runs."""
-        misfits([self._sight(pixels, cone, [])], now)
+        sights = [self._sight(pixels, cone, [])]
+        misfits(sights, now)
+        learn_lamps(sights, now)
 
     def _sight(self, pixels: Bytes, cone: Cone, all_cones: Sequence[Cone]) -> Sight:
         axis, half_angle, distance = cone
@@ -74,7 +78,7 @@ class AppearanceLearner:
         free = ways(frame, half_angle, scale, around, nearer.reshape(-1, 4), reach, self._margin_px)
         part, corner = _cut(pixels, points)
         return Sight(
-            part, points - corner, normals, around, free, half_angle, float(np.mean(scale))
+            part, points - corner, normals, around, free, half_angle, float(np.mean(scale)), frame
         )
 
 

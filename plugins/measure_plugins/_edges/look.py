@@ -16,6 +16,7 @@ from measure_plugins._edges.corrected import (
     corrected_edges,
 )
 from measure_plugins._edges.crossing import crossings, levels, project, uncertainty
+from measure_plugins._edges.lamps import seen_from
 from measure_plugins._edges.radial import Radial
 from measure_plugins._edges.rays import (
     FREE,
@@ -41,12 +42,14 @@ class View(NamedTuple):
         table: (256,) light of each picture value.
         inverse: of the table, see `sensor.encoding`.
         lens: (13,) lens row.
+        lamps: (k, 4) in the camera frame, see `lamps`.
     """
 
     pixels: Bytes
     table: Floats
     inverse: Floats
     lens: Floats
+    lamps: Floats
 
 
 class Search(NamedTuple):
@@ -141,8 +144,9 @@ def look_closely(
     points, normals, scale, around = cast_rays(frame, half_angle, search.rays, view.lens)
     reach = (INSIDE_PX[0], OUTSIDE_PX[1])
     free = ways(frame, half_angle, scale, around, search.nearer, reach, search.margin_px)
+    lamps = seen_from(view.lamps, frame)
     edges = corrected_edges(
-        view.pixels, view.table, view.inverse, points, normals, around, free, radial
+        view.pixels, view.table, view.inverse, points, normals, around, free, radial, lamps
     )
     clear, use = _usable(edges, free, search.min_contrast, SEARCH_PX)
     return Look(frame, points, normals, scale, around, free, edges, clear, use)

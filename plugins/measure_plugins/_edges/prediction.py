@@ -11,8 +11,10 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
+from measure_plugins._edges.lamps import fit_lamp_light, lamp_body, lamp_light
 from measure_plugins._edges.radial import Radial
 from measure_plugins._edges.shading import (
+    FIT_LAST_PX,
     GREY,
     angular_terms,
     fit_shading,
@@ -31,6 +33,7 @@ def predict_light(
     background: Floats,
     steps: Floats,
     radial: Radial,
+    lamps: Floats,
     first: int,
 ) -> Floats:
     """Light (3, m - first, n) the model predicts along the rays.
@@ -42,7 +45,36 @@ def predict_light(
         background: (3, n) light outside the outline.
         steps: (m,) px along the normal.
         radial: the ball's tables at the same steps.
+        lamps: (k, 4) in the frame about the axis; without any, shading is a polynomial.
         first: the step at which the prediction begins.
+    """
+    own, amounts, grey, behind_grey = split_light(profiles, free, background, steps, radial)
+    if len(lamps) > 0:
+        used = int(np.searchsorted(steps, FIT_LAST_PX, side="right"))
+        lit = lamp_light(radial.diffuse, around, lamps)
+        fitted = fit_lamp_light(amounts, free, around, radial.diffuse, lit, used)
+        body = lamp_body(fitted, around, radial.diffuse, lit, first)
+    else:
+        angular = angular_terms(around)
+        fitted = fit_shading(amounts, free, angular, steps, radial.diffuse)
+        body = radial.diffuse[first:].copy() @ radial_amounts(fitted, angular)
+    reflected = reflected_light(grey, free, radial.solve_grey)
+    for k in range(len(reflected)):
+        for i in range(len(free)):
+            tied = reflected[k, i] + radial.tie_grey[k] * behind_grey[i]
+            reflected[k, i] = max(tied, 0.0)
+    return _compose(own, body, reflected, background, behind_grey, radial, first)
+
+
+@compiled
+def split_light(
+    profiles: Floats, free: Floats, background: Floats, steps: Floats, radial: Radial
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """What a ball's light is made of, the surroundings taken off; arguments as above.
+
+    Returns:
+        The ball's own colour (3,), how much of it and of grey the rays show, both (m, n), and the
+        surroundings' grey (n,).
     """
     m, n = profiles.shape[1:]
     own = own_color(profiles, free, steps)
@@ -55,44 +87,32 @@ def predict_light(
             for i in range(n):
                 amounts[j, i] -= radial.outside[j] * behind[i]
                 grey[j, i] -= radial.outside[j] * behind_grey[i]
-    angular = angular_terms(around)
-    shading = radial_amounts(fit_shading(amounts, free, angular, steps, radial.diffuse), angular)
-    reflected = reflected_light(grey, free, radial.solve_grey)
-    for k in range(len(reflected)):
-        for i in range(n):
-            tied = reflected[k, i] + radial.tie_grey[k] * behind_grey[i]
-            reflected[k, i] = max(tied, 0.0)
-    return _compose(own, shading, reflected, background, behind_grey, radial, first)
+    return own, amounts, grey, behind_grey
 
 
 @compiled
 def _compose(
     own: Floats,
-    shading: Floats,
+    body: Floats,
     reflected: Floats,
     background: Floats,
     behind_grey: Floats,
     radial: Radial,
     first: int,
 ) -> Floats:
-    """Own light (6, n), reflected light (k, n) and surroundings (3, n), laid along the rays."""
-    n = len(behind_grey)
-    m = len(radial.nearby) - first
-    out = np.empty((3, m, n))
-    body, mirror = np.empty(n), np.empty(n)
+    """Own light (m, n), reflected light (k, n) and surroundings (3, n), laid along the rays."""
+    m, n = body.shape
+    out, mirror = np.empty((3, m, n)), np.empty(n)
     for j in range(m):
         at = first + j
-        body[:], mirror[:] = 0.0, 0.0
-        for p in range(6):
-            for i in range(n):
-                body[i] += radial.diffuse[at, p] * shading[p, i]
+        mirror[:] = 0.0
         for k in range(len(reflected)):
             for i in range(n):
                 mirror[i] += radial.grey[at, k] * reflected[k, i]
         for c in range(3):
             for i in range(n):
                 rest = background[c, i] - behind_grey[i] * GREY
-                value = max(body[i], 0.0) * own[c] + mirror[i] * GREY
+                value = max(body[j, i], 0.0) * own[c] + mirror[i] * GREY
                 value += radial.nearby[at] * rest + radial.outside[at] * background[c, i]
                 out[c, j, i] = max(value, 0.0)
     return out

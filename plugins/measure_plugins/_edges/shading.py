@@ -19,7 +19,7 @@ LOBE = np.array([0, 1, 2, 3, 3, 4, 4, 5, 5])
 """Which radial function each of the nine angular terms goes with."""
 _COLORLESS = 0.15
 """Sine of the angle between a ball's colour and grey below which the two cannot be told apart."""
-_FIT_LAST_PX = 1.0
+FIT_LAST_PX = 1.0
 _OWN_LAST_PX = -3.0
 _ROUNDS = 4
 _NEIGHBOURS = np.exp(-0.5 * (np.arange(5) / 1.5) ** 2)
@@ -109,7 +109,7 @@ def fit_shading(
         steps: (m,) px along the normal; every second one up to the edge is used.
         lobes: (m, 6) the radial functions.
     """
-    used = (np.searchsorted(steps, _FIT_LAST_PX, side="right") + 1) // 2
+    used = (np.searchsorted(steps, FIT_LAST_PX, side="right") + 1) // 2
     seen, shape = np.ascontiguousarray(amounts[: 2 * used : 2]), lobes[: 2 * used : 2].copy()
     coefficients, limit = np.zeros(9), np.inf
     factor, off = np.empty((9, 9)), seen

@@ -38,8 +38,8 @@ class OutlineConfig(Settings):
     )
     learn: bool = setting(
         True,
-        "Whether the tone curve, the blur and whether balls are glossy or matt are learnt from the "
-        "pictures, starting from the tone curve given here.",
+        "Whether the tone curve, the blur, whether balls are glossy or matt and where their light "
+        "comes from are learnt from the pictures, starting from the tone curve given here.",
     )
     min_contrast: float = setting(
         0.06,
@@ -149,7 +149,8 @@ class OutlineDetector(Detector):
     def _view(self, image: Image) -> View:
         from measure_plugins._edges.look import View
 
-        return View(np.ascontiguousarray(image.pixels), self._tone, self._encoding, self._lens)
+        pixels, lamps = np.ascontiguousarray(image.pixels), self._appearance.lamps
+        return View(pixels, self._tone, self._encoding, self._lens, lamps)
 
     def _measure(self, image: Image, expected: Sequence[Expectation]) -> list[Detection]:
         view = self._view(image)

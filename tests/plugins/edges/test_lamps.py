@@ -1,0 +1,181 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import nnls
+
+from measure.geometry import tangent_cone
+from measure.simulation import Renderer
+from measure.simulation.catalogue import plain_scene
+from measure_plugins._edges.appearance import first_appearance
+from measure_plugins._edges.corrected import corrected_edges
+from measure_plugins._edges.lamps import fit_lamp_light, lamp_body, lamp_light, no_lamps, seen_from
+from measure_plugins._edges.lamps_fit import non_negative
+from measure_plugins._edges.learner import AppearanceLearner
+from measure_plugins._edges.radial import STEPS, fresnel, radial
+from measure_plugins._edges.rays import cast_rays, frame_about
+from measure_plugins._edges.sensor import encoding
+
+CAMERA = "cam1"
+TIMES_S = (0.0, 0.4)
+HALF_ANGLE, RADIUS_PX = 0.045, 63.0
+TABLES = radial(RADIUS_PX, HALF_ANGLE, 0.9, 1.5)
+TURNS = np.linspace(0, 2 * np.pi, 72, endpoint=False)
+AROUND = np.column_stack([np.cos(TURNS), np.sin(TURNS)])
+USED = int(np.searchsorted(STEPS, 1.0, side="right"))
+
+
+def _lamp(direction, power=1.0):
+    unit = np.array(direction) / np.linalg.norm(direction)
+    return np.array([[*unit, power]])
+
+
+def test_a_lamp_lights_by_the_cosine_and_not_beyond_its_terminator():
+    lamp = _lamp([0.0, -0.8, 0.6])  # from behind the ball, as a lamp overhead often is
+    j = int(np.searchsorted(STEPS, -8.0))
+    beta = HALF_ANGLE * (1 - 8.0 / RADIUS_PX)
+    incidence = np.arcsin(np.sin(beta) / np.sin(HALF_ANGLE))
+    tilt = incidence - beta
+    normals = np.column_stack([np.sin(tilt) * AROUND, np.full(72, -np.cos(tilt))])
+    crossing = 1 - fresnel(np.array([np.cos(incidence)]), 1.5)[0]
+    expected = crossing * np.maximum(normals @ lamp[0, :3], 0)
+    assert lamp_light(TABLES.diffuse, AROUND, lamp)[j] == pytest.approx(expected, abs=0.01)
+    assert np.count_nonzero(expected) < 40
+
+
+def test_what_lights_a_ball_is_found_among_pixels_that_do_not_belong():
+    lit = lamp_light(TABLES.diffuse, AROUND, _lamp([0.3, -0.9, -0.2]))
+    true = np.array([0.1, 0.02, -0.03, 0.05, 0.7])
+    amounts = lamp_body(true, AROUND, TABLES.diffuse, lit, 0)
+    rng, free = np.random.default_rng(1), np.zeros(72)
+    amounts[rng.random(amounts.shape) < 0.15] += 0.5  # a highlight, say
+    free[10:20] = 1
+    amounts[:, 10:20] = 5.0
+    found = fit_lamp_light(amounts, free, AROUND, TABLES.diffuse, lit, USED)
+    assert found == pytest.approx(true, abs=0.01)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_unknowns_that_cannot_be_negative_are_those_of_lawson_and_hanson(seed):
+    rng = np.random.default_rng(seed)
+    a, b = rng.normal(size=(40, 8)), rng.normal(size=40)
+    found = non_negative(a.T @ a, a.T @ b, np.zeros(8), 500)
+    assert found == pytest.approx(nnls(a, b)[0], abs=1e-6)
+    assert np.any(found == 0)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return plain_scene("black", 11)
+
+
+@pytest.fixture(scope="module")
+def learnt(scene):
+    return _learn(scene, turned=False)
+
+
+def _learn(scene, turned):
+    """What two pictures teach; the second one turned upside down, lamps and all, or not."""
+    renderer, camera = Renderer(scene, CAMERA), scene.camera(CAMERA)
+    learner, out = AppearanceLearner(camera.intrinsics.row, 72, 7.0), None
+    for k, time_s in enumerate(TIMES_S):
+        pixels, cones = renderer.picture(time_s, k), _cones(scene, time_s)
+        if turned and k:
+            pixels = np.ascontiguousarray(pixels[::-1, ::-1])
+            middle = (np.array(pixels.shape[1::-1]) - 1) / 2
+            cones = [(_turned(camera, axis, middle), *rest) for axis, *rest in cones]
+        assert learner.wants(len(cones))
+        out = learner.shown(pixels, cones, [], first_appearance("srgb"))
+    return out
+
+
+def _turned(camera, axis, middle):
+    place = camera.intrinsics.project(axis[None])[0]
+    ray = camera.intrinsics.unproject((2 * middle - place)[None])[0]
+    return ray / np.linalg.norm(ray)
+
+
+def _cones(scene, time_s):
+    camera, pose = scene.camera(CAMERA), scene.trajectory.at(np.array([time_s]))[0]
+    out = []
+    for ball in scene.body.balls:
+        center = camera.camera_from_world.apply(pose.apply(ball.center_mm))
+        cone = tangent_cone(center, ball.radius_mm)
+        out.append((cone.axis, cone.half_angle, float(np.linalg.norm(center))))
+    return out
+
+
+def test_learnt_lamps_light_a_ball_as_the_scenes_lamps_do(scene, learnt):
+    turn = scene.camera(CAMERA).camera_from_world
+    middle = scene.trajectory.at(np.array([0.0]))[0].apply(np.zeros(3))
+    normals = np.random.default_rng(0).normal(size=(4000, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = normals[normals[:, 2] < -0.1]  # what the camera sees
+    true = np.zeros(len(normals))
+    for light in scene.lighting.lights:
+        way = light.position_mm - middle
+        away = np.linalg.norm(way)
+        power = light.irradiance_rgb[0] * (1000 / away) ** 2
+        cosine = np.maximum(normals @ turn.rotate(way / away), 0)
+        true += power * cosine * (1 - fresnel(cosine, 1.42))  # glossy: some light stays outside
+    up = turn.rotate(np.array([0.0, 0.0, 1.0]))
+    below = scene.lighting.below
+    true += scene.lighting.ambient_rgb[0] * (below + (1 - below) * (1 + normals @ up) / 2)
+    assert np.all(learnt.lamps[:, 3] > 0)
+    assert _unlike(learnt.lamps, normals, true) < 0.08
+    from_below = learnt.lamps * [1, -1, 1, 1]
+    assert _unlike(from_below, normals, true) > 0.4
+
+
+def _unlike(lamps, normals, true):
+    """What is left of true light (n,), as a share, by that of lamps, whatever their power."""
+    found = np.maximum(normals @ lamps[:, :3].T, 0) @ lamps[:, 3]
+    scale = true @ found / (found @ found)
+    return np.sqrt(np.mean((scale * found - true) ** 2) / np.mean(true**2))
+
+
+def test_edges_on_the_dark_side_lie_nearer_to_the_outline_with_lamps(scene, learnt):
+    dark_with, bright_with = _mean_errors(scene, learnt)
+    dark_without, bright_without = _mean_errors(scene, replace(learnt, lamps=no_lamps()))
+    assert dark_without > 0.15, "a polynomial runs on past the terminator"
+    assert abs(dark_with) < 0.5 * dark_without
+    assert abs(bright_with) < abs(bright_without) + 0.05
+
+
+def _mean_errors(scene, appearance):
+    """Mean px outside the true outlines: where no lamp shines on the limb, and elsewhere."""
+    camera, pose = scene.camera(CAMERA), scene.trajectory.at(np.array([0.0]))[0]
+    pixels = Renderer(scene, CAMERA).picture(0.0)
+    dark, bright, table = [], [], appearance.table()
+    for ball, (axis, half_angle, _) in zip(scene.body.balls, _cones(scene, 0.0), strict=True):
+        frame = frame_about(axis)
+        points, normals, scale, around = cast_rays(frame, half_angle, 72, camera.intrinsics.row)
+        size = half_angle * float(np.mean(scale))
+        tables = radial(size, half_angle, appearance.blur_px, appearance.index)
+        edges = corrected_edges(
+            pixels,
+            table,
+            encoding(table),
+            points,
+            normals,
+            around,
+            np.zeros(72),
+            tables,
+            seen_from(appearance.lamps, frame),
+        )
+        center = pose.apply(ball.center_mm)
+        limb = around @ frame[:2] @ camera.camera_from_world.rotation
+        lit = np.full(72, -1.0)
+        for light in scene.lighting.lights:
+            way = light.position_mm - center
+            lit = np.maximum(lit, limb @ way / np.linalg.norm(way))
+        good = (np.abs(edges.shifts) < 1.6) & (edges.contrast > 0.06)
+        dark.append(edges.shifts[good & (lit < -0.1)])
+        bright.append(edges.shifts[good & (lit > 0.1)])
+    return float(np.mean(np.concatenate(dark))), float(np.mean(np.concatenate(bright)))
+
+
+def test_pictures_that_no_lamps_explain_teach_none(scene):
+    assert len(_learn(scene, turned=True).lamps) == 0
