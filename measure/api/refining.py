@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
+_ANY_PX = 100.0
+"""Whole cameras may be aside by this much before a pose is doubted for it."""
+
 LOOSE_WORLD = (
     "the first calibration does not say how its cameras' errors hang together (`measure calibrate` "
     "with its default method does), so the world frame may have moved a little while the cameras "
@@ -69,7 +72,7 @@ def refine(
     from measure.calibration import refine_measured, rough_cameras
     from measure.session import open_session
 
-    chosen = load_profile(profile)
+    chosen = _lenient(load_profile(profile))
     with open_session(session, calibration=calibration) as opened:
         joint = _joint_covariance(opened.calibration_path)
         given = (opened.cameras, opened.body)
@@ -83,6 +86,13 @@ def refine(
     notes = rig.verdict.notes + (() if rig.refinement.world_held else (LOOSE_WORLD,))
     values = _provenance(str(session), rig) | clocks | {"notes": list(notes)}
     return RefineResult(Calibration(rig.refinement.cameras, values), rig, notes)
+
+
+def _lenient(profile: Profile) -> Profile:
+    """The profile without flags for cameras that are aside: those are what is put right here."""
+    if profile.tracking != "predictive":
+        return profile
+    return profile.with_setting("tracking", "own_px", _ANY_PX)
 
 
 def _measure(

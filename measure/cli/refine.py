@@ -88,6 +88,11 @@ def _print(result: RefineResult) -> None:
 
 
 def _clock_words(clock: CameraClock, applied: bool) -> str:
+    if not applied and clock.offset_visible:
+        return (
+            ": not applied, because a camera misses for another reason as well: was it moved, or "
+            "does its shutter roll? `measure check` tells"
+        )
     if not applied:
         return ": not beyond doubt, not applied"
     if clock.offset_visible:

@@ -148,7 +148,10 @@ def _settled(
         if settled and not learnt.differs(scatter):
             return _answer(problem, prior, solution, before, scatter)
         scatter = learnt if number < _FREE_ROUNDS else scatter.towards(learnt)
-    raise CalibrationError(f"the refinement did not settle in {_ROUNDS} rounds")
+    raise CalibrationError(
+        f"the refinement did not settle in {_ROUNDS} rounds: record a longer motion through the "
+        "whole workspace, or see with `measure check` whether clocks or shutters are off"
+    )
 
 
 def misfits_px(cameras: tuple[Camera, ...], body: Body, recording: Recording) -> Floats:
