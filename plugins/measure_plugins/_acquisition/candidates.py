@@ -9,8 +9,9 @@ import numpy as np
 from measure.arrays import Bytes, Floats
 from measure.host import Settings, setting
 from measure.model import BallColor
-from measure_plugins._acquisition.circles import circles_of
-from measure_plugins._acquisition.color_table import classify, color_table
+from measure_plugins._acquisition.circles import circles_of, distinct
+from measure_plugins._acquisition.color_table import MAX_COLORS, classify, color_table
+from measure_plugins._acquisition.pale import brighter_than_the_rest, is_pale
 from measure_plugins._acquisition.patches import majority
 
 _REDUCED_WIDTH = 320
@@ -47,15 +48,22 @@ def find_circles(
         x, y and radius in px, share of the circle seen, share of its inside that has the colour.
     """
     step = max(1, round(pixels.shape[1] / _REDUCED_WIDTH))
-    bits = majority(classify(pixels, color_table(tuple(colors)), step))
-    return [_circles(bits, 1 << i, step, pixels.shape[0], config) for i in range(len(colors))]
+    pale = [i for i, color in enumerate(colors) if is_pale(color)][: MAX_COLORS - len(colors)]
+    table = color_table(tuple(colors))
+    for more, i in enumerate(pale, len(colors)):
+        table = table | brighter_than_the_rest(colors[i], 1 << more, pixels)
+    bits, count = majority(classify(pixels, table, step)), len(colors) + len(pale)
+    found = [_circles(bits, 1 << i, step, pixels.shape[0], config) for i in range(count)]
+    for i, others in zip(pale, found[len(colors) :], strict=True):
+        found[i] = distinct(np.concatenate([found[i], others]))[: config.max_candidates]
+    return found[: len(colors)]
 
 
 def warm_up() -> None:
     """Compile the loops, or load them from the cache, before the first picture arrives."""
     bits = classify(np.zeros((64, 64, 3), np.uint8), color_table((BallColor.named("red"),)), 4)
     bits[5:12, 5:12] = 1
-    _circles(majority(bits), 1, 4, 64, AcquisitionSettings(max_radius_share=1.0))
+    distinct(_circles(majority(bits), 1, 4, 64, AcquisitionSettings(max_radius_share=1.0)))
 
 
 def _circles(bits: Bytes, bit: int, step: int, height: int, config: AcquisitionSettings) -> Floats:

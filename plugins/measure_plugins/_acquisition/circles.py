@@ -60,7 +60,7 @@ def circles_of(
     for end in ends:
         _along(pixels[start:end], mask, radii, least_seen, best)
         start = end
-    return _distinct(_finished(mask, best, radii, least_filled))
+    return distinct(_finished(mask, best, radii, least_filled))
 
 
 @compiled
@@ -133,7 +133,7 @@ def _finished(
 
 
 @compiled
-def _distinct(circles: Floats) -> Floats:
+def distinct(circles: Floats) -> Floats:
     """Sort circles (k, 5); leave out repeats of better ones and what lies in a plain ball."""
     order = np.argsort(-circles[:, 3] * np.sqrt(circles[:, 2] * circles[:, 4]), kind="mergesort")
     out = np.empty(circles.shape)

@@ -107,3 +107,29 @@ def test_no_more_candidates_than_asked_for(most):
     found = search(picture(discs), max_candidates=most)["red"]
     assert len(found) == most
     assert found[:, 2] == pytest.approx(radii[::-1][:most], abs=2)
+
+
+def shaded(pixels, color, x, y, radius, light=(0.5, -0.6, 0.6)):
+    """Draw a ball that is lit from one side: its other side is as dark as it is in a room."""
+    v, u = np.mgrid[: pixels.shape[0], : pixels.shape[1]]
+    across = np.stack([u - x, v - y], axis=-1) / radius
+    inside = np.sum(across**2, axis=-1) < 1
+    depth = np.sqrt(np.maximum(1 - np.sum(across**2, axis=-1), 0))
+    toward = np.concatenate([across, depth[..., None]], axis=-1) @ light
+    shade = 0.3 + 0.7 * np.clip(toward, 0, 1)
+    pixels[inside] = np.clip(shade[..., None] * np.array(BGR[color]), 0, 255)[inside]
+
+
+@pytest.mark.parametrize("ground", [30, 50, 120, 150])
+def test_a_white_ball_is_found_where_its_shaded_side_is_not_white(ground):
+    """On dark ground its shade is too dark for white; on light ground the ground is white too."""
+    lit = (0.5, -0.6, 0.6) if ground < 100 else (0.0, 0.0, 1.0)
+    ambient = np.full((720, 1280, 3), ground, np.uint8)
+    shaded(ambient, "white", 500, 300, 50, lit)
+    if ground >= 100:  # light all round: no side falls off to the ground's own grey
+        cv2.circle(ambient, (500, 300), 50, (235, 240, 238), -1)
+    noise = np.random.default_rng(1).normal(scale=2.0, size=ambient.shape)
+    image = Image("cam0", 0, 0.0, lambda: np.clip(ambient + noise, 0, 255).astype(np.uint8))
+    found = search(image, FOUR)
+    assert_at(found["white"][0], 500, 300, 50, 4.0)
+    assert all(len(found[name]) == 0 for name in FOUR.names if name != "white")

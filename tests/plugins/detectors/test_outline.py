@@ -8,7 +8,7 @@ from measure.geometry import RigidTransform
 from measure.model import Camera, Intrinsics
 from measure_plugins.detectors.outline import OutlineConfig, OutlineDetector
 from tests.plugins.detectors.drawing import BGR, draw, expect, image_of, to_picture
-from tests.scenes import LENS, RAVEN
+from tests.scenes import FOUR, LENS, RAVEN
 
 SIZE = (640, 480)
 
@@ -199,3 +199,15 @@ def test_warm_up_compiles_every_hot_loop(camera):
     assert fresh.detect(image, [])
     assert fresh.detect(image, everything_expected(camera, "red", center))
     assert [len(loop.signatures) for loop in loops] == before
+
+
+@pytest.mark.parametrize("ground", [30, 120, 200])
+def test_grey_ground_alone_is_no_white_ball(camera, ground):
+    """Whatever its brightness, and where it grows brighter across the picture."""
+    detector = OutlineDetector(OutlineConfig(), FOUR, camera)
+    even = np.full((SIZE[1], SIZE[0], 3), float(ground))
+    slope = even * np.linspace(0.6, 1.25, SIZE[0])[None, :, None]
+    for pixels in (even, slope):
+        noisy = pixels + np.random.default_rng(2).normal(scale=3.0, size=pixels.shape)
+        image = image_of(camera, np.clip(noisy, 0, 255).astype(np.uint8))
+        assert detector.detect(image, []) == []
