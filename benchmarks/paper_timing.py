@@ -106,7 +106,7 @@ def _conclude(
     located = (stages.triangulator.triangulate(mine, cameras) for mine in by_ball if len(mine) > 1)
     fixes = [fix for fix in located if fix is not None]
     pose = stages.solver.solve(fixes, seen, cameras, frame_set.time_s) if seen else None
-    stages.tracker.conclude(frame_set, views, fixes, pose)
+    stages.tracker.conclude(frame_set, views, fixes, pose, {})
 
 
 def _timed(work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> tuple[T, float]:

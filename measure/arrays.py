@@ -34,9 +34,13 @@ def floats(name: str, values: ArrayLike, *shape: int | str) -> Floats:
         raise ValueError(f"{name}: {error}") from None
     wanted = shape[1:] if shape[:1] == ("...",) else shape
     actual = array.shape[array.ndim - len(wanted) :] if shape[:1] == ("...",) else array.shape
-    if len(actual) != len(wanted) or any(
-        isinstance(want, int) and want != have for want, have in zip(wanted, actual, strict=True)
-    ):
+    if actual != wanted and (len(actual) != len(wanted) or not _fits(actual, wanted)):
         expected = ", ".join(str(axis) for axis in shape)
         raise ValueError(f"{name}: expected shape ({expected}), got {array.shape}")
     return array
+
+
+def _fits(actual: tuple[int, ...], wanted: tuple[int | str, ...]) -> bool:
+    return all(
+        isinstance(want, str) or want == have for want, have in zip(wanted, actual, strict=True)
+    )

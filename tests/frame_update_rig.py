@@ -61,7 +61,7 @@ class Run:
         ]
         fixes = [fix for fix in fixes if fix]
         pose = self.solver.solve(fixes, effective, self.cameras, time_s)
-        self.verdict = self.tracker.conclude(frame_set, self.views, fixes, pose)
+        self.verdict = self.tracker.conclude(frame_set, self.views, fixes, pose, {})
         return self
 
     def steps(self, count, **kwargs):

@@ -232,7 +232,7 @@ def _accuracy(session: Session, surveys: Sequence[Surveyed]) -> Floats | None:
         return None
     place = np.median([pose.translation for pose in poses], axis=0)
     turn = poses[len(poses) // 2].rotation
-    noise = [np.trace(d.covariance_px) / 2 for s in surveys for d in s.agreeing]
+    noise = [d.variance_px2 for s in surveys for d in s.agreeing]
     noise_px = float(np.hypot(_LEAST_NOISE_PX, np.sqrt(np.median(noise))))
     return expected_accuracy(
         RigidTransform(turn, place), _REACH_MM, session.body, session.cameras, noise_px

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import combinations
+from functools import lru_cache
 
 import numpy as np
 
-from measure.arrays import Floats
+from measure.arrays import Floats, Ints
 from measure.errors import DegenerateGeometryError
 from measure.geometry import align_points
 from measure.model import Body
@@ -31,23 +31,29 @@ def layout_flags(
         covariances: (n, 3, 3) of `centers`.
         tolerance_mm: how far a distance may be off beyond four of its standard deviations.
     """
-    flags = []
-    for i, j in combinations(range(len(balls)), 2):
-        between = centers[i] - centers[j]
-        measured = float(np.linalg.norm(between))
-        along = between / max(measured, 1e-9)
-        sd = float(np.sqrt(along @ (covariances[i] + covariances[j]) @ along))
-        a, b = body.index(balls[i]), body.index(balls[j])
-        expected = float(np.linalg.norm(body.centers[a] - body.centers[b]))
-        if abs(measured - expected) > _SIGMAS * sd + tolerance_mm:
-            flags.append(
-                f"balls {balls[i]} and {balls[j]} are {measured:.1f} mm apart, "
-                f"the body says {expected:.1f} mm"
-            )
     points_body = body.centers[[body.index(name) for name in balls]]
+    i, j = _pairs(len(balls))
+    between = centers[i] - centers[j]
+    measured = np.linalg.norm(between, axis=1)
+    expected = np.linalg.norm(points_body[i] - points_body[j], axis=1)
+    along = between / np.maximum(measured, 1e-9)[:, None]
+    variance = np.einsum("ni,nij,nj->n", along, covariances[i] + covariances[j], along)
+    off = np.abs(measured - expected) > _SIGMAS * np.sqrt(variance) + tolerance_mm
+    flags = [
+        f"balls {balls[i[n]]} and {balls[j[n]]} are {measured[n]:.1f} mm apart, "
+        f"the body says {expected[n]:.1f} mm"
+        for n in np.flatnonzero(off)
+    ]
     if looks_mirrored(points_body, centers):
         flags.append("the balls form the mirror image of the body")
     return tuple(flags)
+
+
+@lru_cache(maxsize=16)
+def _pairs(count: int) -> tuple[Ints, Ints]:
+    """First and second of every pair of `count` things."""
+    first, second = np.triu_indices(count, k=1)
+    return first, second
 
 
 def looks_mirrored(points_body: Floats, centers: Floats) -> bool:

@@ -112,7 +112,8 @@ class Pipeline:
         prior = tracker.motion(time_s)
         fixes = self._triangulate(views, time_s, prior)
         pose = self._solve(views, fixes, time_s, prior)
-        verdict = tracker.conclude(frame_set, views, fixes, pose)
+        residuals_px = self._residuals(views, pose, prior)
+        verdict = tracker.conclude(frame_set, views, fixes, pose, residuals_px)
         balls = len(self._body.balls)
         measured = Measurement(
             index=frame_set.index,
@@ -123,7 +124,7 @@ class Pipeline:
             pose=verdict.pose,
             status=_status(verdict.pose),
             reason=verdict.reason,
-            residuals_px=self._residuals(views, verdict.pose, prior),
+            residuals_px=residuals_px if verdict.pose is not None else {},
             searched=tuple(n for n in frame_set.images if len(expected.get(n, ())) < balls),
         )
         raised = () if pose is None else pose.flags

@@ -113,7 +113,7 @@ def _sizes(
         focal = camera.intrinsics.focal_px
         distance = float(np.linalg.norm(center - camera.center))
         radius = distance * d.radius_px / np.hypot(d.radius_px, focal)
-        sd_px = np.hypot(_EDGE_BIAS_PX, np.sqrt(np.trace(d.covariance_px) / 2))
+        sd_px = np.hypot(_EDGE_BIAS_PX, np.sqrt(d.variance_px2))
         out.append((float(radius), float(radius * sd_px / d.radius_px)))
     return out
 

@@ -72,14 +72,18 @@ class Body:
         """Ball radii (k,) in mm."""
         return np.array([ball.radius_mm for ball in self.balls])
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Ball names, in order."""
         return tuple(ball.name for ball in self.balls)
 
     def index(self, name: str) -> int:
         """Position of the ball called `name`."""
-        return self.names.index(name)
+        return self._places[name]
+
+    @cached_property
+    def _places(self) -> dict[str, int]:
+        return {name: place for place, name in enumerate(self.names)}
 
     def distances(self) -> dict[tuple[str, str], float]:
         """Centre-to-centre distance in mm of every pair of balls."""

@@ -45,4 +45,6 @@ class Motion:
 
     def at(self, time_s: float) -> RigidTransform:
         """The pose at another time."""
+        if time_s == self.time_s:
+            return self.world_from_body
         return self.world_from_body.perturb(self.moved(time_s))

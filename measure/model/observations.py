@@ -65,6 +65,11 @@ class Detection:
     outline_px: Floats | None = None
     outline_sd_px: Floats | None = None
 
+    @property
+    def variance_px2(self) -> float:
+        """Variance of `center_px` along an axis, the mean of both."""
+        return float(self.covariance_px[0, 0] + self.covariance_px[1, 1]) / 2
+
 
 class State(StrEnum):
     """The paper's two states of one ball in one camera (section II.D)."""

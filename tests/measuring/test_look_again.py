@@ -23,9 +23,9 @@ class _Tracker(Memoryless):
         around = [Expectation(name, [0, 0], (1, 9), 5.0, 3.0) for name in BODY.names]
         return dict.fromkeys(frame_set.images, around)
 
-    def conclude(self, frame_set, views, fixes, pose):
+    def conclude(self, frame_set, views, fixes, pose, residuals_px):
         self.known = pose is not None
-        return super().conclude(frame_set, views, fixes, pose)
+        return super().conclude(frame_set, views, fixes, pose, residuals_px)
 
 
 class _Detector:

@@ -159,7 +159,7 @@ def _size_misfit(search: _Search, found: Association) -> float:
         away = found.world_from_body.apply(ball.center_mm) - cameras[d.camera].center
         tangent = np.sqrt(max(float(away @ away) - ball.radius_mm**2, 1.0))
         expected = cameras[d.camera].intrinsics.focal_px * ball.radius_mm / tangent
-        sd = np.hypot(_SIZE_SD, np.sqrt(np.trace(d.covariance_px) / 2) / expected)
+        sd = np.hypot(_SIZE_SD, np.sqrt(d.variance_px2) / expected)
         total += min(float(np.log(d.radius_px / expected) / sd) ** 2, _MOST_MISFIT)
     return total
 

@@ -42,7 +42,7 @@ class Candidates:
         cls, detections: Sequence[Detection], cameras: Ints, ball: Ball, rig: Rig, rays: Rays
     ) -> Candidates:
         """Stack the candidates of `ball`; `rig` and `rays` have a row for each."""
-        sd = np.sqrt([np.trace(d.covariance_px) / 2 for d in detections]).reshape(-1)
+        sd = np.sqrt([d.variance_px2 for d in detections]).reshape(-1)
         focal = rig.focal_px
         radius = np.array([d.radius_px for d in detections])
         return cls(

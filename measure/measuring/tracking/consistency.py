@@ -7,12 +7,13 @@ errors that several sightings have in common.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
 from measure.arrays import Floats
-from measure.geometry import chi_square_quantile
+from measure.geometry import chi_square_quantile, squared_mahalanobis
 from measure.model import BallView, Body, Fix, Pose
 from measure.model.observations import Reason
 
@@ -44,9 +45,7 @@ def inconsistencies(
     """
     believed = [view for view in views if view.effective and view.detection is not None]
     variances = {
-        (v.ball, v.camera): float(np.trace(v.detection.covariance_px)) / 2
-        for v in believed
-        if v.detection is not None
+        (v.ball, v.camera): v.detection.variance_px2 for v in believed if v.detection is not None
     }
     found = tuple(_disbelieved(views))
     found += tuple(_balls_aside(pose, fixes, variances, body, own_px, confidence))
@@ -82,16 +81,15 @@ def _balls_aside(
     if not fixes:
         return
     gate = chi_square_quantile(confidence, 3)
-    expected = pose.world_from_body.apply(
-        np.stack([body.balls[body.index(fix.ball)].center_mm for fix in fixes])
-    )
-    for fix, center in zip(fixes, expected, strict=True):
-        off = fix.center - center
+    expected = pose.world_from_body.apply(body.centers[[body.index(fix.ball) for fix in fixes]])
+    off = np.array([fix.center for fix in fixes]) - expected
+    likely = squared_mahalanobis(off, np.array([fix.covariance for fix in fixes]))
+    for fix, gone, distance in zip(fixes, off, likely.tolist(), strict=True):
         own = [variances[fix.ball, name] for name in fix.cameras if (fix.ball, name) in variances]
-        wider = 1 + own_px**2 * float(np.mean([1 / v for v in own])) if own else 1.0
-        if off @ np.linalg.solve(fix.covariance * wider, off) > gate:
+        wider = 1 + own_px**2 * sum(1 / v for v in own) / len(own) if own else 1.0
+        if distance / wider > gate:
             yield (
-                f"ball {fix.ball} is {np.linalg.norm(off):.1f} mm from where the body puts it: "
+                f"ball {fix.ball} is {np.linalg.norm(gone):.1f} mm from where the body puts it: "
                 "a wrong body file, or a camera that was moved?"
             )
 
@@ -108,11 +106,11 @@ def _cameras_aside(
         own = [key for key in residuals_px if key[1] == camera and key in variances]
         if len(own) < _MANY:
             continue
-        weights = 1 / (np.array([variances[key] for key in own]) + own_px**2)
-        total = float(np.sum(weights))
-        mean = weights @ np.stack([residuals_px[key] for key in own]) / total
-        if float(mean @ mean) * total > gate:
+        weights = np.array([1 / (variances[key] + own_px**2) for key in own])
+        total = float(weights.sum())
+        aside = math.hypot(*weights @ np.array([residuals_px[key] for key in own])) / total
+        if aside**2 * total > gate:
             yield (
-                f"camera {camera} sees all balls {np.linalg.norm(mean):.1f} px aside: "
+                f"camera {camera} sees all balls {aside:.1f} px aside: "
                 "was it moved, or is its clock off?"
             )

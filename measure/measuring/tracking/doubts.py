@@ -43,12 +43,12 @@ def contradictions(
         found += layout_flags(
             body,
             [fix.ball for fix in fixes],
-            np.stack([fix.center for fix in fixes]),
-            np.stack([fix.covariance for fix in fixes]),
+            np.array([fix.center for fix in fixes]),
+            np.array([fix.covariance for fix in fixes]),
             tolerance_mm,
         )
-    noise = [np.trace(v.detection.covariance_px) for v in views if v.effective and v.detection]
-    if pose.rms_px > np.hypot(max_rms_px, _SIGMAS * np.sqrt(np.mean(noise or [0.0]))):
+    noise = [2 * v.detection.variance_px2 for v in views if v.effective and v.detection]
+    if pose.rms_px > np.hypot(max_rms_px, _SIGMAS * np.sqrt(sum(noise) / max(len(noise), 1))):
         found += (f"reprojection errors of {pose.rms_px:.1f} px",)
     used = {view.camera for view in views if view.effective}
     at_odds = cameras_at_odds(views)

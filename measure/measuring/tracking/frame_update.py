@@ -86,13 +86,10 @@ class FrameUpdate:
         self, frame_set: FrameSet, detections: Mapping[str, Sequence[Detection]]
     ) -> tuple[BallView, ...]:
         """Advance every circle's state by this frame."""
-        views = []
         if self._starting:
-            views = self._start(frame_set, detections)
-        else:
-            for ball in self._body.balls:
-                views += self._track(ball, frame_set, detections)
-        return tuple(views)
+            return tuple(self._start(frame_set, detections))
+        tracked = (self._track(ball, frame_set, detections) for ball in self._body.balls)
+        return tuple(view for views in tracked for view in views)
 
     def motion(self, time_s: float) -> Motion | None:  # noqa: ARG002  the paper knows no velocity
         """The last pose, at rest."""
@@ -106,6 +103,7 @@ class FrameUpdate:
         views: Sequence[BallView],
         fixes: Sequence[Fix],
         pose: Pose | None,
+        residuals_px: Mapping[tuple[str, str], Floats],  # noqa: ARG002
     ) -> Verdict:
         """Keep the pose and let the tolerance converge, or plan a restart with a raised one."""
         problem = self._problem(views, fixes, pose)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
+from measure.arrays import Floats
 from measure.host.settings import Settings
 from measure.measuring.tracking.tracker import Verdict
 from measure.model import (
@@ -61,6 +62,7 @@ class Memoryless:
         views: Sequence[BallView],
         fixes: Sequence[Fix],
         pose: Pose | None,
+        residuals_px: Mapping[tuple[str, str], Floats],  # noqa: ARG002
     ) -> Verdict:
         """Believe the pose; say what was missing if there is none."""
         if pose is not None:

@@ -18,7 +18,6 @@ from measure.geometry import chi_square_quantile
 from measure.host.settings import Settings
 from measure.measuring import association
 from measure.measuring.association import Association, AssociationSettings, associate
-from measure.measuring.instants import pose_residuals
 from measure.measuring.tracking.consistency import inconsistencies
 from measure.measuring.tracking.doubts import (
     contradictions,
@@ -29,6 +28,7 @@ from measure.measuring.tracking.doubts import (
 )
 from measure.measuring.tracking.gates import agree_with_each_other, agree_with_prediction
 from measure.measuring.tracking.motion_filter import MotionState
+from measure.measuring.tracking.prediction_kernels import carried
 from measure.measuring.tracking.predictive_settings import PredictiveConfig
 from measure.measuring.tracking.tracker import Verdict
 from measure.measuring.tracking.warm_up import warm_up
@@ -123,6 +123,7 @@ class PredictiveTracker:
         views: Sequence[BallView],
         fixes: Sequence[Fix],
         pose: Pose | None,
+        residuals_px: Mapping[tuple[str, str], Floats],
     ) -> Verdict:
         """Flag what contradicts itself, learn from the rest."""
         if pose is None:
@@ -134,7 +135,9 @@ class PredictiveTracker:
             pose, fixes, views, self._body, c.distance_tolerance_mm, c.max_rms_px
         )
         weak = weaknesses(pose, views, c.max_sd_mm) + self._still_strange(views) + self._doubts
-        weak += self._unconfirmed(views) + self._inconsistent(views, fixes, pose)
+        weak += self._unconfirmed(views) + inconsistencies(
+            pose, views, fixes, residuals_px, self._body, c.own_px, c.confidence
+        )
         flags = tuple(dict.fromkeys((*pose.flags, *wrong, *weak)))
         if wrong:
             self._missed()
@@ -227,7 +230,9 @@ class PredictiveTracker:
                 off[usable],
                 balls.jacobians[some[usable]],
                 noise[usable],
-                self._state.at(instant, self._acceleration).covariance,
+                carried(
+                    self._state.covariance, instant - self._state.time_s, self._acceleration**2
+                ),
                 gate,
                 times[usable] - instant,
             )
@@ -274,14 +279,6 @@ class PredictiveTracker:
             for ball in self._body.names
             if ball not in self._confirmed and len(self._body.balls) > 3
         )
-
-    def _inconsistent(
-        self, views: Sequence[BallView], fixes: Sequence[Fix], pose: Pose
-    ) -> tuple[str, ...]:
-        cameras = {camera.name: camera for camera in self._cameras}
-        off = pose_residuals(views, pose, self.motion(pose.time_s), self._body, cameras)
-        c = self.config
-        return inconsistencies(pose, views, fixes, off, self._body, c.own_px, c.confidence)
 
     def _missed(self) -> None:
         """A body just found that contradicts itself is not followed at all."""

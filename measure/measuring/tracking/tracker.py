@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+from measure.arrays import Floats
 from measure.model import BallView, Detection, Expectation, Fix, FrameSet, Motion, Pose
 
 
@@ -47,5 +48,15 @@ class Tracker(Protocol):
         views: Sequence[BallView],
         fixes: Sequence[Fix],
         pose: Pose | None,
+        residuals_px: Mapping[tuple[str, str], Floats],
     ) -> Verdict:
-        """Learn from the result, and say whether the pose is believed."""
+        """Learn from the result, and say whether the pose is believed.
+
+        Args:
+            frame_set: the pictures.
+            views: as judged.
+            fixes: of the effective views.
+            pose: as solved.
+            residuals_px: by (ball, camera), detected minus predicted centre (2,) of every effective
+                view; empty without a pose.
+        """
