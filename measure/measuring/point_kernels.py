@@ -59,13 +59,13 @@ def by_cameras(
         if covariances[i, 0, 0] > 0:
             out[i, :, :6] = by_pose[i]
         if covariances[i, 6, 6] > 0:
-            x, y = _ideal(rotation[i], centers[i], seen[i])
-            _by_lens(x, y, lenses[i], out[i, :, 6:])
+            x, y = ideal(rotation[i], centers[i], seen[i])
+            by_lens(x, y, lenses[i], out[i, :, 6:])
     return out
 
 
 @compiled
-def _ideal(rotation: Floats, center: Floats, point: Floats) -> tuple[float, float]:
+def ideal(rotation: Floats, center: Floats, point: Floats) -> tuple[float, float]:
     """The normalised image point, lens left out, of a world point."""
     dx, dy, dz = point[0] - center[0], point[1] - center[1], point[2] - center[2]
     px = rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz
@@ -75,7 +75,7 @@ def _ideal(rotation: Floats, center: Floats, point: Floats) -> tuple[float, floa
 
 
 @compiled
-def _by_lens(x: float, y: float, lens: Floats, out: Floats) -> None:
+def by_lens(x: float, y: float, lens: Floats, out: Floats) -> None:
     """A pixel's derivatives (2, 12) by fx fy cx cy and the eight distortion coefficients."""
     r2 = x * x + y * y
     below = 1 + r2 * (lens[10] + r2 * (lens[11] + r2 * lens[12]))

@@ -9,7 +9,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
-from measure.model import Camera
+from measure.model import Camera, Rig
 
 if TYPE_CHECKING:
     from measure_plugins._edges.contour_fit import ContourFit
@@ -51,50 +51,11 @@ class Outlines:
         camera = self.cameras[self.contours.view_of[i]]
         return camera.world_from_camera.apply(cone.center(float(self.contours.radii[i])))
 
-    def covariance_of_cameras(self, fit: ContourFit) -> Floats:
-        """What the cameras' uncertain poses and lenses add to the pose's covariance (6, 6)."""
-        out = np.zeros((6, 6))
-        centers = self.contours.centers_body @ fit.rotation.T + fit.translation
-        for view, camera in enumerate(self.cameras):
-            if camera.covariance is None:
-                continue
-            lever = np.zeros((6, 18))
-            lever[:, :6] = fit.by_camera[view]
-            if camera.intrinsics.covariance is not None:
-                own = self.contours.view_of == view
-                shifts = shifts_by_lens(camera, centers[own], self.contours.radii[own])
-                lever[:, 6:] = -np.einsum("kij,kjl->il", fit.by_shift[own], shifts)
-            out += lever @ camera.covariance @ lever.T
-        return out
+    def shared_covariance(self, fit: ContourFit) -> Floats:
+        """What light and uncertain cameras add to the pose's covariance (6, 6)."""
+        from measure_plugins._edges.contour_covariance import of_cameras, of_light
 
-    def covariance_of_light(self, fit: ContourFit) -> Floats:
-        """What shifts a ball alike in all cameras adds to the pose's covariance (6, 6).
-
-        Light falls on a ball from the same side whoever looks, and shifts its outlines by its
-        colour: the part that all cameras share moves the ball and leaves little residual. It is
-        taken to be as large as the part that differs and is seen, and each ball's own.
-        """
-        view = self.contours.view_of
-        places = self.contours.centers_body @ fit.rotation.T + fit.translation
-        cameras = np.stack([camera.center for camera in self.cameras])[view]
-        focal = np.array([camera.intrinsics.focal_px for camera in self.cameras])[view]
-        mm_per_px = float(np.mean(np.linalg.norm(places - cameras, axis=1) / focal))
-        out, balls = np.zeros((6, 6)), np.array(self.balls)
-        for ball in dict.fromkeys(self.balls):
-            lever = fit.by_step[balls == ball].sum(axis=0)
-            out += lever @ lever.T
-        return out * (fit.shift_sd_px[0] * mm_per_px) ** 2
-
-
-def shifts_by_lens(camera: Camera, centers: Floats, radii: Floats) -> Floats:
-    """How outlines of balls move and grow (x, y, radius) by the camera's intrinsics: (k, 3, 12)."""
-    middle, _, _, moved = camera.project_with_jacobians(centers)
-    growth = np.zeros((len(centers), 12))
-    for arm in (
-        *camera.world_from_camera.rotation.T[:2],
-        *-camera.world_from_camera.rotation.T[:2],
-    ):
-        at, _, _, edge_moved = camera.project_with_jacobians(centers + radii[:, None] * arm)
-        outward = (at - middle) / np.linalg.norm(at - middle, axis=1, keepdims=True)
-        growth += np.einsum("ki,kij->kj", outward, edge_moved - moved) / 4
-    return np.concatenate([moved, growth[:, None]], axis=1)
+        rig, names = Rig.of(self.cameras), list(dict.fromkeys(self.balls))
+        ball_of = np.array([names.index(name) for name in self.balls])
+        light = of_light(self.contours, fit, ball_of, len(names), rig.lenses)
+        return light + of_cameras(self.contours, fit, rig.lenses, rig.covariances)

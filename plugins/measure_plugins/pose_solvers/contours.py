@@ -159,7 +159,7 @@ class ContoursSolver(PoseSolver):
     ) -> Pose:
         world_from_body = RigidTransform(fit.rotation, fit.translation)
         covariance = fit.covariance * _small_sample(max(2.0 * len(outlines.balls) - 6.0, 1.0))
-        covariance += outlines.covariance_of_light(fit) + outlines.covariance_of_cameras(fit)
+        covariance += outlines.shared_covariance(fit)
         covariance = (covariance + covariance.T) / 2
         centers = dict(zip(self.body.names, world_from_body.apply(self.body.centers), strict=True))
         distances = [float(np.sum((fix.center - centers[fix.ball]) ** 2)) for fix in fixes]

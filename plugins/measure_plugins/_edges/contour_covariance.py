@@ -1,0 +1,100 @@
+"""What is uncertain about all outlines together, in the covariance of the pose fitted to them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from measure.arrays import Floats, Ints
+from measure.compiling import compiled
+from measure.geometry.rotation_kernels import times
+from measure.measuring.point_kernels import by_lens
+from measure.model.lens import bend
+from measure_plugins._edges.contour_fit import ContourFit
+from measure_plugins._edges.contours import Contours
+
+
+@compiled
+def of_cameras(contours: Contours, fit: ContourFit, lenses: Floats, covariances: Floats) -> Floats:
+    """What the cameras' uncertain poses and lenses add to the pose's covariance (6, 6).
+
+    Args:
+        contours: k ball-views in c views.
+        fit: the pose fitted to them.
+        lenses: (c, 13) lens rows.
+        covariances: (c, 18, 18) of the cameras' poses and intrinsics; zero where unknown.
+    """
+    out, lever = np.zeros((6, 6)), np.zeros((6, 18))
+    shifts = np.empty((3, 12))
+    for view in range(len(lenses)):
+        if not np.any(covariances[view]):
+            continue
+        lever[:, :6], lever[:, 6:] = fit.by_camera[view], 0.0
+        for k in range(len(contours.view_of)):
+            if contours.view_of[k] == view:
+                _shifts_by_lens(contours, fit, k, lenses[view], shifts)
+                lever[:, 6:] -= fit.by_shift[k] @ shifts
+        out += lever @ covariances[view] @ lever.T
+    return out
+
+
+@compiled
+def _shifts_by_lens(
+    contours: Contours, fit: ContourFit, k: int, lens: Floats, shifts: Floats
+) -> None:
+    """Fill how ball-view k's outline moves and grows (x, y, radius) by the intrinsics: (3, 12)."""
+    view, radius = contours.view_of[k], contours.radii[k]
+    place = times(fit.rotation, contours.centers_body[k]) + fit.translation
+    center = times(contours.rotations[view], place) + contours.translations[view]
+    moved, middle = _seen(center, lens)
+    shifts[:2], shifts[2] = moved, 0.0
+    for axis in range(2):
+        for side in (-1.0, 1.0):
+            edge = center.copy()
+            edge[axis] += side * radius
+            edge_moved, at = _seen(edge, lens)
+            outward = (at - middle) / np.sqrt(np.sum((at - middle) ** 2))
+            for j in range(12):
+                growth = edge_moved[:, j] - moved[:, j]
+                shifts[2, j] += (outward[0] * growth[0] + outward[1] * growth[1]) / 4
+
+
+@compiled
+def _seen(point: Floats, lens: Floats) -> tuple[Floats, Floats]:
+    """A camera-frame point's pixel by the intrinsics (2, 12), and the pixel (2,)."""
+    x, y = point[0] / point[2], point[1] / point[2]
+    moved, pixel = np.zeros((2, 12)), np.empty(2)
+    by_lens(x, y, lens, moved)
+    u, v = bend(x, y, lens)
+    pixel[0], pixel[1] = lens[0] * u + lens[1] * v + lens[2], lens[3] * v + lens[4]
+    return moved, pixel
+
+
+@compiled
+def of_light(
+    contours: Contours, fit: ContourFit, ball_of: Ints, balls: int, lenses: Floats
+) -> Floats:
+    """What shifts a ball alike in all cameras adds to the pose's covariance (6, 6).
+
+    Light falls on a ball from the same side whoever looks, and shifts its outlines by its colour:
+    the part that all cameras share moves the ball and leaves little residual. It is taken to be as
+    large as the part that differs and is seen, and each ball's own.
+
+    Args:
+        contours: k ball-views in c views.
+        fit: the pose fitted to them.
+        ball_of: (k,) index of the ball.
+        balls: how many there are.
+        lenses: (c, 13) lens rows.
+    """
+    levers, mm_per_px = np.zeros((balls, 6, 3)), 0.0
+    for k in range(len(contours.view_of)):
+        view = contours.view_of[k]
+        levers[ball_of[k]] += fit.by_step[k]
+        place = times(fit.rotation, contours.centers_body[k]) + fit.translation
+        center = times(contours.rotations[view], place) + contours.translations[view]
+        focal = (lenses[view, 0] + lenses[view, 3]) / 2
+        mm_per_px += np.sqrt(np.sum(center * center)) / focal / len(contours.view_of)
+    out = np.zeros((6, 6))
+    for ball in range(balls):
+        out += levers[ball] @ levers[ball].T
+    return out * (fit.shift_sd_px[0] * mm_per_px) ** 2
