@@ -6,6 +6,7 @@ import pytest
 
 from measure.geometry import RigidTransform
 from measure.model import Camera, Intrinsics
+from measure_plugins.detectors import outline
 from measure_plugins.detectors.outline import OutlineConfig, OutlineDetector
 from tests.plugins.detectors.drawing import BGR, draw, expect, image_of, to_picture
 from tests.scenes import FOUR, LENS, RAVEN
@@ -211,3 +212,28 @@ def test_grey_ground_alone_is_no_white_ball(camera, ground):
         noisy = pixels + np.random.default_rng(2).normal(scale=3.0, size=pixels.shape)
         image = image_of(camera, np.clip(noisy, 0, 255).astype(np.uint8))
         assert detector.detect(image, []) == []
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_candidate_given_up_early_is_one_that_would_not_have_become_a_ball(
+    camera, monkeypatch, seed
+):
+    """Whole and half hidden balls among patches of their colours, searched with and without."""
+    rng = np.random.default_rng(seed)
+    colors = ["red", "green", "yellow"]
+    centers = [np.array([x, rng.uniform(-50, 50), 420.0]) for x in (-90.0, 5.0, 85.0)]
+    pixels = to_picture(draw(camera, centers, [20.0] * 3, [BGR[c] for c in colors]))
+    for color in colors:
+        corner = rng.integers([20, 20], [560, 420])
+        size = rng.integers(12, 60, 2)
+        cv2.rectangle(pixels, corner.tolist(), (corner + size).tolist(), BGR[color], -1)
+    middle = camera.intrinsics.project(centers[0][None])[0]
+    cv2.line(pixels, (0, int(middle[1]) + 8), (SIZE[0], int(middle[1]) + 8), (5, 5, 5), 14)
+    pixels = cv2.GaussianBlur(pixels, (0, 0), 0.8)
+    found = []
+    for hopeless in (2 / 3, 0.0):
+        monkeypatch.setattr(outline, "_HOPELESS", hopeless)
+        seen = OutlineDetector(OutlineConfig(), RAVEN, camera).detect(image_of(camera, pixels), ())
+        found.append(sorted((d.ball, *d.center_px.tolist(), d.score) for d in seen))
+    assert found[0] == found[1]
+    assert {one[0] for one in found[0]} == set(colors)

@@ -1,0 +1,61 @@
+"""Light along rays: interpolated, or that of the nearest pixel."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from measure_plugins._edges.rays import FREE, HIDDEN, OUTSIDE, sample, sample_nearest
+
+HEIGHT, WIDTH = 30, 40
+TABLE = np.linspace(0.0, 1.0, 256)
+STEPS = np.arange(-2.0, 3.0)
+ACROSS = np.array([[1.0, 0.0]])
+
+
+@pytest.fixture(scope="module")
+def picture():
+    return np.random.default_rng(1).integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8)
+
+
+def both(picture, points, normals, steps=STEPS, free=None):
+    points = np.asarray(points, dtype=np.float64)
+    normals = np.ascontiguousarray(np.broadcast_to(normals, points.shape), dtype=np.float64)
+    state = np.full(len(points), FREE, np.uint8) if free is None else np.array(free, np.uint8)
+    other = state.copy()
+    light, _ = sample(picture, TABLE, points, normals, steps, state, False)
+    nearest = sample_nearest(picture, TABLE, points, normals, steps, other)
+    np.testing.assert_array_equal(state, other)
+    return light, nearest, state
+
+
+def test_on_pixels_the_two_are_the_same(picture):
+    points = [(x, y) for x in (5, 20, 33) for y in (4, 17, 25)]
+    light, nearest, _ = both(picture, points, ACROSS)
+    np.testing.assert_allclose(nearest, light, atol=1e-12)
+    np.testing.assert_allclose(nearest[:, 0, 0], TABLE[picture[4, 3]])
+
+
+@pytest.mark.parametrize("off", [(0.4, 0.0), (-0.4, 0.3), (0.49, -0.49), (0.0, 0.45)])
+def test_between_pixels_the_nearest_counts(picture, off):
+    points = np.array([(12.0, 9.0), (30.0, 21.0)])
+    _, nearest, _ = both(picture, points + off, ACROSS)
+    _, there, _ = both(picture, points, ACROSS)
+    np.testing.assert_array_equal(nearest, there)
+
+
+def test_rays_that_leave_the_picture_are_marked_and_hidden_ones_left_alone(picture):
+    points = [(20.0, 15.0), (1.0, 15.0), (20.0, 15.0), (WIDTH - 2.5, 15.0)]
+    _, nearest, state = both(picture, points, ACROSS, free=[FREE, FREE, HIDDEN, FREE])
+    assert state.tolist() == [FREE, OUTSIDE, HIDDEN, OUTSIDE]
+    assert np.all(nearest[:, :, 0] == TABLE[picture[15, 18:23].T])
+    assert not np.any(nearest[:, :, 1:])
+
+
+def test_along_a_ramp_the_nearest_is_never_half_a_pixel_off():
+    ramp = np.repeat(np.arange(0, 4 * WIDTH, 4, dtype=np.uint8)[None], HEIGHT, axis=0)
+    picture = np.ascontiguousarray(np.repeat(ramp[:, :, None], 3, axis=2))
+    rng = np.random.default_rng(2)
+    points = rng.uniform([5, 5], [WIDTH - 6, HEIGHT - 6], (50, 2))
+    light, nearest, _ = both(picture, points, ACROSS)
+    assert np.max(np.abs(light - nearest)) <= (2 + 1e-9) / 255
