@@ -8,7 +8,8 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
-from measure.geometry.rotation_kernels import rotation_of, rotvec_of, skew
+from measure.geometry.rotation_kernels import rotation_of, rotvec_of
+from measure_plugins._edges.contour_reactions import by_camera, by_shift, by_step
 from measure_plugins._edges.contour_terms import OWN, Terms, collect, empty_terms
 from measure_plugins._edges.contours import Contours
 from measure_plugins._edges.linear import cholesky, solve_factored
@@ -103,7 +104,7 @@ def fit_contours(
     normal, _ = _equations(contours, terms, offsets)
     normal[:6, :6] += prior_information
     inverse, _ = _inverse(normal)
-    by_step = _by_step(contours, terms, inverse)
+    steps = by_step(contours, terms, inverse)
     return ContourFit(
         rotation,
         translation,
@@ -111,9 +112,9 @@ def fit_contours(
         offsets,
         shifts,
         np.sqrt(scatter[1:]),
-        by_step,
-        _by_camera(contours, by_step, rotation, translation),
-        _by_shift(contours, terms, variances, inverse),
+        steps,
+        by_camera(contours, steps, rotation, translation),
+        by_shift(contours, terms, variances, inverse),
         solved,
         _within(step, _SETTLED_MM, _SETTLED_RAD),
     )
@@ -122,15 +123,6 @@ def fit_contours(
 @compiled
 def _within(step: Floats, limit_mm: float, limit_rad: float) -> bool:
     return np.max(np.abs(step[:3])) < limit_mm and np.max(np.abs(step[3:6])) < limit_rad
-
-
-@compiled
-def _shared(contours: Contours, terms: Terms, k: int, count: int) -> Floats:
-    """What ball-view k's four shared unknowns are made of, (4, count): the pose and the offsets."""
-    out = np.zeros((4, count))
-    out[:3, :6] = terms.arms[k]
-    out[3, 6 + contours.view_of[k]] = 1.0
-    return out
 
 
 @compiled
@@ -192,10 +184,14 @@ def _own_steps(contours: Contours, terms: Terms, step: Floats) -> Floats:
     shared = np.empty(4)
     for k in range(len(out)):
         for a in range(3):
-            shared[a] = np.sum(terms.arms[k, a] * step[:6])
+            shared[a] = 0.0
+            for j in range(6):
+                shared[a] += terms.arms[k, a, j] * step[j]
         shared[3] = step[6 + contours.view_of[k]]
         for a in range(OWN):
-            out[k, a] = terms.offset[k, a] - np.sum(terms.gain[k, a] * shared)
+            w, x, y, z = terms.gain[k, a]
+            taken = w * shared[0] + x * shared[1] + y * shared[2] + z * shared[3]
+            out[k, a] = terms.offset[k, a] - taken
     return out
 
 
@@ -251,45 +247,3 @@ def _variance(reach: Floats, covariance: Floats, offset: int) -> float:
         for j in range(6):
             total += reach[i] * reach[j] * covariance[i, j]
     return float(total)
-
-
-@compiled
-def _by_step(contours: Contours, terms: Terms, inverse: Floats) -> Floats:
-    """How the fitted pose reacts to steps of single ball-views' balls in the world: (k, 6, 3)."""
-    out = np.empty((len(contours.view_of), 6, 3))
-    for k in range(len(out)):
-        turn = contours.rotations[contours.view_of[k]]
-        right = np.ascontiguousarray(terms.normal[k][:, :3]) @ turn
-        out[k] = (inverse @ (_shared(contours, terms, k, len(inverse)).T @ right))[:6]
-    return out
-
-
-@compiled
-def _by_camera(
-    contours: Contours, by_step: Floats, rotation: Floats, translation: Floats
-) -> Floats:
-    """How the fitted pose (6,) reacts to the cameras' poses: (c, 6, 6), in their `perturb` charts.
-
-    Moving a camera by (dt, w) moves every ball, as the camera sees it, by -dt - w x (X - t).
-    """
-    out = np.zeros((len(contours.rotations), 6, 6))
-    for k in range(len(contours.view_of)):
-        view = contours.view_of[k]
-        camera = -(contours.rotations[view].T @ contours.translations[view])
-        arm = rotation @ contours.centers_body[k] + translation - camera
-        out[view, :, :3] += by_step[k]
-        out[view, :, 3:] -= by_step[k] @ skew(arm)
-    return out
-
-
-@compiled
-def _by_shift(contours: Contours, terms: Terms, variances: Floats, inverse: Floats) -> Floats:
-    """How the fitted pose reacts to shifts (x, y, radius, in px) of single outlines: (k, 6, 3).
-
-    A shift s leaves, its ball-view's own unknowns eliminated, the right side gain^T (s / variance).
-    """
-    out = np.empty((len(contours.view_of), 6, OWN))
-    for k in range(len(out)):
-        right = (terms.gain[k] / variances[k].reshape(-1, 1)).T
-        out[k] = (inverse @ (_shared(contours, terms, k, len(inverse)).T @ right))[:6]
-    return out

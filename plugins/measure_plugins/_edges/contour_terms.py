@@ -28,7 +28,7 @@ _SHARED = 4
 _COLUMNS = 7
 """The shared four, the normal's x and y, and the residual; br goes as the view's offset does."""
 _TUKEY = 4.685
-_OWN_COLUMNS = np.array([4, 5, 3])
+_OWN_COLUMNS = (4, 5, 3)
 
 
 class Terms(NamedTuple):
@@ -160,50 +160,54 @@ def _weights(columns: Floats, shift: Floats, sd: Floats) -> Floats:
 
 @compiled
 def _moments(columns: Floats, weights: Floats) -> Floats:
-    """Weighted sums of products of the columns, (7, 7)."""
-    out, weighted = np.empty((_COLUMNS, _COLUMNS)), np.empty(len(weights))
+    """Weighted sums of products of the columns, (7, 7).
+
+    All sums grow together, point by point: none has to wait for its own last addition.
+    """
+    out = np.zeros((_COLUMNS, _COLUMNS))
+    for i in range(len(weights)):
+        for a in range(_COLUMNS):
+            weighted = weights[i] * columns[a, i]
+            for b in range(a + 1):
+                out[a, b] += weighted * columns[b, i]
     for a in range(_COLUMNS):
-        for i in range(len(weights)):
-            weighted[i] = weights[i] * columns[a, i]
-        for b in range(a + 1):
-            total = 0.0
-            for i in range(len(weights)):
-                total += weighted[i] * columns[b, i]
-            out[a, b] = out[b, a] = total
+        for b in range(a):
+            out[b, a] = out[a, b]
     return out
 
 
 @compiled
 def _eliminate(moments: Floats, variances: Floats, k: int, terms: Terms) -> None:
     """Ball-view k's terms from its moments; not a number where a step led inside the ball."""
-    own, cross = np.empty((OWN, OWN)), np.empty((OWN, _SHARED))
-    right = np.empty(OWN)
+    own, inverse = np.empty((OWN, OWN)), terms.own_covariance[k]
     for a in range(OWN):
-        row = _OWN_COLUMNS[a]
-        right[a] = moments[row, 6]
-        cross[a] = moments[row, :_SHARED]
         for b in range(OWN):
-            own[a, b] = moments[row, _OWN_COLUMNS[b]]
+            own[a, b] = moments[_OWN_COLUMNS[a], _OWN_COLUMNS[b]]
         own[a, a] += 1 / variances[a]
-    inverse = _inverse3(own)
+    _invert(own, inverse)
+    p, q, r = moments[_OWN_COLUMNS[0]], moments[_OWN_COLUMNS[1]], moments[_OWN_COLUMNS[2]]
     gain, offset = terms.gain[k], terms.offset[k]
     for a in range(OWN):
-        offset[a] = np.sum(inverse[a] * right)
+        x, y, z = inverse[a]
+        offset[a] = x * p[6] + y * q[6] + z * r[6]
         for j in range(_SHARED):
-            gain[a, j] = np.sum(inverse[a] * cross[:, j])
-    terms.own_covariance[k] = inverse
+            gain[a, j] = x * p[j] + y * q[j] + z * r[j]
     for i in range(_SHARED):
-        terms.right[k, i] = moments[i, 6] - np.sum(cross[:, i] * offset)
+        taken = p[i] * offset[0] + q[i] * offset[1] + r[i] * offset[2]
+        terms.right[k, i] = moments[i, 6] - taken
         for j in range(_SHARED):
-            terms.normal[k, i, j] = moments[i, j] - np.sum(cross[:, i] * gain[:, j])
+            taken = p[i] * gain[0, j] + q[i] * gain[1, j] + r[i] * gain[2, j]
+            terms.normal[k, i, j] = moments[i, j] - taken
 
 
 @compiled
-def _inverse3(m: Floats) -> Floats:
-    """The inverse of a matrix (3, 3) by its cofactors."""
-    out = np.empty((3, 3))
+def _invert(m: Floats, out: Floats) -> None:
+    """The inverse of a matrix (3, 3) by its cofactors, into `out`."""
     for i in range(3):
         for j in range(3):
             a, b, c, d = (i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3
             out[j, i] = m[a, c] * m[b, d] - m[a, d] * m[b, c]
-    return out / np.sum(m[0] * out[:, 0])
+    determinant = m[0, 0] * out[0, 0] + m[0, 1] * out[1, 0] + m[0, 2] * out[2, 0]
+    for i in range(3):
+        for j in range(3):
+            out[i, j] /= determinant

@@ -1,0 +1,73 @@
+"""How the jointly fitted pose reacts to what it was fitted to, compiled."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.compiling import compiled
+from measure.geometry.rotation_kernels import skew
+from measure_plugins._edges.contour_terms import OWN, Terms
+from measure_plugins._edges.contours import Contours
+
+
+@compiled
+def by_step(contours: Contours, terms: Terms, inverse: Floats) -> Floats:
+    """How the fitted pose reacts to steps of single ball-views' balls in the world: (k, 6, 3)."""
+    out = np.empty((len(contours.view_of), 6, 3))
+    right = np.empty((4, 3))
+    for k in range(len(out)):
+        turn, normal = contours.rotations[contours.view_of[k]], terms.normal[k]
+        for a in range(4):
+            for j in range(3):
+                x, y, z = turn[:, j]
+                right[a, j] = normal[a, 0] * x + normal[a, 1] * y + normal[a, 2] * z
+        _react(inverse, terms.arms[k], 6 + contours.view_of[k], right, out[k])
+    return out
+
+
+@compiled
+def _react(inverse: Floats, arms: Floats, offset: int, right: Floats, out: Floats) -> None:
+    """The pose's reaction (6, 3) to right sides (4, 3) of one ball-view's shared unknowns.
+
+    Those are its centre, which moves by `arms` (3, 6) with the pose, and its view's offset.
+    """
+    for j in range(3):
+        for i in range(6):
+            out[i, j] = inverse[i, offset] * right[3, j]
+        for b in range(6):
+            total = arms[0, b] * right[0, j] + arms[1, b] * right[1, j] + arms[2, b] * right[2, j]
+            for i in range(6):
+                out[i, j] += inverse[i, b] * total
+
+
+@compiled
+def by_camera(contours: Contours, steps: Floats, rotation: Floats, translation: Floats) -> Floats:
+    """How the fitted pose (6,) reacts to the cameras' poses: (c, 6, 6), in their `perturb` charts.
+
+    Moving a camera by (dt, w) moves every ball, as the camera sees it, by -dt - w x (X - t).
+    """
+    out = np.zeros((len(contours.rotations), 6, 6))
+    for k in range(len(contours.view_of)):
+        view = contours.view_of[k]
+        camera = -(contours.rotations[view].T @ contours.translations[view])
+        arm = rotation @ contours.centers_body[k] + translation - camera
+        out[view, :, :3] += steps[k]
+        out[view, :, 3:] -= steps[k] @ skew(arm)
+    return out
+
+
+@compiled
+def by_shift(contours: Contours, terms: Terms, variances: Floats, inverse: Floats) -> Floats:
+    """How the fitted pose reacts to shifts (x, y, radius, in px) of single outlines: (k, 6, 3).
+
+    A shift s leaves, its ball-view's own unknowns eliminated, the right side gain^T (s / variance).
+    """
+    out = np.empty((len(contours.view_of), 6, OWN))
+    right = np.empty((4, OWN))
+    for k in range(len(out)):
+        for a in range(4):
+            for j in range(OWN):
+                right[a, j] = terms.gain[k, j, a] / variances[k, j]
+        _react(inverse, terms.arms[k], 6 + contours.view_of[k], right, out[k])
+    return out
