@@ -45,7 +45,7 @@ class Stages:
         own_times: whether each image counts at its own time.
         neighbours: whether a pose is solved again with the motion that those round it show.
         look_again: whether, after a search of whole frames, the balls are measured once more where
-            they were found.
+            they were found; and whether pictures in which the body was lost are searched.
     """
 
     detectors: Mapping[str, Detector]
@@ -93,15 +93,30 @@ class Pipeline:
         if expected is None:
             return Draft(_skipped(frame_set), None, ())
         draft = self._look(frame_set, expected, pool)
+        if not self.stages.look_again:
+            return draft
+        return self._looked_again(frame_set, self._searched_again(frame_set, draft, pool), pool)
+
+    def _searched_again(self, frame_set: FrameSet, draft: Draft, pool: Executor) -> Draft:
+        """Search the very pictures in which the tracker lost the body, so that none is lost."""
+        if draft.measurement.searched or draft.measurement.status is Status.OK:
+            return draft
+        expected = self.stages.tracker.expect(frame_set)
+        if expected is None or any(expected.values()):
+            return draft
+        found = self._look(frame_set, expected, pool)
+        return draft if found.measurement.pose is None else found
+
+    def _looked_again(self, frame_set: FrameSet, draft: Draft, pool: Executor) -> Draft:
+        """A search only finds the balls; knowing where they are, they can be measured."""
         measured = draft.measurement
-        if self.stages.look_again and measured.searched and measured.pose is not None:
-            # A search only finds the balls; knowing where they are, they can be measured.
-            expected = self.stages.tracker.expect(frame_set)
-            if expected is not None:
-                again = self._look(frame_set, expected, pool)
-                searched = replace(again.measurement, searched=measured.searched)
-                draft = replace(again, measurement=searched)
-        return draft
+        if not measured.searched or measured.pose is None:
+            return draft
+        expected = self.stages.tracker.expect(frame_set)
+        if expected is None:
+            return draft
+        again = self._look(frame_set, expected, pool)
+        return replace(again, measurement=replace(again.measurement, searched=measured.searched))
 
     def _look(
         self, frame_set: FrameSet, expected: Mapping[str, Sequence[Expectation]], pool: Executor

@@ -6,6 +6,7 @@ import pytest
 from measurements import BODY, CAMERAS, measurement
 
 from measure.measuring import Pipeline, Stages
+from measure.measuring.tracking import Verdict
 from measure.measuring.tracking.memoryless import Memoryless
 from measure.model import Detection, Expectation, FrameSet, Image, Pose
 
@@ -13,9 +14,9 @@ from measure.model import Detection, Expectation, FrameSet, Image, Pose
 class _Tracker(Memoryless):
     """Knows nothing at first, and where everything is after the first look."""
 
-    def __init__(self):
+    def __init__(self, loses=()):
         super().__init__(Memoryless.Config(), BODY, CAMERAS)
-        self.known = False
+        self.known, self.loses = False, list(loses)
 
     def expect(self, frame_set):
         if not self.known:
@@ -24,19 +25,23 @@ class _Tracker(Memoryless):
         return dict.fromkeys(frame_set.images, around)
 
     def conclude(self, frame_set, views, fixes, pose, residuals_px):
+        if self.known and frame_set.index in self.loses:
+            self.loses.remove(frame_set.index)
+            self.known = False
+            return Verdict(None, "lost")
         self.known = pose is not None
         return super().conclude(frame_set, views, fixes, pose, residuals_px)
 
 
 class _Detector:
-    """Finds every ball; remembers whether it was told where to look."""
+    """Finds every ball for a number of looks; remembers whether it was told where to look."""
 
-    def __init__(self, camera, sees=True):
-        self.camera, self.sees, self.told = camera, sees, []
+    def __init__(self, camera, looks=99):
+        self.camera, self.looks, self.told = camera, looks, []
 
     def detect(self, image, expected):
         self.told.append(len(expected))
-        views = measurement(image.frame).views if self.sees else ()
+        views = measurement(image.frame).views if len(self.told) <= self.looks else ()
         return [v.detection for v in views if v.camera == self.camera]
 
 
@@ -51,9 +56,11 @@ class _Triangulator:
         return measurement(0).fixes[0]
 
 
-def _measure(look_again, sees=True):
-    detectors = {camera.name: _Detector(camera.name, sees) for camera in CAMERAS}
-    stages = Stages(detectors, _Tracker(), _Triangulator(), _Solver(), False, False, look_again)
+def _measure(look_again, looks=99, loses=()):
+    detectors = {camera.name: _Detector(camera.name, looks) for camera in CAMERAS}
+    stages = Stages(
+        detectors, _Tracker(loses), _Triangulator(), _Solver(), False, False, look_again
+    )
     images = {c.name: Image(c.name, 0, 0.0, lambda: None) for c in CAMERAS}
     sets = [FrameSet(index, index / 30, images) for index in range(3)]
     measured = list(Pipeline(BODY, CAMERAS, stages).measure(sets))
@@ -75,6 +82,29 @@ def test_without_it_every_frame_is_looked_at_once():
 
 @pytest.mark.parametrize("look_again", [True, False])
 def test_a_search_that_finds_nothing_is_not_repeated(look_again):
-    measured, told = _measure(look_again, sees=False)
+    measured, told = _measure(look_again, looks=0)
     assert told == [0, 0, 0]
     assert all(m.pose is None for m in measured)
+
+
+def test_pictures_in_which_the_body_is_lost_are_searched_themselves():
+    """The search used to wait for the next frame set: each loss cost one that shows the body."""
+    measured, told = _measure(look_again=True, loses=[1])
+    assert told[:3] == [0, 3, 3]
+    assert told[3:] == [0, 3, 3]  # searched, measured there, and on with the next
+    assert all(isinstance(m.pose, Pose) for m in measured)
+    assert measured[1].searched == ("cam0", "cam1")
+    assert measured[1].reason == ""
+
+
+def test_a_body_out_of_sight_is_searched_for_once_a_frame_set():
+    measured, told = _measure(look_again=True, looks=2)
+    assert told == [0, 3, 3, 0, 0]
+    assert [m.pose is None for m in measured] == [False, True, True]
+    assert all(m.reason for m in measured[1:])
+
+
+def test_without_looking_again_nothing_is_searched_twice():
+    measured, told = _measure(look_again=False, loses=[1])
+    assert told == [0, 3, 0]
+    assert measured[1].pose is None
