@@ -8,7 +8,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure_plugins._edges.lamps import no_lamps
-from measure_plugins._edges.radial import BLUR_PX, REFRACTIVE_INDEX
+from measure_plugins._edges.radial import BLUR_PX, REFRACTIVE_INDEX, Radial, radial
 from measure_plugins._edges.tone import tone_table
 
 GLOSSY, MATT = REFRACTIVE_INDEX, 1.0001
@@ -27,6 +27,7 @@ class Appearance:
         bends: (3,) how the camera's curve departs from it, see `bent_table`.
         blur_px: sigma of the blur of brightness.
         index: refractive index of the balls' surface.
+        mirrors: whether it mirrors, at grazing angles, the colours of what is behind the ball.
         lamps: (k, 4) what lights the balls, in the camera frame, see `lamps`; none if not known.
     """
 
@@ -34,11 +35,16 @@ class Appearance:
     bends: Floats
     blur_px: float
     index: float
+    mirrors: bool = True
     lamps: Floats = field(default_factory=no_lamps)
 
     def table(self) -> Floats:
         """Light (256,) of each picture value."""
         return bent_table(self.tone, self.bends)
+
+    def tables(self, radius_px: float, half_angle: float) -> Radial:
+        """What a ball of this size shows along a ray across its outline."""
+        return radial(radius_px, half_angle, self.blur_px, self.index, self.mirrors)
 
 
 def first_appearance(tone: str) -> Appearance:

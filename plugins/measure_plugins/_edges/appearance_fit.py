@@ -16,7 +16,6 @@ from measure.arrays import Bytes, Floats
 from measure_plugins._edges.appearance import BENDS, GLOSSY, MATT, Appearance
 from measure_plugins._edges.corrected import LATER_STEPS, compare
 from measure_plugins._edges.lamps import no_lamps, seen_from
-from measure_plugins._edges.radial import radial
 from measure_plugins._edges.sensor import encoding
 
 _COMPARED = LATER_STEPS <= 4.0
@@ -32,6 +31,8 @@ _TRIAL = np.array([0.004, 0.01, 0.006, 0.1])
 _BLUR_RANGE_PX = (0.5, 2.0)
 _ROUNDS = 4
 _ENOUGH = 5e-3
+_CLEARLY_DULL = 0.02
+"""Share by which mirroring the colours behind must worsen the misfit not to be believed."""
 _FEWEST_RAYS = 16
 _FEWEST_SIGHTS = 4
 _CLEARLY_GLOSSY = 0.5
@@ -78,13 +79,33 @@ def learn_appearance(sights: Sequence[Sight], start: Appearance) -> Appearance:
     useful = telling(sights)
     if not useful:
         return start
-    start = replace(start, bends=np.zeros(BENDS), lamps=no_lamps())
+    start = replace(start, bends=np.zeros(BENDS), mirrors=True, lamps=no_lamps())
     plain = _of_either_surface(useful, start, start, _STRAIGHT, (_CLEARLY_GLOSSY, _MATT_ABOVE))
     bent = _refined(useful, plain, _BENT)
     if _share(useful, bent, plain) ** 2 > _BENT_BELOW:
         return plain
     glossy, matt = (bent, start) if plain.index == GLOSSY else (start, bent)
     return _of_either_surface(useful, glossy, matt, _BENT, (0.0, _MATT_ABOVE_BENT))
+
+
+def with_or_without_mirroring(sights: Sequence[Sight], appearance: Appearance) -> Appearance:
+    """The appearance mirroring the colours behind, unless pictures clearly show that it does not.
+
+    A smooth surface mirrors them at grazing angles, whatever it is made of; a rough one, or one
+    that only looks glossy, need not. Before a colourless background there is nothing to tell.
+    """
+    useful = telling(sights)
+    if not useful or appearance.index != GLOSSY:
+        return appearance
+    does, does_not = (replace(appearance, mirrors=mirrors) for mirrors in (True, False))
+    worse = np.log([_plain_misfit(s, does) / _plain_misfit(s, does_not) for s in useful])
+    least = max(_CLEARLY_DULL, 2 * float(np.std(worse)) / np.sqrt(len(worse)))
+    return does_not if float(np.mean(worse)) > least else does
+
+
+def _plain_misfit(sight: Sight, appearance: Appearance) -> float:
+    """RMS over all clear rays: what is behind few of them tells most."""
+    return float(np.sqrt(np.mean(_residuals(sight, appearance)[0] ** 2)))
 
 
 def telling(sights: Sequence[Sight]) -> list[Sight]:
@@ -190,9 +211,7 @@ def _residuals(
 ) -> tuple[Floats, Floats]:
     """Picture minus prediction (k, m) along the free rays, the outline moved to fit; weights."""
     table = appearance.table()
-    tables = radial(
-        sight.half_angle * sight.scale, sight.half_angle, appearance.blur_px, appearance.index
-    )
+    tables = appearance.tables(sight.half_angle * sight.scale, sight.half_angle)
     seen, predicted = compare(
         sight.pixels,
         table,

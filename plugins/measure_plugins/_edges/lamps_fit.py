@@ -19,7 +19,7 @@ from measure_plugins._edges.appearance_fit import Sight, misfits, telling
 from measure_plugins._edges.corrected import sampled_light
 from measure_plugins._edges.lamps import ASIDE, FACING, no_lamps, seen_from
 from measure_plugins._edges.prediction import split_light
-from measure_plugins._edges.radial import STEPS, Radial, radial
+from measure_plugins._edges.radial import STEPS, Radial
 
 _DIRECTIONS = 100
 _LAST_PX = -1.0
@@ -52,9 +52,7 @@ def learn_lamps(sights: Sequence[Sight], appearance: Appearance) -> Floats:
     directions, table = _directions(_DIRECTIONS), appearance.table()
     columns, seen = [], []
     for sight in sights:
-        tables = radial(
-            sight.half_angle * sight.scale, sight.half_angle, appearance.blur_px, appearance.index
-        )
+        tables = appearance.tables(sight.half_angle * sight.scale, sight.half_angle)
         lamps = seen_from(directions, sight.frame)
         one, amounts = _shaded(
             sight.pixels,

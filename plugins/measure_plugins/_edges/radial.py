@@ -50,13 +50,24 @@ class Radial(NamedTuple):
     tie_grey: Floats
 
 
-def radial(radius_px: float, half_angle: float, blur_px: float, index: float) -> Radial:
-    """Tables for a ball; radius, angle and blur are rounded to what makes no difference."""
-    return _radial(round(4 * radius_px), round(200 * half_angle), round(20 * blur_px), index)
+def radial(
+    radius_px: float, half_angle: float, blur_px: float, index: float, mirrors: bool = True
+) -> Radial:
+    """Tables for a ball; radius, angle and blur are rounded to what makes no difference.
+
+    Args:
+        radius_px: of the outline.
+        half_angle: of its cone, rad.
+        blur_px: sigma of the blur of brightness.
+        index: refractive index of the surface.
+        mirrors: whether the colours behind are mirrored at grazing angles.
+    """
+    sizes = round(4 * radius_px), round(200 * half_angle), round(20 * blur_px)
+    return _radial(*sizes, index, mirrors)
 
 
 @lru_cache(maxsize=1024)
-def _radial(radius4: int, angle200: int, blur20: int, index: float) -> Radial:
+def _radial(radius4: int, angle200: int, blur20: int, index: float, mirrors: bool) -> Radial:
     half_angle = max(angle200, 1) / 200
     tilt, cosine = _surface(half_angle, half_angle / (radius4 / 4))
     inside = (_FINE < 0).astype(np.float64)
@@ -71,7 +82,7 @@ def _radial(radius4: int, angle200: int, blur20: int, index: float) -> Radial:
     return Radial(
         diffuse=blur @ own,
         grey=grey,
-        nearby=blur @ (mirrored * np.clip(1 - deflection / _FADE_RAD, 0, 1)),
+        nearby=mirrors * blur @ (mirrored * np.clip(1 - deflection / _FADE_RAD, 0, 1)),
         outside=blur @ (1 - inside),
         solve_grey=solve,
         tie_grey=tie,

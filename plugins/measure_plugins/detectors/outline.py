@@ -38,8 +38,8 @@ class OutlineConfig(Settings):
     )
     learn: bool = setting(
         True,
-        "Whether the tone curve, the blur, whether balls are glossy or matt and where their light "
-        "comes from are learnt from the pictures, starting from the tone curve given here.",
+        "Whether the tone curve, the blur, whether balls are glossy or matt, what they mirror and "
+        "what lights them are learnt from the pictures, starting from the tone curve given here.",
     )
     min_contrast: float = setting(
         0.06,
@@ -220,11 +220,9 @@ class OutlineDetector(Detector):
 
     def _radial(self, axis: Floats, half_angle: float) -> Radial:
         """What a ball of this size, here, shows along a ray across its outline."""
-        from measure_plugins._edges.radial import radial
         from measure_plugins._edges.rays import radius_px
 
-        radius = radius_px(axis, half_angle, self._lens)
-        return radial(radius, half_angle, self._appearance.blur_px, self._appearance.index)
+        return self._appearance.tables(radius_px(axis, half_angle, self._lens), half_angle)
 
     def _cone(self, expectation: Expectation) -> tuple[Floats, float, float]:
         """Predicted axis, half angle in rad and distance in mm of a ball's outline."""

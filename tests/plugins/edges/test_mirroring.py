@@ -1,0 +1,74 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from measure.geometry import tangent_cone
+from measure.simulation import Renderer
+from measure.simulation.catalogue import plain_scene
+from measure.simulation.rooms import plain, room
+from measure_plugins._edges.appearance import GLOSSY, MATT, first_appearance
+from measure_plugins._edges.learner import AppearanceLearner
+from measure_plugins._edges.radial import radial
+from measure_plugins._edges.tone import tone_table
+
+CAMERA = "cam1"
+TIMES_S = (0.0, 0.4)
+PAINT = (0.06, 0.20, 0.45)
+
+
+def _blue_room(mirrored_rgb):
+    """Glossy balls before walls of one colour, which they mirror, or another in its place."""
+    scene = plain_scene("grey", 11)
+    paint = plain(PAINT)
+    light = replace(scene.lighting, floor_rgb=mirrored_rgb, surround_rgb=mirrored_rgb)
+    return replace(scene, backdrop=room(paint, (paint,)), lighting=light)
+
+
+def _learn(scene):
+    renderer, camera = Renderer(scene, CAMERA), scene.camera(CAMERA)
+    learner, out = AppearanceLearner(camera.intrinsics.row, 72, 7.0), None
+    for k, time_s in enumerate(TIMES_S):
+        pose, cones = scene.trajectory.at(np.array([time_s]))[0], []
+        for ball in scene.body.balls:
+            center = camera.camera_from_world.apply(pose.apply(ball.center_mm))
+            cone = tangent_cone(center, ball.radius_mm)
+            cones.append((cone.axis, cone.half_angle, float(np.linalg.norm(center))))
+        assert learner.wants(len(cones))
+        out = learner.shown(renderer.picture(time_s, k), cones, [], first_appearance("srgb"))
+    return out
+
+
+@pytest.fixture(scope="module")
+def wall_rgb():
+    """Linear light of the walls, as the camera shows them."""
+    pixels = Renderer(_blue_room((0.0, 0.0, 0.0)), CAMERA).picture(0.0)
+    return tuple(tone_table("srgb")[pixels[:60, :200]].mean(axis=(0, 1))[::-1])
+
+
+def test_balls_that_mirror_the_wall_behind_them_are_taken_to(wall_rgb):
+    assert wall_rgb[2] > 2 * wall_rgb[0]
+    learnt = _learn(_blue_room(wall_rgb))
+    assert learnt.index == GLOSSY
+    assert learnt.mirrors
+
+
+def test_balls_that_mirror_something_else_are_not(wall_rgb):
+    grey = (float(np.mean(wall_rgb)),) * 3
+    learnt = _learn(_blue_room(grey))
+    assert learnt.index == GLOSSY
+    assert not learnt.mirrors
+
+
+def test_before_black_cloth_nothing_speaks_against_it():
+    assert _learn(plain_scene("black", 13)).mirrors
+
+
+def test_what_is_behind_is_left_out_where_it_is_not_mirrored():
+    with_it, without = radial(60.0, 0.045, 1.0, GLOSSY), radial(60.0, 0.045, 1.0, GLOSSY, False)
+    assert with_it.nearby.max() > 0.1
+    assert np.all(without.nearby == 0)
+    assert np.array_equal(with_it.diffuse, without.diffuse)
+    assert radial(60.0, 0.045, 1.0, MATT).nearby.max() < 1e-3
