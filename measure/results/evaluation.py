@@ -115,12 +115,7 @@ def evaluate(
     Raises:
         RunError: the truth is of another time or in another unit, or the true cameras lack one.
     """
-    covered = truth.covers(run.times_s)
-    if not covered.any():
-        raise RunError(
-            f"{truth.source} runs from {truth.times_s[0]:.3f} to {truth.times_s[-1]:.3f} s, at no "
-            f"time together with {run.path} ({_range(run.times_s)}): it is not its truth"
-        )
+    covered = _covered(run, truth)
     here = covered & run.has_pose
     measured, true = _pairs(run, truth, here)
     _refuse_other_unit(run, truth, measured.translation, true.translation)
@@ -153,6 +148,17 @@ def evaluate(
         localisation=localisation_errors_by_truth(run, truth, cameras) if cameras else None,
         notes=_notes(run, body, missing, marks is None and cameras is None),
     )
+
+
+def _covered(run: Run, truth: Trajectory) -> Bools:
+    """Which frame sets the truth covers (n,); refused if there is none."""
+    covered = truth.covers(run.times_s)
+    if not covered.any():
+        raise RunError(
+            f"{truth.source} runs from {truth.times_s[0]:.3f} to {truth.times_s[-1]:.3f} s, at no "
+            f"time together with {run.path} ({_range(run.times_s)}): it is not its truth"
+        )
+    return covered
 
 
 def pose_errors(run: Run, truth: Trajectory) -> Floats:

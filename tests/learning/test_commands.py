@@ -138,51 +138,55 @@ def test_an_interrupted_training_resumes(data: Path, tmp_path: Path) -> None:
     )
 
 
-def test_files_that_do_not_fit_are_refused(
-    small: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Each is one line that names the trouble, and exit code 2."""
+def _written(small: Dataset, folder: Path) -> dict[str, str]:
+    """Files that fit each other, and some that do not, by name."""
     from measure.robots import RobotLog, read_log, write_log
     from measure.robots.simulator import simulate
 
     run = simulate(8.0, 5, log_hz=50.0)
-    log, poses, metres = tmp_path / "log.csv", tmp_path / "poses.csv", tmp_path / "metres.csv"
-    write_log(log, RobotLog(small.schema, run.times_s + 1.5, run.states))
-    lines = log.read_text().splitlines()
+    names = ("log.csv", "lacking.csv", "poses.csv", "metres.csv", "good.onnx", "other.onnx")
+    at = {name: folder / name for name in names}
+    write_log(at["log.csv"], RobotLog(small.schema, run.times_s + 1.5, run.states))
+    assert len(read_log(at["log.csv"], small.schema).times_s) == len(run.times_s)
+    lines = at["log.csv"].read_text().splitlines()
     lacking = lines[0].replace("tau_0", "tau_x").replace("jpos_1", "jpos_x")
-    (tmp_path / "lacking.csv").write_text("\n".join([lacking, *lines[1:]]))
-    for path, scale in ((poses, 1.0), (metres, 1e-3)):
+    at["lacking.csv"].write_text("\n".join([lacking, *lines[1:]]))
+    for name, scale in (("poses.csv", 1.0), ("metres.csv", 1e-3)):
         table = np.column_stack([run.times_s, scale * run.world_from_tip.translation])
-        np.savetxt(path, table[::5], delimiter=",", header="time_s,x_mm,y_mm,z_mm", comments="")
-    good, other, data = tmp_path / "good.onnx", tmp_path / "other.onnx", tmp_path / "d.parquet"
+        header = "time_s,x_mm,y_mm,z_mm"
+        np.savetxt(at[name], table[::5], delimiter=",", header=header, comments="")
+    data = folder / "d.parquet"
     files.write_dataset(data, small, [], "the small simulated data set")
-    words = ["train", str(data), "-o", str(good), "--estimator", "offset"]
-    assert main(words) == 0
-    assert len(read_log(log, small.schema).times_s) == len(run.times_s)
-    content = bytearray(good.read_bytes())
-    place = content.index(b"raven2-left")
-    content[place : place + 11] = b"raven2-lefT"
-    other.write_bytes(content)
-    out = str(tmp_path / "out.csv")
+    good = at["good.onnx"]
+    assert main(["train", str(data), "-o", str(good), "--estimator", "offset"]) == 0
+    at["other.onnx"].write_bytes(good.read_bytes().replace(b"raven2-left", b"raven2-lefT", 1))
+    return {name: str(path) for name, path in at.items()}
+
+
+def test_files_that_do_not_fit_are_refused(
+    small: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each is one line that names the trouble, and exit code 2."""
+    at, out = _written(small, tmp_path), str(tmp_path / "out.csv")
     cases = [
         (
-            ["dataset", str(poses), "--robot-log", str(tmp_path / "lacking.csv"), "-o", out],
+            ["dataset", at["poses.csv"], "--robot-log", at["lacking.csv"], "-o", out],
             "lacking.csv: lacks 2 of 119 columns: tau_0, jpos_1",
         ),
         (
-            ["estimate", str(good), "--input", str(tmp_path / "lacking.csv"), "--output", out],
+            ["estimate", at["good.onnx"], "--input", at["lacking.csv"], "--output", out],
             "lacks 2 of 118 columns: tau_0, jpos_1",
         ),
         (
-            ["dataset", str(metres), "--robot-log", str(log), "-o", out],
+            ["dataset", at["metres.csv"], "--robot-log", at["log.csv"], "-o", out],
             "the measured positions look like metres",
         ),
         (
-            ["estimate", str(other), "--input", str(log), "--output", out],
+            ["estimate", at["other.onnx"], "--input", at["log.csv"], "--output", out],
             "other.onnx: damaged, its checksum does not match",
         ),
         (
-            ["ablate", str(_other_robot(small, tmp_path)), str(good)],
+            ["ablate", str(_other_robot(small, tmp_path)), at["good.onnx"]],
             "trained for robot 'raven2-left', not 'raven2-right'",
         ),
     ]
