@@ -19,6 +19,7 @@ from benchmarks.trial import Trial, bounds_of, run_trial
 from measure.host import Registry
 from measure.results import versions
 from measure.session import open_session, read_trajectory
+from measure.simulation import scene_catalogue
 
 HEAD = (
     "method",
@@ -67,15 +68,36 @@ optical axis, on the plain black scene with every camera turned aside by every a
 """
 
 
-def main() -> None:
-    """Run all trials."""
-    parser = argparse.ArgumentParser(prog="benchmarks", description=__doc__)
+def _options() -> argparse.Namespace:
+    """What the command line says; a filter that nothing passes is refused."""
+    methods = ", ".join(method.name for method in METHODS)
+    parser = argparse.ArgumentParser(
+        prog="benchmarks",
+        description="Print how accurate, how reliable and how fast every method is on every "
+        "recording; with --out, write it as a page of the documentation.",
+        epilog=f"methods: {methods}; recordings: the rendered sessions beside the project, where "
+        "they are at hand, the scenes of measure.simulation, and off-axis",
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+    )
     parser.add_argument("--frames", type=int, default=24, help="frame sets per own scene")
-    parser.add_argument("--cache", type=Path, help="folder for the rendered scenes")
+    parser.add_argument("--cache", type=Path, help="folder that keeps the rendered scenes")
     parser.add_argument("--only", default="", help="recordings whose name contains this")
     parser.add_argument("--methods", default="", help="methods whose name contains this")
-    parser.add_argument("--out", type=Path, help="write the table to this page")
+    parser.add_argument("--out", type=Path, help="write the tables to this page")
     given = parser.parse_args()
+    if not any(given.methods in method.name for method in METHODS):
+        parser.error(f"--methods {given.methods}: there is {methods}")
+    known = [*recordings_beside(), *(f"own {name}" for name in scene_catalogue()), "off-axis"]
+    if not any(given.only in name for name in known):
+        parser.error(f"--only {given.only}: there is {', '.join(known)}")
+    if given.frames < 2:
+        parser.error(f"--frames {given.frames}: at least 2 are needed, one of them tracked")
+    return given
+
+
+def main() -> None:
+    """Run all trials."""
+    given = _options()
     cv2.setNumThreads(1)
     with tempfile.TemporaryDirectory() as scratch:
         folder = given.cache or Path(scratch)
