@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -87,9 +87,9 @@ class Journal:
         fresh.replace(path)
         self._file = GrowingFile(path, keep=path.stat().st_size)
 
-    def append(self, rows: Sequence[Mapping[str, Any]]) -> None:
-        """Take rows; they are written by the next `flush`."""
-        self._rows += map(dict, rows)
+    def append(self, rows: Sequence[dict[str, Any]]) -> None:
+        """Take rows, which must not change any more; they are written by the next `flush`."""
+        self._rows += rows
 
     def flush(self) -> None:
         """Hand all rows to the operating system, as one batch.

@@ -80,6 +80,7 @@ CSV_COLUMNS = (
     "status",
     "reason",
 )
+_UNKNOWN = np.full(2, np.nan)
 _NINE_DECIMALS = {"time_s", "qw", "qx", "qy", "qz"}
 
 
@@ -121,20 +122,13 @@ def _detection_row(measured: Measurement, view: BallView) -> dict[str, Any]:
     if view.detection is None:
         return row
     seen = view.detection
-    residual = measured.residuals_px.get((view.ball, view.camera), np.full(2, np.nan))
-    return row | {
-        "time_s": seen.time_s,
-        "u_px": seen.center_px[0],
-        "v_px": seen.center_px[1],
-        "radius_px": seen.radius_px,
-        "var_uu_px2": seen.covariance_px[0, 0],
-        "var_uv_px2": seen.covariance_px[0, 1],
-        "var_vv_px2": seen.covariance_px[1, 1],
-        "score": seen.score,
-        "color_match": seen.color_match,
-        "residual_u_px": residual[0],
-        "residual_v_px": residual[1],
-    }
+    row["time_s"], row["radius_px"] = seen.time_s, seen.radius_px
+    row["u_px"], row["v_px"] = seen.center_px.tolist()
+    (row["var_uu_px2"], row["var_uv_px2"]), (_, row["var_vv_px2"]) = seen.covariance_px.tolist()
+    row["score"], row["color_match"] = seen.score, seen.color_match
+    residual = measured.residuals_px.get((view.ball, view.camera), _UNKNOWN)
+    row["residual_u_px"], row["residual_v_px"] = residual.tolist()
+    return row
 
 
 def _ball_rows(measured: Measurement) -> Iterator[dict[str, Any]]:

@@ -44,6 +44,11 @@ def read_bytes(path: Path, where: str = "") -> bytes:
     return data
 
 
+def _complete(data: bytes) -> bool:
+    """Whether a JPEG has an end; most have it at the very end, which is quicker to see."""
+    return data.endswith(_JPEG_END) or data.rfind(_JPEG_END) > data.rfind(_JPEG_SCAN)
+
+
 def decode_picture(data: bytes, where: str) -> Bytes:
     """BGR pixels (h, w, 3) of an encoded picture.
 
@@ -51,7 +56,7 @@ def decode_picture(data: bytes, where: str) -> Bytes:
         SessionError: truncated or not a picture; the message starts with `where`.
     """
     # OpenCV fills the rest of a truncated JPEG with grey and says nothing.
-    if data.startswith(JPEG_START) and data.rfind(_JPEG_END) <= data.rfind(_JPEG_SCAN):
+    if data.startswith(JPEG_START) and not _complete(data):
         raise SessionError(
             f"{where}: truncated JPEG ({len(data)} bytes, no end marker); "
             "remove the file, and its frame counts as missing"
