@@ -23,6 +23,7 @@ _OWN_RADII = 0.8
 _SIZE_RATIO = 1.15
 """How far the outline of a ball that is really there misleads about its distance, as a factor."""
 _RANGE_SD, _RANGE_SIGMAS, _STEPS = 0.03, 2.5, 9
+_MISLED = 1 + np.linspace(-_RANGE_SIGMAS * _RANGE_SD, _RANGE_SIGMAS * _RANGE_SD, _STEPS)
 _HALF_SEEN_RATIO = 1.2
 _SLACK_MM = 1.0
 _HALF_SEEN_MM = 5.0
@@ -86,6 +87,8 @@ def _signs(
 
 def _lone(candidates: Candidates, located: BallPoints, sigmas: float) -> Candidates:
     """Those that no other camera sees: where the others are is known better than by their size."""
+    if not len(candidates) or not len(located.points):
+        return candidates
     to_point = located.points[:, None] - candidates.origins
     along = np.einsum("kni,ni->kn", to_point, candidates.directions)
     off = np.linalg.norm(to_point - along[:, :, None] * candidates.directions, axis=2)
@@ -150,11 +153,13 @@ def _by_sizes(some: Sequence[Candidates], distances_mm: Floats) -> Floats | None
 
     Their sizes tell how far away they are, give or take a few percent.
     """
+    if not all(map(len, some)):
+        return None
     fits = np.ones(tuple(len(c) for c in some), np.bool_)
+    along = [_along(c) for c in some]
     for i, j in combinations(range(len(some)), 2):
-        apart = np.linalg.norm(
-            _along(some[i])[:, None, :, None] - _along(some[j])[None, :, None, :], axis=-1
-        )
+        between = along[i][:, None, :, None] - along[j][None, :, None, :]
+        apart = np.sqrt(np.einsum("...i,...i->...", between, between))
         shape = [1] * len(some)
         shape[i], shape[j] = apart.shape[:2]
         near, far = apart.min(axis=(2, 3)), apart.max(axis=(2, 3))
@@ -164,7 +169,7 @@ def _by_sizes(some: Sequence[Candidates], distances_mm: Floats) -> Floats | None
     if not len(found):
         return None
     middle = _STEPS // 2
-    points = [_along(c)[k, middle] for c, k in zip(some, found[0], strict=True)]
+    points = [places[k, middle] for places, k in zip(along, found[0], strict=True)]
     return np.asarray(np.mean(points, axis=0))
 
 
@@ -182,8 +187,7 @@ def _side_by_side(pair: Sequence[Candidates], distances_mm: Floats) -> Floats | 
 
 def _along(candidates: Candidates) -> Floats:
     """Places (n, steps, 3) where the balls may be, given how far sizes mislead."""
-    wide = _RANGE_SIGMAS * _RANGE_SD
-    lengths = candidates.range_mm[:, None] * (1 + np.linspace(-wide, wide, _STEPS))
+    lengths = candidates.range_mm[:, None] * _MISLED
     return candidates.origins[:, None] + lengths[:, :, None] * candidates.directions[:, None]
 
 
