@@ -184,3 +184,49 @@ def test_a_wrong_body_file_is_never_a_confident_pose(scene, rendered, change, tm
     shutil.copytree(rendered, tmp_path / "s")
     write_body(tmp_path / "s" / "body.toml", misstated_body(scene, places).stated_body)
     assert all(m.status is not Status.OK for m in measured(tmp_path / "s"))
+
+
+@pytest.mark.parametrize("offset_mm", [(0, 0, 5), (0, 3, 3)])
+def test_one_ball_elsewhere_than_in_the_body_file_is_never_a_confident_pose(
+    four, offset_mm, tmp_path
+):
+    with open_session(four) as session:
+        body = session.body
+    balls = tuple(
+        replace(b, center_mm=b.center_mm + np.array(offset_mm)) if b.name == "blue" else b
+        for b in body.balls
+    )
+    shutil.copytree(four, tmp_path / "s")
+    write_body(tmp_path / "s" / "body.toml", Body("loosened", balls))
+    assert all(m.status is not Status.OK for m in measured(tmp_path / "s"))
+
+
+def test_lenses_exchanged_between_cameras_are_never_a_confident_pose(scene, rendered, tmp_path):
+    by_name = {camera.name: camera for camera in scene.cameras}
+    lenses = {"cam0": by_name["cam2"].intrinsics, "cam2": by_name["cam0"].intrinsics}
+    given = tuple(replace(c, intrinsics=lenses.get(c.name, c.intrinsics)) for c in scene.cameras)
+    write_calibration(tmp_path / "c.toml", Calibration(given))
+    assert all(m.status is not Status.OK for m in measured(rendered, tmp_path / "c.toml"))
+
+
+@pytest.mark.parametrize("degrees", [0.25, 0.5, 180.0])
+def test_of_three_cameras_one_that_stands_wrong_is_never_a_confident_pose(
+    scene, rendered, degrees, tmp_path
+):
+    axis = [0, 0, 1] if degrees == 180.0 else [0, 1, 0]
+    turned = []
+    for camera in scene.cameras[:3]:
+        pose = camera.world_from_camera
+        turn = pose.rotate(np.radians(degrees) * np.array(axis, dtype=np.float64))
+        turned.append(
+            replace(camera, world_from_camera=pose.perturb([0, 0, 0, *turn]))
+            if camera.name == "cam1"
+            else camera
+        )
+    shutil.copytree(rendered, tmp_path / "s")
+    text = (tmp_path / "s" / "session.toml").read_text()
+    blocks = text.split("[[cameras]]")
+    (tmp_path / "s" / "session.toml").write_text("[[cameras]]".join(blocks[:4]))
+    write_calibration(tmp_path / "s" / "calibration.toml", Calibration(tuple(turned)))
+    found = measured(tmp_path / "s")
+    assert all(m.status is not Status.OK for m in found)
