@@ -14,7 +14,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.geometry import chi_square_quantile, squared_mahalanobis
-from measure.model import BallView, Body, Fix, Pose
+from measure.model import BallView, Body, Camera, Fix, Pose
 from measure.model.observations import Reason
 
 _DISBELIEVED = (Reason.JUMPED, Reason.INCONSISTENT, Reason.RECOVERING)
@@ -53,6 +53,48 @@ def inconsistencies(
     if len(believed) < _LEAST_SIGHTINGS:
         found += (f"only {len(believed)} sightings of balls: little would show a mistake",)
     return found
+
+
+def unbacked(
+    pose: Pose, views: Sequence[BallView], body: Body, cameras: Sequence[Camera]
+) -> tuple[str, ...]:
+    """Balls that one camera alone shows, though others should, and on which the rotation rests.
+
+    Two balls and a third somewhere on one line of sight fit bodies that are quite different ones.
+    """
+    count = {
+        name: sum(view.effective for view in views if view.ball == name) for name in body.names
+    }
+    # Three balls make a pose.
+    if 1 not in count.values() or sum(n > 1 for n in count.values()) > 2:
+        return ()
+    centers = pose.world_from_body.apply(body.centers)
+    found = []
+    for ball in (name for name in body.names if count[name] == 1):
+        lacking = {v.camera for v in views if v.ball == ball and v.reason is Reason.NOT_FOUND}
+        blind = [
+            camera.name
+            for camera in cameras
+            if camera.name in lacking and _in_sight(camera, body, centers, body.index(ball))
+        ]
+        if len(blind) >= _MANY:
+            found.append(
+                f"ball {ball} is seen by one camera only, and not by {', '.join(blind)}: hidden, "
+                "or not where the body file puts it?"
+            )
+    return tuple(found)
+
+
+def _in_sight(camera: Camera, body: Body, centers: Floats, ball: int) -> bool:
+    """Whether a ball lies in the picture, and its middle behind no other ball of the body."""
+    if not camera.intrinsics.contains(camera.project(centers[ball][None]))[0]:
+        return False
+    away = centers - camera.center
+    line = away[ball] / np.linalg.norm(away[ball])
+    along = away @ line
+    off = np.linalg.norm(away - along[:, None] * line, axis=1)
+    before = (off < body.radii) & (along < along[ball])
+    return not np.any(before)
 
 
 def _disbelieved(views: Sequence[BallView]) -> Iterable[str]:

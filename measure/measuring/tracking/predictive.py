@@ -18,7 +18,7 @@ from measure.geometry import chi_square_quantile
 from measure.host.settings import Settings
 from measure.measuring import association
 from measure.measuring.association import Association, AssociationSettings, associate
-from measure.measuring.tracking.consistency import inconsistencies
+from measure.measuring.tracking.consistency import inconsistencies, unbacked
 from measure.measuring.tracking.doubts import (
     contradictions,
     jumped,
@@ -138,6 +138,7 @@ class PredictiveTracker:
         weak += self._unconfirmed(views) + inconsistencies(
             pose, views, fixes, residuals_px, self._body, c.own_px, c.confidence
         )
+        weak += unbacked(pose, views, self._body, self._cameras)
         flags = tuple(dict.fromkeys((*pose.flags, *wrong, *weak)))
         if wrong:
             self._missed()

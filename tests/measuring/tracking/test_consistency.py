@@ -9,8 +9,9 @@ import pytest
 
 from measure.geometry import RigidTransform
 from measure.measuring import Status
-from measure.measuring.tracking.consistency import inconsistencies
+from measure.measuring.tracking.consistency import inconsistencies, unbacked
 from measure.model import Body
+from measure.model.observations import Reason, State
 from tests.measurements import BODY, measurement
 from tests.scenes import FOUR, RAVEN, TARGET, moved, ring
 from tests.tracking_rig import run
@@ -105,3 +106,21 @@ def test_a_pose_of_few_sightings_is_flagged(count, flagged):
     assert bool(found) == flagged
     if flagged:
         assert found[0].startswith("only 4 sightings")
+
+
+@pytest.mark.parametrize("cameras", [2, 4])
+def test_a_third_ball_that_one_camera_alone_shows_is_flagged_where_others_should(cameras):
+    """In two cameras it is hidden from one: nobody else could show it."""
+    rig = ring(cameras)
+    one = run(RAVEN, lambda t: [(RAVEN, path(0.0))], rig, 1)[0][0]
+    hidden = [
+        replace(v, state=State.SUSPENDED, reason=Reason.NOT_FOUND, detection=None)
+        if v.ball == "red" and v.camera != "cam0"
+        else v
+        for v in one.views
+    ]
+    assert unbacked(one.pose, one.views, RAVEN, list(rig.values())) == ()
+    said = unbacked(one.pose, hidden, RAVEN, list(rig.values()))
+    assert bool(said) == (cameras == 4)
+    if said:
+        assert said[0].startswith("ball red is seen by one camera only, and not by cam1, cam2")
