@@ -12,6 +12,7 @@ from measure_plugins._edges.crossing import crossings, levels, project, uncertai
 from measure_plugins._edges.prediction import predict_light
 from measure_plugins._edges.radial import STEPS, Radial
 from measure_plugins._edges.rays import FREE, sample
+from measure_plugins._edges.selection import median
 from measure_plugins._edges.sensor import blur_chroma, chroma_reach, encode
 
 INSIDE_PX = (-7.0, -3.0)
@@ -99,13 +100,24 @@ def corrected_edges(
         sd = uncertainty(x, STEPS, at, slope, INSIDE_PX)
         y, _ = project(predicted, model_inside, model_outside, without_grey)
         bias, _ = crossings(y, LATER_STEPS, SEARCH_PX)
-        common = np.nanmedian(bias)
+        common = _middle(bias)
         shifts[k] = at - bias
         variances[k] = sd**2 + (_TRUST * (bias - common)) ** 2
     apart = shifts[0] - shifts[1]
     sd = np.sqrt((variances[0] + variances[1]) / 2 + apart**2 / 4 + _SYSTEMATIC_PX**2)
     contrast = np.minimum(contrasts[0], contrasts[1])
     return Edges((shifts[0] + shifts[1]) / 2, sd, contrast, within, background)
+
+
+@compiled
+def _middle(values: Floats) -> float:
+    """Median of those values that are numbers; NaN if none is."""
+    some, count = np.empty(len(values)), 0
+    for value in values:
+        if not np.isnan(value):
+            some[count] = value
+            count += 1
+    return median(some, count) if count else np.nan
 
 
 @compiled

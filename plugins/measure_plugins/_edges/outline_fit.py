@@ -227,14 +227,14 @@ def _outline(view: View, look: Look, half_angle: float, fit: _Fit) -> Outline:
     standard = np.zeros(len(fit.weights))
     for k, i in enumerate(inliers):
         s, ray_sd = look.edges.shifts[i], look.edges.sd[i]
-        points[k] = look.points[i] + s * look.normals[i]
+        points[k, 0] = look.points[i, 0] + s * look.normals[i, 0]
+        points[k, 1] = look.points[i, 1] + s * look.normals[i, 1]
         sd[k] = ray_sd * max(fit.scale, 1.0)
         along = look.around[i, 0] * fit.solution[0] + look.around[i, 1] * fit.solution[1]
         standard[i] = (s - along - fit.solution[2]) / (ray_sd * fit.scale)
     radius = float(fit.solution[2])
-    for point in look.points:
-        apart = point - center
-        radius += np.sqrt(np.sum(apart * apart)) / len(look.points)
+    for u, v in look.points:
+        radius += np.hypot(u - center[0], v - center[1]) / len(look.points)
     to_image = image_directions(look.frame, view.lens) / px
     together = correlation(standard, fit.weights > _INLIER)
     middle = len(sd) // 2

@@ -159,24 +159,46 @@ def sample(
     """
     m, n = len(steps), len(points)
     light, values = np.zeros((3, m, n)), np.zeros((3 if values_too else 0, m, n))
-    one = np.uint64(1)  # unsigned: no look whether an index counts from the end
     _mark_outside(image, points, normals, steps, free)
+    flat, row, pixel = image.reshape(-1), np.uint64(3 * image.shape[1]), np.uint64(3)
+    first, weights = np.empty(n, np.int64), np.empty((4, n))
     for j in range(m):
+        _pixels_around(points, normals, steps[j], 3.0 * image.shape[1], first, weights)
         for i in range(n):
             if free[i] != FREE:
                 continue
-            u = points[i, 0] + steps[j] * normals[i, 0]
-            v = points[i, 1] + steps[j] * normals[i, 1]
-            x, y = np.uint64(u), np.uint64(v)
-            a, b = u - x, v - y
-            w00, w01, w10, w11 = (1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b
+            w00, w01, w10, w11 = weights[0, i], weights[1, i], weights[2, i], weights[3, i]
             for c in range(3):
-                p, q = image[y, x, c], image[y, x + one, c]
-                r, s = image[y + one, x, c], image[y + one, x + one, c]
+                at = np.uint64(first[i] + c)  # unsigned: no look whether it counts from the end
+                p, q, r, s = flat[at], flat[at + pixel], flat[at + row], flat[at + row + pixel]
                 light[c, j, i] = w00 * table[p] + w01 * table[q] + w10 * table[r] + w11 * table[s]
                 if values_too:
                     values[c, j, i] = (w00 * p + w01 * q + w10 * r + w11 * s) / 255
     return light, values
+
+
+@compiled
+def _pixels_around(
+    points: Floats, normals: Floats, step: float, row: float, first: Ints, weights: Floats
+) -> None:
+    """Where the four pixels round each ray's sample are, and their bilinear weights.
+
+    Args:
+        points: (n, 2) px.
+        normals: (n, 2) unit vectors.
+        step: px along the normals.
+        row: length of a picture row.
+        first: (n,) filled: index of the upper left pixel's first colour in the flat picture.
+        weights: (4, n) filled: upper left and right, lower left and right.
+    """
+    for i in range(len(points)):
+        u = points[i, 0] + step * normals[i, 0]
+        v = points[i, 1] + step * normals[i, 1]
+        x, y = np.floor(u), np.floor(v)
+        a, b = u - x, v - y
+        weights[0, i], weights[1, i] = (1 - a) * (1 - b), a * (1 - b)
+        weights[2, i], weights[3, i] = (1 - a) * b, a * b
+        first[i] = int(y * row + 3 * x)
 
 
 @compiled

@@ -22,6 +22,8 @@ _COLORLESS = 0.15
 FIT_LAST_PX = 1.0
 _OWN_LAST_PX = -3.0
 _ROUNDS = 4
+_FIT_RAYS = 36
+"""Neighbouring rays show much the same: what all rays share is fitted to about so many of them."""
 _NEIGHBOURS = np.exp(-0.5 * (np.arange(5) / 1.5) ** 2)
 
 
@@ -29,31 +31,33 @@ _NEIGHBOURS = np.exp(-0.5 * (np.arange(5) / 1.5) ** 2)
 def own_color(profiles: Floats, free: Floats, steps: Floats) -> Floats:
     """Unit colour (3,) of the ball's own light: the mean of its least grey well-lit pixels."""
     m, n = profiles.shape[1:]
-    colors = np.empty((n * m, 3))
+    every = max(n // _FIT_RAYS, 1)
+    colors = np.empty((3, n * m))
     brightest, greyness = np.empty(n * m), np.empty(n * m)
     count = 0
     for j in range(0, m, 3):
         if steps[j] > _OWN_LAST_PX:
             break
-        for i in range(n):
+        for i in range(0, n, every):
             if free[i] == 0:
-                for c in range(3):
-                    colors[count, c] = profiles[c, j, i]
-                brightest[count] = max(colors[count, 0], colors[count, 1], colors[count, 2])
+                b, g, r = profiles[0, j, i], profiles[1, j, i], profiles[2, j, i]
+                colors[0, count], colors[1, count], colors[2, count] = b, g, r
+                brightest[count] = max(b, g, r)
+                greyness[count] = (b + g + r) * GREY / np.sqrt(b * b + g * g + r * r + 1e-12)
                 count += 1
     lit = 0.25 * kth_smallest(brightest.copy(), count, int(0.9 * (count - 1)))
     kept = 0
+    lit_greyness = np.empty(count)
     for k in range(count):
-        b, g, r = colors[k]
         if brightest[k] > lit:
-            colors[kept] = colors[k]
-            greyness[kept] = (b + g + r) * GREY / np.sqrt(b * b + g * g + r * r)
+            lit_greyness[kept] = greyness[k]
             kept += 1
-    limit = kth_smallest(greyness.copy(), kept, int(0.15 * (kept - 1)))
+    limit = kth_smallest(lit_greyness, kept, int(0.15 * (kept - 1)))
     out = np.zeros(3)
-    for k in range(kept):
-        if greyness[k] <= limit:
-            out += colors[k]
+    for k in range(count):
+        if brightest[k] > lit and greyness[k] <= limit:
+            for c in range(3):
+                out[c] += colors[c, k]
     return out / np.sqrt(np.sum(out**2))
 
 
@@ -109,84 +113,90 @@ def fit_shading(
         steps: (m,) px along the normal; every second one up to the edge is used.
         lobes: (m, 6) the radial functions.
     """
-    used = (np.searchsorted(steps, FIT_LAST_PX, side="right") + 1) // 2
-    seen, shape = np.ascontiguousarray(amounts[: 2 * used : 2]), lobes[: 2 * used : 2].copy()
+    last = np.searchsorted(steps, FIT_LAST_PX, side="right")
+    every = max(len(free) // _FIT_RAYS, 1)
+    some, clear = np.ascontiguousarray(angular[:, ::every]), free[::every]
+    seen, around = np.ascontiguousarray(amounts[:last:2, ::every].T), some.T.copy()
+    along = np.ascontiguousarray(lobes[:last:2])
+    angular_pairs, radial_pairs = _pairs(around), _pairs(along[:, LOBE])
     coefficients, limit = np.zeros(9), np.inf
     factor, off = np.empty((9, 9)), seen
-    radial_pairs, angular_pairs = _pairs(shape.T), _pairs(angular)
     for turn in range(_ROUNDS):
-        weights = _shading_weights(off, limit, free)
-        right = _shading_side(seen * weights, angular, shape)
-        normal = _shading_matrix(weights, angular_pairs, radial_pairs)
-        cholesky(normal, factor)
+        weights = _shading_weights(off, limit, clear)
+        right = _shading_side((seen * weights) @ along, around)
+        cholesky(_shading_matrix(weights @ radial_pairs, angular_pairs), factor)
         solve_factored(factor, right, coefficients)
         if turn < _ROUNDS - 1:
-            off = seen - shape @ radial_amounts(coefficients, angular)
-            limit = 5 * 1.4826 * _median_size(off, free) + 5e-4
+            shown = radial_amounts(coefficients, some)
+            off = seen - shown.T.copy() @ along.T.copy()
+            limit = 5 * 1.4826 * _median_size(off, clear) + 5e-4
     return coefficients
 
 
 @compiled
 def _pairs(rows: Floats) -> Floats:
-    """Products (k (k + 1) / 2, n) of every row of (k, n) with those up to itself."""
-    k, n = rows.shape
-    out = np.empty((k * (k + 1) // 2, n))
-    at = 0
-    for a in range(k):
-        for b in range(a + 1):
-            for i in range(n):
-                out[at, i] = rows[a, i] * rows[b, i]
-            at += 1
+    """Products (n, k (k + 1) / 2) of every column of (n, k) with those up to itself."""
+    n, k = rows.shape
+    out = np.empty((n, k * (k + 1) // 2))
+    for i in range(n):
+        at = 0
+        for a in range(k):
+            for b in range(a + 1):
+                out[i, at + b] = rows[i, a] * rows[i, b]
+            at += a + 1
     return out
 
 
 @compiled
 def _shading_weights(off: Floats, limit: float, free: Floats) -> Floats:
-    """Tukey's weights of residuals (m, n) on free rays."""
-    m, n = off.shape
-    weights = np.empty((m, n))
-    for j in range(m):
-        for i in range(n):
-            t = off[j, i] / limit
-            w = max(1 - t * t, 0.0)
-            weights[j, i] = w * w if free[i] == 0 else 0.0
+    """Tukey's weights of residuals (n, m) on free rays."""
+    n, m = off.shape
+    weights = np.zeros((n, m))
+    for i in range(n):
+        if free[i] == 0:
+            for j in range(m):
+                t = off[i, j] / limit
+                w = max(1 - t * t, 0.0)
+                weights[i, j] = w * w
     return weights
 
 
 @compiled
-def _shading_side(weighted: Floats, angular: Floats, shape: Floats) -> Floats:
-    """Right side (9,) of the weighted fit: first summed along each ray, then over rays."""
-    along = np.ascontiguousarray(shape.T) @ weighted
-    right = np.empty(9)
-    for a in range(9):
-        right[a] = np.sum(along[LOBE[a]] * angular[a])
+def _shading_side(along: Floats, angular: Floats) -> Floats:
+    """Right side (9,) of the weighted fit, from sums (n, 6) along each ray."""
+    right = np.zeros(9)
+    for i in range(len(along)):
+        for a in range(9):
+            right[a] += along[i, LOBE[a]] * angular[i, a]
     return right
 
 
 @compiled
-def _shading_matrix(weights: Floats, angular_pairs: Floats, radial_pairs: Floats) -> Floats:
-    """Normal matrix (9, 9), its lower half: first summed along each ray, then over rays."""
-    along = radial_pairs @ weights
+def _shading_matrix(along: Floats, angular_pairs: Floats) -> Floats:
+    """Normal matrix (9, 9), its lower half, from sums (n, 45) along each ray."""
+    total = np.zeros(along.shape[1])
+    for i in range(len(along)):
+        for p in range(len(total)):
+            total[p] += along[i, p] * angular_pairs[i, p]
     normal = 1e-3 * np.eye(9)
     at = 0
     for a in range(9):
         for b in range(a + 1):
-            row = LOBE[a] * (LOBE[a] + 1) // 2 + LOBE[b]
-            normal[a, b] += np.sum(along[row] * angular_pairs[at])
+            normal[a, b] += total[at]
             at += 1
     return normal
 
 
 @compiled
 def _median_size(off: Floats, free: Floats) -> float:
-    """Median of the sizes of residuals (m, n) on free rays, from every third step."""
-    m, n = off.shape
+    """Median of the sizes of residuals (n, m) on free rays, from every third step."""
+    n, m = off.shape
     sizes = np.empty(m * n)
     count = 0
-    for j in range(0, m, 3):
-        for i in range(n):
-            if free[i] == 0:
-                sizes[count] = abs(off[j, i])
+    for i in range(n):
+        if free[i] == 0:
+            for j in range(0, m, 3):
+                sizes[count] = abs(off[i, j])
                 count += 1
     return kth_smallest(sizes, count, count // 2)
 

@@ -59,3 +59,16 @@ def test_along_a_ramp_the_nearest_is_never_half_a_pixel_off():
     points = rng.uniform([5, 5], [WIDTH - 6, HEIGHT - 6], (50, 2))
     light, nearest, _ = both(picture, points, ACROSS)
     assert np.max(np.abs(light - nearest)) <= (2 + 1e-9) / 255
+
+
+def test_values_are_interpolated_between_pixels() -> None:
+    """On a picture that rises evenly, a value is what its place says."""
+    v, u = np.mgrid[0:40, 0:60]
+    picture = np.stack([2 * u + 3 * v, 4 * u, 5 * v], axis=-1).astype(np.uint8)
+    points, normals = np.array([[20.3, 18.6], [30.0, 10.25]]), np.array([[0.6, 0.8], [1.0, 0.0]])
+    steps, table = np.array([-2.0, 0.0, 1.5]), np.arange(256) / 255.0
+    light, values = sample(picture, table, points, normals, steps, np.zeros(2), True)
+    x = points[:, 0] + steps[:, None] * normals[:, 0]
+    y = points[:, 1] + steps[:, None] * normals[:, 1]
+    assert np.allclose(255 * values, np.stack([2 * x + 3 * y, 4 * x, 5 * y]), atol=1e-9)
+    assert np.allclose(light, values, atol=1e-12)

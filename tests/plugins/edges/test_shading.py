@@ -1,0 +1,42 @@
+"""Quadratic shading fitted to what rays show of a ball."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from measure_plugins._edges.radial import STEPS, radial
+from measure_plugins._edges.shading import angular_terms, fit_shading, radial_amounts
+
+LOBES = radial(60.0, 0.045, 1.0, 1.5).diffuse
+COEFFICIENTS = np.array([0.1, 0.4, 0.02, 0.1, 0.05, -0.08, 0.04, 0.03, -0.02])
+AROUND = np.array([(np.cos(a), np.sin(a)) for a in np.linspace(0, 2 * np.pi, 72, endpoint=False)])
+ANGULAR = angular_terms(AROUND)
+SHOWN = LOBES @ radial_amounts(COEFFICIENTS, ANGULAR)
+FIRST, LAST = np.searchsorted(STEPS, (-15.0, 1.0))
+
+
+def _misfit(amounts: np.ndarray, free: np.ndarray) -> float:
+    """Largest difference, inside, between the fitted and the true shading of all rays."""
+    fitted = fit_shading(amounts, free, ANGULAR, STEPS, LOBES)
+    return float(np.abs(LOBES @ radial_amounts(fitted, ANGULAR) - SHOWN)[FIRST:LAST].max())
+
+
+def test_shading_is_recovered() -> None:
+    """What every second ray tells holds for those between."""
+    assert _misfit(SHOWN, np.zeros(72)) < 0.01
+
+
+def test_a_highlight_is_ignored() -> None:
+    """Bright spots on a tenth of the pixels leave the shading alone."""
+    seen = SHOWN.copy()
+    seen[FIRST : FIRST + 8, 10:24] += 0.8
+    assert _misfit(seen, np.zeros(72)) < 0.02
+
+
+def test_hidden_rays_tell_nothing() -> None:
+    """What stands before a third of the rays is taken for shading only if nobody says so."""
+    seen, free = SHOWN.copy(), np.zeros(72)
+    seen[:, 20:44] = 0.0
+    assert _misfit(seen, free) > 0.03
+    free[20:44] = 1.0
+    assert _misfit(seen, free) < 0.02
