@@ -187,11 +187,12 @@ def _concluded(
     findings = stalls + [Finding(Level.NOTE, "frames", note) for note in session.notes]
     for stream in session.streams.values():
         findings += stamp_findings(stream.name, stream.times_s, stream.frames)
-    shape = check_body(located, session.body)
-    findings += [Finding(Level.WRONG, "body", text) for text in shape.findings]
-    coverage, weak = coverage_findings(surveys, session.body, session.cameras)
     misfits = camera_misfits(with_velocities(surveys), session.body, session.cameras)
-    findings += weak + misfit_findings(misfits) + _clock_findings(clocks)
+    aside = misfit_findings(misfits)
+    shape = check_body(located, session.body)
+    findings += _body_findings(shape, aside)
+    coverage, weak = coverage_findings(surveys, session.body, session.cameras)
+    findings += weak + aside + _clock_findings(clocks)
     levels = list(Level)
     return SessionCheck(
         session.name,
@@ -204,6 +205,14 @@ def _concluded(
         clocks,
         _accuracy(session, surveys),
     )
+
+
+def _body_findings(shape: BodyCheck, aside: Sequence[Finding]) -> list[Finding]:
+    """What is wrong with the body; only weak where cameras do not stand as they should."""
+    if all(finding.level is not Level.WRONG for finding in aside):
+        return [Finding(Level.WRONG, "body", text) for text in shape.findings]
+    doubt = "measured with cameras that do not agree: calibrate them first"
+    return [Finding(Level.WEAK, "body", f"{text} ({doubt})") for text in shape.findings]
 
 
 def _clock_findings(clocks: Sequence[CameraClock]) -> list[Finding]:

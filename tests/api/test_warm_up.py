@@ -20,11 +20,11 @@ class _Part:
 
 
 def test_every_stage_is_warmed_up_once_and_cameras_share_it():
-    parts = [_Part() for _ in range(4)]
+    parts = [_Part() for _ in range(5)]
     detectors = {"cam0": parts[0], "cam1": parts[1]}
-    stages = Stages(detectors, None, parts[2], parts[3], False, False, False)
+    stages = Stages(detectors, *parts[2:], False, False, False)
     Pipeline(BODY, CAMERAS, stages).warm_up()
-    assert [part.warm for part in parts] == [1, 0, 1, 1]
+    assert [part.warm for part in parts] == [1, 0, 1, 1, 1]
 
 
 def test_only_a_long_warm_up_is_explained(monkeypatch, caplog):
