@@ -1,7 +1,7 @@
 """Time of tracking with the precise profile: `python -m benchmarks.tracking_timing SESSION...`.
 
 All figures are multiples of one `cv2.cvtColor(BGR2HSV)` of one picture, timed in the same process.
-For the stages of tracking that is CPU time per frame set on one thread, pictures decoded before,
+For the stages of tracking that is CPU time per frame set on one core, pictures decoded before,
 the median over frame sets of the best of some repeats; *the rest* is predicting, judging and what
 lies between the stages. *first* is the whole first frame set, in which the body is searched; the
 last two columns are its acquisition, from decoded pictures to named and located balls: *search*,
@@ -17,9 +17,11 @@ to the last, and CPU time per frame set.
 from __future__ import annotations
 
 import argparse
+import os
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -49,12 +51,26 @@ def main() -> None:
     names = ("reference ms", *STAGES, "the rest", "all", "first", "search", "associate")
     print(f"{'session':12}" + "".join(f"{name:>13}" for name in names))
     for folder in given.sessions:
-        with open_session(folder) as session:
+        with open_session(folder) as session, _one_core():
             reference, table, first = stages(session, given.profile, given.repeats)
         ratios = "".join(f"{value / reference:11.2f} x" for value in (*table, *first))
         print(f"{session.name:12}{1e3 * reference:13.3f}{ratios}")
         if given.whole:
             print(f"{'':12}{_whole(folder, given.profile, reference)}")
+
+
+@contextmanager
+def _one_core() -> Iterator[None]:
+    """Hold the process to one core: threads side by side take each other's cache and memory."""
+    if not hasattr(os, "sched_setaffinity"):
+        yield
+        return
+    cores = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(cores)})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, cores)
 
 
 def _watch(stage: object, method: str, spent: list[float]) -> None:

@@ -161,7 +161,7 @@ def predicted_values(
     """Picture values (3, m, n) at `LATER_STEPS` that the model predicts along rays of `light`."""
     first = _FIRST - _MARGIN
     predicted = predict_light(light, free, around, background, STEPS, radial, lamps, first)
-    return blur_chroma(encode(predicted, inverse), _STEP_PX)[:, _MARGIN:]
+    return blur_chroma(encode(predicted, inverse), _STEP_PX, _MARGIN)
 
 
 @compiled

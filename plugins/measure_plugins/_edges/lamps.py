@@ -79,46 +79,106 @@ def fit_lamp_light(
     Returns:
         Factors of even light, of that along the axis, of that along the other two, and of `lit`.
     """
-    columns, seen = _columns(amounts, free, around, diffuse, lit, used)
+    clear = np.nonzero(free == 0)[0]
+    rows = diffuse[:used:2]
+    factors = np.stack((rows[:, UNIFORM], rows[:, FACING], rows[:, ASIDE]))
+    angles, bright = around[clear], lit[:used:2][:, clear]
+    seen = amounts[:used:2][:, clear]
     coefficients, right = np.zeros(_COLUMNS), np.empty(_COLUMNS)
     factor, normal = np.empty((_COLUMNS, _COLUMNS)), np.empty((_COLUMNS, _COLUMNS))
-    off, limit = seen, np.inf
+    weights, limit = np.ones(seen.shape), np.inf
     for turn in range(_ROUNDS):
-        weighted = np.empty(columns.shape)
-        for i in range(len(seen)):
-            t = off[i] / limit
-            w = max(1 - t * t, 0.0)
-            for a in range(_COLUMNS):
-                weighted[a, i] = w * w * columns[a, i]
-        normal[:] = weighted @ columns.T + 1e-3 * np.eye(_COLUMNS)
-        right[:] = weighted @ seen
+        _equations(weights, seen, bright, factors, angles, normal, right)
         cholesky(normal, factor)
         solve_factored(factor, right, coefficients)
         if turn < _ROUNDS - 1:
-            off = seen - coefficients @ columns
-            sizes = np.abs(off[::3])
+            off = seen - _light(coefficients, angles, factors, bright)
+            sizes = np.abs(off.reshape(-1)[::3])
             limit = 5 * 1.4826 * kth_smallest(sizes, len(sizes), len(sizes) // 2) + 5e-4
+            weights = np.maximum(1 - (off / limit) ** 2, 0.0) ** 2
     return coefficients
 
 
 @compiled
-def _columns(
-    amounts: Floats, free: Floats, around: Floats, diffuse: Floats, lit: Floats, used: int
-) -> tuple[Floats, Floats]:
-    """What the coefficients multiply (5, p), and the amounts (p,), at the pixels used."""
-    clear = np.nonzero(free == 0)[0]
-    count = (used + 1) // 2 * len(clear)
-    columns, seen = np.empty((_COLUMNS, count)), np.empty(count)
-    at = 0
-    for j in range(0, used, 2):
-        even, facing, aside = diffuse[j, UNIFORM], diffuse[j, FACING], diffuse[j, ASIDE]
-        for i in clear:
-            columns[0, at], columns[1, at] = even, facing
-            columns[2, at], columns[3, at] = aside * around[i, 0], aside * around[i, 1]
-            columns[4, at] = lit[j, i]
-            seen[at] = amounts[j, i]
-            at += 1
-    return columns, seen
+def _equations(
+    weights: Floats,
+    seen: Floats,
+    bright: Floats,
+    factors: Floats,
+    angles: Floats,
+    normal: Floats,
+    right: Floats,
+) -> None:
+    """Normal matrix (5, 5), its lower half, and right side (5,): along each ray, then over rays.
+
+    Args:
+        weights: (p, n) of the pixels used.
+        seen: (p, n) their amounts of the ball's own colour.
+        bright: (p, n) their light from the lamps.
+        factors: (3, p) of even light, of that along the axis and of that aside from it.
+        angles: (n, 2) cosine and sine around the axis.
+        normal: filled.
+        right: filled.
+    """
+    sums = _along_rays(weights, seen, bright, factors)
+    normal[:], right[:] = 1e-3 * np.eye(_COLUMNS), 0.0
+    for i in range(len(angles)):
+        x, y = angles[i]
+        normal[0, 0] += sums[0, i]
+        normal[1, 0] += sums[1, i]
+        normal[1, 1] += sums[2, i]
+        normal[2, 0] += x * sums[3, i]
+        normal[2, 1] += x * sums[4, i]
+        normal[2, 2] += x * x * sums[5, i]
+        normal[3, 0] += y * sums[3, i]
+        normal[3, 1] += y * sums[4, i]
+        normal[3, 2] += y * x * sums[5, i]
+        normal[3, 3] += y * y * sums[5, i]
+        normal[4, 0] += sums[6, i]
+        normal[4, 1] += sums[7, i]
+        normal[4, 2] += x * sums[8, i]
+        normal[4, 3] += y * sums[8, i]
+        normal[4, 4] += sums[9, i]
+        right[0] += sums[10, i]
+        right[1] += sums[11, i]
+        right[2] += x * sums[12, i]
+        right[3] += y * sums[12, i]
+        right[4] += sums[13, i]
+
+
+@compiled
+def _along_rays(weights: Floats, seen: Floats, bright: Floats, factors: Floats) -> Floats:
+    """Sums (14, n) along each ray of what the equations are made of, up to the angles."""
+    p, n = weights.shape
+    out, lit, shown = np.zeros((14, n)), np.empty(n), np.empty(n)
+    for j in range(p):
+        even, facing, aside = factors[0, j], factors[1, j], factors[2, j]
+        w = weights[j]
+        for i in range(n):
+            lit[i], shown[i] = w[i] * bright[j, i], w[i] * seen[j, i]
+        _add(even * even, w, out[0])
+        _add(even * facing, w, out[1])
+        _add(facing * facing, w, out[2])
+        _add(even * aside, w, out[3])
+        _add(facing * aside, w, out[4])
+        _add(aside * aside, w, out[5])
+        _add(even, lit, out[6])
+        _add(facing, lit, out[7])
+        _add(aside, lit, out[8])
+        _add(even, shown, out[10])
+        _add(facing, shown, out[11])
+        _add(aside, shown, out[12])
+        for i in range(n):
+            out[9, i] += lit[i] * bright[j, i]
+        for i in range(n):
+            out[13, i] += shown[i] * bright[j, i]
+    return out
+
+
+@compiled
+def _add(factor: float, row: Floats, total: Floats) -> None:
+    for i in range(len(row)):
+        total[i] += factor * row[i]
 
 
 @compiled
@@ -126,11 +186,20 @@ def lamp_body(
     coefficients: Floats, around: Floats, diffuse: Floats, lit: Floats, first: int
 ) -> Floats:
     """The ball's own light (m - first, n) by the coefficients of `fit_lamp_light`."""
-    out = np.empty((len(diffuse) - first, len(around)))
+    rows = diffuse[first:]
+    factors = np.stack((rows[:, UNIFORM], rows[:, FACING], rows[:, ASIDE]))
+    return _light(coefficients, around, factors, lit[first:])
+
+
+@compiled
+def _light(coefficients: Floats, angles: Floats, factors: Floats, bright: Floats) -> Floats:
+    """The ball's own light (p, n) where lamps give it `bright`; arguments as in `_equations`."""
     even, facing, x, y, power = coefficients
-    for j in range(first, len(diffuse)):
-        common = even * diffuse[j, UNIFORM] + facing * diffuse[j, FACING]
-        for i in range(len(around)):
-            aside = x * around[i, 0] + y * around[i, 1]
-            out[j - first, i] = common + diffuse[j, ASIDE] * aside + power * lit[j, i]
+    out, sideways = np.empty(bright.shape), np.empty(len(angles))
+    for i in range(len(angles)):
+        sideways[i] = x * angles[i, 0] + y * angles[i, 1]
+    for j in range(len(bright)):
+        common, aside = even * factors[0, j] + facing * factors[1, j], factors[2, j]
+        for i in range(len(angles)):
+            out[j, i] = common + aside * sideways[i] + power * bright[j, i]
     return out

@@ -21,6 +21,8 @@ _CONSENSUS_TRIALS = 60
 _CONSENSUS_GATE_PX = 1.2
 _FIRST_GATE_PX = 2.5
 _TURNS = 8
+_CLOSE_TURNS = 12
+"""A step back that is as long as the one before would lead to and fro: it is halved."""
 _FEWEST_EDGES = 6
 _INLIER = 0.1
 _FAR_SHARE, _SETTLED_SHARE = 0.67, 0.9
@@ -149,7 +151,7 @@ def measure_roughly(view: View, search: Search, hopeless: float) -> Outline:
 def measure_closely(view: View, search: Search, radial: Radial) -> Outline:
     """Measure an outline of known size by corrected edges, after a rough look if it may be far."""
     axis, half_angle, reach = search.axis, search.half_angle, _reach(view, search)
-    start = 0
+    start, before = 0, np.zeros(2)
     if reach > SEARCH_PX:
         look = look_roughly(view, search, axis, half_angle, reach)
         fit = _fit(look, _GROWTH_SEEN, True)
@@ -157,13 +159,17 @@ def measure_closely(view: View, search: Search, radial: Radial) -> Outline:
             return _nothing(search)
         axis = _turned(look, fit)
         start = 1
-    for turn in range(start, _TURNS):
+    for turn in range(start, _CLOSE_TURNS):
         look = look_closely(view, search, axis, half_angle, radial)
         fit = _fit(look, _GROWTH_CORRECTED, turn == 0)
         if not np.isfinite(fit.scale):
             break
         if _moved(fit) < _SETTLED_PX:
             return _outline(view, look, half_angle, fit)
+        step = fit.solution[:2]
+        if np.sum(step * before) < 0:
+            step *= 0.5
+        before = step
         axis = _turned(look, fit)
     return _nothing(search)
 

@@ -11,6 +11,7 @@ from measure.model.lens import to_pixel
 FREE, HIDDEN, OUTSIDE = 0, 1, 2
 """What stands in a ray's way: nothing, a nearer ball, the picture's border."""
 
+_PER_LEVEL = 1 / 255
 _TILT = 1e-4
 """Angle in rad over which the outline's normal and scale are taken."""
 
@@ -102,21 +103,29 @@ def ways(
     """
     out = np.zeros(len(scale))
     near = _near(frame, half_angle, scale, nearer, reach[1] + margin_px)
-    if len(near) == 0:
-        return out
-    for i in range(len(scale)):
-        for step in range(5):
-            s = reach[0] + (reach[1] - reach[0]) * step / 4
-            beta = half_angle + s / scale[i]
-            along, aside = np.cos(beta), np.sin(beta)
-            for k in near:
-                cosine = 0.0
-                for a in range(3):
-                    side = around[i, 0] * frame[0, a] + around[i, 1] * frame[1, a]
-                    cosine += (along * frame[2, a] + aside * side) * nearer[k, a]
-                if cosine > np.cos(nearer[k, 3] + margin_px / scale[i]):
-                    out[i] = HIDDEN
+    along, aside = np.cos(half_angle), np.sin(half_angle)
+    far_px = margin_px + max(abs(reach[0]), abs(reach[1]))
+    for k in near:
+        meets = np.cos(nearer[k, 3] + far_px / np.min(scale))
+        for i in range(len(scale)):
+            if _cosine(frame, around[i], along, aside, nearer[k]) > meets:
+                hides = np.cos(nearer[k, 3] + margin_px / scale[i])
+                for step in range(5):
+                    s = reach[0] + (reach[1] - reach[0]) * step / 4
+                    beta = half_angle + s / scale[i]
+                    if _cosine(frame, around[i], np.cos(beta), np.sin(beta), nearer[k]) > hides:
+                        out[i] = HIDDEN
     return out
+
+
+@compiled
+def _cosine(frame: Floats, around: Floats, along: float, aside: float, ball: Floats) -> float:
+    """Of the angle between a ball's axis and a direction `along` and `aside` from `frame[2]`."""
+    total = 0.0
+    for a in range(3):
+        side = around[0] * frame[0, a] + around[1] * frame[1, a]
+        total += (along * frame[2, a] + aside * side) * ball[a]
+    return total
 
 
 @compiled
@@ -173,7 +182,7 @@ def sample(
                 p, q, r, s = flat[at], flat[at + pixel], flat[at + row], flat[at + row + pixel]
                 light[c, j, i] = w00 * table[p] + w01 * table[q] + w10 * table[r] + w11 * table[s]
                 if values_too:
-                    values[c, j, i] = (w00 * p + w01 * q + w10 * r + w11 * s) / 255
+                    values[c, j, i] = (w00 * p + w01 * q + w10 * r + w11 * s) * _PER_LEVEL
     return light, values
 
 
