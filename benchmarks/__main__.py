@@ -7,7 +7,9 @@ import platform
 import sys
 import tempfile
 from collections.abc import Iterator
-from itertools import pairwise
+from concurrent.futures import ProcessPoolExecutor
+from itertools import pairwise, repeat
+from multiprocessing import get_context
 from pathlib import Path
 
 import cv2
@@ -38,9 +40,9 @@ WORDS = """# Benchmarks
 
 Every method on every recording, with one default setting throughout. Made by
 
-<!-- skip: a quarter of an hour -->
+<!-- skip: half an hour -->
 ```bash
-python -m benchmarks --frames 8 --out docs/benchmarks.md
+python -m benchmarks --frames 8 --jobs 2 --out docs/benchmarks.md
 ```
 
 - *centre px* (RMS per axis), *position mm* and *rotation deg* (RMS) are over what has been found:
@@ -83,6 +85,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--cache", type=Path, help="folder that keeps the rendered scenes")
     parser.add_argument("--only", default="", help="recordings whose name contains this")
     parser.add_argument("--methods", default="", help="methods whose name contains this")
+    parser.add_argument("--jobs", type=int, default=1, help="recordings measured side by side")
     parser.add_argument("--out", type=Path, help="write the tables to this page")
     given = parser.parse_args()
     if not any(given.methods in method.name for method in METHODS):
@@ -92,6 +95,8 @@ def _options() -> argparse.Namespace:
         parser.error(f"--only {given.only}: there is {', '.join(known)}")
     if given.frames < 2:
         parser.error(f"--frames {given.frames}: at least 2 are needed, one of them tracked")
+    if given.jobs < 1:
+        parser.error(f"--jobs {given.jobs}: at least 1 is needed")
     return given
 
 
@@ -102,11 +107,9 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as scratch:
         folder = given.cache or Path(scratch)
         recordings = {**recordings_beside(), **own_recordings(folder, given.frames)}
-        parts = [
-            f"## {name}\n\n" + _markdown(HEAD, list(_rows(name, path, given.methods)))
-            for name, path in recordings.items()
-            if given.only in name
-        ]
+        chosen = {name: path for name, path in recordings.items() if given.only in name}
+        with ProcessPoolExecutor(given.jobs, get_context("spawn")) as pool:
+            parts = list(pool.map(_part, chosen, chosen.values(), repeat(given.methods)))
         if given.only in "off-axis":
             rows = off_axis_rows(
                 off_axis_recordings(folder, max(given.frames // 4, 1)), given.methods
@@ -117,6 +120,12 @@ def main() -> None:
     print(text)
     if given.out is not None:
         given.out.write_text(WORDS + text + _footer(), encoding="utf-8")
+
+
+def _part(name: str, path: Path, methods: str) -> str:
+    """The section on one recording."""
+    cv2.setNumThreads(1)
+    return f"## {name}\n\n" + _markdown(HEAD, list(_rows(name, path, methods)))
 
 
 def _rows(name: str, path: Path, methods: str) -> Iterator[tuple[str, ...]]:
