@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import argparse
 import platform
-import sys
 import tempfile
-from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from itertools import pairwise, repeat
 from multiprocessing import get_context
@@ -17,25 +15,10 @@ import cv2
 from benchmarks.methods import METHODS
 from benchmarks.off_axis import BINS_DEG, off_axis_recordings, off_axis_rows
 from benchmarks.recordings import own_recordings, recordings_beside
-from benchmarks.trial import Trial, bounds_of, run_trial
-from measure.host import Registry
+from benchmarks.tables import markdown, section
 from measure.results import versions
-from measure.session import open_session, read_trajectory
 from measure.simulation import scene_catalogue
 
-HEAD = (
-    "method",
-    "centre px",
-    "position mm",
-    "rotation deg",
-    "x bound",
-    "no pose %",
-    "wrong %",
-    "flagged %",
-    "in 95 %",
-    "first x",
-    "later x",
-)
 WORDS = """# Benchmarks
 
 Every method on every recording, with one default setting throughout. Made by
@@ -109,57 +92,17 @@ def main() -> None:
         recordings = {**recordings_beside(), **own_recordings(folder, given.frames)}
         chosen = {name: path for name, path in recordings.items() if given.only in name}
         with ProcessPoolExecutor(given.jobs, get_context("spawn")) as pool:
-            parts = list(pool.map(_part, chosen, chosen.values(), repeat(given.methods)))
+            parts = list(pool.map(section, chosen, chosen.values(), repeat(given.methods)))
         if given.only in "off-axis":
             rows = off_axis_rows(
                 off_axis_recordings(folder, max(given.frames // 4, 1)), given.methods
             )
             head = ("method", *(f"{a:.0f}-{b:.0f} deg" for a, b in pairwise(BINS_DEG)))
-            parts.append(OFF_AXIS + _markdown(head, rows))
+            parts.append(OFF_AXIS + markdown(head, rows))
     text = "\n".join(parts)
     print(text)
     if given.out is not None:
         given.out.write_text(WORDS + text + _footer(), encoding="utf-8")
-
-
-def _part(name: str, path: Path, methods: str) -> str:
-    """The section on one recording."""
-    cv2.setNumThreads(1)
-    return f"## {name}\n\n" + _markdown(HEAD, list(_rows(name, path, methods)))
-
-
-def _rows(name: str, path: Path, methods: str) -> Iterator[tuple[str, ...]]:
-    registry = Registry.discover()
-    truth = read_trajectory(path / "truth.csv")
-    with open_session(path) as session:
-        bounds = bounds_of(session, truth)
-    for method in METHODS:
-        if methods in method.name:
-            with open_session(path) as session:
-                trial = run_trial(method, session, truth, registry, bounds)
-            row = (method.name, *_cells(trial))
-            print("  ".join((name, *row)), file=sys.stderr, flush=True)
-            yield row
-
-
-def _cells(trial: Trial) -> tuple[str, ...]:
-    return (
-        f"{trial.center_px:.3f}",
-        f"{trial.position_mm:.3f}",
-        f"{trial.rotation_deg:.3f}",
-        f"{trial.over_bound:.0f}",
-        f"{100 * trial.missing:.0f}",
-        f"{100 * trial.wrong:.0f}",
-        f"{100 * trial.flagged:.0f}",
-        f"{100 * trial.covered:.0f}",
-        f"{trial.first_ref:.1f}",
-        f"{trial.later_ref:.1f}",
-    )
-
-
-def _markdown(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
-    lines = [head, tuple("---" if i < 1 else "---:" for i in range(len(head))), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 
 
 def _footer() -> str:

@@ -1,0 +1,69 @@
+"""The tables of the benchmark: one section per recording, one row per method."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import cv2
+
+from benchmarks.methods import METHODS
+from benchmarks.trial import Trial, bounds_of, run_trial
+from measure.host import Registry
+from measure.session import open_session, read_trajectory
+
+HEAD = (
+    "method",
+    "centre px",
+    "position mm",
+    "rotation deg",
+    "x bound",
+    "no pose %",
+    "wrong %",
+    "flagged %",
+    "in 95 %",
+    "first x",
+    "later x",
+)
+
+
+def section(name: str, path: Path, methods: str) -> str:
+    """The section on one recording."""
+    cv2.setNumThreads(1)
+    return f"## {name}\n\n" + markdown(HEAD, tuple(_rows(name, path, methods)))
+
+
+def _rows(name: str, path: Path, methods: str) -> Iterator[tuple[str, ...]]:
+    registry = Registry.discover()
+    truth = read_trajectory(path / "truth.csv")
+    with open_session(path) as session:
+        bounds = bounds_of(session, truth)
+    for method in METHODS:
+        if methods in method.name:
+            with open_session(path) as session:
+                trial = run_trial(method, session, truth, registry, bounds)
+            row = (method.name, *_cells(trial))
+            print("  ".join((name, *row)), file=sys.stderr, flush=True)
+            yield row
+
+
+def _cells(trial: Trial) -> tuple[str, ...]:
+    return (
+        f"{trial.center_px:.3f}",
+        f"{trial.position_mm:.3f}",
+        f"{trial.rotation_deg:.3f}",
+        f"{trial.over_bound:.0f}",
+        f"{100 * trial.missing:.0f}",
+        f"{100 * trial.wrong:.0f}",
+        f"{100 * trial.flagged:.0f}",
+        f"{100 * trial.covered:.0f}",
+        f"{trial.first_ref:.1f}",
+        f"{trial.later_ref:.1f}",
+    )
+
+
+def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table of cells in Markdown, the first column flush left."""
+    lines = [tuple(head), tuple("---" if i < 1 else "---:" for i in range(len(head))), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
