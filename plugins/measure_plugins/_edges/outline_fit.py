@@ -21,7 +21,6 @@ _CONSENSUS_TRIALS = 60
 _CONSENSUS_GATE_PX = 1.2
 _FIRST_GATE_PX = 2.5
 _TURNS = 8
-_CLOSE_TURNS = 12
 """A step back that is as long as the one before would lead to and fro: it is halved."""
 _FEWEST_EDGES = 6
 _INLIER = 0.1
@@ -159,7 +158,7 @@ def measure_closely(view: View, search: Search, radial: Radial) -> Outline:
             return _nothing(search)
         axis = _turned(look, fit)
         start = 1
-    for turn in range(start, _CLOSE_TURNS):
+    for turn in range(start, _TURNS):
         look = look_closely(view, search, axis, half_angle, radial)
         fit = _fit(look, _GROWTH_CORRECTED, turn == 0)
         if not np.isfinite(fit.scale):

@@ -22,8 +22,8 @@ _COLORLESS = 0.15
 FIT_LAST_PX = 1.0
 _OWN_LAST_PX = -3.0
 _ROUNDS = 4
-_FIT_RAYS = 36
-"""Neighbouring rays show much the same: what all rays share is fitted to about so many of them."""
+_COLOR_RAYS = 36
+"""Neighbouring rays show much the same: a ball's colour is taken from about so many of them."""
 _NEIGHBOURS = np.exp(-0.5 * (np.arange(5) / 1.5) ** 2)
 
 
@@ -31,7 +31,7 @@ _NEIGHBOURS = np.exp(-0.5 * (np.arange(5) / 1.5) ** 2)
 def own_color(profiles: Floats, free: Floats, steps: Floats) -> Floats:
     """Unit colour (3,) of the ball's own light: the mean of its least grey well-lit pixels."""
     m, n = profiles.shape[1:]
-    every = max(n // _FIT_RAYS, 1)
+    every = max(n // _COLOR_RAYS, 1)
     colors = np.empty((3, n * m))
     brightest, greyness = np.empty(n * m), np.empty(n * m)
     count = 0
@@ -114,22 +114,20 @@ def fit_shading(
         lobes: (m, 6) the radial functions.
     """
     last = np.searchsorted(steps, FIT_LAST_PX, side="right")
-    every = max(len(free) // _FIT_RAYS, 1)
-    some, clear = np.ascontiguousarray(angular[:, ::every]), free[::every]
-    seen, around = np.ascontiguousarray(amounts[:last:2, ::every].T), some.T.copy()
+    seen, around = np.ascontiguousarray(amounts[:last:2].T), angular.T.copy()
     along = np.ascontiguousarray(lobes[:last:2])
     angular_pairs, radial_pairs = _pairs(around), _pairs(along[:, LOBE])
     coefficients, limit = np.zeros(9), np.inf
     factor, off = np.empty((9, 9)), seen
     for turn in range(_ROUNDS):
-        weights = _shading_weights(off, limit, clear)
+        weights = _shading_weights(off, limit, free)
         right = _shading_side((seen * weights) @ along, around)
         cholesky(_shading_matrix(weights @ radial_pairs, angular_pairs), factor)
         solve_factored(factor, right, coefficients)
         if turn < _ROUNDS - 1:
-            shown = radial_amounts(coefficients, some)
+            shown = radial_amounts(coefficients, angular)
             off = seen - shown.T.copy() @ along.T.copy()
-            limit = 5 * 1.4826 * _median_size(off, clear) + 5e-4
+            limit = 5 * 1.4826 * _median_size(off, free) + 5e-4
     return coefficients
 
 
