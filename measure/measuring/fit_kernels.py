@@ -6,6 +6,8 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
+from measure.geometry.covariance_kernels import squared_distance
+from measure.geometry.rotation_kernels import rotation_of
 from measure.model.rig_kernels import project_one
 
 _STEPS = 15
@@ -71,7 +73,7 @@ def fit_rows(
             return rotation, translation, normal, residuals, distance, -weighing - 1
         change[:] = np.linalg.solve(normal, right)
         translation += change[:3]
-        rotation = _turned(rotation, change[3:])
+        rotation = rotation_of(change[3:]) @ rotation
         if step > 2 and np.max(np.abs(change)) < tolerance:
             break
     for i in range(n):
@@ -79,7 +81,7 @@ def fit_rows(
             lenses[i], reach[i], rig_rotation[i], rig_centers[i], points_body[i], pixels[i],
             lead_s[i], velocity, rotation, translation, min_depth, residuals[i], slopes[i],
         )  # fmt: skip
-        distance[i] = _squared(residuals[i], inverse[i])
+        distance[i] = squared_distance(residuals[i], inverse[i])
     if not _determined(normal):
         weighing = -weighing - 1
     return rotation, translation, normal, residuals, distance, weighing
@@ -123,13 +125,6 @@ def _look(
 
 
 @compiled
-def _squared(residual: Floats, inverse: Floats) -> float:
-    u, v = residual[0], residual[1]
-    across = inverse[0, 1] + inverse[1, 0]
-    return u * u * inverse[0, 0] + u * v * across + v * v * inverse[1, 1]
-
-
-@compiled
 def _equations(
     residuals: Floats, slopes: Floats, inverse: Floats, width: float, normal: Floats, right: Floats
 ) -> int:
@@ -138,7 +133,7 @@ def _equations(
     weighing = 0
     gain = np.empty((6, 2))
     for i in range(len(residuals)):
-        distance = _squared(residuals[i], inverse[i])
+        distance = squared_distance(residuals[i], inverse[i])
         weight = max(1 - distance / width**2, 0.0) ** 2
         if not (np.isfinite(distance) and weight > 0):
             continue
@@ -167,18 +162,3 @@ def _determined(normal: Floats) -> bool:
         return False
     spread = np.linalg.eigvalsh(scaled)
     return spread[0] > _LEAST_SPREAD * spread[5]
-
-
-@compiled
-def _turned(rotation: Floats, turn: Floats) -> Floats:
-    """A rotation (3, 3) turned further by a rotation vector (3,), in its target's frame."""
-    x, y, z = turn
-    square = x * x + y * y + z * z
-    angle = np.sqrt(square)
-    a = np.sin(angle) / angle if square > 1e-16 else 1.0
-    b = 2 * (np.sin(angle / 2) / angle) ** 2 if square > 1e-16 else 0.0
-    by = np.empty((3, 3))
-    by[0] = (1 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y)
-    by[1] = (b * x * y + a * z, 1 - b * (x * x + z * z), b * y * z - a * x)
-    by[2] = (b * x * z - a * y, b * y * z + a * x, 1 - b * (x * x + y * y))
-    return by @ rotation

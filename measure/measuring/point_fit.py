@@ -8,13 +8,12 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
+from measure.geometry.rays import MIN_PARALLAX_RAD
 from measure.measuring.point_kernels import camera_noise
 from measure.model.rig_kernels import project_one, ray_rows
 
 _STEPS = 12
 _STEP_TOLERANCE_MM = 1e-7
-_MIN_PARALLAX_RAD = 1e-4
-"""As `geometry.rays.MIN_PARALLAX_RAD`."""
 FITTED, PARALLEL, BEHIND = 0, 1, 2
 """How a fit ends: with a point, without one for parallel rays, with one behind a camera."""
 
@@ -107,7 +106,7 @@ def _nearest(origins: Floats, directions: Floats) -> tuple[Floats, bool]:
     if not np.all(np.isfinite(normal)):
         return point, True
     spread = np.linalg.eigvalsh(normal)
-    if spread[0] < spread[2] * _MIN_PARALLAX_RAD**2:
+    if spread[0] < spread[2] * MIN_PARALLAX_RAD**2:
         return point, False
     point[:] = np.linalg.solve(normal, right)
     return point, True

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from measure.arrays import Bools, Floats, Ints
@@ -12,30 +14,37 @@ _FLOOR_MM = 1.0
 _LEAST_SINE2 = 1e-3
 
 
-@compiled
-def meetings(
-    cameras: Ints,
-    origins: Floats,
-    directions: Floats,
-    range_mm: Floats,
-    angle_sd: Floats,
-    sigmas: float,
-    range_ratio: float,
-) -> Bools:
-    """Which of n candidates see a common point, for every two whose rays meet.
+class Sightlines(NamedTuple):
+    """What n candidates say about where their balls are.
 
-    Args:
+    Attributes:
         cameras: (n,) index of the camera.
         origins: (n, 3) of the rays, mm.
         directions: (n, 3) of the rays.
         range_mm: (n,) distance that the outline's radius tells.
         angle_sd: (n,) standard deviation of the ray's angle, rad.
+    """
+
+    cameras: Ints
+    origins: Floats
+    directions: Floats
+    range_mm: Floats
+    angle_sd: Floats
+
+
+@compiled
+def meetings(lines: Sightlines, sigmas: float, range_ratio: float) -> Bools:
+    """Which of n candidates see a common point, for every two whose rays meet.
+
+    Args:
+        lines: the candidates.
         sigmas: rays meet if they pass within this many standard deviations.
         range_ratio: how far the outline's size may mislead about the distance, as a factor.
 
     Returns:
         (k, n), each row different from the others, at most one candidate of a camera in each.
     """
+    cameras, origins, directions, range_mm, angle_sd = lines
     n = len(cameras)
     member, count = np.zeros((n * n, n), np.bool_), 0
     point = np.empty(3)
@@ -58,9 +67,7 @@ def meetings(
                 continue
             row = member[count]
             row[:] = False
-            _witnesses(
-                point, cameras, origins, directions, range_mm, angle_sd, sigmas, range_ratio, row
-            )
+            _witnesses(point, lines, sigmas, range_ratio, row)
             row[i] = row[j] = True
             count += _is_new(member, count)
     return member[:count]
@@ -85,17 +92,10 @@ def _in_range(distance: float, told: float, ratio: float) -> bool:
 
 @compiled
 def _witnesses(
-    point: Floats,
-    cameras: Ints,
-    origins: Floats,
-    directions: Floats,
-    range_mm: Floats,
-    angle_sd: Floats,
-    sigmas: float,
-    range_ratio: float,
-    row: Bools,
+    point: Floats, lines: Sightlines, sigmas: float, range_ratio: float, row: Bools
 ) -> None:
     """Mark in `row` (n,) who sees a point (3,): at most one per camera, the nearest."""
+    cameras, origins, directions, range_mm, angle_sd = lines
     n = len(cameras)
     nearest = np.full(np.max(cameras) + 1, 1.0)
     best = np.full(len(nearest), -1)

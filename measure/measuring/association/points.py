@@ -9,7 +9,7 @@ import numpy as np
 
 from measure.arrays import Floats, Ints
 from measure.geometry import Rays
-from measure.measuring.association.meeting import meeting_centers, meetings
+from measure.measuring.association.meeting import Sightlines, meeting_centers, meetings
 from measure.model import Ball, Camera, Detection, Rig
 
 
@@ -105,9 +105,8 @@ def meeting_points(
         most: keep this many, those that most cameras see.
     """
     c = candidates
-    member = meetings(
-        c.cameras, c.origins, c.directions, c.range_mm, c.angle_sd, sigmas, range_ratio
-    )
+    lines = Sightlines(c.cameras, c.origins, c.directions, c.range_mm, c.angle_sd)
+    member = meetings(lines, sigmas, range_ratio)
     points, sd, support = meeting_centers(member, c.origins, c.directions, c.angle_sd * c.range_mm)
     order = np.argsort(-support, kind="stable")[:most]
     return BallPoints(points[order], sd[order], support[order])

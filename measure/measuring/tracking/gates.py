@@ -6,6 +6,7 @@ import numpy as np
 
 from measure.arrays import Bools, Floats
 from measure.compiling import compiled
+from measure.geometry.covariance_kernels import inverse_2x2, squared_distance
 
 _ROUNDS = 4
 
@@ -24,8 +25,8 @@ def agree_with_prediction(
     """
     out = np.zeros(len(innovations), np.bool_)
     for i in range(len(innovations)):
-        inverse = _inverse(predicted[i] + noise[i])
-        out[i] = _squared(innovations[i], inverse) <= gate
+        inverse = inverse_2x2(predicted[i] + noise[i])
+        out[i] = squared_distance(innovations[i], inverse) <= gate
     return out
 
 
@@ -58,7 +59,7 @@ def agree_with_each_other(
     n = len(innovations)
     inverse, slopes, distances = np.empty((n, 2, 2)), np.empty((n, 2, 12)), np.zeros(n)
     for i in range(n):
-        inverse[i] = _inverse(noise[i])
+        inverse[i] = inverse_2x2(noise[i])
         slopes[i, :, :6] = jacobians[i]
         slopes[i, :, 6:] = jacobians[i] * lead_s[i]
     information = np.linalg.inv(prior)
@@ -73,7 +74,7 @@ def agree_with_each_other(
         step[:] = np.linalg.solve(normal, right)
         for i in range(n):
             left = innovations[i] - slopes[i] @ step
-            distances[i] = _squared(left, inverse[i])
+            distances[i] = squared_distance(left, inverse[i])
         width = max(gate, width / 4)
     covariance[:] = np.linalg.inv(normal)
     return distances <= gate, step, covariance
@@ -88,21 +89,3 @@ def _add(slopes: Floats, weight: Floats, seen: Floats, normal: Floats, right: Fl
         right[a] += u * seen[0] + v * seen[1]
         for b in range(12):
             normal[a, b] += u * slopes[0, b] + v * slopes[1, b]
-
-
-@compiled
-def _inverse(m: Floats) -> Floats:
-    """The inverse of a matrix (2, 2)."""
-    out = np.empty((2, 2))
-    determinant = m[0, 0] * m[1, 1] - m[0, 1] * m[1, 0]
-    out[0, 0], out[0, 1] = m[1, 1] / determinant, -m[0, 1] / determinant
-    out[1, 0], out[1, 1] = -m[1, 0] / determinant, m[0, 0] / determinant
-    return out
-
-
-@compiled
-def _squared(off: Floats, inverse: Floats) -> float:
-    """The squared Mahalanobis distance of `off` (2,)."""
-    across = inverse[0, 1] + inverse[1, 0]
-    u, v = off[0], off[1]
-    return float(u * u * inverse[0, 0] + u * v * across + v * v * inverse[1, 1])

@@ -17,7 +17,7 @@ from measure.compiling import compiled
 from measure_plugins._edges.appearance import Appearance
 from measure_plugins._edges.appearance_fit import Sight, misfits, telling
 from measure_plugins._edges.corrected import sampled_light
-from measure_plugins._edges.lamps import ASIDE, FACING, no_lamps, seen_from
+from measure_plugins._edges.lamps import lamp_light, no_lamps, seen_from
 from measure_plugins._edges.prediction import split_light
 from measure_plugins._edges.radial import STEPS, Radial
 
@@ -134,14 +134,11 @@ def _shaded(
     _, amounts, _, _ = split_light(light, free, background, STEPS, tables)
     used = np.arange(0, np.searchsorted(STEPS, _LAST_PX, side="right"), _EVERY)
     clear = np.nonzero(free == 0)[0]
-    out, seen = np.empty((len(lamps), len(used) * len(clear))), np.empty(len(used) * len(clear))
-    at = 0
-    for j in used:
-        facing, aside = tables.diffuse[j, FACING], tables.diffuse[j, ASIDE]
-        for i in clear:
-            for k in range(len(lamps)):
-                sideways = around[i, 0] * lamps[k, 0] + around[i, 1] * lamps[k, 1]
-                out[k, at] = max(aside * sideways - facing * lamps[k, 2], 0.0)
-            seen[at] = amounts[j, i]
-            at += 1
-    return out, seen
+    rows, angles, out = (
+        tables.diffuse[used],
+        around[clear],
+        np.empty((len(lamps), len(used) * len(clear))),
+    )
+    for k in range(len(lamps)):
+        out[k] = lamp_light(rows, angles, lamps[k : k + 1]).reshape(-1)
+    return out, amounts[used][:, clear].copy().reshape(-1)

@@ -21,7 +21,6 @@ _CONSENSUS_TRIALS = 60
 _CONSENSUS_GATE_PX = 1.2
 _FIRST_GATE_PX = 2.5
 _TURNS = 8
-"""A step back that is as long as the one before would lead to and fro: it is halved."""
 _FEWEST_EDGES = 6
 _INLIER = 0.1
 _FAR_SHARE, _SETTLED_SHARE = 0.67, 0.9
@@ -167,7 +166,7 @@ def measure_closely(view: View, search: Search, radial: Radial) -> Outline:
             return _outline(view, look, half_angle, fit)
         step = fit.solution[:2]
         if np.sum(step * before) < 0:
-            step *= 0.5
+            step *= 0.5  # else looks may lead to and fro for ever
         before = step
         axis = _turned(look, fit)
     return _nothing(search)

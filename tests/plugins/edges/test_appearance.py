@@ -5,14 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from measure.geometry import tangent_cone
 from measure.simulation import Renderer, scene_catalogue
 from measure_plugins._edges.appearance import GLOSSY, MATT, bent_table, first_appearance
 from measure_plugins._edges.learner import AppearanceLearner
 from measure_plugins._edges.tone import tone_table
+from tests.plugins.edges.lessons import TIMES_S, cones, lessons
 
 CAMERA = "cam1"
-TIMES_S = (0.0, 0.4)
 
 
 @pytest.fixture(scope="module")
@@ -22,27 +21,9 @@ def learnt():
 
 
 def _learn(name):
-    scene = scene_catalogue()[name]
-    renderer, camera = Renderer(scene, CAMERA), scene.camera(CAMERA)
-    learner = AppearanceLearner(camera.intrinsics.row, 72, 7.0)
-    start = first_appearance("srgb")
-    shown = []
-    for k, time_s in enumerate(TIMES_S):
-        assert learner.wants(3)
-        cones = _cones(scene, camera, time_s)
-        shown.append(learner.shown(renderer.picture(time_s, k), cones, [], start))
-    assert shown[0] is None, "the first picture is only kept"
-    return shown[1]
-
-
-def _cones(scene, camera, time_s):
-    pose = scene.trajectory.at(np.array([time_s]))[0]
-    out = []
-    for ball in scene.body.balls:
-        center = camera.camera_from_world.apply(pose.apply(ball.center_mm))
-        cone = tangent_cone(center, ball.radius_mm)
-        out.append((cone.axis, cone.half_angle, float(np.linalg.norm(center))))
-    return out
+    first, second = lessons(scene_catalogue()[name], CAMERA)
+    assert first is None, "the first picture is only kept"
+    return second
 
 
 def test_a_standard_camera_and_glossy_balls_are_left_as_they_are(learnt):
@@ -95,7 +76,7 @@ def test_too_few_balls_teach_nothing():
     learner = AppearanceLearner(camera.intrinsics.row, 72, 7.0)
     start = first_appearance("srgb")
     for k, time_s in enumerate(TIMES_S):
-        red = _cones(scene, camera, time_s)[scene.body.index("red")]
+        red = cones(scene, camera, time_s)[scene.body.index("red")]
         assert learner.wants(1)
         learnt = learner.shown(renderer.picture(time_s, k), [red], [], start)
     assert learnt is start

@@ -6,20 +6,17 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
-from measure.geometry import tangent_cone
 from measure.simulation import Renderer
 from measure.simulation.catalogue import plain_scene
-from measure_plugins._edges.appearance import first_appearance
 from measure_plugins._edges.corrected import corrected_edges
 from measure_plugins._edges.lamps import fit_lamp_light, lamp_body, lamp_light, no_lamps, seen_from
 from measure_plugins._edges.lamps_fit import non_negative
-from measure_plugins._edges.learner import AppearanceLearner
 from measure_plugins._edges.radial import STEPS, fresnel, radial
 from measure_plugins._edges.rays import cast_rays, frame_about
 from measure_plugins._edges.sensor import encoding
+from tests.plugins.edges.lessons import cones, lessons
 
 CAMERA = "cam1"
-TIMES_S = (0.0, 0.4)
 HALF_ANGLE, RADIUS_PX = 0.045, 63.0
 TABLES = radial(RADIUS_PX, HALF_ANGLE, 0.9, 1.5)
 TURNS = np.linspace(0, 2 * np.pi, 72, endpoint=False)
@@ -73,38 +70,27 @@ def scene():
 
 @pytest.fixture(scope="module")
 def learnt(scene):
-    return _learn(scene, turned=False)
+    return lessons(scene, CAMERA)[-1]
 
 
-def _learn(scene, turned):
-    """What two pictures teach; the second one turned upside down, lamps and all, or not."""
-    renderer, camera = Renderer(scene, CAMERA), scene.camera(CAMERA)
-    learner, out = AppearanceLearner(camera.intrinsics.row, 72, 7.0), None
-    for k, time_s in enumerate(TIMES_S):
-        pixels, cones = renderer.picture(time_s, k), _cones(scene, time_s)
-        if turned and k:
-            pixels = np.ascontiguousarray(pixels[::-1, ::-1])
-            middle = (np.array(pixels.shape[1::-1]) - 1) / 2
-            cones = [(_turned(camera, axis, middle), *rest) for axis, *rest in cones]
-        assert learner.wants(len(cones))
-        out = learner.shown(pixels, cones, [], first_appearance("srgb"))
-    return out
+def _upside_down(scene):
+    """Shows the second picture turned upside down, lamps and all."""
+    camera = scene.camera(CAMERA)
+
+    def changed(k, pixels, balls):
+        if k == 0:
+            return pixels, balls
+        middle = (np.array(pixels.shape[1::-1]) - 1) / 2
+        turned = [(_turned(camera, axis, middle), *rest) for axis, *rest in balls]
+        return np.ascontiguousarray(pixels[::-1, ::-1]), turned
+
+    return changed
 
 
 def _turned(camera, axis, middle):
     place = camera.intrinsics.project(axis[None])[0]
     ray = camera.intrinsics.unproject((2 * middle - place)[None])[0]
     return ray / np.linalg.norm(ray)
-
-
-def _cones(scene, time_s):
-    camera, pose = scene.camera(CAMERA), scene.trajectory.at(np.array([time_s]))[0]
-    out = []
-    for ball in scene.body.balls:
-        center = camera.camera_from_world.apply(pose.apply(ball.center_mm))
-        cone = tangent_cone(center, ball.radius_mm)
-        out.append((cone.axis, cone.half_angle, float(np.linalg.norm(center))))
-    return out
 
 
 def test_learnt_lamps_light_a_ball_as_the_scenes_lamps_do(scene, learnt):
@@ -149,7 +135,9 @@ def _mean_errors(scene, appearance):
     camera, pose = scene.camera(CAMERA), scene.trajectory.at(np.array([0.0]))[0]
     pixels = Renderer(scene, CAMERA).picture(0.0)
     dark, bright, table = [], [], appearance.table()
-    for ball, (axis, half_angle, _) in zip(scene.body.balls, _cones(scene, 0.0), strict=True):
+    for ball, (axis, half_angle, _) in zip(
+        scene.body.balls, cones(scene, scene.camera(CAMERA), 0.0), strict=True
+    ):
         frame = frame_about(axis)
         points, normals, scale, around = cast_rays(frame, half_angle, 72, camera.intrinsics.row)
         size = half_angle * float(np.mean(scale))
@@ -178,4 +166,4 @@ def _mean_errors(scene, appearance):
 
 
 def test_pictures_that_no_lamps_explain_teach_none(scene):
-    assert len(_learn(scene, turned=True).lamps) == 0
+    assert len(lessons(scene, CAMERA, _upside_down(scene))[-1].lamps) == 0

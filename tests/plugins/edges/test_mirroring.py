@@ -5,17 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from measure.geometry import tangent_cone
 from measure.simulation import Renderer
 from measure.simulation.catalogue import plain_scene
 from measure.simulation.rooms import plain, room
-from measure_plugins._edges.appearance import GLOSSY, MATT, first_appearance
-from measure_plugins._edges.learner import AppearanceLearner
+from measure_plugins._edges.appearance import GLOSSY, MATT
 from measure_plugins._edges.radial import radial
 from measure_plugins._edges.tone import tone_table
+from tests.plugins.edges.lessons import lessons
 
 CAMERA = "cam1"
-TIMES_S = (0.0, 0.4)
 PAINT = (0.06, 0.20, 0.45)
 
 
@@ -28,17 +26,7 @@ def _blue_room(mirrored_rgb):
 
 
 def _learn(scene):
-    renderer, camera = Renderer(scene, CAMERA), scene.camera(CAMERA)
-    learner, out = AppearanceLearner(camera.intrinsics.row, 72, 7.0), None
-    for k, time_s in enumerate(TIMES_S):
-        pose, cones = scene.trajectory.at(np.array([time_s]))[0], []
-        for ball in scene.body.balls:
-            center = camera.camera_from_world.apply(pose.apply(ball.center_mm))
-            cone = tangent_cone(center, ball.radius_mm)
-            cones.append((cone.axis, cone.half_angle, float(np.linalg.norm(center))))
-        assert learner.wants(len(cones))
-        out = learner.shown(renderer.picture(time_s, k), cones, [], first_appearance("srgb"))
-    return out
+    return lessons(scene, CAMERA)[-1]
 
 
 @pytest.fixture(scope="module")

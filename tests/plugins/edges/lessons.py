@@ -1,0 +1,34 @@
+"""What a camera learns from rendered pictures of a scene's balls."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from measure.geometry import tangent_cone
+from measure.simulation import Renderer
+from measure_plugins._edges.appearance import first_appearance
+from measure_plugins._edges.learner import AppearanceLearner
+
+TIMES_S = (0.0, 0.4)
+
+
+def cones(scene, camera, time_s):
+    """Axis, half angle and distance of every ball, where the scene puts it."""
+    pose = scene.trajectory.at(np.array([time_s]))[0]
+    out = []
+    for ball in scene.body.balls:
+        center = camera.camera_from_world.apply(pose.apply(ball.center_mm))
+        cone = tangent_cone(center, ball.radius_mm)
+        out.append((cone.axis, cone.half_angle, float(np.linalg.norm(center))))
+    return out
+
+
+def lessons(scene, camera_name, changed=lambda _, pixels, balls: (pixels, balls)):
+    """What each of two pictures teaches one camera; `changed` may alter what is shown of each."""
+    renderer, camera = Renderer(scene, camera_name), scene.camera(camera_name)
+    learner, out = AppearanceLearner(camera.intrinsics.row, 72, 7.0), []
+    for k, time_s in enumerate(TIMES_S):
+        pixels, balls = changed(k, renderer.picture(time_s, k), cones(scene, camera, time_s))
+        assert learner.wants(len(balls))
+        out.append(learner.shown(pixels, balls, [], first_appearance("srgb")))
+    return out
