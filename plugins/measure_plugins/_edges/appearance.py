@@ -8,7 +8,13 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure_plugins._edges.lamps import no_lamps
-from measure_plugins._edges.radial import BLUR_PX, REFRACTIVE_INDEX, Radial, radial
+from measure_plugins._edges.radial import (
+    BLUR_PX,
+    REFRACTIVE_INDEX,
+    Radial,
+    packed_radial,
+    radial,
+)
 from measure_plugins._edges.tone import tone_table
 
 GLOSSY, MATT = REFRACTIVE_INDEX, 1.0001
@@ -45,6 +51,10 @@ class Appearance:
     def tables(self, radius_px: float, half_angle: float) -> Radial:
         """What a ball of this size shows along a ray across its outline."""
         return radial(radius_px, half_angle, self.blur_px, self.index, self.mirrors)
+
+    def packed_tables(self, radius_px: float, half_angle: float) -> Floats:
+        """The same in one row."""
+        return packed_radial(radius_px, half_angle, self.blur_px, self.index, self.mirrors)
 
 
 def first_appearance(tone: str) -> Appearance:

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from measure.arrays import Floats
+from measure.compiling import compiled
 
 STEPS = np.arange(-16.0, 6.51, 0.5)
 """Samples along a ray, px along the outward normal."""
@@ -28,6 +29,7 @@ _FINE = np.arange(-24.0, 12.01, 0.25)
 _GREY_RANGE = (-13.0, 0.6)
 _GREY_STIFFNESS = 0.02
 _FADE_RAD = np.radians(40)
+_LOBES = 6
 
 
 class Radial(NamedTuple):
@@ -62,8 +64,39 @@ def radial(
         index: refractive index of the surface.
         mirrors: whether the colours behind are mirrored at grazing angles.
     """
-    sizes = round(4 * radius_px), round(200 * half_angle), round(20 * blur_px)
-    return _radial(*sizes, index, mirrors)
+    return _radial(*_sizes(radius_px, half_angle, blur_px), index, mirrors)
+
+
+def packed_radial(
+    radius_px: float, half_angle: float, blur_px: float, index: float, mirrors: bool = True
+) -> Floats:
+    """The same tables in one row, so that those of several balls make one array."""
+    return _packed(*_sizes(radius_px, half_angle, blur_px), index, mirrors)
+
+
+def _sizes(radius_px: float, half_angle: float, blur_px: float) -> tuple[int, int, int]:
+    return round(4 * radius_px), round(200 * half_angle), round(20 * blur_px)
+
+
+@lru_cache(maxsize=1024)
+def _packed(radius4: int, angle200: int, blur20: int, index: float, mirrors: bool) -> Floats:
+    tables = _radial(radius4, angle200, blur20, index, mirrors)
+    return np.concatenate([table.ravel() for table in tables])
+
+
+@compiled
+def unpacked(row: Floats) -> Radial:
+    """The tables of a row of `packed_radial`."""
+    m, k, lobes = len(STEPS), len(DEFLECTIONS), _LOBES
+    ends = np.cumsum(np.array([m * lobes, m * k, m, m, k * m, k]))
+    return Radial(
+        row[: ends[0]].reshape(m, lobes),
+        row[ends[0] : ends[1]].reshape(m, k),
+        row[ends[1] : ends[2]],
+        row[ends[2] : ends[3]],
+        row[ends[3] : ends[4]].reshape(k, m),
+        row[ends[4] :],
+    )
 
 
 @lru_cache(maxsize=1024)

@@ -20,9 +20,8 @@ from measure.model import Body, Camera, Detection, Expectation, Image
 
 if TYPE_CHECKING:
     from measure_plugins._edges.appearance import Appearance
+    from measure_plugins._edges.balls import Measured
     from measure_plugins._edges.look import View
-    from measure_plugins._edges.outline_fit import Outline
-    from measure_plugins._edges.radial import Radial
 
 
 _HOPELESS = 2 / 3
@@ -80,6 +79,7 @@ class OutlineDetector(Detector):
         self._colors = tuple(dict.fromkeys(ball.color for ball in body.balls))
         self._table = color_table(self._colors)
         self._bits = {ball.name: 1 << self._colors.index(ball.color) for ball in body.balls}
+        self._radii = {ball.name: ball.radius_mm for ball in body.balls}
 
     def _see(self, appearance: Appearance) -> None:
         """Look at pictures through this appearance from now on."""
@@ -99,7 +99,7 @@ class OutlineDetector(Detector):
         self._measure(image, expected)
         self._measure(image, [replace(one, center_camera=None) for one in expected])
         self._searched(image, ())
-        self._learner.warm_up(image.pixels, self._cone(expected[0]), self._appearance)
+        self._learner.warm_up(image.pixels, _cones(self._cones(expected))[0], self._appearance)
 
     def detect(self, image: Image, expected: Sequence[Expectation]) -> list[Detection]:
         """Measure the expected balls; search the frame for the others."""
@@ -121,12 +121,14 @@ class OutlineDetector(Detector):
             if not alike:
                 continue
             near = approach(view, some, c.rays // 2, c.min_contrast, c.min_agreement)
-            for (x, y, radius, *_), cone in zip(some, near, strict=True):
-                if cone[3] == 0:
-                    continue
-                expectation = _expectation(alike[0], np.array([x, y]), radius)
-                one = self._measure_one(image, view, expectation, (cone[:3], cone[3], np.inf), ())
-                found += [replace(one, ball=name) for name in alike] if one else []
+            seen = near[:, 3] > 0
+            # Nobody knows which of them is in front of which.
+            cones = np.column_stack([near[seen], np.full(np.count_nonzero(seen), np.inf)])
+            expected = [_expectation(alike[0], x, y, radius) for x, y, radius, *_ in some[seen]]
+            if not expected:
+                continue
+            for one in self._measure_at(image, view, expected, cones):
+                found += [replace(one, ball=name) for name in alike]
         return found
 
     def _learnt(
@@ -137,7 +139,7 @@ class OutlineDetector(Detector):
             return []
         if not self._learner.wants(len(found)):
             return []
-        cones = {e.ball: self._cone(e) for e in expected}
+        cones = dict(zip((e.ball for e in expected), _cones(self._cones(expected)), strict=True))
         axes = {d.ball: self.camera.intrinsics.unproject(d.center_px[None])[0] for d in found}
         seen = [(axis, *cones.pop(ball)[1:]) for ball, axis in axes.items()]
         learnt = self._learner.shown(image.pixels, seen, list(cones.values()), self._appearance)
@@ -153,109 +155,97 @@ class OutlineDetector(Detector):
         return View(pixels, self._tone, self._encoding, self._lens, lamps)
 
     def _measure(self, image: Image, expected: Sequence[Expectation]) -> list[Detection]:
-        view = self._view(image)
-        cones = [self._cone(expectation) for expectation in expected]
-        found = [
-            self._measure_one(image, view, expectation, cone, cones)
-            for expectation, cone in zip(expected, cones, strict=True)
-        ]
-        return [detection for detection in found if detection is not None]
+        if not expected:
+            return []
+        return self._measure_at(image, self._view(image), expected, self._cones(expected))
 
-    def _measure_one(
-        self,
-        image: Image,
-        view: View,
-        expectation: Expectation,
-        cone: tuple[Floats, float, float],
-        cones: Sequence[tuple[Floats, float, float]],
+    def _measure_at(
+        self, image: Image, view: View, expected: Sequence[Expectation], cones: Floats
+    ) -> list[Detection]:
+        """Corrected edges where the distance, and so the size, is known; else rough ones.
+
+        Args:
+            image: the picture.
+            view: the same, ready to be looked at.
+            expected: the balls.
+            cones: (k, 6) as from `_cones`; (k, 5), without the radii, where no size is known.
+        """
+        from measure_plugins._edges.balls import Expected, measure_balls
+
+        c, sized = self.config, [e.center_camera is not None for e in expected]
+        balls = Expected(
+            np.ascontiguousarray(cones[:, :5]),
+            np.array([e.reach_px for e in expected]),
+            self._tables(cones) if any(sized) else np.empty((len(cones), 0)),
+            np.array(sized),
+            np.array([self._bits[e.ball] for e in expected]),
+        )
+        hopeless = _HOPELESS * c.min_agreement
+        found = measure_balls(
+            view, balls, c.rays, c.min_contrast, c.margin_px, hopeless, self._table
+        )
+        each = (self._detection(image, one, i, found) for i, one in enumerate(expected))
+        return [detection for detection in each if detection is not None]
+
+    def _detection(
+        self, image: Image, expectation: Expectation, i: int, found: Measured
     ) -> Detection | None:
-        outline = self._outline(view, expectation, cone, cones)
-        if outline.agreeing < self.config.min_rays:
+        radius_px, points, agreement, match = found.numbers[i].tolist()
+        c, count, (low, high) = self.config, int(points), expectation.radius_px
+        if count < c.min_rays or agreement < c.min_agreement or match < c.min_color_match:
             return None
-        agreement = outline.agreeing / max(outline.clear + outline.overflow, 1)
-        low, high = expectation.radius_px
-        if agreement < self.config.min_agreement or not (low - 2 <= outline.radius_px <= high + 2):
-            return None
-        match = self._color_match(view, expectation.ball, outline)
-        if match < self.config.min_color_match:
+        if not low - 2 <= radius_px <= high + 2:
             return None
         return Detection(
             ball=expectation.ball,
             camera=image.camera,
             time_s=image.time_s,
-            center_px=outline.center_px,
-            radius_px=outline.radius_px,
-            covariance_px=outline.covariance_px,
-            score=float(min(1.0, agreement)),
+            center_px=found.centers_px[i],
+            radius_px=radius_px,
+            covariance_px=found.covariances_px[i],
+            score=min(1.0, agreement),
             color_match=match,
-            outline_px=outline.points_px,
-            outline_sd_px=outline.sd_px,
+            outline_px=found.points_px[i, :count],
+            outline_sd_px=found.sd_px[i, :count],
         )
 
-    def _outline(
-        self,
-        view: View,
-        expectation: Expectation,
-        cone: tuple[Floats, float, float],
-        cones: Sequence[tuple[Floats, float, float]],
-    ) -> Outline:
-        """Corrected edges where the distance, and so the size, is known; else rough ones."""
-        from measure_plugins._edges.look import Search
-        from measure_plugins._edges.outline_fit import measure_closely, measure_roughly
+    def _tables(self, cones: Floats) -> Floats:
+        """What balls of known size show along a ray across their outlines: (k, r)."""
+        tables = self._appearance.packed_tables
+        rows = [tables(size_px, half_angle) for _, _, _, half_angle, _, size_px in cones.tolist()]
+        return np.concatenate(rows).reshape(len(cones), -1)
 
-        axis, half_angle, distance = cone
-        nearer = [[*a, h] for a, h, d in cones if d < distance - 1e-6]
-        search = Search(
-            axis,
-            half_angle,
-            np.array(nearer, dtype=np.float64).reshape(-1, 4),
-            expectation.reach_px,
-            self.config.rays,
-            self.config.min_contrast,
-            self.config.margin_px,
-        )
-        if expectation.center_camera is None:
-            return measure_roughly(view, search, _HOPELESS * self.config.min_agreement)
-        return measure_closely(view, search, self._radial(axis, half_angle))
+    def _cones(self, expected: Sequence[Expectation]) -> Floats:
+        """Axes, half angles in rad, distances in mm, and radii in px of outlines: (k, 6)."""
+        from measure_plugins._edges.balls import cones_of
 
-    def _radial(self, axis: Floats, half_angle: float) -> Radial:
-        """What a ball of this size, here, shows along a ray across its outline."""
-        from measure_plugins._edges.rays import radius_px
+        centers = [
+            self._by_size(e) if e.center_camera is None else e.center_camera for e in expected
+        ]
+        radii = np.array([self._radii[e.ball] for e in expected])
+        return cones_of(np.array(centers), radii, self._lens)
 
-        return self._appearance.tables(radius_px(axis, half_angle, self._lens), half_angle)
-
-    def _cone(self, expectation: Expectation) -> tuple[Floats, float, float]:
-        """Predicted axis, half angle in rad and distance in mm of a ball's outline."""
-        radius = self.body.balls[self.body.index(expectation.ball)].radius_mm
-        if expectation.center_camera is not None:
-            distance = float(np.linalg.norm(expectation.center_camera))
-            return (
-                expectation.center_camera / distance,
-                float(np.arcsin(radius / distance)),
-                distance,
-            )
+    def _by_size(self, expectation: Expectation) -> Floats:
+        """Where (3,) in the camera frame a ball is that looks as large as expected, mm."""
         from measure.model.lens import bearing_and_slopes
 
         axis = np.empty(3)
         bearing_and_slopes(expectation.center_px, self._lens, 0.0, 0.0, axis, np.empty(6))
         half_angle = sum(expectation.radius_px) / 2 / self.camera.intrinsics.focal_px
-        return axis, half_angle, radius / float(np.sin(half_angle))
-
-    def _color_match(self, view: View, ball: str, outline: Outline) -> float:
-        """Share of the samples between centre and edge points that have the ball's colour."""
-        from measure_plugins._edges.color_check import color_share
-
-        return color_share(
-            view.pixels, self._table, self._bits[ball], outline.center_px, outline.points_px
-        )
+        return axis * (self._radii[expectation.ball] / np.sin(half_angle))
 
 
-def _expectation(ball: str, center_px: Floats, radius_px: float) -> Expectation:
+def _cones(rows: Floats) -> list[tuple[Floats, float, float]]:
+    """Axis, half angle and distance of each outline."""
+    return [(row[:3], float(row[3]), float(row[4])) for row in rows]
+
+
+def _expectation(ball: str, x: float, y: float, radius_px: float) -> Expectation:
     """What a rough circle, approached, lets us expect."""
     spread = 0.25 * radius_px + 3
     return Expectation(
         ball=ball,
-        center_px=center_px,
+        center_px=np.array([x, y]),
         radius_px=(radius_px - spread, radius_px + spread),
         min_distance_px=0.0,
         reach_px=0.0,

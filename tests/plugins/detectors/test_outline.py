@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -180,15 +182,13 @@ def test_same_picture_same_bits(camera, detector):
 def test_warm_up_compiles_every_hot_loop(camera):
     """For the very types that measuring uses: else the first picture would compile them again."""
     from measure_plugins._acquisition import circles, color_table, patches
-    from measure_plugins._edges import color_check, outline_fit, rays
+    from measure_plugins._edges import balls, outline_fit
 
     OutlineDetector(OutlineConfig(), RAVEN, camera).warm_up()
     loops = (
-        outline_fit.measure_closely,
-        outline_fit.measure_roughly,
+        balls.measure_balls,
+        balls.cones_of,
         outline_fit.approach,
-        color_check.color_share,
-        rays.radius_px,
         color_table.classify,
         patches.majority,
         circles.circles_of,
@@ -199,6 +199,34 @@ def test_warm_up_compiles_every_hot_loop(camera):
         fresh = OutlineDetector(OutlineConfig(), RAVEN, camera)
         assert fresh.detect(image, [])
         assert fresh.detect(image, everything_expected(camera, "red", center))
+
+
+@pytest.mark.parametrize("sized", [True, False])
+def test_balls_measured_together_are_what_each_is_alone(camera, sized):
+    """Of any size and in any order; a ball that is not there is left out, not its neighbour."""
+    places = [(-90.0, -40.0, 380.0), (5.0, 30.0, 440.0), (95.0, -20.0, 520.0)]
+    centers, names = [np.array(place) for place in places], ["red", "green", "yellow"]
+    shown = [BGR[name] for name in names]
+    pixels = to_picture(draw(camera, centers[::2], [20.0] * 2, shown[::2]))
+    expected = [
+        expect(camera, name, center, 20.0, shift=(1, -1, 0.5))
+        for name, center in zip(names, centers, strict=True)
+    ]
+    if not sized:
+        expected = [replace(one, center_camera=None) for one in expected]
+    image, detector = (
+        image_of(camera, pixels),
+        OutlineDetector(OutlineConfig(learn=False), RAVEN, camera),
+    )
+    together = detector.detect(image, expected[::-1])
+    alone = [detector._measure(image, [one]) for one in expected]
+    assert [len(found) for found in alone] == [1, 0, 1]
+    for one, (other,) in zip(together, (alone[2], alone[0]), strict=True):
+        assert one.ball == other.ball
+        for part in ("center_px", "covariance_px", "outline_px", "outline_sd_px"):
+            assert np.array_equal(getattr(one, part), getattr(other, part)), part
+        assert (one.radius_px, one.score) == (other.radius_px, other.score)
+        assert one.color_match == other.color_match > 0.9
 
 
 @pytest.mark.parametrize("ground", [30, 120, 200])

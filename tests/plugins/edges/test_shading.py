@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from measure_plugins._edges.radial import STEPS, radial
+from measure_plugins._edges.radial import STEPS, packed_radial, radial, unpacked
 from measure_plugins._edges.shading import angular_terms, fit_shading, radial_amounts
 
 LOBES = radial(60.0, 0.045, 1.0, 1.5).diffuse
@@ -40,3 +40,11 @@ def test_hidden_rays_tell_nothing() -> None:
     assert _misfit(seen, free) > 0.03
     free[20:44] = 1.0
     assert _misfit(seen, free) < 0.02
+
+
+def test_packed_tables_are_the_same_tables():
+    tables, row = radial(60.0, 0.045, 1.0, 1.5), packed_radial(60.0, 0.045, 1.0, 1.5)
+    for name, one, other in zip(tables._fields, tables, unpacked(row), strict=True):
+        assert one.shape == other.shape, name
+        assert np.array_equal(one, other), name
+    assert len(row) == sum(table.size for table in tables)

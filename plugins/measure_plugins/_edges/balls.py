@@ -1,0 +1,139 @@
+"""All balls expected in one picture, measured in one call.
+
+What it costs to enter compiled code, and to hand back what it found, is paid once a picture.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from measure.arrays import Bools, Bytes, Floats, Ints
+from measure.compiling import compiled
+from measure_plugins._edges.color_check import color_share
+from measure_plugins._edges.look import Search, View
+from measure_plugins._edges.outline_fit import Outline, measure_closely, measure_roughly
+from measure_plugins._edges.radial import unpacked
+from measure_plugins._edges.rays import radius_px
+
+_SAME_MM = 1e-6
+"""Balls whose distances differ by less do not hide each other."""
+
+
+class Expected(NamedTuple):
+    """k balls to look for.
+
+    Attributes:
+        cones: (k, 5) unit axis of each outline in the camera frame, half angle in rad, and the
+            ball's distance in mm.
+        reach_px: (k,) how far the outline may be from there.
+        tables: (k, r) what its size makes a ball show, see `radial.packed_radial`;
+            unused where that is not known.
+        sized: (k,) whether the size is known: if not, edges are not corrected.
+        bits: (k,) of the balls' colours in the table of colours.
+    """
+
+    cones: Floats
+    reach_px: Floats
+    tables: Floats
+    sized: Bools
+    bits: Ints
+
+
+class Measured(NamedTuple):
+    """What was found of k balls.
+
+    Attributes:
+        centers_px: (k, 2) images of the spheres' centres.
+        covariances_px: (k, 2, 2) of those.
+        points_px: (k, n, 2) edge points; the first `count` of each ball count.
+        sd_px: (k, n) their standard deviations along the normal.
+        numbers: (k, 4) mean radius in px, count of edge points (0 where no outline was found),
+            their share among the rays that should show an edge, share of samples inside that have
+            the ball's colour.
+    """
+
+    centers_px: Floats
+    covariances_px: Floats
+    points_px: Floats
+    sd_px: Floats
+    numbers: Floats
+
+
+@compiled
+def cones_of(centers: Floats, radii: Floats, lens: Floats) -> Floats:
+    """Outlines of balls at `centers` (k, 3) in the camera frame, of these radii (k,), both mm.
+
+    Returns:
+        (k, 6) as `Expected.cones`, and the outlines' mean radius in px.
+    """
+    out = np.empty((len(centers), 6))
+    for i in range(len(centers)):
+        distance = np.sqrt(np.sum(centers[i] * centers[i]))
+        out[i, :3] = centers[i] / distance
+        out[i, 3], out[i, 4] = np.arcsin(radii[i] / distance), distance
+        out[i, 5] = radius_px(out[i, :3], out[i, 3], lens)
+    return out
+
+
+@compiled
+def measure_balls(
+    view: View,
+    expected: Expected,
+    rays: int,
+    min_contrast: float,
+    margin_px: float,
+    hopeless: float,
+    colors: Bytes,
+) -> Measured:
+    """Measure every expected ball.
+
+    Args:
+        view: the picture.
+        expected: what is to be found in it.
+        rays: cast across each outline.
+        min_contrast: see `Search`.
+        margin_px: see `Search`.
+        hopeless: see `measure_roughly`.
+        colors: see `color_share`.
+    """
+    k = len(expected.cones)
+    found = Measured(
+        np.empty((k, 2)),
+        np.empty((k, 2, 2)),
+        np.empty((k, rays, 2)),
+        np.empty((k, rays)),
+        np.zeros((k, 4)),
+    )
+    for i in range(k):
+        axis, half_angle = expected.cones[i, :3], expected.cones[i, 3]
+        nearer, reach = _nearer(expected.cones, i), expected.reach_px[i]
+        search = Search(axis, half_angle, nearer, reach, rays, min_contrast, margin_px)
+        if expected.sized[i]:
+            outline = measure_closely(view, search, unpacked(expected.tables[i]))
+        else:
+            outline = measure_roughly(view, search, hopeless)
+        if outline.agreeing > 0:
+            match = color_share(
+                view.pixels, colors, expected.bits[i], outline.center_px, outline.points_px
+            )
+            _note(outline, match, i, found)
+    return found
+
+
+@compiled
+def _nearer(cones: Floats, i: int) -> Floats:
+    """Axes and half angles (m, 4) of the outlines of balls nearer than ball i."""
+    near = cones[:, 4] < cones[i, 4] - _SAME_MM
+    return cones[near, :4]
+
+
+@compiled
+def _note(outline: Outline, match: float, i: int, found: Measured) -> None:
+    count = outline.agreeing
+    found.centers_px[i], found.covariances_px[i] = outline.center_px, outline.covariance_px
+    found.points_px[i, :count], found.sd_px[i, :count] = outline.points_px, outline.sd_px
+    found.numbers[i, 0], found.numbers[i, 1] = outline.radius_px, count
+    found.numbers[i, 2] = count / max(outline.clear + outline.overflow, 1)
+    found.numbers[i, 3] = match
