@@ -79,6 +79,7 @@ def _along(
     """Keep the best circles along a border: far-apart points first, which tell circles best."""
     n = len(border)
     explained = np.zeros(n, np.uint8)
+    worst = _worst(best)[1]
     for span in _SPANS:
         if span >= n:
             continue
@@ -95,10 +96,11 @@ def _along(
                 and _parts(mask, border[k, 0], border[k, 1], x, y)
             ):
                 continue
-            needed = max(least, _LEAST_ARC / r)
+            # Where the best are found already, lesser ones need not be looked at to their end.
+            needed = max(least, _LEAST_ARC / r, min(worst / np.sqrt(r), _CLEAR))
             seen = _share_seen(mask, x, y, r, needed)
             if seen >= needed:
-                _keep(best, x, y, r, seen)
+                worst = _keep(best, x, y, r, seen)
             if seen >= _CLEAR:
                 _explain(border, x, y, r, explained)
 
@@ -219,8 +221,9 @@ def _through(border: Ints, i: int, j: int, k: int) -> tuple[float, float, float]
 @compiled
 def _at(mask: Bytes, x: float, y: float) -> int:
     """1 inside the colour, 0 outside, -1 off the picture."""
-    column, row = int(np.floor(x + 0.5)), int(np.floor(y + 0.5))
-    if column < 0 or row < 0 or column >= mask.shape[1] or row >= mask.shape[0]:
+    # Unsigned: what is off to the left or above is off beyond the end, and none counts from there.
+    column, row = np.uint64(int(np.floor(x + 0.5))), np.uint64(int(np.floor(y + 0.5)))
+    if column >= np.uint64(mask.shape[1]) or row >= np.uint64(mask.shape[0]):
         return -1
     return 1 if mask[row, column] else 0
 
@@ -265,19 +268,31 @@ def _edge(mask: Bytes, x: float, y: float, r: float, k: int, reach: float) -> fl
 
 
 @compiled
-def _keep(best: Floats, x: float, y: float, r: float, seen: float) -> None:
-    """Put a circle into `best`: in place of its double if better, else of the worst."""
+def _keep(best: Floats, x: float, y: float, r: float, seen: float) -> float:
+    """Put a circle into `best`: in place of its double if better, else of the worst.
+
+    Returns:
+        The worst one's merit now: what has no more is never kept.
+    """
     merit = seen * np.sqrt(r)
-    worst, worst_merit = 0, np.inf
+    place, least = _worst(best)
     for i in range(len(best)):
-        other_merit = best[i, 3] * np.sqrt(best[i, 2])
         if best[i, 3] > 0:
             apart = np.sqrt((best[i, 0] - x) ** 2 + (best[i, 1] - y) ** 2)
             if apart < 0.5 * max(r, best[i, 2]):
-                if merit > other_merit:
-                    best[i] = (x, y, r, seen)
-                return
-        if other_merit < worst_merit:
-            worst, worst_merit = i, other_merit
-    if merit > worst_merit:
-        best[worst] = (x, y, r, seen)
+                place, least = i, best[i, 3] * np.sqrt(best[i, 2])
+                break
+    if merit > least:
+        best[place] = (x, y, r, seen)
+    return _worst(best)[1]
+
+
+@compiled
+def _worst(best: Floats) -> tuple[int, float]:
+    """The first circle of least merit, or the first free place; and that merit."""
+    worst, least = 0, np.inf
+    for i in range(len(best)):
+        merit = best[i, 3] * np.sqrt(best[i, 2])
+        if merit < least:
+            worst, least = i, merit
+    return worst, least

@@ -14,6 +14,8 @@ _BITS = 6
 _LEVELS = 1 << _BITS
 MAX_COLORS = 8
 """A pixel's colours are the bits of one byte."""
+_ONE, _TWO = np.uint64(1), np.uint64(2)
+_SIX, _TWELVE = np.uint64(_BITS), np.uint64(2 * _BITS)
 
 
 @lru_cache(maxsize=16)
@@ -55,19 +57,23 @@ def classify(pixels: Bytes, table: Bytes, step: int) -> Bytes:
         (h // step, w // step) bytes.
     """
     height, width = pixels.shape[0] // step, pixels.shape[1] // step
-    out = np.empty((height, width), np.uint8)
+    rows, entries = pixels.reshape(pixels.shape[0], -1), table.reshape(-1)
     first = max(step // 2 - 1, 0)
     second = min(first + 1, step - 1)
-    for row in range(height):
-        for column in range(width):
-            top, left = row * step, column * step
-            b = np.int64(0)
-            g = np.int64(0)
-            r = np.int64(0)
-            for dy in (first, second):
-                for dx in (first, second):
-                    b += pixels[top + dy, left + dx, 0]
-                    g += pixels[top + dy, left + dx, 1]
-                    r += pixels[top + dy, left + dx, 2]
-            out[row, column] = table[b >> 4, g >> 4, r >> 4]
+    apart = 3 * (second - first)
+    out = np.empty((height, width), np.uint8)
+    cut = np.empty(rows.shape[1], np.uint8)
+    for i in range(height):
+        above, below = rows[i * step + first], rows[i * step + second]
+        above_right, below_right = above[apart:], below[apart:]
+        for k in range(len(above_right)):  # where they are not needed, too: many at once
+            cut[k] = (above[k] + below[k] + above_right[k] + below_right[k]) >> 4
+        row = out[i]
+        for j in range(width):
+            # Unsigned, like all that is added: no look whether it counts from the end.
+            at = np.uint64(3 * (j * step + first))
+            blue, green, red = cut[at], cut[at + _ONE], cut[at + _TWO]
+            row[j] = entries[
+                (np.uint64(blue) << _TWELVE) | (np.uint64(green) << _SIX) | np.uint64(red)
+            ]
     return out

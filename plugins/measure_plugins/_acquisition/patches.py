@@ -125,31 +125,33 @@ def _trace(labels: Bytes, row: int, column: int, pixels: Ints, at: int) -> int:
     Returns:
         The first row that is free now.
     """
+    width, flat = labels.shape[1], labels.reshape(-1)
+    steps = _DY * width + _DX
+    begin = row * width + column
     first = _WEST
     for turn in range(1, 9):
-        first = (_WEST - turn) % 8  # clockwise
-        if labels[row + _DY[first], column + _DX[first]] != 0:
+        first = (_WEST - turn) & 7  # clockwise
+        if flat[begin + steps[first]] != 0:
             break
     else:
-        labels[row, column] = _LEFT
+        flat[begin] = _LEFT
         pixels[at, 0], pixels[at, 1] = column - 1, row - 1
         return at + 1
-    last_row, last_column = row + _DY[first], column + _DX[first]
-    y, x, back = row, column, first
+    last, here, back = begin + steps[first], begin, first
     while True:
-        left, k = False, back
+        left, k, beside = False, back, here
         for _ in range(8):
-            k = (k + 1) % 8
-            if labels[y + _DY[k], x + _DX[k]] != 0:
+            k = (k + 1) & 7
+            beside = here + steps[np.uint64(k)]
+            if flat[np.uint64(beside)] != 0:
                 break
             left |= k == 0
         if left:
-            labels[y, x] = _LEFT
-        elif labels[y, x] == _SET:
-            labels[y, x] = _ENTERED
-        pixels[at, 0], pixels[at, 1] = x - 1, y - 1
+            flat[here] = _LEFT
+        elif flat[here] == _SET:
+            flat[here] = _ENTERED
+        pixels[at, 0], pixels[at, 1] = here % width - 1, here // width - 1
         at += 1
-        next_y, next_x = y + _DY[k], x + _DX[k]
-        if next_y == row and next_x == column and y == last_row and x == last_column:
+        if beside == begin and here == last:
             return at
-        y, x, back = next_y, next_x, (k + 4) % 8
+        here, back = beside, (k + 4) & 7
