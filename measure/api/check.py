@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from itertools import islice
+from itertools import count, islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from measure.api.measuring import measure_session
+from measure.api.measuring import measure_session, warm_pipeline
 from measure.api.profiles import load_profile
 from measure.arrays import Floats
 from measure.geometry import RigidTransform
@@ -105,17 +105,28 @@ def check(
     with open_session(session_path, calibration, body) as session:
         total = len(session.pair().times_s)
         chosen = _spread_pairs(total, samples)
-        work = len(chosen) + min(clock_samples, total)
+        warm_pipeline(profile, registry, session.body, session.cameras)
         surveys, located, repeats = [], [], RepeatCount()
-        for done, (frame_set, seen) in enumerate(_search(session, chosen, registry, profile), 1):
+        step = _steps(report, len(chosen) + min(clock_samples, total))
+        for frame_set, seen in _search(session, chosen, registry, profile):
             surveys.append(survey_frame_set(seen, session.body, session.cameras, frame_set.time_s))
             repeats.look(frame_set)
             located.append(locate_in_candidates(seen, session.body, session.cameras))
-            if report is not None:
-                report(done, work)
-        clocks = _clocks(session, surveys, registry, profile, clock_samples, repeats)
+            step()
+        clocks = _clocks(session, surveys, registry, profile, clock_samples, repeats, step)
         stalls = _stalls(session, repeats)
         return _concluded(session, total, surveys, located, clocks, stalls)
+
+
+def _steps(report: Report | None, total: int) -> Callable[[], None]:
+    """A function to call after every frame set."""
+    done = count(1)
+
+    def step() -> None:
+        if report is not None:
+            report(next(done), total)
+
+    return step
 
 
 def _spread_pairs(total: int, samples: int) -> list[int]:
@@ -149,6 +160,7 @@ def _clocks(
     profile: Profile,
     samples: int,
     repeats: RepeatCount,
+    step: Callable[[], None],
 ) -> tuple[CameraClock, ...]:
     """Compare the clocks, if the body can be followed at all."""
     found = sum(survey.world_from_body is not None for survey in surveys)
@@ -158,6 +170,7 @@ def _clocks(
     def measured() -> Iterator[Measurement]:
         for frame_set, measurement in islice(measure_session(session, profile, registry), samples):
             repeats.look(frame_set)
+            step()
             yield measurement
 
     return estimate_clocks(measured(), session.body, session.cameras)

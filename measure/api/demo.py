@@ -12,6 +12,7 @@ import numpy as np
 from measure.api.correcting import correct_simulated_robot
 from measure.api.evaluate import evaluate
 from measure.api.measuring import a_word_if_it_takes_long
+from measure.api.profiles import build_pipeline
 from measure.api.run import RunOptions, run
 from measure.errors import ConfigError
 from measure.host import Registry
@@ -74,7 +75,12 @@ def demo(
         ConfigError: the folder holds something else, or there are no frames.
         MeasureError: what `run` raises.
     """
+    from measure.simulation.catalogue import webcam_scene
+
+    _refuse_what_is_no_demo(folder, frames)
+    scene = webcam_scene()
     with a_word_if_it_takes_long() as begun:
+        build_pipeline(profile, registry, scene.body, scene.cameras).warm_up()
 
         def rendered(done: int, total: int) -> None:
             begun()
@@ -108,15 +114,21 @@ def render_demo(
     from measure.simulation import write_session
     from measure.simulation.catalogue import webcam_scene
 
+    _refuse_what_is_no_demo(folder, frames)
+    scene = replace(webcam_scene(), name="demo", description="rendered by measure demo")
+    times = np.arange(frames) / DEMO_RATE_HZ
+    return write_session(scene, times, folder / "session", progress=report)
+
+
+def _refuse_what_is_no_demo(folder: Path, frames: int) -> None:
     if frames < 1:
         raise ConfigError(f"{frames} frames: the demonstration needs at least one")
+    if folder.exists() and not folder.is_dir():
+        raise ConfigError(f"{folder} is a file: name a folder with -o")
     if folder.exists() and not (folder / _MARK).exists() and any(folder.iterdir()):
         raise ConfigError(
             f"{folder} is there and holds no demonstration: name another folder with -o"
         )
-    scene = replace(webcam_scene(), name="demo", description="rendered by measure demo")
-    times = np.arange(frames) / DEMO_RATE_HZ
-    return write_session(scene, times, folder / "session", progress=report)
 
 
 def _draw(session: Path, run_folder: Path, index: int, picture: Path) -> None:

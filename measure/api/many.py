@@ -9,17 +9,19 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
 
+from measure.api.measuring import warm_pipeline
 from measure.api.run import RunOptions, run
 from measure.errors import ConfigError, MeasureError
 from measure.host import Registry
 from measure.host.cluster import connected
 from measure.measuring import Profile
 from measure.results import Summary
+from measure.session import open_session
 
 _ATTEMPTS = 3
 
@@ -152,6 +154,7 @@ def _measure(job: _Job) -> Outcome:
 
 def _on_this_machine(jobs: Sequence[_Job], workers: int | None) -> Iterator[Outcome]:
     """By processes; after a process was killed, the rest goes on in new ones."""
+    _compile_once(jobs)
     left = list(jobs)
     for attempt in range(_ATTEMPTS):
         if not left:
@@ -172,6 +175,18 @@ def _on_this_machine(jobs: Sequence[_Job], workers: int | None) -> Iterator[Outc
             job.run,
             error=f"its process was killed {_ATTEMPTS} times (out of memory?): try --workers 1",
         )
+
+
+def _compile_once(jobs: Sequence[_Job]) -> None:
+    """Compile the hot loops here, lest every process does; what fails is told by the job itself."""
+    for job in jobs:
+        options = job.options
+        with (
+            suppress(MeasureError),
+            open_session(job.session, options.calibration, options.body) as session,
+        ):
+            warm_pipeline(job.profile, job.registry, session.body, session.cameras)
+            return
 
 
 def _in_processes(

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 
 from measure.host import Registry
-from measure.measuring import Measurement, Profile
-from measure.model import FrameSet
+from measure.measuring import Measurement, Pipeline, Profile
+from measure.model import Body, Camera, FrameSet
 from measure.session import Session
 
 PATIENCE_S = 2.0
 """A warm-up that takes longer than this is explained."""
+AGAIN_S = 8.0
+"""So long after the last word comes the next one."""
 
 _log = logging.getLogger(__name__)
 
@@ -38,11 +41,7 @@ def measure_session(
         ConfigError: settings that do not fit.
         SessionError: an image that cannot be read.
     """
-    from measure.api.profiles import build_pipeline
-
-    pipeline = build_pipeline(profile, registry, session.body, session.cameras)
-    with a_word_if_it_takes_long():
-        pipeline.warm_up()
+    pipeline = warm_pipeline(profile, registry, session.body, session.cameras)
     waiting: deque[FrameSet] = deque()
 
     def remember(frame_sets: Iterable[FrameSet]) -> Iterator[FrameSet]:
@@ -54,6 +53,23 @@ def measure_session(
         yield waiting.popleft(), measured
 
 
+def warm_pipeline(
+    profile: Profile, registry: Registry, body: Body, cameras: Sequence[Camera]
+) -> Pipeline:
+    """Build the stages of a profile and let them compile what is slow, with a word to the user.
+
+    Raises:
+        PluginError: a plugin that is unknown, broken or ambiguous, or refuses the body.
+        ConfigError: settings that do not fit.
+    """
+    from measure.api.profiles import build_pipeline
+
+    pipeline = build_pipeline(profile, registry, body, cameras)
+    with a_word_if_it_takes_long():
+        pipeline.warm_up()
+    return pipeline
+
+
 @contextmanager
 def a_word_if_it_takes_long() -> Iterator[Callable[[], None]]:
     """Tell the user why nothing seems to happen, but only if nothing does.
@@ -61,11 +77,18 @@ def a_word_if_it_takes_long() -> Iterator[Callable[[], None]]:
     Yields:
         A function to call once something has.
     """
-    word = "compiling the hot loops: once after an installation, about a minute"
-    timer = threading.Timer(PATIENCE_S, _log.warning, [word])
-    timer.daemon = True
-    timer.start()
+    over = threading.Event()
+    threading.Thread(target=_tell_until, args=(over,), daemon=True).start()
     try:
-        yield timer.cancel
+        yield over.set
     finally:
-        timer.cancel()
+        over.set()
+
+
+def _tell_until(over: threading.Event) -> None:
+    begun = time.monotonic()
+    if over.wait(PATIENCE_S):
+        return
+    _log.warning("compiling the hot loops: once after an installation, about two minutes")
+    while not over.wait(AGAIN_S):
+        _log.warning("compiling the hot loops: %.0f s so far", time.monotonic() - begun)

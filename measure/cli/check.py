@@ -62,7 +62,9 @@ def check(
 
 
 def _print(found: SessionCheck) -> None:
-    console.print_text(f"{found.session}: looked at {found.looked_at} of {found.frame_sets}")
+    console.print_text(
+        f"{found.session}: looked at {found.looked_at} of {found.frame_sets} frame sets"
+    )
     if found.findings:
         rows = [(f.level.value, f.topic, f.text) for f in found.findings]
         console.print_table(("level", "topic", "what"), rows)

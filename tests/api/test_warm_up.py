@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import importlib
 import logging
 import time
 
 from measurements import BODY, CAMERAS
 
-from measure.api import measuring
+from measure.api import RunOptions, measuring
 from measure.measuring import Pipeline, Stages
+from tests.session.conftest import write_recording
 
 
 class _Part:
@@ -37,3 +39,31 @@ def test_only_a_long_warm_up_is_explained(monkeypatch, caplog):
         with measuring.a_word_if_it_takes_long():
             time.sleep(0.2)
     assert "compiling" in caplog.text
+    assert "so far" not in caplog.text
+
+
+def test_a_very_long_warm_up_shows_that_it_goes_on(monkeypatch, caplog):
+    monkeypatch.setattr(measuring, "PATIENCE_S", 0.05)
+    monkeypatch.setattr(measuring, "AGAIN_S", 0.05)
+    with caplog.at_level(logging.WARNING), measuring.a_word_if_it_takes_long() as begun:
+        time.sleep(0.3)
+        begun()
+        said = caplog.text.count("compiling")
+        time.sleep(0.2)
+    assert said >= 3
+    assert caplog.text.count("after an installation") == 1
+    assert caplog.text.count("compiling") <= said + 1
+
+
+def test_processes_share_what_the_first_has_compiled(monkeypatch, tmp_path):
+    """Sessions that cannot be opened are passed over: their jobs say why."""
+    many = importlib.import_module("measure.api.many")
+    warmed = []
+    monkeypatch.setattr(many, "warm_pipeline", lambda *what: warmed.append(what[2]))
+    good = write_recording(tmp_path / "good").path
+    jobs = [
+        many._Job(path, tmp_path / "run", None, None, RunOptions(), tmp_path / "begun")
+        for path in (tmp_path / "none", good, good)
+    ]
+    many._compile_once(jobs)
+    assert [len(body.balls) for body in warmed] == [3]

@@ -179,6 +179,13 @@ def test_same_picture_same_bits(camera, detector):
     assert np.array_equal(first.covariance_px, second.covariance_px)
 
 
+@pytest.mark.parametrize("size_wh", [(64, 48), (20, 24)])
+def test_small_pictures_are_warmed_up_with_a_smaller_disc(size_wh):
+    lens = Intrinsics(size_wh, [[100.0, 0, size_wh[0] / 2], [0, 100.0, size_wh[1] / 2], [0, 0, 1]])
+    small = Camera("small", lens, RigidTransform.identity())
+    OutlineDetector(OutlineConfig(), RAVEN, small).warm_up()
+
+
 def test_warm_up_compiles_every_hot_loop(camera):
     """For the very types that measuring uses: else the first picture would compile them again."""
     from measure_plugins._acquisition import circles, color_table, patches
