@@ -1,6 +1,8 @@
-"""What is uncertain about all outlines together, in the covariance of the pose fitted to them."""
+"""The pose fitted to outlines, with what is uncertain about all of them together."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -9,8 +11,57 @@ from measure.compiling import compiled
 from measure.geometry.rotation_kernels import times
 from measure.measuring.point_kernels import by_lens
 from measure.model.lens import bend
-from measure_plugins._edges.contour_fit import ContourFit
+from measure_plugins._edges.contour_fit import ContourFit, fit_contours
 from measure_plugins._edges.contours import Contours
+
+
+class Solution(NamedTuple):
+    """A pose fitted to outlines.
+
+    Attributes:
+        rotation: (3, 3) of world_from_body.
+        translation: (3,) of world_from_body, mm.
+        covariance: (6, 6) of what differs from ball-view to ball-view.
+        shared: (6, 6) what light and uncertain cameras add to it.
+        shifts_px: (k, 3) see `ContourFit`.
+        solved: whether the outlines determine the pose.
+        converged: whether the steps died out.
+    """
+
+    rotation: Floats
+    translation: Floats
+    covariance: Floats
+    shared: Floats
+    shifts_px: Floats
+    solved: bool
+    converged: bool
+
+
+@compiled
+def solve_contours(
+    contours: Contours,
+    rotation: Floats,
+    translation: Floats,
+    prior_information: Floats,
+    ball_of: Ints,
+    balls: int,
+    lenses: Floats,
+    covariances: Floats,
+) -> Solution:
+    """Fit the pose, see `fit_contours`, and say what is uncertain about it; see below."""
+    fit, shared = fit_contours(contours, rotation, translation, prior_information), np.zeros((6, 6))
+    if fit.solved:
+        shared += of_light(contours, fit, ball_of, balls, lenses)
+        shared += of_cameras(contours, fit, lenses, covariances)
+    return Solution(
+        fit.rotation,
+        fit.translation,
+        fit.covariance,
+        shared,
+        fit.shifts_px,
+        fit.solved,
+        fit.converged,
+    )
 
 
 @compiled

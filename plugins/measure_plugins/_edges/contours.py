@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from measure.arrays import Floats, Ints
 from measure.compiling import compiled
+from measure.model import Camera
 from measure.model.lens import bearing_and_slopes
 
 
@@ -45,67 +47,82 @@ class Contours(NamedTuple):
         return slice(int(self.start[i]), int(self.start[i + 1]))
 
 
-class Seen(NamedTuple):
-    """One ball-view to pack: its points (n, 2) and sd (n,) in px, and a row of the rest."""
+class Balls(NamedTuple):
+    """What is known of k ball-views besides their outlines; rows of `Contours`' arrays."""
 
-    points_px: Floats
-    sd_px: Floats
-    view: int
-    center_body: Floats
-    radius_mm: float
+    view_of: Ints
+    centers_body: Floats
+    radii: Floats
     motion: Floats
+
+    def take(self, rows: list[int]) -> Balls:
+        """Only some of them."""
+        return Balls(
+            self.view_of[rows], self.centers_body[rows], self.radii[rows], self.motion[rows]
+        )
+
+
+class Views(NamedTuple):
+    """Lens rows (c, 13) of cameras, rotations (c, 3, 3) and translations (c, 3) into them."""
+
+    lenses: Floats
+    rotations: Floats
+    translations: Floats
+
+
+@lru_cache(maxsize=64)
+def views_of(cameras: tuple[Camera, ...]) -> Views:
+    """Cameras compare by identity: what is kept never stands for a camera that was changed."""
+    inward = [camera.camera_from_world for camera in cameras]
+    return Views(
+        np.stack([camera.intrinsics.row for camera in cameras]),
+        np.array([into.rotation for into in inward], order="C"),
+        np.stack([into.translation for into in inward]),
+    )
 
 
 def pack(
-    seen: Sequence[Seen], lenses: Floats, rotations: Floats, translations: Floats
+    points: Sequence[Floats], sd: Sequence[Floats], balls: Balls, views: Views
 ) -> tuple[Contours, list[int]]:
     """Pack ball-views; those with fewer than three points in reach of the lens model are left out.
 
     Args:
-        seen: the ball-views.
-        lenses: (c, 13) lens rows.
-        rotations: (c, 3, 3) of camera_from_world.
-        translations: (c, 3) of camera_from_world.
+        points: k outlines (n, 2), px.
+        sd: (n,) of each, px.
+        balls: which they are.
+        views: the cameras that saw them.
 
     Returns:
-        The contours, and which of `seen` they are.
+        The contours, and which of the k ball-views they are.
     """
-    points = np.concatenate([one.points_px for one in seen])
-    sd = np.concatenate([one.sd_px for one in seen])
-    start = np.cumsum([0, *(len(one.sd_px) for one in seen)])
-    view = np.array([one.view for one in seen])
-    bearings, slopes = rays_of(points, start, view, lenses)
-    good = np.isfinite(bearings[0])
-    kept = list(range(len(seen)))
-    if not good.all():
-        counts = np.add.reduceat(good.astype(np.int64), start[:-1])
-        kept = [i for i in kept if counts[i] >= 3]
-        good &= np.repeat(np.isin(np.arange(len(seen)), kept), np.diff(start))
-        bearings, slopes, sd = bearings[:, good].copy(), slopes[:, good].copy(), sd[good]
-        start = np.cumsum([0, *counts[kept]])
-    contours = Contours(
-        start,
-        bearings,
-        slopes,
-        sd,
-        view[kept],
-        np.array([seen[i].center_body for i in kept]).reshape(-1, 3),
-        np.array([seen[i].radius_mm for i in kept]),
-        np.array([seen[i].motion for i in kept]).reshape(-1, 6),
-        rotations,
-        translations,
-    )
-    return contours, kept
+    start = np.cumsum([0, *map(len, sd)])
+    at, sd_px = np.concatenate(points), np.concatenate(sd)
+    bearings, slopes, reached = rays_of(at, start, balls.view_of, views.lenses)
+    kept = list(range(len(sd)))
+    if np.sum(reached) < len(at):
+        good = np.isfinite(bearings[0])
+        kept = np.flatnonzero(reached >= 3).tolist()
+        good &= np.repeat(reached >= 3, np.diff(start))
+        bearings, slopes, sd_px = bearings[:, good].copy(), slopes[:, good].copy(), sd_px[good]
+        start = np.cumsum([0, *reached[kept]])
+        balls = balls.take(kept)
+    return Contours(
+        start, bearings, slopes, sd_px, *balls, views.rotations, views.translations
+    ), kept
 
 
 @compiled
-def rays_of(points: Floats, start: Ints, view: Ints, lenses: Floats) -> tuple[Floats, Floats]:
-    """Bearings (3, n) of pixels (n, 2) and their slopes (6, n), see `Contours`; else NaN."""
+def rays_of(points: Floats, start: Ints, view: Ints, lenses: Floats) -> tuple[Floats, Floats, Ints]:
+    """Bearings (3, n) of pixels (n, 2) and their slopes (6, n), see `Contours`; else NaN.
+
+    And how many pixels of each ball-view (k,) have one.
+    """
     n = len(points)
-    bearings, slopes = np.empty((3, n)), np.empty((6, n))
+    bearings, slopes, reached = np.empty((3, n)), np.empty((6, n)), np.zeros(len(view), np.int64)
     for k in range(len(view)):
         lens = lenses[view[k]]
         dx, dy = 0.0, 0.0
         for i in range(start[k], start[k + 1]):
             dx, dy = bearing_and_slopes(points[i], lens, dx, dy, bearings[:, i], slopes[:, i])
-    return bearings, slopes
+            reached[k] += int(np.isfinite(bearings[0, i]))
+    return bearings, slopes, reached

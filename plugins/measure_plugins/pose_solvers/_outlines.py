@@ -1,18 +1,15 @@
-"""The outlines of one frame set with their names, and what is uncertain about them as a whole."""
+"""The outlines of one frame set with their names."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from measure.arrays import Floats
+from measure.arrays import Floats, Ints
 from measure.errors import DegenerateGeometryError
-from measure.model import Camera, Rig
+from measure.model import Camera
 
 if TYPE_CHECKING:
-    from measure_plugins._edges.contour_fit import ContourFit
     from measure_plugins._edges.contours import Contours
 
 
@@ -23,12 +20,14 @@ class Outlines:
     Attributes:
         contours: k ball-views in c views.
         balls: (k,) names.
+        ball_of: (k,) their places in the body.
         cameras: (c,).
     """
 
     contours: Contours
     balls: list[str]
-    cameras: list[Camera]
+    ball_of: Ints
+    cameras: tuple[Camera, ...]
 
     @property
     def seen_by(self) -> tuple[str, ...]:
@@ -50,12 +49,3 @@ class Outlines:
             return None
         camera = self.cameras[self.contours.view_of[i]]
         return camera.world_from_camera.apply(cone.center(float(self.contours.radii[i])))
-
-    def shared_covariance(self, fit: ContourFit) -> Floats:
-        """What light and uncertain cameras add to the pose's covariance (6, 6)."""
-        from measure_plugins._edges.contour_covariance import of_cameras, of_light
-
-        rig, names = Rig.of(self.cameras), list(dict.fromkeys(self.balls))
-        ball_of = np.array([names.index(name) for name in self.balls])
-        light = of_light(self.contours, fit, ball_of, len(names), rig.lenses)
-        return light + of_cameras(self.contours, fit, rig.lenses, rig.covariances)

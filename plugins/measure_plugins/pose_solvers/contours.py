@@ -8,6 +8,7 @@ limits the pose, and it is what the covariance is made of.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -18,11 +19,11 @@ from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform, align_points
 from measure.host import PoseSolver, Settings, hookimpl, setting
-from measure.model import Camera, Detection, Fix, Intrinsics, Motion, Pose
+from measure.model import Camera, Detection, Fix, Intrinsics, Motion, Pose, Rig
 from measure_plugins.pose_solvers._outlines import Outlines
 
 if TYPE_CHECKING:
-    from measure_plugins._edges.contour_fit import ContourFit
+    from measure_plugins._edges.contour_covariance import Solution
 
 
 class ContoursConfig(Settings):
@@ -75,7 +76,7 @@ class ContoursSolver(PoseSolver):
         prior: Motion | None = None,
     ) -> Pose | None:
         """Locate the body from its outlines; None if they (and the prior) leave it open."""
-        from measure_plugins._edges.contour_fit import fit_contours
+        from measure_plugins._edges.contour_covariance import solve_contours
 
         outlines = self._pack(detections, cameras, time_s, prior)
         if outlines is None or len(outlines.contours.sd_px) < self.config.min_points:
@@ -91,7 +92,17 @@ class ContoursSolver(PoseSolver):
         # Arrays laid out otherwise would be compiled for once more.
         rotation = np.ascontiguousarray(start.rotation)
         translation = np.ascontiguousarray(start.translation)
-        fit = fit_contours(outlines.contours, rotation, translation, known)
+        rig = Rig.of(outlines.cameras)
+        fit = solve_contours(
+            outlines.contours,
+            rotation,
+            translation,
+            known,
+            outlines.ball_of,
+            len(self.body.balls),
+            rig.lenses,
+            rig.covariances,
+        )
         if not fit.solved:
             return None
         return self._pose(fit, outlines, fixes, time_s)
@@ -104,31 +115,31 @@ class ContoursSolver(PoseSolver):
         prior: Motion | None,
     ) -> Outlines | None:
         """The outlines ready for the fit; None if there are none."""
-        from measure_plugins._edges.contours import Seen, pack
+        from measure_plugins._edges.contours import Balls, pack, views_of
 
-        detections = [d for d in detections if d.outline_px is not None]
-        if not detections:
+        seen = [
+            (d, d.outline_px, d.outline_sd_px)
+            for d in detections
+            if d.outline_px is not None and d.outline_sd_px is not None
+        ]
+        if not seen:
             return None
-        used = [cameras[name] for name in sorted({d.camera for d in detections})]
-        views = {camera.name: i for i, camera in enumerate(used)}
-        times = {d.time_s for d in detections}
-        still = np.zeros(6)
-        moved = {t: still if prior is None else prior.moved(t) - prior.moved(time_s) for t in times}
-        seen = []
-        for d in detections:
-            ball = self.body.balls[self.body.index(d.ball)]
-            assert d.outline_px is not None
-            assert d.outline_sd_px is not None
-            points, sd, view = d.outline_px, d.outline_sd_px, views[d.camera]
-            seen.append(Seen(points, sd, view, ball.center_mm, ball.radius_mm, moved[d.time_s]))
-        contours, kept = pack(
-            seen,
-            np.stack([camera.intrinsics.row for camera in used]),
-            np.array([camera.camera_from_world.rotation for camera in used], order="C"),
-            np.stack([camera.camera_from_world.translation for camera in used]),
+        names = sorted({d.camera for d, _, _ in seen})
+        used = tuple(cameras[name] for name in names)
+        times = list(dict.fromkeys(d.time_s for d, _, _ in seen))
+        moved = np.zeros((len(times), 6))
+        if prior is not None:
+            moved[:] = [prior.moved(t) - prior.moved(time_s) for t in times]
+        ball_of = np.array([self.body.index(d.ball) for d, _, _ in seen])
+        balls = Balls(
+            np.array([names.index(d.camera) for d, _, _ in seen]),
+            self.body.centers[ball_of],
+            self.body.radii[ball_of],
+            moved[[times.index(d.time_s) for d, _, _ in seen]],
         )
-        names = [detections[i].ball for i in kept]
-        return Outlines(contours, names, used)
+        points, sd = [one for _, one, _ in seen], [one for _, _, one in seen]
+        contours, kept = pack(points, sd, balls, views_of(used))
+        return Outlines(contours, [seen[i][0].ball for i in kept], ball_of[kept], used)
 
     def _start(
         self,
@@ -154,31 +165,34 @@ class ContoursSolver(PoseSolver):
         except DegenerateGeometryError:
             return None
 
-    def _pose(
-        self, fit: ContourFit, outlines: Outlines, fixes: Sequence[Fix], time_s: float
-    ) -> Pose:
+    def _pose(self, fit: Solution, outlines: Outlines, fixes: Sequence[Fix], time_s: float) -> Pose:
         world_from_body = RigidTransform(fit.rotation, fit.translation)
         covariance = fit.covariance * _small_sample(max(2.0 * len(outlines.balls) - 6.0, 1.0))
-        covariance += outlines.shared_covariance(fit)
+        covariance += fit.shared
         covariance = (covariance + covariance.T) / 2
-        centers = dict(zip(self.body.names, world_from_body.apply(self.body.centers), strict=True))
-        distances = [float(np.sum((fix.center - centers[fix.ball]) ** 2)) for fix in fixes]
         balls = set(outlines.balls)
         return Pose(
             time_s=time_s,
             world_from_body=world_from_body,
             covariance=covariance,
-            residual_mm=float(np.sqrt(np.mean(distances))) if distances else float("nan"),
-            rms_px=float(np.sqrt(np.mean(np.sum(fit.shifts_px[:, :2] ** 2, axis=1)))),
+            residual_mm=self._residual_mm(world_from_body, fixes),
+            rms_px=_rms(fit.shifts_px[:, :2]),
             cameras=outlines.seen_by,
             balls=tuple(name for name in self.body.names if name in balls),
             flags=self._flags(fit, outlines, covariance),
         )
 
-    def _flags(self, fit: ContourFit, outlines: Outlines, covariance: Floats) -> tuple[str, ...]:
+    def _residual_mm(self, world_from_body: RigidTransform, fixes: Sequence[Fix]) -> float:
+        """RMS distance of the fixes from the body's balls; NaN without any."""
+        if not fixes:
+            return float("nan")
+        placed = world_from_body.apply(self.body.centers[[self.body.index(f.ball) for f in fixes]])
+        return _rms(np.concatenate([fix.center for fix in fixes]).reshape(-1, 3) - placed)
+
+    def _flags(self, fit: Solution, outlines: Outlines, covariance: Floats) -> tuple[str, ...]:
         flags = []
         off = np.hypot(fit.shifts_px[:, 0], fit.shifts_px[:, 1])
-        for i in np.nonzero(off > self.config.max_shift_px)[0]:
+        for i in np.flatnonzero(off > self.config.max_shift_px):
             camera = outlines.cameras[outlines.contours.view_of[i]].name
             flags.append(f"{outlines.balls[i]} in {camera} sits {off[i]:.1f} px off the fit")
         balls = len(set(outlines.balls))
@@ -188,11 +202,17 @@ class ContoursSolver(PoseSolver):
             flags.append("only one camera: depth is from the balls' sizes")
         if not fit.converged:
             flags.append("the fit did not settle")
-        position = float(np.sqrt(np.trace(covariance[:3, :3])))
-        rotation = float(np.degrees(np.sqrt(np.trace(covariance[3:, 3:]))))
+        variances = covariance.diagonal().tolist()
+        position = math.sqrt(sum(variances[:3]))
+        rotation = math.degrees(math.sqrt(sum(variances[3:])))
         if position > self.config.max_position_sd_mm or rotation > self.config.max_rotation_sd_deg:
             flags.append(f"poorly determined: {position:.2g} mm, {rotation:.2g} deg (1 sd)")
         return tuple(flags)
+
+
+def _rms(vectors: Floats) -> float:
+    """Root mean square length of vectors (n, d)."""
+    return math.sqrt(float(np.sum(vectors * vectors)) / len(vectors))
 
 
 @lru_cache(maxsize=64)
