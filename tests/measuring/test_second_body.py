@@ -10,6 +10,7 @@ import pytest
 from measure.geometry import RigidTransform
 from measure.measuring import Status
 from measure.measuring.association import associate
+from measure.measuring.association.agreement import fitting_ranges
 from tests.hidden_scenes import balls_of, lone_balls, seen, two_bodies
 from tests.scenes import RAVEN, TARGET, a_pose, ring
 from tests.tracking_rig import run
@@ -115,3 +116,17 @@ def test_a_body_found_where_it_cannot_have_moved_is_flagged(gap_s, flagged):
     assert measured[5].status is Status.OK
     assert (measured[-1].status is Status.FLAGGED) == flagged
     assert any("further than it can have moved" in f for f in measured[-1].pose.flags) == flagged
+
+
+@pytest.mark.parametrize("apart", [20.0, 60.0, 150.0])
+def test_what_may_be_as_far_apart_as_two_balls(apart):
+    """Against every place of one with every place of the other: no pair is left out too early."""
+    rng = np.random.default_rng(3)
+    middles, toward = rng.uniform(-100, 100, (2, 30, 1, 3))
+    a = middles + np.linspace(-0.5, 0.5, 7)[:, None] * toward
+    b = a[::-1, :5] + rng.uniform(-40, 40, (30, 1, 3))
+    distances = np.linalg.norm(a[:, None, :, None] - b[None, :, None], axis=4)
+    near, far = distances.min(axis=(2, 3)), distances.max(axis=(2, 3))
+    expected = (near < apart + 1) & (apart < far + 1)
+    assert 0 < np.count_nonzero(expected) < expected.size
+    assert np.array_equal(fitting_ranges(a, b, apart, 1.0), expected)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from measure.arrays import Floats, Ints
+from measure.arrays import Bools, Floats, Ints
 from measure.compiling import compiled
 from measure.model.rig_kernels import project_one
 
@@ -104,6 +104,51 @@ def fitting_pairs(
             off = abs(np.sqrt(x * x + y * y + z * z) - distance_mm)
             out[i, j] = off / (sigmas * np.hypot(sd_a[i], sd_b[j]) + slack)
     return out
+
+
+@compiled
+def fitting_ranges(a: Floats, b: Floats, distance_mm: float, slack_mm: float) -> Bools:
+    """Which of n and m things may be `distance_mm` apart, if each is at one of s places.
+
+    Args:
+        a: (n, s, 3) places, mm.
+        b: (m, s, 3) the same.
+        distance_mm: between the two.
+        slack_mm: how much nearer or further than all places they may be.
+
+    Returns:
+        (n, m).
+    """
+    out = np.zeros((len(a), len(b)), np.bool_)
+    wide_a, wide_b = _widths(a), _widths(b)
+    for i in range(len(a)):
+        for j in range(len(b)):
+            apart, wide = _apart(a[i, 0], b[j, 0]), wide_a[i] + wide_b[j] + slack_mm
+            if apart - wide > distance_mm or apart + wide < distance_mm:
+                continue
+            near, far = np.inf, 0.0
+            for one in a[i]:
+                for other in b[j]:
+                    apart = _apart(one, other)
+                    near, far = min(near, apart), max(far, apart)
+            out[i, j] = near < distance_mm + slack_mm and distance_mm < far + slack_mm
+    return out
+
+
+@compiled
+def _widths(places: Floats) -> Floats:
+    """How far (n,) the first of places (n, s, 3) is from the furthest of them."""
+    out = np.zeros(len(places))
+    for i in range(len(places)):
+        for one in places[i]:
+            out[i] = max(out[i], _apart(places[i, 0], one))
+    return out
+
+
+@compiled
+def _apart(a: Floats, b: Floats) -> float:
+    x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
+    return float(np.sqrt(x * x + y * y + z * z))
 
 
 @compiled

@@ -113,7 +113,7 @@ def associate(
             continue
         if found.world_from_body is None:
             return found
-        doubts = signs_of_another(found.world_from_body, body, cameras, detections, settings.sigmas)
+        doubts = signs_of_another(found.world_from_body, body, cameras, candidates, settings.sigmas)
         return replace(found, doubts=doubts)
     return Association(None, reason=_why_none(body, candidates, [len(p.points) for p in points]))
 

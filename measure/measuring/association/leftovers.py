@@ -8,15 +8,16 @@ may be any ball of the colour.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import combinations, permutations
 
 import numpy as np
 
-from measure.arrays import Bools, Floats
+from measure.arrays import Bools, Floats, Ints
 from measure.geometry import RigidTransform
-from measure.measuring.association.points import BallPoints, Candidates, by_ball, meeting_points
-from measure.model import Body, Camera, Detection, Rig
+from measure.measuring.association.agreement import fitting_ranges
+from measure.measuring.association.points import BallPoints, Candidates, meeting_points
+from measure.model import Body, Camera, Rig
 
 _OWN_RADII = 0.8
 """Candidates within this many radii of the body's own ball belong to it: a reflection, a double."""
@@ -37,7 +38,7 @@ def signs_of_another(
     world_from_body: RigidTransform,
     body: Body,
     cameras: Sequence[Camera],
-    detections: Mapping[str, Sequence[Detection]],
+    candidates: Sequence[Candidates],
     sigmas: float,
 ) -> tuple[str, ...]:
     """A line if some balls that are none of the body found are as far apart as in the body.
@@ -49,16 +50,15 @@ def signs_of_another(
         world_from_body: the pose found.
         body: the body.
         cameras: all cameras.
-        detections: candidates by camera name.
+        candidates: of every ball.
         sigmas: distances fit within this many standard deviations.
     """
-    left = _unexplained(world_from_body, body, cameras, detections)
-    if len({d.ball for some in left.values() for d in some}) < 2:
+    left = _unexplained(world_from_body, body, cameras, candidates)
+    if sum(len(some) > 0 for some in left) < 2:
         return ()
-    candidates = by_ball(left, body.balls, cameras)
-    located = [meeting_points(c, sigmas, _SIZE_RATIO, _MOST_POINTS) for c in candidates]
+    located = [meeting_points(some, sigmas, _SIZE_RATIO, _MOST_POINTS) for some in left]
     distances = np.linalg.norm(body.centers[:, None] - body.centers[None], axis=2)
-    for balls, where in _signs(candidates, located, distances, sigmas):
+    for balls, where in _signs(left, located, distances, sigmas):
         if where is not None:
             return (_said([body.names[k] for k in balls], where),)
     return ()
@@ -78,11 +78,16 @@ def _signs(
         distance = float(distances_mm[i, j])
         yield (i, j), _with_one_view(located[i], candidates[j], distance, sigmas)
     lone = [_lone(c, p, sigmas) for c, p in zip(candidates, located, strict=True)]
+    places = [_along(c) for c in lone]
+    fits = {
+        (i, j): fitting_ranges(places[i], places[j], float(distances_mm[i, j]), _SLACK_MM)
+        for i, j in combinations(balls, 2)
+    }
     for three in combinations(balls, 3):
-        some = [lone[k] for k in three]
-        yield three, _by_sizes(some, distances_mm[np.ix_(three, three)])
-    for pair in combinations(balls, 2):
-        yield pair, _side_by_side([lone[k] for k in pair], distances_mm[np.ix_(pair, pair)])
+        one, two, other = (fits[pair] for pair in combinations(three, 2))
+        yield three, _by_sizes([lone[k] for k in three], one, two, other)
+    for i, j in combinations(balls, 2):
+        yield (i, j), _side_by_side(lone[i], lone[j], fits[i, j])
 
 
 def _lone(candidates: Candidates, located: BallPoints, sigmas: float) -> Candidates:
@@ -101,24 +106,21 @@ def _unexplained(
     world_from_body: RigidTransform,
     body: Body,
     cameras: Sequence[Camera],
-    detections: Mapping[str, Sequence[Detection]],
-) -> dict[str, list[Detection]]:
-    """Candidates that do not lie on a ball of the body found."""
+    candidates: Sequence[Candidates],
+) -> list[Candidates]:
+    """Candidates of every ball that do not lie on a ball of the body found."""
     centers = world_from_body.apply(body.centers)
-    alike = {a.name: np.array([a.color == b.color for b in body.balls]) for a in body.balls}
     rig, balls = Rig.of(cameras), len(body.balls)
     everywhere = rig.take(np.repeat(np.arange(len(rig)), balls))
     pixels = everywhere.project(np.tile(centers, (len(rig), 1)))[0].reshape(-1, balls, 2)
     away = np.linalg.norm(centers - rig.centers[:, None], axis=2)
     reach = _OWN_RADII * rig.focal_px[:, None] * body.radii / away
-    out = {}
-    for number, camera in enumerate(cameras):
-        seen = detections.get(camera.name, ())
-        places = np.array([d.center_px for d in seen]).reshape(-1, 1, 2)
-        near = np.linalg.norm(places - pixels[number], axis=2) < reach[number]
-        out[camera.name] = [
-            d for d, close in zip(seen, near, strict=True) if not np.any(close & alike[d.ball])
-        ]
+    out = []
+    for ball, some in zip(body.balls, candidates, strict=True):
+        alike = np.array([other.color == ball.color for other in body.balls])
+        off = np.linalg.norm(some.pixels[:, None] - pixels[some.cameras], axis=2)
+        own = np.any((off < reach[some.cameras]) & alike, axis=1)
+        out.append(some.rows(np.nonzero(~own)[0]))
     return out
 
 
@@ -148,41 +150,37 @@ def _with_one_view(
     return a.points[rows[0]] if len(rows) else None
 
 
-def _by_sizes(some: Sequence[Candidates], distances_mm: Floats) -> Floats | None:
-    """The middle (3,) of candidates, one of each kind, that may be as many of the body's balls.
+def _by_sizes(
+    some: Sequence[Candidates], first_two: Bools, outer_two: Bools, last_two: Bools
+) -> Floats | None:
+    """The middle (3,) of three candidates, one of each kind, that may be as many of the balls.
 
     Their sizes tell how far away they are, give or take a few percent.
+
+    Args:
+        some: candidates of three kinds: n, m and k.
+        first_two: (n, m) which of them may be as far apart as the balls.
+        outer_two: (n, k) the same.
+        last_two: (m, k) the same.
     """
-    if not all(map(len, some)):
-        return None
-    fits = np.ones(tuple(len(c) for c in some), np.bool_)
-    along = [_along(c) for c in some]
-    for i, j in combinations(range(len(some)), 2):
-        between = along[i][:, None, :, None] - along[j][None, :, None, :]
-        apart = np.sqrt(np.einsum("...i,...i->...", between, between))
-        shape = [1] * len(some)
-        shape[i], shape[j] = apart.shape[:2]
-        near, far = apart.min(axis=(2, 3)), apart.max(axis=(2, 3))
-        distance = distances_mm[i, j]
-        fits &= ((near < distance + _SLACK_MM) & (distance < far + _SLACK_MM)).reshape(shape)
-    found = np.argwhere(fits)
-    if not len(found):
-        return None
-    middle = _STEPS // 2
-    points = [places[k, middle] for places, k in zip(along, found[0], strict=True)]
-    return np.asarray(np.mean(points, axis=0))
+    found = np.argwhere(first_two[:, :, None] & outer_two[:, None, :] & last_two[None])
+    return _middle(some, found[0]) if len(found) else None
 
 
-def _side_by_side(pair: Sequence[Candidates], distances_mm: Floats) -> Floats | None:
+def _side_by_side(first: Candidates, second: Candidates, fits: Bools) -> Floats | None:
     """The same for two that one camera sees, and sees well: of their distance little is open."""
-    for camera in np.unique(pair[0].cameras):
-        some = [
-            c.rows(np.nonzero((c.cameras == camera) & (c.scores > _WELL_SEEN))[0]) for c in pair
-        ]
-        where = _by_sizes(some, distances_mm)
-        if where is not None:
-            return where
-    return None
+    alike = first.cameras[:, None] == second.cameras
+    well = (first.scores[:, None] > _WELL_SEEN) & (second.scores > _WELL_SEEN)
+    found = np.argwhere(fits & alike & well)
+    return _middle([first, second], found[0]) if len(found) else None
+
+
+def _middle(some: Sequence[Candidates], rows: Ints) -> Floats:
+    """The mean (3,) of where candidates, one of each kind, are if their sizes tell the truth."""
+    points = [
+        c.origins[k] + c.range_mm[k] * c.directions[k] for c, k in zip(some, rows, strict=True)
+    ]
+    return np.asarray(np.mean(points, axis=0))
 
 
 def _along(candidates: Candidates) -> Floats:

@@ -9,6 +9,7 @@ import numpy as np
 
 from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform
+from measure.measuring.association.agreement import fitting_ranges
 from measure.measuring.association.leftovers import signs_of_another
 from measure.measuring.association.points import by_ball, meeting_points
 from measure.measuring.association.poses import poses_from_triples, support
@@ -28,7 +29,8 @@ def warm_up(body: Body, cameras: Sequence[Camera]) -> None:
     poses_from_triples(body, points, settings.sigmas)
     nowhere = RigidTransform(np.zeros((0, 3, 3)), np.zeros((0, 3)))
     support(nowhere, body, cameras, candidates, settings.sigmas, 1.0, settings.range_ratio)
-    signs_of_another(RigidTransform.identity(), body, cameras, {}, settings.sigmas)
+    signs_of_another(RigidTransform.identity(), body, cameras, candidates, settings.sigmas)
+    fitting_ranges(np.zeros((0, 1, 3)), np.zeros((0, 1, 3)), 1.0, 1.0)
     one = np.zeros(1, np.int64)
     sighting = Sightings(
         Rig.of(cameras[:1]), np.zeros((1, 3)), one, np.zeros((1, 2)), np.eye(2)[None], np.zeros(1)
