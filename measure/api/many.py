@@ -16,6 +16,7 @@ from pathlib import Path
 
 from measure.api.measuring import warm_pipeline
 from measure.api.run import RunOptions, run
+from measure.cores import usable_cores
 from measure.errors import ConfigError, MeasureError
 from measure.host import Registry
 from measure.host.cluster import connected
@@ -193,7 +194,7 @@ def _in_processes(
     jobs: Sequence[_Job], workers: int | None
 ) -> Iterator[tuple[_Job, Outcome | None]]:
     """Each job with its outcome, or None if its process was killed."""
-    count = max(1, min(workers or _cores(), len(jobs)))
+    count = max(1, min(workers or usable_cores(), len(jobs)))
     with ProcessPoolExecutor(count, mp_context=get_context("spawn")) as pool:
         waiting: dict[Future[Outcome], _Job] = {pool.submit(_measure, job): job for job in jobs}
         for future in as_completed(waiting):
@@ -201,13 +202,6 @@ def _in_processes(
                 yield waiting[future], future.result()
             except BrokenProcessPool:
                 yield waiting[future], None
-
-
-def _cores() -> int:
-    """Cores this process may use."""
-    import os
-
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _on_cluster(jobs: Sequence[_Job], address: str) -> Iterator[Outcome]:

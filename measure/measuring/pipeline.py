@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +13,7 @@ from measure.measuring.instants import detections_at, pose_residuals, velocity_s
 from measure.measuring.measurement import Draft, Measurement, Status
 from measure.measuring.pose_spline import motion_at, with_neighbours
 from measure.measuring.repeats import Repeats
+from measure.measuring.side_by_side import SideBySide
 from measure.measuring.tracking import Tracker
 from measure.model import (
     BallView,
@@ -76,19 +76,19 @@ class Pipeline:
 
     def measure(self, frame_sets: Iterable[FrameSet]) -> Iterator[Measurement]:
         """Measure frame sets in order of time; yields one measurement for each, in order."""
-        with ThreadPoolExecutor(max_workers=len(self._cameras)) as pool:
+        with SideBySide(len(self._cameras)) as pool:
             drafts: Iterator[Draft] = (self._draft(frame_set, pool) for frame_set in frame_sets)
             for _ in range(_ROUNDS if self.stages.neighbours else 0):
                 drafts = map(self._again, with_neighbours(drafts))
             for draft in drafts:
                 yield draft.measurement
 
-    def _draft(self, frame_set: FrameSet, pool: Executor) -> Draft:
+    def _draft(self, frame_set: FrameSet, pool: SideBySide) -> Draft:
         frame_set, doubt = self._repeats.sort_out(frame_set)
         draft = self._first_draft(frame_set, pool)
         return draft.doubted(doubt) if doubt else draft
 
-    def _first_draft(self, frame_set: FrameSet, pool: Executor) -> Draft:
+    def _first_draft(self, frame_set: FrameSet, pool: SideBySide) -> Draft:
         expected = self.stages.tracker.expect(frame_set)
         if expected is None:
             return Draft(_skipped(frame_set), None, ())
@@ -97,7 +97,7 @@ class Pipeline:
             return draft
         return self._looked_again(frame_set, self._searched_again(frame_set, draft, pool), pool)
 
-    def _searched_again(self, frame_set: FrameSet, draft: Draft, pool: Executor) -> Draft:
+    def _searched_again(self, frame_set: FrameSet, draft: Draft, pool: SideBySide) -> Draft:
         """Search the very pictures in which the tracker lost the body, so that none is lost."""
         if draft.measurement.searched or draft.measurement.status is Status.OK:
             return draft
@@ -107,7 +107,7 @@ class Pipeline:
         found = self._look(frame_set, expected, pool)
         return draft if found.measurement.pose is None else found
 
-    def _looked_again(self, frame_set: FrameSet, draft: Draft, pool: Executor) -> Draft:
+    def _looked_again(self, frame_set: FrameSet, draft: Draft, pool: SideBySide) -> Draft:
         """A search only finds the balls; knowing where they are, they can be measured."""
         measured = draft.measurement
         if not measured.searched or measured.pose is None:
@@ -119,7 +119,7 @@ class Pipeline:
         return replace(again, measurement=replace(again.measurement, searched=measured.searched))
 
     def _look(
-        self, frame_set: FrameSet, expected: Mapping[str, Sequence[Expectation]], pool: Executor
+        self, frame_set: FrameSet, expected: Mapping[str, Sequence[Expectation]], pool: SideBySide
     ) -> Draft:
         tracker = self.stages.tracker
         views = tracker.judge(frame_set, self._detect(frame_set, expected, pool))
@@ -147,17 +147,15 @@ class Pipeline:
         return Draft(measured, prior, tuple(flag for flag in flags if flag not in raised))
 
     def _detect(
-        self, frame_set: FrameSet, expected: Mapping[str, Sequence[Expectation]], pool: Executor
+        self, frame_set: FrameSet, expected: Mapping[str, Sequence[Expectation]], pool: SideBySide
     ) -> dict[str, list[Detection]]:
-        names = list(frame_set.images)
-
         def detect(name: str) -> list[Detection]:
             found = self.stages.detectors[name].detect(
                 frame_set.images[name], expected.get(name, ())
             )
             return self._at_their_rows(found) if self.stages.own_times else found
 
-        return dict(zip(names, pool.map(detect, names), strict=True))
+        return pool.map(detect, frame_set.images)
 
     def _at_their_rows(self, found: list[Detection]) -> list[Detection]:
         """Detections at the times when a rolling shutter exposed their rows."""

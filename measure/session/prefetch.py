@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 
+from measure.cores import usable_cores
 from measure.model import FrameSet, Image
 from measure.session.pairing import Pairing
 from measure.session.streams import Stream
@@ -39,7 +39,7 @@ def stream_frame_sets(
             images = {s.name: s.read(p) for s, p in _members(streams, pairing, index)}
             yield FrameSet(index, float(pairing.times_s[index]), images)
         return
-    count = threads or min(os.cpu_count() or 1, 8)
+    count = threads or min(usable_cores(), 8)
     pool = ThreadPoolExecutor(count, thread_name_prefix="decode")
     ahead: deque[tuple[int, dict[str, Future[Image]]]] = deque()
     last: dict[str, Future[Image]] = {}
