@@ -14,6 +14,7 @@ import numpy as np
 from measure.api.measuring import measure_session, warm_pipeline
 from measure.api.profiles import load_profile
 from measure.arrays import Floats
+from measure.errors import ConfigError
 from measure.geometry import RigidTransform
 from measure.host import Registry
 from measure.measuring import Measurement, Profile
@@ -99,8 +100,12 @@ def check(
         report: told how many frame sets are done, and of how many.
 
     Raises:
-        MeasureError: the recording cannot be opened or read at all.
+        MeasureError: the recording cannot be opened or read at all, or nothing is to be looked at.
     """
+    if samples < 1 or clock_samples < 0:
+        raise ConfigError(
+            f"{samples} samples, {clock_samples} clock samples: expected at least 1 and 0"
+        )
     profile = profile or load_profile()
     with open_session(session_path, calibration, body) as session:
         total = len(session.pair().times_s)

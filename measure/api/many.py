@@ -90,8 +90,10 @@ def run_many(
         One outcome per recording, in their order.
 
     Raises:
-        ConfigError: two recordings of one name, or a cluster that cannot be used.
+        ConfigError: two recordings of one name, no process, or a cluster that cannot be used.
     """
+    if workers is not None and workers < 1:
+        raise ConfigError(f"--workers {workers}: expected at least 1")
     names = [Path(session).resolve().name for session in sessions]
     if doubles := [name for name, count in Counter(names).items() if count > 1]:
         raise ConfigError(

@@ -72,23 +72,29 @@ def warm_pipeline(
 
 @contextmanager
 def a_word_if_it_takes_long() -> Iterator[Callable[[], None]]:
-    """Tell the user why nothing seems to happen, but only if nothing does.
+    """Tell the user why nothing seems to happen, but only if it is that something compiles.
 
     Yields:
         A function to call once something has.
     """
-    over = threading.Event()
-    threading.Thread(target=_tell_until, args=(over,), daemon=True).start()
-    try:
-        yield over.set
-    finally:
-        over.set()
+    from numba.core import event
+
+    over, compiled = threading.Event(), event.RecordingListener()
+    told = threading.Thread(target=_tell_until, args=(over, compiled.buffer), daemon=True)
+    with event.install_listener("numba:compile", compiled):
+        told.start()
+        try:
+            yield over.set
+        finally:
+            over.set()
 
 
-def _tell_until(over: threading.Event) -> None:
+def _tell_until(over: threading.Event, compiled: Sequence[object]) -> None:
+    """What is loaded from disk is no event; a word about it would be wrong."""
     begun = time.monotonic()
-    if over.wait(PATIENCE_S):
-        return
+    while not compiled:
+        if over.wait(PATIENCE_S):
+            return
     _log.warning("compiling the hot loops: once after an installation, about two minutes")
     while not over.wait(AGAIN_S):
         _log.warning("compiling the hot loops: %.0f s so far", time.monotonic() - begun)

@@ -42,9 +42,9 @@ def load_profile(name: str = DEFAULT_PROFILE) -> Profile:
         return _profile_file(Path(name))
     if name not in profile_names():
         near = difflib.get_close_matches(name, profile_names(), n=1)
-        hint = f"did you mean '{near[0]}'?" if near else f"there is {', '.join(profile_names())}"
+        hint = f"'{near[0]}'" if near else f"one of {', '.join(profile_names())}"
         raise ConfigError(
-            f"no profile is called '{name}'; {hint}; or give the path of a .toml file"
+            f"no profile is called '{name}'; did you mean {hint}, or the path of a .toml file?"
         )
     with resources.as_file(resources.files("measure") / "profiles" / f"{name}.toml") as path:
         return load_toml(path, Profile, ConfigError)

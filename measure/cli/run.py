@@ -97,6 +97,8 @@ def run(
         console.print_text(f"  {count} x {reason}")
     for note in summary.notes:
         console.print_text(f"note: {note}")
+    if not summary.ok:
+        console.print_text(f"to find out why: measure check {sessions[0]}")
     console.print_text(f"written to {out}; look at it with: measure view {out}")
     return 0
 

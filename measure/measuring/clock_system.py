@@ -152,7 +152,9 @@ def solve_clocks(
     gauge = np.eye(len(step))
     gauge[::2, ::2] = from_the_middle((clocks.reshape(-1) + step)[::2], told[::2])
     finite = np.where(np.isfinite(covariance), covariance, 0.0)
-    formal = np.sqrt(np.diag(gauge @ finite @ gauge.T) * max(1.0, scale))
+    variance = np.diag(gauge @ finite @ gauge.T)
+    # Rounding leaves less than nothing where the motion says next to nothing.
+    formal = np.sqrt(np.where(variance >= 0, variance, np.inf) * max(1.0, scale))
     off = _left_out(parts, normal, right, told) - step
     blocks = len(off)
     spread = np.sqrt((blocks - 1) * np.mean((off @ gauge.T) ** 2, axis=0))

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from measure.arrays import Floats
+from measure.errors import MeasureError
 from measure.host import Detector, PoseSolver, Triangulator
 from measure.measuring.instants import detections_at, pose_residuals, velocity_share
 from measure.measuring.measurement import Draft, Measurement, Status
@@ -75,13 +76,21 @@ class Pipeline:
         self.stages.solver.warm_up()
 
     def measure(self, frame_sets: Iterable[FrameSet]) -> Iterator[Measurement]:
-        """Measure frame sets in order of time; yields one measurement for each, in order."""
+        """Measure frame sets in order of time; yields one measurement for each, in order.
+
+        Raises:
+            MeasureError: what the frame sets raise, after those before it have been measured.
+        """
+        broken = list[MeasureError]()
         with SideBySide(len(self._cameras)) as pool:
-            drafts: Iterator[Draft] = (self._draft(frame_set, pool) for frame_set in frame_sets)
+            readable = _until_broken(frame_sets, broken)
+            drafts: Iterator[Draft] = (self._draft(frame_set, pool) for frame_set in readable)
             for _ in range(_ROUNDS if self.stages.neighbours else 0):
                 drafts = map(self._again, with_neighbours(drafts))
             for draft in drafts:
                 yield draft.measurement
+        if broken:
+            raise broken[0]
 
     def _draft(self, frame_set: FrameSet, pool: SideBySide) -> Draft:
         frame_set, doubt = self._repeats.sort_out(frame_set)
@@ -236,6 +245,14 @@ class Pipeline:
             return {}
         moving = prior if self.stages.own_times else None
         return pose_residuals(views, pose, moving, self._body, self._cameras)
+
+
+def _until_broken(frame_sets: Iterable[FrameSet], broken: list[MeasureError]) -> Iterator[FrameSet]:
+    """Frame sets up to one that cannot be read, which must not take those before it along."""
+    try:
+        yield from frame_sets
+    except MeasureError as error:
+        broken.append(error)
 
 
 def _status(pose: Pose | None) -> Status:

@@ -152,6 +152,8 @@ def evaluate(
 
 def _covered(run: Run, truth: Trajectory) -> Bools:
     """Which frame sets the truth covers (n,); refused if there is none."""
+    if not len(run.times_s):
+        raise RunError(f"{run.path} holds no frame set yet: there is nothing to compare")
     covered = truth.covers(run.times_s)
     if not covered.any():
         raise RunError(

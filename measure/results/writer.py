@@ -137,6 +137,8 @@ class RunWriter:
 
 def _prepare(folder: Path, provenance: Provenance, resume: bool, overwrite: bool) -> bool:
     """Make the folder ready; True if an earlier run in it goes on."""
+    if folder.exists() and not folder.is_dir():
+        raise RunError(f"{folder} is a file: choose a new folder with --out")
     folder.mkdir(parents=True, exist_ok=True)
     if not any(folder.iterdir()):
         return False

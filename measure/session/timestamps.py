@@ -42,9 +42,11 @@ def read_stamps(path: Path, camera: str) -> Stamps:
             "both must be numbers, the frame a whole one"
         )
     for i in np.flatnonzero(np.diff(times) <= 0):
+        way = "goes backwards" if times[i + 1] < times[i] else "stands still"
         raise SessionError(
-            f"{where}:{table.lines[i + 1]}: time goes backwards, from {times[i]:.6f} s (frame "
-            f"{frames[i]:g}) to {times[i + 1]:.6f} s (frame {frames[i + 1]:g})"
+            f"{where}:{table.lines[i + 1]}: time {way}, from {times[i]:.6f} s (frame "
+            f"{frames[i]:g}) to {times[i + 1]:.6f} s (frame {frames[i + 1]:g}); correct the stamp, "
+            "or remove the row and its picture"
         )
     for i in np.flatnonzero(np.diff(frames) <= 0):
         raise SessionError(

@@ -6,6 +6,7 @@ import importlib
 import logging
 import time
 
+import numba
 from measurements import BODY, CAMERAS
 
 from measure.api import RunOptions, measuring
@@ -19,6 +20,10 @@ class _Part:
 
     def warm_up(self):
         self.warm += 1
+
+
+def _add_one(x):
+    return x + 1
 
 
 def test_every_stage_is_warmed_up_once_and_cameras_share_it():
@@ -38,6 +43,10 @@ def test_only_a_long_warm_up_is_explained(monkeypatch, caplog):
         assert caplog.text == ""
         with measuring.a_word_if_it_takes_long():
             time.sleep(0.2)
+        assert caplog.text == "", "nothing was compiled: it was something else that took long"
+        with measuring.a_word_if_it_takes_long():
+            numba.njit(_add_one)(1)
+            time.sleep(0.2)
     assert "compiling" in caplog.text
     assert "so far" not in caplog.text
 
@@ -46,6 +55,7 @@ def test_a_very_long_warm_up_shows_that_it_goes_on(monkeypatch, caplog):
     monkeypatch.setattr(measuring, "PATIENCE_S", 0.05)
     monkeypatch.setattr(measuring, "AGAIN_S", 0.05)
     with caplog.at_level(logging.WARNING), measuring.a_word_if_it_takes_long() as begun:
+        numba.njit(_add_one)(1)
         time.sleep(0.3)
         begun()
         said = caplog.text.count("compiling")

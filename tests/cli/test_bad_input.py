@@ -81,6 +81,38 @@ def test_a_truncated_picture_on_the_way_keeps_what_was_measured(
     assert "cannot be resumed: its run was made with other session" in line
 
 
+def test_numbers_out_of_range(recording: Recording, capsys) -> None:
+    line = _complaint(capsys, "check", recording.path, "--samples", "0")
+    assert "0 samples, 120 clock samples: expected at least 1 and 0" in line
+    line = _complaint(capsys, "check", recording.path, "--clock-samples", "-1")
+    assert "24 samples, -1 clock samples" in line
+    out = recording.path.with_name("runs")
+    line = _complaint(capsys, "run", recording.path, recording.path, "-o", out, "--workers", "0")
+    assert "--workers 0: expected at least 1" in line
+
+
+def test_a_file_where_the_run_shall_be(recording: Recording, capsys) -> None:
+    recording.path.with_name("run").write_text("a thesis")
+    assert "is a file: choose a new folder with --out" in _complaint(capsys, *_run(recording))
+    assert recording.path.with_name("run").read_text() == "a thesis"
+
+
+def test_a_run_that_finds_nothing_says_where_to_look(recording: Recording, capsys) -> None:
+    assert main([*_run(recording)]) == 0
+    assert f"to find out why: measure check {recording.path}" in capsys.readouterr().out
+
+
+def test_a_truncated_picture_keeps_what_waits_for_later_pictures(
+    recording: Recording, capsys
+) -> None:
+    """`precise` brings pictures to one instant by the poses round it, so it works in arrears."""
+    (recording.path / "cam1/000004.jpg").write_bytes(jpeg(80)[:-30])
+    out = recording.path.with_name("run")
+    line = _complaint(capsys, "run", recording.path, "-o", out, "--no-recording")
+    assert "000004.jpg: truncated JPEG" in line
+    assert read_run(out).poses["index"].to_pylist() == [0, 1, 2, 3]
+
+
 def test_a_missing_picture_is_noted_and_measured_without(recording: Recording, capsys) -> None:
     (recording.path / "cam1/000002.jpg").unlink()
     assert main([*_run(recording)]) == 0

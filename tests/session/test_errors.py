@@ -203,6 +203,11 @@ CASES: dict[str, tuple[Break, type[MeasureError], list[str]]] = {
         SessionError,
         ["cam1.csv:4: time goes backwards, from 0.100000 s (frame 1) to 0.050000 s (frame 2)"],
     ),
+    "clock stands still": (
+        _stamp("cam1", [0.0, 0.1, 0.1, 0.3, 0.4, 0.5]),
+        SessionError,
+        ["cam1.csv:4: time stands still, from 0.100000 s (frame 1) to 0.100000 s (frame 2)"],
+    ),
     "frame numbers go backwards": (
         _stamp("cam1", [0.0, 0.1, 0.2, 0.3, 0.4, 0.5], [0, 1, 1, 3, 4, 5]),
         SessionError,
