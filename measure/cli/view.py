@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from measure.cli import console
-from measure.errors import ConfigError
+from measure.errors import ConfigError, RunError
 
 
 def view(
@@ -48,6 +48,10 @@ def view(
     if viewer.address is not None:
         console.print_text(viewer.address)
     try:
-        viewer.process.wait()
+        code = viewer.process.wait()
     finally:
         viewer.process.terminate()
+    if code > 0:
+        raise RunError(
+            f"the viewer gave up with exit code {code}, see above; without a screen, add --web"
+        )

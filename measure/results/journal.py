@@ -14,6 +14,9 @@ import pyarrow.parquet as pq
 
 from measure.errors import RunError
 
+MEND = "fetch it from where the run was made, or measure anew with --overwrite"
+"""What helps where a run's file is damaged or missing."""
+
 
 @contextmanager
 def writing(folder: Path) -> Iterator[None]:
@@ -120,8 +123,9 @@ def read_table(folder: Path, name: str, schema: pa.Schema) -> pa.Table:
         if finished.exists():
             return pq.read_table(finished, schema=schema)
     except (pa.ArrowException, OSError) as error:
-        raise RunError(f"{finished}: cannot be read: {error}") from error
-    raise RunError(f"{folder} is no run: it has no {name}.parquet")
+        where = stream if stream.exists() else finished
+        raise RunError(f"{where}: cannot be read ({error}): {MEND}") from error
+    raise RunError(f"{folder} is torn: it has no {name}.parquet: {MEND}")
 
 
 def _whole_batches(path: Path, schema: pa.Schema) -> pa.Table:

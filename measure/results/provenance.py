@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import platform
+import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib import metadata
+from pathlib import Path
 from typing import Any
+
+from measure.errors import RunError
+from measure.results.journal import MEND
 
 _LIBRARIES = ("triball", "numpy", "scipy", "opencv-python-headless", "numba", "av")
 
@@ -69,6 +74,18 @@ class Provenance:
                 if now.get(key) != then.get(key)
             ]
         return changed
+
+
+def read_provenance(file: Path) -> dict[str, Any]:
+    """The values of a run's `run.toml`.
+
+    Raises:
+        RunError: it is torn.
+    """
+    try:
+        return tomllib.loads(file.read_text("utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise RunError(f"{file}: cannot be read ({error}): {MEND}") from error
 
 
 def _flat(values: Mapping[str, Any], name: str) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -16,6 +15,7 @@ from measure.errors import RunError
 from measure.geometry import RigidTransform
 from measure.model import Body, Camera
 from measure.results.journal import read_table
+from measure.results.provenance import read_provenance
 from measure.results.summary import Summary, summarise
 from measure.results.tables import SCHEMAS
 from measure.session import read_body, read_calibration
@@ -88,10 +88,7 @@ def read_run(folder: Path) -> Run:
     if not file.exists():
         what = "no such folder" if not folder.exists() else "it has no run.toml"
         raise RunError(f"{folder} is no run: {what}; `measure run` makes one")
-    try:
-        provenance = tomllib.loads(file.read_text("utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise RunError(f"{file}: {error}") from error
+    provenance = read_provenance(file)
     tables = {name: read_table(folder, name, schema) for name, schema in SCHEMAS.items()}
     return Run(
         path=folder,

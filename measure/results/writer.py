@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import time
-import tomllib
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -18,7 +17,7 @@ from measure.errors import RunError
 from measure.measuring import Measurement
 from measure.model import Body, Camera
 from measure.results.journal import GrowingFile, Journal, finish, read_table, writing
-from measure.results.provenance import Provenance
+from measure.results.provenance import Provenance, read_provenance
 from measure.results.summary import Summary, summarise
 from measure.results.tables import CSV_COLUMNS, SCHEMAS, csv_line, rows_of
 from measure.session import Calibration, dump_toml, write_body, write_calibration
@@ -155,8 +154,7 @@ def _prepare(folder: Path, provenance: Provenance, resume: bool, overwrite: bool
         return False
     if not resume:
         raise RunError(f"{folder} holds a run already: --resume goes on, --overwrite starts anew")
-    written = tomllib.loads((folder / "run.toml").read_text("utf-8"))
-    if changed := provenance.differences(written):
+    if changed := provenance.differences(read_provenance(folder / "run.toml")):
         raise RunError(
             f"{folder} cannot be resumed: its run was made with other {', '.join(changed)}; "
             "--overwrite starts anew"

@@ -13,6 +13,8 @@ from pathlib import Path
 from measure.errors import RunError
 
 LOOPBACK = "127.0.0.1"
+_MAGIC = b"RRF"
+"""What every .rrd file begins with."""
 
 
 @dataclass(frozen=True)
@@ -47,13 +49,10 @@ def open_viewer(recordings: Sequence[Path], web: bool = False, bind: str = LOOPB
         bind: address to listen on; loopback unless told otherwise.
 
     Raises:
-        RunError: a file is missing, or the viewer's program is.
+        RunError: a file is missing or no recording, or the viewer's program is missing.
     """
     for path in recordings:
-        if not path.is_file():
-            raise RunError(
-                f"{path}: no such recording; `measure run` writes run.rrd into its folder"
-            )
+        _refuse_what_is_no_recording(path)
     grpc_port, web_port = _free_ports(bind, 2)
     command = [viewer_program(), *map(str, recordings), "--bind", bind, "--port", str(grpc_port)]
     listens = f"rerun+http://{bind}:{grpc_port}/proxy"
@@ -62,6 +61,14 @@ def open_viewer(recordings: Sequence[Path], web: bool = False, bind: str = LOOPB
         command += ["--serve-web", "--web-viewer-port", str(web_port)]
         address = f"http://{bind}:{web_port}?url={listens.replace('+', '%2B')}"
     return Viewer(subprocess.Popen(command, stdout=sys.stderr), address, listens)
+
+
+def _refuse_what_is_no_recording(path: Path) -> None:
+    if not path.is_file():
+        raise RunError(f"{path}: no such recording; `measure run` writes run.rrd into its folder")
+    with path.open("rb") as file:
+        if not file.read(len(_MAGIC)).startswith(_MAGIC):
+            raise RunError(f"{path} is no recording of a run (.rrd): `measure run` writes one")
 
 
 def viewer_program() -> str:

@@ -221,6 +221,45 @@ def test_evaluation_of_what_is_no_run_or_no_truth(recording: Recording, tmp_path
     )
 
 
+@pytest.mark.parametrize(
+    ("name", "kept", "said"),
+    [
+        ("run.toml", 300, "run.toml: cannot be read (Unterminated"),
+        ("poses.parquet", 3000, "poses.parquet: cannot be read ("),
+        ("poses.parquet", None, "is torn: it has no poses.parquet"),
+    ],
+)
+def test_a_torn_run(recording: Recording, capsys, name: str, kept: int | None, said: str) -> None:
+    assert main([*_run(recording)]) == 0
+    capsys.readouterr()
+    run = recording.path.with_name("run")
+    whole = (run / name).read_bytes()
+    (run / name).unlink()
+    if kept is not None:
+        assert len(whole) > kept
+        (run / name).write_bytes(whole[:kept])
+    for words in (("evaluate", run), ("report", run), ("export", run, "-f", "csv")):
+        line = _complaint(capsys, *words)
+        assert said in line
+        assert "fetch it from where the run was made, or measure anew with --overwrite" in line
+    assert said in _complaint(capsys, *_run(recording, "--resume"))
+
+
+def test_a_view_of_what_is_no_recording(tmp_path: Path, capsys) -> None:
+    (tmp_path / "notes.txt").write_text("hello")
+    assert "no recording of a run" in _complaint(capsys, "view", tmp_path / "notes.txt")
+    assert "no such recording" in _complaint(capsys, "view", tmp_path / "none")
+
+
+def test_a_viewer_that_finds_no_screen_is_an_error(recording: Recording, capfd, monkeypatch):
+    assert main([*_run(recording)]) == 0
+    capfd.readouterr()
+    monkeypatch.setattr("measure.viewing.viewer.viewer_program", lambda: "false")
+    line = _complaint(capfd, "view", recording.path.with_name("run"))
+    assert "gave up with exit code 1" in line
+    assert "--web" in line
+
+
 def test_export_of_what_cannot_be_exported(recording: Recording, capsys) -> None:
     assert main([*_run(recording)]) == 0
     capsys.readouterr()

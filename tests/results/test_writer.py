@@ -156,7 +156,7 @@ def test_a_foreign_folder_is_left_alone(folder: Path, option: str) -> None:
     assert [p.name for p in folder.iterdir()] == ["poses.csv"]
     assert (folder / "poses.csv").read_text() == "precious"
     (folder.parent / "file").write_text("x")
-    with pytest.raises(RunError, match="cannot write"):
+    with pytest.raises(RunError, match="is a file: choose a new folder"):
         _writer(folder.parent / "file")
 
 
