@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
+from itertools import combinations
 
 import numpy as np
 
-from measure.arrays import Floats, Ints
+from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
 from measure.geometry import align_points
 from measure.model import Body
@@ -31,29 +31,20 @@ def layout_flags(
         covariances: (n, 3, 3) of `centers`.
         tolerance_mm: how far a distance may be off beyond four of its standard deviations.
     """
+    from measure.measuring.body_kernels import pair_distances
+
     points_body = body.centers[[body.index(name) for name in balls]]
-    i, j = _pairs(len(balls))
-    between = centers[i] - centers[j]
-    measured = np.linalg.norm(between, axis=1)
-    expected = np.linalg.norm(points_body[i] - points_body[j], axis=1)
-    along = between / np.maximum(measured, 1e-9)[:, None]
-    variance = np.einsum("ni,nij,nj->n", along, covariances[i] + covariances[j], along)
-    off = np.abs(measured - expected) > _SIGMAS * np.sqrt(variance) + tolerance_mm
+    pairs = pair_distances(points_body, centers, covariances).tolist()
     flags = [
-        f"balls {balls[i[n]]} and {balls[j[n]]} are {measured[n]:.1f} mm apart, "
-        f"the body says {expected[n]:.1f} mm"
-        for n in np.flatnonzero(off)
+        f"balls {one} and {other} are {measured:.1f} mm apart, the body says {expected:.1f} mm"
+        for (one, other), (measured, expected, sd) in zip(
+            combinations(balls, 2), pairs, strict=True
+        )
+        if abs(measured - expected) > _SIGMAS * sd + tolerance_mm
     ]
     if looks_mirrored(points_body, centers):
         flags.append("the balls form the mirror image of the body")
     return tuple(flags)
-
-
-@lru_cache(maxsize=16)
-def _pairs(count: int) -> tuple[Ints, Ints]:
-    """First and second of every pair of `count` things."""
-    first, second = np.triu_indices(count, k=1)
-    return first, second
 
 
 def looks_mirrored(points_body: Floats, centers: Floats) -> bool:

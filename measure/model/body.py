@@ -73,6 +73,11 @@ class Body:
         return np.array([ball.radius_mm for ball in self.balls])
 
     @cached_property
+    def reach_mm(self) -> float:
+        """Distance of the furthest ball's centre from the body's origin, mm."""
+        return float(np.max(np.linalg.norm(self.centers, axis=1)))
+
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Ball names, in order."""
         return tuple(ball.name for ball in self.balls)

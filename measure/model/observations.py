@@ -68,7 +68,8 @@ class Detection:
     @property
     def variance_px2(self) -> float:
         """Variance of `center_px` along an axis, the mean of both."""
-        return float(self.covariance_px[0, 0] + self.covariance_px[1, 1]) / 2
+        (first, _), (_, second) = self.covariance_px.tolist()
+        return float(first + second) / 2
 
 
 class State(StrEnum):
@@ -162,9 +163,9 @@ class Pose:
     @property
     def position_sd_mm(self) -> float:
         """Standard deviation of the 3-D position: root of the trace of its covariance."""
-        return float(np.sqrt(np.trace(self.covariance[:3, :3])))
+        return float(np.sqrt(sum(self.covariance.diagonal()[:3].tolist())))
 
     @property
     def rotation_sd_deg(self) -> float:
         """Standard deviation of the 3-D rotation: root of the trace of its covariance, in deg."""
-        return float(np.degrees(np.sqrt(np.trace(self.covariance[3:, 3:]))))
+        return float(np.degrees(np.sqrt(sum(self.covariance.diagonal()[3:].tolist()))))

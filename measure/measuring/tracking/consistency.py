@@ -12,8 +12,9 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from measure.arrays import Floats
-from measure.geometry import chi_square_quantile, squared_mahalanobis
+from measure.arrays import Floats, stacked
+from measure.geometry import chi_square_quantile
+from measure.geometry.covariance_kernels import squared_distances
 from measure.model import BallView, Body, Camera, Fix, Pose
 from measure.model.observations import Reason
 
@@ -62,9 +63,9 @@ def unbacked(
 
     Two balls and a third somewhere on one line of sight fit bodies that are quite different ones.
     """
-    count = {
-        name: sum(view.effective for view in views if view.ball == name) for name in body.names
-    }
+    count = dict.fromkeys(body.names, 0)
+    for view in views:
+        count[view.ball] += view.effective
     # Three balls make a pose.
     if 1 not in count.values() or sum(n > 1 for n in count.values()) > 2:
         return ()
@@ -99,7 +100,7 @@ def _in_sight(camera: Camera, body: Body, centers: Floats, ball: int) -> bool:
 
 def _disbelieved(views: Sequence[BallView]) -> Iterable[str]:
     """Balls that more cameras see elsewhere than where the pose puts them, or that two do."""
-    for ball in dict.fromkeys(view.ball for view in views):
+    for ball in dict.fromkeys(view.ball for view in views if view.reason in _DISBELIEVED):
         seen = [view for view in views if view.ball == ball]
         against = [v for v in seen if v.detection is not None and v.reason in _DISBELIEVED]
         backing = sum(view.effective for view in seen)
@@ -124,8 +125,8 @@ def _balls_aside(
         return
     gate = chi_square_quantile(confidence, 3)
     expected = pose.world_from_body.apply(body.centers[[body.index(fix.ball) for fix in fixes]])
-    off = np.array([fix.center for fix in fixes]) - expected
-    likely = squared_mahalanobis(off, np.array([fix.covariance for fix in fixes]))
+    off = stacked([fix.center for fix in fixes]) - expected
+    likely = squared_distances(off, stacked([fix.covariance for fix in fixes]))
     for fix, gone, distance in zip(fixes, off, likely.tolist(), strict=True):
         own = [variances[fix.ball, name] for name in fix.cameras if (fix.ball, name) in variances]
         wider = 1 + own_px**2 * sum(1 / v for v in own) / len(own) if own else 1.0
@@ -148,9 +149,11 @@ def _cameras_aside(
         own = [key for key in residuals_px if key[1] == camera and key in variances]
         if len(own) < _MANY:
             continue
-        weights = np.array([1 / (variances[key] + own_px**2) for key in own])
-        total = float(weights.sum())
-        aside = math.hypot(*weights @ np.array([residuals_px[key] for key in own])) / total
+        total = x = y = 0.0
+        for key in own:
+            weight, (u, v) = 1 / (variances[key] + own_px**2), residuals_px[key].tolist()
+            total, x, y = total + weight, x + weight * u, y + weight * v
+        aside = math.hypot(x, y) / total
         if aside**2 * total > gate:
             yield (
                 f"camera {camera} sees all balls {aside:.1f} px aside: "

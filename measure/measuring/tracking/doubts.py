@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from measure.arrays import Floats
+from measure.arrays import Floats, stacked
 from measure.geometry import chi_square_quantile
 from measure.measuring.association import Association
 from measure.measuring.body_checks import layout_flags
@@ -18,6 +19,7 @@ _GOOD_CANDIDATE = 0.5
 _MOST_CAMERAS = 0.5
 _SIGMAS = 2.0
 _CAN_MOVE = 0.9999
+_ELSEWHERE = (Reason.INCONSISTENT, Reason.JUMPED)
 
 
 def contradictions(
@@ -43,15 +45,15 @@ def contradictions(
         found += layout_flags(
             body,
             [fix.ball for fix in fixes],
-            np.array([fix.center for fix in fixes]),
-            np.array([fix.covariance for fix in fixes]),
+            stacked([fix.center for fix in fixes]),
+            stacked([fix.covariance for fix in fixes]),
             tolerance_mm,
         )
     noise = [2 * v.detection.variance_px2 for v in views if v.effective and v.detection]
-    if pose.rms_px > np.hypot(max_rms_px, _SIGMAS * np.sqrt(sum(noise) / max(len(noise), 1))):
+    if pose.rms_px > math.hypot(max_rms_px, _SIGMAS * math.sqrt(sum(noise) / max(len(noise), 1))):
         found += (f"reprojection errors of {pose.rms_px:.1f} px",)
-    used = {view.camera for view in views if view.effective}
     at_odds = cameras_at_odds(views)
+    used = {view.camera for view in views if view.effective} if at_odds else set()
     if at_odds and len(at_odds) >= _MOST_CAMERAS * len(used | set(at_odds)):
         found += (f"cameras {', '.join(at_odds)} contradict the others: nobody can tell who errs",)
     return found
@@ -123,18 +125,17 @@ def lost_sight(pose: Pose, body: Body) -> bool:
     Windows would be as large as the picture, and balls be taken for each other: searching is
     quicker and safer.
     """
-    covariance = pose.covariance
-    move_mm2, turn2 = np.trace(covariance[:3, :3]), np.trace(covariance[3:, 3:])
-    arm_mm = float(np.max(np.linalg.norm(body.centers, axis=1)))
-    return bool(np.sqrt(move_mm2 + turn2 * arm_mm**2) > np.min(body.radii))
+    variances = pose.covariance.diagonal().tolist()
+    move_mm2, turn2 = sum(variances[:3]), sum(variances[3:])
+    return math.sqrt(move_mm2 + turn2 * body.reach_mm**2) > min(b.radius_mm for b in body.balls)
 
 
 def cameras_at_odds(views: Sequence[BallView]) -> list[str]:
     """Cameras with two or more detections, none of them believed for where it is."""
     out = []
-    for name in dict.fromkeys(view.camera for view in views):
+    for name in dict.fromkeys(view.camera for view in views if view.reason in _ELSEWHERE):
         seen = [v for v in views if v.camera == name and v.detection is not None]
-        doubted = [v for v in seen if v.reason in (Reason.INCONSISTENT, Reason.JUMPED)]
+        doubted = [v for v in seen if v.reason in _ELSEWHERE]
         if len(seen) >= 2 and len(doubted) == len(seen):
             out.append(name)
     return out

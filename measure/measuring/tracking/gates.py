@@ -2,13 +2,81 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from measure.arrays import Bools, Floats
+from measure.arrays import Bools, Floats, Ints
 from measure.compiling import compiled
 from measure.geometry.covariance_kernels import inverse_2x2, squared_distance
+from measure.measuring.tracking.prediction_kernels import Predicted, carried
 
 _ROUNDS = 4
+AGREES, JUMPED, MISCOLORED, CONTRADICTS = 0, 1, 2, 3
+"""What is said of a detection: that it is believed; that it is too far from the prediction; that it
+has the wrong colour; that no change of the prediction explains it and the others."""
+
+
+class Sighted(NamedTuple):
+    """n detections.
+
+    Attributes:
+        pixels: (n, 2) centres.
+        noise: (n, 2, 2) covariances.
+        times_s: (n,).
+        colored: (n,) whether the colour is right, or not checked.
+    """
+
+    pixels: Floats
+    noise: Floats
+    times_s: Floats
+    colored: Bools
+
+
+@compiled
+def judge_sightings(
+    seen: Sighted,
+    rows: Ints,
+    balls: Predicted,
+    covariance: Floats,
+    time_s: float,
+    variance: Floats,
+    model_px: float,
+    gate: float,
+) -> tuple[Ints, Floats, Floats]:
+    """Which detections are believed, and what those say of the motion.
+
+    Args:
+        seen: the detections.
+        rows: (n,) which of the predictions each of them belongs to.
+        balls: the predictions.
+        covariance: (12, 12) of pose and velocity at `time_s`.
+        time_s: the instant that is predicted from.
+        variance: (6,) of the acceleration.
+        model_px: systematic error of a detection, added to its standard deviation.
+        gate: greatest squared Mahalanobis distance, from a chi-square distribution of 2 degrees.
+
+    Returns:
+        The judgement on each (n,), as above; the change of pose and velocity (12,) that the
+        believable ones ask for and its covariance (12, 12), not a number if there are none.
+    """
+    off, noise = seen.pixels - balls.centers_px[rows], seen.noise + model_px**2 * np.eye(2)
+    out = np.full(len(rows), JUMPED)
+    out[agree_with_prediction(off, balls.covariances_px[rows], noise, gate)] = MISCOLORED
+    usable = np.flatnonzero((out == MISCOLORED) & seen.colored)
+    if len(usable) == 0:
+        return out, np.full(12, np.nan), np.full((12, 12), np.nan)
+    instant = float(np.mean(seen.times_s))
+    agreeing, change, known = agree_with_each_other(
+        off[usable],
+        balls.jacobians[rows[usable]],
+        noise[usable],
+        carried(covariance, instant - time_s, variance),
+        gate,
+        seen.times_s[usable] - instant,
+    )
+    out[usable] = np.where(agreeing, AGREES, CONTRADICTS)
+    return out, change, known
 
 
 @compiled

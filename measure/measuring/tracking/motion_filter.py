@@ -12,7 +12,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.geometry import RigidTransform
-from measure.measuring.tracking.prediction_kernels import carried, corrected
+from measure.measuring.tracking.prediction_kernels import moved_on, updated
 from measure.model import Motion, Pose
 
 _STEADY_S = 0.3
@@ -61,9 +61,15 @@ class MotionState:
             time_s: the instant.
             acceleration_sd: (6,) standard deviation of the acceleration, mm/s^2 and rad/s^2.
         """
-        dt = time_s - self.time_s
-        moved = self.world_from_body.perturb(self.velocity * dt)
-        covariance = carried(self.covariance, dt, acceleration_sd**2)
+        rotation, translation, covariance = moved_on(
+            np.ascontiguousarray(self.world_from_body.rotation),
+            np.ascontiguousarray(self.world_from_body.translation),
+            self.velocity,
+            self.covariance,
+            time_s - self.time_s,
+            acceleration_sd**2,
+        )
+        moved = RigidTransform(rotation, translation)
         return replace(self, world_from_body=moved, time_s=time_s, covariance=covariance)
 
     def updated(self, pose: Pose, extra: Floats, acceleration_sd: Floats) -> MotionState:
@@ -74,18 +80,22 @@ class MotionState:
             extra: (6,) standard deviations added to its covariance, for what that leaves out.
             acceleration_sd: as in `at`.
         """
-        predicted = self.at(pose.time_s, acceleration_sd)
-        step, covariance = corrected(
-            predicted.covariance,
+        before, seen = self.at(pose.time_s, acceleration_sd), pose.world_from_body
+        rotation, translation, velocity, covariance, faster = updated(
+            before.world_from_body.rotation,
+            before.world_from_body.translation,
+            before.velocity,
+            before.covariance,
+            np.ascontiguousarray(seen.rotation),
+            np.ascontiguousarray(seen.translation),
             pose.covariance + np.diag(extra**2),
-            pose.world_from_body.difference(predicted.world_from_body),
         )
         return MotionState(
-            predicted.world_from_body.perturb(step[:6]),
-            predicted.velocity + step[6:],
+            RigidTransform(rotation, translation),
+            velocity,
             pose.time_s,
             covariance,
-            self._accelerated(step[6:], pose.time_s - self.time_s),
+            self._accelerated(faster, pose.time_s - self.time_s),
             self.measured + 1,
         )
 

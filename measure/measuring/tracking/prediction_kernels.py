@@ -8,7 +8,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
-from measure.geometry.rotation_kernels import rotation_of, times
+from measure.geometry.rotation_kernels import rotation_of, rotvec_of, times
 from measure.model.rig_kernels import project_one
 
 _OUT_OF_SIGHT_PX = -1e4
@@ -56,6 +56,23 @@ def carried(covariance: Floats, dt: float, variance: Floats) -> Floats:
         out[i, 6 + i] += variance[i] * abs(dt) ** 3 / 2
         out[6 + i, i] += variance[i] * abs(dt) ** 3 / 2
     return out
+
+
+@compiled
+def moved_on(
+    rotation: Floats,
+    translation: Floats,
+    velocity: Floats,
+    covariance: Floats,
+    dt: float,
+    variance: Floats,
+) -> tuple[Floats, Floats, Floats]:
+    """Rotation, translation and covariance `dt` seconds on: see `MotionState.at`."""
+    return (
+        rotation_of(velocity[3:] * dt) @ rotation,
+        translation + velocity[:3] * dt,
+        carried(covariance, dt, variance),
+    )
 
 
 @compiled
@@ -173,6 +190,64 @@ def _fill_spread(row: int, known: Floats, out: Predicted) -> None:
     half = (spread[0, 0] - spread[1, 1]) / 2
     widest = (spread[0, 0] + spread[1, 1]) / 2 + np.sqrt(half**2 + spread[0, 1] * spread[1, 0])
     out.spread_px[row] = np.sqrt(max(widest, 0.0))
+
+
+@compiled
+def search_sizes(
+    balls: Predicted, sigmas: float, floor_px: float, slack: float, decimals: int
+) -> Floats:
+    """How to search for n balls, see `Windows.expectations`; rounded.
+
+    Returns:
+        (n, 9) the centre in px and in the camera frame, least and most radius, least distance of
+        two circles, reach.
+    """
+    out, unit = np.empty((len(balls.radii_px), 9)), 10.0**decimals
+    for i in range(len(out)):
+        reach, size = sigmas * balls.spread_px[i] + floor_px, balls.radii_px[i]
+        center = balls.centers_camera[i]
+        loose = slack + reach / max(np.sqrt(np.sum(center * center)), 1e-9)
+        out[i, :2], out[i, 2:5] = balls.centers_px[i], center
+        out[i, 5], out[i, 6] = size * (1 - loose), size * (1 + loose)
+        out[i, 7], out[i, 8] = 0.5 * size, reach
+    return np.rint(out * unit) / unit
+
+
+@compiled
+def updated(
+    rotation: Floats,
+    translation: Floats,
+    velocity: Floats,
+    known: Floats,
+    measured_rotation: Floats,
+    measured_translation: Floats,
+    noise: Floats,
+) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """A predicted motion after a measured pose.
+
+    Args:
+        rotation: (3, 3) of world_from_body, predicted.
+        translation: (3,) the same.
+        velocity: (6,) predicted.
+        known: (12, 12) covariance of the prediction.
+        measured_rotation: (3, 3) of world_from_body.
+        measured_translation: (3,) the same.
+        noise: (6, 6) covariance of the measured pose.
+
+    Returns:
+        Rotation, translation, velocity and covariance after; and by how much the velocity changed.
+    """
+    off = np.empty(6)
+    off[:3] = measured_translation - translation
+    off[3:] = rotvec_of(measured_rotation @ rotation.T)
+    step, covariance = corrected(known, noise, off)
+    return (
+        rotation_of(step[3:6]) @ rotation,
+        translation + step[:3],
+        velocity + step[6:],
+        covariance,
+        step[6:],
+    )
 
 
 @compiled

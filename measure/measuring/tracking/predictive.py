@@ -13,7 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from measure.arrays import Floats
+from measure.arrays import Floats, stacked
 from measure.geometry import chi_square_quantile
 from measure.host.settings import Settings
 from measure.measuring import association
@@ -26,9 +26,15 @@ from measure.measuring.tracking.doubts import (
     strangers,
     weaknesses,
 )
-from measure.measuring.tracking.gates import agree_with_each_other, agree_with_prediction
+from measure.measuring.tracking.gates import (
+    AGREES,
+    CONTRADICTS,
+    JUMPED,
+    MISCOLORED,
+    Sighted,
+    judge_sightings,
+)
 from measure.measuring.tracking.motion_filter import MotionState
-from measure.measuring.tracking.prediction_kernels import carried
 from measure.measuring.tracking.predictive_settings import PredictiveConfig
 from measure.measuring.tracking.tracker import Verdict
 from measure.measuring.tracking.warm_up import warm_up
@@ -48,6 +54,12 @@ from measure.model.observations import Reason, State
 
 _LEFT_OUT_MM, _LEFT_OUT_RAD = 0.02, 0.0005
 """Errors of a pose that its covariance does not tell, for the filter."""
+_REASONS = {
+    AGREES: Reason.NONE,
+    JUMPED: Reason.JUMPED,
+    MISCOLORED: Reason.COLOR,
+    CONTRADICTS: Reason.INCONSISTENT,
+}
 _SUSPICIOUS = (Reason.JUMPED, Reason.COLOR, Reason.INCONSISTENT)
 
 
@@ -216,38 +228,25 @@ class PredictiveTracker:
         if not seen:
             return []
         assert self._state is not None
-        gate = chi_square_quantile(self.config.confidence, 2)
-        some, balls = np.array(rows), windows.balls
-        noise = np.array([d.covariance_px for d in seen]) + self.config.model_px**2 * np.eye(2)
-        off = np.array([d.center_px for d in seen]) - balls.centers_px[some]
-        near = agree_with_prediction(off, balls.covariances_px[some], noise, gate)
-        colored = np.array([not d.color_match < self.config.min_color_match for d in seen])
-        usable = np.nonzero(near & colored)[0]
-        agreeing = np.zeros(len(seen), np.bool_)
-        times = np.array([d.time_s for d in seen])
-        instant = float(times.mean())
-        if len(usable):
-            agreeing[usable], change, covariance = agree_with_each_other(
-                off[usable],
-                balls.jacobians[some[usable]],
-                noise[usable],
-                carried(
-                    self._state.covariance, instant - self._state.time_s, self._acceleration**2
-                ),
-                gate,
-                times[usable] - instant,
-            )
+        c = self.config
+        judged, change, covariance = judge_sightings(
+            Sighted(
+                stacked([d.center_px for d in seen]),
+                stacked([d.covariance_px for d in seen]),
+                np.array([d.time_s for d in seen]),
+                np.array([not d.color_match < c.min_color_match for d in seen]),
+            ),
+            np.array(rows),
+            windows.balls,
+            self._state.covariance,
+            self._state.time_s,
+            self._acceleration**2,
+            c.model_px,
+            chi_square_quantile(c.confidence, 2),
+        )
+        if not np.isnan(change[0]):
             self._faster = change[6:], covariance[6:, 6:]
-        return [
-            Reason.JUMPED
-            if not n
-            else Reason.COLOR
-            if not c
-            else Reason.NONE
-            if a
-            else Reason.INCONSISTENT
-            for n, c, a in zip(near, colored, agreeing, strict=True)
-        ]
+        return [_REASONS[judgement] for judgement in judged.tolist()]
 
     def _patience(self, key: tuple[str, str], reason: Reason) -> Reason:
         """A detection that was not believed must be good for some frames before it counts."""
@@ -260,6 +259,8 @@ class PredictiveTracker:
 
     def _still_strange(self, views: Sequence[BallView]) -> tuple[str, ...]:
         """Cameras that saw balls, but not these, when the body was found, and still do not."""
+        if not self._strangers:
+            return ()
         back = {view.camera for view in views if view.effective}
         self._strangers = tuple(name for name in self._strangers if name not in back)
         return tuple(
@@ -272,13 +273,15 @@ class PredictiveTracker:
 
         Three balls fit a body whose fourth is somewhere else, or its mirror image, equally well.
         """
+        if len(self._body.balls) <= 3:
+            return ()
         for ball in self._body.names:
             if sum(view.ball == ball and view.effective for view in views) >= 2:
                 self._confirmed.add(ball)
         return tuple(
             f"ball {ball} has not been seen where the body file puts it: hidden, or a wrong file?"
             for ball in self._body.names
-            if ball not in self._confirmed and len(self._body.balls) > 3
+            if ball not in self._confirmed
         )
 
     def _missed(self) -> None:

@@ -7,7 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from measure.geometry import RigidTransform
-from measure.measuring.tracking.gates import agree_with_each_other, agree_with_prediction
+from measure.geometry.covariance_kernels import squared_distances
+from measure.measuring.body_checks import layout_flags
+from measure.measuring.tracking.gates import Sighted, judge_sightings
 from measure.measuring.tracking.motion_filter import MotionState
 from measure.measuring.tracking.windows import predict_windows
 from measure.model import Body, Camera, Pose
@@ -17,8 +19,13 @@ def warm_up(body: Body, cameras: Sequence[Camera]) -> None:
     """Follow a body that stays where it is, seen where it is expected."""
     still, one = RigidTransform.identity(), np.ones(6)
     state = MotionState.begin(still, np.eye(6), 0.0, one)
-    balls = predict_windows(state, {c.name: 0.0 for c in cameras}, one, body, cameras).balls
-    noise, off = np.tile(np.eye(2), (len(balls.radii_px), 1, 1)), np.zeros_like(balls.centers_px)
-    agree_with_prediction(off, balls.covariances_px, noise, 1.0)
-    agree_with_each_other(off, balls.jacobians, noise, state.covariance, 1.0, balls.radii_px)
+    windows = predict_windows(state, {c.name: 0.0 for c in cameras}, one, body, cameras)
+    windows.expectations(1.0, 1.0, 0.1)
+    balls, n = windows.balls, len(windows.keys)
+    noise, now = np.tile(np.eye(2), (n, 1, 1)), np.zeros(n)
+    seen = Sighted(balls.centers_px, noise, now, np.ones(n, np.bool_))
+    judge_sightings(seen, np.arange(n), balls, state.covariance, 0.0, one, 0.5, 1.0)
     state.updated(Pose(0.0, still, np.eye(6), 0.0, 0.0, (), ()), one, one)
+    places = np.tile(np.eye(3), (len(body.balls), 1, 1))
+    layout_flags(body, body.names, body.centers, places, 1.0)
+    squared_distances(body.centers, places)

@@ -10,12 +10,20 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.measuring.tracking.motion_filter import MotionState
-from measure.measuring.tracking.prediction_kernels import Predicted, predict_balls
+from measure.measuring.tracking.prediction_kernels import (
+    Predicted,
+    predict_balls,
+    search_sizes,
+)
 from measure.model import Body, Camera, Expectation, Rig
 from measure.model.camera import MIN_DEPTH_MM
 
 _DECIMALS = 7
-"""Of px and mm handed to detectors."""
+"""Of px and mm handed to detectors, without the last bits, which depend on the order of sums.
+
+Detectors choose between rays and edges that tie in 8-bit pictures: what is lost in rounding
+elsewhere must not decide.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,16 +48,11 @@ class Windows:
             floor_px: searched in any case.
             size_slack: relative error of the outline's radius that is still believed.
         """
-        reach = sigmas * self.balls.spread_px + floor_px
-        distances = np.linalg.norm(self.balls.centers_camera, axis=1)
-        slack = size_slack + reach / np.maximum(distances, 1e-9)
-        least, most = self.balls.radii_px * (1 - slack), self.balls.radii_px * (1 + slack)
-        places_px, places_mm = _rounded(self.balls.centers_px), _rounded(self.balls.centers_camera)
-        columns = (least, most, 0.5 * self.balls.radii_px, reach)
-        sizes = _rounded(np.stack(columns, axis=1)).tolist()
+        sizes = search_sizes(self.balls, sigmas, floor_px, size_slack, _DECIMALS)
+        places_px, places_mm = sizes[:, :2], sizes[:, 2:5]
         out: dict[str, list[Expectation]] = {}
         for row, (camera, ball) in enumerate(self.keys):
-            low, high, apart, around = sizes[row]
+            low, high, apart, around = sizes[row, 5:].tolist()
             out.setdefault(camera, []).append(
                 Expectation(
                     ball=ball,
@@ -98,15 +101,6 @@ def predict_windows(
         MIN_DEPTH_MM,
     )
     return Windows(tuple((camera.name, ball) for camera in present for ball in body.names), balls)
-
-
-def _rounded(values: Floats) -> Floats:
-    """Without the last bits, which depend on the order of sums.
-
-    Detectors choose between rays and edges that tie in 8-bit pictures: what is lost in rounding
-    elsewhere must not decide.
-    """
-    return np.round(values, _DECIMALS)
 
 
 @lru_cache(maxsize=64)

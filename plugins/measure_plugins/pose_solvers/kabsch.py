@@ -55,6 +55,13 @@ class KabschSolver(PoseSolver):
     Config = KabschConfig
     config: KabschConfig
 
+    def warm_up(self) -> None:
+        """Compile the check of the balls' distances."""
+        centers = self.body.centers
+        layout_flags(
+            self.body, self.body.names, centers, np.tile(np.eye(3), (len(centers), 1, 1)), 1
+        )
+
     def solve(
         self,
         fixes: Sequence[Fix],

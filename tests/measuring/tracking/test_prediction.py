@@ -9,7 +9,16 @@ import pytest
 
 from measure.arrays import Floats
 from measure.geometry import RigidTransform, chi_square_quantile, propagate, squared_mahalanobis
-from measure.measuring.tracking.gates import agree_with_each_other, agree_with_prediction
+from measure.measuring.tracking.gates import (
+    AGREES,
+    CONTRADICTS,
+    JUMPED,
+    MISCOLORED,
+    Sighted,
+    agree_with_each_other,
+    agree_with_prediction,
+    judge_sightings,
+)
 from measure.measuring.tracking.motion_filter import MotionState
 from measure.measuring.tracking.windows import Windows, predict_windows
 from measure.model import Pose
@@ -149,3 +158,23 @@ def test_detections_that_agree_move_the_prediction_and_one_that_does_not_is_left
     sd = np.sqrt(np.diag(np.linalg.inv(information)))
     np.testing.assert_allclose(np.sqrt(np.diag(covariance)), sd, rtol=0.05)
     np.testing.assert_array_less(np.abs(step - change)[:6], 4 * sd[:6])
+
+
+def test_each_detection_is_told_why_it_is_not_believed(state):
+    balls = _windows(state, np.zeros(4)).balls
+    rows, noise = np.arange(11), np.tile(0.01 * np.eye(2), (11, 1, 1))
+    pixels, colored = balls.centers_px[rows], np.ones(11, np.bool_)
+    pixels[2] += 1000.0
+    pixels[7] += [8.0, -6.0]
+    colored[4] = False
+    known = (state.covariance, state.time_s, _ACCELERATION**2, 0.5, chi_square_quantile(0.9999, 2))
+    seen = Sighted(pixels, noise, np.full(11, state.time_s), colored)
+    judged, change, covariance = judge_sightings(seen, rows, balls, *known)
+    expected = np.full(11, AGREES)
+    expected[[2, 4, 7]] = JUMPED, MISCOLORED, CONTRADICTS
+    assert judged.tolist() == expected.tolist()
+    assert np.all(np.abs(change) < 3 * np.sqrt(np.diag(covariance)))
+    nobody = seen._replace(colored=np.zeros(11, np.bool_))
+    judged, change, _ = judge_sightings(nobody, rows, balls, *known)
+    assert set(judged.tolist()) == {JUMPED, MISCOLORED}
+    assert np.all(np.isnan(change))
