@@ -20,20 +20,6 @@ _FURTHEST_PX = 1.6
 
 
 @compiled
-def _three_point_solution(rows: Floats, values: Floats) -> tuple[float, float, float, bool]:
-    (a, b, c), (d, e, f) = rows[0], rows[1]
-    g, h, i = rows[2]
-    det = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
-    if abs(det) < 1e-3:
-        return 0.0, 0.0, 0.0, False
-    p, q, r = values
-    x = (p * (e * i - f * h) - b * (q * i - f * r) + c * (q * h - e * r)) / det
-    y = (a * (q * i - f * r) - p * (d * i - f * g) + c * (d * r - q * g)) / det
-    z = (a * (e * r - q * h) - b * (d * r - q * g) + p * (d * h - e * g)) / det
-    return x, y, z, True
-
-
-@compiled
 def consensus(shifts: Floats, around: Floats, use: Floats, gate_px: float, trials: int) -> Floats:
     """The three-point solution most points agree with.
 
@@ -48,28 +34,44 @@ def consensus(shifts: Floats, around: Floats, use: Floats, gate_px: float, trial
         (3,) shift in px of the axis along e1 and e2, and growth of the radius.
     """
     index = np.nonzero(use)[0]
-    n = len(index)
-    best, out = -1.0, np.zeros(3)
-    rows, values = np.ones((3, 3)), np.empty(3)
     at, cosine, sine = shifts[index], around[index, 0], around[index, 1]
-    state = np.uint64(12345)
-    for _ in range(trials):
+    found, score = _three_point_solutions(at, cosine, sine, trials)
+    # All trials in the inner loop: many at once, and each one's sum in the points' order.
+    for j in range(len(at)):
+        for t in range(trials):
+            r = (at[j] - (cosine[j] * found[0, t] + sine[j] * found[1, t] + found[2, t])) / gate_px
+            score[t] += max(1 - r * r, 0.0)
+    best, out = -1.0, np.zeros(3)
+    for t in range(trials):
+        if score[t] > best:
+            best = score[t]
+            out[:] = found[:, t]
+    return out
+
+
+@compiled
+def _three_point_solutions(
+    at: Floats, cosine: Floats, sine: Floats, trials: int
+) -> tuple[Floats, Floats]:
+    """Solutions (3, trials) through triples of points (n,); -inf (trials,) for those with none."""
+    found, score = np.zeros((3, trials)), np.zeros(trials)
+    state, n = np.uint64(12345), np.uint32(len(at))
+    pick = np.zeros(3, np.uint64)
+    for t in range(trials):
         for k in range(3):
             state = state * np.uint64(6364136223846793005) + np.uint64(1442695040888963407)
-            pick = np.int64((state >> np.uint64(33)) % np.uint64(n))
-            rows[k, 0], rows[k, 1] = cosine[pick], sine[pick]
-            values[k] = at[pick]
-        x, y, z, good = _three_point_solution(rows, values)
-        if not good:
+            pick[k] = np.uint32(state >> np.uint64(33)) % n
+        a, b, p = cosine[pick[0]], sine[pick[0]], at[pick[0]]
+        d, e, q = cosine[pick[1]], sine[pick[1]], at[pick[1]]
+        g, h, r = cosine[pick[2]], sine[pick[2]], at[pick[2]]
+        det = a * (e - h) - b * (d - g) + (d * h - e * g)
+        if abs(det) < 1e-3:
+            score[t] = -np.inf
             continue
-        score = 0.0
-        for j in range(n):
-            r = (at[j] - (cosine[j] * x + sine[j] * y + z)) / gate_px
-            score += max(1 - r * r, 0.0)
-        if score > best:
-            best = score
-            out[0], out[1], out[2] = x, y, z
-    return out
+        found[0, t] = (p * (e - h) - b * (q - r) + (q * h - e * r)) / det
+        found[1, t] = (a * (q - r) - p * (d - g) + (d * r - q * g)) / det
+        found[2, t] = (a * (e * r - q * h) - b * (d * r - q * g) + p * (d * h - e * g)) / det
+    return found, score
 
 
 @compiled
