@@ -93,9 +93,11 @@ def approach(
         agreement: the least share of edges that agree in the end.
 
     Returns:
-        (k, 4) unit axis and half angle of each outline; half angle 0 where there is none.
+        (k, 5) unit axis and half angle of each outline, half angle 0 where there is none; and the
+        ball's distance: infinite, as nobody knows which of them is in front of which.
     """
-    out = np.zeros((len(circles), 4))
+    out = np.zeros((len(circles), 5))
+    out[:, 4] = np.inf
     slopes, nearer = np.empty(6), np.empty((0, 4))
     for i, circle in enumerate(circles):
         axis, radius = np.empty(3), circle[2]

@@ -69,6 +69,7 @@ class OutlineDetector(Detector):
 
     def __init__(self, config: Settings, body: Body, camera: Camera) -> None:
         super().__init__(config, body, camera)
+        from measure_plugins._acquisition import AcquisitionSettings
         from measure_plugins._acquisition.color_table import color_table
         from measure_plugins._edges.appearance import first_appearance
         from measure_plugins._edges.learner import AppearanceLearner
@@ -76,6 +77,7 @@ class OutlineDetector(Detector):
         self._lens = camera.intrinsics.row
         self._see(first_appearance(self.config.tone))
         self._learner = AppearanceLearner(self._lens, self.config.rays, self.config.margin_px)
+        self._acquisition = AcquisitionSettings()
         self._colors = tuple(dict.fromkeys(ball.color for ball in body.balls))
         self._table = color_table(self._colors)
         self._bits = {ball.name: 1 << self._colors.index(ball.color) for ball in body.balls}
@@ -111,25 +113,28 @@ class OutlineDetector(Detector):
 
     def _searched(self, image: Image, known: Collection[str]) -> list[Detection]:
         """All that may be balls that are not `known`; what one ball may be, any of its colour."""
-        from measure_plugins._acquisition import AcquisitionSettings, find_circles
+        from measure_plugins._acquisition import find_circles
         from measure_plugins._edges.outline_fit import approach
 
-        c, view, found = self.config, self._view(image), list[Detection]()
-        circles = find_circles(view.pixels, self._colors, AcquisitionSettings())
-        for color, some in zip(self._colors, circles, strict=True):
-            alike = [b.name for b in self.body.balls if b.color == color and b.name not in known]
-            if not alike:
-                continue
-            near = approach(view, some, c.rays // 2, c.min_contrast, c.min_agreement)
-            seen = near[:, 3] > 0
-            # Nobody knows which of them is in front of which.
-            cones = np.column_stack([near[seen], np.full(np.count_nonzero(seen), np.inf)])
-            expected = [_expectation(alike[0], x, y, radius) for x, y, radius, *_ in some[seen]]
-            if not expected:
-                continue
-            for one in self._measure_at(image, view, expected, cones):
-                found += [replace(one, ball=name) for name in alike]
-        return found
+        c, view = self.config, self._view(image)
+        circles = find_circles(view.pixels, self._colors, self._acquisition)
+        alike = {
+            color: [b.name for b in self.body.balls if b.color == color and b.name not in known]
+            for color in self._colors
+        }
+        kinds = [(alike[color], some) for color, some in zip(self._colors, circles, strict=True)]
+        first = [names[0] for names, some in kinds for _ in some if names]
+        rough = np.concatenate([some for names, some in kinds if names])
+        cones = approach(view, rough, c.rays // 2, c.min_contrast, c.min_agreement)
+        near = np.nonzero(cones[:, 3])[0]
+        expected = [_expectation(first[i], *rough[i, :3].tolist()) for i in near]
+        found = self._measure_at(image, view, expected, cones[near])
+        same = {names[0]: names for names in alike.values() if names}
+        return [
+            one if name == one.ball else replace(one, ball=name)
+            for one in found
+            for name in same[one.ball]
+        ]
 
     def _learnt(
         self, image: Image, expected: Sequence[Expectation], found: Sequence[Detection]
@@ -155,9 +160,8 @@ class OutlineDetector(Detector):
         return View(pixels, self._tone, self._encoding, self._lens, lamps)
 
     def _measure(self, image: Image, expected: Sequence[Expectation]) -> list[Detection]:
-        if not expected:
-            return []
-        return self._measure_at(image, self._view(image), expected, self._cones(expected))
+        view, cones = self._view(image), self._cones(expected)
+        return self._measure_at(image, view, expected, cones)
 
     def _measure_at(
         self, image: Image, view: View, expected: Sequence[Expectation], cones: Floats
@@ -172,6 +176,8 @@ class OutlineDetector(Detector):
         """
         from measure_plugins._edges.balls import Expected, measure_balls
 
+        if not expected:
+            return []
         c, sized = self.config, [e.center_camera is not None for e in expected]
         balls = Expected(
             np.ascontiguousarray(cones[:, :5]),
