@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from measure_plugins._edges.radial import (
     packed_radial,
     radial,
 )
+from measure_plugins._edges.sensor import encoding
 from measure_plugins._edges.tone import tone_table
 
 GLOSSY, MATT = REFRACTIVE_INDEX, 1.0001
@@ -44,9 +46,15 @@ class Appearance:
     mirrors: bool = True
     lamps: Floats = field(default_factory=no_lamps)
 
+    @cached_property
     def table(self) -> Floats:
         """Light (256,) of each picture value."""
         return bent_table(self.tone, self.bends)
+
+    @cached_property
+    def encoding(self) -> Floats:
+        """The inverse of the table, see `sensor.encoding`."""
+        return encoding(self.table)
 
     def tables(self, radius_px: float, half_angle: float) -> Radial:
         """What a ball of this size shows along a ray across its outline."""

@@ -13,14 +13,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from measure.arrays import Bytes, Floats
+from measure_plugins._edges.alignment import aligned_residuals
 from measure_plugins._edges.appearance import BENDS, GLOSSY, MATT, Appearance
 from measure_plugins._edges.corrected import LATER_STEPS, compare
 from measure_plugins._edges.lamps import no_lamps, seen_from
-from measure_plugins._edges.sensor import encoding
 
-_COMPARED = LATER_STEPS <= 4.0
+_COMPARED = int(np.count_nonzero(LATER_STEPS <= 4.0))
 """Both sides of the edge; further in, highlights have their own shapes."""
-_STEP = LATER_STEPS[1] - LATER_STEPS[0]
+_STEP = float(LATER_STEPS[1] - LATER_STEPS[0])
 _STRAIGHT = np.array([1e-6, 1e-6, 1e-6, 0.15])
 _BENT = np.array([0.03, 0.1, 0.05, 0.15])
 """How far curves (lift, bow, S) and blurs (its logarithm) of cameras depart from the standard."""
@@ -210,12 +210,11 @@ def _residuals(
     sight: Sight, appearance: Appearance, weights: Floats | None = None
 ) -> tuple[Floats, Floats]:
     """Picture minus prediction (k, m) along the free rays, the outline moved to fit; weights."""
-    table = appearance.table()
     tables = appearance.tables(sight.half_angle * sight.scale, sight.half_angle)
     seen, predicted = compare(
         sight.pixels,
-        table,
-        encoding(table),
+        appearance.table,
+        appearance.encoding,
         sight.points,
         sight.normals,
         sight.around,
@@ -223,31 +222,5 @@ def _residuals(
         tables,
         seen_from(appearance.lamps, sight.frame),
     )
-    use = sight.free == 0
-    off = (seen - predicted)[:, _COMPARED][:, :, use]
-    slope = -np.gradient(predicted, _STEP, axis=1)[:, _COMPARED][:, :, use]
-    return _aligned(_by_ray(off), _by_ray(slope), sight.around[use], weights)
-
-
-def _by_ray(profiles: Floats) -> Floats:
-    """Profiles (3, m, n) as rows (n, 3 m)."""
-    return profiles.reshape(-1, profiles.shape[-1]).T
-
-
-def _aligned(
-    residuals: Floats, slope: Floats, around: Floats, weights: Floats | None
-) -> tuple[Floats, Floats]:
-    """Residuals less the best shift and growth of the outline; and robust weights of the rays."""
-    design = np.column_stack([around, np.ones(len(around))])
-    rounds = 3 if weights is None else 1
-    w = np.ones(len(around)) if weights is None else weights
-    left = residuals
-    for _ in range(rounds):
-        normal = (design * (w * np.sum(slope**2, axis=1))[:, None]).T @ design
-        right = design.T @ (w * np.sum(slope * residuals, axis=1))
-        shift = design @ np.linalg.solve(normal + 1e-9 * np.eye(3), right)
-        left = residuals - slope * shift[:, None]
-        if weights is None:
-            power = np.mean(left**2, axis=1)
-            w = 1 / (1 + power / (3 * np.median(power) + 1e-9)) ** 2
-    return left, w
+    known = np.empty(0) if weights is None else weights
+    return aligned_residuals(seen, predicted, sight.free, sight.around, _COMPARED, _STEP, known)

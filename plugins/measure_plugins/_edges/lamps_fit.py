@@ -49,7 +49,7 @@ def with_lamps(sights: Sequence[Sight], appearance: Appearance) -> Appearance:
 
 def learn_lamps(sights: Sequence[Sight], appearance: Appearance) -> Floats:
     """Lamps (k, 4) in the camera's frame that explain the balls' shading, robustly."""
-    directions, table = _directions(_DIRECTIONS), appearance.table()
+    directions, table = _directions(_DIRECTIONS), appearance.table
     columns, seen = [], []
     for sight in sights:
         tables = appearance.tables(sight.half_angle * sight.scale, sight.half_angle)

@@ -19,7 +19,6 @@ from measure.host import Detector, Settings, hookimpl, setting
 from measure.model import Body, Camera, Detection, Expectation, Image
 
 if TYPE_CHECKING:
-    from measure_plugins._edges.appearance import Appearance
     from measure_plugins._edges.balls import Measured
     from measure_plugins._edges.look import View
 
@@ -75,21 +74,13 @@ class OutlineDetector(Detector):
         from measure_plugins._edges.learner import AppearanceLearner
 
         self._lens = camera.intrinsics.row
-        self._see(first_appearance(self.config.tone))
+        self._appearance = first_appearance(self.config.tone)
         self._learner = AppearanceLearner(self._lens, self.config.rays, self.config.margin_px)
         self._acquisition = AcquisitionSettings()
         self._colors = tuple(dict.fromkeys(ball.color for ball in body.balls))
         self._table = color_table(self._colors)
         self._bits = {ball.name: 1 << self._colors.index(ball.color) for ball in body.balls}
         self._radii = {ball.name: ball.radius_mm for ball in body.balls}
-
-    def _see(self, appearance: Appearance) -> None:
-        """Look at pictures through this appearance from now on."""
-        from measure_plugins._edges.sensor import encoding
-
-        self._appearance = appearance
-        self._tone = appearance.table()
-        self._encoding = encoding(self._tone)
 
     def warm_up(self) -> None:
         """Compile the hot loops (seconds, once per machine), by measuring a drawn disc."""
@@ -150,14 +141,14 @@ class OutlineDetector(Detector):
         learnt = self._learner.shown(image.pixels, seen, list(cones.values()), self._appearance)
         if learnt is None:
             return []
-        self._see(learnt)
+        self._appearance = learnt
         return self._measure(image, expected)
 
     def _view(self, image: Image) -> View:
         from measure_plugins._edges.look import View
 
-        pixels, lamps = np.ascontiguousarray(image.pixels), self._appearance.lamps
-        return View(pixels, self._tone, self._encoding, self._lens, lamps)
+        seen, pixels = self._appearance, np.ascontiguousarray(image.pixels)
+        return View(pixels, seen.table, seen.encoding, self._lens, seen.lamps)
 
     def _measure(self, image: Image, expected: Sequence[Expectation]) -> list[Detection]:
         view, cones = self._view(image), self._cones(expected)

@@ -36,7 +36,7 @@ def test_a_bent_tone_curve_is_found(learnt):
     true = _true_table("sharpened")
     seen = slice(20, 160)  # the values that the balls before black cloth show
     before, after = (
-        _off(table[seen], true[seen]) for table in (tone_table("srgb"), learnt["sharpened"].table())
+        _off(table[seen], true[seen]) for table in (tone_table("srgb"), learnt["sharpened"].table)
     )
     assert learnt["sharpened"].index == GLOSSY
     assert after < 0.5 * before

@@ -134,7 +134,7 @@ def _mean_errors(scene, appearance):
     """Mean px outside the true outlines: where no lamp shines on the limb, and elsewhere."""
     camera, pose = scene.camera(CAMERA), scene.trajectory.at(np.array([0.0]))[0]
     pixels = Renderer(scene, CAMERA).picture(0.0)
-    dark, bright, table = [], [], appearance.table()
+    dark, bright, table = [], [], appearance.table
     for ball, (axis, half_angle, _) in zip(
         scene.body.balls, cones(scene, scene.camera(CAMERA), 0.0), strict=True
     ):
