@@ -6,7 +6,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
-from measure.geometry.rotation_kernels import skew
+from measure.geometry.rotation_kernels import times
 from measure_plugins._edges.contour_terms import OWN, Terms
 from measure_plugins._edges.contours import Contours
 
@@ -50,10 +50,21 @@ def by_camera(contours: Contours, steps: Floats, rotation: Floats, translation: 
     out = np.zeros((len(contours.rotations), 6, 6))
     for k in range(len(contours.view_of)):
         view = contours.view_of[k]
-        camera = -(contours.rotations[view].T @ contours.translations[view])
-        arm = rotation @ contours.centers_body[k] + translation - camera
-        out[view, :, :3] += steps[k]
-        out[view, :, 3:] -= steps[k] @ skew(arm)
+        outward = contours.rotations[view].T
+        # From the camera's centre to the ball's.
+        x, y, z = (
+            times(rotation, contours.centers_body[k])
+            + translation
+            + times(outward, contours.translations[view])
+        )
+        for i in range(6):
+            p, q, r = steps[k, i]
+            out[view, i, 0] += p
+            out[view, i, 1] += q
+            out[view, i, 2] += r
+            out[view, i, 3] -= q * z - r * y
+            out[view, i, 4] -= r * x - p * z
+            out[view, i, 5] -= p * y - q * x
     return out
 
 

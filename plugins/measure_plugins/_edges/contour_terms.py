@@ -89,10 +89,13 @@ def collect(
         first, last = contours.start[k], contours.start[k + 1]
         turn, here = contours.rotations[contours.view_of[k]], contours.motion[k]
         arm = times(rotation, contours.centers_body[k])
-        moved = here[:3].copy()
-        if np.any(here[3:] != 0):
-            moved += times(rotation_of(here[3:]), arm) - arm
-        center = times(turn, translation + arm + moved) + contours.translations[contours.view_of[k]]
+        place = translation + arm
+        if here[3] != 0 or here[4] != 0 or here[5] != 0:
+            place += here[:3] + (times(rotation_of(here[3:]), arm) - arm)
+        else:
+            place += here[:3]
+        center = times(turn, place)
+        center += contours.translations[contours.view_of[k]]
         terms.arms[k, :, :3] = turn
         for a in range(3):
             # A turn about the body's origin moves the centre by its cross product with the arm.
@@ -118,23 +121,24 @@ def _columns(center: Floats, radius: float, contours: Contours, first: int, last
     sine = radius / distance
     cosine = np.sqrt(1 - sine * sine)
     tangent = sine / cosine
-    out = np.ones((_COLUMNS, last - first))
-    x, y, z = contours.bearings[:, first:last]
-    slopes = contours.slopes[:, first:last]
+    out, per_mm = np.ones((_COLUMNS, last - first)), 1 / distance
+    bearings, slopes = contours.bearings[:, first:last], contours.slopes[:, first:last]
     for i in range(last - first):
-        along = x[i] * ux + y[i] * uy + z[i] * uz
-        ex, ey, ez = x[i] - along * ux, y[i] - along * uy, z[i] - along * uz
+        x, y, z = bearings[0, i], bearings[1, i], bearings[2, i]
+        along = x * ux + y * uy + z * uz
+        ex, ey, ez = x - along * ux, y - along * uy, z - along * uz
         aside = np.sqrt(ex * ex + ey * ey + ez * ez)
-        ex, ey, ez = ex / aside, ey / aside, ez / aside
+        unit = 1 / aside  # divisions are what this loop waits for
+        ex, ey, ez = unit * ex, unit * ey, unit * ez
         ox, oy, oz = along * ex - aside * ux, along * ey - aside * uy, along * ez - aside * uz
         du = slopes[0, i] * ox + slopes[1, i] * oy + slopes[2, i] * oz
         dv = slopes[3, i] * ox + slopes[4, i] * oy + slopes[5, i] * oz
         scale = np.sqrt(du * du + dv * dv)
-        per = scale / distance
+        per, unit = scale * per_mm, 1 / scale
         out[0, i] = per * (ex - tangent * ux)
         out[1, i] = per * (ey - tangent * uy)
         out[2, i] = per * (ez - tangent * uz)
-        out[4, i], out[5, i] = du / scale, dv / scale
+        out[4, i], out[5, i] = unit * du, unit * dv
         # The angle beyond the cone, by its sine; the next term is below 1e-9 rad at 10 px.
         beyond = aside * cosine - along * sine
         out[6, i] = scale * (beyond + beyond * beyond * beyond / 6)
