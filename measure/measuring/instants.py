@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from measure.arrays import Floats
+from measure.arrays import Floats, stacked
 from measure.measuring.pose_fit import Sightings
 from measure.model import BallView, Body, Camera, Detection, Motion, Pose, Rig
 
@@ -114,4 +114,4 @@ def _projected(
     poses = {time_s: motion.at(time_s) for time_s in dict.fromkeys(times_s)}
     balls = {time_s: pose.apply(body.centers) for time_s, pose in poses.items()}
     centers = [balls[t][body.index(d.ball)] for d, t in zip(seen, times_s, strict=True)]
-    return Rig.of([cameras[d.camera] for d in seen]).project(np.array(centers))[0]
+    return Rig.of([cameras[d.camera] for d in seen]).project(stacked(centers))[0]

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from measure.arrays import Floats
+from measure.arrays import Floats, stacked
 from measure.errors import DegenerateGeometryError
 from measure.model import Camera, Detection, Rig
 from measure.model.camera import MIN_DEPTH_MM
@@ -53,8 +53,8 @@ class Views:
         return cls(
             used,
             Rig.of(used),
-            np.array([d.center_px for d in detections]),
-            np.array([d.covariance_px for d in detections]),
+            stacked([d.center_px for d in detections]),
+            stacked([d.covariance_px for d in detections]),
             np.zeros((len(used), 3)) if shifts is None else shifts,
         )
 

@@ -195,7 +195,7 @@ class Pipeline:
                 continue
             fix = self.stages.triangulator.triangulate(seen, self._cameras)
             if fix is not None:
-                fixes.append(replace(fix, time_s=time_s))
+                fixes.append(fix if fix.time_s == time_s else replace(fix, time_s=time_s))
         return tuple(fixes)
 
     def _solve(

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from measure.arrays import Floats, Ints
+from measure.arrays import Floats, Ints, stacked
 from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform, skew
 from measure.measuring.fit_kernels import fit_rows
@@ -56,8 +56,8 @@ class Sightings:
             Rig.of([cameras[d.camera] for d in detections]),
             body.centers[balls],
             balls,
-            np.stack([d.center_px for d in detections]),
-            np.stack([d.covariance_px for d in detections]) + extra_px**2 * np.eye(2),
+            stacked([d.center_px for d in detections]),
+            stacked([d.covariance_px for d in detections]) + extra_px**2 * np.eye(2),
             np.array([d.time_s for d in detections]) - time_s,
         )
 
