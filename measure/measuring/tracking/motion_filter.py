@@ -6,7 +6,7 @@ random (Bar-Shalom, Li and Kirubarajan 2001, section 6.3.2, discrete white-noise
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -69,8 +69,14 @@ class MotionState:
             time_s - self.time_s,
             acceleration_sd**2,
         )
-        moved = RigidTransform(rotation, translation)
-        return replace(self, world_from_body=moved, time_s=time_s, covariance=covariance)
+        return MotionState(
+            RigidTransform(rotation, translation),
+            self.velocity,
+            time_s,
+            covariance,
+            self.acceleration_square,
+            self.measured,
+        )
 
     def updated(self, pose: Pose, extra: Floats, acceleration_sd: Floats) -> MotionState:
         """The state after a measured pose.

@@ -161,7 +161,7 @@ class PredictiveTracker:
             extra = _chart(_LEFT_OUT_MM, _LEFT_OUT_RAD)
             self._state = self._state.updated(pose, extra, self._acceleration)
             self._last_seen, self._faster = self._state, None
-        return Verdict(replace(pose, flags=flags))
+        return Verdict(pose if flags == pose.flags else replace(pose, flags=flags))
 
     def _search(
         self, frame_set: FrameSet, detections: Mapping[str, Sequence[Detection]]
