@@ -102,13 +102,19 @@ def refine(
     solution, weights = start.copy(), use.copy()
     normal, right, scale = np.zeros((3, 3)), np.empty(3), 1.0
     factor, nothing = np.empty((3, 3)), np.zeros(len(shifts))
+    off, scratch = np.empty(len(shifts)), np.empty(len(shifts))
     for turn in range(_ROUNDS):
-        off = shifts - (around[:, 0] * solution[0] + around[:, 1] * solution[1] + solution[2])
-        scale = _scatter(off, sd, use if turn == 0 else weights, gate_px if turn == 0 else np.inf)
+        d1, d2, growing = solution
+        for i in range(len(shifts)):
+            off[i] = shifts[i] - (around[i, 0] * d1 + around[i, 1] * d2 + growing)
+        trusted, gate = (use, gate_px) if turn == 0 else (weights, np.inf)
+        scale = _scatter(off, sd, trusted, gate, scratch)
         if not np.isfinite(scale):
             return solution, normal, nothing, np.inf
         _weigh(off, sd, use, scale, weights)
-        _equations(shifts, around, weights / (sd * scale) ** 2, growth, normal, right)
+        for i in range(len(shifts)):
+            scratch[i] = weights[i] / (sd[i] * scale) ** 2
+        _equations(shifts, around, scratch, growth, normal, right)
         if not cholesky(normal, factor):
             return solution, normal, nothing, np.inf
         det = (factor[0, 0] * factor[1, 1] * factor[2, 2]) ** 2
@@ -119,9 +125,11 @@ def refine(
 
 
 @compiled
-def _scatter(off: Floats, sd: Floats, use: Floats, gate_px: float) -> float:
-    """Robust scale of the residuals in use, in units of `sd`; infinite if there are too few."""
-    standard = np.empty(len(off))
+def _scatter(off: Floats, sd: Floats, use: Floats, gate_px: float, standard: Floats) -> float:
+    """Robust scale of the residuals in use, in units of `sd`; infinite if there are too few.
+
+    What `standard` (n,) holds is written over.
+    """
     count = 0
     for i in range(len(off)):
         if use[i] > 0 and abs(off[i]) < gate_px:
