@@ -87,6 +87,20 @@ def alarms(session, capsys, *more):
 
 
 @pytest.mark.slow
+def test_a_camera_upside_down_is_named_before_a_second_body(shared, tmp_path, capsys):
+    """What it sees elsewhere looks like another body; that is not the first thing to say."""
+    cameras = list(read_calibration(still(shared) / "calibration.toml").cameras)
+    pose = cameras[1].world_from_camera
+    turn = pose.rotate(np.array([0, 0, np.pi]))
+    cameras[1] = replace(cameras[1], world_from_camera=pose.perturb([0, 0, 0, *turn]))
+    write_calibration(tmp_path / "turned.toml", Calibration(tuple(cameras)))
+    first, *_ = alarms(still(shared), capsys, "--calibration", str(tmp_path / "turned.toml"))
+    assert first.startswith("cam1 sees balls, but none where the others do (in ")
+    assert "another camera's calibration" in first
+    assert not any("but none where" in text for text in alarms(still(shared), capsys))
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["cam0", "cam2"])
 def test_only_the_camera_that_was_moved_by_half_a_degree_is_named(shared, tmp_path, capsys, name):
     cameras = list(read_calibration(still(shared) / "calibration.toml").cameras)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -45,9 +46,10 @@ def coverage_findings(
         level = Level.WRONG if lost > len(surveys) / 2 else Level.WEAK
         text = f"no pose in {lost} of {len(surveys)} frame sets looked at, mostly: {common}"
         findings.append(Finding(level, "balls", text))
-    findings += _doubts(surveys)
+    strange, told = _strangers(with_pose)
+    findings += told + _doubts(surveys)
     for row in table:
-        if row.expected and row.seen < _SELDOM * row.expected:
+        if row.camera not in strange and row.seen < _SELDOM * row.expected:
             text = (
                 f"{row.camera} sees ball {row.ball} in {row.seen} of {row.expected} frame sets "
                 "in which it lies in its picture: hidden, or its colour does not match"
@@ -60,6 +62,22 @@ def coverage_findings(
         )
         findings.append(Finding(Level.WEAK, "coverage", text))
     return table, findings
+
+
+def _strangers(surveys: Sequence[Surveyed]) -> tuple[set[str], list[Finding]]:
+    """Cameras that see balls elsewhere than the others more often than not, and a line for each."""
+    counts = Counter(name for survey in surveys for name in survey.strangers)
+    often = {name: k for name, k in sorted(counts.items()) if k > len(surveys) / 2}
+    return set(often), [
+        Finding(
+            Level.WRONG,
+            "camera",
+            f"{name} sees balls, but none where the others do (in {k} of {len(surveys)} frame "
+            "sets): it has another camera's calibration, or stands elsewhere than when it was "
+            "calibrated",
+        )
+        for name, k in often.items()
+    ]
 
 
 def _doubts(surveys: Sequence[Surveyed]) -> list[Finding]:

@@ -10,6 +10,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.geometry import RigidTransform
 from measure.measuring.association import associate
+from measure.measuring.tracking.doubts import strangers
 from measure.model import Body, Camera, Detection
 
 _SIZE_RATIO = 1.25
@@ -30,6 +31,7 @@ class Surveyed:
         in_view: per camera, how many balls should lie in its picture.
         reason: why there is no pose.
         doubts: what makes the pose one to doubt.
+        strangers: cameras that see balls, but none where the body should appear.
         velocity: (6,) in the pose's `perturb` chart, per second; zero if unknown.
     """
 
@@ -40,6 +42,7 @@ class Surveyed:
     in_view: Mapping[str, int]
     reason: str
     doubts: tuple[str, ...] = ()
+    strangers: tuple[str, ...] = ()
     velocity: Floats = field(default_factory=lambda: np.zeros(6))
 
 
@@ -108,4 +111,5 @@ def survey_frame_set(
         in_view,
         "",
         found.doubts,
+        strangers(found, body, cameras, detections),
     )
