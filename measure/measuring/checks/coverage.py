@@ -71,7 +71,7 @@ def _strangers(surveys: Sequence[Surveyed]) -> tuple[set[str], list[Finding]]:
     return set(often), [
         Finding(
             Level.WRONG,
-            "camera",
+            "calibration",
             f"{name} sees balls, but none where the others do (in {k} of {len(surveys)} frame "
             "sets): it has another camera's calibration, or stands elsewhere than when it was "
             "calibrated",
