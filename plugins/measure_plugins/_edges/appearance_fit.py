@@ -16,7 +16,7 @@ from measure.arrays import Bytes, Floats
 from measure_plugins._edges.alignment import aligned_residuals
 from measure_plugins._edges.appearance import BENDS, GLOSSY, MATT, Appearance
 from measure_plugins._edges.corrected import LATER_STEPS, compare
-from measure_plugins._edges.lamps import no_lamps, seen_from
+from measure_plugins._edges.lamps import lamp_light, no_lamps, seen_from
 
 _COMPARED = int(np.count_nonzero(LATER_STEPS <= 4.0))
 """Both sides of the edge; further in, highlights have their own shapes."""
@@ -220,7 +220,7 @@ def _residuals(
         sight.around,
         sight.free.copy(),
         tables,
-        seen_from(appearance.lamps, sight.frame),
+        lamp_light(tables.diffuse, sight.around, seen_from(appearance.lamps, sight.frame)),
     )
     known = np.empty(0) if weights is None else weights
     return aligned_residuals(seen, predicted, sight.free, sight.around, _COMPARED, _STEP, known)

@@ -63,7 +63,7 @@ def corrected_edges(
     around: Floats,
     free: Floats,
     radial: Radial,
-    lamps: Floats,
+    lit: Floats,
 ) -> Edges:
     """Find edges twice, by all colours and without grey, less the finder's errors on a prediction.
 
@@ -80,14 +80,14 @@ def corrected_edges(
         around: (n, 2) cosine and sine around the axis.
         free: (n,) `rays.FREE` where nothing is known to be in the way; may be set to OUTSIDE.
         radial: what the ball shows along a ray, see `radial.radial`.
-        lamps: (k, 4) in the frame about the axis, see `lamps`; none if they are not known.
+        lit: (m, n) light from the camera's lamps, see `lamps.lamp_light`; empty if none are known.
 
     Returns:
         The edges; their contrast in picture values from 0 to 1.
     """
     light, values = sample(pixels, table, points, normals, STEPS, free, True)
     within, background = levels(light, STEPS, INSIDE_PX), levels(light, STEPS, _BACKGROUND_PX)
-    predicted = predicted_values(light, free, around, background, inverse, radial, lamps)
+    predicted = predicted_values(light, free, around, background, inverse, radial, lit)
     inside, outside = levels(values, STEPS, INSIDE_PX), levels(values, STEPS, OUTSIDE_PX)
     model_inside = levels(predicted, LATER_STEPS, INSIDE_PX)
     model_outside = levels(predicted, LATER_STEPS, OUTSIDE_PX)
@@ -130,12 +130,12 @@ def compare(
     around: Floats,
     free: Floats,
     radial: Radial,
-    lamps: Floats,
+    lit: Floats,
 ) -> tuple[Floats, Floats]:
     """Picture values (3, m, n) at `LATER_STEPS`: seen, and predicted. Arguments as above."""
     light, values = sample(pixels, table, points, normals, STEPS, free, True)
     background = levels(light, STEPS, _BACKGROUND_PX)
-    predicted = predicted_values(light, free, around, background, inverse, radial, lamps)
+    predicted = predicted_values(light, free, around, background, inverse, radial, lit)
     return values[:, _FIRST:], predicted
 
 
@@ -156,11 +156,11 @@ def predicted_values(
     background: Floats,
     inverse: Floats,
     radial: Radial,
-    lamps: Floats,
+    lit: Floats,
 ) -> Floats:
     """Picture values (3, m, n) at `LATER_STEPS` that the model predicts along rays of `light`."""
     first = _FIRST - _MARGIN
-    predicted = predict_light(light, free, around, background, STEPS, radial, lamps, first)
+    predicted = predict_light(light, free, around, background, STEPS, radial, lit, first)
     return blur_chroma(encode(predicted, inverse), _STEP_PX, _MARGIN)
 
 

@@ -41,7 +41,7 @@ def seen_from(lamps: Floats, frame: Floats) -> Floats:
 
 @compiled
 def lamp_light(diffuse: Floats, around: Floats, lamps: Floats) -> Floats:
-    """Light (m, n) the lamps draw from a ball, along its rays.
+    """Light (m, n) the lamps draw from a ball, along its rays; empty (0, n) without lamps.
 
     Args:
         diffuse: (m, 6) see `radial.Radial`.
@@ -49,7 +49,7 @@ def lamp_light(diffuse: Floats, around: Floats, lamps: Floats) -> Floats:
         lamps: (k, 4) in the frame about the axis.
     """
     m, n = len(diffuse), len(around)
-    out, sideways = np.zeros((m, n)), np.empty(n)
+    out, sideways = np.zeros((m if len(lamps) > 0 else 0, n)), np.empty(n)
     for k in range(len(lamps)):
         x, y, z, power = lamps[k]
         for i in range(n):

@@ -16,10 +16,11 @@ from measure_plugins._edges.corrected import (
     corrected_edges,
 )
 from measure_plugins._edges.crossing import crossings, levels, project, uncertainty
-from measure_plugins._edges.lamps import seen_from
+from measure_plugins._edges.lamps import lamp_light, seen_from
 from measure_plugins._edges.radial import Radial
 from measure_plugins._edges.rays import (
     FREE,
+    angles_around,
     cast_rays,
     frame_about,
     sample,
@@ -137,19 +138,28 @@ def look_roughly(
 
 @compiled
 def look_closely(
-    view: View, search: Search, axis: Floats, half_angle: float, radial: Radial
+    view: View, search: Search, axis: Floats, half_angle: float, radial: Radial, lit: Floats
 ) -> Look:
-    """The same with the edge finder's own error taken off."""
+    """The same with the edge finder's own error taken off; `lit` by `lamps_shine` about there."""
     frame = frame_about(axis)
     points, normals, scale, around = cast_rays(frame, half_angle, search.rays, view.lens)
     reach = (INSIDE_PX[0], OUTSIDE_PX[1])
     free = ways(frame, half_angle, scale, around, search.nearer, reach, search.margin_px)
-    lamps = seen_from(view.lamps, frame)
     edges = corrected_edges(
-        view.pixels, view.table, view.inverse, points, normals, around, free, radial, lamps
+        view.pixels, view.table, view.inverse, points, normals, around, free, radial, lit
     )
     clear, use = _usable(edges, free, search.min_contrast, SEARCH_PX)
     return Look(frame, points, normals, scale, around, free, edges, clear, use)
+
+
+@compiled
+def lamps_shine(view: View, axis: Floats, rays: int, radial: Radial) -> Floats:
+    """Light (m, n) the camera's lamps draw from a ball along its rays, see `lamps.lamp_light`.
+
+    Looks a few pixels away may use it too: lamps are far, a degree does not matter.
+    """
+    lamps = seen_from(view.lamps, frame_about(axis))
+    return lamp_light(radial.diffuse, angles_around(rays), lamps)
 
 
 @compiled

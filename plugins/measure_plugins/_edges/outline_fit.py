@@ -11,7 +11,7 @@ from measure.compiling import compiled
 from measure.model.lens import bearing_and_slopes, to_pixel
 from measure_plugins._edges.cone_fit import consensus, refine
 from measure_plugins._edges.corrected import SEARCH_PX
-from measure_plugins._edges.look import Look, Search, View, look_closely, look_roughly
+from measure_plugins._edges.look import Look, Search, View, lamps_shine, look_closely, look_roughly
 from measure_plugins._edges.radial import Radial
 from measure_plugins._edges.rays import FREE
 from measure_plugins._edges.selection import kth_smallest
@@ -159,8 +159,9 @@ def measure_closely(view: View, search: Search, radial: Radial) -> Outline:
             return _nothing(search)
         axis = _turned(look, fit)
         start = 1
+    lit = lamps_shine(view, axis, search.rays, radial)
     for turn in range(start, _TURNS):
-        look = look_closely(view, search, axis, half_angle, radial)
+        look = look_closely(view, search, axis, half_angle, radial, lit)
         fit = _fit(look, _GROWTH_CORRECTED, turn == 0)
         if not np.isfinite(fit.scale):
             break

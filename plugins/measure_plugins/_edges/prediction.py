@@ -11,7 +11,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
-from measure_plugins._edges.lamps import fit_lamp_light, lamp_body, lamp_light
+from measure_plugins._edges.lamps import fit_lamp_light, lamp_body
 from measure_plugins._edges.radial import Radial
 from measure_plugins._edges.shading import (
     FIT_LAST_PX,
@@ -33,7 +33,7 @@ def predict_light(
     background: Floats,
     steps: Floats,
     radial: Radial,
-    lamps: Floats,
+    lit: Floats,
     first: int,
 ) -> Floats:
     """Light (3, m - first, n) the model predicts along the rays.
@@ -45,13 +45,13 @@ def predict_light(
         background: (3, n) light outside the outline.
         steps: (m,) px along the normal.
         radial: the ball's tables at the same steps.
-        lamps: (k, 4) in the frame about the axis; without any, shading is a polynomial.
+        lit: (m, n) light the camera's lamps draw from the ball, see `lamps.lamp_light`; where it
+            is empty, shading is a polynomial.
         first: the step at which the prediction begins.
     """
     own, amounts, grey, behind_grey = split_light(profiles, free, background, steps, radial)
-    if len(lamps) > 0:
+    if lit.size > 0:
         used = int(np.searchsorted(steps, FIT_LAST_PX, side="right"))
-        lit = lamp_light(radial.diffuse, around, lamps)
         fitted = fit_lamp_light(amounts, free, around, radial.diffuse, lit, used)
         body = lamp_body(fitted, around, radial.diffuse, lit, first)
     else:

@@ -34,6 +34,16 @@ def frame_about(axis: Floats) -> Floats:
 
 
 @compiled
+def angles_around(count: int) -> Floats:
+    """Cosine and sine (count, 2) of the angles of evenly spaced rays around an axis."""
+    out = np.empty((count, 2))
+    for i in range(count):
+        phi = 2 * np.pi * i / count
+        out[i, 0], out[i, 1] = np.cos(phi), np.sin(phi)
+    return out
+
+
+@compiled
 def cast_rays(
     frame: Floats,
     half_angle: float,
@@ -47,14 +57,12 @@ def cast_rays(
         cosine and sine of the angle around the axis (n, 2).
     """
     points, normals = np.empty((count, 2)), np.empty((count, 2))
-    scale, around = np.empty(count), np.empty((count, 2))
+    scale, around = np.empty(count), angles_around(count)
     wide = half_angle + _TILT
     near, aside = np.cos(half_angle), np.sin(half_angle)
     near2, aside2 = np.cos(wide), np.sin(wide)
     for i in range(count):
-        phi = 2 * np.pi * i / count
-        cosine, sine = np.cos(phi), np.sin(phi)
-        around[i, 0], around[i, 1] = cosine, sine
+        cosine, sine = around[i]
         x = cosine * frame[0, 0] + sine * frame[1, 0]
         y = cosine * frame[0, 1] + sine * frame[1, 1]
         z = cosine * frame[0, 2] + sine * frame[1, 2]

@@ -151,7 +151,7 @@ def _mean_errors(scene, appearance):
             around,
             np.zeros(72),
             tables,
-            seen_from(appearance.lamps, frame),
+            lamp_light(tables.diffuse, around, seen_from(appearance.lamps, frame)),
         )
         center = pose.apply(ball.center_mm)
         limb = around @ frame[:2] @ camera.camera_from_world.rotation
