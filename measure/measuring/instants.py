@@ -92,14 +92,13 @@ def velocity_share(
     _, by_pose, by_velocity = seen.residuals(pose.world_from_body, motion.velocity)
     gain = np.swapaxes(by_pose, 1, 2) @ np.linalg.inv(seen.noise)
     normal = (gain @ by_pose).sum(axis=0)
+    by_bend = by_velocity * (seen.lead_s / 2)[:, None, None]
+    moved = np.hstack([(gain @ by_velocity).sum(axis=0), (gain @ by_bend).sum(axis=0)])
     # One ball alone leaves a turn open: its pose is the prediction's, whatever the velocity.
-    lever = np.linalg.lstsq(normal, (gain @ by_velocity).sum(axis=0), rcond=1e-9)[0]
+    lever, bend = np.hsplit(np.linalg.lstsq(normal, moved, rcond=1e-9)[0], 2)
     out = lever @ motion.velocity_covariance @ lever.T
     if motion.acceleration_square is not None:
-        lead_s = np.array([d.time_s - pose.time_s for d in detections])
-        by_bend = by_velocity * (lead_s / 2)[:, None, None]
-        lever = np.linalg.lstsq(normal, (gain @ by_bend).sum(axis=0), rcond=1e-9)[0]
-        out = out + lever @ motion.acceleration_square @ lever.T
+        out = out + bend @ motion.acceleration_square @ bend.T
     return np.asarray(out)
 
 

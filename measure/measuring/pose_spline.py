@@ -20,7 +20,7 @@ from measure.measuring.measurement import Draft, Measurement, Status
 from measure.model import Motion, Pose
 
 if TYPE_CHECKING:
-    from scipy.interpolate import CubicSpline
+    from scipy.interpolate import PPoly
 
 REACH = 3
 """Poses on either side: the fourth would change a slope by 2 % of its own noise."""
@@ -38,7 +38,7 @@ class SplineMotion(Motion):
         own_bend: the spline's second derivative where its own knot is one off, and no other, 1/s^2.
     """
 
-    path: CubicSpline = field(kw_only=True)
+    path: PPoly = field(kw_only=True)
     own_bend: float = field(kw_only=True)
 
     def moved(self, time_s: float) -> Floats:
@@ -65,12 +65,14 @@ def motion_at(pose: Pose, before: Sequence[Pose], after: Sequence[Pose]) -> Spli
     knots = [*before, pose, *after]
     if len(knots) < 2:
         return None
-    from scipy.interpolate import CubicSpline
+    from scipy.interpolate import CubicSpline, PPoly
 
     times = np.array([knot.time_s for knot in knots]) - pose.time_s
     places = np.stack([knot.world_from_body.difference(pose.world_from_body) for knot in knots])
-    unit = CubicSpline(times, np.eye(len(knots)), bc_type="not-a-knot")
-    slope = unit(0.0, 1)
+    # One spline for the path and for what every knot does to it: they share the costly part.
+    curves = np.hstack([places, np.eye(len(knots))])
+    spline, size = CubicSpline(times, curves, bc_type="not-a-knot"), places.shape[1]
+    slope, bend = spline(0.0, 1)[size:], spline(0.0, 2)[size:]
     noise = np.einsum("k,kij->ij", slope**2, np.stack([knot.covariance for knot in knots]))
     # Where a plainer curve through the nearest poses goes another way, neither is to be trusted.
     other = (slope - _plainer_slope(times)) @ places
@@ -79,8 +81,8 @@ def motion_at(pose: Pose, before: Sequence[Pose], after: Sequence[Pose]) -> Spli
         pose.time_s,
         slope @ places,
         velocity_covariance=noise + np.outer(other, other),
-        path=CubicSpline(times, places, bc_type="not-a-knot"),
-        own_bend=float(unit(0.0, 2)[len(before)]),
+        path=PPoly.construct_fast(spline.c[..., :size], spline.x),
+        own_bend=float(bend[len(before)]),
     )
 
 
