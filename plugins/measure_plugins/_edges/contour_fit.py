@@ -80,7 +80,7 @@ def fit_contours(
     scatter, doubt = np.full(OWN, _SCATTER_START_PX**2), np.ones(k)
     terms, covariance, solved = empty_terms(k), np.zeros((6 + c, 6 + c)), False
     for _ in range(_STEPS):
-        variances = doubt.reshape(-1, 1) * scatter
+        variances = _variances(contours, scatter, doubt)
         collect(contours, rotation, translation, offsets, shifts, variances, terms)
         normal, right = _equations(contours, terms, offsets)
         if np.any(prior_information != 0):
@@ -99,7 +99,7 @@ def fit_contours(
         offsets = offsets + step[6:]
         if _within(step, _STEP_MM, _STEP_RAD):
             break
-    variances = doubt.reshape(-1, 1) * scatter
+    variances = _variances(contours, scatter, doubt)
     collect(contours, rotation, translation, offsets, shifts, variances, terms)
     normal, _ = _equations(contours, terms, offsets)
     normal[:6, :6] += prior_information
@@ -196,6 +196,16 @@ def _own_steps(contours: Contours, terms: Terms, step: Floats) -> Floats:
 
 
 @compiled
+def _variances(contours: Contours, scatter: Floats, doubt: Floats) -> Floats:
+    """Variances (k, 3) of the ball-views' own shifts."""
+    out = np.empty((len(doubt), OWN))
+    for k in range(len(doubt)):
+        out[k, :2] = doubt[k] * contours.spread[k] * scatter[:2]
+        out[k, 2] = doubt[k] * scatter[2]
+    return out
+
+
+@compiled
 def _scatter(
     contours: Contours,
     terms: Terms,
@@ -213,6 +223,7 @@ def _scatter(
     prior = _SCATTER_PRIOR_COUNT * _SCATTER_PRIOR_PX**2
     center, known_center = prior, _SCATTER_PRIOR_COUNT
     radius, known_radius = prior, _SCATTER_PRIOR_COUNT
+    variances = _variances(contours, scatter, doubt)
     apart, reach = np.empty(len(doubt)), np.empty(7)
     for k in range(len(doubt)):
         for a in range(OWN):
@@ -223,14 +234,14 @@ def _scatter(
             reach[6] = gain[3]
             spread = terms.own_covariance[k, a, a]
             spread += _variance(reach, covariance, 6 + contours.view_of[k])
-            known = min(max(1 - spread / (scatter[a] * doubt[k]), 0.02), 1.0)
+            known = min(max(1 - spread / variances[k, a], 0.02), 1.0)
             if a < 2:
-                center += shifts[k, a] ** 2 / doubt[k]
+                center += shifts[k, a] ** 2 / (doubt[k] * contours.spread[k])
                 known_center += known
             else:
                 radius += shifts[k, a] ** 2 / doubt[k]
                 known_radius += known
-        apart[k] = shifts[k, 0] ** 2 + shifts[k, 1] ** 2
+        apart[k] = (shifts[k, 0] ** 2 + shifts[k, 1] ** 2) / contours.spread[k]
     out = np.empty(OWN)
     out[:2] = max(center / known_center, _SCATTER_FLOOR_PX**2)
     out[2] = max(radius / known_radius, _RADIUS_SCATTER_FLOOR_PX**2)

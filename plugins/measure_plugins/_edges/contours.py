@@ -27,6 +27,7 @@ class Contours(NamedTuple):
         radii: (k,) mm.
         motion: (k, 6) how far the body has moved, at the picture's time, from where it is at the
             pose's time (mm, rad, world).
+        spread: (k,) variance of each outline's own shift relative to the others'.
         rotations: (c, 3, 3) of camera_from_world.
         translations: (c, 3) of camera_from_world, mm.
     """
@@ -39,6 +40,7 @@ class Contours(NamedTuple):
     centers_body: Floats
     radii: Floats
     motion: Floats
+    spread: Floats
     rotations: Floats
     translations: Floats
 
@@ -54,11 +56,16 @@ class Balls(NamedTuple):
     centers_body: Floats
     radii: Floats
     motion: Floats
+    spread: Floats
 
     def take(self, rows: list[int]) -> Balls:
         """Only some of them."""
         return Balls(
-            self.view_of[rows], self.centers_body[rows], self.radii[rows], self.motion[rows]
+            self.view_of[rows],
+            self.centers_body[rows],
+            self.radii[rows],
+            self.motion[rows],
+            self.spread[rows],
         )
 
 

@@ -25,6 +25,10 @@ from measure_plugins.pose_solvers._outlines import Outlines
 if TYPE_CHECKING:
     from measure_plugins._edges.contour_covariance import Solution
 
+_MOST_SPREAD = 2.0
+_LEAST_VARIANCE_PX2 = 1e-8
+"""For detectors that claim no uncertainty at all."""
+
 
 class ContoursConfig(Settings):
     """Settings of the `contours` solver."""
@@ -136,6 +140,7 @@ class ContoursSolver(PoseSolver):
             self.body.centers[ball_of],
             self.body.radii[ball_of],
             moved[[times.index(d.time_s) for d, _, _ in seen]],
+            _spread([d for d, _, _ in seen]),
         )
         points, sd = [one for _, one, _ in seen], [one for _, _, one in seen]
         contours, kept = pack(points, sd, balls, views_of(used))
@@ -208,6 +213,17 @@ class ContoursSolver(PoseSolver):
         if position > self.config.max_position_sd_mm or rotation > self.config.max_rotation_sd_deg:
             flags.append(f"poorly determined: {position:.2g} mm, {rotation:.2g} deg (1 sd)")
         return tuple(flags)
+
+
+def _spread(seen: Sequence[Detection]) -> Floats:
+    """Variances (k,) of the outlines' own shifts relative to each other.
+
+    Where the edges of an outline scatter more, all of them together sit off further as well. Their
+    scatter tells part of that only: it counts by its root, within limits.
+    """
+    claimed = np.array([d.covariance_px[0, 0] + d.covariance_px[1, 1] for d in seen])
+    typical = max(float(np.median(claimed)), _LEAST_VARIANCE_PX2)
+    return np.clip(np.sqrt(claimed / typical), 1 / _MOST_SPREAD, _MOST_SPREAD)
 
 
 def _rms(vectors: Floats) -> float:

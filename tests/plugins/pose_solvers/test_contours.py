@@ -250,6 +250,28 @@ def test_a_wrong_ball_is_flagged_and_does_not_pull():
     assert np.linalg.norm(pose.world_from_body.difference(POSE)[:3]) < 0.05
 
 
+def test_outlines_that_claim_to_be_less_certain_pull_less():
+    cameras = ring()
+    seen = see_all(RAVEN, cameras, POSE, rng=np.random.default_rng(5))
+    shifted = [
+        see(RAVEN, cameras["cam0"], d.ball, POSE, shift=(0.3, 0.2)) if d.camera == "cam0" else d
+        for d in seen
+    ]
+
+    def off(claims):
+        claimed = [
+            replace(d, covariance_px=0.01 * (claims if d.camera == "cam0" else 1.0) * np.eye(2))
+            for d in shifted
+        ]
+        pose = solve(RAVEN, claimed, cameras, Motion.at_rest(POSE, 0.0))
+        return np.linalg.norm(pose.world_from_body.difference(POSE)[:3])
+
+    assert off(4.0) < 0.8 * off(1.0)
+    assert off(0.25) > 1.2 * off(1.0)
+    assert off(100.0) == off(16.0), "claims count within limits"
+    assert np.isfinite(off(0.0))
+
+
 def test_too_little_is_no_pose():
     cameras = ring()
     assert solve(RAVEN, [], cameras) is None
