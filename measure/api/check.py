@@ -209,7 +209,7 @@ def _concluded(
     aside = misfit_findings(misfits)
     shape = check_body(located, session.body)
     findings += _body_findings(shape, aside)
-    coverage, weak = coverage_findings(surveys, session.body, session.cameras)
+    coverage, weak = coverage_findings(surveys, session.body, session.cameras, misfits)
     findings += weak + aside + _clock_findings(clocks)
     levels = list(Level)
     return SessionCheck(

@@ -19,6 +19,8 @@ from tests.measuring.test_clocks import CAMERAS, moving, recorded, still
 from tests.scenes import RAVEN
 from tests.session.conftest import jpeg, write_recording
 
+_SETS = 40
+
 
 def slipped(cameras: tuple[Camera, ...], mm: float, degrees: float) -> tuple[Camera, ...]:
     rng = np.random.default_rng(3)
@@ -120,11 +122,11 @@ def test_a_recording_that_cannot_support_it_is_refused(
 
 @pytest.fixture(scope="module")
 def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two seconds of a moving body before cameras that are not quite where the file says."""
+    """Four seconds of a moving body before cameras that are not quite where the file says."""
     scene = scene_catalogue()["still"]
     stated = slipped(scene.cameras, 0.5, 0.1)
     folder = tmp_path_factory.mktemp("moving") / "session"
-    return write_session(replace(scene, stated_cameras=stated), np.arange(20) * 0.1, folder)
+    return write_session(replace(scene, stated_cameras=stated), np.arange(_SETS) * 0.1, folder)
 
 
 @pytest.mark.slow
@@ -132,8 +134,10 @@ def test_pictures_of_a_moving_body_bring_the_cameras_together(rendered, tmp_path
     out, true = tmp_path / "refined.toml", scene_catalogue()["still"].cameras
     assert main(["refine", str(rendered), "-o", str(out)]) == 0
     first, found = (read_calibration(f).cameras for f in (rendered / "calibration.toml", out))
-    at = scene_catalogue()["still"].trajectory.at(np.arange(20) * 0.1)
-    before, after = (relative_error_mm(c, true, [at[i] for i in range(20)]) for c in (first, found))
+    at = scene_catalogue()["still"].trajectory.at(np.arange(_SETS) * 0.1)
+    before, after = (
+        relative_error_mm(c, true, [at[i] for i in range(_SETS)]) for c in (first, found)
+    )
     assert after < 0.5 * before
     assert turn_errors_deg(found, true) < turn_errors_deg(first, true)
     errors = np.concatenate(

@@ -16,6 +16,8 @@ from measure.model import BallView, Body, Detection
 from measure.model.observations import Reason
 
 MIN_FRAMES = 10
+_HARDLY_EVER = 0.2
+"""A camera that agrees in a smaller share of the frame sets is not refined but refused."""
 _WINDOW = 9
 _DEGREE = 4
 _LEAST_SPREAD_MM = 20.0
@@ -127,10 +129,10 @@ def recording_of(
 def _refuse_strangers(kept: Sequence[Measurement], doubted: bool) -> None:
     """Refuse a camera that sees balls, but hardly ever where the others do."""
     for name, aside in _aside(kept).items():
-        usable = sum(
-            view.camera == name and _usable(view, doubted) for m in kept for view in m.views
+        agreeing = sum(
+            any(view.camera == name and _usable(view, doubted) for view in m.views) for m in kept
         )
-        if usable < MIN_FRAMES <= aside:
+        if aside >= MIN_FRAMES and agreeing < _HARDLY_EVER * (agreeing + aside):
             raise CalibrationError(
                 f"camera {name} sees the balls elsewhere than the others in {aside} of {len(kept)} "
                 "frame sets: it does not stand where the first calibration says; if it was moved "

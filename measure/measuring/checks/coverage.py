@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +12,7 @@ from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform
 from measure.measuring.checks.finding import Finding, Level
+from measure.measuring.checks.moved import Misfit
 from measure.measuring.checks.survey import Surveyed
 from measure.measuring.pose_fit import Sightings, fit_pose
 from measure.model import Body, Camera, Detection
@@ -33,9 +34,19 @@ class Coverage:
 
 
 def coverage_findings(
-    surveys: Sequence[Surveyed], body: Body, cameras: Sequence[Camera]
+    surveys: Sequence[Surveyed],
+    body: Body,
+    cameras: Sequence[Camera],
+    misfits: Collection[Misfit] = (),
 ) -> tuple[tuple[Coverage, ...], list[Finding]]:
-    """Who saw what, and what is weak about it."""
+    """Who saw what, and what is weak about it.
+
+    Args:
+        surveys: of the frame sets looked at.
+        body: the body.
+        cameras: all of them.
+        misfits: cameras measured to be off. Others then disagree with them, and are not to blame.
+    """
     with_pose = [s for s in surveys if s.world_from_body is not None]
     table = tuple(_seen(with_pose, body, c, k) for c in cameras for k in range(len(body.balls)))
     findings: list[Finding] = []
@@ -46,7 +57,7 @@ def coverage_findings(
         level = Level.WRONG if lost > len(surveys) / 2 else Level.WEAK
         text = f"no pose in {lost} of {len(surveys)} frame sets looked at, mostly: {common}"
         findings.append(Finding(level, "balls", text))
-    strange, told = _strangers(with_pose)
+    strange, told = _strangers([] if misfits else with_pose)
     findings += told + _doubts(surveys)
     for row in table:
         if row.camera not in strange and row.seen < _SELDOM * row.expected:
