@@ -94,7 +94,7 @@ def fit_contours(
             break
         step = covariance @ right
         shifts = _own_steps(contours, terms, step)
-        scatter, doubt = _scatter(contours, terms, covariance, shifts, scatter, doubt)
+        scatter, doubt = _scatter(contours, terms, covariance, shifts, variances, doubt)
         rotation, translation = rotation_of(step[3:6]) @ rotation, translation + step[:3]
         offsets = offsets + step[6:]
         if _within(step, _STEP_MM, _STEP_RAD):
@@ -211,7 +211,7 @@ def _scatter(
     terms: Terms,
     covariance: Floats,
     shifts: Floats,
-    scatter: Floats,
+    variances: Floats,
     doubt: Floats,
 ) -> tuple[Floats, Floats]:
     """Variances (3,) of the ball-views' shifts by restricted maximum likelihood, and doubts (k,).
@@ -223,7 +223,6 @@ def _scatter(
     prior = _SCATTER_PRIOR_COUNT * _SCATTER_PRIOR_PX**2
     center, known_center = prior, _SCATTER_PRIOR_COUNT
     radius, known_radius = prior, _SCATTER_PRIOR_COUNT
-    variances = _variances(contours, scatter, doubt)
     apart, reach = np.empty(len(doubt)), np.empty(7)
     for k in range(len(doubt)):
         for a in range(OWN):
