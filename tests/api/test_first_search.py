@@ -43,3 +43,44 @@ def test_every_first_frame_set_shows_the_body(shared, name, least):
             assert np.linalg.norm(off) < 4
             recognised.append(len(body.detections) / sightings)
     assert np.mean(recognised) > least
+
+
+_STANDARD = 2.45
+"""95 % of two errors, independent and normal, lie within this many standard deviations."""
+_OWN_RADII = 0.5
+"""What is further from a ball's centre than this share of its radius is not that ball."""
+
+
+def errors_of_outlines(folder, frame_sets):
+    """How far the rough outlines of balls are from the true centres, and their sd, px."""
+    truth = read_trajectory(session_truth(folder))
+    off, sd = [], []
+    with open_session(folder) as session:
+        detectors = build_pipeline(
+            load_profile("precise"), Registry.discover(), session.body, session.cameras
+        ).stages.detectors
+        cameras = {camera.name: camera for camera in session.cameras}
+        for frame_set, _ in zip(session.frame_sets(), range(frame_sets), strict=False):
+            for d in (d for n, im in frame_set.images.items() for d in detectors[n].detect(im, ())):
+                center = session.body.balls[session.body.index(d.ball)].center_mm
+                pixel = cameras[d.camera].project(truth.at(d.time_s).apply(center)[None])[0]
+                error = float(np.linalg.norm(d.center_px - pixel))
+                if error < _OWN_RADII * d.radius_px:
+                    off.append(error)
+                    sd.append(np.sqrt(d.variance_px2))
+    return np.array(off), np.array(sd)
+
+
+@pytest.mark.parametrize("name", ["still", "occluded", "clutter", "async"])
+def test_a_rough_outline_says_how_far_it_may_be_off(shared, name):
+    """Also where most of it is hidden: such outlines are off by pixels, and claim no less.
+
+    Edges taken one by one would claim a tenth of a pixel, also of those.
+    """
+    off, sd = errors_of_outlines(shared / "renders" / name, 12)
+    assert len(off) > 80
+    assert np.mean(off < _STANDARD * sd) > 0.7
+    assert 0.4 < np.median(off / sd) < 1.8
+    assert np.median(sd) < 0.8
+    told, not_told = sd < np.quantile(sd, 0.5), sd > np.quantile(sd, 0.8)
+    assert np.percentile(off[not_told], 75) > 2 * np.percentile(off[told], 75)

@@ -15,7 +15,7 @@ from measure_plugins._edges.selection import kth_smallest
 
 _TUKEY = 4.685
 _ROUNDS = 6
-_FURTHEST_PX = 1.6
+FURTHEST_PX = 1.6
 """A point further off than this belongs to something else, whatever the others scatter by."""
 
 
@@ -146,7 +146,7 @@ def _weigh(off: Floats, sd: Floats, use: Floats, scale: float, weights: Floats) 
     for i in range(len(off)):
         weights[i] = 0.0
         if use[i] > 0:
-            t = off[i] / min(sd[i] * scale * _TUKEY, _FURTHEST_PX)
+            t = off[i] / min(sd[i] * scale * _TUKEY, FURTHEST_PX)
             weights[i] = max(1 - t * t, 0.0) ** 2
 
 

@@ -9,13 +9,13 @@ import numpy as np
 from measure.arrays import Floats, Ints
 from measure.compiling import compiled
 from measure.model.lens import bearing_and_slopes, to_pixel
-from measure_plugins._edges.cone_fit import consensus, refine
+from measure_plugins._edges.cone_fit import FURTHEST_PX, consensus, refine
 from measure_plugins._edges.corrected import SEARCH_PX
 from measure_plugins._edges.look import Look, Search, View, lamps_shine, look_closely, look_roughly
 from measure_plugins._edges.radial import Radial
 from measure_plugins._edges.rays import FREE
 from measure_plugins._edges.selection import kth_smallest
-from measure_plugins._edges.spread import correlation, image_directions
+from measure_plugins._edges.spread import correlation, image_directions, in_pieces
 
 _CONSENSUS_TRIALS = 60
 _CONSENSUS_GATE_PX = 1.2
@@ -23,6 +23,9 @@ _FIRST_GATE_PX = 2.5
 _TURNS = 8
 _FEWEST_EDGES = 6
 _INLIER = 0.1
+_CHANCE = np.sqrt(1 - np.sqrt(_INLIER)) * FURTHEST_PX / SEARCH_PX
+"""Share of the edges that lie anywhere, not on the ball's outline, which agree with it too."""
+_LEAST_TOLD = 0.05
 _FAR_SHARE, _SETTLED_SHARE = 0.67, 0.9
 """Shares of the least agreement in the end below which a quick look is the last: quick looks are
 less sharp, and those from further away see only about where an outline is."""
@@ -138,13 +141,40 @@ def measure_roughly(view: View, search: Search, hopeless: float) -> Outline:
         if not np.isfinite(fit.scale):
             break
         if near and _moved(fit) < _ROUGHLY_SETTLED_PX:
-            return _outline(view, look, half_angle, fit)
+            return _doubted(_outline(view, look, half_angle, fit), view, look, fit)
         if turn > 0 and _agreement(look, fit) < hopeless:
             break
         axis = _turned(look, fit)
         half_angle += fit.solution[2] / np.mean(look.scale)
         reach = SEARCH_PX
     return _nothing(search)
+
+
+@compiled
+def _doubted(outline: Outline, view: View, look: Look, fit: _Fit) -> Outline:
+    """The same with the covariance of edges that are not corrected and may be another thing's.
+
+    Where h of the rays disagree, some of the others agree by chance: what is left of the agreement
+    is all that tells where the outline is (chance-corrected agreement, Cohen 1960).
+    """
+    told = max((_agreement(look, fit) - _CHANCE) / (1 - _CHANCE), _LEAST_TOLD)
+    sd = look.edges.sd * fit.scale
+    spread = in_pieces(look.edges.shifts, sd, look.around, fit.weights, fit.solution, fit.normal)
+    wider = np.sqrt(np.trace(spread) / np.trace(np.linalg.inv(fit.normal)[:2, :2])) / told
+    to_image = image_directions(look.frame, view.lens) / np.mean(look.scale)
+    return Outline(
+        outline.axis,
+        outline.half_angle,
+        outline.center_px,
+        outline.radius_px,
+        to_image @ (spread / told**2) @ to_image.T,
+        outline.points_px,
+        wider * outline.sd_px,
+        outline.clear,
+        outline.overflow,
+        outline.agreeing,
+        outline.scatter_px,
+    )
 
 
 @compiled
