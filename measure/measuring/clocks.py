@@ -175,6 +175,6 @@ def _derivatives(poses: Sequence[Pose]) -> list[tuple[Floats, Floats]]:
         if motion is not None and motion.velocity_covariance is not None:
             noise = motion.velocity_covariance
             if motion.velocity @ np.linalg.solve(noise, motion.velocity) >= gate:
-                velocity, acceleration = motion.velocity, motion.path(0.0, 2)
+                velocity, acceleration = motion.velocity, motion.acceleration
         out.append((velocity, acceleration))
     return out

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from typing import TYPE_CHECKING
 
 from measure.arrays import Floats
 from measure.model import BallView, Fix, Motion, Pose
+
+if TYPE_CHECKING:
+    from measure.measuring.instants import Seen
 
 
 class Status(StrEnum):
@@ -56,11 +60,13 @@ class Draft:
         measurement: as it stands.
         motion: the motion that brought its pictures to one instant; None if none was known.
         doubts: the flags that its pose solver did not raise.
+        seen: what it rests on; None if it was not tried.
     """
 
     measurement: Measurement
     motion: Motion | None
     doubts: tuple[str, ...]
+    seen: Seen | None = None
 
     def doubted(self, flag: str) -> Draft:
         """The same with one more reason to doubt its pose, if it has one."""

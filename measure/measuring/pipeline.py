@@ -10,14 +10,14 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import MeasureError
 from measure.host import Detector, PoseSolver, Triangulator
-from measure.measuring.instants import detections_at, pose_residuals, velocity_share
+from measure.measuring import instants, pose_spline
+from measure.measuring.instants import Seen
 from measure.measuring.measurement import Draft, Measurement, Status
 from measure.measuring.pose_spline import motion_at, with_neighbours
 from measure.measuring.repeats import Repeats
 from measure.measuring.side_by_side import SideBySide
 from measure.measuring.tracking import Tracker
 from measure.model import (
-    BallView,
     Body,
     Camera,
     Detection,
@@ -74,6 +74,10 @@ class Pipeline:
         self.stages.tracker.warm_up()
         self.stages.triangulator.warm_up()
         self.stages.solver.warm_up()
+        for camera in list(self._cameras.values())[:1]:
+            instants.warm_up(self._body, camera)
+        if self.stages.neighbours:
+            pose_spline.warm_up()
 
     def measure(self, frame_sets: Iterable[FrameSet]) -> Iterator[Measurement]:
         """Measure frame sets in order of time; yields one measurement for each, in order.
@@ -134,9 +138,10 @@ class Pipeline:
         views = tracker.judge(frame_set, self._detect(frame_set, expected, pool))
         time_s = self._instant(frame_set)
         prior = tracker.motion(time_s)
-        fixes = self._triangulate(views, time_s, prior)
-        pose = self._solve(views, fixes, time_s, prior)
-        residuals_px = self._residuals(views, pose, prior)
+        seen = Seen.of(views, time_s, self._body, self._cameras)
+        fixes = self._triangulate(seen, prior)
+        pose = self._solve(seen, fixes, prior)
+        residuals_px = self._residuals(seen, pose, prior)
         verdict = tracker.conclude(frame_set, views, fixes, pose, residuals_px)
         balls = len(self._body.balls)
         measured = Measurement(
@@ -153,7 +158,7 @@ class Pipeline:
         )
         raised = () if pose is None else pose.flags
         flags = () if verdict.pose is None else verdict.pose.flags
-        return Draft(measured, prior, tuple(flag for flag in flags if flag not in raised))
+        return Draft(measured, prior, tuple(flag for flag in flags if flag not in raised), seen)
 
     def _detect(
         self, frame_set: FrameSet, expected: Mapping[str, Sequence[Expectation]], pool: SideBySide
@@ -180,53 +185,48 @@ class Pipeline:
         """With own times: the middle of the images' times, where moving them costs least."""
         if not self.stages.own_times or not frame_set.images:
             return frame_set.time_s
-        return float(np.mean([image.time_s for image in frame_set.images.values()]))
+        return sum(image.time_s for image in frame_set.images.values()) / len(frame_set.images)
 
-    def _triangulate(
-        self, views: Sequence[BallView], time_s: float, motion: Motion | None
-    ) -> tuple[Fix, ...]:
-        used = [v.detection for v in views if v.effective and v.detection is not None]
+    def _triangulate(self, seen: Seen, motion: Motion | None) -> tuple[Fix, ...]:
+        used: Sequence[Detection] = seen.detections
         if motion is not None and self.stages.own_times:
-            used = detections_at(used, time_s, motion, self._body, self._cameras)
+            used = seen.carried(motion)
         fixes = []
         for name in self._body.names:
-            seen = [d for d in used if d.ball == name]
-            if len(seen) < 2:
+            views = [d for d in used if d.ball == name]
+            if len(views) < 2:
                 continue
-            fix = self.stages.triangulator.triangulate(seen, self._cameras)
+            fix = self.stages.triangulator.triangulate(views, self._cameras)
             if fix is not None:
-                fixes.append(fix if fix.time_s == time_s else replace(fix, time_s=time_s))
+                here = fix.time_s == seen.time_s
+                fixes.append(fix if here else replace(fix, time_s=seen.time_s))
         return tuple(fixes)
 
-    def _solve(
-        self, views: Sequence[BallView], fixes: Sequence[Fix], time_s: float, prior: Motion | None
-    ) -> Pose | None:
-        seen = [v.detection for v in views if v.effective and v.detection is not None]
-        if not seen:
+    def _solve(self, seen: Seen, fixes: Sequence[Fix], prior: Motion | None) -> Pose | None:
+        if not seen.detections:
             return None
-        pose = self.stages.solver.solve(fixes, seen, self._cameras, time_s, prior)
+        pose = self.stages.solver.solve(fixes, seen.detections, self._cameras, seen.time_s, prior)
         if pose is None or prior is None or not self.stages.own_times:
             return pose
-        share = velocity_share(seen, pose, prior, self._body, self._cameras)
-        return replace(pose, covariance=pose.covariance + share)
+        share = seen.velocity_share(pose, prior)
+        return pose if share is None else replace(pose, covariance=pose.covariance + share)
 
     def _again(self, near: tuple[Sequence[Pose], Draft, Sequence[Pose]]) -> Draft:
         """Solve a pose once more, with the motion that the poses round it show."""
         before, draft, after = near
-        current = draft.measurement
-        times = {view.detection.time_s for view in current.views if view.detection is not None}
-        if current.pose is None or len(times) < 2:
+        current, seen = draft.measurement, draft.seen
+        if current.pose is None or seen is None or len(seen.instants) < 2:
             return draft
         motion = motion_at(current.pose, before, after)
-        if motion is None or not _differ(motion, draft.motion, times):
+        if motion is None or not _differ(motion, draft.motion, seen.instants):
             return draft
-        fixes = self._triangulate(current.views, current.time_s, motion)
-        pose = self._solve(current.views, fixes, current.time_s, motion)
+        fixes = self._triangulate(seen, motion)
+        pose = self._solve(seen, fixes, motion)
         if pose is None:
             return draft
         pose = replace(
             pose,
-            covariance=pose.covariance * motion.gain(times) ** 2,
+            covariance=pose.covariance * motion.gain(seen.instants) ** 2,
             flags=tuple(dict.fromkeys((*pose.flags, *draft.doubts))),
         )
         again = replace(
@@ -234,17 +234,16 @@ class Pipeline:
             fixes=fixes,
             pose=pose,
             status=_status(pose),
-            residuals_px=self._residuals(current.views, pose, motion),
+            residuals_px=self._residuals(seen, pose, motion),
         )
         return replace(draft, measurement=again, motion=motion)
 
     def _residuals(
-        self, views: Sequence[BallView], pose: Pose | None, prior: Motion | None
+        self, seen: Seen, pose: Pose | None, prior: Motion | None
     ) -> dict[tuple[str, str], Floats]:
         if pose is None:
             return {}
-        moving = prior if self.stages.own_times else None
-        return pose_residuals(views, pose, moving, self._body, self._cameras)
+        return seen.residuals_px(pose, prior if self.stages.own_times else None)
 
 
 def _until_broken(frame_sets: Iterable[FrameSet], broken: list[MeasureError]) -> Iterator[FrameSet]:
@@ -261,11 +260,11 @@ def _status(pose: Pose | None) -> Status:
     return Status.FLAGGED if pose.flags else Status.OK
 
 
-def _differ(one: Motion, other: Motion | None, times_s: Iterable[float]) -> bool:
+def _differ(one: Motion, other: Motion | None, times_s: Sequence[float]) -> bool:
     """Whether two motions carry pictures of these times to places that differ at all."""
     if other is None:
         return True
-    change = [one.moved(t) - other.moved(t) + other.moved(one.time_s) for t in times_s]
+    change = one.moved(times_s) - other.moved(times_s) + other.moved(one.time_s)
     return bool(np.max(np.abs(change) * _ARM_MM) > _SAME_MM)
 
 

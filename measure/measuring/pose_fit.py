@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -51,14 +52,15 @@ class Sightings:
         extra_px: float = 0.0,
     ) -> Sightings:
         """Stack detections; `extra_px` is added to their standard deviations in quadrature."""
-        balls = np.array([body.index(d.ball) for d in detections], dtype=np.int64)
+        balls, points_body = _placed(body, tuple(d.ball for d in detections))
+        noise = stacked([d.covariance_px for d in detections])
         return cls(
             Rig.of([cameras[d.camera] for d in detections]),
-            body.centers[balls],
+            points_body,
             balls,
             stacked([d.center_px for d in detections]),
-            stacked([d.covariance_px for d in detections]) + extra_px**2 * np.eye(2),
-            np.array([d.time_s for d in detections]) - time_s,
+            noise + extra_px**2 * np.eye(2) if extra_px else noise,
+            np.array([d.time_s - time_s for d in detections]),
         )
 
     def __len__(self) -> int:
@@ -144,6 +146,13 @@ def fit_pose(
     distances = np.nan_to_num(distances, nan=np.inf)
     pose = RigidTransform(rotation, translation)
     return PoseFit(pose, _inverse(normal), residuals, distances)
+
+
+@lru_cache(maxsize=256)
+def _placed(body: Body, names: tuple[str, ...]) -> tuple[Ints, Floats]:
+    """Indices (n,) and centres (n, 3) of balls; bodies compare by identity."""
+    balls = np.array([body.index(name) for name in names], dtype=np.int64)
+    return balls, body.centers[balls]
 
 
 def _inverse(matrix: Floats) -> Floats:

@@ -9,22 +9,23 @@ one it is asked about, so nothing is lost where it is evaluated.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from measure.arrays import Floats
+from measure.arrays import Floats, stacked
+from measure.geometry import RigidTransform
 from measure.measuring.measurement import Draft, Measurement, Status
 from measure.model import Motion, Pose
 
 if TYPE_CHECKING:
-    from scipy.interpolate import PPoly
+    from measure.measuring.spline_kernels import Spline
 
 REACH = 3
 """Poses on either side: the fourth would change a slope by 2 % of its own noise."""
-_PLAIN_KNOTS = 5
 _LONGEST_PAUSE_S = 0.5
 """What lies beyond a pause says nothing about the motion."""
 
@@ -34,24 +35,34 @@ class SplineMotion(Motion):
     """The motion round one knot of a spline through poses.
 
     Attributes:
-        path: the pose's chart (6,) by the time after it.
-        own_bend: the spline's second derivative where its own knot is one off, and no other, 1/s^2.
+        knots_s: (n,) times of the knots after the pose's.
+        spline: the pose's chart by that time.
     """
 
-    path: PPoly = field(kw_only=True)
-    own_bend: float = field(kw_only=True)
+    knots_s: Floats = field(kw_only=True)
+    spline: Spline = field(kw_only=True)
 
-    def moved(self, time_s: float) -> Floats:
-        """How far (6,) the body has moved at another time, in the chart of the pose."""
-        return np.asarray(self.path(time_s - self.time_s))
+    @property
+    def acceleration(self) -> Floats:
+        """(6,) at the pose, mm/s^2 and rad/s^2."""
+        return self.spline.bend
 
-    def gain(self, times_s: Iterable[float]) -> float:
+    def moved(self, time_s: ArrayLike) -> Floats:
+        """How far (..., 6) the body has moved at other times (...), in the chart of the pose."""
+        from measure.measuring.spline_kernels import along
+
+        lead_s = np.asarray(time_s, dtype=np.float64) - self.time_s
+        path = along(self.knots_s, self.spline.places, self.spline.slopes, lead_s.reshape(-1))
+        return path.reshape(*lead_s.shape, 6)
+
+    def gain(self, times_s: Collection[float]) -> float:
         """By how much an error of the pose grows in pictures of these times.
 
         A pose that is off bends the spline, which then carries the pictures off as well.
         """
-        lead_s = np.array(list(times_s)) - self.time_s
-        return 1.0 + abs(self.own_bend) / 2 * float(np.var(lead_s))
+        mean_s = sum(times_s) / len(times_s)
+        variance = sum((time_s - mean_s) ** 2 for time_s in times_s) / len(times_s)
+        return 1.0 + abs(self.spline.own_bend) / 2 * variance
 
 
 def motion_at(pose: Pose, before: Sequence[Pose], after: Sequence[Pose]) -> SplineMotion | None:
@@ -62,38 +73,27 @@ def motion_at(pose: Pose, before: Sequence[Pose], after: Sequence[Pose]) -> Spli
         before: earlier poses, in order of time.
         after: later poses, in order of time.
     """
-    knots = [*before, pose, *after]
+    from measure.measuring.spline_kernels import spline_through
+
+    knots, own = [*before, pose, *after], len(before)
     if len(knots) < 2:
         return None
-    from scipy.interpolate import CubicSpline, PPoly
-
-    times = np.array([knot.time_s for knot in knots]) - pose.time_s
-    places = np.stack([knot.world_from_body.difference(pose.world_from_body) for knot in knots])
-    # One spline for the path and for what every knot does to it: they share the costly part.
-    curves = np.hstack([places, np.eye(len(knots))])
-    spline, size = CubicSpline(times, curves, bc_type="not-a-knot"), places.shape[1]
-    slope, bend = spline(0.0, 1)[size:], spline(0.0, 2)[size:]
-    noise = np.einsum("k,kij->ij", slope**2, np.stack([knot.covariance for knot in knots]))
-    # Where a plainer curve through the nearest poses goes another way, neither is to be trusted.
-    other = (slope - _plainer_slope(times)) @ places
+    knots_s = np.array([knot.time_s - pose.time_s for knot in knots])
+    spline = spline_through(
+        knots_s,
+        stacked([knot.world_from_body.rotation for knot in knots]),
+        stacked([knot.world_from_body.translation for knot in knots]),
+        stacked([knot.covariance for knot in knots]),
+        own,
+    )
     return SplineMotion(
         pose.world_from_body,
         pose.time_s,
-        slope @ places,
-        velocity_covariance=noise + np.outer(other, other),
-        path=PPoly.construct_fast(spline.c[..., :size], spline.x),
-        own_bend=float(bend[len(before)]),
+        spline.slopes[own],
+        velocity_covariance=spline.slope_covariance,
+        knots_s=knots_s,
+        spline=spline,
     )
-
-
-def _plainer_slope(times_s: Floats) -> Floats:
-    """Weights (n,) of the knots in the slope at 0: a polynomial through some of the nearest."""
-    near = np.argsort(np.abs(times_s))[: min(_PLAIN_KNOTS, len(times_s) - 1)]
-    scale = np.ptp(times_s)
-    powers = np.vander(times_s[near] / scale, max(len(near), 2), increasing=True)
-    weights = np.zeros(len(times_s))
-    weights[near] = np.linalg.pinv(powers)[1] / scale
-    return weights
 
 
 def with_neighbours(drafts: Iterable[Draft]) -> Iterator[tuple[list[Pose], Draft, list[Pose]]]:
@@ -131,3 +131,12 @@ def _unbroken(time_s: float, others: Sequence[Measurement]) -> list[Pose]:
         found.append(other.pose)
         time_s = other.time_s
     return found
+
+
+def warm_up() -> None:
+    """Compile the spline, or load it, by laying one through two poses in one place."""
+    still = RigidTransform.identity()
+    one, two = (Pose(time_s, still, np.eye(6), 0.0, 0.0, (), ()) for time_s in (0.0, 1.0))
+    motion = motion_at(one, [], [two])
+    assert motion is not None
+    motion.moved(0.5)

@@ -13,6 +13,7 @@ import numpy as np
 from measure.model import FrameSet, Image
 
 _EVERY_ROW = 32
+_START = 64
 _ENOUGH = 2
 
 
@@ -51,8 +52,9 @@ class Repeats:
         a, b = np.asarray(last.pixels), np.asarray(image.pixels)
         if a.ndim != 3 or a.shape != b.shape:
             return False
-        # One row tells nearly always, and at a fraction of the cost.
         middle = len(a) // 2
-        return np.array_equal(a[middle], b[middle]) and np.array_equal(
-            a[::_EVERY_ROW], b[::_EVERY_ROW]
-        )
+        # A row's start tells nearly always, and at a fraction of the cost.
+        for some in (np.s_[middle, :_START], np.s_[middle], np.s_[::_EVERY_ROW]):
+            if a[some].tobytes() != b[some].tobytes():
+                return False
+        return True

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from measure.arrays import Floats, floats
 from measure.geometry import RigidTransform
@@ -39,9 +40,9 @@ class Motion:
         """A body that does not move."""
         return cls(world_from_body, time_s, np.zeros(6))
 
-    def moved(self, time_s: float) -> Floats:
-        """How far (6,) the body has moved at another time, in the chart of the pose."""
-        return np.asarray(self.velocity * (time_s - self.time_s))
+    def moved(self, time_s: ArrayLike) -> Floats:
+        """How far (..., 6) the body has moved at other times (...), in the chart of the pose."""
+        return np.multiply.outer(np.asarray(time_s) - self.time_s, self.velocity)
 
     def at(self, time_s: float) -> RigidTransform:
         """The pose at another time."""

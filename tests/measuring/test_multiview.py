@@ -10,9 +10,11 @@ import pytest
 from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform, propagate
-from measure.measuring.instants import detections_at
+from measure.measuring.instants import Seen
 from measure.measuring.multiview import Views, fit_point
-from measure.model import Camera, Detection, Motion
+from measure.measuring.pose_fit import fit_pose
+from measure.model import BallView, Camera, Detection, Motion, Pose
+from measure.model.observations import State
 from tests.scenes import RAVEN, TARGET, ring, see
 
 _POSE = np.diag([0.1, 0.2, 0.3, 1e-3, 2e-3, 3e-3]) ** 2 + 1e-8
@@ -91,7 +93,8 @@ def test_detections_are_carried_to_one_instant():
     seen = [d for t in times.values() for d in see(cameras, RAVEN, motion.at(t), 0.0, time_s=t)]
     seen = [d for d in seen if d.time_s == times[d.camera]]
     assert len(seen) == 12
-    carried = detections_at(seen, 1.0, motion, RAVEN, cameras)
+    views = [BallView(d.ball, d.camera, State.EFFECTIVE, detection=d) for d in seen]
+    carried = Seen.of(views, 1.0, RAVEN, cameras).carried(motion)
     truth = see(cameras, RAVEN, motion.at(1.0), 0.0, time_s=1.0)
     expected = {(d.ball, d.camera): d.center_px for d in truth}
     for before, after in zip(seen, carried, strict=True):
@@ -99,3 +102,31 @@ def test_detections_are_carried_to_one_instant():
         np.testing.assert_allclose(after.center_px, expected[after.ball, after.camera], atol=1e-6)
     shifts = np.array([d.center_px for d in seen]) - [d.center_px for d in carried]
     assert np.max(np.abs(shifts)) > 1
+
+
+def test_a_velocity_that_may_be_wrong_makes_the_pose_of_pictures_out_of_step_less_sure():
+    """As much as the pose moves if the pictures are carried by a velocity that is off."""
+    cameras = ring()
+    still = RigidTransform.from_rotvec([0.1, 0.2, 0.3], TARGET)
+    times = {name: 1.0 + 0.01 * i for i, name in enumerate(cameras)}
+    found = [
+        replace(d, time_s=times[d.camera], covariance_px=1e-4 * np.eye(2))
+        for d in see(cameras, RAVEN, still, 0.0, time_s=1.0)
+    ]
+    views = [BallView(d.ball, d.camera, State.EFFECTIVE, detection=d) for d in found]
+    pose = Pose(1.015, still, np.eye(6), 0.0, 0.0, (), ())
+    seen, wrong = Seen.of(views, 1.015, RAVEN, cameras), np.diag([3.0, 0, 0, 0, 0.02, 0])
+    share = seen.velocity_share(pose, _moving(pose, np.zeros(6), velocity_covariance=wrong**2))
+    for axis in (0, 4):
+        fitted = fit_pose(still, seen.sightings, np.eye(6)[axis] * wrong[axis, axis], 1e6)
+        moved = fitted.world_from_body.difference(still)
+        only = np.diag(np.eye(6)[axis]) * wrong[axis, axis] ** 2
+        alone = seen.velocity_share(pose, _moving(pose, np.zeros(6), velocity_covariance=only))
+        np.testing.assert_allclose(alone, np.outer(moved, moved), atol=2e-2 * np.max(alone))
+        share = share - alone
+    np.testing.assert_allclose(share, 0, atol=1e-12)
+    assert seen.velocity_share(pose, _moving(pose, np.zeros(6))) is None
+
+
+def _moving(pose: Pose, velocity: Floats, **known: Floats) -> Motion:
+    return Motion(pose.world_from_body, pose.time_s, velocity, **known)

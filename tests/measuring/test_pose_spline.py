@@ -71,6 +71,25 @@ def test_a_straight_path_is_exact_and_its_noise_is_what_the_knots_say(at):
     np.testing.assert_allclose(np.std(found, axis=0), told, rtol=0.2)
 
 
+@pytest.mark.parametrize("count", [2, 3, 4, 7])
+@pytest.mark.parametrize("at", [0, 1, -1])
+def test_the_spline_is_the_not_a_knot_spline_of_the_textbooks(count, at):
+    from scipy.interpolate import CubicSpline
+
+    times = np.cumsum([0.03, 0.04, 0.03, 0.05, 0.03, 0.06, 0.03][:count])
+    knots = [pose(t) for t in times]
+    at %= count
+    motion = motion_at(knots[at], knots[:at], knots[at + 1 :])
+    places = np.stack([k.world_from_body.difference(knots[at].world_from_body) for k in knots])
+    curve = CubicSpline(times, np.hstack([places, np.eye(count)]))
+    when = np.linspace(times[0] - 0.02, times[-1] + 0.02, 23)
+    np.testing.assert_allclose(motion.moved(when), curve(when)[:, :6], atol=1e-10)
+    np.testing.assert_allclose(motion.velocity, curve(times[at], 1)[:6], atol=1e-9)
+    np.testing.assert_allclose(motion.acceleration, curve(times[at], 2)[:6], atol=1e-7)
+    wide = 1 + abs(curve(times[at], 2)[6 + at]) / 2 * np.var([0.0, 0.01, 0.05])
+    assert motion.gain([1.0, 1.01, 1.05]) == pytest.approx(wide)
+
+
 def test_a_path_with_a_kink_is_known_to_be_uncertain():
     away = np.array([200.0, 0, 0])
     kink = lambda t: RigidTransform(np.eye(3), TARGET + max(t - 0.1, 0.0) * away)

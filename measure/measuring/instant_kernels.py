@@ -1,0 +1,108 @@
+"""A moving body's balls in pictures of different times, compiled: see `instants`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.compiling import compiled
+from measure.geometry.covariance_kernels import inverse_2x2
+from measure.geometry.rotation_kernels import rotation_of, times
+from measure.model.rig_kernels import project_one
+
+_SINGULAR = 1e-9
+
+
+@compiled
+def carried_pixels(
+    lenses: Floats,
+    reach: Floats,
+    rig_rotation: Floats,
+    rig_centers: Floats,
+    points_body: Floats,
+    rotation: Floats,
+    translation: Floats,
+    moved: Floats,
+    min_depth: float,
+) -> Floats:
+    """Pixels (n, 2) of n points of a body; NaN for points without an image.
+
+    Args:
+        lenses: (n, 13).
+        reach: (n,) of the lens models.
+        rig_rotation: (n, 3, 3) of world_from_camera.
+        rig_centers: (n, 3).
+        points_body: (n, 3).
+        rotation: (3, 3) of world_from_body.
+        translation: (3,) the same.
+        moved: (n, 6) how far the body has moved from there in each picture, mm and rad.
+        min_depth: see `rig_kernels.project_one`.
+    """
+    out, by_point = np.empty((len(lenses), 2)), np.empty((2, 3))
+    for i in range(len(lenses)):
+        arm = times(rotation, points_body[i])
+        if moved[i, 3] != 0 or moved[i, 4] != 0 or moved[i, 5] != 0:
+            arm = times(rotation_of(moved[i, 3:]), arm)
+        project_one(
+            lenses[i], reach[i], rig_rotation[i], rig_centers[i], arm + translation + moved[i, :3],
+            min_depth, out[i], by_point,
+        )  # fmt: skip
+    return out
+
+
+@compiled
+def velocity_share(
+    lenses: Floats,
+    reach: Floats,
+    rig_rotation: Floats,
+    rig_centers: Floats,
+    points_body: Floats,
+    noise: Floats,
+    lead_s: Floats,
+    rotation: Floats,
+    translation: Floats,
+    velocity: Floats,
+    velocity_covariance: Floats,
+    acceleration_square: Floats,
+    common_px: float,
+    min_depth: float,
+) -> Floats:
+    """Covariance (6, 6) of a pose fitted to n points: see `instants.Seen.velocity_share`.
+
+    Args:
+        lenses: (n, 13).
+        reach: (n,) of the lens models.
+        rig_rotation: (n, 3, 3) of world_from_camera.
+        rig_centers: (n, 3).
+        points_body: (n, 3).
+        noise: (n, 2, 2) covariances of the pixels.
+        lead_s: (n,) times of the pictures after the pose's.
+        rotation: (3, 3) of world_from_body.
+        translation: (3,) the same.
+        velocity: (6,) mm/s and rad/s in the world.
+        velocity_covariance: (6, 6) of that.
+        acceleration_square: (6, 6) mean square of what changes it, mm/s^2 and rad/s^2.
+        common_px: added to the pixels' standard deviations in quadrature.
+        min_depth: see `rig_kernels.project_one`.
+    """
+    normal, moved = np.zeros((6, 6)), np.zeros((6, 12))
+    pixel, by_point, slopes = np.empty(2), np.empty((2, 3)), np.empty((2, 6))
+    for i in range(len(lenses)):
+        arm, lead = times(rotation, points_body[i]), lead_s[i]
+        swung = np.cross(velocity[3:], arm)
+        project_one(
+            lenses[i], reach[i], rig_rotation[i], rig_centers[i],
+            arm + translation + lead * (velocity[:3] + swung), min_depth, pixel, by_point,
+        )  # fmt: skip
+        slopes[:, :3] = by_point
+        for u in range(2):
+            slopes[u, 3:] = np.cross(arm, by_point[u])
+        weight = inverse_2x2(noise[i] + common_px**2 * np.eye(2))
+        share = slopes.T @ weight @ slopes
+        normal += share
+        moved[:, :6] += lead * share
+        moved[:, 6:] += lead * lead / 2 * share
+    # One ball alone leaves a turn open: its pose is the prediction's, whatever the velocity.
+    lever = np.linalg.lstsq(normal, moved, _SINGULAR)[0]
+    swing, bend = lever[:, :6].copy(), lever[:, 6:].copy()
+    return swing @ velocity_covariance @ swing.T + bend @ acceleration_square @ bend.T
