@@ -33,7 +33,7 @@ def layout_flags(
     """
     from measure.measuring.body_kernels import pair_distances
 
-    points_body = body.centers[[body.index(name) for name in balls]]
+    points_body = body.centers_of(balls)
     pairs = pair_distances(points_body, centers, covariances).tolist()
     flags = [
         f"balls {one} and {other} are {measured:.1f} mm apart, the body says {expected:.1f} mm"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -85,6 +86,12 @@ class Body:
     def index(self, name: str) -> int:
         """Position of the ball called `name`."""
         return self._places[name]
+
+    def centers_of(self, names: Sequence[str]) -> Floats:
+        """Centres (n, 3) of the balls called `names` in the body frame, mm; not to be changed."""
+        if tuple(names) == self.names:
+            return self.centers
+        return self.centers[[self.index(name) for name in names]]
 
     @cached_property
     def _places(self) -> dict[str, int]:

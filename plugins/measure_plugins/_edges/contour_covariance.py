@@ -21,9 +21,11 @@ class Solution(NamedTuple):
     Attributes:
         rotation: (3, 3) of world_from_body.
         translation: (3,) of world_from_body, mm.
-        covariance: (6, 6) of what differs from ball-view to ball-view.
-        shared: (6, 6) what light and uncertain cameras add to it.
+        covariance: (6, 6) of what differs from ball-view to ball-view, and of what light and
+            uncertain cameras add to it.
         shifts_px: (k, 3) see `ContourFit`.
+        rms_px: of the shifts of the centres.
+        residual_mm: RMS distance of other fixes from the body; not a number without any.
         solved: whether the outlines determine the pose.
         converged: whether the steps died out.
     """
@@ -31,8 +33,9 @@ class Solution(NamedTuple):
     rotation: Floats
     translation: Floats
     covariance: Floats
-    shared: Floats
     shifts_px: Floats
+    rms_px: float
+    residual_mm: float
     solved: bool
     converged: bool
 
@@ -47,21 +50,51 @@ def solve_contours(
     balls: int,
     lenses: Floats,
     covariances: Floats,
+    widening: float,
+    points_body: Floats,
+    fixed: Floats,
 ) -> Solution:
-    """Fit the pose, see `fit_contours`, and say what is uncertain about it; see below."""
-    fit, shared = fit_contours(contours, rotation, translation, prior_information), np.zeros((6, 6))
+    """Fit the pose, see `fit_contours`, and say what is uncertain about it; see below.
+
+    Args:
+        contours: k ball-views in c views.
+        rotation: (3, 3) of the world_from_body to start from.
+        translation: (3,) of the same.
+        prior_information: (6, 6) see `fit_contours`.
+        ball_of: (k,) index of the ball.
+        balls: how many there are.
+        lenses: (c, 13) lens rows.
+        covariances: (c, 18, 18) of the cameras' poses and intrinsics; zero where unknown.
+        widening: of the covariance, for a scatter that is itself estimated.
+        points_body: (f, 3) balls that were located otherwise.
+        fixed: (f, 3) where those are in the world, mm.
+    """
+    fit = fit_contours(contours, rotation, translation, prior_information)
+    known = fit.covariance * widening
     if fit.solved:
-        shared += of_light(contours, fit, ball_of, balls, lenses)
-        shared += of_cameras(contours, fit, lenses, covariances)
+        known += of_light(contours, fit, ball_of, balls, lenses)
+        known += of_cameras(contours, fit, lenses, covariances)
+    off = fit.shifts_px[:, :2]
     return Solution(
         fit.rotation,
         fit.translation,
-        fit.covariance,
-        shared,
+        (known + known.T) / 2,
         fit.shifts_px,
+        np.sqrt(np.sum(off * off) / len(off)),
+        _apart(fit, points_body, fixed),
         fit.solved,
         fit.converged,
     )
+
+
+@compiled
+def _apart(fit: ContourFit, points_body: Floats, fixed: Floats) -> float:
+    """RMS distance of fixes (f, 3) from the body's points (f, 3)."""
+    total = 0.0
+    for i in range(len(fixed)):
+        off = fixed[i] - times(fit.rotation, points_body[i]) - fit.translation
+        total += np.sum(off * off)
+    return float(np.sqrt(total / len(fixed)))
 
 
 @compiled

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
+from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
@@ -55,17 +56,12 @@ class Balls(NamedTuple):
     view_of: Ints
     centers_body: Floats
     radii: Floats
-    motion: Floats
     spread: Floats
 
     def take(self, rows: list[int]) -> Balls:
         """Only some of them."""
         return Balls(
-            self.view_of[rows],
-            self.centers_body[rows],
-            self.radii[rows],
-            self.motion[rows],
-            self.spread[rows],
+            self.view_of[rows], self.centers_body[rows], self.radii[rows], self.spread[rows]
         )
 
 
@@ -91,7 +87,9 @@ def views_of(cameras: tuple[Camera, ...]) -> Views:
 def pack(
     points: Sequence[Floats], sd: Sequence[Floats], balls: Balls, views: Views
 ) -> tuple[Contours, list[int]]:
-    """Pack ball-views; those with fewer than three points in reach of the lens model are left out.
+    """Pack ball-views of a body at rest.
+
+    Those with fewer than three points in reach of the lens model are left out.
 
     Args:
         points: k outlines (n, 2), px.
@@ -102,19 +100,30 @@ def pack(
     Returns:
         The contours, and which of the k ball-views they are.
     """
-    start = np.cumsum([0, *map(len, sd)])
+    start = np.array([0, *accumulate(map(len, sd))])
     at, sd_px = np.concatenate(points), np.concatenate(sd)
     bearings, slopes, reached = rays_of(at, start, balls.view_of, views.lenses)
     kept = list(range(len(sd)))
-    if np.sum(reached) < len(at):
+    if sum(reached.tolist()) < len(at):
         good = np.isfinite(bearings[0])
         kept = np.flatnonzero(reached >= 3).tolist()
         good &= np.repeat(reached >= 3, np.diff(start))
         bearings, slopes, sd_px = bearings[:, good].copy(), slopes[:, good].copy(), sd_px[good]
         start = np.cumsum([0, *reached[kept]])
         balls = balls.take(kept)
+    view_of, centers_body, radii, spread = balls
     return Contours(
-        start, bearings, slopes, sd_px, *balls, views.rotations, views.translations
+        start,
+        bearings,
+        slopes,
+        sd_px,
+        view_of,
+        centers_body,
+        radii,
+        np.zeros((len(kept), 6)),
+        spread,
+        views.rotations,
+        views.translations,
     ), kept
 
 

@@ -16,19 +16,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from measure.arrays import Floats
+from measure.arrays import stacked
 from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform, align_points
 from measure.host import PoseSolver, Settings, hookimpl, setting
 from measure.model import Camera, Detection, Fix, Intrinsics, Motion, Pose, Rig
-from measure_plugins.pose_solvers._outlines import Outlines
+from measure_plugins.pose_solvers._outlines import Outlines, outlines_of
 
 if TYPE_CHECKING:
     from measure_plugins._edges.contour_covariance import Solution
-
-_MOST_SPREAD = 2.0
-_LEAST_VARIANCE_PX2 = 1e-8
-"""For detectors that claim no uncertainty at all."""
 
 
 class ContoursConfig(Settings):
@@ -83,7 +79,7 @@ class ContoursSolver(PoseSolver):
         """Locate the body from its outlines; None if they (and the prior) leave it open."""
         from measure_plugins._edges.contour_covariance import solve_contours
 
-        outlines = self._pack(detections, cameras, time_s, prior)
+        outlines = outlines_of(detections, self.body, cameras)
         if outlines is None or len(outlines.contours.sd_px) < self.config.min_points:
             return None
         start = self._start(fixes, outlines, time_s, prior)
@@ -97,9 +93,11 @@ class ContoursSolver(PoseSolver):
         # Arrays laid out otherwise would be compiled for once more.
         rotation = np.ascontiguousarray(start.rotation)
         translation = np.ascontiguousarray(start.translation)
-        rig = Rig.of(outlines.cameras)
+        rig, contours = Rig.of(outlines.cameras), outlines.contours
+        if prior is not None:
+            contours = contours._replace(motion=outlines.moved(prior, time_s))
         fit = solve_contours(
-            outlines.contours,
+            contours,
             rotation,
             translation,
             known,
@@ -107,45 +105,11 @@ class ContoursSolver(PoseSolver):
             len(self.body.balls),
             rig.lenses,
             rig.covariances,
+            _small_sample(2 * len(outlines.balls) - 6),
+            self.body.centers_of([fix.ball for fix in fixes]),
+            stacked([fix.center for fix in fixes]) if fixes else np.empty((0, 3)),
         )
-        if not fit.solved:
-            return None
-        return self._pose(fit, outlines, fixes, time_s)
-
-    def _pack(
-        self,
-        detections: Sequence[Detection],
-        cameras: Mapping[str, Camera],
-        time_s: float,
-        prior: Motion | None,
-    ) -> Outlines | None:
-        """The outlines ready for the fit; None if there are none."""
-        from measure_plugins._edges.contours import Balls, pack, views_of
-
-        seen = [
-            (d, d.outline_px, d.outline_sd_px)
-            for d in detections
-            if d.outline_px is not None and d.outline_sd_px is not None
-        ]
-        if not seen:
-            return None
-        names = sorted({d.camera for d, _, _ in seen})
-        used = tuple(cameras[name] for name in names)
-        times = list(dict.fromkeys(d.time_s for d, _, _ in seen))
-        moved = np.zeros((len(times), 6))
-        if prior is not None:
-            moved[:] = [prior.moved(t) - prior.moved(time_s) for t in times]
-        ball_of = np.array([self.body.index(d.ball) for d, _, _ in seen])
-        balls = Balls(
-            np.array([names.index(d.camera) for d, _, _ in seen]),
-            self.body.centers[ball_of],
-            self.body.radii[ball_of],
-            moved[[times.index(d.time_s) for d, _, _ in seen]],
-            _spread([d for d, _, _ in seen]),
-        )
-        points, sd = [one for _, one, _ in seen], [one for _, _, one in seen]
-        contours, kept = pack(points, sd, balls, views_of(used))
-        return Outlines(contours, [seen[i][0].ball for i in kept], ball_of[kept], used)
+        return self._pose(fit, outlines, time_s) if fit.solved else None
 
     def _start(
         self,
@@ -171,36 +135,25 @@ class ContoursSolver(PoseSolver):
         except DegenerateGeometryError:
             return None
 
-    def _pose(self, fit: Solution, outlines: Outlines, fixes: Sequence[Fix], time_s: float) -> Pose:
-        world_from_body = RigidTransform(fit.rotation, fit.translation)
-        covariance = fit.covariance * _small_sample(max(2.0 * len(outlines.balls) - 6.0, 1.0))
-        covariance += fit.shared
-        covariance = (covariance + covariance.T) / 2
+    def _pose(self, fit: Solution, outlines: Outlines, time_s: float) -> Pose:
         balls = set(outlines.balls)
         return Pose(
             time_s=time_s,
-            world_from_body=world_from_body,
-            covariance=covariance,
-            residual_mm=self._residual_mm(world_from_body, fixes),
-            rms_px=_rms(fit.shifts_px[:, :2]),
+            world_from_body=RigidTransform(fit.rotation, fit.translation),
+            covariance=fit.covariance,
+            residual_mm=fit.residual_mm,
+            rms_px=fit.rms_px,
             cameras=outlines.seen_by,
             balls=tuple(name for name in self.body.names if name in balls),
-            flags=self._flags(fit, outlines, covariance),
+            flags=self._flags(fit, outlines),
         )
 
-    def _residual_mm(self, world_from_body: RigidTransform, fixes: Sequence[Fix]) -> float:
-        """RMS distance of the fixes from the body's balls; NaN without any."""
-        if not fixes:
-            return float("nan")
-        placed = world_from_body.apply(self.body.centers[[self.body.index(f.ball) for f in fixes]])
-        return _rms(np.concatenate([fix.center for fix in fixes]).reshape(-1, 3) - placed)
-
-    def _flags(self, fit: Solution, outlines: Outlines, covariance: Floats) -> tuple[str, ...]:
+    def _flags(self, fit: Solution, outlines: Outlines) -> tuple[str, ...]:
         flags = []
-        off = np.hypot(fit.shifts_px[:, 0], fit.shifts_px[:, 1])
-        for i in np.flatnonzero(off > self.config.max_shift_px):
-            camera = outlines.cameras[outlines.contours.view_of[i]].name
-            flags.append(f"{outlines.balls[i]} in {camera} sits {off[i]:.1f} px off the fit")
+        for seen, (right, down, _) in zip(outlines.detections, fit.shifts_px.tolist(), strict=True):
+            off = math.hypot(right, down)
+            if off > self.config.max_shift_px:
+                flags.append(f"{seen.ball} in {seen.camera} sits {off:.1f} px off the fit")
         balls = len(set(outlines.balls))
         if balls < 3:
             flags.append(f"only {balls} balls seen: part of the pose is from the prediction")
@@ -208,7 +161,7 @@ class ContoursSolver(PoseSolver):
             flags.append("only one camera: depth is from the balls' sizes")
         if not fit.converged:
             flags.append("the fit did not settle")
-        variances = covariance.diagonal().tolist()
+        variances = fit.covariance.diagonal().tolist()
         position = math.sqrt(sum(variances[:3]))
         rotation = math.degrees(math.sqrt(sum(variances[3:])))
         if position > self.config.max_position_sd_mm or rotation > self.config.max_rotation_sd_deg:
@@ -216,31 +169,15 @@ class ContoursSolver(PoseSolver):
         return tuple(flags)
 
 
-def _spread(seen: Sequence[Detection]) -> Floats:
-    """Variances (k,) of the outlines' own shifts relative to each other.
-
-    Where the edges of an outline scatter more, all of them together sit off further as well. Their
-    scatter tells part of that only: it counts by its root, within limits.
-    """
-    claimed = np.array([d.covariance_px[0, 0] + d.covariance_px[1, 1] for d in seen])
-    typical = max(float(np.median(claimed)), _LEAST_VARIANCE_PX2)
-    return np.clip(np.sqrt(claimed / typical), 1 / _MOST_SPREAD, _MOST_SPREAD)
-
-
-def _rms(vectors: Floats) -> float:
-    """Root mean square length of vectors (n, d)."""
-    return math.sqrt(float(np.sum(vectors * vectors)) / len(vectors))
-
-
 @lru_cache(maxsize=64)
-def _small_sample(degrees: float) -> float:
+def _small_sample(degrees: int) -> float:
     """Widening that lets the 95 % ellipsoid hold 95 % though its scale is estimated (F for chi^2).
 
     Below four degrees of freedom the estimate says next to nothing; the widening stops there.
     """
     from scipy.special import chdtri, fdtri
 
-    return float(6 * fdtri(6, max(degrees, 4.0), 0.95) / chdtri(6, 0.05))
+    return float(6 * fdtri(6, max(degrees, 4), 0.95) / chdtri(6, 0.05))
 
 
 def _camera_for_warming_up() -> Camera:
