@@ -24,12 +24,3 @@ def squared_distance(off: Floats, inverse: Floats) -> float:
     across = inverse[0, 1] + inverse[1, 0]
     u, v = off[0], off[1]
     return float(u * u * inverse[0, 0] + u * v * across + v * v * inverse[1, 1])
-
-
-@compiled
-def squared_distances(off: Floats, covariances: Floats) -> Floats:
-    """Squared Mahalanobis distances (n,) of `off` (n, 3) under `covariances` (n, 3, 3)."""
-    out = np.empty(len(off))
-    for i in range(len(off)):
-        out[i] = np.sum(off[i] * np.linalg.solve(covariances[i], off[i]))
-    return out

@@ -1,4 +1,4 @@
-"""Distances between balls, compiled: see `body_checks`."""
+"""Distances between balls, and from where a pose puts them, compiled."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
+from measure.geometry.rotation_kernels import times
 
 
 @compiled
@@ -33,4 +34,32 @@ def pair_distances(points_body: Floats, centers: Floats, covariances: Floats) ->
                     variance += along[a] * noise * along[b]
             out[row, 2] = np.sqrt(variance)
             row += 1
+    return out
+
+
+@compiled
+def distances_from_body(
+    rotation: Floats,
+    translation: Floats,
+    points_body: Floats,
+    centers: Floats,
+    covariances: Floats,
+) -> Floats:
+    """How far n balls are from where a pose puts them.
+
+    Args:
+        rotation: (3, 3) of world_from_body.
+        translation: (3,) the same.
+        points_body: (n, 3) centres in the body file, mm.
+        centers: (n, 3) as measured, mm.
+        covariances: (n, 3, 3) of those.
+
+    Returns:
+        (n, 2) squared Mahalanobis distances, and distances in mm.
+    """
+    out = np.empty((len(centers), 2))
+    for i in range(len(centers)):
+        off = centers[i] - times(rotation, points_body[i]) - translation
+        out[i, 0] = np.sum(off * np.linalg.solve(covariances[i], off))
+        out[i, 1] = np.sqrt(np.sum(off * off))
     return out

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
+from functools import cached_property
 
 import numpy as np
 
@@ -65,7 +66,7 @@ class Detection:
     outline_px: Floats | None = None
     outline_sd_px: Floats | None = None
 
-    @property
+    @cached_property
     def variance_px2(self) -> float:
         """Variance of `center_px` along an axis, the mean of both."""
         (first, _), (_, second) = self.covariance_px.tolist()

@@ -14,7 +14,7 @@ import numpy as np
 
 from measure.arrays import Floats, stacked
 from measure.geometry import chi_square_quantile
-from measure.geometry.covariance_kernels import squared_distances
+from measure.measuring.body_kernels import distances_from_body
 from measure.model import BallView, Body, Camera, Fix, Pose
 from measure.model.observations import Reason
 
@@ -123,16 +123,20 @@ def _balls_aside(
     """Balls that are not where the body puts them, by rays alone."""
     if not fixes:
         return
-    gate = chi_square_quantile(confidence, 3)
-    expected = pose.world_from_body.apply(body.centers[[body.index(fix.ball) for fix in fixes]])
-    off = stacked([fix.center for fix in fixes]) - expected
-    likely = squared_distances(off, stacked([fix.covariance for fix in fixes]))
-    for fix, gone, distance in zip(fixes, off, likely.tolist(), strict=True):
+    gate, placed = chi_square_quantile(confidence, 3), pose.world_from_body
+    distances = distances_from_body(
+        np.ascontiguousarray(placed.rotation),
+        np.ascontiguousarray(placed.translation),
+        body.centers_of([fix.ball for fix in fixes]),
+        stacked([fix.center for fix in fixes]),
+        stacked([fix.covariance for fix in fixes]),
+    )
+    for fix, (distance, gone_mm) in zip(fixes, distances.tolist(), strict=True):
         own = [variances[fix.ball, name] for name in fix.cameras if (fix.ball, name) in variances]
         wider = 1 + own_px**2 * sum(1 / v for v in own) / len(own) if own else 1.0
         if distance / wider > gate:
             yield (
-                f"ball {fix.ball} is {np.linalg.norm(gone):.1f} mm from where the body puts it: "
+                f"ball {fix.ball} is {gone_mm:.1f} mm from where the body puts it: "
                 "a wrong body file, or a camera that was moved?"
             )
 

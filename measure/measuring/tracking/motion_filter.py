@@ -86,40 +86,48 @@ class MotionState:
             extra: (6,) standard deviations added to its covariance, for what that leaves out.
             acceleration_sd: as in `at`.
         """
-        before, seen = self.at(pose.time_s, acceleration_sd), pose.world_from_body
-        rotation, translation, velocity, covariance, faster = updated(
-            before.world_from_body.rotation,
-            before.world_from_body.translation,
-            before.velocity,
-            before.covariance,
+        here, seen, dt = self.world_from_body, pose.world_from_body, pose.time_s - self.time_s
+        rotation, translation, velocity, covariance, square = updated(
+            np.ascontiguousarray(here.rotation),
+            np.ascontiguousarray(here.translation),
+            self.velocity,
+            self.covariance,
+            dt,
+            acceleration_sd**2,
             np.ascontiguousarray(seen.rotation),
             np.ascontiguousarray(seen.translation),
-            pose.covariance + np.diag(extra**2),
+            pose.covariance,
+            extra**2,
+            self.acceleration_square,
+            self._share(dt),
         )
         return MotionState(
             RigidTransform(rotation, translation),
             velocity,
             pose.time_s,
             covariance,
-            self._accelerated(faster, pose.time_s - self.time_s),
+            square,
             self.measured + 1,
         )
 
-    def _accelerated(self, faster: Floats, dt: float) -> Floats:
-        """The mean square acceleration after one more change of the velocity (6,)."""
+    def _share(self, dt: float) -> float:
+        """Of one more acceleration in the mean square of all so far."""
         if self.measured < _SETTLED or dt <= 0:
-            return self.acceleration_square
-        share = 1 / min(self.measured - _SETTLED + 1, max(_STEADY_S / dt, 1.0))
-        seen = np.outer(faster, faster) / dt**2
-        return np.asarray(self.acceleration_square + share * (seen - self.acceleration_square))
+            return 0.0
+        return 1 / min(self.measured - _SETTLED + 1, max(_STEADY_S / dt, 1.0))
 
-    def motion(self) -> Motion:
-        """As the pipeline hands it to solvers."""
+    def motion(self, faster: tuple[Floats, Floats] | None = None) -> Motion:
+        """As the pipeline hands it to solvers.
+
+        Args:
+            faster: by how much (6,) the velocity is known to have changed, and its covariance then.
+        """
+        change, known = (0.0, self.covariance[6:, 6:]) if faster is None else faster
         return Motion(
             self.world_from_body,
             self.time_s,
-            self.velocity,
+            self.velocity + change,
             self.covariance[:6, :6],
-            velocity_covariance=self.covariance[6:, 6:],
+            velocity_covariance=known,
             acceleration_square=self.acceleration_square,
         )

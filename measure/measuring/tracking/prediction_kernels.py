@@ -218,35 +218,51 @@ def updated(
     rotation: Floats,
     translation: Floats,
     velocity: Floats,
-    known: Floats,
+    covariance: Floats,
+    dt: float,
+    variance: Floats,
     measured_rotation: Floats,
     measured_translation: Floats,
     noise: Floats,
+    extra: Floats,
+    square: Floats,
+    share: float,
 ) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-    """A predicted motion after a measured pose.
+    """A motion, carried on to the time of a measured pose, after that.
 
     Args:
-        rotation: (3, 3) of world_from_body, predicted.
+        rotation: (3, 3) of world_from_body.
         translation: (3,) the same.
-        velocity: (6,) predicted.
-        known: (12, 12) covariance of the prediction.
-        measured_rotation: (3, 3) of world_from_body.
+        velocity: (6,) mm/s and rad/s in the world.
+        covariance: (12, 12) of pose and velocity.
+        dt: s until the measured pose.
+        variance: (6,) of the acceleration.
+        measured_rotation: (3, 3) of the measured world_from_body.
         measured_translation: (3,) the same.
         noise: (6, 6) covariance of the measured pose.
+        extra: (6,) variances added to that.
+        square: (6, 6) mean square of the accelerations so far.
+        share: of this one in that mean.
 
     Returns:
-        Rotation, translation, velocity and covariance after; and by how much the velocity changed.
+        Rotation, translation, velocity, covariance and mean square acceleration after.
     """
+    rotation, translation, known = moved_on(
+        rotation, translation, velocity, covariance, dt, variance
+    )
     off = np.empty(6)
     off[:3] = measured_translation - translation
     off[3:] = rotvec_of(measured_rotation @ rotation.T)
-    step, covariance = corrected(known, noise, off)
+    step, covariance = corrected(known, noise + np.diag(extra), off)
+    square = square.copy()
+    if share > 0:
+        square += share * (np.outer(step[6:], step[6:]) / dt**2 - square)
     return (
         rotation_of(step[3:6]) @ rotation,
         translation + step[:3],
         velocity + step[6:],
         covariance,
-        step[6:],
+        square,
     )
 
 

@@ -121,13 +121,7 @@ class PredictiveTracker:
         """
         if self._state is None:
             return None
-        predicted = self._state.at(time_s, self._acceleration).motion()
-        if self._faster is None:
-            return predicted
-        faster, covariance = self._faster
-        return replace(
-            predicted, velocity=predicted.velocity + faster, velocity_covariance=covariance
-        )
+        return self._state.at(time_s, self._acceleration).motion(self._faster)
 
     def conclude(
         self,

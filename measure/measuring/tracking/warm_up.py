@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from measure.geometry import RigidTransform
-from measure.geometry.covariance_kernels import squared_distances
 from measure.measuring.body_checks import layout_flags
+from measure.measuring.body_kernels import distances_from_body
 from measure.measuring.tracking.gates import Sighted, judge_sightings
 from measure.measuring.tracking.motion_filter import MotionState
 from measure.measuring.tracking.windows import predict_windows
@@ -28,4 +28,4 @@ def warm_up(body: Body, cameras: Sequence[Camera]) -> None:
     state.updated(Pose(0.0, still, np.eye(6), 0.0, 0.0, (), ()), one, one)
     places = np.tile(np.eye(3), (len(body.balls), 1, 1))
     layout_flags(body, body.names, body.centers, places, 1.0)
-    squared_distances(body.centers, places)
+    distances_from_body(still.rotation, still.translation, body.centers, body.centers, places)

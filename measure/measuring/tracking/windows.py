@@ -49,19 +49,11 @@ class Windows:
             size_slack: relative error of the outline's radius that is still believed.
         """
         sizes = search_sizes(self.balls, sigmas, floor_px, size_slack, _DECIMALS)
-        places_px, places_mm = sizes[:, :2], sizes[:, 2:5]
-        out: dict[str, list[Expectation]] = {}
-        for row, (camera, ball) in enumerate(self.keys):
-            low, high, apart, around = sizes[row, 5:].tolist()
-            out.setdefault(camera, []).append(
-                Expectation(
-                    ball=ball,
-                    center_px=places_px[row],
-                    radius_px=(low, high),
-                    min_distance_px=apart,
-                    reach_px=around,
-                    center_camera=places_mm[row],
-                )
+        out: dict[str, list[Expectation]] = {camera: [] for camera, _ in self.keys}
+        for (camera, ball), place, numbers in zip(self.keys, sizes, sizes.tolist(), strict=True):
+            low, high, apart, around = numbers[5:]
+            out[camera].append(
+                Expectation(ball, place[:2], (low, high), apart, around, 1.0, place[2:5])
             )
         return out
 
@@ -100,7 +92,13 @@ def predict_windows(
         _readouts(present),
         MIN_DEPTH_MM,
     )
-    return Windows(tuple((camera.name, ball) for camera in present for ball in body.names), balls)
+    return Windows(_keys(present, body), balls)
+
+
+@lru_cache(maxsize=64)
+def _keys(cameras: tuple[Camera, ...], body: Body) -> tuple[tuple[str, str], ...]:
+    """Both compare by identity."""
+    return tuple((camera.name, ball) for camera in cameras for ball in body.names)
 
 
 @lru_cache(maxsize=64)
