@@ -35,6 +35,8 @@ _ROUGHLY_SETTLED_PX = 0.5
 _SETTLED_PX = 0.1
 """Corrected edges are looked at again until the axis moves less: the prediction, fitted at a place
 that is off, takes up part of the error. Before the correction half a pixel will do."""
+_CONVINCING = 0.75
+"""Share of the rays that should show an edge whose edges agree, that rules out a look elsewhere."""
 _GROWTH_UNKNOWN = (0.0, 1e3)
 _GROWTH_SEEN = (-0.5, 0.5)
 _GROWTH_CORRECTED = (0.0, 0.3)
@@ -179,24 +181,33 @@ def _doubted(outline: Outline, view: View, look: Look, fit: _Fit) -> Outline:
 
 @compiled
 def measure_closely(view: View, search: Search, radial: Radial) -> Outline:
-    """Measure an outline of known size by corrected edges, after a rough look if it may be far."""
-    axis, half_angle, reach = search.axis, search.half_angle, _reach(view, search)
-    start, before = 0, np.zeros(2)
-    if reach > SEARCH_PX:
-        look = look_roughly(view, search, axis, half_angle, reach)
-        fit = _fit(look, _GROWTH_SEEN, True)
-        if not np.isfinite(fit.scale):
-            return _nothing(search)
-        axis = _turned(look, fit)
-        start = 1
-    lit = lamps_shine(view, axis, search.rays, radial)
-    for turn in range(start, _TURNS):
-        look = look_closely(view, search, axis, half_angle, radial, lit)
-        fit = _fit(look, _GROWTH_CORRECTED, turn == 0)
+    """Measure an outline of known size by corrected edges, from the prediction if that will do.
+
+    A wide look sees much besides the outline, and is often further off than the prediction: it is
+    taken only where corrected edges about the prediction do not agree.
+    """
+    near, reach = _settled(view, search, radial, search.axis, True), _reach(view, search)
+    if reach <= SEARCH_PX or near.agreeing >= _CONVINCING * max(near.clear + near.overflow, 1):
+        return near
+    look = look_roughly(view, search, search.axis, search.half_angle, reach)
+    fit = _fit(look, _GROWTH_SEEN, True)
+    if not np.isfinite(fit.scale):
+        return near
+    far = _settled(view, search, radial, _turned(look, fit), False)
+    return far if far.agreeing > near.agreeing else near
+
+
+@compiled
+def _settled(view: View, search: Search, radial: Radial, axis: Floats, first: bool) -> Outline:
+    """The outline that corrected looks lead to from `axis`; `first` if nobody looked there yet."""
+    before, lit = np.zeros(2), lamps_shine(view, axis, search.rays, radial)
+    for turn in range(_TURNS):
+        look = look_closely(view, search, axis, search.half_angle, radial, lit)
+        fit = _fit(look, _GROWTH_CORRECTED, first and turn == 0)
         if not np.isfinite(fit.scale):
             break
         if _moved(fit) < _SETTLED_PX:
-            return _outline(view, look, half_angle, fit)
+            return _outline(view, look, search.half_angle, fit)
         step = fit.solution[:2]
         if np.sum(step * before) < 0:
             step *= 0.5  # else looks may lead to and fro for ever
