@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -13,7 +14,7 @@ from measure_plugins._edges.radial import (
     BLUR_PX,
     REFRACTIVE_INDEX,
     Radial,
-    packed_radial,
+    packed_radials,
     radial,
 )
 from measure_plugins._edges.sensor import encoding
@@ -60,9 +61,9 @@ class Appearance:
         """What a ball of this size shows along a ray across its outline."""
         return radial(radius_px, half_angle, self.blur_px, self.index, self.mirrors)
 
-    def packed_tables(self, radius_px: float, half_angle: float) -> Floats:
-        """The same in one row."""
-        return packed_radial(radius_px, half_angle, self.blur_px, self.index, self.mirrors)
+    def packed_tables(self, outlines: Sequence[tuple[float, float]]) -> Floats:
+        """The same of k outlines (radius in px, half angle in rad), a row each."""
+        return packed_radials(outlines, self.blur_px, self.index, self.mirrors)
 
 
 def first_appearance(tone: str) -> Appearance:

@@ -26,9 +26,9 @@ class Expected(NamedTuple):
 
     Attributes:
         cones: (k, 5) unit axis of each outline in the camera frame, half angle in rad, and the
-            ball's distance in mm.
+            ball's distance in mm; columns beyond those are ignored.
         reach_px: (k,) how far the outline may be from there.
-        tables: (k, r) what its size makes a ball show, see `radial.packed_radial`;
+        tables: (k, r) what its size makes a ball show, see `radial.packed_radials`;
             unused where that is not known.
         sized: (k,) whether the size is known: if not, edges are not corrected.
         bits: (k,) of the balls' colours in the table of colours.

@@ -144,18 +144,20 @@ def _add_terms(
     terms: Terms, k: int, offset: int, half: Floats, normal: Floats, right: Floats
 ) -> None:
     """Add ball-view k's terms; its centre moves by its arms, its view's offset is a row alone."""
-    arms, own = terms.arms[k], terms.normal[k]
+    arms, own = terms.arms, terms.normal
     for a in range(4):
+        x, y, z = own[k, a, 0], own[k, a, 1], own[k, a, 2]
         for j in range(6):
-            half[a, j] = own[a, 0] * arms[0, j] + own[a, 1] * arms[1, j] + own[a, 2] * arms[2, j]
+            half[a, j] = x * arms[k, 0, j] + y * arms[k, 1, j] + z * arms[k, 2, j]
     for i in range(6):
         for a in range(3):
-            right[i] += arms[a, i] * terms.right[k, a]
+            arm = arms[k, a, i]
+            right[i] += arm * terms.right[k, a]
             for j in range(6):
-                normal[i, j] += arms[a, i] * half[a, j]
+                normal[i, j] += arm * half[a, j]
         normal[offset, i] += half[3, i]
         normal[i, offset] += half[3, i]
-    normal[offset, offset] += own[3, 3]
+    normal[offset, offset] += own[k, 3, 3]
     right[offset] += terms.right[k, 3]
 
 
@@ -223,14 +225,13 @@ def _scatter(
     prior = _SCATTER_PRIOR_COUNT * _SCATTER_PRIOR_PX**2
     center, known_center = prior, _SCATTER_PRIOR_COUNT
     radius, known_radius = prior, _SCATTER_PRIOR_COUNT
-    apart, reach = np.empty(len(doubt)), np.empty(7)
+    apart, reach, arms = np.empty(len(doubt)), np.empty(7), terms.arms
     for k in range(len(doubt)):
         for a in range(OWN):
-            gain = terms.gain[k, a]
+            x, y, z = terms.gain[k, a, 0], terms.gain[k, a, 1], terms.gain[k, a, 2]
             for j in range(6):
-                arms = terms.arms[k, :, j]
-                reach[j] = gain[0] * arms[0] + gain[1] * arms[1] + gain[2] * arms[2]
-            reach[6] = gain[3]
+                reach[j] = x * arms[k, 0, j] + y * arms[k, 1, j] + z * arms[k, 2, j]
+            reach[6] = terms.gain[k, a, 3]
             spread = terms.own_covariance[k, a, a]
             spread += _variance(reach, covariance, 6 + contours.view_of[k])
             known = min(max(1 - spread / variances[k, a], 0.02), 1.0)

@@ -183,25 +183,26 @@ def _moments(columns: Floats, weights: Floats) -> Floats:
 @compiled
 def _eliminate(moments: Floats, variances: Floats, k: int, terms: Terms) -> None:
     """Ball-view k's terms from its moments; not a number where a step led inside the ball."""
-    own, inverse = np.empty((OWN, OWN)), terms.own_covariance[k]
+    own, inverse = np.empty((OWN, OWN)), np.empty((OWN, OWN))
     for a in range(OWN):
         for b in range(OWN):
             own[a, b] = moments[_OWN_COLUMNS[a], _OWN_COLUMNS[b]]
         own[a, a] += 1 / variances[a]
     _invert(own, inverse)
-    p, q, r = moments[_OWN_COLUMNS[0]], moments[_OWN_COLUMNS[1]], moments[_OWN_COLUMNS[2]]
-    gain, offset = terms.gain[k], terms.offset[k]
+    p, q, r = _OWN_COLUMNS
+    gain, offset = np.empty((OWN, _SHARED)), np.empty(OWN)
     for a in range(OWN):
-        x, y, z = inverse[a]
-        offset[a] = x * p[6] + y * q[6] + z * r[6]
+        x, y, z = inverse[a, 0], inverse[a, 1], inverse[a, 2]
+        offset[a] = x * moments[p, 6] + y * moments[q, 6] + z * moments[r, 6]
         for j in range(_SHARED):
-            gain[a, j] = x * p[j] + y * q[j] + z * r[j]
+            gain[a, j] = x * moments[p, j] + y * moments[q, j] + z * moments[r, j]
     for i in range(_SHARED):
-        taken = p[i] * offset[0] + q[i] * offset[1] + r[i] * offset[2]
-        terms.right[k, i] = moments[i, 6] - taken
+        x, y, z = moments[p, i], moments[q, i], moments[r, i]
+        terms.right[k, i] = moments[i, 6] - (x * offset[0] + y * offset[1] + z * offset[2])
         for j in range(_SHARED):
-            taken = p[i] * gain[0, j] + q[i] * gain[1, j] + r[i] * gain[2, j]
+            taken = x * gain[0, j] + y * gain[1, j] + z * gain[2, j]
             terms.normal[k, i, j] = moments[i, j] - taken
+    terms.own_covariance[k], terms.gain[k], terms.offset[k] = inverse, gain, offset
 
 
 @compiled

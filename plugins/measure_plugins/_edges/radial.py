@@ -9,6 +9,7 @@ functions times six radial ones, so that everything that is costly depends on th
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -67,26 +68,27 @@ def radial(
     return _radial(*_sizes(radius_px, half_angle, blur_px), index, mirrors)
 
 
-def packed_radial(
-    radius_px: float, half_angle: float, blur_px: float, index: float, mirrors: bool = True
+def packed_radials(
+    outlines: Sequence[tuple[float, float]], blur_px: float, index: float, mirrors: bool = True
 ) -> Floats:
-    """The same tables in one row, so that those of several balls make one array."""
-    return _packed(*_sizes(radius_px, half_angle, blur_px), index, mirrors)
+    """The same tables of k outlines (radius in px, half angle in rad), a row each: (k, r)."""
+    return _packed(tuple(_sizes(*one, blur_px) for one in outlines), index, mirrors)
 
 
 def _sizes(radius_px: float, half_angle: float, blur_px: float) -> tuple[int, int, int]:
     return round(4 * radius_px), round(200 * half_angle), round(20 * blur_px)
 
 
-@lru_cache(maxsize=1024)
-def _packed(radius4: int, angle200: int, blur20: int, index: float, mirrors: bool) -> Floats:
-    tables = _radial(radius4, angle200, blur20, index, mirrors)
-    return np.concatenate([table.ravel() for table in tables])
+@lru_cache(maxsize=256)
+def _packed(sizes: tuple[tuple[int, int, int], ...], index: float, mirrors: bool) -> Floats:
+    """Balls keep their sizes from picture to picture, nearly always all of them."""
+    rows = [_radial(*one, index, mirrors) for one in sizes]
+    return np.stack([np.concatenate([table.ravel() for table in row]) for row in rows])
 
 
 @compiled
 def unpacked(row: Floats) -> Radial:
-    """The tables of a row of `packed_radial`."""
+    """The tables of a row of `packed_radials`."""
     m, k, lobes = len(STEPS), len(DEFLECTIONS), _LOBES
     ends = np.cumsum(np.array([m * lobes, m * k, m, m, k * m, k]))
     return Radial(

@@ -151,8 +151,9 @@ class OutlineDetector(Detector):
         return View(pixels, seen.table, seen.encoding, self._lens, seen.lamps)
 
     def _measure(self, image: Image, expected: Sequence[Expectation]) -> list[Detection]:
-        view, cones = self._view(image), self._cones(expected)
-        return self._measure_at(image, view, expected, cones)
+        if not expected:
+            return []
+        return self._measure_at(image, self._view(image), expected, self._cones(expected))
 
     def _measure_at(
         self, image: Image, view: View, expected: Sequence[Expectation], cones: Floats
@@ -171,7 +172,7 @@ class OutlineDetector(Detector):
             return []
         c, sized = self.config, [e.center_camera is not None for e in expected]
         balls = Expected(
-            np.ascontiguousarray(cones[:, :5]),
+            cones,
             np.array([e.reach_px for e in expected]),
             self._tables(cones) if any(sized) else np.empty((len(cones), 0)),
             np.array(sized),
@@ -181,13 +182,20 @@ class OutlineDetector(Detector):
         found = measure_balls(
             view, balls, c.rays, c.min_contrast, c.margin_px, hopeless, self._table
         )
-        each = (self._detection(image, one, i, found) for i, one in enumerate(expected))
+        numbers = found.numbers.tolist()
+        each = (self._detection(image, one, i, found, numbers[i]) for i, one in enumerate(expected))
         return [detection for detection in each if detection is not None]
 
     def _detection(
-        self, image: Image, expectation: Expectation, i: int, found: Measured
+        self,
+        image: Image,
+        expectation: Expectation,
+        i: int,
+        found: Measured,
+        numbers: Sequence[float],
     ) -> Detection | None:
-        radius_px, points, agreement, match = found.numbers[i].tolist()
+        """What was found of one ball, with its row of numbers, unless it is no ball."""
+        radius_px, points, agreement, match = numbers
         c, count, (low, high) = self.config, int(points), expectation.radius_px
         if count < c.min_rays or agreement < c.min_agreement or match < c.min_color_match:
             return None
@@ -208,9 +216,8 @@ class OutlineDetector(Detector):
 
     def _tables(self, cones: Floats) -> Floats:
         """What balls of known size show along a ray across their outlines: (k, r)."""
-        tables = self._appearance.packed_tables
-        rows = [tables(size_px, half_angle) for _, _, _, half_angle, _, size_px in cones.tolist()]
-        return np.concatenate(rows).reshape(len(cones), -1)
+        outlines = [(size_px, half_angle) for *_, half_angle, _, size_px in cones.tolist()]
+        return self._appearance.packed_tables(outlines)
 
     def _cones(self, expected: Sequence[Expectation]) -> Floats:
         """Axes, half angles in rad, distances in mm, and radii in px of outlines: (k, 6)."""
@@ -220,7 +227,7 @@ class OutlineDetector(Detector):
             self._by_size(e) if e.center_camera is None else e.center_camera for e in expected
         ]
         radii = np.array([self._radii[e.ball] for e in expected])
-        return cones_of(np.array(centers), radii, self._lens)
+        return cones_of(np.concatenate(centers).reshape(-1, 3), radii, self._lens)
 
     def _by_size(self, expectation: Expectation) -> Floats:
         """Where (3,) in the camera frame a ball is that looks as large as expected, mm."""

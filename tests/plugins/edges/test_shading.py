@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from measure_plugins._edges.radial import STEPS, packed_radial, radial, unpacked
+from measure_plugins._edges.radial import STEPS, packed_radials, radial, unpacked
 from measure_plugins._edges.shading import angular_terms, fit_shading, radial_amounts
 
 LOBES = radial(60.0, 0.045, 1.0, 1.5).diffuse
@@ -43,8 +43,12 @@ def test_hidden_rays_tell_nothing() -> None:
 
 
 def test_packed_tables_are_the_same_tables():
-    tables, row = radial(60.0, 0.045, 1.0, 1.5), packed_radial(60.0, 0.045, 1.0, 1.5)
-    for name, one, other in zip(tables._fields, tables, unpacked(row), strict=True):
-        assert one.shape == other.shape, name
-        assert np.array_equal(one, other), name
-    assert len(row) == sum(table.size for table in tables)
+    outlines = [(60.0, 0.045), (45.0, 0.06)]
+    packed = packed_radials(outlines, 1.0, 1.5)
+    assert len(packed) == 2
+    for row, (radius_px, half_angle) in zip(packed, outlines, strict=True):
+        tables = radial(radius_px, half_angle, 1.0, 1.5)
+        for name, one, other in zip(tables._fields, tables, unpacked(row), strict=True):
+            assert one.shape == other.shape, name
+            assert np.array_equal(one, other), name
+        assert len(row) == sum(table.size for table in tables)
