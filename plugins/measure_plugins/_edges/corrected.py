@@ -89,10 +89,11 @@ def corrected_edges(
     Returns:
         The edges; their contrast in picture values from 0 to 1.
     """
-    light, values = sample(pixels, table, points, normals, STEPS, free, True)
+    light, values = sample(pixels, table, points, normals, STEPS, free, _FIRST)
     within, background = levels(light, STEPS, INSIDE_PX), levels(light, STEPS, _BACKGROUND_PX)
     predicted = predicted_values(light, free, around, background, inverse, radial, lit)
-    inside, outside = levels(values, STEPS, INSIDE_PX), levels(values, STEPS, OUTSIDE_PX)
+    inside = levels(values, LATER_STEPS, INSIDE_PX)
+    outside = levels(values, LATER_STEPS, OUTSIDE_PX)
     model_inside = levels(predicted, LATER_STEPS, INSIDE_PX)
     model_outside = levels(predicted, LATER_STEPS, OUTSIDE_PX)
     n = len(points)
@@ -100,8 +101,8 @@ def corrected_edges(
     for k in range(2):
         without_grey = k == 0 and _is_colorful(within, background, free)
         x, contrasts[k] = project(values, inside, outside, without_grey)
-        at, slope = crossings(x, STEPS, SEARCH_PX)
-        sd = uncertainty(x, STEPS, at, slope, INSIDE_PX)
+        at, slope = crossings(x, LATER_STEPS, SEARCH_PX)
+        sd = uncertainty(x, LATER_STEPS, at, slope, INSIDE_PX)
         y, _ = project(predicted, model_inside, model_outside, without_grey)
         bias, _ = crossings(y, LATER_STEPS, SEARCH_PX)
         common = _middle(bias)
@@ -137,10 +138,10 @@ def compare(
     lit: Floats,
 ) -> tuple[Floats, Floats]:
     """Picture values (3, m, n) at `LATER_STEPS`: seen, and predicted. Arguments as above."""
-    light, values = sample(pixels, table, points, normals, STEPS, free, True)
+    light, values = sample(pixels, table, points, normals, STEPS, free, _FIRST)
     background = levels(light, STEPS, _BACKGROUND_PX)
     predicted = predicted_values(light, free, around, background, inverse, radial, lit)
-    return values[:, _FIRST:], predicted
+    return values, predicted
 
 
 @compiled
@@ -148,7 +149,7 @@ def sampled_light(
     pixels: Bytes, table: Floats, points: Floats, normals: Floats, free: Floats
 ) -> tuple[Floats, Floats]:
     """Light (3, m, n) at `STEPS`, and of the surroundings (3, n). Arguments as above."""
-    light, _ = sample(pixels, table, points, normals, STEPS, free, False)
+    light, _ = sample(pixels, table, points, normals, STEPS, free, len(STEPS))
     return light, levels(light, STEPS, _BACKGROUND_PX)
 
 

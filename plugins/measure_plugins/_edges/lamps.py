@@ -16,6 +16,8 @@ from measure_plugins._edges.selection import kth_smallest
 
 _ROUNDS = 4
 _COLUMNS = 5
+_FITTED_RAYS = 36
+"""Neighbouring rays show much the same: light is fitted to about so many of them."""
 _NOTHING = 1e-4
 """Share of a ball's own light below which a place along a ray lies past its blurred outline."""
 UNIFORM, FACING, ASIDE = 0, 1, 3
@@ -79,7 +81,7 @@ def fit_lamp_light(
     Returns:
         Factors of even light, of that along the axis, of that along the other two, and of `lit`.
     """
-    clear = np.nonzero(free == 0)[0]
+    clear = np.nonzero(free == 0)[0][:: max(len(free) // _FITTED_RAYS, 1)]
     rows = diffuse[:used:2]
     factors = np.stack((rows[:, UNIFORM], rows[:, FACING], rows[:, ASIDE]))
     angles, bright = around[clear], lit[:used:2][:, clear]

@@ -131,8 +131,9 @@ def _shaded(
 ) -> tuple[Floats, Floats]:
     """What each lamp (k, p) would give at a ball's clear pixels; the amounts (p,) seen there."""
     light, background = sampled_light(pixels, table, points, normals, free)
-    _, amounts, _, _ = split_light(light, free, background, STEPS, tables)
-    used = np.arange(0, np.searchsorted(STEPS, _LAST_PX, side="right"), _EVERY)
+    inside = int(np.searchsorted(STEPS, _LAST_PX, side="right"))
+    _, amounts, _, _ = split_light(light, free, background, STEPS, tables, inside)
+    used = np.arange(0, inside, _EVERY)
     clear = np.nonzero(free == 0)[0]
     rows, angles, out = (
         tables.diffuse[used],

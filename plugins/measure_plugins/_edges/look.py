@@ -126,7 +126,7 @@ def look_roughly(
     if wider > 0 or quickly:
         profiles = sample_nearest(view.pixels, view.table, points, normals, steps, free)
     else:
-        profiles, _ = sample(view.pixels, view.table, points, normals, steps, free, False)
+        profiles, _ = sample(view.pixels, view.table, points, normals, steps, free, len(steps))
     within, without = levels(profiles, steps, inside), levels(profiles, steps, outside)
     x, contrast = project(profiles, within, without, False)
     at, slope = crossings(x, steps, reach_px)

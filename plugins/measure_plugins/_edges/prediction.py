@@ -49,9 +49,9 @@ def predict_light(
             is empty, shading is a polynomial.
         first: the step at which the prediction begins.
     """
-    own, amounts, grey, behind_grey = split_light(profiles, free, background, steps, radial)
+    used = int(np.searchsorted(steps, FIT_LAST_PX, side="right"))
+    own, amounts, grey, behind_grey = split_light(profiles, free, background, steps, radial, used)
     if lit.size > 0:
-        used = int(np.searchsorted(steps, FIT_LAST_PX, side="right"))
         fitted = fit_lamp_light(amounts, free, around, radial.diffuse, lit, used)
         body = lamp_body(fitted, around, radial.diffuse, lit, first)
     else:
@@ -68,20 +68,28 @@ def predict_light(
 
 @compiled
 def split_light(
-    profiles: Floats, free: Floats, background: Floats, steps: Floats, radial: Radial
+    profiles: Floats, free: Floats, background: Floats, steps: Floats, radial: Radial, used: int
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """What a ball's light is made of, the surroundings taken off; arguments as above.
+    """What a ball's light is made of, the surroundings taken off.
+
+    Args:
+        profiles: as above.
+        free: as above.
+        background: as above.
+        steps: as above.
+        radial: as above.
+        used: how many of the steps are wanted.
 
     Returns:
-        The ball's own colour (3,), how much of it and of grey the rays show, both (m, n), and the
-        surroundings' grey (n,).
+        The ball's own colour (3,), how much of it and of grey the rays show, both (used, n), and
+        the surroundings' grey (n,).
     """
-    m, n = profiles.shape[1:]
+    n = profiles.shape[2]
     own = own_color(profiles, free, steps)
     behind, behind_grey = np.empty(n), np.empty(n)
     split(background, own, behind, behind_grey)
-    amounts, grey = np.empty((m, n)), np.empty((m, n))
-    for j in range(m):
+    amounts, grey = np.empty((used, n)), np.empty((used, n))
+    for j in range(used):
         split(profiles[:, j], own, amounts[j], grey[j])
         if radial.outside[j] > 0:
             for i in range(n):

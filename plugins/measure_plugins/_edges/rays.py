@@ -157,7 +157,7 @@ def sample(
     normals: Floats,
     steps: Floats,
     free: Floats,
-    values_too: bool,
+    values_from: int,
 ) -> tuple[Floats, Floats]:
     """Light and picture values along the rays, both by bilinear interpolation.
 
@@ -168,14 +168,14 @@ def sample(
         normals: (n, 2) unit vectors.
         steps: (m,) px along the normals.
         free: (n,) FREE to sample a ray; set to OUTSIDE in place where it leaves the picture.
-        values_too: whether the picture values are wanted.
+        values_from: the first step at which picture values are wanted.
 
     Returns:
-        Light, and values from 0 to 1, both (3, m, n), the values empty (0, m, n) if not wanted;
-        zeros where the ray is not free.
+        Light (3, m, n), and values from 0 to 1 (3, m - values_from, n); zeros where the ray is not
+        free.
     """
     m, n = len(steps), len(points)
-    light, values = np.zeros((3, m, n)), np.zeros((3 if values_too else 0, m, n))
+    light, values = np.zeros((3, m, n)), np.zeros((3, m - values_from, n))
     _mark_outside(image, points, normals, steps, free)
     flat, row, pixel = image.reshape(-1), np.uint64(3 * image.shape[1]), np.uint64(3)
     first, weights = np.empty(n, np.int64), np.empty((4, n))
@@ -189,8 +189,9 @@ def sample(
                 at = np.uint64(first[i] + c)  # unsigned: no look whether it counts from the end
                 p, q, r, s = flat[at], flat[at + pixel], flat[at + row], flat[at + row + pixel]
                 light[c, j, i] = w00 * table[p] + w01 * table[q] + w10 * table[r] + w11 * table[s]
-                if values_too:
-                    values[c, j, i] = (w00 * p + w01 * q + w10 * r + w11 * s) * _PER_LEVEL
+                if j >= values_from:
+                    value = w00 * p + w01 * q + w10 * r + w11 * s
+                    values[c, j - values_from, i] = value * _PER_LEVEL
     return light, values
 
 

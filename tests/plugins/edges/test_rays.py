@@ -23,7 +23,7 @@ def both(picture, points, normals, steps=STEPS, free=None):
     normals = np.ascontiguousarray(np.broadcast_to(normals, points.shape), dtype=np.float64)
     state = np.full(len(points), FREE, np.uint8) if free is None else np.array(free, np.uint8)
     other = state.copy()
-    light, _ = sample(picture, TABLE, points, normals, steps, state, False)
+    light, _ = sample(picture, TABLE, points, normals, steps, state, len(steps))
     nearest = sample_nearest(picture, TABLE, points, normals, steps, other)
     np.testing.assert_array_equal(state, other)
     return light, nearest, state
@@ -67,7 +67,7 @@ def test_values_are_interpolated_between_pixels() -> None:
     picture = np.stack([2 * u + 3 * v, 4 * u, 5 * v], axis=-1).astype(np.uint8)
     points, normals = np.array([[20.3, 18.6], [30.0, 10.25]]), np.array([[0.6, 0.8], [1.0, 0.0]])
     steps, table = np.array([-2.0, 0.0, 1.5]), np.arange(256) / 255.0
-    light, values = sample(picture, table, points, normals, steps, np.zeros(2), True)
+    light, values = sample(picture, table, points, normals, steps, np.zeros(2), 0)
     x = points[:, 0] + steps[:, None] * normals[:, 0]
     y = points[:, 1] + steps[:, None] * normals[:, 1]
     assert np.allclose(255 * values, np.stack([2 * x + 3 * y, 4 * x, 5 * y]), atol=1e-9)
