@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -130,3 +131,27 @@ def test_what_may_be_as_far_apart_as_two_balls(apart):
     expected = (near < apart + 1) & (apart < far + 1)
     assert 0 < np.count_nonzero(expected) < expected.size
     assert np.array_equal(fitting_ranges(a, b, apart, 1.0), expected)
+
+
+@pytest.mark.parametrize(("sd_px", "doubted"), [(0.3, True), (2.0, False)])
+def test_two_balls_of_one_camera_are_a_sign_if_their_sizes_are_known(sd_px, doubted):
+    """Half-hidden outlines do not tell how far away they are; two of them mean nothing."""
+    rng = np.random.default_rng(5)
+    first = a_pose(rng, 25, 60)
+    aside = 130 * CAMERAS["cam0"].world_from_camera.rotation[:, 0]
+    second = RigidTransform(first.rotation, first.translation + aside)
+    detections = seen(CAMERAS, balls_of(first), rng)
+    name, camera = "cam0", CAMERAS["cam0"]
+    others = seen({name: camera}, balls_of(second), np.random.default_rng(0))[name][:2]
+    assert len(others) == 2
+    exact = [
+        replace(
+            d,
+            center_px=camera.project(second.apply(RAVEN.centers[[RAVEN.index(d.ball)]]))[0],
+            covariance_px=sd_px**2 * np.eye(2),
+        )
+        for d in others
+    ]
+    found = associate(RAVEN, list(CAMERAS.values()), {**detections, name: detections[name] + exact})
+    assert measured_which(found, first, second) == "first"
+    assert bool(found.doubts) == doubted

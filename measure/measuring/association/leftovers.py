@@ -30,8 +30,6 @@ _SLACK_MM = 1.0
 _HALF_SEEN_MM = 5.0
 """A mostly hidden ball's outline takes in the edge of what hides it, and leads this far astray."""
 _MOST_POINTS = 12
-_WELL_SEEN = 0.6
-"""The size of a ball of which less shows is not to be trusted without a third."""
 
 
 def signs_of_another(
@@ -170,9 +168,14 @@ def _by_sizes(
 def _side_by_side(first: Candidates, second: Candidates, fits: Bools) -> Floats | None:
     """The same for two that one camera sees, and sees well: of their distance little is open."""
     alike = first.cameras[:, None] == second.cameras
-    well = (first.scores[:, None] > _WELL_SEEN) & (second.scores > _WELL_SEEN)
-    found = np.argwhere(fits & alike & well)
+    found = np.argwhere(fits & alike & _well_seen(first)[:, None] & _well_seen(second))
     return _middle([first, second], found[0]) if len(found) else None
+
+
+def _well_seen(candidates: Candidates) -> Bools:
+    """Whose sizes (n,) are known to `_RANGE_SD`; a half-hidden one takes a third to tell."""
+    radius = [d.radius_px for d in candidates.detections]
+    return np.asarray(candidates.sd_px < _RANGE_SD * np.array(radius))
 
 
 def _middle(some: Sequence[Candidates], rows: Ints) -> Floats:

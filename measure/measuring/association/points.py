@@ -59,11 +59,6 @@ class Candidates:
     def __len__(self) -> int:
         return len(self.cameras)
 
-    @property
-    def scores(self) -> Floats:
-        """How well each is seen (n,)."""
-        return np.array([d.score for d in self.detections], dtype=np.float64)
-
     def rows(self, index: Ints) -> Candidates:
         """Some of them."""
         return Candidates(

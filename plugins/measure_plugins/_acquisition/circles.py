@@ -83,7 +83,7 @@ def _along(
     for span in _SPANS:
         if span >= n:
             continue
-        for i in range(0, n, max(1, span // 2)):
+        for i in range(0, n, 2 * span // 3):
             if explained[i]:
                 continue
             j, k = (i + span) % n, (i + 2 * span) % n
@@ -258,11 +258,14 @@ def _edge(mask: Bytes, x: float, y: float, r: float, k: int, reach: float) -> fl
         return np.nan
     offset = -reach
     while offset < reach:
-        offset += 0.25
+        offset += 1.0
         here = _at(mask, x + (r + offset) * c, y + (r + offset) * s)
         if here < 0:
             return np.nan
         if here == 0:
+            for _ in range(3):  # by quarters back to the first that is outside
+                if _at(mask, x + (r + offset - 0.25) * c, y + (r + offset - 0.25) * s) == 0:
+                    offset -= 0.25
             return offset - 0.125
     return np.nan
 

@@ -138,6 +138,7 @@ def _trace(labels: Bytes, row: int, column: int, pixels: Ints, at: int) -> int:
         pixels[at, 0], pixels[at, 1] = column - 1, row - 1
         return at + 1
     last, here, back = begin + steps[first], begin, first
+    x, y = column - 1, row - 1
     while True:
         left, k, beside = False, back, here
         for _ in range(8):
@@ -150,8 +151,9 @@ def _trace(labels: Bytes, row: int, column: int, pixels: Ints, at: int) -> int:
             flat[here] = _LEFT
         elif flat[here] == _SET:
             flat[here] = _ENTERED
-        pixels[at, 0], pixels[at, 1] = here % width - 1, here // width - 1
+        pixels[at, 0], pixels[at, 1] = x, y
         at += 1
         if beside == begin and here == last:
             return at
+        x, y = x + _DX[np.uint64(k)], y + _DY[np.uint64(k)]
         here, back = beside, (k + 4) & 7

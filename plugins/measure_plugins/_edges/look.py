@@ -28,9 +28,10 @@ from measure_plugins._edges.rays import (
     ways,
 )
 
-_STEP_PX = 0.5
-_WIDE_STEP_PX = 1.0
-"""A wide look only leads to a near one: whole pixels will do."""
+_STEP_PX, _WHOLE_PX, _WIDE_PX = 0.5, 1.0, 2.0
+"""A wide look only leads to a near one, and a quick one to a better one: whole pixels will do."""
+_FAR_PX = 3.0
+"""A quick look that goes so much further than a near one takes every other pixel."""
 _LIGHT_PER_VALUE = 0.3
 """Slope of tone curves in the shade, where contrast is scarce."""
 
@@ -117,7 +118,9 @@ def look_roughly(
     wider = max(reach_px - SEARCH_PX, 0.0)
     inside = (INSIDE_PX[0] - wider, INSIDE_PX[1] - wider)
     outside = (OUTSIDE_PX[0] + wider, OUTSIDE_PX[1] + wider)
-    step = _WIDE_STEP_PX if wider > 0 else _STEP_PX
+    step = _WHOLE_PX if wider > 0 or quickly else _STEP_PX
+    if quickly and wider > _FAR_PX:
+        step = _WIDE_PX
     steps = np.arange(inside[0], outside[1] + 1e-9, step)
     frame = frame_about(axis)
     points, normals, scale, around = cast_rays(frame, half_angle, search.rays, view.lens)

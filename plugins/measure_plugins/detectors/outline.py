@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from measure_plugins._edges.look import View
 
 
+_APPROACHING, _ROUGHLY = 3, 2
+"""So many times fewer rays lead to where outlines are, and recognise them."""
 _HOPELESS = 2 / 3
 """A candidate that so far reaches less than this of the least agreement is given up."""
 
@@ -116,7 +118,7 @@ class OutlineDetector(Detector):
         kinds = [(alike[color], some) for color, some in zip(self._colors, circles, strict=True)]
         first = [names[0] for names, some in kinds for _ in some if names]
         rough = np.concatenate([some for names, some in kinds if names])
-        cones = approach(view, rough, c.rays // 2, c.min_contrast, c.min_agreement)
+        cones = approach(view, rough, c.rays // _APPROACHING, c.min_contrast, c.min_agreement)
         near = np.nonzero(cones[:, 3])[0]
         expected = [_expectation(first[i], *rough[i, :3].tolist()) for i in near]
         found = self._measure_at(image, view, expected, cones[near])
@@ -178,10 +180,9 @@ class OutlineDetector(Detector):
             np.array(sized),
             np.array([self._bits[e.ball] for e in expected]),
         )
+        rays = c.rays if any(sized) else c.rays // _ROUGHLY
         hopeless = _HOPELESS * c.min_agreement
-        found = measure_balls(
-            view, balls, c.rays, c.min_contrast, c.margin_px, hopeless, self._table
-        )
+        found = measure_balls(view, balls, rays, c.min_contrast, c.margin_px, hopeless, self._table)
         numbers = found.numbers.tolist()
         each = (self._detection(image, one, i, found, numbers[i]) for i, one in enumerate(expected))
         return [detection for detection in each if detection is not None]
@@ -197,7 +198,8 @@ class OutlineDetector(Detector):
         """What was found of one ball, with its row of numbers, unless it is no ball."""
         radius_px, points, agreement, match = numbers
         c, count, (low, high) = self.config, int(points), expectation.radius_px
-        if count < c.min_rays or agreement < c.min_agreement or match < c.min_color_match:
+        least = c.min_rays * found.points_px.shape[1] / c.rays
+        if count < least or agreement < c.min_agreement or match < c.min_color_match:
             return None
         if not low - 2 <= radius_px <= high + 2:
             return None
