@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import os
 import subprocess
 import sys
 
@@ -148,3 +149,21 @@ def test_a_command_says_of_itself_what_the_table_says(command):
     target = getattr(importlib.import_module(f"measure.cli.{command.name}"), command.name)
     own = target.help if isinstance(target, App) else target.__doc__
     assert own.partition("\n")[0] == command.summary
+
+
+@pytest.mark.parametrize("asked", [None, "3"])
+def test_linear_algebra_stays_on_one_thread_unless_asked(asked):
+    """It has to be said before NumPy is loaded."""
+    code = (
+        "import os, sys\n"
+        "from measure.cli import main\n"
+        "assert 'numpy' not in sys.modules\n"
+        "main(['--version'])\n"
+        "print('threads', os.environ['OPENBLAS_NUM_THREADS'])"
+    )
+    known = {k: v for k, v in os.environ.items() if k != "OPENBLAS_NUM_THREADS"}
+    given = known if asked is None else {**known, "OPENBLAS_NUM_THREADS": asked}
+    ran = subprocess.run(
+        [sys.executable, "-c", code], env=given, capture_output=True, text=True, check=True
+    )
+    assert ran.stdout.splitlines()[-1] == f"threads {asked or 1}"
