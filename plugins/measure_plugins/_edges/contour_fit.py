@@ -23,10 +23,18 @@ _SETTLED_MM, _SETTLED_RAD = 2e-2, 3e-4
 _ILL_CONDITIONED = 1e12
 _OFFSET_SD_PX = 3.0
 """A view's common edge offset is all but free; this only keeps a lone arc solvable."""
-_SCATTER_START_PX = 0.3
+_SCATTER_START_PX = 3.0
+"""Outlines are free to sit anywhere at first: else one that does takes all its points for bad."""
+_SCATTER_SETTLED = 0.1
 _SCATTER_PRIOR_PX = 0.03
 _SCATTER_PRIOR_COUNT = 1.0
 _SCATTER_FLOOR_PX = 0.003
+_TAILS = 4.0
+"""Degrees of freedom of the ball-views' shifts, a few of which are several times the others'."""
+_GROSS = 5.0
+_LEAST_TYPICAL_PX = 0.2
+"""Ball-views off by more than so many typical standard deviations must not raise the variance. Off
+by half a pixel they are no strangers: what light shifts in one camera it shifts back in another."""
 _RADIUS_SCATTER_FLOOR_PX = 0.1
 """Balls are not round to better than this, and their edges differ: sizes never tell range finer."""
 
@@ -94,10 +102,12 @@ def fit_contours(
             break
         step = covariance @ right
         shifts = _own_steps(contours, terms, step)
+        before = scatter[0]
         scatter, doubt = _scatter(contours, terms, covariance, shifts, variances, doubt)
         rotation, translation = rotation_of(step[3:6]) @ rotation, translation + step[:3]
         offsets = offsets + step[6:]
-        if _within(step, _STEP_MM, _STEP_RAD):
+        changed = abs(scatter[0] - before) > _SCATTER_SETTLED * before
+        if not changed and _within(step, _STEP_MM, _STEP_RAD):
             break
     variances = _variances(contours, scatter, doubt)
     collect(contours, rotation, translation, offsets, shifts, variances, terms)
@@ -220,7 +230,8 @@ def _scatter(
 
     The fixed point v = sum(b^2) / sum(1 - posterior variance / v) is MacKay's (1992) for random
     effects; the posterior variances hold the uncertainty of the shared unknowns, which makes it the
-    restricted likelihood's (Laird and Ware 1982).
+    restricted likelihood's (Laird and Ware 1982). The centres' shifts are Student's: the doubts are
+    the inverse weights of Lange, Little and Taylor (1989).
     """
     prior = _SCATTER_PRIOR_COUNT * _SCATTER_PRIOR_PX**2
     center, known_center = prior, _SCATTER_PRIOR_COUNT
@@ -245,8 +256,9 @@ def _scatter(
     out = np.empty(OWN)
     out[:2] = max(center / known_center, _SCATTER_FLOOR_PX**2)
     out[2] = max(radius / known_radius, _RADIUS_SCATTER_FLOOR_PX**2)
-    typical = max(median(apart.copy(), len(apart)) / 1.386, 0.05**2)
-    return out, np.maximum(1.0, apart / (9.0 * typical))
+    typical = max(median(apart.copy(), len(apart)) / 1.386, _LEAST_TYPICAL_PX**2)
+    gross = (apart / (_GROSS**2 * typical)) ** 2
+    return out, np.maximum(gross, (_TAILS + apart / out[0]) / (_TAILS + 2))
 
 
 @compiled

@@ -15,7 +15,7 @@ from measure_plugins._edges.look import Look, Search, View, lamps_shine, look_cl
 from measure_plugins._edges.radial import Radial
 from measure_plugins._edges.rays import FREE
 from measure_plugins._edges.selection import kth_smallest
-from measure_plugins._edges.spread import correlation, image_directions, in_pieces
+from measure_plugins._edges.spread import center_covariance, image_directions, in_pieces
 
 _CONSENSUS_TRIALS = 60
 _CONSENSUS_GATE_PX = 1.2
@@ -272,26 +272,27 @@ def _outline(view: View, look: Look, half_angle: float, fit: _Fit) -> Outline:
     center = np.array(to_pixel(axis[0], axis[1], axis[2], view.lens))
     inliers = np.nonzero(fit.weights > _INLIER)[0]
     points, sd = np.empty((len(inliers), 2)), np.empty(len(inliers))
-    standard = np.zeros(len(fit.weights))
+    off, weights = np.zeros(len(fit.weights)), np.zeros(len(fit.weights))
     for k, i in enumerate(inliers):
         s, ray_sd = look.edges.shifts[i], look.edges.sd[i]
         points[k, 0] = look.points[i, 0] + s * look.normals[i, 0]
         points[k, 1] = look.points[i, 1] + s * look.normals[i, 1]
         sd[k] = ray_sd * max(fit.scale, 1.0)
         along = look.around[i, 0] * fit.solution[0] + look.around[i, 1] * fit.solution[1]
-        standard[i] = (s - along - fit.solution[2]) / (ray_sd * fit.scale)
+        off[i] = s - along - fit.solution[2]
+        weights[i] = fit.weights[i] / (ray_sd * fit.scale) ** 2
     radius = float(fit.solution[2])
     for u, v in look.points:
         radius += np.hypot(u - center[0], v - center[1]) / len(look.points)
     to_image = image_directions(look.frame, view.lens) / px
-    together = correlation(standard, fit.weights > _INLIER)
+    spread = center_covariance(look.around, weights, off, fit.normal)
     middle = len(sd) // 2
     return Outline(
         axis,
         half_angle + fit.solution[2] / px,
         center,
         radius,
-        to_image @ (together * np.linalg.inv(fit.normal)[:2, :2]) @ to_image.T,
+        to_image @ spread @ to_image.T,
         points,
         sd,
         int(np.sum(look.clear)),

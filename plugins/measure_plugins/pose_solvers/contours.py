@@ -4,7 +4,7 @@ A ball seen by one camera counts, and each picture counts at its own time. Every
 unknown edge offset (the visible edge of a glossy ball lies inside its outline), and every ball-view
 a shift of its own whose size is estimated from the residuals: that, not the pixel noise, is what
 limits the pose, and it is what the covariance is made of. Outlines whose edges scatter more are
-taken to be shifted further.
+taken to be shifted further, and those that the others contradict count for less (Student's t).
 """
 
 from __future__ import annotations

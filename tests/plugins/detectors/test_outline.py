@@ -74,7 +74,8 @@ def test_the_outline_is_the_same_wherever_it_was_predicted(camera, detector, off
         assert np.max(np.abs(found.center_px - true)) < 0.03
 
 
-def test_covariance_matches_scatter(camera, detector):
+def test_covariance_holds_the_scatter(camera, detector):
+    """It also holds errors that go together round the outline, which noise alone does not show."""
     rng = np.random.default_rng(4)
     center = at_angle(5.0, 40.0)
     light = draw(camera, [center], [20.0], [BGR["green"]])
@@ -90,7 +91,7 @@ def test_covariance_matches_scatter(camera, detector):
         covariances.append(found.covariance_px)
     scatter = np.sqrt(np.mean(np.var(errors, axis=0)))
     reported = np.sqrt(np.trace(np.mean(covariances, axis=0)) / 2)
-    assert 0.5 < reported / scatter < 2.0
+    assert 1.0 < reported / scatter < 4.0
     assert scatter < 0.03
 
 

@@ -166,7 +166,8 @@ def test_uncertain_cameras_widen_the_covariance():
         errors.append(pose.world_from_body.difference(POSE))
         covariances.append(np.diag(pose.covariance))
     ratio = np.sqrt(np.mean(covariances, axis=0) / np.mean(np.square(errors), axis=0))
-    assert np.all((ratio > 0.6) & (ratio < 2.0))
+    # Cameras that are off also make the outlines scatter: part of it is counted twice.
+    assert np.all((ratio > 0.9) & (ratio < 2.5))
 
 
 def test_uncertain_lenses_widen_the_covariance_by_what_they_do_to_the_pose():
