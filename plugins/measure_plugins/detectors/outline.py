@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from measure_plugins._edges.look import View
 
 
-_APPROACHING, _ROUGHLY = 3, 2
-"""So many times fewer rays lead to where outlines are, and recognise them."""
+_APPROACHING, _ROUGHLY, _FEWEST_RAYS = 3, 2, 16
+"""So many times fewer rays lead to where outlines are, and recognise them; but not too few."""
 _HOPELESS = 2 / 3
 """A candidate that so far reaches less than this of the least agreement is given up."""
 
@@ -118,7 +118,8 @@ class OutlineDetector(Detector):
         kinds = [(alike[color], some) for color, some in zip(self._colors, circles, strict=True)]
         first = [names[0] for names, some in kinds for _ in some if names]
         rough = np.concatenate([some for names, some in kinds if names])
-        cones = approach(view, rough, c.rays // _APPROACHING, c.min_contrast, c.min_agreement)
+        rays = max(c.rays // _APPROACHING, _FEWEST_RAYS)
+        cones = approach(view, rough, rays, c.min_contrast, c.min_agreement)
         near = np.nonzero(cones[:, 3])[0]
         expected = [_expectation(first[i], *rough[i, :3].tolist()) for i in near]
         found = self._measure_at(image, view, expected, cones[near])
@@ -180,7 +181,7 @@ class OutlineDetector(Detector):
             np.array(sized),
             np.array([self._bits[e.ball] for e in expected]),
         )
-        rays = c.rays if any(sized) else c.rays // _ROUGHLY
+        rays = c.rays if any(sized) else max(c.rays // _ROUGHLY, _FEWEST_RAYS)
         hopeless = _HOPELESS * c.min_agreement
         found = measure_balls(view, balls, rays, c.min_contrast, c.margin_px, hopeless, self._table)
         numbers = found.numbers.tolist()
