@@ -11,11 +11,13 @@ import numpy as np
 
 from measure.arrays import Bools, Bytes, Floats, Ints
 from measure.compiling import compiled
+from measure_plugins._edges.close_outlines import measure_closely
 from measure_plugins._edges.color_check import color_share
 from measure_plugins._edges.look import Search, View
-from measure_plugins._edges.outline_fit import Outline, measure_closely, measure_roughly
+from measure_plugins._edges.outline_fit import Outline
 from measure_plugins._edges.radial import unpacked
 from measure_plugins._edges.rays import radius_px
+from measure_plugins._edges.rough_outlines import measure_roughly
 
 _SAME_MM = 1e-6
 """Balls whose distances differ by less do not hide each other."""

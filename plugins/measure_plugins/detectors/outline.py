@@ -107,7 +107,7 @@ class OutlineDetector(Detector):
     def _searched(self, image: Image, known: Collection[str]) -> list[Detection]:
         """All that may be balls that are not `known`; what one ball may be, any of its colour."""
         from measure_plugins._acquisition import find_circles
-        from measure_plugins._edges.outline_fit import approach
+        from measure_plugins._edges.rough_outlines import approach
 
         c, view = self.config, self._view(image)
         circles = find_circles(view.pixels, self._colors, self._acquisition)

@@ -190,13 +190,13 @@ def test_small_pictures_are_warmed_up_with_a_smaller_disc(size_wh):
 def test_warm_up_compiles_every_hot_loop(camera):
     """For the very types that measuring uses: else the first picture would compile them again."""
     from measure_plugins._acquisition import circles, color_table, patches
-    from measure_plugins._edges import balls, outline_fit
+    from measure_plugins._edges import balls, rough_outlines
 
     OutlineDetector(OutlineConfig(), RAVEN, camera).warm_up()
     loops = (
         balls.measure_balls,
         balls.cones_of,
-        outline_fit.approach,
+        rough_outlines.approach,
         color_table.classify,
         patches.majority,
         circles.circles_of,

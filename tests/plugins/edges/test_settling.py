@@ -16,7 +16,7 @@ import pytest
 from measure.simulation.catalogue import scene_catalogue
 from measure.simulation.renderer import Renderer
 from measure.simulation.sensor import encode
-from measure_plugins._edges import balls, outline_fit
+from measure_plugins._edges import balls, close_outlines
 from measure_plugins.detectors.outline import OutlineConfig, OutlineDetector
 from tests.plugins.detectors.drawing import expect, image_of
 
@@ -26,11 +26,11 @@ _HALVING = "step *= 0.5"
 
 def without_halving():
     """`measure_balls` that steps back as far as it came."""
-    source = inspect.getsource(outline_fit._settled.py_func)
+    source = inspect.getsource(close_outlines._settled.py_func)
     assert source.count(_HALVING) == 1
-    settled = _compiled(outline_fit, source.replace(_HALVING, "step *= 1.0"), "_settled")
-    source = inspect.getsource(outline_fit.measure_closely.py_func)
-    closely = _compiled(outline_fit, source, "measure_closely", _settled=settled)
+    settled = _compiled(close_outlines, source.replace(_HALVING, "step *= 1.0"), "_settled")
+    source = inspect.getsource(close_outlines.measure_closely.py_func)
+    closely = _compiled(close_outlines, source, "measure_closely", _settled=settled)
     source = inspect.getsource(balls.measure_balls.py_func)
     return _compiled(balls, source, "measure_balls", measure_closely=closely)
 

@@ -1,0 +1,68 @@
+"""Outlines of balls of known size: corrected edges, looked at again until they settle."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.compiling import compiled
+from measure_plugins._edges.corrected import SEARCH_PX
+from measure_plugins._edges.look import Search, View, lamps_shine, look_closely, look_roughly
+from measure_plugins._edges.outline_fit import (
+    Outline,
+    fit_look,
+    moved,
+    no_outline,
+    outline_of,
+    reach_px,
+    turned,
+)
+from measure_plugins._edges.radial import Radial
+
+_TURNS = 8
+_SETTLED_PX = 0.1
+"""Corrected edges are looked at again until the axis moves less: the prediction, fitted at a place
+that is off, takes up part of the error."""
+_CONVINCING = 2 / 3
+"""Share of the rays that should show an edge whose edges agree, that rules out a look elsewhere."""
+_GROWTH_SEEN, _GROWTH_CORRECTED = (-0.5, 0.5), (0.0, 0.3)
+"""Mean and sd in px by which an outline shows larger than one predicted from a known distance:
+diffuse light fades at grazing angles, so a ball's edge lies inside its outline; and with that taken
+off."""
+
+
+@compiled
+def measure_closely(view: View, search: Search, radial: Radial) -> Outline:
+    """Measure an outline of known size by corrected edges, from the prediction if that will do.
+
+    A wide look sees much besides the outline, and is often further off than the prediction: it is
+    taken only where corrected edges about the prediction do not agree.
+    """
+    near, reach = _settled(view, search, radial, search.axis, True), reach_px(view, search)
+    if reach <= SEARCH_PX or near.agreeing >= _CONVINCING * max(near.clear + near.overflow, 1):
+        return near
+    look = look_roughly(view, search, search.axis, search.half_angle, reach)
+    fit = fit_look(look, _GROWTH_SEEN, True)
+    if not np.isfinite(fit.scale):
+        return near
+    far = _settled(view, search, radial, turned(look, fit), False)
+    return far if far.agreeing > near.agreeing else near
+
+
+@compiled
+def _settled(view: View, search: Search, radial: Radial, axis: Floats, first: bool) -> Outline:
+    """The outline that corrected looks lead to from `axis`; `first` if nobody looked there yet."""
+    before, lit = np.zeros(2), lamps_shine(view, axis, search.rays, radial)
+    for turn in range(_TURNS):
+        look = look_closely(view, search, axis, search.half_angle, radial, lit)
+        fit = fit_look(look, _GROWTH_CORRECTED, first and turn == 0)
+        if not np.isfinite(fit.scale):
+            break
+        if moved(fit) < _SETTLED_PX:
+            return outline_of(view, look, search.half_angle, fit)
+        step = fit.solution[:2]
+        if np.sum(step * before) < 0:
+            step *= 0.5  # else looks may lead to and fro for ever
+        before = step
+        axis = turned(look, fit)
+    return no_outline(search)

@@ -1,0 +1,134 @@
+"""Outlines of balls whose size nobody knows: half-level crossings, not corrected, near and far."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.compiling import compiled
+from measure.model.lens import bearing_and_slopes
+from measure_plugins._edges.cone_fit import FURTHEST_PX
+from measure_plugins._edges.corrected import SEARCH_PX
+from measure_plugins._edges.look import Look, Search, View, look_roughly
+from measure_plugins._edges.outline_fit import (
+    INLIER,
+    Fit,
+    Outline,
+    agreeing_share,
+    fit_look,
+    moved,
+    no_outline,
+    outline_of,
+    reach_px,
+    turned,
+)
+from measure_plugins._edges.spread import image_directions, in_pieces
+
+_TURNS = 8
+_CHANCE = np.sqrt(1 - np.sqrt(INLIER)) * FURTHEST_PX / SEARCH_PX
+"""Share of the edges that lie anywhere, not on the ball's outline, which agree with it too."""
+_LEAST_TOLD = 0.05
+_FAR_SHARE, _SETTLED_SHARE = 0.67, 0.9
+"""Shares of the least agreement in the end below which a quick look is the last: quick looks are
+less sharp, and those from further away see only about where an outline is."""
+_CIRCLE_REACH = 0.2
+"""How far an outline may be from a circle found by colour, as a share of its radius."""
+_SETTLED_PX = 0.5
+"""Outlines are looked at again until the axis moves less."""
+_GROWTH = (0.0, 1e3)
+"""Mean and sd in px by which an outline shows larger than expected: nothing known."""
+
+
+@compiled
+def approach(
+    view: View, circles: Floats, rays: int, min_contrast: float, agreement: float
+) -> Floats:
+    """Go from rough circles to about where their outlines are, by the nearest pixels.
+
+    Args:
+        view: where to look.
+        circles: (k, 5) of which the first are centre x, y and radius, px.
+        rays: across each outline.
+        min_contrast: see `Search`.
+        agreement: the least share of edges that agree in the end.
+
+    Returns:
+        (k, 5) unit axis and half angle of each outline, half angle 0 where there is none; and the
+        ball's distance: infinite, as nobody knows which of them is in front of which.
+    """
+    out = np.zeros((len(circles), 5))
+    out[:, 4] = np.inf
+    slopes, nearer = np.empty(6), np.empty((0, 4))
+    for i, circle in enumerate(circles):
+        axis, radius = np.empty(3), circle[2]
+        bearing_and_slopes(circle[:2], view.lens, 0.0, 0.0, axis, slopes)
+        half_angle = 2 * radius / (view.lens[0] + view.lens[3])
+        search = Search(axis, half_angle, nearer, _CIRCLE_REACH * radius, rays, min_contrast, 0.0)
+        reach = reach_px(view, search)
+        for turn in range(_TURNS):
+            look = look_roughly(view, search, axis, half_angle, reach, True)
+            fit = fit_look(look, _GROWTH, turn == 0)
+            settled = turn > 0 and moved(fit) < _SETTLED_PX
+            share = _SETTLED_SHARE if settled else _FAR_SHARE
+            if not np.isfinite(fit.scale) or agreeing_share(look, fit) < share * agreement:
+                break
+            axis = turned(look, fit)
+            half_angle += fit.solution[2] / np.mean(look.scale)
+            if settled:
+                out[i, :3], out[i, 3] = axis, half_angle
+                break
+            reach = SEARCH_PX
+    return out
+
+
+@compiled
+def measure_roughly(view: View, search: Search, hopeless: float) -> Outline:
+    """Measure an outline whose size nobody knows, by its half-level crossings.
+
+    Args:
+        view: where to look.
+        search: for what.
+        hopeless: a near look in which a smaller share of edges agrees is the last.
+    """
+    axis, half_angle, reach = search.axis, search.half_angle, reach_px(view, search)
+    for turn in range(_TURNS):
+        look = look_roughly(view, search, axis, half_angle, reach)
+        near = reach <= SEARCH_PX
+        fit = fit_look(look, _GROWTH, (turn == 0 and search.reach_px > 0) or not near)
+        if not np.isfinite(fit.scale):
+            break
+        if near and moved(fit) < _SETTLED_PX:
+            return _doubted(outline_of(view, look, half_angle, fit), view, look, fit)
+        if turn > 0 and agreeing_share(look, fit) < hopeless:
+            break
+        axis = turned(look, fit)
+        half_angle += fit.solution[2] / np.mean(look.scale)
+        reach = SEARCH_PX
+    return no_outline(search)
+
+
+@compiled
+def _doubted(outline: Outline, view: View, look: Look, fit: Fit) -> Outline:
+    """The same with the covariance of edges that are not corrected and may be another thing's.
+
+    Where h of the rays disagree, some of the others agree by chance: what is left of the agreement
+    is all that tells where the outline is (chance-corrected agreement, Cohen 1960).
+    """
+    told = max((agreeing_share(look, fit) - _CHANCE) / (1 - _CHANCE), _LEAST_TOLD)
+    sd = look.edges.sd * fit.scale
+    spread = in_pieces(look.edges.shifts, sd, look.around, fit.weights, fit.solution, fit.normal)
+    wider = np.sqrt(np.trace(spread) / np.trace(np.linalg.inv(fit.normal)[:2, :2])) / told
+    to_image = image_directions(look.frame, view.lens) / np.mean(look.scale)
+    return Outline(
+        outline.axis,
+        outline.half_angle,
+        outline.center_px,
+        outline.radius_px,
+        to_image @ (spread / told**2) @ to_image.T,
+        outline.points_px,
+        wider * outline.sd_px,
+        outline.clear,
+        outline.overflow,
+        outline.agreeing,
+        outline.scatter_px,
+    )
