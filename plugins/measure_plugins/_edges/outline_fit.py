@@ -87,6 +87,7 @@ def fit_look(look: Look, growth: tuple[float, float], first: bool) -> Fit:
 
 @compiled
 def moved(fit: Fit) -> float:
+    """How far a fit's axis is from where it was looked for, px along the axis that is off more."""
     return max(abs(fit.solution[0]), abs(fit.solution[1]))
 
 
@@ -107,6 +108,7 @@ def turned(look: Look, fit: Fit) -> Floats:
 
 @compiled
 def no_outline(search: Search) -> Outline:
+    """What is measured where nothing is found."""
     none = np.empty(0)
     return Outline(
         search.axis, 0.0, np.zeros(2), 0.0, np.zeros((2, 2)), none.reshape(0, 2), none, 0, 0, 0, 0.0
@@ -154,13 +156,17 @@ def _overflow(look: Look, inliers: Ints) -> int:
     """Rays without an edge whose outside looks like the ball, not like what is round it."""
     if len(inliers) == 0:
         return 0
+    inside, outside = look.edges.inside, look.edges.outside
     ball, ground = np.zeros(3), np.zeros(3)
-    for i in inliers:
-        ball += look.edges.inside[:, i] / len(inliers)
-        ground += look.edges.outside[:, i] / len(inliers)
+    for c in range(3):
+        for i in inliers:
+            ball[c] += inside[c, i] / len(inliers)
+            ground[c] += outside[c, i] / len(inliers)
     count = 0
     for i in range(len(look.free)):
         if look.free[i] == FREE and look.clear[i] == 0:
-            to_ball, to_ground = look.edges.outside[:, i] - ball, look.edges.outside[:, i] - ground
-            count += int(np.sum(to_ball**2) < np.sum(to_ground**2))
+            nearer_ball = 0.0
+            for c in range(3):
+                nearer_ball += (outside[c, i] - ground[c]) ** 2 - (outside[c, i] - ball[c]) ** 2
+            count += int(nearer_ball > 0)
     return count
