@@ -7,8 +7,10 @@ import numpy as np
 from measure.arrays import Floats
 from measure.compiling import compiled
 from measure_plugins._edges.corrected import SEARCH_PX
-from measure_plugins._edges.look import Search, View, lamps_shine, look_closely, look_roughly
+from measure_plugins._edges.look import Look, Search, View, lamps_shine, look_closely, look_roughly
 from measure_plugins._edges.outline_fit import (
+    INLIER,
+    Fit,
     Outline,
     fit_look,
     moved,
@@ -18,6 +20,7 @@ from measure_plugins._edges.outline_fit import (
     turned,
 )
 from measure_plugins._edges.radial import Radial
+from measure_plugins._edges.spread import center_covariance
 
 _TURNS = 8
 _SETTLED_PX = 0.1
@@ -59,10 +62,23 @@ def _settled(view: View, search: Search, radial: Radial, axis: Floats, first: bo
         if not np.isfinite(fit.scale):
             break
         if moved(fit) < _SETTLED_PX:
-            return outline_of(view, look, search.half_angle, fit)
+            return outline_of(view, look, search.half_angle, fit, _spread(look, fit), 1.0)
         step = fit.solution[:2]
         if np.sum(step * before) < 0:
             step *= 0.5  # else looks may lead to and fro for ever
         before = step
         axis = turned(look, fit)
     return no_outline(search)
+
+
+@compiled
+def _spread(look: Look, fit: Fit) -> Floats:
+    """Covariance (2, 2) in px^2 of the axis along e1 and e2, by what edges leave unexplained."""
+    off, weights = np.zeros(len(fit.weights)), np.zeros(len(fit.weights))
+    for i in range(len(off)):
+        if fit.weights[i] > INLIER:
+            x, y = look.around[i]
+            along = x * fit.solution[0] + y * fit.solution[1]
+            off[i] = look.edges.shifts[i] - along - fit.solution[2]
+            weights[i] = fit.weights[i] / (look.edges.sd[i] * fit.scale) ** 2
+    return center_covariance(look.around, weights, off, fit.normal)

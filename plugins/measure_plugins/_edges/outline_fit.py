@@ -14,7 +14,7 @@ from measure_plugins._edges.corrected import SEARCH_PX
 from measure_plugins._edges.look import Look, Search, View
 from measure_plugins._edges.rays import FREE
 from measure_plugins._edges.selection import kth_smallest
-from measure_plugins._edges.spread import center_covariance, image_directions
+from measure_plugins._edges.spread import image_directions
 
 _CONSENSUS_TRIALS = 60
 _CONSENSUS_GATE_PX = 1.2
@@ -116,25 +116,32 @@ def no_outline(search: Search) -> Outline:
 
 
 @compiled
-def outline_of(view: View, look: Look, half_angle: float, fit: Fit) -> Outline:
+def outline_of(
+    view: View, look: Look, half_angle: float, fit: Fit, spread: Floats, wider: float
+) -> Outline:
+    """The outline that a look's fit has found.
+
+    Args:
+        view: the picture.
+        look: the last look.
+        half_angle: that it was cast about, rad.
+        fit: of its edges.
+        spread: covariance (2, 2) in px^2 of the axis along e1 and e2.
+        wider: factor by which the edges are known less well than they and the fit say.
+    """
     px, axis = np.mean(look.scale), turned(look, fit)
     center = np.array(to_pixel(axis[0], axis[1], axis[2], view.lens))
     inliers = np.nonzero(fit.weights > INLIER)[0]
     points, sd = np.empty((len(inliers), 2)), np.empty(len(inliers))
-    off, weights = np.zeros(len(fit.weights)), np.zeros(len(fit.weights))
     for k, i in enumerate(inliers):
-        s, ray_sd = look.edges.shifts[i], look.edges.sd[i]
+        s = look.edges.shifts[i]
         points[k, 0] = look.points[i, 0] + s * look.normals[i, 0]
         points[k, 1] = look.points[i, 1] + s * look.normals[i, 1]
-        sd[k] = ray_sd * max(fit.scale, 1.0)
-        along = look.around[i, 0] * fit.solution[0] + look.around[i, 1] * fit.solution[1]
-        off[i] = s - along - fit.solution[2]
-        weights[i] = fit.weights[i] / (ray_sd * fit.scale) ** 2
+        sd[k] = look.edges.sd[i] * max(fit.scale, 1.0) * wider
     radius = float(fit.solution[2])
     for u, v in look.points:
         radius += np.hypot(u - center[0], v - center[1]) / len(look.points)
     to_image = image_directions(look.frame, view.lens) / px
-    spread = center_covariance(look.around, weights, off, fit.normal)
     middle = len(sd) // 2
     return Outline(
         axis,

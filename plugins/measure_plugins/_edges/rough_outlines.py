@@ -22,7 +22,7 @@ from measure_plugins._edges.outline_fit import (
     reach_px,
     turned,
 )
-from measure_plugins._edges.spread import image_directions, in_pieces
+from measure_plugins._edges.spread import in_pieces
 
 _TURNS = 8
 _CHANCE = np.sqrt(1 - np.sqrt(INLIER)) * FURTHEST_PX / SEARCH_PX
@@ -98,7 +98,8 @@ def measure_roughly(view: View, search: Search, hopeless: float) -> Outline:
         if not np.isfinite(fit.scale):
             break
         if near and moved(fit) < _SETTLED_PX:
-            return _doubted(outline_of(view, look, half_angle, fit), view, look, fit)
+            spread, wider = _doubts(look, fit)
+            return outline_of(view, look, half_angle, fit, spread, wider)
         if turn > 0 and agreeing_share(look, fit) < hopeless:
             break
         axis = turned(look, fit)
@@ -108,27 +109,17 @@ def measure_roughly(view: View, search: Search, hopeless: float) -> Outline:
 
 
 @compiled
-def _doubted(outline: Outline, view: View, look: Look, fit: Fit) -> Outline:
-    """The same with the covariance of edges that are not corrected and may be another thing's.
+def _doubts(look: Look, fit: Fit) -> tuple[Floats, float]:
+    """How surely an axis is known by edges that are not corrected and may be another thing's.
 
     Where h of the rays disagree, some of the others agree by chance: what is left of the agreement
     is all that tells where the outline is (chance-corrected agreement, Cohen 1960).
+
+    Returns:
+        Its covariance (2, 2) along e1 and e2, px^2; by how much it is wider than the fit's.
     """
     told = max((agreeing_share(look, fit) - _CHANCE) / (1 - _CHANCE), _LEAST_TOLD)
     sd = look.edges.sd * fit.scale
     spread = in_pieces(look.edges.shifts, sd, look.around, fit.weights, fit.solution, fit.normal)
     wider = np.sqrt(np.trace(spread) / np.trace(np.linalg.inv(fit.normal)[:2, :2])) / told
-    to_image = image_directions(look.frame, view.lens) / np.mean(look.scale)
-    return Outline(
-        outline.axis,
-        outline.half_angle,
-        outline.center_px,
-        outline.radius_px,
-        to_image @ (spread / told**2) @ to_image.T,
-        outline.points_px,
-        wider * outline.sd_px,
-        outline.clear,
-        outline.overflow,
-        outline.agreeing,
-        outline.scatter_px,
-    )
+    return spread / told**2, wider
