@@ -23,6 +23,7 @@ _DEGREE = 4
 _LEAST_SPREAD_MM = 20.0
 _DOUBTFUL_SHARE = 0.2
 _ELSEWHERE = (Reason.INCONSISTENT, Reason.JUMPED, Reason.RECOVERING)
+_DOUBTED = (Reason.INCONSISTENT, Reason.JUMPED)
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,7 +167,7 @@ def _most_aside(measurements: Sequence[Measurement]) -> str:
 def _usable(view: BallView, doubted: bool) -> bool:
     if view.detection is None:
         return False
-    return view.effective or (doubted and view.reason is Reason.INCONSISTENT)
+    return view.effective or (doubted and view.reason in _DOUBTED)
 
 
 def _tracks(

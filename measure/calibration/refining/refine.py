@@ -27,7 +27,7 @@ from measure.calibration.refining.scatter import Scatter, learnt_variance, of_vi
 from measure.errors import CalibrationError
 from measure.model import Body, Camera
 
-_ROUNDS = 50
+_ROUNDS = 200
 _FREE_ROUNDS = 12
 _SETTLED_MM = 1e-3
 _START_PX = 5.0
