@@ -24,6 +24,7 @@ _LEAST_SPREAD_MM = 20.0
 _DOUBTFUL_SHARE = 0.2
 _ELSEWHERE = (Reason.INCONSISTENT, Reason.JUMPED, Reason.RECOVERING)
 _DOUBTED = (Reason.INCONSISTENT, Reason.JUMPED)
+"""Why views of the right ball are left out if the calibration is off: they can put it right."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -137,5 +137,4 @@ def _note(outline: Outline, match: float, i: int, found: Measured) -> None:
     found.centers_px[i], found.covariances_px[i] = outline.center_px, outline.covariance_px
     found.points_px[i, :count], found.sd_px[i, :count] = outline.points_px, outline.sd_px
     found.numbers[i, 0], found.numbers[i, 1] = outline.radius_px, count
-    found.numbers[i, 2] = count / max(outline.clear + outline.overflow, 1)
-    found.numbers[i, 3] = match
+    found.numbers[i, 2], found.numbers[i, 3] = outline.share, match

@@ -7,16 +7,17 @@ import numpy as np
 from measure.arrays import Floats
 from measure.compiling import compiled
 from measure_plugins._edges.corrected import SEARCH_PX
-from measure_plugins._edges.look import Look, Search, View, lamps_shine, look_closely, look_roughly
+from measure_plugins._edges.look import Search, View, lamps_shine, look_closely, look_roughly
 from measure_plugins._edges.outline_fit import (
     INLIER,
-    Fit,
     Outline,
+    agreeing_share,
     fit_look,
     moved,
     no_outline,
     outline_of,
     reach_px,
+    residuals,
     turned,
 )
 from measure_plugins._edges.radial import Radial
@@ -42,7 +43,7 @@ def measure_closely(view: View, search: Search, radial: Radial) -> Outline:
     taken only where corrected edges about the prediction do not agree.
     """
     near, reach = _settled(view, search, radial, search.axis, True), reach_px(view, search)
-    if reach <= SEARCH_PX or near.agreeing >= _CONVINCING * max(near.clear + near.overflow, 1):
+    if reach <= SEARCH_PX or near.share >= _CONVINCING:
         return near
     look = look_roughly(view, search, search.axis, search.half_angle, reach)
     fit = fit_look(look, _GROWTH_SEEN, True)
@@ -62,23 +63,13 @@ def _settled(view: View, search: Search, radial: Radial, axis: Floats, first: bo
         if not np.isfinite(fit.scale):
             break
         if moved(fit) < _SETTLED_PX:
-            return outline_of(view, look, search.half_angle, fit, _spread(look, fit), 1.0)
+            weights, off = residuals(look, fit, INLIER)
+            spread = center_covariance(look.around, weights, off, fit.normal)
+            share = agreeing_share(look, fit)
+            return outline_of(view, look, search.half_angle, fit, share, spread, 1.0)
         step = fit.solution[:2]
         if np.sum(step * before) < 0:
             step *= 0.5  # else looks may lead to and fro for ever
         before = step
         axis = turned(look, fit)
     return no_outline(search)
-
-
-@compiled
-def _spread(look: Look, fit: Fit) -> Floats:
-    """Covariance (2, 2) in px^2 of the axis along e1 and e2, by what edges leave unexplained."""
-    off, weights = np.zeros(len(fit.weights)), np.zeros(len(fit.weights))
-    for i in range(len(off)):
-        if fit.weights[i] > INLIER:
-            x, y = look.around[i]
-            along = x * fit.solution[0] + y * fit.solution[1]
-            off[i] = look.edges.shifts[i] - along - fit.solution[2]
-            weights[i] = fit.weights[i] / (look.edges.sd[i] * fit.scale) ** 2
-    return center_covariance(look.around, weights, off, fit.normal)

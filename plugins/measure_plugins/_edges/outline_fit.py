@@ -35,9 +35,8 @@ class Outline(NamedTuple):
         covariance_px: (2, 2) of `center_px`.
         points_px: (n, 2) edge points that agree with the cone.
         sd_px: (n,) their standard deviations along the normal.
-        clear: number of rays with nothing in their way and unlike colours at their ends.
-        overflow: number of clear-way rays outside which the ball's own colour goes on.
         agreeing: number of rays whose edge agrees with the cone; 0 if no cone was found.
+        share: of the rays that should show an edge, see `agreeing_share`.
         scatter_px: robust scatter of the edges about the cone.
     """
 
@@ -48,9 +47,8 @@ class Outline(NamedTuple):
     covariance_px: Floats
     points_px: Floats
     sd_px: Floats
-    clear: int
-    overflow: int
     agreeing: int
+    share: float
     scatter_px: float
 
 
@@ -93,9 +91,30 @@ def moved(fit: Fit) -> float:
 
 @compiled
 def agreeing_share(look: Look, fit: Fit) -> float:
-    """Share of the rays that should show an edge whose edges lie on one outline."""
+    """Share of the rays that should show an edge whose edges lie on one outline.
+
+    Those are the rays with nothing in their way and unlike colours at their ends, and those with
+    nothing in their way outside which the ball's own colour goes on.
+    """
     inliers = np.nonzero(fit.weights > INLIER)[0]
     return len(inliers) / max(np.sum(look.clear) + _overflow(look, inliers), 1.0)
+
+
+@compiled
+def residuals(look: Look, fit: Fit, least: float) -> tuple[Floats, Floats]:
+    """What a fit leaves of edges with robust weights above `least`; nothing of the others.
+
+    Returns:
+        Their weights (n,) in the fit, px^-2, and residuals (n,), px; both 0 for the others.
+    """
+    weights, off = np.zeros(len(fit.weights)), np.zeros(len(fit.weights))
+    for i in range(len(off)):
+        if fit.weights[i] > least:
+            x, y = look.around[i]
+            along = x * fit.solution[0] + y * fit.solution[1]
+            off[i] = look.edges.shifts[i] - along - fit.solution[2]
+            weights[i] = fit.weights[i] / (look.edges.sd[i] * fit.scale) ** 2
+    return weights, off
 
 
 @compiled
@@ -111,13 +130,19 @@ def no_outline(search: Search) -> Outline:
     """What is measured where nothing is found."""
     none = np.empty(0)
     return Outline(
-        search.axis, 0.0, np.zeros(2), 0.0, np.zeros((2, 2)), none.reshape(0, 2), none, 0, 0, 0, 0.0
+        search.axis, 0.0, np.zeros(2), 0.0, np.zeros((2, 2)), none.reshape(0, 2), none, 0, 0.0, 0.0
     )
 
 
 @compiled
 def outline_of(
-    view: View, look: Look, half_angle: float, fit: Fit, spread: Floats, wider: float
+    view: View,
+    look: Look,
+    half_angle: float,
+    fit: Fit,
+    share: float,
+    spread: Floats,
+    wider: float,
 ) -> Outline:
     """The outline that a look's fit has found.
 
@@ -126,6 +151,7 @@ def outline_of(
         look: the last look.
         half_angle: that it was cast about, rad.
         fit: of its edges.
+        share: of the rays that should show an edge whose edges agree with the fit.
         spread: covariance (2, 2) in px^2 of the axis along e1 and e2.
         wider: factor by which the edges are known less well than they and the fit say.
     """
@@ -151,9 +177,8 @@ def outline_of(
         to_image @ spread @ to_image.T,
         points,
         sd,
-        int(np.sum(look.clear)),
-        _overflow(look, inliers),
         len(inliers),
+        share,
         fit.scale * kth_smallest(look.edges.sd[inliers], len(sd), middle) if len(sd) else 0.0,
     )
 

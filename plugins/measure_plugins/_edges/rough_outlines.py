@@ -20,6 +20,7 @@ from measure_plugins._edges.outline_fit import (
     no_outline,
     outline_of,
     reach_px,
+    residuals,
     turned,
 )
 from measure_plugins._edges.spread import in_pieces
@@ -98,8 +99,9 @@ def measure_roughly(view: View, search: Search, hopeless: float) -> Outline:
         if not np.isfinite(fit.scale):
             break
         if near and moved(fit) < _SETTLED_PX:
-            spread, wider = _doubts(look, fit)
-            return outline_of(view, look, half_angle, fit, spread, wider)
+            share = agreeing_share(look, fit)
+            spread, wider = _doubts(look, fit, share)
+            return outline_of(view, look, half_angle, fit, share, spread, wider)
         if turn > 0 and agreeing_share(look, fit) < hopeless:
             break
         axis = turned(look, fit)
@@ -109,7 +111,7 @@ def measure_roughly(view: View, search: Search, hopeless: float) -> Outline:
 
 
 @compiled
-def _doubts(look: Look, fit: Fit) -> tuple[Floats, float]:
+def _doubts(look: Look, fit: Fit, share: float) -> tuple[Floats, float]:
     """How surely an axis is known by edges that are not corrected and may be another thing's.
 
     Where h of the rays disagree, some of the others agree by chance: what is left of the agreement
@@ -118,8 +120,8 @@ def _doubts(look: Look, fit: Fit) -> tuple[Floats, float]:
     Returns:
         Its covariance (2, 2) along e1 and e2, px^2; by how much it is wider than the fit's.
     """
-    told = max((agreeing_share(look, fit) - _CHANCE) / (1 - _CHANCE), _LEAST_TOLD)
-    sd = look.edges.sd * fit.scale
-    spread = in_pieces(look.edges.shifts, sd, look.around, fit.weights, fit.solution, fit.normal)
+    told = max((share - _CHANCE) / (1 - _CHANCE), _LEAST_TOLD)
+    weights, off = residuals(look, fit, 0.0)
+    spread = in_pieces(look.around, weights, off, fit.normal)
     wider = np.sqrt(np.trace(spread) / np.trace(np.linalg.inv(fit.normal)[:2, :2])) / told
     return spread / told**2, wider

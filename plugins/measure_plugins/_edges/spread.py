@@ -113,9 +113,7 @@ def _answer(
 
 
 @compiled
-def in_pieces(
-    shifts: Floats, sd: Floats, around: Floats, weights: Floats, solution: Floats, normal: Floats
-) -> Floats:
+def in_pieces(around: Floats, weights: Floats, off: Floats, normal: Floats) -> Floats:
     """Covariance (2, 2) in px^2 of an axis fitted to edges whose errors go together piece by piece.
 
     Half-level crossings that are not corrected are off by shading, reflections and what stands
@@ -123,23 +121,21 @@ def in_pieces(
     A piece seen alone hardly tells a shift from growth, and so counts by its lever.
 
     Args:
-        shifts: (n,) of the edges, px.
-        sd: (n,) their standard deviations, px.
         around: (n, 2) cosine and sine around the axis.
-        weights: (n,) robust weights of the fit.
-        solution: (3,) of the fit.
+        weights: (n,) of the edges in the fit, px^-2; 0 for rays left out.
+        off: (n,) the edges' residuals, px; 0 for rays left out.
         normal: (3, 3) of the fit, px^-2.
     """
-    n, row, total = len(shifts), np.empty(3), np.zeros((3, 3))
+    n, row, total = len(off), np.empty(3), np.zeros((3, 3))
     rest, used = 0.0, 0
     for block in range(_BLOCKS):
         row[:] = 0.0
         for i in range(block * n // _BLOCKS, (block + 1) * n // _BLOCKS):
             if weights[i] > 0:
-                x, y, weight = around[i, 0], around[i, 1], weights[i] / sd[i] ** 2
-                off = shifts[i] - (x * solution[0] + y * solution[1] + solution[2])
-                row[0], row[1], row[2] = row[0] + weight * x, row[1] + weight * y, row[2] + weight
-                rest += off * off
+                row[0] += weights[i] * around[i, 0]
+                row[1] += weights[i] * around[i, 1]
+                row[2] += weights[i]
+                rest += off[i] * off[i]
                 used += 1
         for a in range(3):
             for b in range(3):

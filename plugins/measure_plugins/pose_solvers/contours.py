@@ -129,7 +129,7 @@ class ContoursSolver(PoseSolver):
                     located[name] = center
         if len(located) < 3:
             return None
-        source = np.stack([self.body.centers[self.body.index(name)] for name in located])
+        source = self.body.centers_of(list(located))
         try:
             return align_points(np.stack(list(located.values())), source)
         except DegenerateGeometryError:

@@ -26,7 +26,8 @@ def fits(in_sight, piece_px, seed=0):
         solution, normal, weights, scale = refine(
             shifts, AROUND, SD, use, np.zeros(3), 3.0, NOTHING_KNOWN
         )
-        spread = in_pieces(shifts, SD * scale, AROUND, weights, solution, normal)
+        off = shifts - AROUND @ solution[:2] - solution[2]
+        spread = in_pieces(AROUND, weights / (SD * scale) ** 2, off, normal)
         found.append(solution[:2])
         claimed.append(np.trace(spread))
         by_rays.append(np.trace(np.linalg.inv(normal)[:2, :2]))
