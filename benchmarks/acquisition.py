@@ -8,7 +8,7 @@ many of them were *recognised* as balls of the body, on the average; CPU time of
 pictures and of associating the candidates, the median over frame sets of the best of some repeats,
 in multiples of one `cv2.cvtColor(BGR2HSV)` of one picture.
 
-`--frames` prints every frame set that has no pose or a flag, and why.
+`--frames` prints every frame set that has no pose or a flag, how far off it is, and why.
 """
 
 from __future__ import annotations
@@ -80,7 +80,9 @@ def main() -> None:
         print(f"{folder.name:16}{_line(rows, sightings)}", flush=True)
         for row in rows if given.frames else ():
             if row.reason:
-                print(f"    {row.index} {row.status.value}: {row.reason}")
+                off = f", {row.error_mm:.3f} mm and {row.error_deg:.2f} deg off"
+                posed = off if row.error_mm >= 0 else ""
+                print(f"    {row.index} {row.status.value}{posed}: {row.reason}")
 
 
 def acquisitions(

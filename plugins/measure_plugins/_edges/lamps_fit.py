@@ -3,6 +3,9 @@
 Many directions are tried at once, each with an irradiance that cannot be negative: that leaves a
 handful. They are the same for all balls and pictures of a camera, so that what one ball hides in
 its shade another shows; each ball has an albedo of its own.
+
+Sums over pixels are loops of our own: a linear algebra library parts products of this size among
+threads, which wait for one another where cameras are measured side by side.
 """
 
 from __future__ import annotations
@@ -50,7 +53,7 @@ def with_lamps(sights: Sequence[Sight], appearance: Appearance) -> Appearance:
 def learn_lamps(sights: Sequence[Sight], appearance: Appearance) -> Floats:
     """Lamps (k, 4) in the camera's frame that explain the balls' shading, robustly."""
     directions, table = _directions(_DIRECTIONS), appearance.table
-    columns, seen = [], []
+    shares, seen = [], []
     for sight in sights:
         tables = appearance.tables(sight.half_angle * sight.scale, sight.half_angle)
         lamps = seen_from(directions, sight.frame)
@@ -64,10 +67,10 @@ def learn_lamps(sights: Sequence[Sight], appearance: Appearance) -> Floats:
             tables,
             lamps,
         )
-        columns.append(one)
+        shares.append(one)
         bright = max(float(np.quantile(amounts, 0.9)), 1e-6)
         seen.append(amounts / bright)
-    power = _powers(columns, seen)
+    power = powers(shares, seen)
     kept = power > _FAINT * power.sum()
     return np.column_stack([directions[kept, :3], power[kept]])
 
@@ -80,20 +83,19 @@ def _directions(count: int) -> Floats:
     return np.column_stack([aside * np.cos(turn), aside * np.sin(turn), height, np.ones(count)])
 
 
-def _powers(columns: Sequence[Floats], seen: Sequence[Floats]) -> Floats:
-    """Irradiances (k,), none negative, of amounts (p,) by columns (k, p); albedos fitted too."""
+def powers(shares: Sequence[Floats], seen: Sequence[Floats]) -> Floats:
+    """Irradiances (k,), none negative, of amounts (p,) by shares (p, k); albedos fitted too."""
     albedo, weights = np.ones(len(seen)), [np.ones(len(one)) for one in seen]
-    power = np.zeros(len(columns[0]))
+    power = np.zeros(shares[0].shape[1])
     for _ in range(_ROUNDS):
         normal, right = np.zeros((len(power), len(power))), np.zeros(len(power))
-        for one, amounts, scale, w in zip(columns, seen, albedo, weights, strict=True):
-            weighted = scale * w * one
-            normal += scale * (weighted @ one.T)
-            right += weighted @ amounts
+        for one, amounts, scale, w in zip(shares, seen, albedo, weights, strict=True):
+            add_normal(scale * one, w, amounts, normal, right)
+        normal += np.tril(normal, -1).T
         normal += _SPREAD * np.mean(np.diag(normal)) * np.eye(len(power))
         power = non_negative(normal, right, power, _SWEEPS)
-        for i, (one, amounts) in enumerate(zip(columns, seen, strict=True)):
-            lit = power @ one
+        for i, (one, amounts) in enumerate(zip(shares, seen, strict=True)):
+            lit = _product(one, power)
             off = amounts - albedo[i] * lit
             limit = 5 * 1.4826 * np.median(np.abs(off)) + 1e-6
             weights[i] = np.clip(1 - (off / limit) ** 2, 0, None) ** 4
@@ -103,10 +105,32 @@ def _powers(columns: Sequence[Floats], seen: Sequence[Floats]) -> Floats:
 
 
 @compiled
+def add_normal(
+    shares: Floats, weights: Floats, amounts: Floats, normal: Floats, right: Floats
+) -> None:
+    """Add the normal equations of amounts (p,) by shares (p, k); of `normal` the lower half."""
+    for i in range(len(amounts)):
+        for a in range(len(right)):
+            weighted = weights[i] * shares[i, a]
+            right[a] += weighted * amounts[i]
+            for b in range(a + 1):
+                normal[a, b] += weighted * shares[i, b]
+
+
+@compiled
+def _product(matrix: Floats, vector: Floats) -> Floats:
+    out = np.zeros(len(matrix))
+    for i in range(len(matrix)):
+        for k in range(len(vector)):
+            out[i] += matrix[i, k] * vector[k]
+    return out
+
+
+@compiled
 def non_negative(normal: Floats, right: Floats, start: Floats, sweeps: int) -> Floats:
     """Least squares without negative unknowns (k,), one unknown at a time (Franc et al. 2005)."""
     out = start.copy()
-    slope = normal @ out - right
+    slope = _product(normal, out) - right
     for _ in range(sweeps):
         for k in range(len(out)):
             if normal[k, k] > 0:
@@ -129,7 +153,7 @@ def _shaded(
     tables: Radial,
     lamps: Floats,
 ) -> tuple[Floats, Floats]:
-    """What each lamp (k, p) would give at a ball's clear pixels; the amounts (p,) seen there."""
+    """What each lamp would give (p, k) at a ball's clear pixels; the amounts (p,) seen there."""
     light, background = sampled_light(pixels, table, points, normals, free)
     inside = int(np.searchsorted(STEPS, _LAST_PX, side="right"))
     _, amounts, _, _ = split_light(light, free, background, STEPS, tables, inside)
@@ -138,8 +162,8 @@ def _shaded(
     rows, angles, out = (
         tables.diffuse[used],
         around[clear],
-        np.empty((len(lamps), len(used) * len(clear))),
+        np.empty((len(used) * len(clear), len(lamps))),
     )
     for k in range(len(lamps)):
-        out[k] = lamp_light(rows, angles, lamps[k : k + 1]).reshape(-1)
+        out[:, k] = lamp_light(rows, angles, lamps[k : k + 1]).reshape(-1)
     return out, amounts[used][:, clear].copy().reshape(-1)

@@ -1,11 +1,15 @@
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.optimize import nnls
 
+from measure.cores import usable_cores
 from measure.simulation import Renderer
 from measure.simulation.catalogue import plain_scene
 from measure_plugins._edges.corrected import corrected_edges
@@ -61,6 +65,36 @@ def test_unknowns_that_cannot_be_negative_are_those_of_lawson_and_hanson(seed):
     found = non_negative(a.T @ a, a.T @ b, np.zeros(8), 500)
     assert found == pytest.approx(nnls(a, b)[0], abs=1e-6)
     assert np.any(found == 0)
+
+
+@pytest.mark.skipif(usable_cores() < 2, reason="one core: no library has threads to share work")
+def test_learning_lamps_keeps_to_the_thread_that_asks():
+    """Threads of the linear algebra library wait for each other where cameras run side by side."""
+    script = (
+        "import sys, time\n"
+        "import numpy as np\n"
+        "from measure_plugins._edges.lamps_fit import powers\n"
+        "rng = np.random.default_rng(0)\n"
+        "shares, seen = [rng.random((600, 100)) for _ in range(6)], [np.ones(600)] * 6\n"
+        "work = {\n"
+        "    'lamps': lambda: powers(shares, seen),\n"
+        "    'control': lambda: [one.T @ one for one in shares for _ in range(20)],\n"
+        "}[sys.argv[1]]\n"
+        "work()\n"
+        "all_threads, own = time.process_time(), time.thread_time()\n"
+        "work()\n"
+        "own, all_threads = time.thread_time() - own, time.process_time() - all_threads\n"
+        "print(all_threads / own)"
+    )
+    for work, threads in (("lamps", False), ("control", True)):
+        ran = subprocess.run(
+            [sys.executable, "-c", script, work],
+            env={**os.environ, "OPENBLAS_NUM_THREADS": "2"},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        assert (float(ran.stdout) > 1.2) == threads, work
 
 
 @pytest.fixture(scope="module")
