@@ -13,7 +13,7 @@ from measure_plugins._edges.prediction import predict_light
 from measure_plugins._edges.radial import STEPS, Radial
 from measure_plugins._edges.rays import FREE, sample
 from measure_plugins._edges.selection import median
-from measure_plugins._edges.sensor import blur_chroma, chroma_reach, encode
+from measure_plugins._edges.sensor import CHROMA_REACH, blur_chroma, encode
 
 INSIDE_PX = (-7.0, -3.0)
 """Where the colour inside is taken: clear of the blurred edge, near enough to have its shade."""
@@ -31,12 +31,10 @@ _TRUST = 0.25
 """Share of a ray's correction, beyond the contour's common one, that counts as its uncertainty."""
 _SYSTEMATIC_PX = 0.25
 """What the prediction leaves on a ray, however low the noise: it keeps bright rays from ruling."""
-_STEP_PX = STEPS[1] - STEPS[0]
 _FIRST = int(np.searchsorted(STEPS, INSIDE_PX[0]))
 """The step at which the edge finder begins to look."""
 LATER_STEPS = STEPS[_FIRST:]
 """Where the picture is predicted, px along the normal."""
-_MARGIN = chroma_reach(_STEP_PX)
 
 
 class Edges(NamedTuple):
@@ -164,9 +162,9 @@ def predicted_values(
     lit: Floats,
 ) -> Floats:
     """Picture values (3, m, n) at `LATER_STEPS` that the model predicts along rays of `light`."""
-    first = _FIRST - _MARGIN
+    first = _FIRST - CHROMA_REACH
     predicted = predict_light(light, free, around, background, STEPS, radial, lit, first)
-    return blur_chroma(encode(predicted, inverse), _STEP_PX, _MARGIN)
+    return blur_chroma(encode(predicted, inverse))
 
 
 @compiled

@@ -10,7 +10,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
-from measure_plugins._edges.selection import median_rows
+from measure_plugins._edges.selection import NINE, median_rows
 
 _MIN_SD_PX = 0.03
 """No crossing is better known: quantisation, and what the interpolation does."""
@@ -39,15 +39,14 @@ def levels(profiles: Floats, steps: Floats, window: tuple[float, float]) -> Floa
         if window[0] <= steps[j] <= window[1]:
             first = j
             last = max(last, j + 1)
-    out = np.empty((3, n))
-    within = np.empty((last - first, n))
-    for c in range(3):
-        for j in range(first, last):
+    if last - first > NINE:
+        raise ValueError("a window holds more than nine steps")
+    within = np.empty((NINE, 3 * n))
+    for j in range(last - first):
+        for c in range(3):
             for i in range(n):
-                within[j - first, i] = profiles[c, j, i]
-        median_rows(within)
-        out[c] = within[0]
-    return out
+                within[j, c * n + i] = profiles[c, first + j, i]
+    return median_rows(within, last - first).reshape(3, n)
 
 
 @compiled
@@ -103,18 +102,21 @@ def crossings(x: Floats, steps: Floats, search_px: float) -> tuple[Floats, Float
         Crossing (n,) in px, NaN if there is none; and how steeply it falls there (n,) per px.
     """
     m, n = x.shape
-    at, slope = np.full(n, np.nan), np.zeros(n)
+    at, slope = np.full(n, np.inf), np.zeros(n)
     step = steps[1] - steps[0]
     for j in range(m - 1):
         if not -search_px - step <= steps[j] <= search_px:
             continue
-        for i in range(n):
-            if x[j, i] > 0.5 >= x[j + 1, i]:
-                drop = x[j, i] - x[j + 1, i]
-                s = steps[j] + (x[j, i] - 0.5) / drop * step
-                if abs(s) <= search_px and not abs(s) >= abs(at[i]):
-                    at[i] = s
-                    slope[i] = drop / step
+        for i in range(n):  # without branches, so that it does many rays at once
+            drop = x[j, i] - x[j + 1, i]
+            falls = (x[j, i] > 0.5) & (x[j + 1, i] <= 0.5)
+            s = steps[j] + (x[j, i] - 0.5) / (drop if falls else 1.0) * step
+            nearest = falls & (abs(s) <= search_px) & (abs(s) < abs(at[i]))
+            at[i] = s if nearest else at[i]
+            slope[i] = drop / step if nearest else slope[i]
+    for i in range(n):
+        if at[i] == np.inf:
+            at[i] = np.nan
     return at, slope
 
 

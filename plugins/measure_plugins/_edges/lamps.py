@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from measure.arrays import Floats
+from measure.arrays import Floats, Ints
 from measure.compiling import compiled
-from measure_plugins._edges.linear import cholesky, solve_factored
+from measure_plugins._edges.linear import cholesky, solve_factored, times
 from measure_plugins._edges.selection import kth_smallest
 
 _ROUNDS = 4
@@ -82,23 +82,53 @@ def fit_lamp_light(
         Factors of even light, of that along the axis, of that along the other two, and of `lit`.
     """
     clear = np.nonzero(free == 0)[0][:: max(len(free) // _FITTED_RAYS, 1)]
-    rows = diffuse[:used:2]
-    factors = np.stack((rows[:, UNIFORM], rows[:, FACING], rows[:, ASIDE]))
-    angles, bright = around[clear], lit[:used:2][:, clear]
-    seen = amounts[:used:2][:, clear]
+    factors, angles = _factors(diffuse[:used:2]), around[clear]
+    seen, bright = _every_second(amounts, used, clear), _every_second(lit, used, clear)
     coefficients, right = np.zeros(_COLUMNS), np.empty(_COLUMNS)
     factor, normal = np.empty((_COLUMNS, _COLUMNS)), np.empty((_COLUMNS, _COLUMNS))
-    weights, limit = np.ones(seen.shape), np.inf
+    weights = np.ones(seen.shape)
     for turn in range(_ROUNDS):
         _equations(weights, seen, bright, factors, angles, normal, right)
         cholesky(normal, factor)
         solve_factored(factor, right, coefficients)
         if turn < _ROUNDS - 1:
-            off = seen - _light(coefficients, angles, factors, bright)
-            sizes = np.abs(off.reshape(-1)[::3])
-            limit = 5 * 1.4826 * kth_smallest(sizes, len(sizes), len(sizes) // 2) + 5e-4
-            weights = np.maximum(1 - (off / limit) ** 2, 0.0) ** 2
+            shown = _light(coefficients, angles, factors, bright)
+            _weigh(seen.reshape(-1), shown.reshape(-1), weights.reshape(-1))
     return coefficients
+
+
+@compiled
+def _factors(diffuse: Floats) -> Floats:
+    """Factors (3, p) of even light, of that along the axis and of that aside from it."""
+    out = np.empty((3, len(diffuse)))
+    for j in range(len(diffuse)):
+        out[0, j], out[1, j] = diffuse[j, UNIFORM], diffuse[j, FACING]
+        out[2, j] = diffuse[j, ASIDE]
+    return out
+
+
+@compiled
+def _every_second(values: Floats, used: int, rays: Ints) -> Floats:
+    """Every second of the first `used` rows of (m, n), on the rays (k,): (p, k)."""
+    out = np.empty(((used + 1) // 2, len(rays)))
+    for j in range(len(out)):
+        for k in range(len(rays)):
+            out[j, k] = values[2 * j, rays[k]]
+    return out
+
+
+@compiled
+def _weigh(seen: Floats, shown: Floats, weights: Floats) -> None:
+    """Tukey's weights (k,) of what is seen, by how far it is from what is shown."""
+    sizes = np.empty((len(seen) + 2) // 3)
+    for k in range(len(sizes)):
+        sizes[k] = abs(seen[3 * k] - shown[3 * k])
+    limit = 5 * 1.4826 * kth_smallest(sizes, len(sizes), len(sizes) // 2) + 5e-4
+    for k in range(len(seen)):
+        t = (seen[k] - shown[k]) / limit
+        w = 1 - t * t
+        w = w if w > 0.0 else 0.0
+        weights[k] = w * w
 
 
 @compiled
@@ -152,35 +182,21 @@ def _equations(
 def _along_rays(weights: Floats, seen: Floats, bright: Floats, factors: Floats) -> Floats:
     """Sums (14, n) along each ray of what the equations are made of, up to the angles."""
     p, n = weights.shape
-    out, lit, shown = np.zeros((14, n)), np.empty(n), np.empty(n)
+    out, products = np.zeros((14, n)), np.empty((6, p))
+    lit, shown = np.empty((p, n)), np.empty((p, n))
     for j in range(p):
         even, facing, aside = factors[0, j], factors[1, j], factors[2, j]
-        w = weights[j]
+        products[0, j], products[1, j], products[2, j] = even * even, even * facing, facing * facing
+        products[3, j], products[4, j], products[5, j] = even * aside, facing * aside, aside * aside
         for i in range(n):
-            lit[i], shown[i] = w[i] * bright[j, i], w[i] * seen[j, i]
-        _add(even * even, w, out[0])
-        _add(even * facing, w, out[1])
-        _add(facing * facing, w, out[2])
-        _add(even * aside, w, out[3])
-        _add(facing * aside, w, out[4])
-        _add(aside * aside, w, out[5])
-        _add(even, lit, out[6])
-        _add(facing, lit, out[7])
-        _add(aside, lit, out[8])
-        _add(even, shown, out[10])
-        _add(facing, shown, out[11])
-        _add(aside, shown, out[12])
-        for i in range(n):
-            out[9, i] += lit[i] * bright[j, i]
-        for i in range(n):
-            out[13, i] += shown[i] * bright[j, i]
+            w, b, s = weights[j, i], bright[j, i], seen[j, i]
+            lit[j, i], shown[j, i] = w * b, w * s
+            out[9, i] += w * b * b
+            out[13, i] += w * s * b
+    times(products, weights, out[:6])
+    times(factors, lit, out[6:9])
+    times(factors, shown, out[10:13])
     return out
-
-
-@compiled
-def _add(factor: float, row: Floats, total: Floats) -> None:
-    for i in range(len(row)):
-        total[i] += factor * row[i]
 
 
 @compiled
@@ -188,9 +204,7 @@ def lamp_body(
     coefficients: Floats, around: Floats, diffuse: Floats, lit: Floats, first: int
 ) -> Floats:
     """The ball's own light (m - first, n) by the coefficients of `fit_lamp_light`."""
-    rows = diffuse[first:]
-    factors = np.stack((rows[:, UNIFORM], rows[:, FACING], rows[:, ASIDE]))
-    return _light(coefficients, around, factors, lit[first:])
+    return _light(coefficients, around, _factors(diffuse[first:]), lit[first:])
 
 
 @compiled

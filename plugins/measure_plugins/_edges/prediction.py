@@ -12,6 +12,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.compiling import compiled
 from measure_plugins._edges.lamps import fit_lamp_light, lamp_body
+from measure_plugins._edges.linear import times
 from measure_plugins._edges.radial import Radial
 from measure_plugins._edges.shading import (
     FIT_LAST_PX,
@@ -23,6 +24,9 @@ from measure_plugins._edges.shading import (
     reflected_light,
     split,
 )
+
+_NOTHING = 1e-9
+"""Share of the surroundings' light too small to take off."""
 
 
 @compiled
@@ -87,11 +91,19 @@ def split_light(
     n = profiles.shape[2]
     own = own_color(profiles, free, steps)
     behind, behind_grey = np.empty(n), np.empty(n)
-    split(background, own, behind, behind_grey)
+    split(background[0], background[1], background[2], own, behind, behind_grey)
     amounts, grey = np.empty((used, n)), np.empty((used, n))
+    blue, green, red = profiles[0, :used], profiles[1, :used], profiles[2, :used]
+    split(
+        blue.reshape(-1),
+        green.reshape(-1),
+        red.reshape(-1),
+        own,
+        amounts.reshape(-1),
+        grey.reshape(-1),
+    )
     for j in range(used):
-        split(profiles[:, j], own, amounts[j], grey[j])
-        if radial.outside[j] > 0:
+        if radial.outside[j] > _NOTHING:
             for i in range(n):
                 amounts[j, i] -= radial.outside[j] * behind[i]
                 grey[j, i] -= radial.outside[j] * behind_grey[i]
@@ -110,17 +122,18 @@ def _compose(
 ) -> Floats:
     """Own light (m, n), reflected light (k, n) and surroundings (3, n), laid along the rays."""
     m, n = body.shape
-    out, mirror = np.empty((3, m, n)), np.empty(n)
+    out, grey = np.empty((3, m, n)), np.zeros((m, n))
+    times(radial.grey[first:], reflected, grey)
     for j in range(m):
-        at = first + j
-        mirror[:] = 0.0
-        for k in range(len(reflected)):
-            for i in range(n):
-                mirror[i] += radial.grey[at, k] * reflected[k, i]
+        near, through = (
+            radial.nearby[first + j],
+            radial.nearby[first + j] + radial.outside[first + j],
+        )
+        for i in range(n):
+            grey[j, i] = (grey[j, i] - near * behind_grey[i]) * GREY
+            body[j, i] = body[j, i] if body[j, i] > 0.0 else 0.0
         for c in range(3):
             for i in range(n):
-                rest = background[c, i] - behind_grey[i] * GREY
-                value = max(body[j, i], 0.0) * own[c] + mirror[i] * GREY
-                value += radial.nearby[at] * rest + radial.outside[at] * background[c, i]
-                out[c, j, i] = max(value, 0.0)
+                value = body[j, i] * own[c] + grey[j, i] + through * background[c, i]
+                out[c, j, i] = value if value > 0.0 else 0.0
     return out

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from measure.arrays import Floats
 from measure.compiling import compiled
+
+NINE = 9
+"""The most rows that medians are provided for."""
 
 
 @compiled
@@ -32,24 +37,53 @@ def kth_smallest(values: Floats, count: int, k: int) -> float:
 
 
 @compiled
-def median_rows(rows: Floats) -> None:
-    """Bring the median over the k rows of (k, n), in every column, into row 0; k is a handful.
-
-    Rows are compared whole, so that many columns are sorted at once: bubble sort as far as needed.
-    """
-    k, n = rows.shape
-    half = k // 2
-    for place in range(half + 1):
-        for j in range(k - 1, place, -1):
-            for i in range(n):
-                a, b = rows[j - 1, i], rows[j, i]
-                rows[j - 1, i] = a if a < b else b
-                rows[j, i] = b if a < b else a
-    if k % 2 == 1:
-        rows[0] = rows[half]
-    else:
+def median_rows(rows: Floats, count: int) -> Floats:
+    """Medians (n,) over the first `count` of rows (9, n); the others are overwritten."""
+    n = rows.shape[1]
+    out = np.empty(n)
+    for j in range(count, NINE):
+        rows[j] = np.inf if j % 2 == 0 else -np.inf
+    _middle_of_nine(rows, out)
+    if count % 2 == 0:
+        lower = np.empty(n)
+        rows[NINE - 1] = -np.inf
+        _middle_of_nine(rows, lower)
         for i in range(n):
-            rows[0, i] = 0.5 * (rows[half - 1, i] + rows[half, i])
+            out[i] = 0.5 * (lower[i] + out[i])
+    return out
+
+
+@compiled
+def _middle_of_nine(rows: Floats, out: Floats) -> None:
+    """Middle (n,) of rows (9, n).
+
+    Without branches, so that the loop does many columns at once: each triple is sorted, and the
+    middle is that of the greatest low, the middle middle and the least high (Paeth 1990).
+    """
+    for i in range(len(out)):
+        low, middle, high = _sorted(rows[0, i], rows[1, i], rows[2, i])
+        low2, middle2, high2 = _sorted(rows[3, i], rows[4, i], rows[5, i])
+        low3, middle3, high3 = _sorted(rows[6, i], rows[7, i], rows[8, i])
+        greatest_low = _greater(_greater(low, low2), low3)
+        least_high = _less(_less(high, high2), high3)
+        out[i] = _sorted(greatest_low, _sorted(middle, middle2, middle3)[1], least_high)[1]
+
+
+@compiled
+def _sorted(a: float, b: float, c: float) -> tuple[float, float, float]:
+    a, b = _less(a, b), _greater(a, b)
+    b, c = _less(b, c), _greater(b, c)
+    return _less(a, b), _greater(a, b), c
+
+
+@compiled
+def _less(a: float, b: float) -> float:
+    return a if a < b else b
+
+
+@compiled
+def _greater(a: float, b: float) -> float:
+    return b if a < b else a
 
 
 @compiled

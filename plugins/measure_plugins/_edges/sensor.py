@@ -10,10 +10,17 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
+from measure_plugins._edges.radial import STEPS
 
 _CHROMA_PX = 0.8
 """Blur of the colour channels beyond that of brightness; its exact size hardly matters, because
 picture and prediction are compared on the same side of it."""
+_BLUE, _GREEN, _RED = 0.114, 0.587, 0.299
+"""What brightness is made of, in JPEG."""
+CHROMA_REACH = 5
+"""How many steps colour is blurred to either side: three sigma."""
+_WEIGHTS = np.exp(-0.5 * (np.arange(-5, 6) * (STEPS[1] - STEPS[0]) / _CHROMA_PX) ** 2)
+_TAPS = tuple(float(w) for w in (_WEIGHTS / _WEIGHTS.sum())[CHROMA_REACH:])
 _ENCODED = 2048
 
 
@@ -33,7 +40,7 @@ def encoding(table: Floats) -> Floats:
 def encode(light: Floats, inverse: Floats) -> Floats:
     """Picture values, 0 to 1, of light (3, m, n), by the table of `encoding`."""
     colors, m, n = light.shape
-    out, place = np.empty((colors, m, n)), np.empty(n)
+    out, lows = np.empty((colors, m, n)), np.empty(n, np.int64)
     top = len(inverse) - 2
     for c in range(colors):
         for j in range(m):
@@ -41,56 +48,84 @@ def encode(light: Floats, inverse: Floats) -> Floats:
                 x = light[c, j, i]
                 x = x if x > 0.0 else 0.0
                 x = x if x < 1.0 else 1.0
-                place[i] = np.sqrt(x) * top
+                place = np.sqrt(x) * top
+                lows[i] = int(place)
+                out[c, j, i] = place - lows[i]
             for i in range(n):
-                low = np.uint64(place[i])
+                low = np.uint64(lows[i])  # unsigned: no look whether it counts from the end
                 value = inverse[low]
-                out[c, j, i] = value + (place[i] - low) * (inverse[low + np.uint64(1)] - value)
+                out[c, j, i] = value + out[c, j, i] * (inverse[low + np.uint64(1)] - value)
     return out
 
 
-def chroma_reach(step_px: float) -> int:
-    """How many steps colour is blurred to either side."""
-    return int(np.ceil(3 * _CHROMA_PX / step_px))
-
-
 @compiled
-def blur_chroma(values: Floats, step_px: float, first: int) -> Floats:
+def blur_chroma(values: Floats) -> Floats:
     """Blur blue and red minus brightness of BGR values (3, m, n) along the rays (JPEG's YCbCr).
 
     Returns:
-        (3, m - first, n): from the step `first` on.
+        (3, m - CHROMA_REACH, n): from the step CHROMA_REACH on; beyond the last step, values are
+        taken to go on as they are there.
     """
     m, n = values.shape[1:]
-    out = np.empty((3, m - first, n))
-    weights = _weights(step_px)
-    reach = len(weights) // 2
-    bluer, redder, brightness = np.empty((m, n)), np.empty((m, n)), np.empty((m, n))
-    for j in range(m):
+    beyond = m + CHROMA_REACH
+    grey, bluer, redder = np.empty(m * n), np.empty(beyond * n), np.empty(beyond * n)
+    out = np.empty((3, m - CHROMA_REACH, n))
+    blue, green, red = (
+        values[0].reshape(-1),
+        values[1].reshape(-1),
+        values[2].reshape(-1),
+    )
+    _take_apart(blue, green, red, grey, bluer, redder)
+    for j in range(m, beyond):
         for i in range(n):
-            blue, red = values[0, j, i], values[2, j, i]
-            grey = 0.114 * blue + 0.587 * values[1, j, i] + 0.299 * red
-            brightness[j, i], bluer[j, i], redder[j, i] = grey, blue - grey, red - grey
-    b, r = np.empty(n), np.empty(n)
-    for j in range(first, m):
-        b[:], r[:] = 0.0, 0.0
-        for k in range(len(weights)):
-            at = min(max(j + k - reach, 0), m - 1)
-            for i in range(n):
-                b[i] += weights[k] * bluer[at, i]
-                r[i] += weights[k] * redder[at, i]
-        for i in range(n):
-            grey = brightness[j, i]
-            out[0, j - first, i] = grey + b[i]
-            out[2, j - first, i] = grey + r[i]
-            out[1, j - first, i] = grey - (0.114 * b[i] + 0.299 * r[i]) / 0.587
+            bluer[j * n + i], redder[j * n + i] = bluer[(m - 1) * n + i], redder[(m - 1) * n + i]
+    blue, green, red = out[0].reshape(-1), out[1].reshape(-1), out[2].reshape(-1)
+    _blur(bluer, n, blue)
+    _blur(redder, n, red)
+    _put_together(grey[CHROMA_REACH * n :], blue, green, red)
     return out
 
 
 @compiled
-def _weights(step_px: float) -> Floats:
-    reach = int(np.ceil(3 * _CHROMA_PX / step_px))
-    weights = np.empty(2 * reach + 1)
-    for k in range(2 * reach + 1):
-        weights[k] = np.exp(-0.5 * ((k - reach) * step_px / _CHROMA_PX) ** 2)
-    return weights / np.sum(weights)
+def _take_apart(
+    blue: Floats, green: Floats, red: Floats, grey: Floats, bluer: Floats, redder: Floats
+) -> None:
+    """Brightness, and blue and red minus it, of colours (k,), into the last three."""
+    for i in range(len(grey)):
+        brightness = _BLUE * blue[i] + _GREEN * green[i] + _RED * red[i]
+        grey[i], bluer[i], redder[i] = brightness, blue[i] - brightness, red[i] - brightness
+
+
+@compiled
+def _put_together(grey: Floats, blue: Floats, green: Floats, red: Floats) -> None:
+    """Colours (k,) in place of what makes blue and red differ from brightness."""
+    for i in range(len(grey)):
+        bluer, redder = blue[i], red[i]
+        blue[i], red[i] = grey[i] + bluer, grey[i] + redder
+        green[i] = grey[i] - (_BLUE * bluer + _RED * redder) / _GREEN
+
+
+@compiled
+def _blur(values: Floats, n: int, out: Floats) -> None:
+    """Blur rows of n, one after the other, across; into those from the row CHROMA_REACH on.
+
+    All taps at once: what adds them up stays in registers.
+    """
+    a, b, c, d, e, f = _TAPS
+    v1, v2, v3, v4, v5 = (
+        values[n:],
+        values[2 * n :],
+        values[3 * n :],
+        values[4 * n :],
+        values[5 * n :],
+    )
+    v6, v7, v8, v9, v10 = (
+        values[6 * n :],
+        values[7 * n :],
+        values[8 * n :],
+        values[9 * n :],
+        values[10 * n :],
+    )
+    for i in range(len(out)):
+        inner = a * v5[i] + b * (v4[i] + v6[i]) + c * (v3[i] + v7[i])
+        out[i] = inner + d * (v2[i] + v8[i]) + e * (v1[i] + v9[i]) + f * (values[i] + v10[i])

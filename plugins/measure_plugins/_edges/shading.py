@@ -11,7 +11,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
-from measure_plugins._edges.linear import cholesky, solve_factored
+from measure_plugins._edges.linear import cholesky, solve_factored, times
 from measure_plugins._edges.selection import kth_smallest
 
 GREY = 1 / np.sqrt(3.0)
@@ -24,7 +24,8 @@ _OWN_LAST_PX = -3.0
 _ROUNDS = 4
 _COLOR_RAYS = 36
 """Neighbouring rays show much the same: a ball's colour is taken from about so many of them."""
-_NEIGHBOURS = np.exp(-0.5 * (np.arange(5) / 1.5) ** 2)
+_NEIGHBOURS = tuple(float(w) for w in np.exp(-0.5 * (np.arange(5) / 1.5) ** 2))
+"""Weights of a ray, and of those one to four further on."""
 
 
 @compiled
@@ -62,8 +63,10 @@ def own_color(profiles: Floats, free: Floats, steps: Floats) -> Floats:
 
 
 @compiled
-def split(colors: Floats, own: Floats, amount: Floats, grey: Floats) -> None:
-    """Amounts (n,) of a ball's own colour and of grey in colours (3, n), by least squares."""
+def split(
+    blue: Floats, green: Floats, red: Floats, own: Floats, amount: Floats, grey: Floats
+) -> None:
+    """Amounts (n,) of a ball's own colour and of grey in colours (n,), by least squares."""
     b = np.sum(own) * GREY
     apart = 1 - b * b
     separable = apart > _COLORLESS**2
@@ -71,8 +74,8 @@ def split(colors: Floats, own: Floats, amount: Floats, grey: Floats) -> None:
     if not separable:
         per, mixed, greyness = 1.0, 0.0, 0.0
     for i in range(len(amount)):
-        p = colors[0, i] * own[0] + colors[1, i] * own[1] + colors[2, i] * own[2]
-        q = (colors[0, i] + colors[1, i] + colors[2, i]) * GREY
+        p = blue[i] * own[0] + green[i] * own[1] + red[i] * own[2]
+        q = (blue[i] + green[i] + red[i]) * GREY
         amount[i] = per * p - mixed * q
         grey[i] = greyness * (per * q - mixed * p)
 
@@ -211,24 +214,33 @@ def reflected_light(grey: Floats, free: Floats, solve: Floats) -> Floats:
     Returns:
         Means over neighbouring free rays, all round (weights of a normal of 1.5 rays).
     """
-    knots, m = solve.shape
-    n = grey.shape[1]
-    single = np.zeros((knots, n))
+    knots, n = len(solve), grey.shape[1]
+    seen = np.nonzero(solve[0])[0]
+    first, last = seen[0], seen[-1] + 1
+    single, shares = np.zeros((knots + 1, n)), np.zeros((knots + 1, n))
+    times(solve[:, first:last], grey[first:last], single[:knots])
+    single[knots] = 1.0
+    _sum_of_neighbours(single, free, shares)
+    out = shares[:knots]
     for k in range(knots):
-        for j in range(m):
-            if solve[k, j] != 0:
-                for i in range(n):
-                    single[k, i] += solve[k, j] * grey[j, i]
-    out = np.zeros((knots, n))
-    for i in range(n):
-        total = 1e-9
-        for shift in range(-4, 5):
-            other = (i + shift) % n
-            if free[other] == 0:
-                w = _NEIGHBOURS[abs(shift)]
-                total += w
-                for k in range(knots):
-                    out[k, i] += w * single[k, other]
-        for k in range(knots):
-            out[k, i] /= total
+        for i in range(n):
+            out[k, i] /= shares[knots, i] + 1e-9
     return out
+
+
+@compiled
+def _sum_of_neighbours(rows: Floats, free: Floats, out: Floats) -> None:
+    """Weighted sums over neighbouring free rays, all round, of rows (k, n) into `out` (k, n)."""
+    n = rows.shape[1]
+    reach = len(_NEIGHBOURS) - 1
+    a, b, c, d, e = _NEIGHBOURS
+    ring = np.empty(n + 2 * reach)
+    for k in range(len(rows)):
+        for i in range(n):
+            ring[reach + i] = rows[k, i] if free[i] == 0 else 0.0
+        for i in range(reach):
+            ring[i], ring[reach + n + i] = ring[n + i], ring[reach + i]
+        for i in range(n):
+            near = a * ring[i + 4] + b * (ring[i + 3] + ring[i + 5])
+            far = d * (ring[i + 1] + ring[i + 7]) + e * (ring[i] + ring[i + 8])
+            out[k, i] = near + c * (ring[i + 2] + ring[i + 6]) + far
