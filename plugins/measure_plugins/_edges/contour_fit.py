@@ -9,34 +9,30 @@ import numpy as np
 from measure.arrays import Floats
 from measure.compiling import compiled
 from measure.geometry.rotation_kernels import rotation_of, rotvec_of
+from measure_plugins._edges.contour_moments import COLUMNS, collect
 from measure_plugins._edges.contour_reactions import by_camera, by_shift, by_step
-from measure_plugins._edges.contour_terms import OWN, Terms, collect, empty_terms
+from measure_plugins._edges.contour_scatter import (
+    Scatter,
+    free_scatter,
+    own_variances,
+    update_scatter,
+)
+from measure_plugins._edges.contour_terms import OWN, Terms, eliminate, empty_terms, own_unknowns
 from measure_plugins._edges.contours import Contours
-from measure_plugins._edges.linear import cholesky, solve_factored
-from measure_plugins._edges.selection import median
+from measure_plugins._edges.linear import cholesky, invert_factored
 
-_STEPS = 15
-_STEP_MM, _STEP_RAD = 5e-4, 1e-5
-"""A hundredth of what the best pictures allow."""
+_LOOKS = 15
+_TURNS = 4
+"""With the sums over the points at hand a turn costs a fifth of a look at the points."""
+_LEAST_STEP = 0.05
+"""In standard deviations by the outlines' own scatter. Steps shrink to less than half each time."""
 _SETTLED_MM, _SETTLED_RAD = 2e-2, 3e-4
-"""Steps below which a fit that ran out of turns still counts as settled."""
+"""Steps below which a fit that ran out of looks still counts as settled."""
+_SCATTER_SETTLED = 0.1
+"""Relative change of a variance."""
 _ILL_CONDITIONED = 1e12
 _OFFSET_SD_PX = 3.0
 """A view's common edge offset is all but free; this only keeps a lone arc solvable."""
-_SCATTER_START_PX = 3.0
-"""Outlines are free to sit anywhere at first: else one that does takes all its points for bad."""
-_SCATTER_SETTLED = 0.1
-_SCATTER_PRIOR_PX = 0.03
-_SCATTER_PRIOR_COUNT = 1.0
-_SCATTER_FLOOR_PX = 0.003
-_TAILS = 4.0
-"""Degrees of freedom of the ball-views' shifts, a few of which are several times the others'."""
-_GROSS = 5.0
-_LEAST_TYPICAL_PX = 0.2
-"""Ball-views off by more than so many typical standard deviations must not raise the variance. Off
-by half a pixel they are no strangers: what light shifts in one camera it shifts back in another."""
-_RADIUS_SCATTER_FLOOR_PX = 0.1
-"""Balls are not round to better than this, and their edges differ: sizes never tell range finer."""
 
 
 class ContourFit(NamedTuple):
@@ -70,11 +66,40 @@ class ContourFit(NamedTuple):
     converged: bool
 
 
+class _Balance(NamedTuple):
+    """The state of a fit between two looks at the points; filled in place.
+
+    Attributes:
+        moments: (k, 10, 10) what the points say.
+        terms: the same, the ball-views' own unknowns eliminated.
+        known: (6 + c, 6 + c) information that does not come from the points.
+        pull: (6 + c,) its right side.
+        covariance: (6 + c, 6 + c) of pose and offsets.
+        step: (6 + c,) from where the points were looked at.
+        shifts: (k, 3) the own unknowns.
+        variances: (k, 3) of those, as taken for `terms`.
+        scatter: what those follow from, estimated anew.
+    """
+
+    moments: Floats
+    terms: Terms
+    known: Floats
+    pull: Floats
+    covariance: Floats
+    step: Floats
+    shifts: Floats
+    variances: Floats
+    scatter: Scatter
+
+
 @compiled
 def fit_contours(
     contours: Contours, rotation: Floats, translation: Floats, prior_information: Floats
 ) -> ContourFit:
     """Fit the pose; Gauss-Newton with Tukey weights on points and random shifts of ball-views.
+
+    The points are looked at as often as the pose moves or their weights change; how far ball-views
+    are off settles in between.
 
     Args:
         contours: k ball-views in c views.
@@ -82,52 +107,67 @@ def fit_contours(
         translation: (3,) of the same.
         prior_information: (6, 6) of the start, for what the outlines leave open; zero for none.
     """
-    k, c = len(contours.view_of), len(contours.rotations)
-    start_rotation, start_translation = rotation, translation
-    offsets, shifts, step = np.zeros(c), np.zeros((k, OWN)), np.full(6 + c, np.inf)
-    scatter, doubt = np.full(OWN, _SCATTER_START_PX**2), np.ones(k)
-    terms, covariance, solved = empty_terms(k), np.zeros((6 + c, 6 + c)), False
-    for _ in range(_STEPS):
-        variances = _variances(contours, scatter, doubt)
-        collect(contours, rotation, translation, offsets, shifts, variances, terms)
-        normal, right = _equations(contours, terms, offsets)
-        if np.any(prior_information != 0):
-            gone = np.empty(6)
+    start_rotation, start_translation, gone = rotation, translation, np.zeros(6)
+    offsets = np.zeros(len(contours.rotations))
+    now, solved = _begin(len(contours.view_of), len(offsets), prior_information), False
+    for look in range(_LOOKS):
+        collect(contours, rotation, translation, offsets, now.shifts, now.moments)
+        if look > 0:
             gone[:3] = translation - start_translation
             gone[3:] = rotvec_of(rotation @ start_rotation.T)
-            normal[:6, :6] += prior_information
-            right[:6] -= prior_information @ gone
-        covariance, solved = _inverse(normal)
+        _pull_back(prior_information, gone, offsets, now.pull)
+        solved, standard = _settle(contours, now)
         if not solved:
             break
-        step = covariance @ right
-        shifts = _own_steps(contours, terms, step)
-        before = scatter[0]
-        scatter, doubt = _scatter(contours, terms, covariance, shifts, variances, doubt)
-        rotation, translation = rotation_of(step[3:6]) @ rotation, translation + step[:3]
-        offsets = offsets + step[6:]
-        changed = abs(scatter[0] - before) > _SCATTER_SETTLED * before
-        if not changed and _within(step, _STEP_MM, _STEP_RAD):
+        rotation, translation = rotation_of(now.step[3:6]) @ rotation, translation + now.step[:3]
+        offsets = offsets + now.step[6:]
+        if standard < _LEAST_STEP:
             break
-    variances = _variances(contours, scatter, doubt)
-    collect(contours, rotation, translation, offsets, shifts, variances, terms)
-    normal, _ = _equations(contours, terms, offsets)
-    normal[:6, :6] += prior_information
-    inverse, _ = _inverse(normal)
-    steps = by_step(contours, terms, inverse)
+    steps = by_step(contours, now.terms, now.covariance)
     return ContourFit(
         rotation,
         translation,
-        covariance[:6, :6].copy(),
+        now.covariance[:6, :6].copy(),
         offsets,
-        shifts,
-        np.sqrt(scatter[1:]),
+        now.shifts,
+        np.sqrt(now.scatter.variance[1:]),
         steps,
         by_camera(contours, steps, rotation, translation),
-        by_shift(contours, terms, variances, inverse),
+        by_shift(contours, now.terms, now.variances, now.covariance),
         solved,
-        _within(step, _SETTLED_MM, _SETTLED_RAD),
+        _within(now.step, _SETTLED_MM, _SETTLED_RAD),
     )
+
+
+@compiled
+def _begin(k: int, c: int, prior_information: Floats) -> _Balance:
+    """Of k ball-views in c views."""
+    known = np.zeros((6 + c, 6 + c))
+    known[:6, :6] = prior_information
+    for view in range(c):
+        known[6 + view, 6 + view] = 1 / _OFFSET_SD_PX**2
+    return _Balance(
+        np.empty((k, COLUMNS, COLUMNS)),
+        empty_terms(k),
+        known,
+        np.zeros(6 + c),
+        np.zeros((6 + c, 6 + c)),
+        np.full(6 + c, np.inf),
+        np.zeros((k, OWN)),
+        np.zeros((k, OWN)),
+        free_scatter(k),
+    )
+
+
+@compiled
+def _pull_back(prior_information: Floats, gone: Floats, offsets: Floats, out: Floats) -> None:
+    """Fill the right side (6 + c,) of what is known besides the points."""
+    for i in range(6):
+        out[i] = 0.0
+        for j in range(6):
+            out[i] -= prior_information[i, j] * gone[j]
+    for view in range(len(offsets)):
+        out[6 + view] = -offsets[view] / _OFFSET_SD_PX**2
 
 
 @compiled
@@ -136,137 +176,68 @@ def _within(step: Floats, limit_mm: float, limit_rad: float) -> bool:
 
 
 @compiled
-def _equations(contours: Contours, terms: Terms, offsets: Floats) -> tuple[Floats, Floats]:
-    """Normal matrix (6 + c, 6 + c) and right side of the pose and the views' offsets."""
-    count = 6 + len(offsets)
-    normal, right = np.zeros((count, count)), np.zeros(count)
-    for view in range(len(offsets)):
-        normal[6 + view, 6 + view] = 1 / _OFFSET_SD_PX**2
-        right[6 + view] = -offsets[view] / _OFFSET_SD_PX**2
-    half = np.empty((4, 6))
-    for k in range(len(contours.view_of)):
-        _add_terms(terms, k, 6 + contours.view_of[k], half, normal, right)
-    return normal, right
+def _settle(contours: Contours, now: _Balance) -> tuple[bool, float]:
+    """Find the step and the scatter that go together.
 
-
-@compiled
-def _add_terms(
-    terms: Terms, k: int, offset: int, half: Floats, normal: Floats, right: Floats
-) -> None:
-    """Add ball-view k's terms; its centre moves by its arms, its view's offset is a row alone."""
-    arms, own = terms.arms, terms.normal
-    for a in range(4):
-        x, y, z = own[k, a, 0], own[k, a, 1], own[k, a, 2]
-        for j in range(6):
-            half[a, j] = x * arms[k, 0, j] + y * arms[k, 1, j] + z * arms[k, 2, j]
-    for i in range(6):
-        for a in range(3):
-            arm = arms[k, a, i]
-            right[i] += arm * terms.right[k, a]
-            for j in range(6):
-                normal[i, j] += arm * half[a, j]
-        normal[offset, i] += half[3, i]
-        normal[i, offset] += half[3, i]
-    normal[offset, offset] += own[k, 3, 3]
-    right[offset] += terms.right[k, 3]
-
-
-@compiled
-def _inverse(normal: Floats) -> tuple[Floats, bool]:
-    """The inverse of a normal matrix, and whether the equations determine their unknowns."""
-    n = len(normal)
-    size = np.sqrt(np.diag(normal))
-    inverse, factor, unit = np.zeros((n, n)), np.empty((n, n)), np.zeros(n)
-    if not np.all(size > 0) or not np.all(np.isfinite(normal)):
-        return inverse, False
-    if not cholesky(normal / np.outer(size, size), factor):
-        return inverse, False
-    for i in range(n):
-        unit[i] = 1.0
-        solve_factored(factor, unit, inverse[i])
-        unit[i] = 0.0
-    solved = np.all(np.isfinite(inverse)) and np.max(np.diag(inverse)) < _ILL_CONDITIONED
-    return inverse / np.outer(size, size), bool(solved)
-
-
-@compiled
-def _own_steps(contours: Contours, terms: Terms, step: Floats) -> Floats:
-    """The ball-views' own unknowns (k, 3), given the step of the shared ones."""
-    out = np.empty((len(contours.view_of), OWN))
-    shared = np.empty(4)
-    for k in range(len(out)):
-        for a in range(3):
-            shared[a] = 0.0
-            for j in range(6):
-                shared[a] += terms.arms[k, a, j] * step[j]
-        shared[3] = step[6 + contours.view_of[k]]
-        for a in range(OWN):
-            w, x, y, z = terms.gain[k, a]
-            taken = w * shared[0] + x * shared[1] + y * shared[2] + z * shared[3]
-            out[k, a] = terms.offset[k, a] - taken
-    return out
-
-
-@compiled
-def _variances(contours: Contours, scatter: Floats, doubt: Floats) -> Floats:
-    """Variances (k, 3) of the ball-views' own shifts."""
-    out = np.empty((len(doubt), OWN))
-    for k in range(len(doubt)):
-        out[k, :2] = doubt[k] * contours.spread[k] * scatter[:2]
-        out[k, 2] = doubt[k] * scatter[2]
-    return out
-
-
-@compiled
-def _scatter(
-    contours: Contours,
-    terms: Terms,
-    covariance: Floats,
-    shifts: Floats,
-    variances: Floats,
-    doubt: Floats,
-) -> tuple[Floats, Floats]:
-    """Variances (3,) of the ball-views' shifts by restricted maximum likelihood, and doubts (k,).
-
-    The fixed point v = sum(b^2) / sum(1 - posterior variance / v) is MacKay's (1992) for random
-    effects; the posterior variances hold the uncertainty of the shared unknowns, which makes it the
-    restricted likelihood's (Laird and Ware 1982). The centres' shifts are Student's: the doubts are
-    the inverse weights of Lange, Little and Taylor (1989).
+    Returns:
+        Whether the outlines determine the pose, and the step in standard deviations.
     """
-    prior = _SCATTER_PRIOR_COUNT * _SCATTER_PRIOR_PX**2
-    center, known_center = prior, _SCATTER_PRIOR_COUNT
-    radius, known_radius = prior, _SCATTER_PRIOR_COUNT
-    apart, reach, arms = np.empty(len(doubt)), np.empty(7), terms.arms
-    for k in range(len(doubt)):
-        for a in range(OWN):
-            x, y, z = terms.gain[k, a, 0], terms.gain[k, a, 1], terms.gain[k, a, 2]
-            for j in range(6):
-                reach[j] = x * arms[k, 0, j] + y * arms[k, 1, j] + z * arms[k, 2, j]
-            reach[6] = terms.gain[k, a, 3]
-            spread = terms.own_covariance[k, a, a]
-            spread += _variance(reach, covariance, 6 + contours.view_of[k])
-            known = min(max(1 - spread / variances[k, a], 0.02), 1.0)
-            if a < 2:
-                center += shifts[k, a] ** 2 / (doubt[k] * contours.spread[k])
-                known_center += known
-            else:
-                radius += shifts[k, a] ** 2 / doubt[k]
-                known_radius += known
-        apart[k] = (shifts[k, 0] ** 2 + shifts[k, 1] ** 2) / contours.spread[k]
-    out = np.empty(OWN)
-    out[:2] = max(center / known_center, _SCATTER_FLOOR_PX**2)
-    out[2] = max(radius / known_radius, _RADIUS_SCATTER_FLOOR_PX**2)
-    typical = max(median(apart.copy(), len(apart)) / 1.386, _LEAST_TYPICAL_PX**2)
-    gross = (apart / (_GROSS**2 * typical)) ** 2
-    return out, np.maximum(gross, (_TAILS + apart / out[0]) / (_TAILS + 2))
+    normal, right, square = np.empty_like(now.known), np.empty_like(now.pull), np.inf
+    for _ in range(_TURNS):
+        own_variances(contours, now.scatter, now.variances)
+        eliminate(now.moments, now.variances, now.terms)
+        _add_up(contours, now, normal, right)
+        if not _invert(normal, now.covariance):
+            return False, np.inf
+        square = 0.0
+        for i in range(len(right)):
+            now.step[i] = 0.0
+            for j in range(len(right)):
+                now.step[i] += now.covariance[i, j] * right[j]
+            square += now.step[i] * right[i]
+        own_unknowns(contours.view_of, now.terms, now.step, now.shifts)
+        before = now.scatter.variance[0]
+        update_scatter(contours, now.terms, now.covariance, now.shifts, now.variances, now.scatter)
+        if abs(now.scatter.variance[0] - before) <= _SCATTER_SETTLED * before:
+            break
+    return True, np.sqrt(square)
 
 
 @compiled
-def _variance(reach: Floats, covariance: Floats, offset: int) -> float:
-    """Variance of `reach` (7,) times the pose and one offset, whose row of `covariance` is told."""
-    total = reach[6] ** 2 * covariance[offset, offset]
-    for i in range(6):
-        total += 2 * reach[6] * reach[i] * covariance[offset, i]
-        for j in range(6):
-            total += reach[i] * reach[j] * covariance[i, j]
-    return float(total)
+def _add_up(contours: Contours, now: _Balance, normal: Floats, right: Floats) -> None:
+    """Fill the normal matrix (6 + c, 6 + c), of which the lower half counts, and right side."""
+    terms = now.terms
+    normal[:], right[:] = now.known, now.pull
+    for k in range(len(contours.view_of)):
+        offset = 6 + contours.view_of[k]
+        for i in range(6):
+            right[i] += terms.right[k, i]
+            normal[offset, i] += terms.normal[k, 6, i]
+            for j in range(i + 1):
+                normal[i, j] += terms.normal[k, i, j]
+        right[offset] += terms.right[k, 6]
+        normal[offset, offset] += terms.normal[k, 6, 6]
+
+
+@compiled
+def _invert(normal: Floats, out: Floats) -> bool:
+    """Fill the inverse of a normal matrix, if the equations determine their unknowns."""
+    n = len(normal)
+    size, factor = np.empty(n), np.empty((n, n))
+    out[:] = 0.0
+    for i in range(n):
+        size[i] = np.sqrt(normal[i, i])
+        if not size[i] > 0:
+            return False
+        for j in range(i + 1):
+            normal[i, j] /= size[i] * size[j]
+    if not cholesky(normal, factor):
+        return False
+    invert_factored(factor, out)
+    solved = True
+    for i in range(n):
+        solved = solved and out[i, i] < _ILL_CONDITIONED
+        for j in range(n):
+            solved = solved and np.isfinite(out[i, j])
+            out[i, j] /= size[i] * size[j]
+    return bool(solved)

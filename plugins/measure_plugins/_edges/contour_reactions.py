@@ -7,38 +7,31 @@ import numpy as np
 from measure.arrays import Floats
 from measure.compiling import compiled
 from measure.geometry.rotation_kernels import times
-from measure_plugins._edges.contour_terms import OWN, Terms
+from measure_plugins._edges.contour_terms import OWN, SHARED, Terms
 from measure_plugins._edges.contours import Contours
 
 
 @compiled
 def by_step(contours: Contours, terms: Terms, inverse: Floats) -> Floats:
-    """How the fitted pose reacts to steps of single ball-views' balls in the world: (k, 6, 3)."""
+    """How the fitted pose reacts to steps of single ball-views' balls in the world: (k, 6, 3).
+
+    To a ball-view, its ball's step is the body's.
+    """
     out = np.empty((len(contours.view_of), 6, 3))
-    right = np.empty((4, 3))
     for k in range(len(out)):
-        turn, normal = contours.rotations[contours.view_of[k]], terms.normal[k]
-        for a in range(4):
-            for j in range(3):
-                x, y, z = turn[:, j]
-                right[a, j] = normal[a, 0] * x + normal[a, 1] * y + normal[a, 2] * z
-        _react(inverse, terms.arms[k], 6 + contours.view_of[k], right, out[k])
+        _react(inverse, 6 + contours.view_of[k], terms.normal[k, :, :3], out[k])
     return out
 
 
 @compiled
-def _react(inverse: Floats, arms: Floats, offset: int, right: Floats, out: Floats) -> None:
-    """The pose's reaction (6, 3) to right sides (4, 3) of one ball-view's shared unknowns.
-
-    Those are its centre, which moves by `arms` (3, 6) with the pose, and its view's offset.
-    """
-    for j in range(3):
-        for i in range(6):
-            out[i, j] = inverse[i, offset] * right[3, j]
-        for b in range(6):
-            total = arms[0, b] * right[0, j] + arms[1, b] * right[1, j] + arms[2, b] * right[2, j]
-            for i in range(6):
-                out[i, j] += inverse[i, b] * total
+def _react(inverse: Floats, offset: int, right: Floats, out: Floats) -> None:
+    """The pose's reaction (6, 3) to right sides (7, 3) of a ball-view's shared unknowns."""
+    for i in range(6):
+        for j in range(3):
+            total = inverse[i, offset] * right[6, j]
+            for b in range(6):
+                total += inverse[i, b] * right[b, j]
+            out[i, j] = total
 
 
 @compiled
@@ -75,10 +68,10 @@ def by_shift(contours: Contours, terms: Terms, variances: Floats, inverse: Float
     A shift s leaves, its ball-view's own unknowns eliminated, the right side gain^T (s / variance).
     """
     out = np.empty((len(contours.view_of), 6, OWN))
-    right = np.empty((4, OWN))
+    right = np.empty((SHARED, OWN))
     for k in range(len(out)):
-        for a in range(4):
+        for a in range(SHARED):
             for j in range(OWN):
                 right[a, j] = terms.gain[k, j, a] / variances[k, j]
-        _react(inverse, terms.arms[k], 6 + contours.view_of[k], right, out[k])
+        _react(inverse, 6 + contours.view_of[k], right, out[k])
     return out

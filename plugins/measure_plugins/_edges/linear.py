@@ -61,3 +61,23 @@ def times(matrix: Floats, rows: Floats, out: Floats) -> None:
                 first = (w0 * rows[j, i] + w1 * rows[j1, i]) + (w2 * rows[j2, i] + w3 * rows[j3, i])
                 then = (w4 * rows[j4, i] + w5 * rows[j5, i]) + (w6 * rows[j6, i] + w7 * rows[j7, i])
                 out[k, i] += first + then
+
+
+@compiled
+def invert_factored(factor: Floats, out: Floats) -> None:
+    """The inverse (k, k) of the matrix whose lower factor `cholesky` found, into `out`."""
+    k = len(factor)
+    half = np.zeros((k, k))  # the factor's own inverse
+    for a in range(k):
+        half[a, a] = 1 / factor[a, a]
+        for c in range(a):
+            for b in range(c + 1):
+                half[a, b] -= factor[a, c] * half[c, b]
+        for b in range(a):
+            half[a, b] *= half[a, a]
+    for a in range(k):
+        for b in range(a + 1):
+            total = 0.0
+            for c in range(a, k):
+                total += half[c, a] * half[c, b]
+            out[a, b] = out[b, a] = total
