@@ -19,6 +19,7 @@ from measure.geometry import RigidTransform
 from measure.host import Registry
 from measure.measuring import Measurement, Profile
 from measure.measuring.checks import (
+    ColorlessCount,
     Coverage,
     Finding,
     Level,
@@ -111,16 +112,17 @@ def check(
         total = len(session.pair().times_s)
         chosen = _spread_pairs(total, samples)
         warm_pipeline(profile, registry, session.body, session.cameras)
-        surveys, located, repeats = [], [], RepeatCount()
+        surveys, located, repeats, colorless = [], [], RepeatCount(), ColorlessCount()
         step = _steps(report, len(chosen) + min(clock_samples, total))
         for frame_set, seen in _search(session, chosen, registry, profile):
             surveys.append(survey_frame_set(seen, session.body, session.cameras, frame_set.time_s))
             repeats.look(frame_set)
+            colorless.look(frame_set)
             located.append(locate_in_candidates(seen, session.body, session.cameras))
             step()
         clocks = _clocks(session, surveys, registry, profile, clock_samples, repeats, step)
-        stalls = _stalls(session, repeats)
-        return _concluded(session, total, surveys, located, clocks, stalls)
+        useless = _stalls(session, repeats) + colorless.findings()
+        return _concluded(session, total, surveys, located, clocks, useless)
 
 
 def _steps(report: Report | None, total: int) -> Callable[[], None]:
@@ -200,9 +202,9 @@ def _concluded(
     surveys: Sequence[Surveyed],
     located: Sequence[Located],
     clocks: tuple[CameraClock, ...],
-    stalls: list[Finding],
+    useless: list[Finding],
 ) -> SessionCheck:
-    findings = stalls + [Finding(Level.NOTE, "frames", note) for note in session.notes]
+    findings = useless + [Finding(Level.NOTE, "frames", note) for note in session.notes]
     for stream in session.streams.values():
         findings += stamp_findings(stream.name, stream.times_s, stream.frames)
     misfits = camera_misfits(with_velocities(surveys), session.body, session.cameras)

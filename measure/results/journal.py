@@ -26,10 +26,13 @@ def writing(folder: Path) -> Iterator[None]:
     except OSError as error:
         full = error.errno in (errno.ENOSPC, errno.EDQUOT)
         what = "the disk is full" if full else f"cannot write ({error.strerror or error})"
-        raise RunError(
-            f"{folder}: {what}; everything measured before is kept: mend that and go on with "
-            "--resume"
-        ) from error
+        begun = os.path.exists(folder / "run.toml")  # noqa: PTH110 -- `Path.exists` raises on EACCES
+        then = (
+            "everything measured before is kept: mend that and go on with --resume"
+            if begun
+            else "nothing was begun: mend that, or choose another folder with --out"
+        )
+        raise RunError(f"{folder}: {what}; {then}") from error
 
 
 class GrowingFile:

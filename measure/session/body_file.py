@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -19,6 +21,11 @@ from measure.session.toml_text import dump_toml
 
 Level = Annotated[int, Field(ge=0, le=255)]
 Triple = tuple[Level, Level, Level]
+
+_LEAST_RADIUS_MM = 0.5
+"""Smaller balls show no outline to a webcam: sizes are then rather metres."""
+_TOUCHING = 0.9
+"""Share of the radii's sum by which balls that touch are apart at least, carelessly measured."""
 
 
 class RangeModel(FileModel):
@@ -102,6 +109,23 @@ class BodyModel(FileModel):
         for name in names:
             if names.count(name) > 1:
                 raise ValueError(f"two balls are called '{name}'; each needs a name of its own")
+        return self
+
+    @model_validator(mode="after")
+    def _sizes_can_be(self) -> BodyModel:
+        largest = max((ball.radius_mm for ball in self.balls), default=_LEAST_RADIUS_MM)
+        if largest < _LEAST_RADIUS_MM:
+            raise ValueError(
+                f"the largest radius is {largest:.3g} mm: this looks like metres: write mm"
+            )
+        for a, b in combinations(self.balls, 2):
+            apart, room = math.dist(a.center_mm, b.center_mm), a.radius_mm + b.radius_mm
+            if apart < _TOUCHING * room:
+                raise ValueError(
+                    f"balls '{a.name}' and '{b.name}' are {apart:.1f} mm apart and overlap, as "
+                    f"their radii add up to {room:.1f} mm; are these diameters, or is a centre "
+                    "wrong?"
+                )
         return self
 
     def body(self, source: Path) -> Body:

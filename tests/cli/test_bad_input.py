@@ -97,6 +97,12 @@ def test_a_file_where_the_run_shall_be(recording: Recording, capsys) -> None:
     assert recording.path.with_name("run").read_text() == "a thesis"
 
 
+def test_a_run_where_no_folder_can_be_made(recording: Recording, capsys) -> None:
+    line = _complaint(capsys, "run", recording.path, "-o", recording.path / "body.toml/run")
+    assert "body.toml/run: cannot write (Not a directory); nothing was begun" in line
+    assert "--resume" not in line
+
+
 def test_a_run_that_finds_nothing_says_where_to_look(recording: Recording, capsys) -> None:
     assert main([*_run(recording)]) == 0
     assert f"to find out why: measure check {recording.path}" in capsys.readouterr().out

@@ -2,12 +2,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
 from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform
 from measure.measuring.checks import (
+    ColorlessCount,
     Level,
     camera_misfits,
     coverage_findings,
@@ -18,6 +20,7 @@ from measure.measuring.checks import (
     with_velocities,
 )
 from measure.measuring.pose_fit import Sightings, fit_pose
+from measure.model import FrameSet, Image
 from tests.scenes import RAVEN, TARGET, moved, ring, see
 
 CAMERAS = ring()
@@ -169,6 +172,30 @@ def test_uneven_stamps_are_called_arrival_times():
     times = np.sort(np.arange(200) / 30 + rng.normal(scale=0.005, size=200))
     findings = stamp_findings("cam0", times, np.arange(200))
     assert any("uneven" in f.text and f.topic == "clock" for f in findings)
+
+
+def test_stamps_in_milliseconds_are_asked_about():
+    (finding,) = stamp_findings("cam0", np.arange(100) * 1000 / 30, np.arange(100))
+    assert finding.level is Level.WEAK
+    assert "33.3 s from picture to picture: are the times milliseconds?" in finding.text
+    assert stamp_findings("cam0", np.arange(100) * 5.0, np.arange(100)) == [], "time lapse"
+
+
+def _frame_set(pictures):
+    images = {name: Image(name, 0, 0.0, lambda p=p: p) for name, p in pictures.items()}
+    return FrameSet(0, 0.0, images)
+
+
+def test_grey_pictures_are_told_by_camera():
+    rng, count = np.random.default_rng(0), ColorlessCount()
+    grey = rng.integers(0, 256, (240, 320), np.uint8)
+    through_jpeg = cv2.imdecode(cv2.imencode(".jpg", grey)[1], cv2.IMREAD_COLOR)
+    noisy = np.repeat(grey[..., None] // 2, 3, axis=2) + rng.integers(0, 9, (240, 320, 3), np.uint8)
+    for _ in range(2):
+        count.look(_frame_set({"cam0": noisy, "cam1": through_jpeg}))
+    (finding,) = count.findings()
+    assert finding.level is Level.WRONG
+    assert "cam1: 2 of 2 pictures are grey" in finding.text
 
 
 def test_too_short_a_recording_is_weak():

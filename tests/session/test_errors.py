@@ -63,6 +63,27 @@ CASES: dict[str, tuple[Break, type[MeasureError], list[str]]] = {
         SessionError,
         ["body.toml:7: 'balls[0].radius_mm'", "got 'big'"],
     ),
+    "diameters for radii": (
+        _replace("body.toml", "radius_mm = 20.0", "radius_mm = 40.0"),
+        SessionError,
+        [
+            "body.toml",
+            "'green' and 'yellow' are 53.7 mm apart and overlap",
+            "60.0 mm; are these dia",
+        ],
+    ),
+    "two balls in one place": (
+        _replace("body.toml", "[0.0, 38.0, 0.0]", "[38.0, 0.0, 0.0]"),
+        SessionError,
+        ["body.toml", "'green' and 'yellow' are 0.0 mm apart"],
+    ),
+    "a body in metres": (
+        lambda r: [
+            r.replace("body.toml", "radius_mm = 20.0", "radius_mm = 0.02") for _ in range(3)
+        ],
+        SessionError,
+        ["body.toml", "the largest radius is 0.02 mm: this looks like metres: write mm"],
+    ),
     "unknown colour": (
         _replace("body.toml", 'color = "red"', 'color = "rod"'),
         SessionError,

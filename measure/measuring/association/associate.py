@@ -263,6 +263,7 @@ def _why_none(body: Body, candidates: Sequence[Candidates], meeting: Sequence[in
     if len(body.balls) - len(apart) < 2:
         return (
             f"no two cameras agree on where {', '.join(apart)} "
-            f"{'is' if len(apart) == 1 else 'are'}: check the calibration"
+            f"{'is' if len(apart) == 1 else 'are'}: check the calibration, "
+            "and the radii in the body file"
         )
     return "no three candidates are as far apart as the body's balls"

@@ -1,5 +1,6 @@
 """What is wrong or weak in a recording, told from the recording itself; no files, no printing."""
 
+from measure.measuring.checks.colorless import ColorlessCount
 from measure.measuring.checks.coverage import (
     Coverage,
     coverage_findings,
@@ -13,6 +14,7 @@ from measure.measuring.checks.stamps import stamp_findings
 from measure.measuring.checks.survey import Surveyed, survey_frame_set, with_velocities
 
 __all__ = [
+    "ColorlessCount",
     "Coverage",
     "Finding",
     "Level",

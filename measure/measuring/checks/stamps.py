@@ -10,6 +10,8 @@ from measure.measuring.checks.finding import Finding, Level
 _DROPPED = 1.5
 _UNEVEN = 0.1
 _MOST_DROPPED = 0.02
+_SLOWEST_S = 10.0
+"""Pictures further apart are rather stamped in milliseconds than taken by hand."""
 
 
 def stamp_findings(camera: str, times_s: Floats, frames: Ints) -> list[Finding]:
@@ -27,6 +29,9 @@ def stamp_findings(camera: str, times_s: Floats, frames: Ints) -> list[Finding]:
     gaps = np.nonzero(steps > _DROPPED * period)[0]
     lost = int(np.sum(np.rint(steps[gaps] / period) - 1))
     out = []
+    if period > _SLOWEST_S:
+        text = f"{camera}: {period:.1f} s from picture to picture: are the times milliseconds?"
+        out.append(Finding(Level.WEAK, "clock", f"{text} Write seconds"))
     if lost:
         worst = int(gaps[np.argmax(steps[gaps])])
         share = lost / (len(times_s) + lost)
