@@ -11,13 +11,16 @@ import numpy as np
 
 from measure.arrays import Floats, Ints
 from measure.compiling import compiled
-from measure_plugins._edges.linear import cholesky, solve_factored, times
-from measure_plugins._edges.selection import kth_smallest
+from measure_plugins._edges.linear import cholesky, solve_factored
+from measure_plugins._edges.selection import halved
 
 _ROUNDS = 4
 _COLUMNS = 5
 _FITTED_RAYS = 36
 """Neighbouring rays show much the same: light is fitted to about so many of them."""
+_LANES = 2 * _FITTED_RAYS
+"""There are always fewer of them."""
+_VECTOR = 8
 _NOTHING = 1e-4
 """Share of a ball's own light below which a place along a ray lies past its blurred outline."""
 UNIFORM, FACING, ASIDE = 0, 1, 3
@@ -86,14 +89,15 @@ def fit_lamp_light(
     seen, bright = _every_second(amounts, used, clear), _every_second(lit, used, clear)
     coefficients, right = np.zeros(_COLUMNS), np.empty(_COLUMNS)
     factor, normal = np.empty((_COLUMNS, _COLUMNS)), np.empty((_COLUMNS, _COLUMNS))
-    weights = np.ones(seen.shape)
+    per_limit = 0.0
     for turn in range(_ROUNDS):
-        _equations(weights, seen, bright, factors, angles, normal, right)
+        sums = _along_rays(seen, bright, factors, angles, coefficients, per_limit)
+        _equations(sums, angles, normal, right)
         cholesky(normal, factor)
         solve_factored(factor, right, coefficients)
         if turn < _ROUNDS - 1:
-            shown = _light(coefficients, angles, factors, bright)
-            _weigh(seen.reshape(-1), shown.reshape(-1), weights.reshape(-1))
+            off = _typically_off(seen, bright, factors, angles, coefficients)
+            per_limit = 1 / (5 * 1.4826 * off + 5e-4)
     return coefficients
 
 
@@ -109,8 +113,12 @@ def _factors(diffuse: Floats) -> Floats:
 
 @compiled
 def _every_second(values: Floats, used: int, rays: Ints) -> Floats:
-    """Every second of the first `used` rows of (m, n), on the rays (k,): (p, k)."""
-    out = np.empty(((used + 1) // 2, len(rays)))
+    """Every second of the first `used` rows of (m, n), on the rays (k,).
+
+    Returns:
+        (p, k or more): columns of zeros fill up the last vector of the machine.
+    """
+    out = np.zeros(((used + 1) // 2, -(-len(rays) // _VECTOR) * _VECTOR))
     for j in range(len(out)):
         for k in range(len(rays)):
             out[j, k] = values[2 * j, rays[k]]
@@ -118,41 +126,25 @@ def _every_second(values: Floats, used: int, rays: Ints) -> Floats:
 
 
 @compiled
-def _weigh(seen: Floats, shown: Floats, weights: Floats) -> None:
-    """Tukey's weights (k,) of what is seen, by how far it is from what is shown."""
-    sizes = np.empty((len(seen) + 2) // 3)
-    for k in range(len(sizes)):
-        sizes[k] = abs(seen[3 * k] - shown[3 * k])
-    limit = 5 * 1.4826 * kth_smallest(sizes, len(sizes), len(sizes) // 2) + 5e-4
-    for k in range(len(seen)):
-        t = (seen[k] - shown[k]) / limit
-        w = 1 - t * t
-        w = w if w > 0.0 else 0.0
-        weights[k] = w * w
+def _typically_off(
+    seen: Floats, bright: Floats, factors: Floats, angles: Floats, coefficients: Floats
+) -> float:
+    """Median size of what the light fitted leaves, of every third pixel."""
+    p, n = len(seen), len(angles)
+    sizes, count = np.empty(-(-p * n // 3)), 0
+    even, facing, x, y, power = coefficients
+    for j in range(p):
+        common, aside = even * factors[0, j] + facing * factors[1, j], factors[2, j]
+        for i in range((-j * n) % 3, n, 3):
+            sideways = x * angles[i, 0] + y * angles[i, 1]
+            sizes[count] = abs(seen[j, i] - (common + aside * sideways + power * bright[j, i]))
+            count += 1
+    return halved(sizes)
 
 
 @compiled
-def _equations(
-    weights: Floats,
-    seen: Floats,
-    bright: Floats,
-    factors: Floats,
-    angles: Floats,
-    normal: Floats,
-    right: Floats,
-) -> None:
-    """Normal matrix (5, 5), its lower half, and right side (5,): along each ray, then over rays.
-
-    Args:
-        weights: (p, n) of the pixels used.
-        seen: (p, n) their amounts of the ball's own colour.
-        bright: (p, n) their light from the lamps.
-        factors: (3, p) of even light, of that along the axis and of that aside from it.
-        angles: (n, 2) cosine and sine around the axis.
-        normal: filled.
-        right: filled.
-    """
-    sums = _along_rays(weights, seen, bright, factors)
+def _equations(sums: Floats, angles: Floats, normal: Floats, right: Floats) -> None:
+    """Normal matrix (5, 5), its lower half, and right side (5,) from `_along_rays`' sums."""
     normal[:], right[:] = 1e-3 * np.eye(_COLUMNS), 0.0
     for i in range(len(angles)):
         x, y = angles[i]
@@ -179,24 +171,58 @@ def _equations(
 
 
 @compiled
-def _along_rays(weights: Floats, seen: Floats, bright: Floats, factors: Floats) -> Floats:
-    """Sums (14, n) along each ray of what the equations are made of, up to the angles."""
-    p, n = weights.shape
-    out, products = np.zeros((14, n)), np.empty((6, p))
-    lit, shown = np.empty((p, n)), np.empty((p, n))
+def _along_rays(
+    seen: Floats,
+    bright: Floats,
+    factors: Floats,
+    angles: Floats,
+    coefficients: Floats,
+    per_limit: float,
+) -> Floats:
+    """Sums along each ray of what the equations are made of, up to the angles.
+
+    Args:
+        seen: (p, n) amounts of the ball's own colour, see `_every_second`.
+        bright: (p, n) light from the lamps there.
+        factors: (3, p) of even light, of that along the axis and of that aside from it.
+        angles: (k, 2) cosine and sine around the axis of the first k <= n of the rays.
+        coefficients: (5,) about which Tukey's weights are taken.
+        per_limit: 1 / where those end; 0 to take all alike.
+
+    Returns:
+        (14, _LANES), of whose columns the first k count: rows a constant distance apart are added
+        to at once.
+    """
+    p, n = seen.shape
+    sums, sideways = np.zeros((14, _LANES)), np.zeros(n)
+    even_by, facing_by, x_by, y_by, power = coefficients
+    for i in range(len(angles)):
+        sideways[i] = x_by * angles[i, 0] + y_by * angles[i, 1]
     for j in range(p):
         even, facing, aside = factors[0, j], factors[1, j], factors[2, j]
-        products[0, j], products[1, j], products[2, j] = even * even, even * facing, facing * facing
-        products[3, j], products[4, j], products[5, j] = even * aside, facing * aside, aside * aside
+        common = even_by * even + facing_by * facing
         for i in range(n):
-            w, b, s = weights[j, i], bright[j, i], seen[j, i]
-            lit[j, i], shown[j, i] = w * b, w * s
-            out[9, i] += w * b * b
-            out[13, i] += w * s * b
-    times(products, weights, out[:6])
-    times(factors, lit, out[6:9])
-    times(factors, shown, out[10:13])
-    return out
+            b, s = bright[j, i], seen[j, i]
+            t = (s - (common + aside * sideways[i] + power * b)) * per_limit
+            root = 1 - t * t
+            root = root if root > 0.0 else 0.0
+            w = root * root
+            lit, shown = w * b, w * s
+            sums[0, i] += even * even * w
+            sums[1, i] += even * facing * w
+            sums[2, i] += facing * facing * w
+            sums[3, i] += even * aside * w
+            sums[4, i] += facing * aside * w
+            sums[5, i] += aside * aside * w
+            sums[6, i] += even * lit
+            sums[7, i] += facing * lit
+            sums[8, i] += aside * lit
+            sums[9, i] += b * lit
+            sums[10, i] += even * shown
+            sums[11, i] += facing * shown
+            sums[12, i] += aside * shown
+            sums[13, i] += b * shown
+    return sums
 
 
 @compiled

@@ -37,6 +37,27 @@ def kth_smallest(values: Floats, count: int, k: int) -> float:
 
 
 @compiled
+def halved(sizes: Floats) -> float:
+    """Median of sizes (n,), none negative, nearly to the last digit.
+
+    Halves are counted: without branches, which guess wrong half the time where values are unlike.
+    """
+    low, high = 0.0, 0.0
+    for size in sizes:
+        high = size if size > high else high
+    half = len(sizes) // 2
+    for _ in range(24):
+        middle, below = 0.5 * (low + high), 0
+        for i in range(len(sizes)):
+            below += int(sizes[i] <= middle)
+        if below > half:
+            high = middle
+        else:
+            low = middle
+    return high
+
+
+@compiled
 def median_rows(rows: Floats, count: int) -> Floats:
     """Medians (n,) over the first `count` of rows (9, n); the others are overwritten."""
     n = rows.shape[1]

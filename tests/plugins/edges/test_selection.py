@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from measure_plugins._edges.selection import NINE, kth_smallest, median, median_rows
+from measure_plugins._edges.selection import NINE, halved, kth_smallest, median, median_rows
 
 
 @pytest.mark.parametrize("count", range(1, NINE + 1))
@@ -20,3 +20,11 @@ def test_selections_are_those_of_a_sorted_array(count):
     assert median(values.copy(), count) == np.median(values)
     for k in range(count):
         assert kth_smallest(values.copy(), count, k) == np.sort(values)[k]
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 216])
+def test_halving_finds_the_upper_median(count):
+    sizes = np.random.default_rng(count).exponential(size=count)
+    upper = np.sort(sizes)[count // 2]
+    assert halved(sizes) == pytest.approx(upper, abs=1e-6)
+    assert halved(np.zeros(count)) == 0
