@@ -13,6 +13,13 @@ from measure.arrays import Floats, Ints
 from measure.compiling import compiled
 from measure.model import Camera
 from measure.model.lens import bearing_and_slopes
+from measure_plugins._edges.selection import median
+
+_FEWEST_POINTS = 3
+"""That determine a cone."""
+_MOST_SPREAD = 2.0
+_LEAST_VARIANCE_PX2 = 5e-9
+"""For detectors that claim no uncertainty at all."""
 
 
 class Contours(NamedTuple):
@@ -56,13 +63,6 @@ class Balls(NamedTuple):
     view_of: Ints
     centers_body: Floats
     radii: Floats
-    spread: Floats
-
-    def take(self, rows: list[int]) -> Balls:
-        """Only some of them."""
-        return Balls(
-            self.view_of[rows], self.centers_body[rows], self.radii[rows], self.spread[rows]
-        )
 
 
 class Views(NamedTuple):
@@ -85,60 +85,79 @@ def views_of(cameras: tuple[Camera, ...]) -> Views:
 
 
 def pack(
-    points: Sequence[Floats], sd: Sequence[Floats], balls: Balls, views: Views
+    points: Sequence[Floats],
+    sd: Sequence[Floats],
+    covariances: Floats,
+    balls: Balls,
+    views: Views,
 ) -> tuple[Contours, list[int]]:
     """Pack ball-views of a body at rest.
 
-    Those with fewer than three points in reach of the lens model are left out.
+    Points beyond the reach of the lens model are left out.
 
     Args:
         points: k outlines (n, 2), px.
         sd: (n,) of each, px.
+        covariances: (k, 2, 2) of the outlines' centres, px^2.
         balls: which they are.
         views: the cameras that saw them.
 
     Returns:
-        The contours, and which of the k ball-views they are.
+        The contours, and which of the k ball-views have points enough to be fitted.
     """
     start = np.array([0, *accumulate(map(len, sd))])
     at, sd_px = np.concatenate(points), np.concatenate(sd)
-    bearings, slopes, reached = rays_of(at, start, balls.view_of, views.lenses)
-    kept = list(range(len(sd)))
-    if sum(reached.tolist()) < len(at):
+    bearings, slopes, reached, spread = rays_of(at, start, covariances, balls.view_of, views.lenses)
+    counts, kept = reached.tolist(), list(range(len(sd)))
+    if sum(counts) < len(at):
         good = np.isfinite(bearings[0])
-        kept = np.flatnonzero(reached >= 3).tolist()
-        good &= np.repeat(reached >= 3, np.diff(start))
+        kept = [i for i, count in enumerate(counts) if count >= _FEWEST_POINTS]
         bearings, slopes, sd_px = bearings[:, good].copy(), slopes[:, good].copy(), sd_px[good]
-        start = np.cumsum([0, *reached[kept]])
-        balls = balls.take(kept)
-    view_of, centers_body, radii, spread = balls
-    return Contours(
+        start = np.array([0, *accumulate(counts)])
+    contours = Contours(
         start,
         bearings,
         slopes,
         sd_px,
-        view_of,
-        centers_body,
-        radii,
-        np.zeros((len(kept), 6)),
+        balls.view_of,
+        balls.centers_body,
+        balls.radii,
+        np.zeros((len(sd), 6)),
         spread,
         views.rotations,
         views.translations,
-    ), kept
+    )
+    return contours, kept
 
 
 @compiled
-def rays_of(points: Floats, start: Ints, view: Ints, lenses: Floats) -> tuple[Floats, Floats, Ints]:
+def rays_of(
+    points: Floats, start: Ints, covariances: Floats, view: Ints, lenses: Floats
+) -> tuple[Floats, Floats, Ints, Floats]:
     """Bearings (3, n) of pixels (n, 2) and their slopes (6, n), see `Contours`; else NaN.
 
-    And how many pixels of each ball-view (k,) have one.
+    And how many pixels of each ball-view (k,) have one, and its outline's spread (k,).
     """
-    n = len(points)
-    bearings, slopes, reached = np.empty((3, n)), np.empty((6, n)), np.zeros(len(view), np.int64)
-    for k in range(len(view)):
-        lens = lenses[view[k]]
+    n, k = len(points), len(view)
+    bearings, slopes, reached = np.empty((3, n)), np.empty((6, n)), np.zeros(k, np.int64)
+    for i in range(k):
+        lens = lenses[view[i]]
         dx, dy = 0.0, 0.0
-        for i in range(start[k], start[k + 1]):
-            dx, dy = bearing_and_slopes(points[i], lens, dx, dy, bearings[:, i], slopes[:, i])
-            reached[k] += int(np.isfinite(bearings[0, i]))
-    return bearings, slopes, reached
+        for j in range(start[i], start[i + 1]):
+            dx, dy = bearing_and_slopes(points[j], lens, dx, dy, bearings[:, j], slopes[:, j])
+            reached[i] += int(np.isfinite(bearings[0, j]))
+    return bearings, slopes, reached, _spread(covariances)
+
+
+@compiled
+def _spread(covariances: Floats) -> Floats:
+    """Variances (k,) of the outlines' own shifts relative to each other.
+
+    Where the edges of an outline scatter more, all of them together sit off further as well. Their
+    scatter tells part of that only: it counts by its root, within limits.
+    """
+    out = (covariances[:, 0, 0] + covariances[:, 1, 1]) / 2
+    typical = max(median(out.copy(), len(out)), _LEAST_VARIANCE_PX2)
+    for i in range(len(out)):
+        out[i] = min(max(np.sqrt(out[i] / typical), 1 / _MOST_SPREAD), _MOST_SPREAD)
+    return out

@@ -2,26 +2,40 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
-from statistics import median
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from measure.arrays import Floats, Ints
+from measure.arrays import Floats, Ints, stacked
 from measure.errors import DegenerateGeometryError
 from measure.model import Body, Camera, Detection, Motion
 
 if TYPE_CHECKING:
-    from measure_plugins._edges.contours import Contours
+    from measure_plugins._edges.contours import Balls, Contours, Views
 
 
-_MOST_SPREAD = 2.0
-_LEAST_VARIANCE_PX2 = 5e-9
-"""For detectors that claim no uncertainty at all."""
+@dataclass(frozen=True, eq=False)
+class Named:
+    """Which balls in which cameras k ball-views show; the same from frame set to frame set.
+
+    Attributes:
+        balls: (k,) names.
+        ball_of: (k,) the balls' places in the body.
+        seen_by: (c,) names of the cameras, sorted.
+        cameras: (c,) the same.
+        rows: what is known of the balls as arrays.
+        views: the same of the cameras.
+    """
+
+    balls: tuple[str, ...]
+    ball_of: Ints
+    seen_by: tuple[str, ...]
+    cameras: tuple[Camera, ...]
+    rows: Balls
+    views: Views
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,24 +45,12 @@ class Outlines:
     Attributes:
         contours: k ball-views in c views, of a body at rest.
         detections: (k,) which they are.
-        ball_of: (k,) the balls' places in the body.
-        cameras: (c,).
+        named: the same by their names.
     """
 
     contours: Contours
     detections: tuple[Detection, ...]
-    ball_of: Ints
-    cameras: tuple[Camera, ...]
-
-    @cached_property
-    def balls(self) -> tuple[str, ...]:
-        """(k,) names."""
-        return tuple(d.ball for d in self.detections)
-
-    @cached_property
-    def seen_by(self) -> tuple[str, ...]:
-        """Names of the cameras that have an outline in the fit."""
-        return tuple(sorted({d.camera for d in self.detections}))
+    named: Named
 
     def moved(self, motion: Motion, time_s: float) -> Floats:
         """How far (k, 6) the body has moved in each picture from where it is at `time_s`."""
@@ -66,7 +68,7 @@ class Outlines:
             )
         except DegenerateGeometryError:
             return None
-        camera = self.cameras[self.contours.view_of[i]]
+        camera = self.named.cameras[self.contours.view_of[i]]
         return camera.world_from_camera.apply(cone.center(float(self.contours.radii[i])))
 
 
@@ -74,37 +76,38 @@ def outlines_of(
     detections: Sequence[Detection], body: Body, cameras: Mapping[str, Camera]
 ) -> Outlines | None:
     """The outlines of detections, ready for the fit; None if they have none."""
-    seen = tuple(d for d in detections if d.outline_px is not None and d.outline_sd_px is not None)
-    used = tuple(cameras[name] for name in sorted({d.camera for d in seen}))
-    return _packed(seen, body, used) if seen else None
+    seen = [d for d in detections if d.outline_px is not None and d.outline_sd_px is not None]
+    return _packed(tuple(seen), body, tuple([cameras[d.camera] for d in seen]))
 
 
 @lru_cache(maxsize=16)
-def _packed(seen: tuple[Detection, ...], body: Body, cameras: tuple[Camera, ...]) -> Outlines:
+def _packed(
+    seen: tuple[Detection, ...], body: Body, cameras: tuple[Camera, ...]
+) -> Outlines | None:
     """Detections compare by identity, and are solved again when the motion is known better."""
-    from measure_plugins._edges.contours import Balls, pack, views_of
+    from measure_plugins._edges.contours import pack
 
-    places = {camera.name: i for i, camera in enumerate(cameras)}
-    ball_of = np.array([body.index(d.ball) for d in seen])
-    balls = Balls(
-        np.array([places[d.camera] for d in seen]),
-        body.centers[ball_of],
-        body.radii[ball_of],
-        _spread(seen),
-    )
+    if not seen:
+        return None
+    named = _named(tuple([d.ball for d in seen]), body, cameras)
     points = [d.outline_px for d in seen if d.outline_px is not None]
     sd = [d.outline_sd_px for d in seen if d.outline_sd_px is not None]
-    contours, kept = pack(points, sd, balls, views_of(cameras))
-    return Outlines(contours, tuple(seen[i] for i in kept), ball_of[kept], cameras)
+    covariances = stacked([d.covariance_px for d in seen])
+    contours, kept = pack(points, sd, covariances, named.rows, named.views)
+    if len(kept) < len(seen):
+        return _packed(tuple(seen[i] for i in kept), body, tuple(cameras[i] for i in kept))
+    return Outlines(contours, seen, named)
 
 
-def _spread(seen: Sequence[Detection]) -> Floats:
-    """Variances (k,) of the outlines' own shifts relative to each other.
+@lru_cache(maxsize=64)
+def _named(balls: tuple[str, ...], body: Body, cameras: tuple[Camera, ...]) -> Named:
+    """Of k ball-views; bodies and cameras compare by identity."""
+    from measure_plugins._edges.contours import Balls, views_of
 
-    Where the edges of an outline scatter more, all of them together sit off further as well. Their
-    scatter tells part of that only: it counts by its root, within limits.
-    """
-    claimed = [d.variance_px2 for d in seen]
-    typical = max(median(claimed), _LEAST_VARIANCE_PX2)
-    roots = [math.sqrt(variance / typical) for variance in claimed]
-    return np.array([min(max(root, 1 / _MOST_SPREAD), _MOST_SPREAD) for root in roots])
+    used = {camera.name: camera for camera in cameras}
+    names = tuple(sorted(used))
+    own = tuple(used[name] for name in names)
+    ball_of = np.array([body.index(name) for name in balls])
+    view_of = np.array([names.index(camera.name) for camera in cameras])
+    rows = Balls(view_of, body.centers[ball_of], body.radii[ball_of])
+    return Named(balls, ball_of, names, own, rows, views_of(own))

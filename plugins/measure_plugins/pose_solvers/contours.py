@@ -86,14 +86,15 @@ class ContoursSolver(PoseSolver):
         if start is None:
             return None
         known = np.zeros((6, 6))
-        if len(set(outlines.balls)) < 3:
+        named = outlines.named
+        if len(set(named.balls)) < 3:
             if prior is None or prior.covariance is None:
                 return None
             known = np.asarray(np.linalg.inv(prior.covariance), dtype=np.float64)
         # Arrays laid out otherwise would be compiled for once more.
         rotation = np.ascontiguousarray(start.rotation)
         translation = np.ascontiguousarray(start.translation)
-        rig, contours = Rig.of(outlines.cameras), outlines.contours
+        rig, contours = Rig.of(named.cameras), outlines.contours
         if prior is not None:
             contours = contours._replace(motion=outlines.moved(prior, time_s))
         fit = solve_contours(
@@ -101,11 +102,11 @@ class ContoursSolver(PoseSolver):
             rotation,
             translation,
             known,
-            outlines.ball_of,
+            named.ball_of,
             len(self.body.balls),
             rig.lenses,
             rig.covariances,
-            _small_sample(2 * len(outlines.balls) - 6),
+            _small_sample(2 * len(named.balls) - 6),
             self.body.centers_of([fix.ball for fix in fixes]),
             stacked([fix.center for fix in fixes]) if fixes else np.empty((0, 3)),
         )
@@ -122,7 +123,7 @@ class ContoursSolver(PoseSolver):
         if prior is not None:
             return prior.at(time_s)
         located = {fix.ball: fix.center for fix in fixes}
-        for i, name in enumerate(outlines.balls):
+        for i, name in enumerate(outlines.named.balls):
             if name not in located:
                 center = outlines.center_by_size(i)
                 if center is not None:
@@ -136,14 +137,14 @@ class ContoursSolver(PoseSolver):
             return None
 
     def _pose(self, fit: Solution, outlines: Outlines, time_s: float) -> Pose:
-        balls = set(outlines.balls)
+        balls = set(outlines.named.balls)
         return Pose(
             time_s=time_s,
             world_from_body=RigidTransform(fit.rotation, fit.translation),
             covariance=fit.covariance,
             residual_mm=fit.residual_mm,
             rms_px=fit.rms_px,
-            cameras=outlines.seen_by,
+            cameras=outlines.named.seen_by,
             balls=tuple(name for name in self.body.names if name in balls),
             flags=self._flags(fit, outlines),
         )
@@ -154,10 +155,10 @@ class ContoursSolver(PoseSolver):
             off = math.hypot(right, down)
             if off > self.config.max_shift_px:
                 flags.append(f"{seen.ball} in {seen.camera} sits {off:.1f} px off the fit")
-        balls = len(set(outlines.balls))
+        balls = len(set(outlines.named.balls))
         if balls < 3:
             flags.append(f"only {balls} balls seen: part of the pose is from the prediction")
-        if len(outlines.seen_by) < 2:
+        if len(outlines.named.seen_by) < 2:
             flags.append("only one camera: depth is from the balls' sizes")
         if not fit.converged:
             flags.append("the fit did not settle")
