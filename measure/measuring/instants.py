@@ -76,7 +76,7 @@ class Seen:
         if s is None:
             return {}
         moved = np.zeros((len(s), 6))
-        if prior is not None:
+        if prior is not None and self.instants != (pose.time_s,):
             moved[:] = replace(prior, time_s=pose.time_s).moved(s.lead_s + self.time_s)
         off = s.pixels - self._pixels(pose.world_from_body, moved)
         return {(d.ball, d.camera): row for d, row in zip(self.detections, off, strict=True)}

@@ -64,6 +64,7 @@ class Pipeline:
     def __init__(self, body: Body, cameras: Sequence[Camera], stages: Stages) -> None:
         self._body = body
         self._cameras = {camera.name: camera for camera in cameras}
+        self._rolling = any(camera.readout_s for camera in cameras)
         self._repeats = Repeats()
         self.stages = stages
 
@@ -174,6 +175,8 @@ class Pipeline:
     def _at_their_rows(self, found: list[Detection]) -> list[Detection]:
         """Detections at the times when a rolling shutter exposed their rows."""
         cameras = self._cameras
+        if not self._rolling:
+            return found
         return [
             replace(d, time_s=d.time_s + float(cameras[d.camera].row_delay_s(d.center_px[1])))
             if cameras[d.camera].readout_s

@@ -132,13 +132,17 @@ def _balls_aside(
         stacked([fix.covariance for fix in fixes]),
     )
     for fix, (distance, gone_mm) in zip(fixes, distances.tolist(), strict=True):
-        own = [variances[fix.ball, name] for name in fix.cameras if (fix.ball, name) in variances]
-        wider = 1 + own_px**2 * sum(1 / v for v in own) / len(own) if own else 1.0
-        if distance / wider > gate:
+        if distance > gate and distance > gate * _widening(fix, variances, own_px):
             yield (
                 f"ball {fix.ball} is {gone_mm:.1f} mm from where the body puts it: "
                 "a wrong body file, or a camera that was moved?"
             )
+
+
+def _widening(fix: Fix, variances: Mapping[tuple[str, str], float], own_px: float) -> float:
+    """By how much a fix's covariance grows with what its sightings are off by besides noise."""
+    own = [variances[fix.ball, name] for name in fix.cameras if (fix.ball, name) in variances]
+    return 1 + own_px**2 * sum(1 / v for v in own) / len(own) if own else 1.0
 
 
 def _cameras_aside(
@@ -149,14 +153,15 @@ def _cameras_aside(
 ) -> Iterable[str]:
     """Cameras that see all balls aside in the same way."""
     gate = chi_square_quantile(confidence, 2)
-    for camera in dict.fromkeys(name for _, name in residuals_px):
-        own = [key for key in residuals_px if key[1] == camera and key in variances]
-        if len(own) < _MANY:
+    sums = {name: (0, 0.0, 0.0, 0.0) for _, name in residuals_px}
+    for key, off_px in residuals_px.items():
+        if key in variances:
+            weight, (u, v) = 1 / (variances[key] + own_px**2), off_px.tolist()
+            count, total, x, y = sums[key[1]]
+            sums[key[1]] = count + 1, total + weight, x + weight * u, y + weight * v
+    for camera, (count, total, x, y) in sums.items():
+        if count < _MANY:
             continue
-        total = x = y = 0.0
-        for key in own:
-            weight, (u, v) = 1 / (variances[key] + own_px**2), residuals_px[key].tolist()
-            total, x, y = total + weight, x + weight * u, y + weight * v
         aside = math.hypot(x, y) / total
         if aside**2 * total > gate:
             yield (

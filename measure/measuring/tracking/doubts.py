@@ -49,14 +49,19 @@ def contradictions(
             stacked([fix.covariance for fix in fixes]),
             tolerance_mm,
         )
-    noise = [2 * v.detection.variance_px2 for v in views if v.effective and v.detection]
-    if pose.rms_px > math.hypot(max_rms_px, _SIGMAS * math.sqrt(sum(noise) / max(len(noise), 1))):
+    if pose.rms_px > max_rms_px and pose.rms_px > math.hypot(max_rms_px, _SIGMAS * _noise(views)):
         found += (f"reprojection errors of {pose.rms_px:.1f} px",)
     at_odds = cameras_at_odds(views)
     used = {view.camera for view in views if view.effective} if at_odds else set()
     if at_odds and len(at_odds) >= _MOST_CAMERAS * len(used | set(at_odds)):
         found += (f"cameras {', '.join(at_odds)} contradict the others: nobody can tell who errs",)
     return found
+
+
+def _noise(views: Sequence[BallView]) -> float:
+    """RMS standard deviation of the believed sightings, both axes together, px."""
+    noise = [2 * v.detection.variance_px2 for v in views if v.effective and v.detection]
+    return math.sqrt(sum(noise) / max(len(noise), 1))
 
 
 def weaknesses(pose: Pose, views: Sequence[BallView], max_sd_mm: float) -> tuple[str, ...]:
