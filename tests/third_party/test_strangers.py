@@ -79,7 +79,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_stranger_measures_a_recording(environment: Environment, session, tmp_path):
     done = environment.measure(
-        *("run", str(session), "--out", str(tmp_path / "run"), "--profile", "paper"),
+        *("run", str(session), "--out", str(tmp_path / "run"), "--solver", "kabsch"),
         *("--detector", "blob", "--set", "detector.roundness=0.7", "--no-recording", "--json"),
         *WITHOUT_CLASH,
     )

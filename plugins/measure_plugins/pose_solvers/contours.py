@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from measure.arrays import stacked
-from measure.errors import DegenerateGeometryError
+from measure.errors import ConfigError, DegenerateGeometryError
 from measure.geometry import RigidTransform, align_points
 from measure.host import PoseSolver, Settings, hookimpl, setting
 from measure.model import Camera, Detection, Fix, Intrinsics, Motion, Pose, Rig
@@ -76,10 +76,19 @@ class ContoursSolver(PoseSolver):
         time_s: float,
         prior: Motion | None = None,
     ) -> Pose | None:
-        """Locate the body from its outlines; None if they (and the prior) leave it open."""
+        """Locate the body from its outlines; None if they (and the prior) leave it open.
+
+        Raises:
+            ConfigError: the detector measures no outlines.
+        """
         from measure_plugins._edges.contour_covariance import solve_contours
 
         outlines = outlines_of(detections, self.body, cameras)
+        if outlines is None and detections:
+            raise ConfigError(
+                "solver 'contours' fits outlines, and this detector measures none: take another "
+                "solver with it (--solver kabsch)"
+            )
         if outlines is None or len(outlines.contours.sd_px) < self.config.min_points:
             return None
         start = self._start(fixes, outlines, time_s, prior)

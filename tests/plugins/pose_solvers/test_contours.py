@@ -6,6 +6,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 
+from measure.errors import ConfigError
 from measure.geometry import RigidTransform, squared_mahalanobis, tangent_cone
 from measure.model import Body, Camera, Detection, Intrinsics, Motion
 from measure_plugins.pose_solvers.contours import ContoursConfig, ContoursSolver
@@ -65,6 +66,15 @@ def test_exact_outlines_give_the_exact_pose(body, offset):
     assert np.max(np.abs(error[:3])) < 2e-4
     assert np.max(np.abs(error[3:])) < 1e-5
     assert pose.flags == ()
+
+
+def test_a_detector_without_outlines_is_refused_and_seeing_nothing_is_not():
+    """Else `--detector hough` ends without a single pose, and nobody says why."""
+    cameras = ring()
+    bare = [replace(d, outline_px=None, outline_sd_px=None) for d in see_all(RAVEN, cameras, POSE)]
+    with pytest.raises(ConfigError, match="this detector measures none: take another solver"):
+        solve(RAVEN, bare, cameras)
+    assert solve(RAVEN, [], cameras) is None
 
 
 def test_starts_without_a_prior_and_from_one_camera():
