@@ -13,6 +13,7 @@ from measure.arrays import Bools, Bytes, Floats, Ints
 from measure.compiling import compiled
 from measure_plugins._edges.close_outlines import measure_closely
 from measure_plugins._edges.color_check import color_share
+from measure_plugins._edges.gain import measured_gain
 from measure_plugins._edges.look import Search, View
 from measure_plugins._edges.outline_fit import Outline
 from measure_plugins._edges.radial import unpacked
@@ -34,6 +35,7 @@ class Expected(NamedTuple):
             unused where that is not known.
         sized: (k,) whether the size is known: if not, edges are not corrected.
         bits: (k,) of the balls' colours in the table of colours.
+        gains: (k, 2, 2) see `gain.measured_gain`; the unit matrix where not known.
     """
 
     cones: Floats
@@ -41,6 +43,7 @@ class Expected(NamedTuple):
     tables: Floats
     sized: Bools
     bits: Ints
+    gains: Floats
 
 
 class Measured(NamedTuple):
@@ -109,9 +112,7 @@ def measure_balls(
         np.zeros((k, 4)),
     )
     for i in range(k):
-        axis, half_angle = expected.cones[i, :3], expected.cones[i, 3]
-        nearer, reach = _nearer(expected.cones, i), expected.reach_px[i]
-        search = Search(axis, half_angle, nearer, reach, rays, min_contrast, margin_px)
+        search = _search(expected, i, rays, min_contrast, margin_px)
         if expected.sized[i]:
             outline = measure_closely(view, search, unpacked(expected.tables[i]))
         else:
@@ -122,6 +123,33 @@ def measure_balls(
             )
             _note(outline, match, i, found)
     return found
+
+
+@compiled
+def measure_gains(
+    view: View, settled: Expected, rays: int, min_contrast: float, margin_px: float
+) -> Floats:
+    """How looks at balls of known size answer when they are off, see `measured_gain` (k, 2, 2)."""
+    gains = np.empty((len(settled.cones), 2, 2))
+    for i in range(len(gains)):
+        search = _search(settled, i, rays, min_contrast, margin_px)
+        gains[i] = measured_gain(view, search, unpacked(settled.tables[i]))
+    return gains
+
+
+@compiled
+def _search(expected: Expected, i: int, rays: int, min_contrast: float, margin_px: float) -> Search:
+    """How to look for ball i."""
+    return Search(
+        expected.cones[i, :3],
+        expected.cones[i, 3],
+        _nearer(expected.cones, i),
+        expected.reach_px[i],
+        rays,
+        min_contrast,
+        margin_px,
+        expected.gains[i],
+    )
 
 
 @compiled

@@ -7,6 +7,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.compiling import compiled
 from measure_plugins._edges.corrected import SEARCH_PX
+from measure_plugins._edges.gain import CORRECTED_GROWTH, restore
 from measure_plugins._edges.look import Search, View, lamps_shine, look_closely, look_roughly
 from measure_plugins._edges.outline_fit import (
     INLIER,
@@ -24,15 +25,14 @@ from measure_plugins._edges.radial import Radial
 from measure_plugins._edges.spread import center_covariance
 
 _TURNS = 8
-_SETTLED_PX = 0.1
-"""Corrected edges are looked at again until the axis moves less: the prediction, fitted at a place
-that is off, takes up part of the error."""
+_SETTLED_PX = 0.3
+"""Corrected edges are looked at again until the axis moves less: what a look finds is right to
+about a tenth of the way."""
 _CONVINCING = 2 / 3
 """Share of the rays that should show an edge whose edges agree, that rules out a look elsewhere."""
-_GROWTH_SEEN, _GROWTH_CORRECTED = (-0.5, 0.5), (0.0, 0.3)
+_GROWTH_SEEN = (-0.5, 0.5)
 """Mean and sd in px by which an outline shows larger than one predicted from a known distance:
-diffuse light fades at grazing angles, so a ball's edge lies inside its outline; and with that taken
-off."""
+diffuse light fades at grazing angles, so a ball's edge lies inside its outline."""
 
 
 @compiled
@@ -59,9 +59,10 @@ def _settled(view: View, search: Search, radial: Radial, axis: Floats, first: bo
     before, lit = np.zeros(2), lamps_shine(view, axis, search.rays, radial)
     for turn in range(_TURNS):
         look = look_closely(view, search, axis, search.half_angle, radial, lit)
-        fit = fit_look(look, _GROWTH_CORRECTED, first and turn == 0)
+        fit = fit_look(look, CORRECTED_GROWTH, first and turn == 0)
         if not np.isfinite(fit.scale):
             break
+        restore(look, fit, search.gain)
         if moved(fit) < _SETTLED_PX:
             weights, off = residuals(look, fit, INLIER)
             spread = center_covariance(look.around, weights, off, fit.normal)

@@ -65,6 +65,7 @@ class Search(NamedTuple):
         rays: number of rays.
         min_contrast: least difference of inside and outside, in picture values from 0 to 1.
         margin_px: distance to keep from nearer balls.
+        gain: (2, 2) see `gain.measured_gain`; used for corrected edges only.
     """
 
     axis: Floats
@@ -74,6 +75,7 @@ class Search(NamedTuple):
     rays: int
     min_contrast: float
     margin_px: float
+    gain: Floats
 
 
 class Look(NamedTuple):

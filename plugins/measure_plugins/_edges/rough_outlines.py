@@ -59,12 +59,13 @@ def approach(
     """
     out = np.zeros((len(circles), 5))
     out[:, 4] = np.inf
-    slopes, nearer = np.empty(6), np.empty((0, 4))
+    slopes, nearer, unknown = np.empty(6), np.empty((0, 4)), np.eye(2)
     for i, circle in enumerate(circles):
         axis, radius = np.empty(3), circle[2]
         bearing_and_slopes(circle[:2], view.lens, 0.0, 0.0, axis, slopes)
         half_angle = 2 * radius / (view.lens[0] + view.lens[3])
-        search = Search(axis, half_angle, nearer, _CIRCLE_REACH * radius, rays, min_contrast, 0.0)
+        far = _CIRCLE_REACH * radius
+        search = Search(axis, half_angle, nearer, far, rays, min_contrast, 0.0, unknown)
         reach = reach_px(view, search)
         for turn in range(_TURNS):
             look = look_roughly(view, search, axis, half_angle, reach, True)

@@ -17,9 +17,10 @@ import numpy as np
 from measure.arrays import Floats
 from measure.host import Detector, Settings, hookimpl, setting
 from measure.model import Body, Camera, Detection, Expectation, Image
+from measure_plugins.detectors._rough_circles import center_by_size, expected_at
 
 if TYPE_CHECKING:
-    from measure_plugins._edges.balls import Measured
+    from measure_plugins._edges.balls import Expected, Measured
     from measure_plugins._edges.look import View
 
 
@@ -27,6 +28,9 @@ _APPROACHING, _ROUGHLY, _FEWEST_RAYS = 3, 2, 16
 """So many times fewer rays lead to where outlines are, and recognise them; but not too few."""
 _HOPELESS = 2 / 3
 """A candidate that so far reaches less than this of the least agreement is given up."""
+
+
+_NO_GAIN = np.eye(2)
 
 
 class OutlineConfig(Settings):
@@ -83,6 +87,7 @@ class OutlineDetector(Detector):
         self._table = color_table(self._colors)
         self._bits = {ball.name: 1 << self._colors.index(ball.color) for ball in body.balls}
         self._radii = {ball.name: ball.radius_mm for ball in body.balls}
+        self._gains: dict[str, Floats] = {}
 
     def warm_up(self) -> None:
         """Compile the hot loops (seconds, once per machine), by measuring a drawn disc."""
@@ -121,7 +126,7 @@ class OutlineDetector(Detector):
         rays = max(c.rays // _APPROACHING, _FEWEST_RAYS)
         cones = approach(view, rough, rays, c.min_contrast, c.min_agreement)
         near = np.nonzero(cones[:, 3])[0]
-        expected = [_expectation(first[i], *rough[i, :3].tolist()) for i in near]
+        expected = [expected_at(first[i], *rough[i, :3].tolist()) for i in near]
         found = self._measure_at(image, view, expected, cones[near])
         same = {names[0]: names for names in alike.values() if names}
         return [
@@ -145,6 +150,7 @@ class OutlineDetector(Detector):
         if learnt is None:
             return []
         self._appearance = learnt
+        self._gains.clear()
         return self._measure(image, expected)
 
     def _view(self, image: Image) -> View:
@@ -154,9 +160,36 @@ class OutlineDetector(Detector):
         return View(pixels, seen.table, seen.encoding, self._lens, seen.lamps)
 
     def _measure(self, image: Image, expected: Sequence[Expectation]) -> list[Detection]:
+        """The expected balls, once more if how looks answer is learnt from what was found."""
         if not expected:
             return []
-        return self._measure_at(image, self._view(image), expected, self._cones(expected))
+        view, cones = self._view(image), self._cones(expected)
+        found = self._measure_at(image, view, expected, cones)
+        if not self._learn_gains(view, expected, cones, found):
+            return found
+        return self._measure_at(image, view, expected, cones)
+
+    def _learn_gains(
+        self,
+        view: View,
+        expected: Sequence[Expectation],
+        cones: Floats,
+        found: Sequence[Detection],
+    ) -> bool:
+        """Learn how looks answer at balls where that is not known; whether there were any."""
+        from measure_plugins._edges.balls import measure_gains
+
+        sized = {e.ball for e in expected if e.center_camera is not None}
+        new = [d.ball for d in found if d.ball in sized and d.ball not in self._gains]
+        if not new:
+            return False
+        row, cones, c = {e.ball: i for i, e in enumerate(expected)}, cones.copy(), self.config
+        for d in found:
+            cones[row[d.ball], :3] = self.camera.intrinsics.unproject(d.center_px[None])[0]
+        settled = self._expected(expected, cones)
+        gains = measure_gains(view, settled, c.rays, c.min_contrast, c.margin_px)
+        self._gains.update({ball: gains[row[ball]] for ball in new})
+        return True
 
     def _measure_at(
         self, image: Image, view: View, expected: Sequence[Expectation], cones: Floats
@@ -169,24 +202,31 @@ class OutlineDetector(Detector):
             expected: the balls.
             cones: (k, 6) as from `_cones`; (k, 5), without the radii, where no size is known.
         """
-        from measure_plugins._edges.balls import Expected, measure_balls
+        from measure_plugins._edges.balls import measure_balls
 
         if not expected:
             return []
-        c, sized = self.config, [e.center_camera is not None for e in expected]
-        balls = Expected(
-            cones,
-            np.array([e.reach_px for e in expected]),
-            self._tables(cones) if any(sized) else np.empty((len(cones), 0)),
-            np.array(sized),
-            np.array([self._bits[e.ball] for e in expected]),
-        )
-        rays = c.rays if any(sized) else max(c.rays // _ROUGHLY, _FEWEST_RAYS)
+        c, balls = self.config, self._expected(expected, cones)
+        rays = c.rays if any(balls.sized) else max(c.rays // _ROUGHLY, _FEWEST_RAYS)
         hopeless = _HOPELESS * c.min_agreement
         found = measure_balls(view, balls, rays, c.min_contrast, c.margin_px, hopeless, self._table)
         numbers = found.numbers.tolist()
         each = (self._detection(image, one, i, found, numbers[i]) for i, one in enumerate(expected))
         return [detection for detection in each if detection is not None]
+
+    def _expected(self, expected: Sequence[Expectation], cones: Floats) -> Expected:
+        """What compiled code is to know of the balls."""
+        from measure_plugins._edges.balls import Expected
+
+        sized = [e.center_camera is not None for e in expected]
+        return Expected(
+            cones,
+            np.array([e.reach_px for e in expected]),
+            self._tables(cones) if any(sized) else np.empty((len(cones), 0)),
+            np.array(sized),
+            np.array([self._bits[e.ball] for e in expected]),
+            np.array([self._gains.get(e.ball, _NO_GAIN) for e in expected]),
+        )
 
     def _detection(
         self,
@@ -226,37 +266,17 @@ class OutlineDetector(Detector):
         """Axes, half angles in rad, distances in mm, and radii in px of outlines: (k, 6)."""
         from measure_plugins._edges.balls import cones_of
 
-        centers = [
-            self._by_size(e) if e.center_camera is None else e.center_camera for e in expected
-        ]
         radii = np.array([self._radii[e.ball] for e in expected])
+        centers = [
+            center_by_size(e, self.camera, radius) if e.center_camera is None else e.center_camera
+            for e, radius in zip(expected, radii, strict=True)
+        ]
         return cones_of(np.concatenate(centers).reshape(-1, 3), radii, self._lens)
-
-    def _by_size(self, expectation: Expectation) -> Floats:
-        """Where (3,) in the camera frame a ball is that looks as large as expected, mm."""
-        from measure.model.lens import bearing_and_slopes
-
-        axis = np.empty(3)
-        bearing_and_slopes(expectation.center_px, self._lens, 0.0, 0.0, axis, np.empty(6))
-        half_angle = sum(expectation.radius_px) / 2 / self.camera.intrinsics.focal_px
-        return axis * (self._radii[expectation.ball] / np.sin(half_angle))
 
 
 def _cones(rows: Floats) -> list[tuple[Floats, float, float]]:
     """Axis, half angle and distance of each outline."""
     return [(row[:3], float(row[3]), float(row[4])) for row in rows]
-
-
-def _expectation(ball: str, x: float, y: float, radius_px: float) -> Expectation:
-    """What a rough circle, approached, lets us expect."""
-    spread = 0.25 * radius_px + 3
-    return Expectation(
-        ball=ball,
-        center_px=np.array([x, y]),
-        radius_px=(radius_px - spread, radius_px + spread),
-        min_distance_px=0.0,
-        reach_px=0.0,
-    )
 
 
 @hookimpl
