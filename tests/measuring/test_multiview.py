@@ -10,8 +10,10 @@ import pytest
 from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform, propagate
+from measure.geometry.rays import MIN_PARALLAX_RAD
 from measure.measuring.instants import Seen
 from measure.measuring.multiview import Views, fit_point
+from measure.measuring.point_fit import _nearest
 from measure.measuring.pose_fit import fit_pose
 from measure.model import BallView, Camera, Detection, Motion, Pose
 from measure.model.observations import State
@@ -130,3 +132,21 @@ def test_a_velocity_that_may_be_wrong_makes_the_pose_of_pictures_out_of_step_les
 
 def _moving(pose: Pose, velocity: Floats, **known: Floats) -> Motion:
     return Motion(pose.world_from_body, pose.time_s, velocity, **known)
+
+
+def test_lines_are_parallel_where_the_eigenvalues_say_so_however_that_is_found_out():
+    rng, parallel = np.random.default_rng(0), 0
+    for trial in range(400):
+        count, apart = int(rng.integers(2, 6)), 10 ** rng.uniform(-6, 0)
+        along = rng.normal(size=3) + apart * rng.normal(size=(count, 3))
+        along /= np.linalg.norm(along, axis=1, keepdims=True)
+        origins = 300 * rng.normal(size=(count, 3))
+        across = np.eye(3) - along[:, :, None] * along[:, None, :]
+        normal, right = across.sum(axis=0), (across @ origins[:, :, None]).sum(axis=0)[:, 0]
+        least, _, most = np.linalg.eigvalsh(normal)
+        point, meet = _nearest(origins, along)
+        assert meet == (least >= most * MIN_PARALLAX_RAD**2), trial
+        parallel += not meet
+        if least > 1e-5 * most:
+            np.testing.assert_allclose(point, np.linalg.solve(normal, right), rtol=1e-7)
+    assert 20 < parallel < 380

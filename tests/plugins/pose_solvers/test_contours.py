@@ -152,6 +152,22 @@ def _in_picture(camera, light_world_px, rng):
     return seen[:2] + 0.1 * rng.standard_normal(2)
 
 
+@pytest.mark.parametrize("common_px", [0.05, 0.4])
+def test_where_a_fit_starts_moves_it_by_a_fiftieth_of_what_it_claims_at_most(common_px):
+    rng, cameras = np.random.default_rng(7), ring()
+    seen = [
+        see(RAVEN, camera, name, POSE, rng=rng, shift=common_px * rng.standard_normal(2))
+        for camera in cameras.values()
+        for name in RAVEN.names
+    ]
+    starts = [POSE.perturb(share * OFF) for share in (0.0, 1.0, -1.0, 2.5)]
+    first, *others = (solve(RAVEN, seen, cameras, Motion.at_rest(at, 0.0)) for at in starts)
+    sd = np.sqrt(np.diag(first.covariance))
+    for other in others:
+        assert np.all(np.abs(first.world_from_body.difference(other.world_from_body)) < 0.02 * sd)
+        np.testing.assert_allclose(np.sqrt(np.diag(other.covariance)), sd, rtol=0.02)
+
+
 def test_uncertain_cameras_widen_the_covariance():
     known = np.diag([0.2**2] * 3 + [0.0005**2] * 3)
     prior = Motion.at_rest(POSE, 0.0)
