@@ -52,8 +52,8 @@ from measure.model import (
 )
 from measure.model.observations import Reason, State
 
-_LEFT_OUT_MM, _LEFT_OUT_RAD = 0.02, 0.0005
-"""Errors of a pose that its covariance does not tell, for the filter."""
+_LEFT_OUT = np.repeat([0.02, 0.0005], 3)
+"""In mm and rad: errors of a pose that its covariance does not tell, for the filter."""
 _REASONS = {
     AGREES: Reason.NONE,
     JUMPED: Reason.JUMPED,
@@ -152,8 +152,7 @@ class PredictiveTracker:
             self._forget()
         elif self._state is not None:
             self._misses = 0
-            extra = _chart(_LEFT_OUT_MM, _LEFT_OUT_RAD)
-            self._state = self._state.updated(pose, extra, self._acceleration)
+            self._state = self._state.updated(pose, _LEFT_OUT, self._acceleration)
             self._last_seen, self._faster = self._state, None
         return Verdict(pose if flags == pose.flags else replace(pose, flags=flags))
 
@@ -206,13 +205,13 @@ class PredictiveTracker:
         reasons = self._gate(windows, rows, [best[windows.keys[row]] for row in rows])
         judged = {windows.keys[row]: reason for row, reason in zip(rows, reasons, strict=True)}
         views = []
-        for camera in self._cameras:
+        for name in [camera.name for camera in self._cameras]:
+            missing = Reason.NOT_FOUND if name in frame_set.images else Reason.NO_IMAGE
             for ball in self._body.names:
-                key = (camera.name, ball)
-                missing = Reason.NOT_FOUND if camera.name in frame_set.images else Reason.NO_IMAGE
+                key = (name, ball)
                 reason = self._patience(key, judged.get(key, missing))
                 state = State.EFFECTIVE if reason is Reason.NONE else State.SUSPENDED
-                views.append(BallView(ball, camera.name, state, reason, best.get(key)))
+                views.append(BallView(ball, name, state, reason, best.get(key)))
         return tuple(views)
 
     def _gate(
@@ -244,11 +243,11 @@ class PredictiveTracker:
 
     def _patience(self, key: tuple[str, str], reason: Reason) -> Reason:
         """A detection that was not believed must be good for some frames before it counts."""
-        if reason in _SUSPICIOUS:
-            self._waiting[key] = self.config.recover_frames
-        elif reason is Reason.NONE and self._waiting.get(key, 0) > 0:
+        if reason is Reason.NONE and self._waiting.get(key, 0) > 0:
             self._waiting[key] -= 1
             return Reason.RECOVERING
+        if reason is not Reason.NONE and reason in _SUSPICIOUS:
+            self._waiting[key] = self.config.recover_frames
         return reason
 
     def _still_strange(self, views: Sequence[BallView]) -> tuple[str, ...]:
