@@ -12,7 +12,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.compiling import compiled
 from measure_plugins._edges.linear import cholesky, solve_factored, times
-from measure_plugins._edges.selection import kth_smallest
+from measure_plugins._edges.selection import halved, kth_smallest
 
 GREY = 1 / np.sqrt(3.0)
 LOBE = np.array([0, 1, 2, 3, 3, 4, 4, 5, 5])
@@ -199,7 +199,7 @@ def _median_size(off: Floats, free: Floats) -> float:
             for j in range(0, m, 3):
                 sizes[count] = abs(off[i, j])
                 count += 1
-    return kth_smallest(sizes, count, count // 2)
+    return halved(sizes[:count])
 
 
 @compiled
@@ -216,9 +216,10 @@ def reflected_light(grey: Floats, free: Floats, solve: Floats) -> Floats:
     """
     knots, n = len(solve), grey.shape[1]
     seen = np.nonzero(solve[0])[0]
-    first, last = seen[0], seen[-1] + 1
     single, shares = np.zeros((knots + 1, n)), np.zeros((knots + 1, n))
-    times(solve[:, first:last], grey[first:last], single[:knots])
+    if len(seen) > 0:  # some paint reflects nothing
+        first, last = seen[0], seen[-1] + 1
+        times(solve[:, first:last], grey[first:last], single[:knots])
     single[knots] = 1.0
     _sum_of_neighbours(single, free, shares)
     out = shares[:knots]

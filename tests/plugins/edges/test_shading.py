@@ -5,7 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from measure_plugins._edges.radial import STEPS, packed_radials, radial, unpacked
-from measure_plugins._edges.shading import angular_terms, fit_shading, radial_amounts
+from measure_plugins._edges.shading import (
+    angular_terms,
+    fit_shading,
+    radial_amounts,
+    reflected_light,
+)
 
 LOBES = radial(60.0, 0.045, 1.0, 1.5).diffuse
 COEFFICIENTS = np.array([0.1, 0.4, 0.02, 0.1, 0.05, -0.08, 0.04, 0.03, -0.02])
@@ -52,3 +57,18 @@ def test_packed_tables_are_the_same_tables():
             assert one.shape == other.shape, name
             assert np.array_equal(one, other), name
         assert len(row) == sum(table.size for table in tables)
+
+
+def test_reflected_light_is_found_behind_rays_that_are_not_free():
+    tables = radial(60.0, 0.045, 1.0, 1.5)
+    true = np.linspace(0.8, 0.2, tables.grey.shape[1])
+    grey, free = np.repeat((tables.grey @ true)[:, None], 72, axis=1), np.zeros(72)
+    grey[:, 10:30], free[10:30] = 5.0, 1
+    found = reflected_light(grey, free, tables.solve_grey) + tables.tie_grey[:, None] * true[0]
+    for ray in (0, 9, 30, 71):
+        off = np.abs(tables.grey @ found[:, ray] - tables.grey @ true)[FIRST:LAST]
+        assert off.max() < 0.02 * (tables.grey @ true).max()
+
+
+def test_paint_that_reflects_nothing_shows_no_reflected_light():
+    assert not reflected_light(np.ones((35, 72)), np.zeros(72), np.zeros((8, 46))).any()
