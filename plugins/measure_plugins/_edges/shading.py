@@ -17,6 +17,10 @@ from measure_plugins._edges.selection import halved, kth_smallest
 GREY = 1 / np.sqrt(3.0)
 LOBE = np.array([0, 1, 2, 3, 3, 4, 4, 5, 5])
 """Which radial function each of the nine angular terms goes with."""
+_PAIR = np.array(
+    [LOBE[a] * (LOBE[a] + 1) // 2 + LOBE[b] for a in range(len(LOBE)) for b in range(a + 1)]
+)
+"""Which product of two radial functions, see `_pairs`, each entry of the normal matrix has."""
 _COLORLESS = 0.15
 """Sine of the angle between a ball's colour and grey below which the two cannot be told apart."""
 FIT_LAST_PX = 1.0
@@ -119,7 +123,7 @@ def fit_shading(
     last = np.searchsorted(steps, FIT_LAST_PX, side="right")
     seen, around = np.ascontiguousarray(amounts[:last:2].T), angular.T.copy()
     along = np.ascontiguousarray(lobes[:last:2])
-    angular_pairs, radial_pairs = _pairs(around), _pairs(along[:, LOBE])
+    angular_pairs, radial_pairs = _pairs(around), _pairs(along)
     coefficients, limit = np.zeros(9), np.inf
     factor, off = np.empty((9, 9)), seen
     for turn in range(_ROUNDS):
@@ -174,11 +178,11 @@ def _shading_side(along: Floats, angular: Floats) -> Floats:
 
 @compiled
 def _shading_matrix(along: Floats, angular_pairs: Floats) -> Floats:
-    """Normal matrix (9, 9), its lower half, from sums (n, 45) along each ray."""
-    total = np.zeros(along.shape[1])
+    """Normal matrix (9, 9), its lower half, from sums (n, 21) along each ray."""
+    total = np.zeros(len(_PAIR))
     for i in range(len(along)):
         for p in range(len(total)):
-            total[p] += along[i, p] * angular_pairs[i, p]
+            total[p] += along[i, _PAIR[p]] * angular_pairs[i, p]
     normal = 1e-3 * np.eye(9)
     at = 0
     for a in range(9):
