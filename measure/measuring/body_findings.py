@@ -12,6 +12,9 @@ from measure.measuring.body_checks import thickness
 from measure.model import Body
 
 _SIGMAS = 4.0
+_SHARED_SIGMAS = 2.5
+"""Radii that are off all alike are told sooner than one that is: standard deviations of radii are a
+bound on how far outside or inside the outlines edges lie, not scatter."""
 _TOLERANCE_MM = 0.5
 _FLAT_MM = 1.0
 _SAME_MM = 1.0
@@ -103,13 +106,26 @@ def _scale(distances: Sequence[Compared], body: Body) -> str | None:
 
 
 def radius_findings(radii: Sequence[Compared]) -> list[str]:
-    """One line for every ball whose radius disagrees."""
-    return [
+    """One line for every ball whose radius disagrees, or for all that disagree alike."""
+    alone = [
         f"ball {r.what[0]} has a radius of {r.measured_mm:.1f} +- {r.sd_mm:.1f} mm, "
         f"the file says {r.file_mm:.1f} mm"
         for r in radii
         if not r.agrees
     ]
+    return alone or _shared_size(radii)
+
+
+def _shared_size(radii: Sequence[Compared]) -> list[str]:
+    """What wrong radii, all by the same share, look like: no single ball is far enough off."""
+    if len(radii) < 3:
+        return []
+    off = float(np.median([(r.measured_mm - r.file_mm) / r.sd_mm for r in radii]))
+    if abs(off) <= _SHARED_SIGMAS:
+        return []
+    factor = float(np.median([r.measured_mm / r.file_mm for r in radii]))
+    said = ", ".join(f"{r.what[0]} {r.measured_mm:.1f} for {r.file_mm:.1f} mm" for r in radii)
+    return [f"the balls are {factor:.2f} times as large as the body file says ({said})"]
 
 
 def blind_to(body: Body, located: Collection[str]) -> tuple[str, ...]:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from measure.measuring.body_findings import Compared, radius_findings
 from measure.measuring.self_check import check_body, locate_in_candidates
 from measure.model import Body
 from tests.scenes import FOUR, RAVEN, a_pose, ring, see
@@ -85,6 +86,32 @@ def test_a_wrong_radius_is_found():
     findings = check(RAVEN, file).findings
     assert len(findings) == 3
     assert findings[0].startswith("ball green has a radius of 20.")
+
+
+def _radii(shares, file_mm=20.0, sd_mm=0.28):
+    names = ("green", "yellow", "red")
+    return [
+        Compared((name,), file_mm * share, sd_mm, file_mm, 12)
+        for name, share in zip(names, shares, strict=True)
+    ]
+
+
+@pytest.mark.parametrize("factor", [0.95, 1.05])
+def test_radii_that_are_all_off_alike_are_told_where_none_is_off_far_enough_alone(factor):
+    shares = factor + np.array([-0.005, 0.0, 0.005])
+    assert all(radius.agrees for radius in _radii(shares))
+    (finding,) = radius_findings(_radii(shares))
+    assert finding.startswith(f"the balls are {factor:.2f} times as large as the body file says")
+    file = Body("file", tuple(replace(b, radius_mm=20.0 / factor) for b in RAVEN.balls))
+    (finding,) = check(RAVEN, file).findings
+    assert "times as large as the body file says" in finding
+
+
+@pytest.mark.parametrize("shares", [(0.97, 0.99, 0.98), (0.94, 0.99, 1.0), (1.02, 0.97, 1.03)])
+def test_radii_within_what_edges_err_by_are_believed(shares):
+    """Edges lie inside the outlines of glossy balls, and one ball may look worse than others."""
+    assert radius_findings(_radii(shares)) == []
+    assert radius_findings(_radii((0.95, 0.95, 0.95))[:2]) == [], "two balls are too few"
 
 
 def test_too_few_frames_say_nothing():
