@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from measure.arrays import stacked
+from measure.arrays import Floats, stacked
 from measure.errors import ConfigError, DegenerateGeometryError
 from measure.geometry import RigidTransform, align_points
 from measure.host import PoseSolver, Settings, hookimpl, setting
@@ -26,13 +26,20 @@ from measure_plugins.pose_solvers._outlines import Outlines, outlines_of
 if TYPE_CHECKING:
     from measure_plugins._edges.contour_covariance import Solution
 
+_IMPLAUSIBLE = 13.8
+"""A shift's normalised square beyond which a detection says it is unlikely: 1 in 1000 (chi^2)."""
+
 
 class ContoursConfig(Settings):
     """Settings of the `contours` solver."""
 
     min_points: int = setting(30, "Fewest outline points, over all views.", ge=10)
     max_shift_px: float = setting(
-        1.5, "A ball-view whose outline sits further off than this is flagged.", unit="px", gt=0
+        1.5,
+        "A ball-view whose outline sits further off, and more than it may by its covariance, is "
+        "flagged.",
+        unit="px",
+        gt=0,
     )
     max_position_sd_mm: float = setting(
         2.0, "A pose known no better than this is flagged.", unit="mm", gt=0
@@ -162,7 +169,7 @@ class ContoursSolver(PoseSolver):
         flags = []
         for seen, (right, down, _) in zip(outlines.detections, fit.shifts_px.tolist(), strict=True):
             off = math.hypot(right, down)
-            if off > self.config.max_shift_px:
+            if off > self.config.max_shift_px and _beyond(seen.covariance_px, right, down):
                 flags.append(f"{seen.ball} in {seen.camera} sits {off:.1f} px off the fit")
         balls = len(set(outlines.named.balls))
         if balls < 3:
@@ -177,6 +184,13 @@ class ContoursSolver(PoseSolver):
         if position > self.config.max_position_sd_mm or rotation > self.config.max_rotation_sd_deg:
             flags.append(f"poorly determined: {position:.2g} mm, {rotation:.2g} deg (1 sd)")
         return tuple(flags)
+
+
+def _beyond(covariance: Floats, right: float, down: float) -> bool:
+    """Whether a shift in px is more than what a detection says of its own uncertainty."""
+    (xx, xy), (_, yy) = covariance.tolist()
+    square = yy * right**2 - 2 * xy * right * down + xx * down**2
+    return bool(square > _IMPLAUSIBLE * (xx * yy - xy**2))
 
 
 @lru_cache(maxsize=64)

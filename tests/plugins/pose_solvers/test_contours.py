@@ -277,6 +277,17 @@ def test_a_wrong_ball_is_flagged_and_does_not_pull():
     assert np.linalg.norm(pose.world_from_body.difference(POSE)[:3]) < 0.05
 
 
+@pytest.mark.parametrize(("sd_px", "flagged"), [(0.2, True), (1.0, False)])
+def test_a_ball_view_is_flagged_where_it_is_off_by_more_than_it_may_be(sd_px, flagged):
+    """A mostly hidden ball says itself that it may be two pixels off."""
+    cameras = ring()
+    seen = see_all(RAVEN, cameras, POSE, rng=np.random.default_rng(2), skip={("cam2", "red")})
+    weak = see(RAVEN, cameras["cam2"], "red", POSE, shift=(2.0, 1.0))
+    seen.append(replace(weak, covariance_px=sd_px**2 * np.eye(2)))
+    pose = solve(RAVEN, seen, cameras, Motion.at_rest(POSE.perturb(OFF), 0.0))
+    assert any("red in cam2" in flag for flag in pose.flags) is flagged
+
+
 def test_outlines_that_claim_to_be_less_certain_pull_less():
     cameras = ring()
     seen = see_all(RAVEN, cameras, POSE, rng=np.random.default_rng(5))
