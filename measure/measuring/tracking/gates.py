@@ -9,6 +9,7 @@ import numpy as np
 from measure.arrays import Bools, Floats, Ints
 from measure.compiling import compiled
 from measure.geometry.covariance_kernels import inverse_2x2, squared_distance
+from measure.geometry.linear_kernels import cholesky, inverse, invert_factored, solve_factored
 from measure.measuring.tracking.prediction_kernels import Predicted, carried
 
 _ROUNDS = 4
@@ -125,35 +126,36 @@ def agree_with_each_other(
         (12, 12).
     """
     n = len(innovations)
-    inverse, slopes, distances = np.empty((n, 2, 2)), np.empty((n, 2, 12)), np.zeros(n)
+    sharpness, slopes, distances = np.empty((n, 2, 2)), np.empty((n, 2, 12)), np.zeros(n)
     for i in range(n):
-        inverse[i] = inverse_2x2(noise[i])
+        sharpness[i] = inverse_2x2(noise[i])
         slopes[i, :, :6] = jacobians[i]
         slopes[i, :, 6:] = jacobians[i] * lead_s[i]
-    information = np.linalg.inv(prior)
-    normal, covariance = np.empty((12, 12)), np.empty((12, 12))
-    right, step = np.empty(12), np.empty(12)
+    information, normal, factor = inverse(prior), np.empty((12, 12)), np.empty((12, 12))
+    right, step, covariance = np.empty(12), np.empty(12), np.full((12, 12), np.nan)
     width = 16.0 * gate
     for _ in range(_ROUNDS):
         normal[:], right[:] = information, 0.0
         for i in range(n):
             weight = max(1 - distances[i] / (2.25 * width), 0.0) ** 2
-            _add(slopes[i], inverse[i] * weight, innovations[i], normal, right)
-        step[:] = np.linalg.solve(normal, right)
+            _add(slopes[i], sharpness[i] * weight, innovations[i], normal, right)
+        if not cholesky(normal, factor):
+            return np.zeros(n, np.bool_), np.full(12, np.nan), covariance
+        solve_factored(factor, right, step)
         for i in range(n):
             left = innovations[i] - slopes[i] @ step
-            distances[i] = squared_distance(left, inverse[i])
+            distances[i] = squared_distance(left, sharpness[i])
         width = max(gate, width / 4)
-    covariance[:] = np.linalg.inv(normal)
+    invert_factored(factor, covariance)
     return distances <= gate, step, covariance
 
 
 @compiled
 def _add(slopes: Floats, weight: Floats, seen: Floats, normal: Floats, right: Floats) -> None:
-    """Add a detection (2,) with its slopes (2, 12) and weight (2, 2) to the normal equations."""
+    """Add a detection (2,), its slopes (2, 12) and weight (2, 2), to the equations' lower half."""
     for a in range(12):
         u = slopes[0, a] * weight[0, 0] + slopes[1, a] * weight[1, 0]
         v = slopes[0, a] * weight[0, 1] + slopes[1, a] * weight[1, 1]
         right[a] += u * seen[0] + v * seen[1]
-        for b in range(12):
+        for b in range(a + 1):
             normal[a, b] += u * slopes[0, b] + v * slopes[1, b]

@@ -8,6 +8,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
+from measure.geometry.linear_kernels import inverse
 from measure.geometry.rotation_kernels import rotation_of, rotvec_of, times
 from measure.model.rig_kernels import project_one
 
@@ -275,7 +276,7 @@ def corrected(known: Floats, noise: Floats, off: Floats) -> tuple[Floats, Floats
         noise: (6, 6) covariance of the measured pose.
         off: (6,) measured minus predicted pose, in the prediction's chart.
     """
-    gain = np.linalg.solve(known[:6, :6] + noise, known[:6]).T.copy()
+    gain = known[:, :6].copy() @ inverse(known[:6, :6] + noise)
     keep = np.eye(12)
     keep[:, :6] -= gain
     return gain @ off, keep @ known @ keep.T + gain @ noise @ gain.T

@@ -11,8 +11,8 @@ import numpy as np
 
 from measure.arrays import Bytes, Floats, Ints
 from measure.compiling import compiled
+from measure.geometry.linear_kernels import cholesky, solve_factored
 from measure_plugins._acquisition.patches import borders
-from measure_plugins._edges.linear import cholesky, solve_factored
 
 _ANGLES = 48
 _COSINES = np.cos(2 * np.pi * np.arange(_ANGLES) / _ANGLES)

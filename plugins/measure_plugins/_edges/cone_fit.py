@@ -10,7 +10,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
-from measure_plugins._edges.linear import cholesky, solve_factored
+from measure.geometry.linear_kernels import cholesky, solve_factored
 from measure_plugins._edges.selection import kth_smallest
 
 _TUKEY = 4.685

@@ -8,6 +8,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
+from measure.geometry.linear_kernels import cholesky, invert_factored
 from measure.geometry.rotation_kernels import rotation_of, rotvec_of
 from measure_plugins._edges.contour_moments import COLUMNS, collect
 from measure_plugins._edges.contour_reactions import by_camera, by_shift, by_step
@@ -19,7 +20,6 @@ from measure_plugins._edges.contour_scatter import (
 )
 from measure_plugins._edges.contour_terms import OWN, Terms, eliminate, empty_terms, own_unknowns
 from measure_plugins._edges.contours import Contours
-from measure_plugins._edges.linear import cholesky, invert_factored
 
 _LOOKS = 15
 _TURNS = 4

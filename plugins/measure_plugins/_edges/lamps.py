@@ -11,7 +11,7 @@ import numpy as np
 
 from measure.arrays import Floats, Ints
 from measure.compiling import compiled
-from measure_plugins._edges.linear import cholesky, solve_factored
+from measure.geometry.linear_kernels import cholesky, solve_factored
 from measure_plugins._edges.selection import halved
 
 _ROUNDS = 4

@@ -11,8 +11,8 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
+from measure.geometry.linear_kernels import times
 from measure_plugins._edges.lamps import fit_lamp_light, lamp_body
-from measure_plugins._edges.linear import times
 from measure_plugins._edges.radial import Radial
 from measure_plugins._edges.shading import (
     FIT_LAST_PX,

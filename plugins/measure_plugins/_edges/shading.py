@@ -11,7 +11,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
-from measure_plugins._edges.linear import cholesky, solve_factored, times
+from measure.geometry.linear_kernels import cholesky, solve_factored, times
 from measure_plugins._edges.selection import halved, kth_smallest
 
 GREY = 1 / np.sqrt(3.0)

@@ -6,6 +6,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
+from measure.geometry.linear_kernels import inverse
 from measure.model.lens import to_pixel
 
 _BLOCKS = 12
@@ -45,14 +46,13 @@ def center_covariance(around: Floats, weights: Floats, off: Floats, normal: Floa
         off: (n,) the edges' residuals, px.
         normal: (3, 3) of the fit: axis along e1 and e2, growth.
     """
-    inverse, answer = np.empty((3, 3)), np.empty(3)
-    inverse[:] = np.linalg.inv(normal)
+    known, answer = inverse(normal), np.empty(3)
     arcs = _arc_sums(around, weights)
     out, left, seen = np.zeros((2, 2)), 0.0, 0.0
     for wave in range(_WAVES + 1):
         power = max(wave, 1) ** -_STEEPNESS
         for part in range(2 if wave > 0 else 1):
-            left += power * _answer(around, weights, arcs, inverse, wave, part, answer)
+            left += power * _answer(around, weights, arcs, known, wave, part, answer)
             for a in range(2):
                 for b in range(2):
                     out[a, b] += power * answer[a] * answer[b]
@@ -62,7 +62,7 @@ def center_covariance(around: Floats, weights: Floats, off: Floats, normal: Floa
     for arc in range(_ARCS):
         if arcs[arc, 2] > 0:
             seen += sums[arc] ** 2 / arcs[arc, 2]
-    return out * (seen / left) + inverse[:2, :2]
+    return out * (seen / left) + known[:2, :2]
 
 
 @compiled
@@ -82,7 +82,7 @@ def _answer(
     around: Floats,
     weights: Floats,
     arcs: Floats,
-    inverse: Floats,
+    known: Floats,
     wave: int,
     part: int,
     answer: Floats,
@@ -102,7 +102,7 @@ def _answer(
         total += weighted
         sums[i * _ARCS // n] += weighted
     for a in range(3):
-        answer[a] = inverse[a, 0] * x + inverse[a, 1] * y + inverse[a, 2] * total
+        answer[a] = known[a, 0] * x + known[a, 1] * y + known[a, 2] * total
     left = 0.0
     for arc in range(_ARCS):
         c, s, mass = arcs[arc]
@@ -142,5 +142,5 @@ def in_pieces(around: Floats, weights: Floats, off: Floats, normal: Floats) -> F
                 total[a, b] += row[a] * row[b]
     # Three unknowns fitted to so many pieces take their part of the scatter with them.
     each = rest / max(used, 1) * _BLOCKS / (_BLOCKS - 3)
-    inverse = np.linalg.inv(normal)
-    return (inverse + each * (inverse @ total @ inverse))[:2, :2]
+    known = inverse(normal)
+    return (known + each * (known @ total @ known))[:2, :2]

@@ -81,3 +81,12 @@ def invert_factored(factor: Floats, out: Floats) -> None:
             for c in range(a, k):
                 total += half[c, a] * half[c, b]
             out[a, b] = out[b, a] = total
+
+
+@compiled
+def inverse(matrix: Floats) -> Floats:
+    """The inverse of a symmetric positive matrix (k, k), not a number if it is none."""
+    factor, out = np.empty(matrix.shape), np.full(matrix.shape, np.nan)
+    if cholesky(matrix, factor):
+        invert_factored(factor, out)
+    return out
