@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from measure.arrays import Floats, Ints
+from measure.arrays import Floats
 from measure.compiling import compiled
 from measure.geometry.linear_kernels import cholesky, solve_factored
 from measure_plugins._edges.selection import halved
+from measure_plugins._edges.shading import every_second
 
 _ROUNDS = 4
 _COLUMNS = 5
@@ -20,7 +21,6 @@ _FITTED_RAYS = 36
 """Neighbouring rays show much the same: light is fitted to about so many of them."""
 _LANES = 2 * _FITTED_RAYS
 """There are always fewer of them."""
-_VECTOR = 8
 _NOTHING = 1e-4
 """Share of a ball's own light below which a place along a ray lies past its blurred outline."""
 UNIFORM, FACING, ASIDE = 0, 1, 3
@@ -86,7 +86,7 @@ def fit_lamp_light(
     """
     clear = np.nonzero(free == 0)[0][:: max(len(free) // _FITTED_RAYS, 1)]
     factors, angles = _factors(diffuse[:used:2]), around[clear]
-    seen, bright = _every_second(amounts, used, clear), _every_second(lit, used, clear)
+    seen, bright = every_second(amounts, used, clear), every_second(lit, used, clear)
     coefficients, right = np.zeros(_COLUMNS), np.empty(_COLUMNS)
     factor, normal = np.empty((_COLUMNS, _COLUMNS)), np.empty((_COLUMNS, _COLUMNS))
     per_limit = 0.0
@@ -108,20 +108,6 @@ def _factors(diffuse: Floats) -> Floats:
     for j in range(len(diffuse)):
         out[0, j], out[1, j] = diffuse[j, UNIFORM], diffuse[j, FACING]
         out[2, j] = diffuse[j, ASIDE]
-    return out
-
-
-@compiled
-def _every_second(values: Floats, used: int, rays: Ints) -> Floats:
-    """Every second of the first `used` rows of (m, n), on the rays (k,).
-
-    Returns:
-        (p, k or more): columns of zeros fill up the last vector of the machine.
-    """
-    out = np.zeros(((used + 1) // 2, -(-len(rays) // _VECTOR) * _VECTOR))
-    for j in range(len(out)):
-        for k in range(len(rays)):
-            out[j, k] = values[2 * j, rays[k]]
     return out
 
 
@@ -182,7 +168,7 @@ def _along_rays(
     """Sums along each ray of what the equations are made of, up to the angles.
 
     Args:
-        seen: (p, n) amounts of the ball's own colour, see `_every_second`.
+        seen: (p, n) amounts of the ball's own colour, see `every_second`.
         bright: (p, n) light from the lamps there.
         factors: (3, p) of even light, of that along the axis and of that aside from it.
         angles: (k, 2) cosine and sine around the axis of the first k <= n of the rays.

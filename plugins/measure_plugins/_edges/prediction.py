@@ -13,18 +13,11 @@ from measure.arrays import Floats
 from measure.compiling import compiled
 from measure.geometry.linear_kernels import times
 from measure_plugins._edges.lamps import fit_lamp_light, lamp_body
+from measure_plugins._edges.quadratic import angular_terms, fit_shading, shaded
 from measure_plugins._edges.radial import Radial
-from measure_plugins._edges.shading import (
-    FIT_LAST_PX,
-    GREY,
-    angular_terms,
-    fit_shading,
-    own_color,
-    radial_amounts,
-    reflected_light,
-    split,
-)
+from measure_plugins._edges.shading import GREY, own_color, reflected_light, split
 
+_FIT_LAST_PX = 1.0
 _NOTHING = 1e-9
 """Share of the surroundings' light too small to take off."""
 
@@ -53,15 +46,15 @@ def predict_light(
             is empty, shading is a polynomial.
         first: the step at which the prediction begins.
     """
-    used = int(np.searchsorted(steps, FIT_LAST_PX, side="right"))
+    used = int(np.searchsorted(steps, _FIT_LAST_PX, side="right"))
     own, amounts, grey, behind_grey = split_light(profiles, free, background, steps, radial, used)
     if lit.size > 0:
         fitted = fit_lamp_light(amounts, free, around, radial.diffuse, lit, used)
         body = lamp_body(fitted, around, radial.diffuse, lit, first)
     else:
         angular = angular_terms(around)
-        fitted = fit_shading(amounts, free, angular, steps, radial.diffuse)
-        body = radial.diffuse[first:].copy() @ radial_amounts(fitted, angular)
+        fitted = fit_shading(amounts, free, angular, radial.diffuse, used)
+        body = shaded(fitted, angular, radial.diffuse[first:])
     reflected = reflected_light(grey, free, radial.solve_grey)
     for k in range(len(reflected)):
         for i in range(len(free)):

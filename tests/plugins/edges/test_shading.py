@@ -4,31 +4,51 @@ from __future__ import annotations
 
 import numpy as np
 
+from measure_plugins._edges.quadratic import angular_terms, fit_shading, shaded
 from measure_plugins._edges.radial import STEPS, packed_radials, radial, unpacked
-from measure_plugins._edges.shading import (
-    angular_terms,
-    fit_shading,
-    radial_amounts,
-    reflected_light,
-)
+from measure_plugins._edges.shading import reflected_light
 
 LOBES = radial(60.0, 0.045, 1.0, 1.5).diffuse
 COEFFICIENTS = np.array([0.1, 0.4, 0.02, 0.1, 0.05, -0.08, 0.04, 0.03, -0.02])
 AROUND = np.array([(np.cos(a), np.sin(a)) for a in np.linspace(0, 2 * np.pi, 72, endpoint=False)])
 ANGULAR = angular_terms(AROUND)
-SHOWN = LOBES @ radial_amounts(COEFFICIENTS, ANGULAR)
-FIRST, LAST = np.searchsorted(STEPS, (-15.0, 1.0))
+SHOWN = shaded(COEFFICIENTS, ANGULAR, LOBES)
+FIRST, LAST = (int(k) for k in np.searchsorted(STEPS, (-15.0, 1.0)))
 
 
 def _misfit(amounts: np.ndarray, free: np.ndarray) -> float:
     """Largest difference, inside, between the fitted and the true shading of all rays."""
-    fitted = fit_shading(amounts, free, ANGULAR, STEPS, LOBES)
-    return float(np.abs(LOBES @ radial_amounts(fitted, ANGULAR) - SHOWN)[FIRST:LAST].max())
+    fitted = fit_shading(amounts, free, ANGULAR, LOBES, LAST)
+    return float(np.abs(shaded(fitted, ANGULAR, LOBES) - SHOWN)[FIRST:LAST].max())
 
 
 def test_shading_is_recovered() -> None:
     """What every second ray tells holds for those between."""
     assert _misfit(SHOWN, np.zeros(72)) < 0.01
+
+
+def test_shading_shows_its_terms() -> None:
+    """A cosine around the axis goes with the fourth function of the radius."""
+    one = np.zeros(9)
+    one[3] = 2.0
+    assert np.allclose(shaded(one, ANGULAR, LOBES), 2 * LOBES[:, 3:4] * AROUND[:, 0])
+
+
+def test_the_fit_is_that_of_least_squares_where_nothing_is_off() -> None:
+    """On any number of rays, as many as fill the machine's vectors or not."""
+    rng = np.random.default_rng(2)
+    for rays in (24, 25, 66):
+        angles = np.sort(rng.uniform(0, 2 * np.pi, rays))
+        angular = angular_terms(np.stack([np.cos(angles), np.sin(angles)], axis=1))
+        seen = shaded(COEFFICIENTS, angular, LOBES) + rng.uniform(-1e-6, 1e-6, (len(LOBES), rays))
+        lobes = LOBES[:LAST:2][:, [0, 1, 2, 3, 3, 4, 4, 5, 5]]
+        terms = (lobes[:, :, None] * angular[None]).transpose(1, 0, 2).reshape(9, -1)
+        normal = terms @ terms.T + 1e-3 * np.eye(9)
+        wanted = np.linalg.solve(normal, terms @ seen[:LAST:2].ravel())
+        free = np.zeros(rays)
+        fitted = fit_shading(seen, free, angular, LOBES, LAST)
+        assert np.allclose(fitted, wanted, rtol=0, atol=2e-3)
+        assert np.abs(shaded(fitted - wanted, angular, LOBES)[:LAST]).max() < 1e-4
 
 
 def test_a_highlight_is_ignored() -> None:
