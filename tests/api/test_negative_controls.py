@@ -152,6 +152,16 @@ def test_check_tells_another_radius(scene, rendered, tmp_path, capsys):
     assert wrong(found).count("has a radius of") == 3
 
 
+@pytest.mark.parametrize("share", [0.95, 1.05])
+def test_wrong_radii_are_flagged(scene, rendered, share, tmp_path):
+    balls = tuple(replace(b, radius_mm=share * b.radius_mm) for b in scene.body.balls)
+    shutil.copytree(rendered, tmp_path / "s")
+    write_body(tmp_path / "s" / "body.toml", Body("wrong", balls))
+    flags = [m.pose.flags for m in measured(tmp_path / "s") if m.pose is not None]
+    said = [any("the radii in the body file" in flag for flag in some) for some in flags]
+    assert np.mean(said) > 0.5
+
+
 def mirrored(body: Body) -> Body:
     return Body(
         "mirrored", tuple(replace(b, center_mm=b.center_mm * [1, 1, -1]) for b in body.balls)

@@ -24,6 +24,7 @@ class Solution(NamedTuple):
         covariance: (6, 6) of what differs from ball-view to ball-view, and of what light and
             uncertain cameras add to it.
         shifts_px: (k, 3) see `ContourFit`.
+        offsets_px: (c,) see `ContourFit`.
         rms_px: of the shifts of the centres.
         residual_mm: RMS distance of other fixes from the body; not a number without any.
         solved: whether the outlines determine the pose.
@@ -34,6 +35,7 @@ class Solution(NamedTuple):
     translation: Floats
     covariance: Floats
     shifts_px: Floats
+    offsets_px: Floats
     rms_px: float
     residual_mm: float
     solved: bool
@@ -80,6 +82,7 @@ def solve_contours(
         fit.translation,
         (known + known.T) / 2,
         fit.shifts_px,
+        fit.offsets_px,
         np.sqrt(np.sum(off * off) / len(off)),
         _apart(fit, points_body, fixed),
         fit.solved,

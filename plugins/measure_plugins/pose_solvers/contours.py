@@ -41,6 +41,13 @@ class ContoursConfig(Settings):
         unit="px",
         gt=0,
     )
+    max_growth_px: float = setting(
+        0.5,
+        "A pose whose outlines lie further outside or inside than the balls' radii put them, all "
+        "cameras alike, is flagged.",
+        unit="px",
+        gt=0,
+    )
     max_position_sd_mm: float = setting(
         2.0, "A pose known no better than this is flagged.", unit="mm", gt=0
     )
@@ -176,6 +183,11 @@ class ContoursSolver(PoseSolver):
             flags.append(f"only {balls} balls seen: part of the pose is from the prediction")
         if len(outlines.named.seen_by) < 2:
             flags.append("only one camera: depth is from the balls' sizes")
+        elif abs(growth := float(np.median(fit.offsets_px))) > self.config.max_growth_px:
+            flags.append(
+                f"outlines lie {abs(growth):.1f} px {'outside' if growth > 0 else 'inside'} where "
+                "the radii in the body file put them"
+            )
         if not fit.converged:
             flags.append("the fit did not settle")
         variances = fit.covariance.diagonal().tolist()

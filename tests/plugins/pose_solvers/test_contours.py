@@ -65,7 +65,17 @@ def test_exact_outlines_give_the_exact_pose(body, offset):
     error = pose.world_from_body.difference(POSE)
     assert np.max(np.abs(error[:3])) < 2e-4
     assert np.max(np.abs(error[3:])) < 1e-5
-    assert pose.flags == ()
+    assert ["outlines lie 0.6 px inside" in flag for flag in pose.flags] == [True] * (offset < 0)
+
+
+@pytest.mark.parametrize("share", [0.98, 1.02])
+def test_radii_that_are_all_wrong_are_flagged(share):
+    """The body would seem nearer or further away."""
+    cameras = ring()
+    wrong = Body("wrong", tuple(replace(b, radius_mm=share * b.radius_mm) for b in RAVEN.balls))
+    pose = solve(wrong, see_all(RAVEN, cameras, POSE), cameras, Motion.at_rest(POSE, 0.0))
+    side = "outside" if share < 1 else "inside"
+    assert any(f"px {side} where the radii in the body file" in flag for flag in pose.flags)
 
 
 def test_a_detector_without_outlines_is_refused_and_seeing_nothing_is_not():
