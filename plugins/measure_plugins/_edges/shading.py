@@ -1,8 +1,8 @@
 """What lights a ball, fitted to what its rays show.
 
 Each pixel inside is split into an amount of the ball's own colour and an amount of grey (reflected
-light). The first is fitted by quadratic shading shared along the whole contour, the second ray by
-ray. Profiles are (3, m, n): colours, steps along the rays, rays.
+light). The first is fitted along the whole contour (`lamps`, `quadratic`), the second ray by ray.
+Profiles are (3, m, n): colours, steps along the rays, rays.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ GREY = 1 / np.sqrt(3.0)
 _COLORLESS = 0.15
 """Sine of the angle between a ball's colour and grey below which the two cannot be told apart."""
 _VECTOR = 8
+"""Rays are filled up to a multiple of so many."""
 _OWN_LAST_PX = -3.0
 _COLOR_RAYS = 36
 """Neighbouring rays show much the same: a ball's colour is taken from about so many of them."""
