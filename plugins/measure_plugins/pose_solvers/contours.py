@@ -42,7 +42,7 @@ class ContoursConfig(Settings):
         gt=0,
     )
     max_growth_px: float = setting(
-        0.5,
+        0.4,
         "A pose whose outlines lie further outside or inside than the balls' radii put them, all "
         "cameras alike, is flagged.",
         unit="px",
