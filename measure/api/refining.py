@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 _ANY_PX = 100.0
-"""Whole cameras may be aside by this much before a pose is doubted for it."""
+"""Whole cameras, and balls in them, may be aside by this much before a pose is doubted for it."""
 
 LOOSE_WORLD = (
     "the first calibration does not say how its cameras' errors hang together (`measure calibrate` "
@@ -90,9 +90,11 @@ def refine(
 
 def _lenient(profile: Profile) -> Profile:
     """The profile without flags for cameras that are aside: those are what is put right here."""
-    if profile.tracking != "predictive":
-        return profile
-    return profile.with_setting("tracking", "own_px", _ANY_PX)
+    if profile.tracking == "predictive":
+        profile = profile.with_setting("tracking", "own_px", _ANY_PX)
+    if profile.solver == "contours":
+        profile = profile.with_setting("solver", "max_shift_px", _ANY_PX)
+    return profile
 
 
 def _measure(
