@@ -90,3 +90,12 @@ def inverse(matrix: Floats) -> Floats:
     if cholesky(matrix, factor):
         invert_factored(factor, out)
     return out
+
+
+@compiled
+def solved(matrix: Floats, right: Floats) -> Floats:
+    """What a symmetric positive matrix (k, k) takes to `right` (k,), not a number if it is none."""
+    factor, out = np.empty(matrix.shape), np.full(right.shape, np.nan)
+    if cholesky(matrix, factor):
+        solve_factored(factor, right, out)
+    return out

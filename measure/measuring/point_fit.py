@@ -8,6 +8,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
+from measure.geometry.linear_kernels import inverse, solved
 from measure.geometry.rays import MIN_PARALLAX_RAD
 from measure.measuring.point_kernels import camera_noise
 from measure.model.rig_kernels import project_one, ray_rows
@@ -15,6 +16,7 @@ from measure.model.rig_kernels import project_one, ray_rows
 _STEPS = 12
 _STEP_TOLERANCE_MM = 1e-7
 _SURELY = 10.0
+"""Times the limit of parallel rays above which eigenvalues need not be asked."""
 FITTED, PARALLEL, BEHIND = 0, 1, 2
 """How a fit ends: with a point, without one for parallel rays, with one behind a camera."""
 
@@ -89,12 +91,7 @@ def fit_rows(
         c, u, v = total[i, 0, 1], residuals[i, 0], residuals[i, 1]
         off[i] = (b * u * u - 2 * c * u * v + a * v * v) / (a * b - c * c)
         distances[i] = _distance(point, origins[i], directions[i])
-    covariance, unit = np.empty((3, 3)), np.zeros(3)
-    for a in range(3):
-        unit[a] = 1.0
-        covariance[a] = _solved(information, unit)
-        unit[a] = 0.0
-    return PointFit(point, covariance, residuals, chi_square, off, distances, FITTED)
+    return PointFit(point, inverse(information), residuals, chi_square, off, distances, FITTED)
 
 
 @compiled
@@ -113,7 +110,7 @@ def _nearest(origins: Floats, directions: Floats) -> tuple[Floats, bool]:
         spread = np.linalg.eigvalsh(normal)
         if spread[0] < spread[2] * MIN_PARALLAX_RAD**2:
             return point, False
-    point[:] = _solved(normal, right)
+    point[:] = solved(normal, right)
     return point, True
 
 
@@ -129,24 +126,6 @@ def _surely_apart(m: Floats) -> bool:
         + m[0, 2] * (m[0, 1] * m[1, 2] - m[1, 1] * m[0, 2])
     )
     return bool(determinant > _SURELY * MIN_PARALLAX_RAD**2 * (m[0, 0] + m[1, 1] + m[2, 2]) ** 3)
-
-
-@compiled
-def _solved(m: Floats, right: Floats) -> Floats:
-    """Solve a symmetric positive system (3, 3) by its Cholesky factor; else not a number."""
-    out = np.empty(3)
-    a = np.sqrt(m[0, 0])
-    b, d = m[1, 0] / a, m[2, 0] / a
-    c = np.sqrt(m[1, 1] - b * b)
-    e = (m[2, 1] - b * d) / c
-    f = np.sqrt(m[2, 2] - d * d - e * e)
-    x = right[0] / a
-    y = (right[1] - b * x) / c
-    z = (right[2] - d * x - e * y) / f
-    out[2] = z / f
-    out[1] = (y - e * out[2]) / c
-    out[0] = (x - b * out[1] - d * out[2]) / a
-    return out
 
 
 @compiled
@@ -216,7 +195,7 @@ def refine_point(
             return point, normal, residuals, chi_square, False
         if settled or turn == _STEPS:
             break
-        step = _solved(normal, right)
+        step = solved(normal, right)
         point += step
         settled = np.max(np.abs(step)) < _STEP_TOLERANCE_MM
     return point, normal, residuals, chi_square, True

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from measure.geometry.linear_kernels import inverse, times
+from measure.geometry.linear_kernels import inverse, solved, times
 
 
 @pytest.mark.parametrize(("p", "q", "n"), [(1, 1, 1), (8, 27, 72), (6, 18, 36), (3, 8, 5)])
@@ -20,8 +20,11 @@ def test_inverses_are_those_of_numpy():
     matrix = rows.T @ rows
     assert inverse(matrix) @ matrix == pytest.approx(np.eye(12), abs=1e-6)
     np.testing.assert_allclose(inverse(matrix), np.linalg.inv(matrix), rtol=1e-6, atol=0)
+    right = rows.sum(axis=0)
+    np.testing.assert_allclose(solved(matrix, right), np.linalg.solve(matrix, right), rtol=1e-6)
 
 
 def test_what_is_not_positive_has_no_inverse():
     assert np.isnan(inverse(np.diag([1.0, 0.0]))).all()
     assert np.isnan(inverse(np.diag([1.0, np.nan]))).all()
+    assert np.isnan(solved(np.diag([1.0, -1.0]), np.ones(2))).all()
