@@ -11,6 +11,7 @@ from measure_plugins._edges.gain import CORRECTED_GROWTH, restore
 from measure_plugins._edges.look import Search, View, lamps_shine, look_closely, look_roughly
 from measure_plugins._edges.outline_fit import (
     INLIER,
+    Fit,
     Outline,
     agreeing_share,
     fit_look,
@@ -25,9 +26,10 @@ from measure_plugins._edges.radial import Radial
 from measure_plugins._edges.spread import center_covariance
 
 _TURNS = 8
-_SETTLED_PX = 0.3
-"""Corrected edges are looked at again until the axis moves less: what a look finds is right to
-about a tenth of the way."""
+_SETTLED_PX, _SETTLED_SD = (0.3, 0.5), 3.0
+"""Corrected edges are looked at again until the axis moves less than so many of its standard
+deviations, between these limits: what a look finds is right to about a twentieth of the way, and
+what that leaves is small against what the edges' scatter leaves."""
 _CONVINCING = 2 / 3
 """Share of the rays that should show an edge whose edges agree, that rules out a look elsewhere."""
 _GROWTH_SEEN = (-0.5, 0.5)
@@ -63,14 +65,22 @@ def _settled(view: View, search: Search, radial: Radial, axis: Floats, first: bo
         if not np.isfinite(fit.scale):
             break
         restore(look, fit, search.gain)
-        if moved(fit) < _SETTLED_PX:
+        if moved(fit) < _SETTLED_PX[1]:
             weights, off = residuals(look, fit, INLIER)
             spread = center_covariance(look.around, weights, off, fit.normal)
-            share = agreeing_share(look, fit)
-            return outline_of(view, look, search.half_angle, fit, share, spread, 1.0)
+            if _is_settled(fit, spread):
+                share = agreeing_share(look, fit)
+                return outline_of(view, look, search.half_angle, fit, share, spread, 1.0)
         step = fit.solution[:2]
         if np.sum(step * before) < 0:
             step *= 0.5  # else looks may lead to and fro for ever
         before = step
         axis = turned(look, fit)
     return no_outline(search)
+
+
+@compiled
+def _is_settled(fit: Fit, spread: Floats) -> bool:
+    """Whether to look again would tell little; `spread` (2, 2) is the axis' covariance, px^2."""
+    sd = np.sqrt((spread[0, 0] + spread[1, 1]) / 2)
+    return moved(fit) < min(max(_SETTLED_SD * sd, _SETTLED_PX[0]), _SETTLED_PX[1])
