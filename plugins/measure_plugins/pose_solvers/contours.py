@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
+from statistics import median
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -183,7 +184,7 @@ class ContoursSolver(PoseSolver):
             flags.append(f"only {balls} balls seen: part of the pose is from the prediction")
         if len(outlines.named.seen_by) < 2:
             flags.append("only one camera: depth is from the balls' sizes")
-        elif abs(growth := float(np.median(fit.offsets_px))) > self.config.max_growth_px:
+        elif abs(growth := median(fit.offsets_px.tolist())) > self.config.max_growth_px:
             flags.append(
                 f"outlines lie {abs(growth):.1f} px {'outside' if growth > 0 else 'inside'} where "
                 "the radii in the body file put them"
