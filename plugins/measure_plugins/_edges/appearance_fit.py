@@ -114,15 +114,15 @@ def with_or_without_mirroring(sights: Sequence[Sight], appearance: Appearance) -
     """The appearance mirroring the colours behind, unless pictures clearly show that it does not.
 
     A smooth surface mirrors them at grazing angles, whatever it is made of; a rough one, or one
-    that only looks glossy, need not. Before a colourless background there is nothing to tell.
+    that only looks glossy, need not. Before a colourless background there is nothing to tell, and
+    a ball before another may tell more than all the rest: what counts is how much, on average.
     """
     useful = telling(sights)
     if not useful or appearance.index != GLOSSY:
         return appearance
     does, does_not = (replace(appearance, mirrors=mirrors) for mirrors in (True, False))
     worse = np.log([_plain_misfit(s, does) / _plain_misfit(s, does_not) for s in useful])
-    least = max(_CLEARLY_DULL, 2 * float(np.std(worse)) / np.sqrt(len(worse)))
-    return does_not if float(np.mean(worse)) > least else does
+    return does_not if float(np.mean(worse)) > _CLEARLY_DULL else does
 
 
 def _plain_misfit(sight: Sight, appearance: Appearance) -> float:

@@ -13,7 +13,7 @@ from measure_plugins._edges.prediction import predict_light
 from measure_plugins._edges.radial import STEPS, Radial
 from measure_plugins._edges.rays import FREE, sample
 from measure_plugins._edges.selection import median
-from measure_plugins._edges.sensor import CHROMA_REACH, blur_chroma, encode
+from measure_plugins._edges.sensor import CHROMA_REACH, encode, read_off
 
 INSIDE_PX = (-7.0, -3.0)
 """Where the colour inside is taken: clear of the blurred edge, near enough to have its shade."""
@@ -164,7 +164,7 @@ def predicted_values(
     """Picture values (3, m, n) at `LATER_STEPS` that the model predicts along rays of `light`."""
     first = _FIRST - CHROMA_REACH
     predicted = predict_light(light, free, around, background, STEPS, radial, lit, first)
-    return blur_chroma(encode(predicted, inverse))
+    return read_off(encode(predicted, inverse))
 
 
 @compiled

@@ -1,7 +1,7 @@
-"""From light to picture values: the tone curve, and colour blurred more than brightness.
+"""From light to what is read off a picture: tone curve, colour blurred more than brightness.
 
 Webcams interpolate a colour mosaic and store colour at half the resolution of brightness (4:2:0 or
-4:2:2), both in encoded values.
+4:2:2), both in encoded values. Reading between pixels blurs those once more.
 """
 
 from __future__ import annotations
@@ -19,7 +19,14 @@ _BLUE, _GREEN, _RED = 0.114, 0.587, 0.299
 """What brightness is made of, in JPEG."""
 CHROMA_REACH = 5
 """How many steps colour is blurred to either side: three sigma."""
-_WEIGHTS = np.exp(-0.5 * (np.arange(-5, 6) * (STEPS[1] - STEPS[0]) / _CHROMA_PX) ** 2)
+_STEP = float(STEPS[1] - STEPS[0])
+_INTERPOLATED = 1 / 6
+"""Variance in px^2 by which bilinear interpolation blurs what is read off a picture: t (1 - t), on
+average over all places t between two pixels."""
+_ASIDE = _INTERPOLATED / (2 * _STEP**2)
+"""Weight of either neighbouring step in a blur of that variance."""
+_AWAY = np.arange(-CHROMA_REACH, CHROMA_REACH + 1) * _STEP
+_WEIGHTS = np.exp(-0.5 * _AWAY**2 / (_CHROMA_PX**2 + _INTERPOLATED))
 _TAPS = tuple(float(w) for w in (_WEIGHTS / _WEIGHTS.sum())[CHROMA_REACH:])
 _ENCODED = 2048
 
@@ -59,8 +66,11 @@ def encode(light: Floats, inverse: Floats) -> Floats:
 
 
 @compiled
-def blur_chroma(values: Floats) -> Floats:
-    """Blur blue and red minus brightness of BGR values (3, m, n) along the rays (JPEG's YCbCr).
+def read_off(values: Floats) -> Floats:
+    """Blur BGR values (3, m, n) along the rays as pictures and reading them off do.
+
+    Blue and red minus brightness (JPEG's YCbCr) are blurred by the camera and by interpolation
+    between pixels, brightness by the latter: what the camera does to that is in the light already.
 
     Returns:
         (3, m - CHROMA_REACH, n): from the step CHROMA_REACH on; beyond the last step, values are
@@ -82,7 +92,7 @@ def blur_chroma(values: Floats) -> Floats:
     blue, green, red = out[0].reshape(-1), out[1].reshape(-1), out[2].reshape(-1)
     _blur(bluer, n, blue)
     _blur(redder, n, red)
-    _put_together(grey[CHROMA_REACH * n :], blue, green, red)
+    _put_together(_interpolated(grey[(CHROMA_REACH - 1) * n :], n), blue, green, red)
     return out
 
 
@@ -103,6 +113,18 @@ def _put_together(grey: Floats, blue: Floats, green: Floats, red: Floats) -> Non
         bluer, redder = blue[i], red[i]
         blue[i], red[i] = grey[i] + bluer, grey[i] + redder
         green[i] = grey[i] - (_BLUE * bluer + _RED * redder) / _GREEN
+
+
+@compiled
+def _interpolated(grey: Floats, n: int) -> Floats:
+    """Rows of n from the second on, blurred across as interpolation does; the last goes on."""
+    out = np.empty(len(grey) - n)
+    last = len(out) - n
+    for i in range(last):
+        out[i] = (1 - 2 * _ASIDE) * grey[n + i] + _ASIDE * (grey[i] + grey[2 * n + i])
+    for i in range(last, len(out)):
+        out[i] = (1 - _ASIDE) * grey[n + i] + _ASIDE * grey[i]
+    return out
 
 
 @compiled

@@ -8,7 +8,9 @@ import pytest
 from measure.simulation import Renderer
 from measure.simulation.catalogue import plain_scene
 from measure.simulation.rooms import plain, room
-from measure_plugins._edges.appearance import GLOSSY, MATT
+from measure_plugins._edges import appearance_fit
+from measure_plugins._edges.appearance import GLOSSY, MATT, first_appearance
+from measure_plugins._edges.appearance_fit import with_or_without_mirroring
 from measure_plugins._edges.radial import radial
 from measure_plugins._edges.tone import tone_table
 from tests.plugins.edges.lessons import lessons
@@ -48,6 +50,18 @@ def test_balls_that_mirror_something_else_are_not(wall_rgb):
     learnt = _learn(_blue_room(grey))
     assert learnt.index == GLOSSY
     assert not learnt.mirrors
+
+
+@pytest.mark.parametrize(("told", "believed"), [(0.3, True), (0.06, False), (-0.3, False)])
+def test_one_ball_before_another_tells_enough(monkeypatch, told, believed):
+    """Five of six sights before black cloth are silent; what the sixth shows decides."""
+    worse = dict(enumerate([told, 0.001, -0.002, 0.0, 0.003, 0.0]))
+    monkeypatch.setattr(appearance_fit, "telling", lambda sights: sights)
+    monkeypatch.setattr(
+        appearance_fit, "_plain_misfit", lambda sight, at: np.exp(worse[sight] * at.mirrors)
+    )
+    start = first_appearance("srgb")
+    assert with_or_without_mirroring(list(worse), start).mirrors is not believed
 
 
 def test_before_black_cloth_nothing_speaks_against_it():

@@ -2,21 +2,48 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter1d
+from scipy.ndimage import gaussian_filter1d, uniform_filter1d
+from scipy.special import erf
 
-from measure_plugins._edges.sensor import CHROMA_REACH, blur_chroma, encode, encoding
+from measure_plugins._edges.radial import STEPS
+from measure_plugins._edges.rays import sample
+from measure_plugins._edges.sensor import CHROMA_REACH, encode, encoding, read_off
 
 YCC = np.array([[0.114, 0.587, 0.299], [1 - 0.114, -0.587, -0.299], [-0.114, -0.587, 1 - 0.299]])
 """Brightness, and blue and red minus it, of BGR."""
 
 
-def test_colour_is_blurred_along_rays_and_brightness_is_not():
+def test_colour_is_blurred_more_than_brightness_along_rays():
     values = np.random.default_rng(0).random((3, 30, 7))
     parts = np.einsum("ac,cmn->amn", YCC, values)
-    for k in (1, 2):  # sigma of 0.8 px at steps of half a pixel, cut off at three sigma
-        parts[k] = gaussian_filter1d(parts[k], 1.6, axis=0, mode="nearest", radius=CHROMA_REACH)
+    sigma = 2 * np.sqrt(0.8**2 + 1 / 6)  # px, at steps of half a pixel
+    for k in (1, 2):
+        parts[k] = gaussian_filter1d(parts[k], sigma, axis=0, mode="nearest", radius=CHROMA_REACH)
+    parts[0] = uniform_filter1d(parts[0], 3, axis=0, mode="nearest")  # of variance 1/6 px^2
     wanted = np.einsum("ca,amn->cmn", np.linalg.inv(YCC), parts)[:, CHROMA_REACH:]
-    assert blur_chroma(values) == pytest.approx(wanted, abs=1e-12)
+    assert read_off(values) == pytest.approx(wanted, abs=1e-12)
+
+
+@pytest.mark.parametrize("tilt_deg", [7, 33, 61])
+def test_brightness_is_blurred_as_much_as_sampling_blurs_a_grey_edge(tilt_deg):
+    """Across an edge, at all phases, `sample` shows profiles wider than the edge itself."""
+    normal = np.array([np.cos(np.radians(tilt_deg)), np.sin(np.radians(tilt_deg))])
+    v, u = np.mgrid[:80, :80]
+    beyond = (u - 40) * normal[0] + (v - 40) * normal[1]
+    picture = np.repeat(np.rint(255 * _edge(beyond))[..., None], 3, axis=2).astype(np.uint8)
+    along = np.linspace(-20, 20, 400)[:, None] * np.array([-normal[1], normal[0]])
+    points, normals = 40 + along, np.tile(normal, (400, 1))
+    _, seen = sample(picture, np.linspace(0, 1, 256), points, normals, STEPS, np.zeros(400), 0)
+    alone = np.repeat(_edge(STEPS)[None, :, None], 3, axis=0)
+    left = seen[0, CHROMA_REACH:].mean(axis=1) - read_off(alone)[0, :, 0]
+    without = seen[0, CHROMA_REACH:].mean(axis=1) - alone[0, CHROMA_REACH:, 0]
+    assert np.abs(left).max() < 0.1 * np.abs(without).max()
+    assert np.abs(without).max() > 0.015
+
+
+def _edge(px):
+    """A blurred edge, 0.2 to 0.8."""
+    return 0.5 - 0.3 * erf(px / 0.76 / np.sqrt(2))
 
 
 def test_light_is_encoded_by_the_curve_that_the_table_inverts():
