@@ -28,9 +28,10 @@ class Summary:
         flagged: with a pose to doubt.
         lost: without a pose.
         skipped: not tried, while tracking restarts.
-        position_sd_mm: median standard deviation of the position, NaN without a pose.
+        position_sd_mm: median standard deviation of the position, of the poses that are believed;
+            NaN without any.
         rotation_sd_deg: likewise of the rotation.
-        rms_px: median reprojection error.
+        rms_px: likewise the median reprojection error.
         effective: share of frame sets in which a camera saw a ball effectively, by "ball@camera".
         suspended: how often each reason suspended a view.
         reasons: how often each reason, its numbers left out, kept a frame set from being "ok".
@@ -88,15 +89,16 @@ def summarise(detections: pa.Table, poses: pa.Table, notes: Sequence[str] = ()) 
         if row["state"] == "effective"
     }
     suspended = detections.filter(pc.equal(detections["state"], "suspended"))
+    believed = poses.filter(pc.equal(poses["status"], "ok"))
     return Summary(
         frame_sets=poses.num_rows,
         ok=statuses["ok"],
         flagged=statuses["flagged"],
         lost=statuses["lost"],
         skipped=statuses["skipped"],
-        position_sd_mm=_median(poses["position_sd_mm"]),
-        rotation_sd_deg=_median(poses["rotation_sd_deg"]),
-        rms_px=_median(poses["rms_px"]),
+        position_sd_mm=_median(believed["position_sd_mm"]),
+        rotation_sd_deg=_median(believed["rotation_sd_deg"]),
+        rms_px=_median(believed["rms_px"]),
         effective=dict(sorted(effective.items())),
         suspended=dict(Counter(suspended["reason"].to_pylist()).most_common()),
         reasons=dict(doubts.most_common()),

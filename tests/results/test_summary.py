@@ -6,6 +6,10 @@ import pyarrow as pa
 
 from measure.results.summary import summarise
 
+SEEN = pa.table(
+    {"ball": ["red"], "camera": ["cam0"], "state": ["effective"], "index": [0], "reason": [""]}
+)
+
 
 def test_reasons_are_counted_without_their_numbers():
     reasons = [
@@ -23,11 +27,26 @@ def test_reasons_are_counted_without_their_numbers():
             "rms_px": [1.0] * 4,
         }
     )
-    seen = pa.table(
-        {"ball": ["red"], "camera": ["cam0"], "state": ["effective"], "index": [0], "reason": [""]}
-    )
-    assert summarise(seen, poses).reasons == {
+    assert summarise(SEEN, poses).reasons == {
         "poorly determined: … mm, … deg (… sd)": 2,
         "one camera only (cam3): its distance rests": 1,
         "one camera only (cam1): its distance rests": 1,
     }
+
+
+def _poses(*rows: tuple[str, float]) -> pa.Table:
+    """A status and a position's standard deviation each."""
+    statuses, sds = zip(*rows, strict=True)
+    numbers = {"position_sd_mm": sds, "rotation_sd_deg": sds, "rms_px": sds}
+    return pa.table({"status": statuses, "reason": [""] * len(rows), **numbers})
+
+
+def test_poses_to_doubt_make_no_position_known():
+    some = summarise(SEEN, _poses(("ok", 0.1), ("flagged", 5.0), ("flagged", 6.0)))
+    assert "position known to 0.1 mm" in some.sentence()
+    assert (some.position_sd_mm, some.rotation_sd_deg, some.rms_px) == (0.1, 0.1, 0.1)
+    none = summarise(SEEN, _poses(("flagged", 0.1), ("flagged", 0.1)))
+    assert none.sentence() == (
+        "0 of 2 frame sets measured, 2 with a pose to doubt; no position is known"
+    )
+    assert none.values()["position_sd_mm"] is None

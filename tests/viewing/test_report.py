@@ -48,6 +48,13 @@ def test_a_good_run_says_how_well_the_position_is_known(tmp_path):
     assert _figures(page) >= 12
 
 
+def test_a_report_names_the_recording_and_the_day(tmp_path):
+    page = run_report(_run(tmp_path / "run", 5))
+    assert "<title>Run run of s</title>" in page
+    assert re.search(r"\d{4}-\d\d-\d\d \d\d:\d\d UTC", page)
+    assert "<title>Run s</title>" in run_report(_run(tmp_path / "s", 5))
+
+
 def test_missing_poses_make_the_verdict_doubtful(tmp_path):
     page = run_report(_run(tmp_path / "run", 40, lost={3, 4}))
     assert "2 of 40 frame sets without a pose" in page

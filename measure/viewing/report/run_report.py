@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +28,7 @@ def run_report(run: Run, errors: Floats | None = None) -> str:
         errors: (n, 6) of the poses against truth in the `perturb` chart, NaN where unknown.
     """
     tone, sentence = verdict(run, errors)
-    page = Page(f"Run {run.path.resolve().name}", sentence, tone)
+    page = Page(_title(run), sentence, tone)
     page.facts(_facts(run))
     if errors is not None:
         _add_errors(page, run, errors)
@@ -39,6 +40,13 @@ def run_report(run: Run, errors: Floats | None = None) -> str:
     _add_distances(page, run)
     _add_provenance(page, run)
     return page.render("Made by measure report. Everything on this page is inside this file.")
+
+
+def _title(run: Run) -> str:
+    """Names the run, and the recording where that is called something else."""
+    name = run.path.resolve().name
+    recording = Path(run.provenance.get("session", {}).get("path", "")).name
+    return f"Run {name}" if recording in ("", name) else f"Run {name} of {recording}"
 
 
 def write_report(run: Run, path: Path, errors: Floats | None = None) -> None:
@@ -54,6 +62,8 @@ def _facts(run: Run) -> Iterator[tuple[str, str]]:
     yield "median position SD", _number(summary.position_sd_mm, "mm")
     yield "median rotation SD", _number(summary.rotation_sd_deg, "deg")
     yield "median reprojection RMS", _number(summary.rms_px, "px")
+    if started := run.provenance.get("run", {}).get("started"):
+        yield "measured", f"{datetime.fromisoformat(started):%Y-%m-%d %H:%M} UTC"
     if run.poses.num_rows:
         yield "duration", f"{run.times_s[-1] - run.times_s[0]:.1f} s"
 

@@ -53,7 +53,7 @@ def circles_of(
     Returns:
         (k, 5) centre x, y, radius, share of the circle seen, share of its inside filled.
     """
-    mask = _mask(bits, bit)
+    mask = bits & np.uint8(bit)
     pixels, ends = borders(bits, bit, _LEAST_BORDER)
     best = np.zeros((most, 4))
     start = 0
@@ -61,15 +61,6 @@ def circles_of(
         _along(pixels[start:end], mask, radii, least_seen, best)
         start = end
     return distinct(_finished(mask, best, radii, least_filled))
-
-
-@compiled
-def _mask(bits: Bytes, bit: int) -> Bytes:
-    out = np.empty(bits.shape, np.uint8)
-    for i in range(bits.shape[0]):
-        for j in range(bits.shape[1]):
-            out[i, j] = bits[i, j] & bit
-    return out
 
 
 @compiled
