@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +11,19 @@ from measure.learning.scores import speed_range
 
 def write_card(path: Path, card: Mapping[str, Any]) -> None:
     """Write a model card as Markdown."""
-    lines = [*_origin(card), "", *_scores(card["scores"]), "", *_LIMITS]
-    path.write_text("\n".join(lines) + "\n")
+    parts = (_origin(card), _scores(card["scores"]), state_lines(card["features"]), _LIMITS)
+    path.write_text("\n\n".join("\n".join(lines) for lines in parts) + "\n", encoding="utf-8")
+
+
+def state_lines(features: Sequence[tuple[str, str]]) -> list[str]:
+    """What a state is made of, names and units, in the order in which it is sent."""
+    return [
+        "## A state",
+        "",
+        f"What `measure estimate` expects, {len(features)} numbers in this order:",
+        "",
+        ", ".join(f"`{name}`" + (f" {unit}" if unit else "") for name, unit in features),
+    ]
 
 
 _LIMITS = (

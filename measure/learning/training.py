@@ -84,7 +84,8 @@ def _save(estimator: Estimator, split: Split, out: Path, card: dict[str, Any]) -
     evaluation = evaluate(split.test, estimates)
     card |= {"scores": evaluation.to_dict()}
     estimator.save(out, card)  # the same network, now with its scores inside
-    full = card | {"curve": [asdict(line) for line in estimator.curve]}
+    features = [[feature.name, feature.unit] for feature in split.train.schema.features]
+    full = card | {"features": features, "curve": [asdict(line) for line in estimator.curve]}
     out.with_suffix(".card.json").write_text(json.dumps(full, indent=1) + "\n")
     write_card(out.with_suffix(".card.md"), full)
     return Trained(out, evaluation, estimator.curve, split.test, estimates)

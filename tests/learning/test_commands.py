@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -15,6 +16,7 @@ import pytest
 
 from measure.cli import main
 from measure.host import Dataset
+from measure.host.onnx_model import OnnxModel
 from measure.learning import files
 from tests.dask_cluster import Cluster, wait_for
 
@@ -42,6 +44,8 @@ def test_train_estimate_and_ablate(
         assert f"<h2>{heading}</h2>" in page
     assert "# ridge for raven2-left" in card
     assert "measure" in card
+    listed = card.split("## A state")[1].split("## Limits")[0]
+    assert re.findall(r"`(\w+)`", listed.split("order:")[1]) == list(OnnxModel.load(model).features)
     assert main(["estimate", str(model), "--input", str(data), "--output", str(out)]) == 0
     assert "720 corrected" in capsys.readouterr().out
     from pyarrow import parquet
