@@ -6,6 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from measure.errors import EstimatorError
+
 if TYPE_CHECKING:
     from measure.learning import Corrected, DriftMonitor, EstimateServer, Evaluation, Zeroing
 
@@ -24,11 +26,13 @@ def estimate_file(
     """Correct recorded states; write `run, i, t_s, ex, ey, ez, sd_mm, unfamiliar` if `out`.
 
     Raises:
-        EstimatorError: the model or the states do not fit.
+        EstimatorError: the model or the states do not fit, or `out` is the file of the states.
     """
     from measure import learning
     from measure.host import OnnxModel
 
+    if out is not None and out.exists() and out.samefile(states):
+        raise EstimatorError(f"{out}: holds the states themselves: choose another --output")
     model = OnnxModel.load(model_path)
     table = learning.read_states(states, model)
     corrected = learning.correct(table, model, zeroing)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from measure.errors import EstimatorError
+from measure.errors import ConfigError, EstimatorError
 
 if TYPE_CHECKING:
     from measure.host import Dataset, Report
@@ -41,6 +42,8 @@ def make_dataset(
 
     schema = find_schema(robot)
     facts: list[TrajectoryFacts] = []
+    if any(out.exists() and read.exists() and out.samefile(read) for read in (*runs, *logs)):
+        raise EstimatorError(f"{out}: is one of the files to be read: choose another --out")
     if logs:
         data, facts = _paired(runs, logs, schema, settings, topic)
     else:
@@ -84,10 +87,19 @@ def _labelled(tables: Sequence[Path], schema: StateSchema) -> Dataset:
 def simulate_dataset(
     out: Path, *, minutes: float, pairs: int, restarts: int, seed: int, wear: float, report: Report
 ) -> tuple[Dataset, list[TrajectoryFacts]]:
-    """A data set of the simulated RAVEN-II, written to `out`."""
+    """A data set of the simulated RAVEN-II, written to `out`.
+
+    Raises:
+        ConfigError: a length or a count that makes no data.
+    """
     from measure.learning import files, simulated_dataset
     from measure.robots.simulator import Cables
 
+    if not (0 < minutes < math.inf and pairs > 0 and restarts > 0):
+        raise ConfigError(
+            f"--simulate-min {minutes:g} --pairs {pairs} --restarts {restarts}: expected positive "
+            "numbers"
+        )
     data, facts = simulated_dataset(
         minutes=minutes,
         pairs=pairs,
@@ -111,10 +123,19 @@ def simulate_recording(
     wear: float,
     report: Callable[[int, int], None],
 ) -> None:
-    """Render the simulated RAVEN-II with its balls into a session folder, with its log."""
+    """Render the simulated RAVEN-II with its balls into a session folder, with its log.
+
+    Raises:
+        ConfigError: a length or a rate that makes no recording.
+    """
     from measure.learning.rendering import render_recording
     from measure.robots.simulator import Cables
 
+    if not (0 < seconds < math.inf and 0 < frame_hz < math.inf and seconds * frame_hz >= 1):
+        raise ConfigError(
+            f"--seconds {seconds:g} --frame-hz {frame_hz:g}: expected two positive numbers that "
+            "make at least one frame set"
+        )
     render_recording(
         folder,
         seconds=seconds,

@@ -8,6 +8,7 @@ import os
 import sys
 from collections.abc import Sequence
 from importlib import metadata
+from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import App, CycloptsError, Group, Parameter, UnknownCommandError
@@ -20,6 +21,8 @@ DONE, DEFECT, MISTAKE, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 130, 141
 
 _MACHINE_FAULTS = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EMFILE}
 """Errors of the operating system that are never ours: full or read-only disks, permissions."""
+_PATH_FAULTS = {errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ENAMETOOLONG}
+"""Those that are the user's where the path is: a folder for a file, or none to write it to."""
 
 
 def main(tokens: Sequence[str] | None = None) -> int:
@@ -41,7 +44,7 @@ def main(tokens: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return PIPE_CLOSED
     except OSError as error:
-        if error.errno not in _MACHINE_FAULTS:
+        if not (error.errno in _MACHINE_FAULTS or _is_of_a_users_path(error)):
             raise
         where = f"{error.filename}: " if error.filename else ""
         return _mistake(f"{where}{error.strerror}")
@@ -49,6 +52,14 @@ def main(tokens: Sequence[str] | None = None) -> int:
         print("measure: interrupted", file=sys.stderr)
         return INTERRUPTED
     return code
+
+
+def _is_of_a_users_path(error: OSError) -> bool:
+    """Whether a path is to blame that is none of the program's own."""
+    if error.errno not in _PATH_FAULTS or not isinstance(error.filename, str | bytes | Path):
+        return False
+    own = Path(__file__).resolve().parents[1]
+    return own not in Path(os.fsdecode(error.filename)).resolve().parents
 
 
 def build_app() -> App:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -89,7 +90,8 @@ def _simulated(
     from measure import api
     from measure.learning import PAPER_MINUTES, PAPER_PAIRS
 
-    count = pairs or round(PAPER_PAIRS * minutes / PAPER_MINUTES)
+    share = minutes / PAPER_MINUTES
+    count = pairs or (round(PAPER_PAIRS * share) if math.isfinite(share) else 0)
     with console.progress("simulating", unit="per mille") as report:
         return api.simulate_dataset(
             out, minutes=minutes, pairs=count, report=shares(report), **options

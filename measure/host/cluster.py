@@ -28,6 +28,8 @@ def connected(address: str, option: str) -> Iterator[tuple[Any, Any]]:
         raise ConfigError(
             f"{option} needs dask.distributed: pip install 'triball[cluster]'"
         ) from None
+    if "://" not in address:
+        raise ConfigError(f"{option} {address}: expected a scheduler's address, tcp://HOST:PORT")
     try:
         client = distributed.Client(address, timeout=_CONNECT_S, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:

@@ -53,6 +53,12 @@ class AssemblySettings:
     history_hz: float = 0.0
     cut_s: float = 0.0
 
+    def __post_init__(self) -> None:
+        for name in ("largest_offset_s", "largest_sd_mm", "history_hz", "cut_s"):
+            value = getattr(self, name)
+            if not (value >= 0 and np.isfinite(value)):
+                raise EstimatorError(f"{name} is {value:g}: expected a number that is not negative")
+
 
 @dataclass(frozen=True)
 class TrajectoryFacts:

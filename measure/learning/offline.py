@@ -97,6 +97,7 @@ def write_corrected(path: Path, table: StateTable, corrected: Corrected) -> None
         "unfamiliar": corrected.unfamiliar,
     }
     out = pa.table(columns)
+    path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix == ".csv":
         from pyarrow import csv
 

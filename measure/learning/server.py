@@ -11,6 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from measure.arrays import Floats
+from measure.errors import EstimatorError
 from measure.host import OnnxModel
 from measure.learning.guard import GuardedModel, Refusal
 from measure.learning.packets import LARGEST, AnswerPacket, StatePacket
@@ -34,7 +35,15 @@ class EstimateServer:
         self.guarded = GuardedModel(model, zeroing)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4 << 20)
-        self._socket.bind(address)
+        try:
+            self._socket.bind(address)
+        except (OSError, OverflowError) as problem:
+            self._socket.close()
+            reason = getattr(problem, "strerror", None) or problem
+            raise EstimatorError(
+                f"cannot listen on udp://{address[0]}:{address[1]} ({reason}): choose another "
+                "--port or --host"
+            ) from None
         self._durations = np.zeros(1 << 16)
         self._answered = 0
 

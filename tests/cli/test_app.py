@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import importlib
 import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from cyclopts import App
@@ -59,8 +61,24 @@ def test_a_full_disk_is_a_mistake_that_names_the_file(monkeypatch, capsys):
     assert capsys.readouterr().err == "measure: run/poses.parquet: No space left on device\n"
 
 
-def test_other_errors_of_the_system_are_defects(monkeypatch):
-    _register(monkeypatch, _raise(FileNotFoundError(2, "No such file", "ours.bin")))
+@pytest.mark.parametrize("number", [errno.ENOENT, errno.EISDIR, errno.ENOTDIR, errno.EEXIST])
+def test_a_path_that_is_none_of_ours_is_a_mistake(monkeypatch, capsys, number):
+    _register(monkeypatch, _raise(OSError(number, "cannot", "nowhere/out.toml")))
+    assert main(["try"]) == 2
+    assert capsys.readouterr().err == "measure: nowhere/out.toml: cannot\n"
+
+
+def test_an_output_in_a_folder_that_is_not_there(tmp_path, capsys):
+    target = Path(__file__).parents[2] / "calibration_targets/raven_three_ball.toml"
+    sheet = tmp_path / "none/sheet.pdf"
+    assert main(["target", str(target), "--output", str(sheet)]) == 2
+    assert capsys.readouterr().err == f"measure: {sheet}: No such file or directory\n"
+
+
+@pytest.mark.parametrize("name", [importlib.import_module("measure.errors").__file__, None])
+def test_other_errors_of_the_system_are_defects(monkeypatch, name):
+    """A file of the program's own that is not there, or none that is named."""
+    _register(monkeypatch, _raise(FileNotFoundError(2, "No such file", name)))
     with pytest.raises(FileNotFoundError):
         main(["try"])
 

@@ -64,6 +64,77 @@ def test_recorded_states_that_cannot_be_corrected(
     assert "1 a feature is not a number, 1 stamp not after the last one" in told
 
 
+def _refused(capsys: pytest.CaptureFixture[str], *words: object) -> str:
+    """The one line of a command that refuses."""
+    capsys.readouterr()
+    assert main([str(word) for word in words]) == 2
+    err = capsys.readouterr().err.splitlines()
+    assert len(err) == 1
+    return err[0]
+
+
+def test_what_is_read_is_not_written_over(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = folder / "left.parquet"
+    before = log.read_bytes()
+    again = folder / "again.parquet"
+    again.unlink(missing_ok=True)
+    again.symlink_to(log)
+    model, run = folder / "model.onnx", folder / "left.csv"
+    for out in (log, again):
+        line = _refused(capsys, "estimate", model, "--input", log, "--output", out)
+        assert "holds the states themselves" in line
+        made = _refused(capsys, "dataset", run, "--robot-log", log, "--out", out)
+        assert "is one of the files to be read" in made
+    assert log.read_bytes() == before
+
+
+def test_an_output_goes_into_a_folder_that_is_made(folder: Path) -> None:
+    out = folder / "new/corrected.csv"
+    words = ["estimate", str(folder / "model.onnx"), "--input", str(folder / "left.csv")]
+    assert main([*words, "--output", str(out)]) == 0
+    assert out.exists()
+
+
+@pytest.mark.parametrize(("host", "port"), [("127.0.0.1", 99999), ("192.0.2.1", 47118)])
+def test_where_nobody_can_listen(
+    folder: Path, capsys: pytest.CaptureFixture[str], host: str, port: int
+) -> None:
+    line = _refused(
+        capsys, "estimate", folder / "model.onnx", "--host", host, "--port", port, "--seconds", "1"
+    )
+    assert f"cannot listen on udp://{host}:{port}" in line
+
+
+def test_a_port_that_is_taken(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        port = taken.getsockname()[1]
+        line = _refused(capsys, "estimate", folder / "model.onnx", "--port", port, "--seconds", "1")
+    assert "choose another --port" in line
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("simulate", "x", "--seconds", "-3"),
+        ("simulate", "x", "--seconds", "nan"),
+        ("simulate", "x", "--frame-hz", "0"),
+        ("simulate", "x", "--frame-hz", "inf"),
+        ("dataset", "--simulate-min", "-1", "--out", "x.parquet"),
+        ("dataset", "--simulate-min", "nan", "--out", "x.parquet"),
+        ("dataset", "--simulate-min", "5", "--restarts", "0", "--out", "x.parquet"),
+        ("dataset", "run", "--robot-log", "log", "--cut-s", "-5", "--out", "x.parquet"),
+        ("dataset", "run", "--robot-log", "log", "--history-hz", "nan", "--out", "x.parquet"),
+    ],
+)
+def test_numbers_that_make_no_data(
+    tmp_path: Path, monkeypatch, capsys: pytest.CaptureFixture[str], words: tuple[str, ...]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert "expected" in _refused(capsys, *words)
+    assert not list(tmp_path.iterdir())
+
+
 def test_another_robots_files(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Parquet says whose it is; of what does not say it, the states are flagged."""
     other = "right.parquet: holds states of robot 'raven2-right', not of 'raven2-left'"
