@@ -150,7 +150,7 @@ def small_disk(tmp_path: Path):
 
     yield mount
     if place.is_mount():
-        subprocess.run(["umount", str(place)], check=True)
+        subprocess.run(["umount", "--lazy", str(place)], check=True)
 
 
 @pytest.mark.parametrize("kilobytes", [8, 28, 60, 100])

@@ -195,7 +195,7 @@ def small_disk(tmp_path: Path):
     if mounted.returncode:
         pytest.skip("may not mount a tmpfs here")
     yield place
-    subprocess.run(["umount", str(place)], check=True)
+    subprocess.run(["umount", "--lazy", str(place)], check=True)
 
 
 def _fill(writer: RunWriter, done: list[int]) -> None:
