@@ -14,6 +14,11 @@ from measure.model.lens import bend
 from measure_plugins._edges.contour_fit import ContourFit, fit_contours
 from measure_plugins._edges.contours import Contours
 
+_LEAST_COMMON_PX = 0.08
+"""What light shifts a ball by alike in all cameras, however well these agree. On 48 rendered
+recordings it makes the 95 % region of the position hold the truth in 95 % of the frames (92 %
+without), where dim light or large lamps are the reason in 94 % (56 %)."""
+
 
 class Solution(NamedTuple):
     """A pose fitted to outlines.
@@ -164,7 +169,8 @@ def of_light(
 
     Light falls on a ball from the same side whoever looks, and shifts its outlines by its colour:
     the part that all cameras share moves the ball and leaves little residual. It is taken to be as
-    large as the part that differs and is seen, and each ball's own.
+    large as the part that differs and is seen, though no less than `_LEAST_COMMON_PX`, and each
+    ball's own.
 
     Args:
         contours: k ball-views in c views.
@@ -181,7 +187,7 @@ def of_light(
         center = times(contours.rotations[view], place) + contours.translations[view]
         focal = (lenses[view, 0] + lenses[view, 3]) / 2
         mm_per_px += np.sqrt(np.sum(center * center)) / focal / len(contours.view_of)
-    out = np.zeros((6, 6))
+    out, common_px = np.zeros((6, 6)), max(fit.shift_sd_px[0], _LEAST_COMMON_PX)
     for ball in range(balls):
         out += levers[ball] @ levers[ball].T
-    return out * (fit.shift_sd_px[0] * mm_per_px) ** 2
+    return out * (common_px * mm_per_px) ** 2
