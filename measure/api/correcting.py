@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from measure.api.outputs import is_one_of
 from measure.errors import EstimatorError
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ def estimate_file(
     from measure import learning
     from measure.host import OnnxModel
 
-    if out is not None and out.exists() and out.samefile(states):
+    if out is not None and is_one_of(out, [states]):
         raise EstimatorError(f"{out}: holds the states themselves: choose another --output")
     model = OnnxModel.load(model_path)
     table = learning.read_states(states, model)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from measure.api.outputs import is_one_of
 from measure.errors import ConfigError, EstimatorError
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ def make_dataset(
 
     schema = find_schema(robot)
     facts: list[TrajectoryFacts] = []
-    if any(out.exists() and read.exists() and out.samefile(read) for read in (*runs, *logs)):
+    if is_one_of(out, (*runs, *logs)):
         raise EstimatorError(f"{out}: is one of the files to be read: choose another --out")
     if logs:
         data, facts = _paired(runs, logs, schema, settings, topic)
@@ -85,24 +86,33 @@ def _labelled(tables: Sequence[Path], schema: StateSchema) -> Dataset:
 
 
 def simulate_dataset(
-    out: Path, *, minutes: float, pairs: int, restarts: int, seed: int, wear: float, report: Report
+    out: Path,
+    *,
+    minutes: float,
+    pairs: int | None,
+    restarts: int,
+    seed: int,
+    wear: float,
+    report: Report,
 ) -> tuple[Dataset, list[TrajectoryFacts]]:
-    """A data set of the simulated RAVEN-II, written to `out`.
+    """A data set of the simulated RAVEN-II, written to `out`; pairs at the paper's rate if omitted.
 
     Raises:
         ConfigError: a length or a count that makes no data.
     """
-    from measure.learning import files, simulated_dataset
+    from measure.learning import PAPER_MINUTES, PAPER_PAIRS, files, simulated_dataset
     from measure.robots.simulator import Cables
 
-    if not (0 < minutes < math.inf and pairs > 0 and restarts > 0):
+    rate = PAPER_PAIRS / PAPER_MINUTES
+    count = (pairs or round(rate * minutes)) if 0 < minutes < math.inf else 0
+    if not (count > 0 and restarts > 0):
         raise ConfigError(
-            f"--simulate-min {minutes:g} --pairs {pairs} --restarts {restarts}: expected positive "
+            f"--simulate-min {minutes:g} --pairs {count} --restarts {restarts}: expected positive "
             "numbers"
         )
     data, facts = simulated_dataset(
         minutes=minutes,
-        pairs=pairs,
+        pairs=count,
         restarts=restarts,
         seed=seed,
         cables=Cables(wear=wear),

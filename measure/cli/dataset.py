@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -84,18 +83,11 @@ def dataset(
         _conclude(data, facts, clock_offset_s, out)
 
 
-def _simulated(
-    out: Path, minutes: float, *, pairs: int | None, **options: Any
-) -> tuple[Dataset, list[TrajectoryFacts]]:
+def _simulated(out: Path, minutes: float, **options: Any) -> tuple[Dataset, list[TrajectoryFacts]]:
     from measure import api
-    from measure.learning import PAPER_MINUTES, PAPER_PAIRS
 
-    share = minutes / PAPER_MINUTES
-    count = pairs or (round(PAPER_PAIRS * share) if math.isfinite(share) else 0)
     with console.progress("simulating", unit="per mille") as report:
-        return api.simulate_dataset(
-            out, minutes=minutes, pairs=count, report=shares(report), **options
-        )
+        return api.simulate_dataset(out, minutes=minutes, report=shares(report), **options)
 
 
 _COLUMNS = ("recording", "rows", "usable", "not measured", "no state", "outliers", "uncertain")

@@ -11,11 +11,11 @@ from measure.learning.scores import speed_range
 
 def write_card(path: Path, card: Mapping[str, Any]) -> None:
     """Write a model card as Markdown."""
-    parts = (_origin(card), _scores(card["scores"]), state_lines(card["features"]), _LIMITS)
+    parts = (_origin(card), _scores(card["scores"]), _state(card["features"]), _LIMITS)
     path.write_text("\n\n".join("\n".join(lines) for lines in parts) + "\n", encoding="utf-8")
 
 
-def state_lines(features: Sequence[tuple[str, str]]) -> list[str]:
+def _state(features: Sequence[tuple[str, str]]) -> list[str]:
     """What a state is made of, names and units, in the order in which it is sent."""
     return [
         "## A state",
