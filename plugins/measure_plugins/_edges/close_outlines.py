@@ -26,10 +26,10 @@ from measure_plugins._edges.radial import Radial
 from measure_plugins._edges.spread import center_covariance
 
 _TURNS = 8
-_SETTLED_PX, _SETTLED_SD = (0.3, 0.5), 3.0
-"""Corrected edges are looked at again until the axis moves less than so many of its standard
-deviations, between these limits: what a look finds is right to about a twentieth of the way, and
-what that leaves is small against what the edges' scatter leaves."""
+_SETTLED_PX, _SETTLED_SD, _FURTHEST_PX = 0.3, 3.0, 0.5
+"""Corrected edges are looked at again until the axis moves less than the first, or than so many of
+its standard deviations and the last: what a look finds is right to about a twentieth of the way,
+and that leaves little against what the edges' scatter leaves."""
 _CONVINCING = 2 / 3
 """Share of the rays that should show an edge whose edges agree, that rules out a look elsewhere."""
 _GROWTH_SEEN = (-0.5, 0.5)
@@ -65,7 +65,7 @@ def _settled(view: View, search: Search, radial: Radial, axis: Floats, first: bo
         if not np.isfinite(fit.scale):
             break
         restore(look, fit, search.gain)
-        if moved(fit) < _SETTLED_PX[1]:
+        if moved(fit) < _FURTHEST_PX:
             weights, off = residuals(look, fit, INLIER)
             spread = center_covariance(look.around, weights, off, fit.normal)
             if _is_settled(fit, spread):
@@ -83,4 +83,4 @@ def _settled(view: View, search: Search, radial: Radial, axis: Floats, first: bo
 def _is_settled(fit: Fit, spread: Floats) -> bool:
     """Whether to look again would tell little; `spread` (2, 2) is the axis' covariance, px^2."""
     sd = np.sqrt((spread[0, 0] + spread[1, 1]) / 2)
-    return moved(fit) < min(max(_SETTLED_SD * sd, _SETTLED_PX[0]), _SETTLED_PX[1])
+    return moved(fit) < max(_SETTLED_SD * sd, _SETTLED_PX)
