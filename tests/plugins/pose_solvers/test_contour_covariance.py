@@ -1,0 +1,170 @@
+"""What the joint fit of outlines says of its own uncertainty."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from measure.geometry import squared_mahalanobis
+from measure.model import Camera, Intrinsics, Motion
+from tests.plugins.pose_solvers.outlined import OFF, POSE, see, see_all, solve
+from tests.scenes import RAVEN, ring
+
+
+@pytest.mark.parametrize(("common_px", "least"), [(0.1, 3.0), (0.0, 1.2)])
+def test_covariance_holds_the_truth(common_px, least):
+    """Outlines shifted one by one, and each ball's by as much in all cameras: by light."""
+    cameras = ring()
+    rng = np.random.default_rng(1)
+    distances = []
+    for _ in range(60):
+        light = rng.normal(scale=common_px, size=(3, 3))
+        seen = [
+            see(RAVEN, camera, name, POSE, rng=rng, shift=_in_picture(camera, light[i], rng))
+            for camera in cameras.values()
+            for i, name in enumerate(RAVEN.names)
+        ]
+        pose = solve(RAVEN, seen, cameras, Motion.at_rest(POSE.perturb(OFF), 0.0))
+        error = pose.world_from_body.difference(POSE)
+        distances.append(float(squared_mahalanobis(error, pose.covariance)))
+    inside = np.mean(np.array(distances) < 12.59)  # 95 % of chi-square with 6 degrees
+    assert 0.85 <= inside <= 1.0
+    assert least < np.mean(distances) < 10.0
+
+
+def test_cameras_that_agree_do_not_promise_what_light_does_to_all_of_them():
+    """Nothing but noise of 0.01 px tells the cameras apart, and light shifts balls by 0.08 px."""
+    cameras, rng = ring(), np.random.default_rng(3)
+    inside = 0
+    for _ in range(40):
+        light = rng.normal(scale=0.08, size=(3, 3))
+        seen = [
+            see(RAVEN, camera, name, POSE, sd=0.01, rng=rng, shift=_in_picture(camera, shift))
+            for camera in cameras.values()
+            for name, shift in zip(RAVEN.names, light, strict=True)
+        ]
+        pose = solve(RAVEN, seen, cameras, Motion.at_rest(POSE.perturb(OFF), 0.0))
+        off = pose.world_from_body.difference(POSE)[:3]
+        inside += squared_mahalanobis(off, pose.covariance[:3, :3]) < 7.81
+    assert inside >= 36
+
+
+def _in_picture(camera, light_world_px, rng=None):
+    """A shift (2,) of one outline: a common one along the world's axes, and its own."""
+    seen = camera.camera_from_world.rotate(light_world_px)[:2]
+    return seen if rng is None else seen + 0.1 * rng.standard_normal(2)
+
+
+@pytest.mark.parametrize("common_px", [0.05, 0.4])
+def test_where_a_fit_starts_moves_it_by_a_fiftieth_of_what_it_claims_at_most(common_px):
+    rng, cameras = np.random.default_rng(7), ring()
+    seen = [
+        see(RAVEN, camera, name, POSE, rng=rng, shift=common_px * rng.standard_normal(2))
+        for camera in cameras.values()
+        for name in RAVEN.names
+    ]
+    starts = [POSE.perturb(share * OFF) for share in (0.0, 1.0, -1.0, 2.5)]
+    first, *others = (solve(RAVEN, seen, cameras, Motion.at_rest(at, 0.0)) for at in starts)
+    sd = np.sqrt(np.diag(first.covariance))
+    for other in others:
+        assert np.all(np.abs(first.world_from_body.difference(other.world_from_body)) < 0.02 * sd)
+        np.testing.assert_allclose(np.sqrt(np.diag(other.covariance)), sd, rtol=0.02)
+
+
+def test_uncertain_cameras_widen_the_covariance():
+    known = np.diag([0.2**2] * 3 + [0.0005**2] * 3)
+    prior = Motion.at_rest(POSE, 0.0)
+    exact = solve(RAVEN, see_all(RAVEN, ring(), POSE), ring(), prior)
+    cameras = ring(pose_covariance=known)
+    seen = see_all(RAVEN, cameras, POSE)
+    assert solve(RAVEN, seen, cameras, prior).position_sd_mm > 3 * exact.position_sd_mm
+    # Monte Carlo: the same outlines, read with cameras moved by their covariance.
+    rng = np.random.default_rng(3)
+    errors, covariances = [], []
+    for _ in range(40):
+        moved = {
+            name: type(camera)(
+                camera.name,
+                camera.intrinsics,
+                camera.world_from_camera.perturb(rng.multivariate_normal(np.zeros(6), known)),
+                known,
+            )
+            for name, camera in cameras.items()
+        }
+        pose = solve(RAVEN, seen, moved, prior)
+        errors.append(pose.world_from_body.difference(POSE))
+        covariances.append(np.diag(pose.covariance))
+    ratio = np.sqrt(np.mean(covariances, axis=0) / np.mean(np.square(errors), axis=0))
+    # Cameras that are off also make the outlines scatter: part of it is counted twice.
+    assert np.all((ratio > 0.9) & (ratio < 2.5))
+
+
+def test_uncertain_lenses_widen_the_covariance_by_what_they_do_to_the_pose():
+    lens = np.diag([3, 3, 0.6, 0.6, 3e-3, 0.01, 3e-4, 3e-4, 0, 0, 0, 0]) ** 2
+    ratio = _stated_over_seen(
+        lambda rng: (np.zeros(6), rng.multivariate_normal(np.zeros(12), lens))
+    )
+    assert np.all((ratio > 0.7) & (ratio < 1.4))
+
+
+def test_what_a_turned_camera_and_a_moved_principal_point_undo_is_not_stated():
+    focal = ring()["cam0"].intrinsics.focal_px
+
+    def off(rng):
+        turn = rng.normal(scale=1e-3, size=2)
+        lens = np.zeros(12)
+        lens[2:4] = focal * turn + rng.normal(scale=0.05, size=2)
+        return np.array([0, 0, 0, -turn[1], turn[0], 0]), lens
+
+    ratio = _stated_over_seen(off)
+    assert np.all((ratio > 0.7) & (ratio < 1.4))
+    taken_apart = _stated_over_seen(off, joined=False)
+    assert np.all(taken_apart > 5)
+
+
+def _stated_over_seen(draw, joined=True):
+    """Stated sd over RMS (3,) of what cameras that are off by `draw` do to the position.
+
+    Rotations react little, mostly by way of the weights. A draw is the pose's error in the
+    camera's own axes (6,), and the intrinsics' (12,).
+    """
+    prior = Motion.at_rest(POSE, 0.0)
+    seen = see_all(RAVEN, ring(), POSE)
+    exact = solve(RAVEN, seen, ring(), prior)
+    rng = np.random.default_rng(5)
+    many = np.array([np.concatenate(draw(rng)) for _ in range(4000)])
+    known = many.T @ many / len(many)
+    errors, added = [], []
+    for _ in range(40):
+        cameras = {name: _off(camera, *draw(rng), known, joined) for name, camera in ring().items()}
+        stated = solve(RAVEN, seen, cameras, prior)
+        unstated = solve(RAVEN, seen, {n: _unstated(c) for n, c in cameras.items()}, prior)
+        errors.append(stated.world_from_body.difference(exact.world_from_body)[:3])
+        added.append(np.diag(stated.covariance - unstated.covariance)[:3])
+    return np.sqrt(np.mean(added, axis=0) / np.mean(np.square(errors), axis=0))
+
+
+def _unstated(camera):
+    lens = camera.intrinsics
+    return Camera(
+        camera.name,
+        Intrinsics(lens.size_wh, lens.matrix, lens.distortion),
+        camera.world_from_camera,
+    )
+
+
+def _off(camera, pose, lens, known, joined):
+    """The camera with errors in pose (6,) and intrinsics (12,), stating their covariance."""
+    matrix = camera.intrinsics.matrix.copy()
+    matrix[[0, 1, 0, 1], [0, 1, 2, 2]] += lens[:4]
+    inside, size = camera.intrinsics, camera.intrinsics.size_wh
+    lens_off = Intrinsics(size, matrix, inside.distortion + lens[4:], known[6:, 6:])
+    turn = np.kron(np.eye(2), camera.world_from_camera.rotation)
+    return Camera(
+        camera.name,
+        lens_off,
+        camera.world_from_camera.perturb(turn @ pose),
+        turn @ known[:6, :6] @ turn.T,
+        None,
+        turn @ known[:6, 6:] if joined else None,
+    )
