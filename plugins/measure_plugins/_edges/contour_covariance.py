@@ -15,9 +15,8 @@ from measure_plugins._edges.contour_fit import ContourFit, fit_contours
 from measure_plugins._edges.contours import Contours
 
 _LEAST_COMMON_PX = 0.08
-"""What light shifts a ball by alike in all cameras, however well these agree. On 48 rendered
-recordings it makes the 95 % region of the position hold the truth in 95 % of the frames (92 %
-without), where dim light or large lamps are the reason in 94 % (56 %)."""
+"""What light shifts a ball by alike in all cameras, however well these agree: chosen on rendered
+recordings, dim rooms and large lamps among them, so that 95 % regions hold the truth in 95 %."""
 
 
 class Solution(NamedTuple):
