@@ -249,6 +249,16 @@ CASES: dict[str, tuple[Break, type[MeasureError], list[str]]] = {
         SessionError,
         ["camera 'cam1': ", "cam1.mp4 has 6 frames but ", "cam1.csv has 5 rows"],
     ),
+    "stamps in a spreadsheet's columns": (
+        _write("cam1.csv", b"frame;time_s\n0;0,0\n1;0,1\n"),
+        SessionError,
+        ["cam1.csv:1: the header lacks frame, time_s", "it holds frame;time_s"],
+    ),
+    "UTF-16": (
+        _write("session.toml", '[session]\nname = "small"\n'.encode("utf-16")),
+        SessionError,
+        ["session.toml: not a text file (byte 0 is not UTF-8)"],
+    ),
     "no common time": (
         _stamp("cam1", [100.0, 100.1, 100.2, 100.3, 100.4, 100.5]),
         SessionError,

@@ -6,7 +6,6 @@ import cv2
 import numpy as np
 import pytest
 
-from measure.errors import SessionError
 from measure.session import open_session
 from tests.session.conftest import Recording, write_recording
 
@@ -49,36 +48,3 @@ def test_pictures_of_other_kinds_have_the_same_values(tmp_path, kind):
     session = recording.path / "session.toml"
     session.write_text(session.read_text().replace(".jpg", ".png"))
     assert _seen(recording) == before
-
-
-def _in_columns(recording: Recording) -> None:
-    (recording.path / "cam1.csv").write_text("frame;time_s\n0;0,0\n1;0,1\n")
-
-
-def _in_utf_16(recording: Recording) -> None:
-    file = recording.path / "session.toml"
-    file.write_bytes(file.read_text().encode("utf-16"))
-
-
-@pytest.mark.parametrize(
-    ("spoil", "expected"),
-    [
-        (
-            _in_columns,
-            ["cam1.csv:1: the header lacks frame, time_s", "it holds frame;time_s"],
-        ),
-        (_in_utf_16, ["session.toml: not a text file (byte 0 is not UTF-8)"]),
-    ],
-    ids=["columns of another country", "UTF-16"],
-)
-def test_what_cannot_be_read_is_explained_in_one_line(tmp_path, spoil, expected):
-    recording = write_recording(tmp_path / "rec")
-    with open_session(recording.path):
-        pass  # the control: unspoilt it opens
-    spoil(recording)
-    with pytest.raises(SessionError) as caught:
-        open_session(recording.path)
-    message = str(caught.value)
-    assert "\n" not in message
-    for part in expected:
-        assert part in message, message
