@@ -5,19 +5,19 @@ from __future__ import annotations
 import argparse
 import platform
 import tempfile
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from itertools import pairwise, repeat
+from itertools import pairwise
 from multiprocessing import get_context
 from pathlib import Path
 
 import cv2
 
-from benchmarks.methods import METHODS
+from benchmarks.methods import DEFAULT, METHODS
 from benchmarks.off_axis import BINS_DEG, off_axis_recordings, off_axis_rows
-from benchmarks.recordings import own_recordings, recordings_beside
-from benchmarks.tables import markdown, section
+from benchmarks.recordings import UNUSUAL, recordings_beside, render_all, rendered_scenes
+from benchmarks.tables import FIGURES, Rows, markdown, measured_rows
 from measure.results import versions
-from measure.simulation import scene_catalogue
 
 WORDS = """# Benchmarks
 
@@ -41,14 +41,21 @@ python -m benchmarks --frames 8 --jobs 2 --out docs/benchmarks.md
   others, decoding apart, as multiples of one `cv2.cvtColor(BGR2HSV)` of one picture, timed in
   turn with them.
 
-`own` recordings are rendered by `measure.simulation`, their calibration exact; the others by a
-path tracer that is not part of the program, and appear where they are at hand.
+`own` and unusual recordings are rendered by `measure.simulation`, their calibration exact; the
+others by a path tracer that is not part of the program, and appear where they are at hand.
 
 """
 OFF_AXIS = """## Off the optical axis
 
 How far detected centres lie too far out, in px (median), by the angle between line of sight and
 optical axis, on the plain black scene with every camera turned aside by every angle, all ways.
+
+"""
+UNUSUAL_PICTURES = """## Unusual pictures
+
+Scenes with two or three things out of the ordinary at once, measured with the default profile
+(with others by `--only unusual --methods NAME`). *in 95 %* says whether results know how good
+they are, where they are less good.
 
 """
 
@@ -61,21 +68,27 @@ def _options() -> argparse.Namespace:
         description="Print how accurate, how reliable and how fast every method is on every "
         "recording; with --out, write it as a page of the documentation.",
         epilog=f"methods: {methods}; recordings: the rendered sessions beside the project, where "
-        "they are at hand, the scenes of measure.simulation, and off-axis",
+        "they are at hand, 'own' and 'unusual' scenes of measure.simulation, and off-axis",
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )
-    parser.add_argument("--frames", type=int, default=24, help="frame sets per own scene")
+    parser.add_argument("--frames", type=int, default=24, help="frame sets per scene")
     parser.add_argument("--cache", type=Path, help="folder that keeps the rendered scenes")
     parser.add_argument("--only", default="", help="recordings whose name contains this")
-    parser.add_argument("--methods", default="", help="methods whose name contains this")
+    parser.add_argument(
+        "--methods",
+        default="",
+        help="methods whose name contains this; if it is empty, all but for unusual scenes, "
+        f"which the {DEFAULT} alone measures",
+    )
     parser.add_argument("--jobs", type=int, default=1, help="recordings measured side by side")
     parser.add_argument("--out", type=Path, help="write the tables to this page")
     given = parser.parse_args()
     if not any(given.methods in method.name for method in METHODS):
-        parser.error(f"--methods {given.methods}: there is {methods}")
-    known = [*recordings_beside(), *(f"own {name}" for name in scene_catalogue()), "off-axis"]
+        parser.error(f"--methods {given.methods}: no method is called so; there are {methods}")
+    known = [*recordings_beside(), *rendered_scenes(), "off-axis"]
     if not any(given.only in name for name in known):
-        parser.error(f"--only {given.only}: there is {', '.join(known)}")
+        names = ", ".join(known)
+        parser.error(f"--only {given.only}: no recording is called so; there are {names}")
     if given.frames < 2:
         parser.error(f"--frames {given.frames}: at least 2 are needed, one of them tracked")
     if given.jobs < 1:
@@ -89,20 +102,37 @@ def main() -> None:
     cv2.setNumThreads(1)
     with tempfile.TemporaryDirectory() as scratch:
         folder = given.cache or Path(scratch)
-        recordings = {**recordings_beside(), **own_recordings(folder, given.frames)}
-        chosen = {name: path for name, path in recordings.items() if given.only in name}
-        with ProcessPoolExecutor(given.jobs, get_context("spawn")) as pool:
-            parts = list(pool.map(section, chosen, chosen.values(), repeat(given.methods)))
-        if given.only in "off-axis":
-            rows = off_axis_rows(
-                off_axis_recordings(folder, max(given.frames // 4, 1)), given.methods
-            )
-            head = ("method", *(f"{a:.0f}-{b:.0f} deg" for a, b in pairwise(BINS_DEG)))
-            parts.append(OFF_AXIS + markdown(head, rows))
-    text = "\n".join(parts)
+        text = "\n".join(_sections(given, folder))
     print(text)
     if given.out is not None:
         given.out.write_text(WORDS + text + _footer(), encoding="utf-8")
+
+
+def _measured(given: argparse.Namespace, folder: Path) -> dict[str, Rows]:
+    """The rows of every recording that is asked for, rendered if it has to be."""
+    paths = {name: path for name, path in recordings_beside().items() if given.only in name}
+    scenes = {name: scene for name, scene in rendered_scenes().items() if given.only in name}
+    paths |= render_all(scenes, folder, given.frames)
+    methods = [given.methods or (DEFAULT if name.startswith(UNUSUAL) else "") for name in paths]
+    with ProcessPoolExecutor(given.jobs, get_context("spawn")) as pool:
+        rows = list(pool.map(measured_rows, paths, paths.values(), methods))
+    return dict(zip(paths, rows, strict=True))
+
+
+def _sections(given: argparse.Namespace, folder: Path) -> Iterator[str]:
+    """The page's sections on what is asked for."""
+    unusual: Rows = []
+    for name, rows in _measured(given, folder).items():
+        if name.startswith(UNUSUAL):
+            unusual += [(name.removeprefix(UNUSUAL), *row) for row in rows]
+        else:
+            yield f"## {name}\n\n" + markdown(("method", *FIGURES), rows)
+    if unusual:
+        yield UNUSUAL_PICTURES + markdown(("scene", "method", *FIGURES), unusual)
+    if given.only in "off-axis":
+        turned = off_axis_recordings(folder, max(given.frames // 4, 1))
+        head = ("method", *(f"{a:.0f}-{b:.0f} deg" for a, b in pairwise(BINS_DEG)))
+        yield OFF_AXIS + markdown(head, off_axis_rows(turned, given.methods))
 
 
 def _footer() -> str:

@@ -32,11 +32,13 @@ class Method:
         return build_pipeline(profile, registry, session.body, session.cameras)
 
 
+DEFAULT = "precise profile"
+"""What a user gets who asks for nothing else."""
 METHODS = (
     Method("paper profile", profile="paper"),
     *(Method(f"{baseline.name} + kabsch", baseline=baseline) for baseline in BASELINES),
     Method("outline + kabsch", profile="precise", solver="kabsch"),
-    Method("precise profile", profile="precise"),
+    Method(DEFAULT, profile="precise"),
 )
 
 

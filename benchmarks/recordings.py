@@ -6,20 +6,28 @@ from pathlib import Path
 
 import numpy as np
 
-from measure.simulation import scene_catalogue, write_session
+from measure.simulation import Scene, scene_catalogue, unusual_scenes, write_session
 
 BESIDE = Path(__file__).resolve().parents[2] / "shared" / "renders"
+UNUSUAL = "unusual "
+"""What the names of recordings of unusual scenes begin with."""
 
 
-def own_recordings(folder: Path, frames: int) -> dict[str, Path]:
-    """Render the catalogue's scenes, once, into `folder`."""
+def rendered_scenes() -> dict[str, Scene]:
+    """The scenes that are rendered, by the names of their recordings."""
+    usual = {f"own {name}": scene for name, scene in scene_catalogue().items()}
+    return usual | {UNUSUAL + name: scene for name, scene in unusual_scenes().items()}
+
+
+def render_all(scenes: dict[str, Scene], folder: Path, frames: int) -> dict[str, Path]:
+    """Render scenes into `folder`, those that are not there already."""
     times = np.arange(frames) / 30.0
     out = {}
-    for name, scene in scene_catalogue().items():
-        target = folder / f"{name}-{frames}"
+    for name, scene in scenes.items():
+        target = folder / f"{name.removeprefix('own ').replace(' ', '-')}-{frames}"
         if not (target / "truth.csv").exists():
             write_session(scene, times, target)
-        out[f"own {name}"] = target
+        out[name] = target
     return out
 
 

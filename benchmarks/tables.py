@@ -1,9 +1,9 @@
-"""The tables of the benchmark: one section per recording, one row per method."""
+"""The tables of the benchmark: a row for every method on every recording."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -13,8 +13,8 @@ from benchmarks.trial import Trial, bounds_of, run_trial
 from measure.host import Registry
 from measure.session import open_session, read_trajectory
 
-HEAD = (
-    "method",
+Rows = list[tuple[str, ...]]
+FIGURES = (
     "centre px",
     "position mm",
     "rotation deg",
@@ -28,24 +28,21 @@ HEAD = (
 )
 
 
-def section(name: str, path: Path, methods: str) -> str:
-    """The section on one recording."""
+def measured_rows(name: str, path: Path, methods: str) -> Rows:
+    """What every method whose name contains `methods` makes of a recording: name and figures."""
     cv2.setNumThreads(1)
-    return f"## {name}\n\n" + markdown(HEAD, tuple(_rows(name, path, methods)))
-
-
-def _rows(name: str, path: Path, methods: str) -> Iterator[tuple[str, ...]]:
     registry = Registry.discover()
     truth = read_trajectory(path / "truth.csv")
     with open_session(path) as session:
         bounds = bounds_of(session, truth)
+    rows: Rows = []
     for method in METHODS:
         if methods in method.name:
             with open_session(path) as session:
                 trial = run_trial(method, session, truth, registry, bounds)
-            row = (method.name, *_cells(trial))
-            print("  ".join((name, *row)), file=sys.stderr, flush=True)
-            yield row
+            rows.append((method.name, *_cells(trial)))
+            print("  ".join((name, *rows[-1])), file=sys.stderr, flush=True)
+    return rows
 
 
 def _cells(trial: Trial) -> tuple[str, ...]:

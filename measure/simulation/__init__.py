@@ -11,6 +11,7 @@ from measure.simulation.sensor import Sensor
 from measure.simulation.shading import Light, Lighting, Material
 from measure.simulation.shapes import Box, Capsule, Sphere
 from measure.simulation.trajectory import MotionLimits, Sines, Still, Trajectory, random_motion
+from measure.simulation.unusual import unusual_scenes
 
 __all__ = [
     "Actor",
@@ -36,6 +37,7 @@ __all__ = [
     "render",
     "scene_catalogue",
     "simulate_observations",
+    "unusual_scenes",
     "write_capture",
     "write_session",
 ]
