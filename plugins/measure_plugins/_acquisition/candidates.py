@@ -13,8 +13,11 @@ from measure_plugins._acquisition.circles import circles_of, distinct
 from measure_plugins._acquisition.color_table import MAX_COLORS, classify, color_table
 from measure_plugins._acquisition.pale import brighter_than_the_rest, is_pale
 from measure_plugins._acquisition.patches import majority
+from measure_plugins._acquisition.shade import much_in_shade, with_shade
 
 _REDUCED_WIDTH = 320
+_SPARSE = 2
+"""Every other pixel each way tells whether much of a colour lies in the dark."""
 
 
 class AcquisitionSettings(Settings):
@@ -55,6 +58,15 @@ def find_circles(
     bits, count = majority(classify(pixels, table, step)), len(colors) + len(pale)
     found = [_circles(bits, 1 << i, step, pixels.shape[0], config) for i in range(count)]
     for i, others in zip(pale, found[len(colors) :], strict=True):
+        found[i] = distinct(np.concatenate([found[i], others]))[: config.max_candidates]
+    some = majority(classify(pixels, with_shade(tuple(colors)), _SPARSE * step))
+    dark = [
+        i for i in range(len(colors)) if much_in_shade(bits[::_SPARSE, ::_SPARSE], some, 1 << i)
+    ]
+    if dark:
+        bits = majority(classify(pixels, with_shade(tuple(colors)), step))
+    for i in dark:
+        others = _circles(bits, 1 << i, step, pixels.shape[0], config)
         found[i] = distinct(np.concatenate([found[i], others]))[: config.max_candidates]
     return found[: len(colors)]
 

@@ -75,7 +75,7 @@ class OutlineDetector(Detector):
     def __init__(self, config: Settings, body: Body, camera: Camera) -> None:
         super().__init__(config, body, camera)
         from measure_plugins._acquisition import AcquisitionSettings
-        from measure_plugins._acquisition.color_table import color_table
+        from measure_plugins._acquisition.shade import with_shade
         from measure_plugins._edges.appearance import first_appearance
         from measure_plugins._edges.learner import AppearanceLearner
 
@@ -84,7 +84,7 @@ class OutlineDetector(Detector):
         self._learner = AppearanceLearner(self._lens, self.config.rays, self.config.margin_px)
         self._acquisition = AcquisitionSettings()
         self._colors = tuple(dict.fromkeys(ball.color for ball in body.balls))
-        self._table = color_table(self._colors)
+        self._table = with_shade(self._colors)
         self._bits = {ball.name: 1 << self._colors.index(ball.color) for ball in body.balls}
         self._radii = {ball.name: ball.radius_mm for ball in body.balls}
         self._gains: dict[str, Floats] = {}
