@@ -15,13 +15,15 @@ import numpy as np
 from measure.arrays import Bytes, Floats
 from measure_plugins._edges.alignment import aligned_residuals
 from measure_plugins._edges.appearance import BENDS, GLOSSY, MATT, Appearance
+from measure_plugins._edges.clipped import clipped
 from measure_plugins._edges.corrected import LATER_STEPS, compare
 from measure_plugins._edges.highlights import highlights
 from measure_plugins._edges.lamps import lamp_light, no_lamps, seen_from
-from measure_plugins._edges.rays import FREE
+from measure_plugins._edges.rays import FREE, HIDDEN
 
 _COMPARED = int(np.count_nonzero(LATER_STEPS <= 4.0))
 """Both sides of the edge; further in, highlights have their own shapes."""
+_LOOKED_AT = LATER_STEPS[:_COMPARED]
 _STEP = float(LATER_STEPS[1] - LATER_STEPS[0])
 _STRAIGHT = np.array([1e-6, 1e-6, 1e-6, 0.15])
 _BENT = np.array([0.03, 0.1, 0.05, 0.15])
@@ -89,6 +91,7 @@ def learn_appearance(sights: Sequence[Sight], start: Appearance) -> Appearance:
         return start
     start = replace(start, bends=np.zeros(BENDS), mirrors=True, lamps=no_lamps())
     straight, curved = _bounds(useful, start.table)
+    useful = telling([_without_clipped(s) for s in useful]) or useful
     plain = _of_either_surface(useful, start, start, _STRAIGHT, straight)
     bent = _refined(useful, plain, _BENT)
     if _share(useful, bent, plain) ** 2 > _BENT_BELOW:
@@ -134,6 +137,12 @@ def telling(sights: Sequence[Sight]) -> list[Sight]:
     """Those seen well enough to learn from; none if there are too few of them."""
     useful = [s for s in sights if np.count_nonzero(s.free == 0) >= _FEWEST_RAYS]
     return useful if len(useful) >= _FEWEST_SIGHTS else []
+
+
+def _without_clipped(sight: Sight) -> Sight:
+    """The sight without rays on which light is clipped: curves and blurs would take that up."""
+    full = clipped(sight.pixels, sight.points, sight.normals, _LOOKED_AT)
+    return replace(sight, free=np.where(full & (sight.free == FREE), HIDDEN, sight.free))
 
 
 def _of_either_surface(

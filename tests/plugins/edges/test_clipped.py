@@ -1,0 +1,76 @@
+"""Rays on which light is clipped, and what is learnt in spite of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from measure.simulation import scene_catalogue
+from measure_plugins._edges.appearance import GLOSSY
+from measure_plugins._edges.clipped import clipped
+from tests.plugins.edges.lessons import lessons
+
+STEPS = np.arange(-7.0, 4.5, 0.5)
+
+
+def rays(count=12, radius=30.0, center=50.0):
+    """Points (n, 2) of an outline, and its normals."""
+    angle = 2 * np.pi * np.arange(count) / count
+    normals = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return center + radius * normals, normals
+
+
+@pytest.mark.parametrize(("level", "found"), [(255, True), (250, True), (249, False)])
+@pytest.mark.parametrize("channel", [0, 1, 2])
+def test_one_full_channel_of_one_pixel_will_do(level, found, channel):
+    points, normals = rays()
+    pixels = np.full((100, 100, 3), 120, np.uint8)
+    pixels[50, 75, channel] = level  # five inside the outline's rightmost point
+    assert clipped(pixels, points, normals, STEPS).tolist() == [found, *[False] * 11]
+
+
+def test_what_is_further_in_or_out_does_not_matter():
+    points, normals = rays()
+    pixels = np.full((100, 100, 3), 255, np.uint8)
+    v, u = np.mgrid[:100, :100]
+    off = np.hypot(u - 50, v - 50)
+    pixels[(off > 21.5) & (off < 35.5)] = 120
+    assert not clipped(pixels, points, normals, STEPS).any()
+
+
+def test_rays_may_leave_the_picture():
+    points, normals = rays(radius=60.0)
+    assert not clipped(np.zeros((100, 100, 3), np.uint8), points, normals, STEPS).any()
+
+
+def overexposed_limb(share):
+    """Pictures of which a share of every outline, going round, is drowned in light."""
+
+    def changed(_, pixels, balls):
+        pixels = pixels.copy()
+        camera = scene_catalogue()["still"].camera("cam1")
+        v, u = np.mgrid[: pixels.shape[0], : pixels.shape[1]]
+        for axis, half_angle, _ in balls:
+            center = camera.intrinsics.project(axis[None])[0]
+            radius = np.tan(half_angle) * camera.intrinsics.focal_px
+            off = np.hypot(u - center[0], v - center[1]) / radius
+            turn = np.arctan2(v - center[1], u - center[0]) % (2 * np.pi)
+            glare = (np.abs(off - 1) < 0.15) & (turn < 2 * np.pi * share)
+            pixels[glare] = np.minimum(3.0 * pixels[glare].astype(float) + 90, 255)
+        return pixels, balls
+
+    return changed
+
+
+def test_clipped_light_teaches_nothing():
+    still = scene_catalogue()["still"]
+    clear, glare = (lessons(still, "cam1", overexposed_limb(share))[1] for share in (0.0, 0.2))
+    assert glare.index == clear.index == GLOSSY
+    assert np.abs(glare.bends).max() < 1e-6
+    assert glare.blur_px == pytest.approx(clear.blur_px, rel=0.15)
+
+
+def test_where_nothing_else_is_seen_something_is_learnt_all_the_same():
+    drowned = lessons(scene_catalogue()["still"], "cam1", overexposed_limb(1.0))[1]
+    assert np.isfinite(drowned.bends).all()
+    assert 0.5 <= drowned.blur_px <= 2.0
