@@ -35,3 +35,8 @@ def _tie(kernel: object, stamp: str) -> None:
     kept: Any = getattr(getattr(kernel, "_cache", None), "_cache_file", None)
     if kept is not None:
         kept._source_stamp = (kept._source_stamp, stamp)  # noqa: SLF001
+
+
+def inlined(function: F) -> F:
+    """`function` as a part of the compiled loops that call it: none of its own is kept."""
+    return cast("F", numba.njit(nogil=True, error_model="numpy", forceinline=True)(function))

@@ -1,4 +1,4 @@
-"""Casting rays at the shapes a camera sees."""
+"""Casting rays at the shapes a camera sees, and lighting what they meet."""
 
 from __future__ import annotations
 
@@ -11,11 +11,16 @@ import numpy as np
 from measure.arrays import Bools, Floats, Ints
 from measure.simulation import kernels
 from measure.simulation.kernels import NOTHING
-from measure.simulation.light_kernels import LAMP_ROW, Lights, Rays, shade
-from measure.simulation.shading import Lighting
+from measure.simulation.light_kernels import LAMP_ROW, Lights, mean_of_pixels, reflect
+from measure.simulation.mirroring import Mirror
+from measure.simulation.shading import Lighting, Texture
 from measure.simulation.shapes import Box, Capsule, Shape, Sphere
+from measure.simulation.surface_kernels import REUSE, Rays, choose_lit, meet, no_points
 
+_VELOCITY = slice(kernels.VELOCITY, kernels.VELOCITY + 3)
 _GOLDEN = (math.sqrt(5) - 1) / 2
+_MOST_TEXELS = 4096
+"""Places whose texture is computed at once: what that takes stays in the processor's cache."""
 _EDGE_PX = 0.75
 """An outline crosses a pixel only if it passes its centre nearer than this."""
 
@@ -30,6 +35,8 @@ class Stage:
         focal_px: of the camera, to tell how many pixels an angle is.
         velocities: (k, 3) mm/s of the shapes, for a rolling shutter; None if all stand still.
         longest_delay_s: of any row, before or after the middle one.
+        backdrop: standing shapes that are drawn apart, for glossy shapes to mirror.
+        part: which it is of how many whose mean is taken, so that each may be coarser.
     """
 
     shapes: tuple[Shape, ...]
@@ -37,6 +44,8 @@ class Stage:
     focal_px: float
     velocities: Floats | None = None
     longest_delay_s: float = 0.0
+    backdrop: tuple[Shape, ...] = ()
+    part: tuple[int, int] = (0, 1)
 
     def colours(self, ideal: Floats, near: Bools, delays_s: Floats) -> tuple[Floats, Ints]:
         """What rays see.
@@ -55,10 +64,10 @@ class Stage:
         first, depth = np.empty(len(flat), np.int64), np.empty(len(flat))
         rows = np.ascontiguousarray(near.T)
         kernels.trace(flat, rows, rays, delays_s, self.packed, first, depth)
-        out = np.empty((pixels, 3))
-        albedo, by_ray = self._albedo(flat, first, depth)
-        met = Rays(flat, rays, delays_s, first, depth)
-        shade(met, self.packed, albedo, by_ray, self._lights, out)
+        met, out = Rays(flat, rays, delays_s, first, depth), np.empty((pixels, 3))
+        light, source = self._light(met)
+        albedo, by_ray = self._seen_albedo(met)
+        mean_of_pixels(met, source, light, albedo, by_ray, out)
         return out, first.reshape(pixels, rays)
 
     def gaps_px(self, k: int, ideal: Floats) -> Floats:
@@ -85,29 +94,43 @@ class Stage:
         speed = np.linalg.norm(self.velocities[k]) / np.linalg.norm(self.shapes[k].anchor)
         return float(speed) * self.longest_delay_s * self.focal_px
 
-    def _albedo(self, flat: Floats, first: Ints, depth: Floats) -> tuple[Floats, bool]:
-        """Reflectance, B G R, per shape (k, 3), or per ray (n, 3) where a texture is seen."""
-        plain = np.array([shape.material.albedo_rgb[::-1] for shape in self.shapes]).reshape(-1, 3)
-        textured = [k for k, s in enumerate(self.shapes) if s.material.texture is not None]
-        if not textured:
-            return plain, False
-        by_ray = np.where((first == NOTHING)[:, None], 0.0, plain[first])
-        for k in textured:
-            shape = self.shapes[k]
-            rows = np.flatnonzero(first == k)
-            if rows.size and isinstance(shape, Box) and shape.material.texture is not None:
-                points = depth[rows, None] * np.column_stack([flat[rows], np.ones(rows.size)])
-                by_ray[rows] = shape.material.texture(shape.local(points))[:, ::-1]
-        return by_ray, True
+    def _light(self, met: Rays) -> tuple[Floats, Ints]:
+        """Light (j, 6) as `reflect` gives it, and which row is each ray's (n,)."""
+        lit, source = np.empty((2, len(met.first)), np.int64)
+        lit = lit[: choose_lit(met, len(self.shapes), lit, source)]
+        points, light = no_points(len(lit)), np.empty((len(lit), 6))
+        meet(met, lit, self.packed, points)
+        mirrored = self._mirror.radiance(points, lit % met.per_pixel // REUSE, met.per_pixel)
+        reflect(points, mirrored, self.packed, self._lights, light)
+        return light, source
+
+    def _seen_albedo(self, met: Rays) -> tuple[Floats, bool]:
+        """Reflectance, B G R, per shape (k, 3), or per ray (n, 3) where a texture may be seen."""
+        if not any(k < len(self.shapes) for k, _, _ in self._textured):
+            return self._plain_albedo, False
+        depth = np.where(met.first == NOTHING, 0.0, met.depth)
+        places = depth[:, None] * np.column_stack([met.ideal, np.ones(len(depth))])
+        return self._albedo_of(met.first, places, np.repeat(met.delays_s, met.per_pixel)), True
+
+    def _albedo_of(self, shape: Ints, places: Floats, delays_s: Floats) -> Floats:
+        """Reflectance (n, 3), B G R, at places (n, 3) on shapes (n,); 0 on `NOTHING`."""
+        out = np.where((shape == NOTHING)[:, None], 0.0, self._plain_albedo[shape])
+        for k, box, texture in self._textured:
+            rows = np.flatnonzero(shape == k)
+            for part in np.array_split(rows, rows.size // _MOST_TEXELS + 1):
+                way = delays_s[part, None] * self.packed[k, _VELOCITY]
+                out[part] = texture(box.local(places[part] - way))[:, ::-1]
+        return out
 
     @cached_property
     def packed(self) -> Floats:
-        """The shapes as rows of numbers (k, ROW), as the kernels read them."""
-        rows = np.zeros((len(self.shapes), kernels.ROW))
-        for row, shape in zip(rows, self.shapes, strict=True):
+        """All shapes as rows of numbers (k, ROW), as the kernels read them; the backdrop's last."""
+        rows = np.zeros((len(self._all), kernels.ROW))
+        for row, shape in zip(rows, self._all, strict=True):
             _pack(row, shape)
         if self.velocities is not None:
-            rows[:, kernels.VELOCITY : kernels.VELOCITY + 3] = self.velocities
+            rows[: len(self.shapes), _VELOCITY] = self.velocities
+        rows[len(self.shapes) :, kernels.BACKDROP] = 1.0
         return rows
 
     @cached_property
@@ -117,15 +140,37 @@ class Stage:
         return Lights(
             np.array(lamps, dtype=np.float64).reshape(-1, LAMP_ROW),
             np.array(light.ambient_rgb[::-1]),
-            np.array([*light.surround_rgb[::-1], *light.floor_rgb[::-1]]),
+            np.array(light.surround_rgb[::-1]),
             np.array([*light.up, light.below]),
             self._blockers(),
         )
 
+    @cached_property
+    def _mirror(self) -> Mirror:
+        return Mirror(self.packed, self._lights, self._albedo_of, self.part)
+
     def _blockers(self) -> Ints:
         if not self.lighting.shadows:
             return np.zeros(0, np.int64)
-        return np.flatnonzero([isinstance(shape, Sphere) for shape in self.shapes])
+        return np.flatnonzero([isinstance(shape, Sphere) for shape in self._all])
+
+    @cached_property
+    def _plain_albedo(self) -> Floats:
+        """Reflectance (k, 3), B G R, of all shapes, textures apart."""
+        return np.array([s.material.albedo_rgb[::-1] for s in self._all]).reshape(-1, 3)
+
+    @cached_property
+    def _textured(self) -> list[tuple[int, Box, Texture]]:
+        """All boxes that bear a texture."""
+        return [
+            (k, s, s.material.texture)
+            for k, s in enumerate(self._all)
+            if isinstance(s, Box) and s.material.texture is not None
+        ]
+
+    @property
+    def _all(self) -> tuple[Shape, ...]:
+        return (*self.shapes, *self.backdrop)
 
 
 def spread(count: int) -> Floats:
@@ -148,10 +193,13 @@ def _pack(row: Floats, shape: Shape) -> None:
     row[kernels.ROUGHNESS] = shape.material.roughness_rad
     if isinstance(shape, Box):
         row[kernels.KIND], row[a], row[b] = kernels.BOX, shape.anchor, np.array(shape.size_mm) / 2
+        row[kernels.REACH] = np.linalg.norm(row[b])
         row[kernels.TURN : kernels.TURN + 9] = shape.frame_from_box.rotation.ravel()
         return
     row[kernels.RADIUS] = shape.radius_mm
     if isinstance(shape, Capsule):
         row[kernels.KIND], row[a], row[b] = kernels.CAPSULE, shape.start_mm, shape.end_mm
+        row[kernels.REACH] = shape.radius_mm + np.linalg.norm(row[b] - row[a])
     else:
         row[kernels.KIND], row[a] = kernels.SPHERE, shape.center_mm
+        row[kernels.REACH] = shape.radius_mm

@@ -71,7 +71,7 @@ def plain_scene(background: str = "black", seed: int = 1) -> Scene:
         body,
         paper_rig(),
         motion(seed + 100),
-        plain_lighting(seed, floor=level),
+        plain_lighting(seed),
         finish=Material((1.0, 1.0, 1.0), 0.03, 0.08),
         attached=stems(body, (0.18, 0.18, 0.18)),
         backdrop=backdrop,
@@ -101,7 +101,7 @@ def clutter_scene(seed: int = 3) -> Scene:
     """Dim and noisy, a coloured room, and balls of our colours that are not ours."""
     scene = webcam_scene(seed)
     lit = lamps(seed, 2, 0.25, (1.0, 0.93, 0.85))
-    light = Lighting(lit, (0.10, 0.09, 0.08), (0.2, 0.2, 0.2), (0.06, 0.05, 0.04), 0.5, True)
+    light = Lighting(lit, (0.10, 0.09, 0.08), (0.2, 0.2, 0.2), 0.5, shadows=True)
     return replace(
         scene,
         name="clutter",

@@ -1,31 +1,23 @@
 """The inner loop of the ray caster, compiled: what a ray meets first.
 
-Shapes come as rows of numbers, everything in the camera's frame. A ray is
-`origin + depth * (x, y, 1)`; its origin is the camera, less the way the shape has moved while a
-rolling shutter ran.
+Shapes come as rows of numbers, everything in the camera's frame.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import TypeVar, cast
-
-from numba import njit
 
 from measure.arrays import Bools, Floats, Ints
-
-F = TypeVar("F", bound=Callable[..., object])
+from measure.compiling import compiled, inlined
 
 SPHERE, CAPSULE, BOX = 0.0, 1.0, 2.0
-KIND, A, B, RADIUS, TURN, VELOCITY, REFLECTANCE, ROUGHNESS, ROW = 0, 1, 4, 7, 8, 17, 20, 21, 22
-"""Columns of a shape's row: kind; centre or start; end or half size; radius; rotation (9); ..."""
+KIND, A, B, RADIUS, TURN, VELOCITY, REFLECTANCE, ROUGHNESS, BACKDROP = 0, 1, 4, 7, 8, 17, 20, 21, 22
+REACH, ROW = 23, 24
+"""Columns of a shape's row: kind; centre or start; end or half size; radius; rotation (9); ...
+
+`REACH` is the radius of a ball about the centre or the start that holds all of the shape.
+"""
 NOTHING = -1
-
-
-def compiled(function: F) -> F:
-    """Numba's njit, keeping the types; results are the same on every run and thread."""
-    return cast("F", njit(cache=True, nogil=True, error_model="numpy")(function))
 
 
 @compiled
@@ -42,7 +34,7 @@ def trace(
 
     Args:
         ideal: (n, 2) undistorted normalised image coordinates.
-        near: (n / rays_per_row, k) which shapes the rays of a pixel may meet.
+        near: (n / rays_per_row, j) which of the first j shapes the rays of a pixel may meet.
         rays_per_row: how many consecutive rays share a row of `near`.
         delays_s: (n / rays_per_row,) when they are cast, after the time the shapes are given for.
         shapes: (k, ROW).
@@ -52,49 +44,71 @@ def trace(
     for i in range(len(ideal)):
         row = i // rays_per_row
         nearest, found = math.inf, NOTHING
-        for k in range(len(shapes)):
+        for k in range(near.shape[1]):
             if near[row, k]:
-                d = _enter(shapes[k], ideal[i, 0], ideal[i, 1], delays_s[row])
+                d = enter(shapes, k, delays_s[row], 0.0, 0.0, 0.0, ideal[i, 0], ideal[i, 1], 1.0)
                 if d < nearest:
                     nearest, found = d, k
         first[i], depth[i] = found, nearest
 
 
-@compiled
-def _enter(shape: Floats, x: float, y: float, delay: float) -> float:
-    """Depth at which a ray enters a shape, infinity if it misses."""
-    ax = shape[A] + delay * shape[VELOCITY]
-    ay = shape[A + 1] + delay * shape[VELOCITY + 1]
-    az = shape[A + 2] + delay * shape[VELOCITY + 2]
-    if shape[KIND] == SPHERE:
-        return _enter_sphere(ax, ay, az, shape[RADIUS], x, y)
-    if shape[KIND] == BOX:
-        return _enter_box(shape, ax, ay, az, x, y)
-    # A rod: its round side between the ends, or one of the end balls.
-    ux, uy, uz = shape[B] - shape[A], shape[B + 1] - shape[A + 1], shape[B + 2] - shape[A + 2]
+@inlined
+def enter(
+    shapes: Floats,
+    k: int,
+    delay: float,
+    px: float,
+    py: float,
+    pz: float,
+    x: float,
+    y: float,
+    z: float,
+) -> float:
+    """Depth d at which a ray `p + d * (x, y, z)` enters shape k, infinity if it misses."""
+    ax = shapes[k, A] + delay * shapes[k, VELOCITY] - px
+    ay = shapes[k, A + 1] + delay * shapes[k, VELOCITY + 1] - py
+    az = shapes[k, A + 2] + delay * shapes[k, VELOCITY + 2] - pz
+    if shapes[k, KIND] == SPHERE:
+        return _enter_sphere(ax, ay, az, shapes[k, RADIUS], x, y, z)
+    if shapes[k, KIND] == BOX:
+        return _enter_box(shapes, k, ax, ay, az, x, y, z)
+    return _enter_capsule(shapes, k, ax, ay, az, x, y, z)
+
+
+@inlined
+def _enter_capsule(
+    shapes: Floats, k: int, ax: float, ay: float, az: float, x: float, y: float, z: float
+) -> float:
+    """Where a ray enters the round side between the ends, or one of the end balls."""
+    ux = shapes[k, B] - shapes[k, A]
+    uy = shapes[k, B + 1] - shapes[k, A + 1]
+    uz = shapes[k, B + 2] - shapes[k, A + 2]
+    radius = shapes[k, RADIUS]
     length2 = ux * ux + uy * uy + uz * uz
-    along_d = (x * ux + y * uy + uz) / length2
+    along_d = (x * ux + y * uy + z * uz) / length2
     along_a = (ax * ux + ay * uy + az * uz) / length2
-    dx, dy, dz = x - along_d * ux, y - along_d * uy, 1.0 - along_d * uz
+    dx, dy, dz = x - along_d * ux, y - along_d * uy, z - along_d * uz
     px, py, pz = ax - along_a * ux, ay - along_a * uy, az - along_a * uz
     a = dx * dx + dy * dy + dz * dz
     b = dx * px + dy * py + dz * pz
-    inside = b * b - a * (px * px + py * py + pz * pz - shape[RADIUS] ** 2)
+    inside = b * b - a * (px * px + py * py + pz * pz - radius**2)
     best = math.inf
     if inside > 0 and a > 0:
         d = (b - math.sqrt(inside)) / a
         where = d * along_d - along_a
         if d > 0 and 0 <= where <= 1:
             best = d
-    start = _enter_sphere(ax, ay, az, shape[RADIUS], x, y)
-    end = _enter_sphere(ax + ux, ay + uy, az + uz, shape[RADIUS], x, y)
+    start = _enter_sphere(ax, ay, az, radius, x, y, z)
+    end = _enter_sphere(ax + ux, ay + uy, az + uz, radius, x, y, z)
     return min(best, start, end)
 
 
-@compiled
-def _enter_sphere(cx: float, cy: float, cz: float, radius: float, x: float, y: float) -> float:
-    a = x * x + y * y + 1.0
-    b = x * cx + y * cy + cz
+@inlined
+def _enter_sphere(
+    cx: float, cy: float, cz: float, radius: float, x: float, y: float, z: float
+) -> float:
+    a = x * x + y * y + z * z
+    b = x * cx + y * cy + z * cz
     inside = b * b - a * (cx * cx + cy * cy + cz * cz - radius * radius)
     if inside <= 0:
         return math.inf
@@ -102,18 +116,23 @@ def _enter_sphere(cx: float, cy: float, cz: float, radius: float, x: float, y: f
     return d if d > 0 else math.inf
 
 
-@compiled
-def _enter_box(shape: Floats, cx: float, cy: float, cz: float, x: float, y: float) -> float:
-    enter, leave = 0.0, math.inf
+@inlined
+def _enter_box(
+    shapes: Floats, k: int, cx: float, cy: float, cz: float, x: float, y: float, z: float
+) -> float:
+    into, leave = 0.0, math.inf
     for axis in range(3):
-        rx, ry, rz = shape[TURN + axis], shape[TURN + 3 + axis], shape[TURN + 6 + axis]
-        along = x * rx + y * ry + rz
+        turn = TURN + axis
+        rx, ry, rz = shapes[k, turn], shapes[k, turn + 3], shapes[k, turn + 6]
+        along = x * rx + y * ry + z * rz
         center = cx * rx + cy * ry + cz * rz
-        half = shape[B + axis]
+        half = shapes[k, B + axis]
         if abs(along) < 1e-12:
             if abs(center) > half:
                 return math.inf
             continue
         near, far = (center - half) / along, (center + half) / along
-        enter, leave = max(enter, min(near, far)), min(leave, max(near, far))
-    return enter if 0 < enter < leave else math.inf
+        into, leave = max(into, min(near, far)), min(leave, max(near, far))
+        if into >= leave:
+            return math.inf
+    return into if into > 0 else math.inf

@@ -127,7 +127,7 @@ def lamps(
     return tuple(out)
 
 
-def plain_lighting(seed: int = 1, ambient: float = 0.2, floor: float = 0.02) -> Lighting:
+def plain_lighting(seed: int = 1, ambient: float = 0.2) -> Lighting:
     """Two lamps and as much ambient light as a lit room gives."""
     grey = (ambient, ambient, ambient)
-    return Lighting(lamps(seed), grey, (0.15, 0.15, 0.15), (floor, floor, floor))
+    return Lighting(lamps(seed), grey, (0.15, 0.15, 0.15))

@@ -19,6 +19,7 @@ from measure.simulation.shapes import Shape
 SAMPLES = 89
 """Rays through a pixel that an edge crosses."""
 _BACKDROP_SAMPLES = 16
+_FEWEST_SAMPLES = 16
 _STEP_PX = 0.35
 """While the shutter is open, things are drawn this often on their way (at most `_MOST_STEPS`)."""
 _MOST_STEPS = 16
@@ -63,7 +64,7 @@ class Renderer:
         total: Linear | None = None
         for k in range(steps):
             instant = time_s + self.sensor.exposure_s * ((k + 0.5) / steps - 0.5)
-            drawn = self._instant(instant, max(self.samples // steps, 16))
+            drawn = self._instant(instant, k, steps)
             total = drawn if total is None else np.add(total, drawn, out=total)
         assert total is not None
         return total if steps == 1 else total / np.float32(steps)
@@ -78,7 +79,8 @@ class Renderer:
         swept = np.linalg.norm(velocities, axis=1) / away * self.sensor.exposure_s * self._focal_px
         return int(np.clip(np.ceil(swept.max() / _STEP_PX), 1, _MOST_STEPS))
 
-    def _instant(self, time_s: float, samples: int) -> Linear:
+    def _instant(self, time_s: float, step: int, steps: int) -> Linear:
+        """What is seen at one of the instants that a picture is averaged over."""
         moving, velocities = self._moving_shapes(time_s)
         fixed = self._fixed
         rows = self._canvas.height * self.sensor.row_time_s
@@ -88,7 +90,10 @@ class Renderer:
             self._focal_px,
             np.vstack([velocities, np.zeros((len(fixed), 3))]) if rows else None,
             rows / 2,
+            self._walls,
+            (step, steps),
         )
+        samples = max(self.samples // steps, _FEWEST_SAMPLES)
         return self._canvas.draw(stage, len(moving), samples, self._backdrop, self._still_picture)
 
     def _moving_shapes(self, time_s: float) -> tuple[list[Shape], Floats]:
@@ -113,13 +118,16 @@ class Renderer:
         return tuple(s.moved(self.camera.camera_from_world) for s in self.scene.fixed)
 
     @cached_property
+    def _walls(self) -> tuple[Shape, ...]:
+        return tuple(s.moved(self.camera.camera_from_world) for s in self.scene.backdrop)
+
+    @cached_property
     def _backdrop(self) -> Linear:
         """The picture of walls, floor and posters alone, drawn coarsely and enlarged."""
-        shapes = tuple(s.moved(self.camera.camera_from_world) for s in self.scene.backdrop)
         lens = reduced(self.camera.intrinsics, self.scene.backdrop_px)
-        coarse, stage = Canvas(lens), Stage(shapes, self._lighting, lens.focal_px)
+        coarse, stage = Canvas(lens), Stage(self._walls, self._lighting, lens.focal_px)
         nothing = coarse.empty()
-        drawn = coarse.draw(stage, len(shapes), _BACKDROP_SAMPLES, nothing, nothing)
+        drawn = coarse.draw(stage, len(self._walls), _BACKDROP_SAMPLES, nothing, nothing)
         size = self.camera.intrinsics.size_wh
         return np.asarray(cv2.resize(drawn, size, interpolation=cv2.INTER_LINEAR), np.float32)
 
@@ -128,7 +136,7 @@ class Renderer:
         """The picture of all that does not move."""
         if not self._fixed:
             return self._backdrop
-        stage = Stage(self._fixed, self._lighting, self._focal_px)
+        stage = Stage(self._fixed, self._lighting, self._focal_px, backdrop=self._walls)
         return self._canvas.draw(
             stage, len(self._fixed), self.samples, self._backdrop, self._backdrop
         )

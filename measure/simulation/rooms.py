@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from measure.arrays import Floats
+from measure.arrays import Bools, Floats
+from measure.compiling import compiled
 from measure.geometry import RigidTransform
 from measure.simulation.scene import BALL_ALBEDO, painted
 from measure.simulation.shading import Material, Rgb
@@ -91,18 +92,30 @@ def patches(
     names = list(BALL_ALBEDO)
     centers = rng.uniform(-900, 900, (count, 2))
     halves = rng.uniform((30, 25), (150, 90), (count, 2))
-    colours = [np.array(BALL_ALBEDO[names[k]]) for k in rng.integers(0, len(names), count)]
+    colours = np.array([BALL_ALBEDO[names[k]] for k in rng.integers(0, len(names), count)])
     rounds = rng.random(count) < 0.5
 
     def texture(points: Floats) -> Floats:
         out = under(points)
-        for center, half, colour, is_round in zip(centers, halves, colours, rounds, strict=True):
-            off = (points[:, plane] - center) / half
-            inside = np.sum(off * off, axis=1) < 1 if is_round else np.abs(off).max(axis=1) < 1
-            out[inside] = colour
+        _paint(np.ascontiguousarray(points[:, plane]), centers, halves, rounds, colours, out)
         return out
 
     return Material(ground.albedo_rgb, texture=texture)
+
+
+@compiled
+def _paint(
+    xy: Floats, centers: Floats, halves: Floats, rounds: Bools, colours: Floats, out: Floats
+) -> None:
+    """Give points (n, 2) the colour of the last patch that they lie on, if any."""
+    for i in range(len(xy)):
+        for k in range(len(centers) - 1, -1, -1):
+            x = (xy[i, 0] - centers[k, 0]) / halves[k, 0]
+            y = (xy[i, 1] - centers[k, 1]) / halves[k, 1]
+            if (x * x + y * y < 1) if rounds[k] else (max(abs(x), abs(y)) < 1):
+                for c in range(3):
+                    out[i, c] = colours[k, c]
+                break
 
 
 def clutter(seed: int, colors: tuple[str, ...], radius_mm: float = 20.0) -> tuple[Shape, ...]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import TypeAlias
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from measure.arrays import Floats
 from measure.geometry import RigidTransform
 
 Rgb = tuple[float, float, float]
+Texture: TypeAlias = Callable[[Floats], Floats]
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,14 +25,15 @@ class Material:
     Attributes:
         albedo_rgb: diffuse reflectance, linear, 0 to 1.
         reflectance: mirror reflectance at normal incidence (0.04 for plastic; 0 is ideally matt).
-        roughness_rad: spread of the mirrored light.
+        roughness_rad: standard deviation, per axis, of the slopes of the tiny facets that mirror:
+            highlights and mirrored things are blurred by twice that.
         texture: albedo (n, 3) of points (n, 3) in the frame of a `Box`, instead of `albedo_rgb`.
     """
 
     albedo_rgb: Rgb
     reflectance: float = 0.0
     roughness_rad: float = 0.05
-    texture: Callable[[Floats], Floats] | None = None
+    texture: Texture | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,9 +58,8 @@ class Lighting:
     Attributes:
         lights: the lamps.
         ambient_rgb: diffuse light from all sides, from above; less comes from below.
-        surround_rgb: radiance of the surroundings straight above, as glossy things mirror it.
-        floor_rgb: the same from the horizon down; between them it rises gradually. A grazing ray
-            is mirrored onto what is seen beside a ball, so this should be like the backdrop.
+        surround_rgb: radiance straight above of what glossy things mirror where no shape is; it
+            falls gradually to nothing at the horizon, as a camera shows what is no shape.
         below: share of `ambient_rgb` that comes from below.
         shadows: whether balls darken each other and what stands behind them.
         up: (3,) unit vector, away from the floor.
@@ -66,7 +68,6 @@ class Lighting:
     lights: tuple[Light, ...]
     ambient_rgb: Rgb = (0.25, 0.25, 0.25)
     surround_rgb: Rgb = (0.12, 0.12, 0.12)
-    floor_rgb: Rgb = (0.02, 0.02, 0.02)
     below: float = 0.3
     shadows: bool = False
     up: Floats = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))

@@ -37,7 +37,7 @@ def desk_lamp() -> Scene:
     return replace(
         webcam_scene(19),
         name="desk-lamp",
-        lighting=_lit((lamp,), 0.03, 0.05, 0.03),
+        lighting=_lit((lamp,), 0.03, 0.05),
         description="one hard lamp from the side, next to no other light",
     )
 
@@ -57,7 +57,7 @@ def dim() -> Scene:
     return replace(
         webcam_scene(18),
         name="dim",
-        lighting=_lit(lamps(18, 2, 0.06), 0.02, 0.03, 0.02),
+        lighting=_lit(lamps(18, 2, 0.06), 0.02, 0.03),
         sensor=replace(WEBCAM, electrons=1500.0, read_noise=8.0, gain=3.0),
         description="dim and noisy",
     )
@@ -69,7 +69,7 @@ def soft_light() -> Scene:
         webcam_scene(41),
         name="soft-light",
         finish=MATT,
-        lighting=_lit((), 0.7, 0.5, 0.12),
+        lighting=_lit((), 0.7, 0.5),
         description="matt balls, light from all sides, no lamp",
     )
 
@@ -79,7 +79,7 @@ def white_room() -> Scene:
     return replace(
         _four_balls(webcam_scene(14), 0.55, 9),
         name="white-room",
-        lighting=_lit(lamps(14, 2, 0.45), 0.25, 0.35, 0.4),
+        lighting=_lit(lamps(14, 2, 0.45), 0.25, 0.35),
         description="four balls, white among them, before white walls",
     )
 
@@ -196,9 +196,9 @@ def unusual_scenes() -> dict[str, Scene]:
     return {scene.name: scene for scene in scenes}
 
 
-def _lit(lights: tuple[Light, ...], ambient: float, surround: float, floor: float) -> Lighting:
+def _lit(lights: tuple[Light, ...], ambient: float, surround: float) -> Lighting:
     """Lamps, and white light from all round."""
-    return Lighting(lights, _grey(ambient), _grey(surround), _grey(floor), shadows=True)
+    return Lighting(lights, _grey(ambient), _grey(surround), shadows=True)
 
 
 def _grey(level: float) -> Rgb:

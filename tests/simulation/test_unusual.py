@@ -72,7 +72,8 @@ def test_desk_lamp_lights_half_of_a_ball() -> None:
     rim = shown[
         np.rint(v + r * np.sin(angle)).astype(int), np.rint(u + r * np.cos(angle)).astype(int)
     ]
-    assert np.quantile(rim, 0.9) > 4 * np.quantile(rim, 0.25)
+    # The dark side mirrors the next ball, which is lit: only what lies beside that is dark.
+    assert np.quantile(rim, 0.9) > 4 * np.quantile(rim, 0.15)
 
 
 def test_geometry_is_as_said() -> None:

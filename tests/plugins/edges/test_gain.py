@@ -20,19 +20,22 @@ _ASIDE_PX = 0.3
 _UNKNOWN = np.eye(2)
 
 
-@pytest.fixture(scope="module")
-def scene_view():
-    """A picture before a cluttered background, its detector and the balls' centres, mm."""
+def sight(camera_name):
+    """A picture before a cluttered background: body, camera, picture and the balls' centres, mm."""
     scene = scene_catalogue()["plain-clutter"]
-    (camera,) = (c for c in scene.cameras if c.name == "cam0")
-    data = np.frombuffer(
-        encode(Renderer(scene, "cam0").picture(0.0, 0), scene.sensor_of("cam0")), "u1"
-    )
+    camera = scene.camera(camera_name)
+    picture = Renderer(scene, camera_name).picture(0.0, 0)
+    data = np.frombuffer(encode(picture, scene.sensor_of(camera_name)), "u1")
     image = image_of(camera, cv2.imdecode(data, cv2.IMREAD_COLOR))
     centers = np.stack([ball.center_mm for ball in scene.body.balls])
     (pose,) = scene.trajectory.at(np.array([0.0]))
     seen = camera.world_from_camera.inverse().apply(pose.apply(centers))
     return scene.body, camera, image, seen
+
+
+@pytest.fixture(scope="module")
+def scene_view():
+    return sight("cam0")
 
 
 @pytest.fixture(scope="module")
@@ -105,13 +108,20 @@ def test_edges_move_with_the_axis(balls):
     assert after.solution[2] == pytest.approx(before.solution[2], abs=2e-3)
 
 
-def test_detections_do_not_lean_towards_their_predictions(scene_view):
-    """Twice the same picture, predicted from either side: a look each, and the same centres."""
-    body, camera, image, seen = scene_view
+def test_detections_do_not_lean_towards_their_predictions():
+    """Twice the same picture, predicted from either side: a look each, and the same centres.
+
+    One camera's picture tells little: how much balls lean differs from picture to picture.
+    """
+    leanings = [_leaning(*sight(f"cam{k}")) for k in range(4)]
+    assert np.sqrt(np.mean(np.square(leanings))) < 0.15
+
+
+def _leaning(body, camera, image, seen):
+    """How far apart centres come out, as a share of how far apart they were predicted."""
     detector = OutlineDetector(OutlineConfig(learn=False), body, camera)
-    offsets = np.array([[0.08, 0.0, 0.0], [-0.08, 0.0, 0.0]])
     found = []
-    for offset in offsets:
+    for offset in np.array([[0.08, 0.0, 0.0], [-0.08, 0.0, 0.0]]):
         expected = [
             expect(camera, ball.name, center, ball.radius_mm, 4.0, offset)
             for ball, center in zip(body.balls, seen, strict=True)
@@ -121,4 +131,4 @@ def test_detections_do_not_lean_towards_their_predictions(scene_view):
     apart = np.array(found[0]) - np.array(found[1])
     predicted_apart = 0.16 * camera.intrinsics.focal_px / seen[:, 2].mean()
     assert predicted_apart > 0.3
-    assert np.sqrt(np.mean(apart**2)) < 0.1 * predicted_apart
+    return np.sqrt(np.mean(apart**2)) / predicted_apart

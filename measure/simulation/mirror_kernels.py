@@ -1,0 +1,226 @@
+"""What glossy surfaces mirror, compiled: rays from surface points to what they meet next.
+
+A surface is smooth (one mirrored ray), or a field of tiny smooth facets whose slopes scatter
+normally with the material's roughness: those that widen a lamp's highlight. Rays are mirrored by
+several of the facets that the viewer sees; he sees each as large as it is turned towards him
+(Walter et al. 2007, Heitz 2014). Light that a facet throws into the surface leaves it by another.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from measure.arrays import Floats, Ints
+from measure.compiling import compiled, inlined
+from measure.simulation.kernels import NOTHING, REACH, REFLECTANCE, ROUGHNESS, VELOCITY, A, enter
+from measure.simulation.surface_kernels import Points, find_normal
+
+_GRAZING = 1e-9
+_ROWS, _COLUMNS = 33, 128
+
+
+def _visible_slopes() -> Floats:
+    """Quantiles of the slopes, towards the viewer, of the facets that he sees, in their deviation.
+
+    Returns:
+        (_ROWS, _COLUMNS): for t / (1 + t) from 0 to 1, where t is the slope of the line of sight;
+        and for middles of equal shares. The density is normal times what is seen, max(s + t, 0).
+    """
+    slopes = np.linspace(-8.0, 8.0, 4001)
+    shares = (np.arange(_COLUMNS) + 0.5) / _COLUMNS
+    rows = []
+    for raised in np.linspace(0, 1, _ROWS):
+        seen = np.maximum((1 - raised) * slopes + raised, 0)
+        sums = np.cumsum(np.exp(-(slopes**2) / 2) * seen)
+        rows.append(np.interp(shares, sums / sums[-1], slopes))
+    return np.array(rows)
+
+
+_SLOPES = _visible_slopes()
+_STEP_1, _STEP_2 = 0.7548776662466927, 0.5698402909980532
+"""Any run of multiples of these, less their whole parts, fills the unit square evenly."""
+
+
+@inlined
+def fresnel(cosine: float, f0: float) -> float:
+    """Share of light that is mirrored (Schlick 1994)."""
+    if f0 <= 0:
+        return 0.0
+    return f0 + (1 - f0) * (1 - cosine) ** 5
+
+
+@inlined
+def facing(points: Points, i: int) -> float:
+    """Cosine of the angle under which a point is looked at."""
+    n, v = points.normal, points.viewer
+    return min(max(n[i, 0] * v[i, 0] + n[i, 1] * v[i, 1] + n[i, 2] * v[i, 2], 0.0), 1.0)
+
+
+@compiled
+def count_facets(points: Points, shapes: Floats, most: float, least: float, starts: Ints) -> None:
+    """How many facets mirror rays for each point, summed up.
+
+    Args:
+        points: (n,) the points.
+        shapes: (k, ROW).
+        most: facets of a rough surface that mirrors all the light; less light, fewer facets.
+        least: as few as that.
+        starts: (n + 1,) receives the number of facets of all points before.
+    """
+    starts[0] = 0
+    for i in range(len(points.shape)):
+        k, count = points.shape[i], 0
+        if shapes[k, REFLECTANCE] > 0:
+            mirrors = fresnel(facing(points, i), shapes[k, REFLECTANCE])
+            count = math.ceil(max(most * mirrors, least)) if shapes[k, ROUGHNESS] > 0 else 1
+        starts[i + 1] = starts[i] + count
+
+
+@compiled
+def mean_of_facets(radiance: Floats, starts: Ints, out: Floats) -> None:
+    """Mean radiance (n, 3) of the facets (m, 3) of each point; 0 of none."""
+    out[:] = 0.0
+    for i in range(len(out)):
+        for j in range(starts[i], starts[i + 1]):
+            for c in range(3):
+                out[i, c] += radiance[j, c] / (starts[i + 1] - starts[i])
+
+
+@compiled
+def interpolate(grid: Floats, coordinates: Floats, out: Floats) -> None:
+    """Values (n, 3) of a grid (rows, columns, 3) between its nodes, at coordinates (n, 2)."""
+    rows, columns = grid.shape[0], grid.shape[1]
+    for i in range(len(coordinates)):
+        x = min(max(coordinates[i, 0], 0.0), rows - 1.0)
+        y = min(max(coordinates[i, 1], 0.0), columns - 1.0)
+        row, column = min(int(x), rows - 2), min(int(y), columns - 2)
+        u, w = x - row, y - column
+        for c in range(3):
+            near = (1 - w) * grid[row, column, c] + w * grid[row, column + 1, c]
+            far = (1 - w) * grid[row + 1, column, c] + w * grid[row + 1, column + 1, c]
+            out[i, c] = (1 - u) * near + u * far
+
+
+@compiled
+def trace_mirrored(
+    points: Points, firsts: Ints, shapes: Floats, starts: Ints, hits: Points
+) -> None:
+    """Find what mirrored rays meet first.
+
+    Args:
+        points: (n,) where they start.
+        firsts: (n,) number of each point's first facet.
+        shapes: (k, ROW).
+        starts: (n + 1,) of `count_facets`.
+        hits: receives what they meet, in the points' order.
+    """
+    d = np.empty(3)
+    for i in range(len(points.shape)):
+        k, n, v = points.shape[i], points.normal[i], points.viewer[i]
+        for j in range(starts[i], starts[i + 1]):
+            number = firsts[i] + j - starts[i] + 0.5
+            _mirror(n, v, shapes[k, ROUGHNESS], number, d)
+            _find_next(points, i, d, shapes, hits, j)
+
+
+@inlined
+def _find_next(points: Points, i: int, d: Floats, shapes: Floats, hits: Points, j: int) -> None:
+    """Fill hit j: what the ray from point i in a direction (3,) meets first."""
+    delay, x, y, z = points.delay_s[i], d[0], d[1], d[2]
+    px, py, pz = points.place[i, 0], points.place[i, 1], points.place[i, 2]
+    nearest, found = math.inf, NOTHING
+    for k in range(len(shapes)):
+        # No shape mirrors itself: all are convex.
+        if k != points.shape[i] and _comes_near(shapes, k, delay, px, py, pz, x, y, z):
+            away = enter(shapes, k, delay, px, py, pz, x, y, z)
+            if away < nearest:
+                nearest, found = away, k
+    hits.shape[j], hits.delay_s[j] = found, delay
+    for c in range(3):
+        hits.viewer[j, c] = -d[c]
+        hits.place[j, c] = points.place[i, c] + nearest * d[c] if found != NOTHING else 0.0
+    if found != NOTHING:
+        find_normal(shapes[found], delay, hits.place[j], hits.normal[j])
+
+
+@inlined
+def _comes_near(
+    shapes: Floats,
+    k: int,
+    delay: float,
+    px: float,
+    py: float,
+    pz: float,
+    x: float,
+    y: float,
+    z: float,
+) -> bool:
+    """Whether a ray from `p` along a unit vector may meet shape k at all."""
+    ax = shapes[k, A] + delay * shapes[k, VELOCITY] - px
+    ay = shapes[k, A + 1] + delay * shapes[k, VELOCITY + 1] - py
+    az = shapes[k, A + 2] + delay * shapes[k, VELOCITY + 2] - pz
+    along, reach2 = ax * x + ay * y + az * z, shapes[k, REACH] ** 2
+    away2 = ax * ax + ay * ay + az * az - reach2
+    return (along > 0 or away2 < 0) and along * along >= away2
+
+
+@inlined
+def _mirror(n: Floats, v: Floats, roughness: float, number: float, d: Floats) -> None:
+    """Direction (3,) in which a facet of a surface of normal `n` mirrors what is seen from `v`."""
+    cosine = n[0] * v[0] + n[1] * v[1] + n[2] * v[2]
+    sine = math.sqrt(max(1 - cosine * cosine, 0.0))
+    along, across, up = _facet(sine, max(cosine, _GRAZING), roughness, number)
+    ax, ay, az = _tangent(n, v, cosine, sine)
+    bx, by, bz = n[1] * az - n[2] * ay, n[2] * ax - n[0] * az, n[0] * ay - n[1] * ax
+    mx, my, mz = (
+        along * ax + across * bx + up * n[0],
+        along * ay + across * by + up * n[1],
+        along * az + across * bz + up * n[2],
+    )
+    seen = mx * v[0] + my * v[1] + mz * v[2]
+    d[0], d[1], d[2] = 2 * seen * mx - v[0], 2 * seen * my - v[1], 2 * seen * mz - v[2]
+    height = d[0] * n[0] + d[1] * n[1] + d[2] * n[2]
+    if height < 0:
+        for c in range(3):
+            d[c] -= 2 * height * n[c]
+
+
+@inlined
+def _facet(
+    sine: float, cosine: float, roughness: float, number: float
+) -> tuple[float, float, float]:
+    """Normal of one of the facets seen: towards the viewer, aside, along the surface's normal."""
+    first, second = number * _STEP_1, number * _STEP_2
+    raised = cosine / (cosine + roughness * sine)
+    x = roughness * _quantile(raised, first - math.floor(first))
+    y = roughness * _quantile(1.0, second - math.floor(second))
+    length = math.sqrt(x * x + y * y + 1)
+    return x / length, y / length, 1 / length
+
+
+@inlined
+def _quantile(raised: float, share: float) -> float:
+    """Interpolate in `_SLOPES`."""
+    row, column = raised * (_ROWS - 1), min(max(share * _COLUMNS - 0.5, 0.0), _COLUMNS - 1.0)
+    i, j = min(int(row), _ROWS - 2), min(int(column), _COLUMNS - 2)
+    u, w = row - i, column - j
+    low = (1 - w) * _SLOPES[i, j] + w * _SLOPES[i, j + 1]
+    return (1 - u) * low + u * ((1 - w) * _SLOPES[i + 1, j] + w * _SLOPES[i + 1, j + 1])
+
+
+@inlined
+def _tangent(n: Floats, v: Floats, cosine: float, sine: float) -> tuple[float, float, float]:
+    """Unit vector along the surface, towards the viewer; any where he looks straight down."""
+    if sine > 1e-6:
+        return (
+            (v[0] - cosine * n[0]) / sine,
+            (v[1] - cosine * n[1]) / sine,
+            (v[2] - cosine * n[2]) / sine,
+        )
+    if abs(n[0]) < 0.5:
+        length = math.sqrt(n[1] * n[1] + n[2] * n[2])
+        return 0.0, -n[2] / length, n[1] / length
+    length = math.sqrt(n[0] * n[0] + n[1] * n[1])
+    return -n[1] / length, n[0] / length, 0.0
