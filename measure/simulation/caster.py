@@ -117,7 +117,8 @@ class Stage:
         out = np.where((shape == NOTHING)[:, None], 0.0, self._plain_albedo[shape])
         for k, box, texture in self._textured:
             rows = np.flatnonzero(shape == k)
-            for part in np.array_split(rows, rows.size // _MOST_TEXELS + 1):
+            for begin in range(0, rows.size, _MOST_TEXELS):
+                part = rows[begin : begin + _MOST_TEXELS]
                 way = delays_s[part, None] * self.packed[k, _VELOCITY]
                 out[part] = texture(box.local(places[part] - way))[:, ::-1]
         return out

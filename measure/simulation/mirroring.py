@@ -60,7 +60,8 @@ class Mirror:
                 out[rows[covered]] = interpolated(image, where[covered])
                 left[rows[covered]] = False
         rows, most = np.flatnonzero(left), _FACETS / -(-per_pixel // REUSE)
-        out[rows] = self._traced(_some(points, rows), numbers[rows], most, 0.0)
+        if rows.size:
+            out[rows] = self._traced(_some(points, rows), numbers[rows], most, 0.0)
         return out
 
     def _image(self, k: int, count: int) -> tuple[Grid | None, Floats]:
