@@ -13,6 +13,7 @@ from pathlib import Path
 
 import cv2
 
+from benchmarks.command import run_command
 from benchmarks.methods import DEFAULT, METHODS
 from benchmarks.off_axis import BINS_DEG, off_axis_recordings, off_axis_rows
 from benchmarks.recordings import UNUSUAL, recordings_beside, render_all, rendered_scenes
@@ -141,4 +142,4 @@ def _footer() -> str:
 
 
 if __name__ == "__main__":
-    main()
+    run_command(main)

@@ -22,6 +22,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from benchmarks.command import run_command
 from benchmarks.trial import WRONG_MM, reference_s
 from measure.api import build_pipeline, load_profile
 from measure.host import Registry
@@ -159,4 +160,4 @@ def _rms(values: Sequence[float]) -> float:
 
 
 if __name__ == "__main__":
-    main()
+    run_command(main)

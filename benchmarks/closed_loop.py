@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.command import run_command
 from measure.arrays import Floats
 from measure.robots import raven_schema, read_columns, read_log
 
@@ -77,4 +78,4 @@ def _rms(errors_mm: Floats) -> float:
 
 
 if __name__ == "__main__":
-    main()
+    run_command(main)

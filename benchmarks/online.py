@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.command import run_command
 from measure import api
 from measure.arrays import Floats
 from measure.host import OnnxModel
@@ -98,4 +99,4 @@ def _port(server: subprocess.Popen[str]) -> int:
 
 
 if __name__ == "__main__":
-    main()
+    run_command(main)

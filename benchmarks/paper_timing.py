@@ -17,6 +17,7 @@ from typing import ParamSpec, TypeVar
 import cv2
 import numpy as np
 
+from benchmarks.command import run_command
 from benchmarks.trial import reference_s
 from measure.api import load_profile
 from measure.host import Detector, Registry
@@ -116,4 +117,4 @@ def _timed(work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> tuple[T, 
 
 
 if __name__ == "__main__":
-    main()
+    run_command(main)

@@ -22,6 +22,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from benchmarks.calibration import BODY, poses
+from benchmarks.command import run_command
 from measure.api import refine
 from measure.arrays import Floats
 from measure.calibration import RefineSettings, body_cost, refine_rig
@@ -162,4 +163,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_command(main)

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.command import run_command
 from measure.api import build_pipeline, load_profile
 from measure.arrays import Floats
 from measure.host import Registry
@@ -140,4 +141,4 @@ def _y(value: float) -> float:
 
 
 if __name__ == "__main__":
-    main()
+    run_command(main)

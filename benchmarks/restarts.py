@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.command import run_command
 from measure import api
 from measure.arrays import Floats
 from measure.host import Dataset, OnnxModel
@@ -76,4 +77,4 @@ def watch(model: OnnxModel, data: Dataset) -> tuple[float, float | None]:
 
 
 if __name__ == "__main__":
-    main()
+    run_command(main)

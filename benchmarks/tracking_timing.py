@@ -29,6 +29,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from benchmarks.command import run_command
 from benchmarks.trial import reference_s
 from measure.api import build_pipeline, load_profile, run
 from measure.arrays import Floats
@@ -209,4 +210,4 @@ def _long_stream(session: Session, camera: Camera, out: Path, frames: int) -> No
 
 
 if __name__ == "__main__":
-    main()
+    run_command(main)

@@ -11,7 +11,14 @@ from importlib import metadata
 from pathlib import Path
 from typing import Annotated, Any
 
-from cyclopts import App, CycloptsError, Group, Parameter, UnknownCommandError
+from cyclopts import (
+    App,
+    CycloptsError,
+    Group,
+    MissingArgumentError,
+    Parameter,
+    UnknownCommandError,
+)
 
 from measure.cli.commands import GROUPS
 from measure.errors import MeasureError
@@ -136,11 +143,25 @@ def _explain(error: CycloptsError, tokens: Sequence[str]) -> str:
         hint = f" Did you mean {' or '.join(near)}?" if near else ""
         what = "option" if unknown.startswith("-") else "command"
         text = f"there is no {what} '{unknown}'.{hint}"
+    elif isinstance(error, MissingArgumentError) and error.argument is not None:
+        text = f"{chain} needs {_what_to_give(error)}"
     else:
         error.verbose = False
         text = str(error)
         text = text[:1].lower() + text[1:]
     return f"{text} See `{' '.join(f'measure {chain}'.split())} --help`."
+
+
+def _what_to_give(error: MissingArgumentError) -> str:
+    """How to give a missing argument, and what it is: the first clause of its help."""
+    if error.argument is None or error.app is None:
+        return "an argument more."
+    first, *others = error.argument.names
+    names = f"{first} (or {', '.join(others)})" if others else first
+    known = error.app.assemble_argument_collection(parse_docstring=True)
+    told = [one.parameter.help or "" for one in known if first in one.names]
+    meaning = "".join(told).partition(";")[0].partition(". ")[0].rstrip(".")
+    return f"{names}: {meaning}." if meaning else f"{names}."
 
 
 def _mistake(message: str) -> int:

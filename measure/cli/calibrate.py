@@ -35,10 +35,12 @@ def calibrate(
         report: HTML report to write; beside the output, ending in .html, if omitted.
     """
     from measure.api import calibrate as run
+    from measure.api.outputs import check_writable
     from measure.calibration import camera_rows, judgement_lines
     from measure.session import write_calibration
     from measure.viewing.report.calibration_report import write_calibration_report
 
+    check_writable(output)
     with console.progress("calibrating", "cameras") as progress:
         result = run(capture, method, body, progress)
     write_calibration(output, result.calibration, file_format)

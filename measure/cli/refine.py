@@ -42,9 +42,11 @@ def refine(
         file_format: of the output; only "triball" holds covariances and notes.
     """
     from measure.api import refine as run
+    from measure.api.outputs import check_writable
     from measure.calibration import RefineSettings
     from measure.session import write_calibration
 
+    check_writable(output)
     settings = RefineSettings(body_tolerance_mm)
     with console.progress("measuring") as progress:
         result = run(session, registry, profile, settings, calibration, progress)

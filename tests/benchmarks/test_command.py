@@ -52,3 +52,17 @@ def test_what_does_not_exist_is_refused(monkeypatch, capsys, words, complaint) -
         typed(monkeypatch, *words)
     assert end.value.code == 2
     assert complaint in capsys.readouterr().err
+
+
+def test_a_session_that_is_not_there_is_one_line(monkeypatch, capsys, tmp_path) -> None:
+    from benchmarks.acquisition import main as acquire
+    from benchmarks.command import run_command
+
+    monkeypatch.setattr(sys, "argv", ["benchmarks.acquisition", str(tmp_path / "nowhere")])
+    with pytest.raises(SystemExit) as end:
+        run_command(acquire)
+    assert end.value.code == 2
+    err = capsys.readouterr().err
+    assert err.startswith("benchmarks: ")
+    assert "nowhere: no such file" in err
+    assert err.count("\n") == 1

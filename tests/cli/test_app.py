@@ -94,7 +94,11 @@ def test_the_integer_a_command_returns_is_the_exit_code(monkeypatch):
         (["rnu"], "there is no command 'rnu'. Did you mean run?"),
         (["--disabel", "x"], "there is no option '--disabel'. Did you mean --disable?"),
         (["plugins", "--jsno"], "unknown option: --jsno. Did you mean --json?"),
-        (["plugins", "show"], "NAME requires an argument"),
+        (["plugins", "show"], "plugins show needs NAME: "),
+        (["run", "S"], "run needs --out (or -o): the run's folder, made if it is not there."),
+        (["run", "S", "-o"], "run needs --out (or -o): the run's folder, made if it is not there."),
+        (["refine", "S"], "refine needs --output (or -o): the calibration to write."),
+        (["evaluate"], "evaluate needs RUN: "),
         (["plugins", "show", "a", "b"], "'b'"),
     ],
 )

@@ -148,3 +148,25 @@ def test_pictures_of_a_moving_body_bring_the_cameras_together(rendered, tmp_path
     )
     covariance = np.asarray(read_calibration(out).provenance["joint_covariance"])
     assert errors @ np.linalg.solve(covariance, errors) / len(errors) < 2.5
+
+
+@pytest.mark.parametrize(
+    ("place", "why"),
+    [
+        ("nowhere/c.toml", "there is no folder"),
+        (".", "is a folder; give the file to write"),
+        ("file/c.toml", "there is no folder"),
+    ],
+)
+def test_a_place_that_cannot_be_written_is_refused_before_measuring(
+    session, tmp_path, monkeypatch, capsys, place, why
+) -> None:
+    def never(*_, **__):
+        raise AssertionError("it was measured first")
+
+    monkeypatch.setattr("measure.api.refining._measure", never)
+    (tmp_path / "file").write_text("")
+    assert main(["refine", str(session), "-o", str(tmp_path / place)]) == 2
+    err = capsys.readouterr().err
+    assert why in err
+    assert err.count("\n") == 1
