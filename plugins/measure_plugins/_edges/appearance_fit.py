@@ -51,10 +51,6 @@ need not be tried any further. Without highlights it is believed above: such glo
 what is round them, have at most 0.33 and matt ones at least 0.76. Where none can be told, on white
 balls, it is believed above the second (the third, where curves are bent): the glossy model, having
 free reflections besides, explains matt paint nearly as well."""
-_BENT_BELOW = 0.72
-"""Share of the misfit's square that a bent curve must leave to be believed: free bends also take up
-what else is wrong with the model. On the program's own scenes it is at least 0.77 where the curve
-is the standard's and at most 0.68 where it is bent."""
 
 Bounds = tuple[float, float]
 
@@ -84,20 +80,34 @@ class Sight:
     frame: Floats
 
 
-def learn_appearance(sights: Sequence[Sight], start: Appearance) -> Appearance:
-    """Tone, blur and surface that explain the sights; the simplest unless another does clearly."""
-    useful = telling(sights)
-    if not useful:
-        return start
+def straight_appearance(sights: Sequence[Sight], start: Appearance) -> Appearance:
+    """Blur and surface that explain the sights, by the tone curve that `start` names."""
     start = replace(start, bends=np.zeros(BENDS), mirrors=True, lamps=no_lamps())
-    straight, curved = _bounds(useful, start.table)
-    useful = telling([_without_clipped(s) for s in useful]) or useful
-    plain = _of_either_surface(useful, start, start, _STRAIGHT, straight)
-    bent = _refined(useful, plain, _BENT)
-    if _share(useful, bent, plain) ** 2 > _BENT_BELOW:
-        return plain
-    glossy, matt = (bent, start) if plain.index == GLOSSY else (start, bent)
-    return _of_either_surface(useful, glossy, matt, _BENT, curved)
+    useful = _unclipped(sights)
+    return _of_either_surface(useful, start, start, _STRAIGHT, _bounds(sights, start.table)[0])
+
+
+def bent_appearance(sights: Sequence[Sight], straight: Appearance) -> Appearance:
+    """The same, and how the curve departs from the one named; `straight` without lamps."""
+    useful = _unclipped(sights)
+    bent = _refined(useful, straight, _BENT)
+    glossy, matt = (bent, straight) if straight.index == GLOSSY else (straight, bent)
+    return _of_either_surface(useful, glossy, matt, _BENT, _bounds(sights, straight.table)[1])
+
+
+def refined_bends(sights: Sequence[Sight], bent: Appearance) -> Appearance:
+    """Bends and blur once more, by the light of the lamps that are known by now."""
+    return _refined(_unclipped(sights), bent, _BENT)
+
+
+def left_by(one: Appearance, other: Appearance, sights: Sequence[Sight]) -> float:
+    """What one leaves of the misfit's square that the other does, light that is clipped aside."""
+    return _share(_unclipped(sights), one, other) ** 2
+
+
+def _unclipped(sights: Sequence[Sight]) -> list[Sight]:
+    """The sights without rays on which light is clipped, where enough is left."""
+    return telling([_without_clipped(s) for s in sights]) or list(sights)
 
 
 def _bounds(sights: Sequence[Sight], table: Floats) -> tuple[Bounds, Bounds]:

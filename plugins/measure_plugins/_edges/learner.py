@@ -9,14 +9,10 @@ import numpy as np
 
 from measure.arrays import Bytes, Floats
 from measure_plugins._edges.appearance import Appearance
-from measure_plugins._edges.appearance_fit import (
-    Sight,
-    learn_appearance,
-    misfits,
-    with_or_without_mirroring,
-)
+from measure_plugins._edges.appearance_fit import Sight, misfits
 from measure_plugins._edges.corrected import INSIDE_PX, OUTSIDE_PX
-from measure_plugins._edges.lamps_fit import learn_lamps, with_lamps
+from measure_plugins._edges.lamps_fit import learn_lamps
+from measure_plugins._edges.lesson import learnt_appearance
 from measure_plugins._edges.radial import STEPS
 from measure_plugins._edges.rays import cast_rays, frame_about, ways
 
@@ -66,8 +62,7 @@ class AppearanceLearner:
             return None
         self._due = _LATER * self._count
         sights = [sight for picture in self._pictures for sight in picture]
-        lit = with_lamps(sights, learn_appearance(sights, now))
-        return with_or_without_mirroring(sights, lit)
+        return learnt_appearance(sights, now)
 
     def warm_up(self, pixels: Bytes, cone: Cone, now: Appearance) -> None:
         """Compile what a lesson runs."""

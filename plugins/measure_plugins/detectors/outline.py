@@ -99,6 +99,7 @@ class OutlineDetector(Detector):
         self._measure(image, expected)
         self._measure(image, [replace(one, center_camera=None) for one in expected])
         self._searched(image, ())
+        self._gains_about(self._view(image), expected, self._cones(expected))
         self._learner.warm_up(image.pixels, _cones(self._cones(expected))[0], self._appearance)
 
     def detect(self, image: Image, expected: Sequence[Expectation]) -> list[Detection]:
@@ -177,19 +178,23 @@ class OutlineDetector(Detector):
         found: Sequence[Detection],
     ) -> bool:
         """Learn how looks answer at balls where that is not known; whether there were any."""
-        from measure_plugins._edges.balls import measure_gains
-
         sized = {e.ball for e in expected if e.center_camera is not None}
         new = [d.ball for d in found if d.ball in sized and d.ball not in self._gains]
         if not new:
             return False
-        row, cones, c = {e.ball: i for i, e in enumerate(expected)}, cones.copy(), self.config
+        row, cones = {e.ball: i for i, e in enumerate(expected)}, cones.copy()
         for d in found:
             cones[row[d.ball], :3] = self.camera.intrinsics.unproject(d.center_px[None])[0]
-        settled = self._expected(expected, cones)
-        gains = measure_gains(view, settled, c.rays, c.min_contrast, c.margin_px)
+        gains = self._gains_about(view, expected, cones)
         self._gains.update({ball: gains[row[ball]] for ball in new})
         return True
+
+    def _gains_about(self, view: View, expected: Sequence[Expectation], settled: Floats) -> Floats:
+        """How looks answer (k, 2, 2) at the expected balls, whose outlines are `settled`."""
+        from measure_plugins._edges.balls import measure_gains
+
+        c, balls = self.config, self._expected(expected, settled)
+        return measure_gains(view, balls, c.rays, c.min_contrast, c.margin_px)
 
     def _measure_at(
         self, image: Image, view: View, expected: Sequence[Expectation], cones: Floats

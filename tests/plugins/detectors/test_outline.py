@@ -195,6 +195,7 @@ def test_warm_up_compiles_every_hot_loop(camera):
     OutlineDetector(OutlineConfig(), RAVEN, camera).warm_up()
     loops = (
         balls.measure_balls,
+        balls.measure_gains,
         balls.cones_of,
         rough_outlines.approach,
         color_table.classify,

@@ -42,6 +42,19 @@ def test_a_bent_tone_curve_is_found(learnt):
     assert after < 0.5 * before
 
 
+@pytest.mark.parametrize("strength", [0.04, 0.06])
+def test_a_mild_bend_is_found_by_the_light_of_lamps(strength):
+    """A third and half as strong an S as above: free shading explains it nearly as well."""
+
+    def contrasty(_, pixels, balls):
+        values = np.arange(256) / 255
+        curve = np.rint(255 * (values - strength * np.sin(2 * np.pi * values)))
+        return curve.astype(np.uint8)[pixels], balls
+
+    taught = lessons(scene_catalogue()["still"], "cam3", contrasty)[1]
+    assert 0.4 * strength < taught.bends[2] < 1.2 * strength
+
+
 def test_matt_paint_is_found(learnt):
     assert learnt["matt"].index == MATT
     assert np.all(np.abs(learnt["matt"].bends) < 1e-6)
