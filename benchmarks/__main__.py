@@ -16,7 +16,15 @@ import cv2
 from benchmarks.command import run_command
 from benchmarks.methods import DEFAULT, METHODS
 from benchmarks.off_axis import BINS_DEG, off_axis_recordings, off_axis_rows
-from benchmarks.recordings import UNUSUAL, recordings_beside, render_all, rendered_scenes
+from benchmarks.recordings import (
+    ALTERED,
+    UNUSUAL,
+    alter_all,
+    altered_recordings,
+    recordings_beside,
+    render_all,
+    rendered_scenes,
+)
 from benchmarks.tables import FIGURES, Rows, markdown, measured_rows
 from measure.results import versions
 
@@ -59,6 +67,15 @@ Scenes with two or three things out of the ordinary at once, measured with the d
 they are, where they are less good.
 
 """
+ALTERED_RECORDINGS = """## Altered recordings
+
+The path tracer's recordings as other cameras would have taken them (`benchmarks/altered.py`),
+measured with the default profile: more contrast than the standard's tone curve has, sharpened with
+a strongly bent curve, overexposed, dim, defocused.
+
+"""
+APART = {ALTERED: ALTERED_RECORDINGS, UNUSUAL: UNUSUAL_PICTURES}
+"""What recordings in a table of their own are called, and what stands above that."""
 
 
 def _options() -> argparse.Namespace:
@@ -69,7 +86,8 @@ def _options() -> argparse.Namespace:
         description="Print how accurate, how reliable and how fast every method is on every "
         "recording; with --out, write it as a page of the documentation.",
         epilog=f"methods: {methods}; recordings: the rendered sessions beside the project, where "
-        "they are at hand, 'own' and 'unusual' scenes of measure.simulation, and off-axis",
+        "they are at hand, these 'altered', 'own' and 'unusual' scenes of measure.simulation, and "
+        "off-axis",
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )
     parser.add_argument("--frames", type=int, default=24, help="frame sets per scene")
@@ -78,15 +96,15 @@ def _options() -> argparse.Namespace:
     parser.add_argument(
         "--methods",
         default="",
-        help="methods whose name contains this; if it is empty, all but for unusual scenes, "
-        f"which the {DEFAULT} alone measures",
+        help="methods whose name contains this; if it is empty, all but for unusual scenes and "
+        f"altered recordings, which the {DEFAULT} alone measures",
     )
     parser.add_argument("--jobs", type=int, default=1, help="recordings measured side by side")
     parser.add_argument("--out", type=Path, help="write the tables to this page")
     given = parser.parse_args()
     if not any(given.methods in method.name for method in METHODS):
         parser.error(f"--methods {given.methods}: no method is called so; there are {methods}")
-    known = [*recordings_beside(), *rendered_scenes(), "off-axis"]
+    known = [*recordings_beside(), *altered_recordings(), *rendered_scenes(), "off-axis"]
     if not any(given.only in name for name in known):
         names = ", ".join(known)
         parser.error(f"--only {given.only}: no recording is called so; there are {names}")
@@ -110,11 +128,15 @@ def main() -> None:
 
 
 def _measured(given: argparse.Namespace, folder: Path) -> dict[str, Rows]:
-    """The rows of every recording that is asked for, rendered if it has to be."""
+    """The rows of every recording that is asked for, rendered or altered if it has to be."""
     paths = {name: path for name, path in recordings_beside().items() if given.only in name}
+    wanted = {name: how for name, how in altered_recordings().items() if given.only in name}
+    paths |= alter_all(wanted, folder)
     scenes = {name: scene for name, scene in rendered_scenes().items() if given.only in name}
     paths |= render_all(scenes, folder, given.frames)
-    methods = [given.methods or (DEFAULT if name.startswith(UNUSUAL) else "") for name in paths]
+    methods = [
+        given.methods or (DEFAULT if name.startswith(tuple(APART)) else "") for name in paths
+    ]
     with ProcessPoolExecutor(given.jobs, get_context("spawn")) as pool:
         rows = list(pool.map(measured_rows, paths, paths.values(), methods))
     return dict(zip(paths, rows, strict=True))
@@ -122,14 +144,16 @@ def _measured(given: argparse.Namespace, folder: Path) -> dict[str, Rows]:
 
 def _sections(given: argparse.Namespace, folder: Path) -> Iterator[str]:
     """The page's sections on what is asked for."""
-    unusual: Rows = []
+    apart: dict[str, Rows] = {kind: [] for kind in APART}
     for name, rows in _measured(given, folder).items():
-        if name.startswith(UNUSUAL):
-            unusual += [(name.removeprefix(UNUSUAL), *row) for row in rows]
-        else:
+        kind = next((kind for kind in APART if name.startswith(kind)), None)
+        if kind is None:
             yield f"## {name}\n\n" + markdown(("method", *FIGURES), rows)
-    if unusual:
-        yield UNUSUAL_PICTURES + markdown(("scene", "method", *FIGURES), unusual)
+        else:
+            apart[kind] += [(name.removeprefix(kind), *row) for row in rows]
+    for kind, rows in apart.items():
+        if rows:
+            yield APART[kind] + markdown(("recording", "method", *FIGURES), rows)
     if given.only in "off-axis":
         turned = off_axis_recordings(folder, max(given.frames // 4, 1))
         head = ("method", *(f"{a:.0f}-{b:.0f} deg" for a, b in pairwise(BINS_DEG)))

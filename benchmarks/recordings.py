@@ -6,11 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.altered import ALTERATIONS, altered_copy
 from measure.simulation import Scene, scene_catalogue, unusual_scenes, write_session
 
 BESIDE = Path(__file__).resolve().parents[2] / "shared" / "renders"
 UNUSUAL = "unusual "
-"""What the names of recordings of unusual scenes begin with."""
+ALTERED = "altered "
+"""What the names of recordings of unusual scenes, and of altered recordings, begin with."""
 
 
 def rendered_scenes() -> dict[str, Scene]:
@@ -35,3 +37,21 @@ def recordings_beside() -> dict[str, Path]:
     """Sessions with truth in ../shared/renders, if that is there."""
     found = sorted(BESIDE.glob("*/session.toml")) if BESIDE.is_dir() else []
     return {path.parent.name: path.parent for path in found if (path.parent / "truth.csv").exists()}
+
+
+def altered_recordings() -> dict[str, tuple[Path, str]]:
+    """Recordings beside and what alters them, by the names of the altered ones."""
+    return {
+        f"{ALTERED}{name} {how}": (path, how)
+        for name, path in recordings_beside().items()
+        for how in ALTERATIONS
+    }
+
+
+def alter_all(wanted: dict[str, tuple[Path, str]], folder: Path) -> dict[str, Path]:
+    """Altered copies in `folder` of recordings, those that are not there already."""
+    out = {}
+    for name, (path, how) in wanted.items():
+        out[name] = folder / name.replace(" ", "-")
+        altered_copy(path, out[name], how)
+    return out

@@ -1,0 +1,69 @@
+"""Recordings as other cameras would have taken them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from benchmarks.altered import ALTERATIONS, altered_copy, contrast, defocused, dim, overexposed
+from benchmarks.recordings import ALTERED, altered_recordings, recordings_beside
+from measure.session import open_session
+from measure.simulation import scene_catalogue, write_session
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    scene = scene_catalogue()["still"]
+    folder = tmp_path_factory.mktemp("altered") / "still"
+    write_session(replace(scene, cameras=scene.cameras[:2]), np.arange(2) / 30, folder)
+    return folder
+
+
+def _first(folder):
+    return cv2.imread(str(sorted(folder.glob("cam0/*.jpg"))[0])).astype(int)
+
+
+@pytest.mark.parametrize("how", ALTERATIONS)
+def test_only_pictures_change(recording, tmp_path, how):
+    before = _first(recording)
+    altered_copy(recording, tmp_path / how, how)
+    assert np.array_equal(_first(recording), before)
+    assert np.mean(np.abs(_first(tmp_path / how) - before)) > 0.5
+    for name in ("truth.csv", "calibration.toml", "body.toml", "cam0.csv"):
+        assert (tmp_path / how / name).read_bytes() == (recording / name).read_bytes()
+    with open_session(tmp_path / how) as session:
+        assert sum(1 for _ in session.frame_sets()) == 2
+
+
+def test_a_copy_that_is_there_is_kept_and_a_half_made_one_is_not(recording, tmp_path):
+    kept, half_made = tmp_path / "kept", tmp_path / "new.part"
+    kept.mkdir()
+    half_made.mkdir()
+    (half_made / "left over").touch()
+    altered_copy(recording, kept, "dim")
+    altered_copy(recording, tmp_path / "new", "dim")
+    assert not list(kept.iterdir())
+    assert not (tmp_path / "new" / "left over").exists()
+    assert not half_made.exists()
+
+
+def test_what_alterations_do_to_light():
+    values = np.linspace(0, 1, 12, dtype=np.float32).reshape(2, 2, 3)
+    grey = np.full((20, 20, 3), 0.5, np.float32)
+    middle = (values > 0.1) & (values < 0.9)
+    assert np.all((contrast(values) < values)[middle & (values < 0.5)])
+    assert np.all((contrast(values) > values)[middle & (values > 0.5)])
+    assert np.all(overexposed(values) >= values - 1e-6)
+    assert overexposed(np.full((1, 1, 3), 0.9, np.float32)).max() == pytest.approx(1.0)
+    assert dim(grey).mean() == pytest.approx(0.26, abs=0.02)  # a quarter of the light of 0.5
+    assert defocused(grey) == pytest.approx(grey, abs=1e-3)
+    edge = np.where(np.arange(40)[None, :, None] < 20, 0.0, 0.8) * np.ones((40, 40, 3))
+    assert np.ptp(np.diff(defocused(edge.astype(np.float32))[20, :, 0])) < 0.4
+
+
+def test_every_recording_beside_is_altered_in_every_way():
+    names = {f"{ALTERED}{name} {how}" for name in recordings_beside() for how in ALTERATIONS}
+    assert set(altered_recordings()) == names
