@@ -80,37 +80,39 @@ class Sight:
     frame: Floats
 
 
-def straight_appearance(sights: Sequence[Sight], start: Appearance) -> Appearance:
+def as_stated(now: Appearance) -> Appearance:
+    """An appearance with all forgotten that a lesson teaches anew."""
+    return replace(now, bends=np.zeros(BENDS), mirrors=True, lamps=no_lamps())
+
+
+def straight_appearance(sights: Sequence[Sight], start: Appearance, bounds: Bounds) -> Appearance:
     """Blur and surface that explain the sights, by the tone curve that `start` names."""
-    start = replace(start, bends=np.zeros(BENDS), mirrors=True, lamps=no_lamps())
-    useful = _unclipped(sights)
-    return _of_either_surface(useful, start, start, _STRAIGHT, _bounds(sights, start.table)[0])
+    return _of_either_surface(sights, start, start, _STRAIGHT, bounds)
 
 
-def bent_appearance(sights: Sequence[Sight], straight: Appearance) -> Appearance:
+def bent_appearance(sights: Sequence[Sight], straight: Appearance, bounds: Bounds) -> Appearance:
     """The same, and how the curve departs from the one named; `straight` without lamps."""
-    useful = _unclipped(sights)
-    bent = _refined(useful, straight, _BENT)
+    bent = refined_bends(sights, straight)
     glossy, matt = (bent, straight) if straight.index == GLOSSY else (straight, bent)
-    return _of_either_surface(useful, glossy, matt, _BENT, _bounds(sights, straight.table)[1])
+    return _of_either_surface(sights, glossy, matt, _BENT, bounds)
 
 
-def refined_bends(sights: Sequence[Sight], bent: Appearance) -> Appearance:
-    """Bends and blur once more, by the light of the lamps that are known by now."""
-    return _refined(_unclipped(sights), bent, _BENT)
+def refined_bends(sights: Sequence[Sight], start: Appearance) -> Appearance:
+    """Bends and blur that explain the sights better, by the light of the lamps that are known."""
+    return _refined(sights, start, _BENT)
 
 
 def left_by(one: Appearance, other: Appearance, sights: Sequence[Sight]) -> float:
-    """What one leaves of the misfit's square that the other does, light that is clipped aside."""
-    return _share(_unclipped(sights), one, other) ** 2
+    """What one leaves of the misfit's square that the other does."""
+    return _share(sights, one, other) ** 2
 
 
-def _unclipped(sights: Sequence[Sight]) -> list[Sight]:
+def unclipped(sights: Sequence[Sight]) -> list[Sight]:
     """The sights without rays on which light is clipped, where enough is left."""
     return telling([_without_clipped(s) for s in sights]) or list(sights)
 
 
-def _bounds(sights: Sequence[Sight], table: Floats) -> tuple[Bounds, Bounds]:
+def surface_bounds(sights: Sequence[Sight], table: Floats) -> tuple[Bounds, Bounds]:
     """Between glossy and matt balls (see `_of_either_surface`), by the highlights that they show.
 
     Returns:

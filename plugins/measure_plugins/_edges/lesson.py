@@ -7,11 +7,14 @@ from collections.abc import Sequence
 from measure_plugins._edges.appearance import Appearance
 from measure_plugins._edges.appearance_fit import (
     Sight,
+    as_stated,
     bent_appearance,
     left_by,
     refined_bends,
     straight_appearance,
+    surface_bounds,
     telling,
+    unclipped,
     with_or_without_mirroring,
 )
 from measure_plugins._edges.lamps_fit import with_lamps
@@ -35,11 +38,13 @@ def learnt_appearance(sights: Sequence[Sight], now: Appearance) -> Appearance:
     useful = telling(sights)
     if not useful:
         return now
-    unlit = straight_appearance(useful, now)
-    straight, bent = with_lamps(useful, unlit), bent_appearance(useful, unlit)
+    start, clear = as_stated(now), unclipped(useful)
+    if_straight, if_bent = surface_bounds(useful, start.table)
+    unlit = straight_appearance(clear, start, if_straight)
+    straight, bent = with_lamps(useful, unlit), bent_appearance(clear, unlit, if_bent)
     chosen = straight
-    if left_by(bent, unlit, useful) < _HOPELESS:
-        bent = with_lamps(useful, refined_bends(useful, with_lamps(useful, bent)))
-        if left_by(bent, straight, useful) < _BENT_BELOW:
+    if left_by(bent, unlit, clear) < _HOPELESS:
+        bent = with_lamps(useful, refined_bends(clear, with_lamps(useful, bent)))
+        if left_by(bent, straight, clear) < _BENT_BELOW:
             chosen = bent
     return with_or_without_mirroring(useful, chosen)
