@@ -65,14 +65,24 @@ def enter(
     z: float,
 ) -> float:
     """Depth d at which a ray `p + d * (x, y, z)` enters shape k, infinity if it misses."""
-    ax = shapes[k, A] + delay * shapes[k, VELOCITY] - px
-    ay = shapes[k, A + 1] + delay * shapes[k, VELOCITY + 1] - py
-    az = shapes[k, A + 2] + delay * shapes[k, VELOCITY + 2] - pz
+    ax, ay, az = offset(shapes, k, delay, px, py, pz)
     if shapes[k, KIND] == SPHERE:
         return _enter_sphere(ax, ay, az, shapes[k, RADIUS], x, y, z)
     if shapes[k, KIND] == BOX:
         return _enter_box(shapes, k, ax, ay, az, x, y, z)
     return _enter_capsule(shapes, k, ax, ay, az, x, y, z)
+
+
+@inlined
+def offset(
+    shapes: Floats, k: int, delay: float, px: float, py: float, pz: float
+) -> tuple[float, float, float]:
+    """From a point to the centre or the start of shape k, after it moved for a while."""
+    return (
+        shapes[k, A] + delay * shapes[k, VELOCITY] - px,
+        shapes[k, A + 1] + delay * shapes[k, VELOCITY + 1] - py,
+        shapes[k, A + 2] + delay * shapes[k, VELOCITY + 2] - pz,
+    )
 
 
 @inlined

@@ -14,7 +14,7 @@ import numpy as np
 
 from measure.arrays import Floats, Ints
 from measure.compiling import compiled, inlined
-from measure.simulation.kernels import NOTHING, REACH, REFLECTANCE, ROUGHNESS, VELOCITY, A, enter
+from measure.simulation.kernels import NOTHING, REACH, REFLECTANCE, ROUGHNESS, enter, offset
 from measure.simulation.surface_kernels import Points, find_normal
 
 _GRAZING = 1e-9
@@ -158,9 +158,7 @@ def _comes_near(
     z: float,
 ) -> bool:
     """Whether a ray from `p` along a unit vector may meet shape k at all."""
-    ax = shapes[k, A] + delay * shapes[k, VELOCITY] - px
-    ay = shapes[k, A + 1] + delay * shapes[k, VELOCITY + 1] - py
-    az = shapes[k, A + 2] + delay * shapes[k, VELOCITY + 2] - pz
+    ax, ay, az = offset(shapes, k, delay, px, py, pz)
     along, reach2 = ax * x + ay * y + az * z, shapes[k, REACH] ** 2
     away2 = ax * ax + ay * ay + az * az - reach2
     return (along > 0 or away2 < 0) and along * along >= away2
