@@ -15,94 +15,27 @@ from measure.simulation import (
     Light,
     Lighting,
     Material,
-    Renderer,
-    Scene,
     Sensor,
     Sphere,
     Still,
 )
 from measure.simulation.caster import Stage
 from measure.simulation.presets import PLASTIC, look_at
-from tests.simulation.test_renderer import small_camera, white_scene
-
-EVEN = Lighting((), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0), below=1.0)
-CENTER, RADIUS = np.array([0.0, 0.0, 250.0]), 20.0
-SMOOTH = Material((0.0, 0.0, 0.0), 1.0, 0.0)
-HALF_MM = 700.0
-
-
-def beside(*offset_mm):
-    """A place so far from the ball."""
-    return CENTER + np.array(offset_mm)
-
-
-def chequered(points):
-    """Two colours in squares of 90 mm, by the place in a wall's own frame."""
-    odd = np.floor(points / 90.0).astype(int)[:, 1:].sum(axis=1) % 2 == 1
-    return np.where(odd[:, None], (0.9, 0.5, 0.1), (0.1, 0.3, 0.8))
-
-
-def closed_room(paint=None, **material):
-    """Six walls round the world's origin; their frames' x axes point at each wall in turn."""
-    shapes = []
-    for axis in range(3):
-        for sign in (-1, 1):
-            turn = np.roll(np.eye(3), axis, axis=0)
-            place = np.zeros(3)
-            place[axis] = sign * (HALF_MM + 5)
-            wall = Material(paint or (0, 0, 0), **material)
-            size = (10.0, 2 * HALF_MM + 40, 2 * HALF_MM + 40)
-            shapes.append(Box(RigidTransform(turn, place), size, wall))
-    return tuple(shapes)
-
-
-def scene(*fixed, walls=(), light=EVEN, **changes) -> Scene:
-    return white_scene(lighting=light, fixed=fixed, backdrop=walls, backdrop_px=1, **changes)
-
-
-def seen(scene_, camera="cam0"):
-    """Radiance (h, w, 3), R G B."""
-    return Renderer(scene_, camera).radiance(0.0)[..., ::-1].astype(float)
-
-
-def mirrored_rays(camera, center=CENTER, margin_px=1.0):
-    """What pixels well inside a smooth ball mirror.
-
-    Returns:
-        The pixels (n, 2), where their rays meet the ball (n, 3), the normals there, and the
-        directions in which they go on.
-    """
-    rows, columns = np.mgrid[0 : camera.intrinsics.size_wh[1], 0 : camera.intrinsics.size_wh[0]]
-    pixels = np.column_stack([columns.ravel(), rows.ravel()])
-    rays = camera.intrinsics.unproject(pixels.astype(float)) @ camera.world_from_camera.rotation.T
-    to_center = center - camera.center
-    along = rays @ to_center
-    off = np.sqrt(to_center @ to_center - along**2)
-    inside = off < RADIUS - margin_px * np.linalg.norm(to_center) / camera.intrinsics.focal_px
-    rays, along, off = rays[inside], along[inside], off[inside]
-    places = camera.center + (along - np.sqrt(RADIUS**2 - off**2))[:, None] * rays
-    normals = (places - center) / RADIUS
-    on = rays - 2 * np.sum(rays * normals, axis=1, keepdims=True) * normals
-    return pixels[inside], places, normals, on
-
-
-def wall_colours(places, directions):
-    """What rays meet in the chequered room, and how far (n,) from a change of colour, in mm."""
-    away = ((np.sign(directions) * HALF_MM) - places) / directions
-    axis = np.argmin(away, axis=1)
-    hits = places + np.min(away, axis=1)[:, None] * directions
-    local = np.stack([np.roll(np.eye(3), k, axis=0) for k in range(3)])[axis]
-    local = np.einsum("nij,ni->nj", local, hits)
-    edge = np.abs(local[:, 1:] / 90.0 - np.rint(local[:, 1:] / 90.0)).min(axis=1) * 90.0
-    return chequered(local), edge
-
-
-def nearest_ball(places, directions, center, radius):
-    """Distances (n,) at which rays meet a ball; inf where they pass it."""
-    to = center - places
-    along = np.sum(to * directions, axis=1)
-    inside = radius**2 - np.sum(to * to, axis=1) + along**2
-    return np.where((inside > 0) & (along > 0), along - np.sqrt(np.maximum(inside, 0)), np.inf)
+from tests.simulation.mirror_rooms import (
+    CENTER,
+    EVEN,
+    RADIUS,
+    SMOOTH,
+    beside,
+    chequered,
+    closed_room,
+    mirrored_rays,
+    nearest_ball,
+    scene,
+    seen,
+    wall_colours,
+)
+from tests.simulation.test_renderer import small_camera
 
 
 @pytest.mark.parametrize("roughness", [0.0, 0.02, 0.08, 0.3])
@@ -209,14 +142,9 @@ def test_a_mirrored_thing_is_lit_and_shadowed_as_it_is_seen_directly() -> None:
     direct = seen(lit, "other")
     wide = np.array(direct.shape[1::-1]) - 1
     fits = np.all((uv >= 1) & (uv < wide), axis=1)
-    # Only where the matt ball is what the other camera sees, away from its outline.
-    view = hits - other.center
-    distance = np.linalg.norm(view, axis=1)
-    view /= distance[:, None]
-    back = np.repeat(other.center[None], len(hits), axis=0)
+    fits &= _faces(other, hits, target, 40.0)
     for center, radius in ((CENTER, RADIUS), (blocker, 14.0)):
-        fits &= nearest_ball(back, view, center, radius + 3) == np.inf
-    fits &= np.sum(view * (target - hits), axis=1) / 40.0 > 0.3
+        fits &= _clear(other, hits, center, radius + 3)
     p = pixels[first_met][fits]
     expected = direct[uv[fits, 1], uv[fits, 0]]
     mirrored = seen(lit)[p[:, 1], p[:, 0]]
@@ -227,6 +155,23 @@ def test_a_mirrored_thing_is_lit_and_shadowed_as_it_is_seen_directly() -> None:
     bright = seen(replace(lit, fixed=(mirror, matt)))[p[:, 1], p[:, 0]]
     shadowed = bright[:, 0] > mirrored[:, 0] + 0.1
     assert 0.05 < shadowed.mean() < 0.95, "some of what is mirrored lies in the shadow"
+
+
+def _view(camera, places):
+    """Unit directions (n, 3) in which a camera sees places."""
+    view = places - camera.center
+    return view / np.linalg.norm(view, axis=1)[:, None]
+
+
+def _faces(camera, places, center, radius):
+    """Which places on a ball (n,) a camera sees away from its outline, if nothing hides them."""
+    return np.sum(_view(camera, places) * (center - places), axis=1) / radius > 0.3
+
+
+def _clear(camera, places, center, radius):
+    """Which places (n,) a camera sees past a ball, if nothing else hides them."""
+    back = np.repeat(camera.center[None], len(places), axis=0)
+    return nearest_ball(back, _view(camera, places), center, radius) == np.inf
 
 
 @pytest.mark.parametrize("roughness", [0.02, 0.06, 0.12])
