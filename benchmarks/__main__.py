@@ -48,7 +48,7 @@ python -m benchmarks --frames 8 --jobs 2 --out docs/benchmarks.md
   for what more recordings say.
 - *first* and *later* are the CPU time of the first frame set (search) and the median of the
   others, decoding apart, as multiples of one `cv2.cvtColor(BGR2HSV)` of one picture, timed in
-  turn with them.
+  turn with them; what is learnt from the first pictures before that is not in it.
 
 `own` and unusual recordings are rendered by `measure.simulation`, their calibration exact; the
 others by a path tracer that is not part of the program, and appear where they are at hand.

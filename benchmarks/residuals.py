@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.command import run_command
-from measure.api import build_pipeline, load_profile
+from measure.api import load_profile, measure_session
 from measure.arrays import Floats
 from measure.host import Registry
 from measure.model import Camera, Detection
@@ -56,9 +56,8 @@ def main() -> None:
 def edge_errors(session: Session, truth: Trajectory) -> Views:
     """Measure a session with the precise profile; errors of all edges it uses."""
     profile, registry = load_profile("precise"), Registry.discover()
-    pipeline = build_pipeline(profile, registry, session.body, session.cameras)
     found: dict[tuple[str, str], list[Floats]] = defaultdict(list)
-    for one in pipeline.measure(session.frame_sets()):
+    for _, one in measure_session(session, profile, registry):
         for view in one.views:
             if view.effective and view.detection is not None:
                 place = truth.at(np.array([view.detection.time_s]))[0]

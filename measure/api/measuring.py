@@ -8,9 +8,10 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 
 from measure.host import Registry
-from measure.measuring import Measurement, Pipeline, Profile
+from measure.measuring import Measurement, Pipeline, Profile, rehearsal
 from measure.model import Body, Camera, FrameSet
 from measure.session import Session
 
@@ -25,13 +26,13 @@ _log = logging.getLogger(__name__)
 def measure_session(
     session: Session, profile: Profile, registry: Registry, start: int = 0
 ) -> Iterator[tuple[FrameSet, Measurement]]:
-    """Measure a session's frame sets in order.
+    """Measure a session's frame sets in order, after a rehearsal with the first if detectors learn.
 
     Args:
         session: an open session.
         profile: the stages and their settings.
         registry: where the plugins come from.
-        start: index of the first frame set.
+        start: index of the first frame set to measure; a rehearsal is always with the very first.
 
     Yields:
         Each frame set with its measurement, as soon as that is final.
@@ -41,7 +42,7 @@ def measure_session(
         ConfigError: settings that do not fit.
         SessionError: an image that cannot be read.
     """
-    pipeline = warm_pipeline(profile, registry, session.body, session.cameras)
+    pipeline = rehearsed_pipeline(session, profile, registry)
     waiting: deque[FrameSet] = deque()
 
     def remember(frame_sets: Iterable[FrameSet]) -> Iterator[FrameSet]:
@@ -51,6 +52,27 @@ def measure_session(
 
     for measured in pipeline.measure(remember(session.frame_sets(start=start))):
         yield waiting.popleft(), measured
+
+
+def rehearsed_pipeline(session: Session, profile: Profile, registry: Registry) -> Pipeline:
+    """A warm pipeline whose detectors know how the recording begins, if they learn from pictures.
+
+    Raises:
+        PluginError: a plugin that is unknown, broken or ambiguous, or refuses the body.
+        ConfigError: settings that do not fit.
+        SessionError: no two cameras have images close enough in time.
+    """
+    from measure.api.profiles import build_pipeline
+
+    body, cameras = session.body, session.cameras
+    pipeline = warm_pipeline(profile, registry, body, cameras)
+    detectors = pipeline.stages.detectors
+    if rehearsal.wanted(detectors):
+        stages = build_pipeline(profile, registry, body, cameras).stages
+        rehearsal.rehearse(
+            body, cameras, replace(stages, detectors=detectors), session.frame_sets()
+        )
+    return pipeline
 
 
 def warm_pipeline(

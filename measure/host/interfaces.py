@@ -30,7 +30,11 @@ class Plugin(ABC):
 
 
 class Detector(Plugin):
-    """Finds the balls of a body in one camera's images. Keeps no state between calls."""
+    """Finds the balls of a body in one camera's images. Keeps no state between calls.
+
+    One that does, because it learns from pictures how its camera shows balls, may ask for a
+    rehearsal; any other sees the pictures of a recording once, in order of time.
+    """
 
     def __init__(self, config: Settings, body: Body, camera: Camera) -> None:
         self.config = config
@@ -50,6 +54,19 @@ class Detector(Plugin):
             most one; for a searched ball there may be several candidates, the best score first, and
             geometry decides.
         """
+
+    @property
+    def wants_rehearsal(self) -> bool:
+        """Whether it would rather see more pictures before those of a recording are measured.
+
+        While it says so, the first frame sets of a recording are measured for nothing else, as far
+        as that leads anywhere; then the recording is measured from its start. Pictures that come
+        from cameras at work come once.
+        """
+        return False
+
+    def rehearsed(self) -> None:
+        """The rehearsal is over: the pictures it was shown come again."""
 
 
 class Triangulator(Plugin):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -80,7 +80,7 @@ class Pipeline:
         if self.stages.neighbours:
             pose_spline.warm_up()
 
-    def measure(self, frame_sets: Iterable[FrameSet]) -> Iterator[Measurement]:
+    def measure(self, frame_sets: Iterable[FrameSet]) -> Generator[Measurement]:
         """Measure frame sets in order of time; yields one measurement for each, in order.
 
         Raises:

@@ -22,6 +22,8 @@ _LATER = 4
 """Each lesson waits for this many times as many pictures as the one before: light and exposure may
 change, but what a lesson costs must not be felt."""
 _REMEMBERED = 4
+_SETTLED = 2
+"""After so many lessons, what pictures teach is known about as well as it ever will be."""
 _BORDER_PX = 2.0
 
 Cone = tuple[Floats, float, float]
@@ -35,6 +37,16 @@ class AppearanceLearner:
         self._lens, self._rays, self._margin_px = lens, rays, margin_px
         self._count, self._kept, self._due = 0, 1, _FIRST
         self._pictures: deque[list[Sight]] = deque(maxlen=_REMEMBERED)
+        self._lessons = 0
+
+    @property
+    def settled(self) -> bool:
+        """Whether there have been lessons enough to start measuring."""
+        return self._lessons >= _SETTLED
+
+    def count_again(self) -> None:
+        """The pictures shown so far come again: they teach nothing new, later ones do."""
+        self._count = 0
 
     def wants(self, found: int) -> bool:
         """Whether a picture is one to keep or to learn from; asked once about every picture.
@@ -60,7 +72,7 @@ class AppearanceLearner:
         self._pictures.append([self._sight(pixels, cone, (*seen, *others)) for cone in seen])
         if self._count < self._due:
             return None
-        self._due = _LATER * self._count
+        self._due, self._lessons = _LATER * self._count, self._lessons + 1
         sights = [sight for picture in self._pictures for sight in picture]
         return learnt_appearance(sights, now)
 

@@ -102,6 +102,15 @@ class OutlineDetector(Detector):
         self._gains_about(self._view(image), expected, self._cones(expected))
         self._learner.warm_up(image.pixels, _cones(self._cones(expected))[0], self._appearance)
 
+    @property
+    def wants_rehearsal(self) -> bool:
+        """While it has not seen enough of what the camera does to light."""
+        return self.config.learn and not self._learner.settled
+
+    def rehearsed(self) -> None:
+        """What was learnt stays; the same pictures teach nothing new."""
+        self._learner.count_again()
+
     def detect(self, image: Image, expected: Sequence[Expectation]) -> list[Detection]:
         """Measure the expected balls; search the frame for the others."""
         found = self._measure(image, expected)

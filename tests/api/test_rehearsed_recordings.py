@@ -1,0 +1,59 @@
+"""The first frame sets of recordings by cameras far from the standard."""
+
+from __future__ import annotations
+
+from itertools import islice
+
+import numpy as np
+import pytest
+
+from benchmarks.altered import altered_copy
+from measure.api import load_profile, measure_session
+from measure.host import Registry
+from measure.measuring import Status
+from measure.session import open_session, read_trajectory
+from measure.simulation import scene_catalogue, write_session
+from measure_plugins.detectors.outline import OutlineDetector
+
+
+def first_errors(folder, count):
+    """Status and error (mm, deg) of the first frame sets; infinite without a pose."""
+    out = []
+    with open_session(folder) as session:
+        truth = read_trajectory(session.truth_path)
+        measured = measure_session(session, load_profile("precise"), Registry.discover())
+        for _, one in islice(measured, count):
+            error = np.full(2, np.inf)
+            if one.pose is not None:
+                off = one.pose.world_from_body.difference(truth.at([one.pose.time_s])[0])
+                error = np.array([np.linalg.norm(off[:3]), np.degrees(np.linalg.norm(off[3:]))])
+            out.append((one.status, *error))
+    return out
+
+
+@pytest.fixture
+def unrehearsed(monkeypatch):
+    """Call it, and recordings are measured at once."""
+    return lambda: monkeypatch.setattr(OutlineDetector, "wants_rehearsal", False)
+
+
+def test_the_first_poses_are_as_good_as_any(tmp_path, unrehearsed):
+    """Four frame sets only: one lesson, in the rehearsal as without it."""
+    folder = write_session(scene_catalogue()["sharpened"], np.arange(4) / 30, tmp_path / "scene")
+    rehearsed = first_errors(folder, 1)[0]
+    unrehearsed()
+    at_once = first_errors(folder, 1)[0]
+    assert rehearsed[1] < 0.04
+    assert at_once[1] > 0.08
+
+
+def test_no_frame_set_of_a_sharpened_recording_is_lost(shared, tmp_path, unrehearsed):
+    folder = tmp_path / "sharpened"
+    altered_copy(shared / "renders" / "still", folder, "sharpened")
+    for status, position_mm, rotation_deg in first_errors(folder, 3):
+        assert status is Status.OK
+        assert position_mm < 0.15
+        assert rotation_deg < 0.25
+    unrehearsed()
+    statuses = [status for status, *_ in first_errors(folder, 3)]
+    assert statuses == [Status.LOST, Status.FLAGGED, Status.FLAGGED]
