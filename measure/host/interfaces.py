@@ -32,9 +32,12 @@ class Plugin(ABC):
 class Detector(Plugin):
     """Finds the balls of a body in one camera's images. Keeps no state between calls.
 
-    One that does, because it learns from pictures how its camera shows balls, may ask for a
-    rehearsal; any other sees the pictures of a recording once, in order of time.
+    Attributes:
+        out_of_order: whether it may be shown earlier pictures again. One that keeps no state may;
+            one that does must know them by their times. Unless it is set, time runs on.
     """
+
+    out_of_order: ClassVar[bool] = False
 
     def __init__(self, config: Settings, body: Body, camera: Camera) -> None:
         self.config = config
@@ -61,12 +64,9 @@ class Detector(Plugin):
 
         While it says so, the first frame sets of a recording are measured for nothing else, as far
         as that leads anywhere; then the recording is measured from its start. Pictures that come
-        from cameras at work come once.
+        from cameras at work come once. Only for detectors that may see pictures `out_of_order`.
         """
         return False
-
-    def rehearsed(self) -> None:
-        """The rehearsal is over: the pictures it was shown come again."""
 
 
 class Triangulator(Plugin):

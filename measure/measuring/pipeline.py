@@ -12,6 +12,7 @@ from measure.errors import MeasureError
 from measure.host import Detector, PoseSolver, Triangulator
 from measure.measuring import instants, pose_spline
 from measure.measuring.instants import Seen
+from measure.measuring.looking_back import Looked, looked_back
 from measure.measuring.measurement import Draft, Measurement, Status
 from measure.measuring.pose_spline import motion_at, with_neighbours
 from measure.measuring.repeats import Repeats
@@ -44,7 +45,8 @@ class Stages:
         triangulator: locates single balls.
         solver: locates the body.
         own_times: whether each image counts at its own time.
-        neighbours: whether a pose is solved again with the motion that those round it show.
+        neighbours: whether poses wait for later ones: one is solved again with the motion that
+            those round it show, and a body just found is tracked back to where it was not.
         look_again: whether, after a search of whole frames, the balls are measured once more where
             they were found; and whether pictures in which the body was lost are searched.
     """
@@ -66,6 +68,9 @@ class Pipeline:
         self._cameras = {camera.name: camera for camera in cameras}
         self._rolling = any(camera.readout_s for camera in cameras)
         self._repeats = Repeats()
+        self._goes_back = stages.neighbours and all(
+            detector.out_of_order for detector in stages.detectors.values()
+        )
         self.stages = stages
 
     def warm_up(self) -> None:
@@ -89,7 +94,11 @@ class Pipeline:
         broken = list[MeasureError]()
         with SideBySide(len(self._cameras)) as pool:
             readable = _until_broken(frame_sets, broken)
-            drafts: Iterator[Draft] = (self._draft(frame_set, pool) for frame_set in readable)
+            looked = (self._draft(frame_set, pool) for frame_set in readable)
+            if self._goes_back:
+                drafts = looked_back(looked, lambda waiting: self._back(waiting, pool))
+            else:
+                drafts = (one.draft for one in looked)
             for _ in range(_ROUNDS if self.stages.neighbours else 0):
                 drafts = map(self._again, with_neighbours(drafts))
             for draft in drafts:
@@ -97,10 +106,33 @@ class Pipeline:
         if broken:
             raise broken[0]
 
-    def _draft(self, frame_set: FrameSet, pool: SideBySide) -> Draft:
+    def _draft(self, frame_set: FrameSet, pool: SideBySide) -> Looked:
         frame_set, doubt = self._repeats.sort_out(frame_set)
         draft = self._first_draft(frame_set, pool)
-        return draft.doubted(doubt) if doubt else draft
+        return Looked(frame_set, draft.doubted(doubt) if doubt else draft, doubt)
+
+    def _back(self, waiting: Sequence[Looked], pool: SideBySide) -> list[Draft]:
+        """Track the body back through frame sets before it was found, as far as that leads."""
+        drafts = [one.draft for one in waiting]
+        tracker = self.stages.tracker.backwards()
+        if tracker is None:
+            return drafts
+        cameras = list(self._cameras.values())
+        back = Pipeline(self._body, cameras, replace(self.stages, tracker=tracker))
+        for i in reversed(range(len(drafts))):
+            again = back._tracked(waiting[i].frame_set, pool)
+            if again is None:
+                break
+            drafts[i] = waiting[i].or_better(again)
+        return drafts
+
+    def _tracked(self, frame_set: FrameSet, pool: SideBySide) -> Draft | None:
+        """The body where it is expected; None if it is nowhere expected, or not there."""
+        expected = self.stages.tracker.expect(frame_set)
+        if not expected or not all(expected.values()):
+            return None
+        draft = self._look(frame_set, expected, pool)
+        return None if draft.measurement.pose is None else draft
 
     def _first_draft(self, frame_set: FrameSet, pool: SideBySide) -> Draft:
         expected = self.stages.tracker.expect(frame_set)

@@ -19,7 +19,8 @@ class Profile(BaseModel):
         solver: name of the pose-solver plugin.
         tracking: "frame-update" (the paper's section II.D), "predictive" or "memoryless".
         own_times: whether each image counts at its own time (else a frame set is one instant).
-        neighbours: whether a pose is solved again with a spline through those round it.
+        neighbours: whether poses wait for later ones: solved again with a spline through those
+            round them, and a body just found tracked back to where it was not.
         look_again: whether, after a search of whole frames, the balls are measured once more.
         settings: by stage name, the settings that differ from the defaults.
     """

@@ -23,7 +23,7 @@ _LONGEST = 64
 
 def wanted(detectors: Mapping[str, Detector]) -> bool:
     """Whether any of the detectors, one per camera, would rather see more pictures first."""
-    return any(detector.wants_rehearsal for detector in detectors.values())
+    return any(d.out_of_order and d.wants_rehearsal for d in detectors.values())
 
 
 def rehearse(
@@ -44,5 +44,3 @@ def rehearse(
             found += one.pose is not None
             if seen == _LONGEST or found == _FOUND or not wanted(stages.detectors):
                 break
-    for detector in stages.detectors.values():
-        detector.rehearsed()

@@ -33,8 +33,8 @@ def first_errors(folder, count):
 
 @pytest.fixture
 def unrehearsed(monkeypatch):
-    """Call it, and recordings are measured at once."""
-    return lambda: monkeypatch.setattr(OutlineDetector, "wants_rehearsal", False)
+    """Call it, and recordings are measured from the first frame set to the last, once."""
+    return lambda: monkeypatch.setattr(OutlineDetector, "out_of_order", False)
 
 
 def test_the_first_poses_are_as_good_as_any(tmp_path, unrehearsed):

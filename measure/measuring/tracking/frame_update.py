@@ -82,6 +82,9 @@ class FrameUpdate:
             for name, image in frame_set.images.items()
         }
 
+    def backwards(self) -> None:
+        """The paper's algorithm goes forward only."""
+
     def judge(
         self, frame_set: FrameSet, detections: Mapping[str, Sequence[Detection]]
     ) -> tuple[BallView, ...]:

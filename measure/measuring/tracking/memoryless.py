@@ -38,6 +38,9 @@ class Memoryless:
         """Search everything."""
         return dict.fromkeys(frame_set.images, ())
 
+    def backwards(self) -> None:
+        """Every frame is searched anyway."""
+
     def judge(
         self, frame_set: FrameSet, detections: Mapping[str, Sequence[Detection]]
     ) -> tuple[BallView, ...]:

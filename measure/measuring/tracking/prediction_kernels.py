@@ -54,8 +54,8 @@ def carried(covariance: Floats, dt: float, variance: Floats) -> Floats:
     for i in range(6):
         out[i, i] += variance[i] * dt**4 / 4
         out[6 + i, 6 + i] += variance[i] * dt**2
-        out[i, 6 + i] += variance[i] * abs(dt) ** 3 / 2
-        out[6 + i, i] += variance[i] * abs(dt) ** 3 / 2
+        out[i, 6 + i] += variance[i] * dt**3 / 2
+        out[6 + i, i] += variance[i] * dt**3 / 2
     return out
 
 

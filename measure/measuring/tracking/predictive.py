@@ -94,7 +94,7 @@ class PredictiveTracker:
         self._windows = self._found = self._faster = None
         if self._state is not None and frame_set.images:
             latest = max(image.time_s for image in frame_set.images.values())
-            if latest - self._state.time_s > self.config.max_gap_s:
+            if abs(latest - self._state.time_s) > self.config.max_gap_s:
                 self._forget()
         if self._state is None or not frame_set.images:
             return dict.fromkeys(frame_set.images, ())
@@ -104,6 +104,14 @@ class PredictiveTracker:
         )
         c = self.config
         return self._windows.expectations(c.reach_sigmas, c.reach_floor_px, c.size_slack)
+
+    def backwards(self) -> PredictiveTracker | None:
+        """A tracker of the same motion; None where the body is lost."""
+        if self._state is None:
+            return None
+        back = PredictiveTracker(self.config, self._body, self._cameras)
+        back._state, back._confirmed = self._state, set(self._confirmed)
+        return back
 
     def judge(
         self, frame_set: FrameSet, detections: Mapping[str, Sequence[Detection]]

@@ -34,6 +34,9 @@ class Tracker(Protocol):
         everything. None: this frame set is skipped (the paper's "skips a few frames and restarts").
         """
 
+    def backwards(self) -> Tracker | None:
+        """One that knows what this one does, for frame sets before the last; None if none can."""
+
     def judge(
         self, frame_set: FrameSet, detections: Mapping[str, Sequence[Detection]]
     ) -> tuple[BallView, ...]:

@@ -37,24 +37,23 @@ class AppearanceLearner:
         self._lens, self._rays, self._margin_px = lens, rays, margin_px
         self._count, self._kept, self._due = 0, 1, _FIRST
         self._pictures: deque[list[Sight]] = deque(maxlen=_REMEMBERED)
-        self._lessons = 0
+        self._lessons, self._latest_s = 0, -np.inf
 
     @property
     def settled(self) -> bool:
         """Whether there have been lessons enough to start measuring."""
         return self._lessons >= _SETTLED
 
-    def count_again(self) -> None:
-        """The pictures shown so far come again: they teach nothing new, later ones do."""
-        self._count = 0
-
-    def wants(self, found: int) -> bool:
-        """Whether a picture is one to keep or to learn from; asked once about every picture.
+    def wants(self, found: int, time_s: float) -> bool:
+        """Whether a picture is one to keep or to learn from; asked about every picture.
 
         Args:
             found: number of balls found in it.
+            time_s: when it was taken. One that is no later than all before teaches nothing new.
         """
-        self._count += found > 0
+        if found == 0 or time_s <= self._latest_s:
+            return False
+        self._count, self._latest_s = self._count + 1, time_s
         return self._count >= self._kept
 
     def shown(

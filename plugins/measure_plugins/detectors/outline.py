@@ -69,6 +69,7 @@ class OutlineDetector(Detector):
     """Sub-pixel outlines near their predictions; without one, the whole frame is searched."""
 
     name = "outline"
+    out_of_order = True
     Config = OutlineConfig
     config: OutlineConfig
 
@@ -106,10 +107,6 @@ class OutlineDetector(Detector):
     def wants_rehearsal(self) -> bool:
         """While it has not seen enough of what the camera does to light."""
         return self.config.learn and not self._learner.settled
-
-    def rehearsed(self) -> None:
-        """What was learnt stays; the same pictures teach nothing new."""
-        self._learner.count_again()
 
     def detect(self, image: Image, expected: Sequence[Expectation]) -> list[Detection]:
         """Measure the expected balls; search the frame for the others."""
@@ -151,7 +148,7 @@ class OutlineDetector(Detector):
         """A picture's detections once more, if it has just taught something; else none."""
         if not self.config.learn or any(e.center_camera is None for e in expected):
             return []
-        if not self._learner.wants(len(found)):
+        if not self._learner.wants(len(found), image.time_s):
             return []
         cones = dict(zip((e.ball for e in expected), _cones(self._cones(expected)), strict=True))
         axes = {d.ball: self.camera.intrinsics.unproject(d.center_px[None])[0] for d in found}

@@ -29,6 +29,6 @@ def lessons(scene, camera_name, changed=lambda _, pixels, balls: (pixels, balls)
     learner, out = AppearanceLearner(camera.intrinsics.row, 72, 7.0), []
     for k, time_s in enumerate(TIMES_S):
         pixels, balls = changed(k, renderer.picture(time_s, k), cones(scene, camera, time_s))
-        assert learner.wants(len(balls))
+        assert learner.wants(len(balls), time_s)
         out.append(learner.shown(pixels, balls, [], first_appearance("srgb")))
     return out

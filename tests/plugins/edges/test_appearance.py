@@ -90,6 +90,6 @@ def test_too_few_balls_teach_nothing():
     start = first_appearance("srgb")
     for k, time_s in enumerate(TIMES_S):
         red = cones(scene, camera, time_s)[scene.body.index("red")]
-        assert learner.wants(1)
+        assert learner.wants(1, time_s)
         learnt = learner.shown(renderer.picture(time_s, k), [red], [], start)
     assert learnt is start

@@ -9,12 +9,12 @@ from tests.plugins.edges.lessons import cones
 
 
 def lessons_of(learner, scene, camera_name, pictures):
-    """Numbers of the pictures that teach something; one picture stands for all."""
+    """Those of the numbered pictures that teach something; one picture stands for all."""
     camera = scene.camera(camera_name)
     pixels, balls = Renderer(scene, camera_name).picture(0.0, 0), cones(scene, camera, 0.0)
     out = []
-    for number in range(1, pictures + 1):
-        if learner.wants(len(balls)):
+    for number in pictures:
+        if learner.wants(len(balls), number / 30):
             now = first_appearance("srgb")
             if learner.shown(pixels, balls[:1], balls[1:], now) is not None:
                 out.append(number)
@@ -24,17 +24,16 @@ def lessons_of(learner, scene, camera_name, pictures):
 def test_pictures_that_come_again_teach_nothing_again():
     scene = scene_catalogue()["still"]
     learner = AppearanceLearner(scene.camera("cam1").intrinsics.row, 72, 7.0)
-    assert lessons_of(learner, scene, "cam1", 2) == [2]
+    assert lessons_of(learner, scene, "cam1", range(1, 8)) == [2]
     assert not learner.settled
-    assert lessons_of(learner, scene, "cam1", 6) == [6], "the eighth"
+    assert lessons_of(learner, scene, "cam1", range(8, 9)) == [8]
     assert learner.settled
-    learner.count_again()
-    assert lessons_of(learner, scene, "cam1", 33) == [32]
+    assert lessons_of(learner, scene, "cam1", range(1, 40)) == [32]
+    assert lessons_of(learner, scene, "cam1", range(40)) == []
 
 
 def test_of_a_short_rehearsal_the_lesson_that_is_left_comes_in_its_turn():
     scene = scene_catalogue()["still"]
     learner = AppearanceLearner(scene.camera("cam1").intrinsics.row, 72, 7.0)
-    assert lessons_of(learner, scene, "cam1", 5) == [2]
-    learner.count_again()
-    assert lessons_of(learner, scene, "cam1", 9) == [8]
+    assert lessons_of(learner, scene, "cam1", range(1, 6)) == [2]
+    assert lessons_of(learner, scene, "cam1", range(1, 10)) == [8]
