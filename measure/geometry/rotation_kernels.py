@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from measure.arrays import Floats
-from measure.compiling import compiled
+from measure.compiling import compiled, inlined
 
 
 @compiled
@@ -32,6 +32,22 @@ def rotation_of(rotvec: Floats) -> Floats:
         return np.eye(3) + cross
     a, b = np.sin(angle) / angle, (1 - np.cos(angle)) / angle**2
     return np.eye(3) + a * cross + b * (cross @ cross)
+
+
+@inlined
+def turned(x: float, y: float, z: float, v: Floats) -> tuple[float, float, float]:
+    """A vector (3,) turned by a rotation vector x, y, z in rad (Rodrigues)."""
+    square = x * x + y * y + z * z
+    p, q, r = y * v[2] - z * v[1], z * v[0] - x * v[2], x * v[1] - y * v[0]
+    if square < 1e-16:
+        return v[0] + p, v[1] + q, v[2] + r
+    angle = np.sqrt(square)
+    a, b = np.sin(angle) / angle, (1 - np.cos(angle)) / square
+    return (
+        v[0] + a * p + b * (y * r - z * q),
+        v[1] + a * q + b * (z * p - x * r),
+        v[2] + a * r + b * (x * q - y * p),
+    )
 
 
 @compiled

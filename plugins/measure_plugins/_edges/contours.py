@@ -12,7 +12,7 @@ import numpy as np
 from measure.arrays import Floats, Ints
 from measure.compiling import compiled
 from measure.model import Camera
-from measure.model.lens import bearing_and_slopes
+from measure.model.ray_kernels import RAY, fill_rays
 from measure_plugins._edges.selection import median
 
 _FEWEST_POINTS = 3
@@ -27,9 +27,8 @@ class Contours(NamedTuple):
 
     Attributes:
         start: (k + 1,).
-        bearings: (3, n) unit bearings of the points.
-        slopes: (6, n) their pixels' derivatives by the bearing's x, y and z: first of u, then of v.
-        sd_px: (n,).
+        rays: (9, n) of the points, see `ray_kernels`.
+        sharpness: (n,) one over the points' standard deviations, px^-1.
         view_of: (k,) index of the camera among those used.
         centers_body: (k, 3) of the balls, mm.
         radii: (k,) mm.
@@ -41,9 +40,8 @@ class Contours(NamedTuple):
     """
 
     start: Ints
-    bearings: Floats
-    slopes: Floats
-    sd_px: Floats
+    rays: Floats
+    sharpness: Floats
     view_of: Ints
     centers_body: Floats
     radii: Floats
@@ -106,19 +104,18 @@ def pack(
         The contours, and which of the k ball-views have points enough to be fitted.
     """
     start = np.array([0, *accumulate(map(len, sd))])
-    at, sd_px = np.concatenate(points), np.concatenate(sd)
-    bearings, slopes, reached, spread = rays_of(at, start, covariances, balls.view_of, views.lenses)
+    at, sharpness = np.concatenate(points), 1 / np.concatenate(sd)
+    rays, reached, spread = rays_of(at, start, covariances, balls.view_of, views.lenses)
     counts, kept = reached.tolist(), list(range(len(sd)))
     if sum(counts) < len(at):
-        good = np.isfinite(bearings[0])
+        good = np.isfinite(rays[0])
         kept = [i for i, count in enumerate(counts) if count >= _FEWEST_POINTS]
-        bearings, slopes, sd_px = bearings[:, good].copy(), slopes[:, good].copy(), sd_px[good]
+        rays, sharpness = rays[:, good].copy(), sharpness[good]
         start = np.array([0, *accumulate(counts)])
     contours = Contours(
         start,
-        bearings,
-        slopes,
-        sd_px,
+        rays,
+        sharpness,
         balls.view_of,
         balls.centers_body,
         balls.radii,
@@ -133,20 +130,16 @@ def pack(
 @compiled
 def rays_of(
     points: Floats, start: Ints, covariances: Floats, view: Ints, lenses: Floats
-) -> tuple[Floats, Floats, Ints, Floats]:
-    """Bearings (3, n) of pixels (n, 2) and their slopes (6, n), see `Contours`; else NaN.
+) -> tuple[Floats, Ints, Floats]:
+    """The rays (9, n) of pixels (n, 2), see `Contours`; else NaN.
 
     And how many pixels of each ball-view (k,) have one, and its outline's spread (k,).
     """
-    n, k = len(points), len(view)
-    bearings, slopes, reached = np.empty((3, n)), np.empty((6, n)), np.zeros(k, np.int64)
-    for i in range(k):
-        lens = lenses[view[i]]
-        dx, dy = 0.0, 0.0
-        for j in range(start[i], start[i + 1]):
-            dx, dy = bearing_and_slopes(points[j], lens, dx, dy, bearings[:, j], slopes[:, j])
-            reached[i] += int(np.isfinite(bearings[0, j]))
-    return bearings, slopes, reached, _spread(covariances)
+    rays, reached = np.empty((RAY, len(points))), np.zeros(len(view), np.int64)
+    for i in range(len(view)):
+        fill_rays(points, start[i], start[i + 1], lenses[view[i]], rays)
+        reached[i] = np.sum(np.isfinite(rays[0, start[i] : start[i + 1]]))
+    return rays, reached, _spread(covariances)
 
 
 @compiled

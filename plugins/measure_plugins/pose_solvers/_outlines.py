@@ -61,11 +61,9 @@ class Outlines:
         """World centre (3,) of a ball from the size and place of ball-view i."""
         from measure.geometry import fit_cone
 
-        points = self.contours.points(i)
+        points, contours = self.contours.points(i), self.contours
         try:
-            cone = fit_cone(
-                self.contours.bearings[:, points].T, 1 / self.contours.sd_px[points] ** 2
-            )
+            cone = fit_cone(contours.rays[:3, points].T, contours.sharpness[points] ** 2)
         except DegenerateGeometryError:
             return None
         camera = self.named.cameras[self.contours.view_of[i]]

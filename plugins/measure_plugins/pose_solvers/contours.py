@@ -104,7 +104,7 @@ class ContoursSolver(PoseSolver):
                 "solver 'contours' fits outlines, and this detector measures none: take another "
                 "solver with it (--solver kabsch)"
             )
-        if outlines is None or len(outlines.contours.sd_px) < self.config.min_points:
+        if outlines is None or len(outlines.contours.sharpness) < self.config.min_points:
             return None
         start = self._start(fixes, outlines, time_s, prior)
         if start is None:
