@@ -173,14 +173,15 @@ def _unevenness(x: Floats, steps: Floats, window: tuple[float, float]) -> Floats
 def _roughness(x: Floats, steps: Floats, at: Floats) -> Floats:
     """Scatter of normalised profiles (n,) away from their edges, from second differences.
 
-    Samples are two apart so that interpolation between the same pixels does not hide the noise.
+    Samples are a pixel apart so that interpolation between the same pixels does not hide the noise.
     """
     m, n = x.shape
     total, count = np.zeros(n), np.zeros(n)
-    for j in range(4, m):
+    apart = int(np.ceil(1 / (steps[1] - steps[0])))
+    for j in range(2 * apart, m):
         for i in range(n):
-            second = min(abs(x[j, i] - 2 * x[j - 2, i] + x[j - 4, i]), 1.0)
-            away = 1.0 if abs(steps[j - 2] - at[i]) > 3.0 else 0.0
+            second = min(abs(x[j, i] - 2 * x[j - apart, i] + x[j - 2 * apart, i]), 1.0)
+            away = 1.0 if abs(steps[j - apart] - at[i]) > 3.0 else 0.0
             total[i] += away * second
             count[i] += away
     for i in range(n):

@@ -27,7 +27,7 @@ from measure_plugins._edges.radial import STEPS, Radial
 _DIRECTIONS = 100
 _LAST_PX = -1.0
 """Pixels nearer to the outline are left to what is found there later."""
-_EVERY = 4
+_EVERY = 2
 _ROUNDS = 4
 _SWEEPS = 40
 _SPREAD = 0.01

@@ -18,8 +18,9 @@ import numpy as np
 from measure.arrays import Floats
 from measure.compiling import compiled
 
-STEPS = np.arange(-16.0, 6.51, 0.5)
-"""Samples along a ray, px along the outward normal."""
+STEPS = np.arange(-16.5, 6.51, 1.0)
+"""Samples along a ray, px along the outward normal: a pixel apart, for there are no more to read,
+and half a pixel to either side of the outline, where an edge then rests on two of them."""
 DEFLECTIONS = np.radians([0, 10, 20, 30, 40, 50, 60, 75])
 """Angles by which the ball turns the line of sight, where reflected light is unknown."""
 REFRACTIVE_INDEX = 1.5

@@ -17,7 +17,7 @@ _CHROMA_PX = 0.8
 picture and prediction are compared on the same side of it."""
 _BLUE, _GREEN, _RED = 0.114, 0.587, 0.299
 """What brightness is made of, in JPEG."""
-CHROMA_REACH = 5
+CHROMA_REACH = 3
 """How many steps colour is blurred to either side: three sigma."""
 _STEP = float(STEPS[1] - STEPS[0])
 _INTERPOLATED = 1 / 6
@@ -133,21 +133,9 @@ def _blur(values: Floats, n: int, out: Floats) -> None:
 
     All taps at once: what adds them up stays in registers.
     """
-    a, b, c, d, e, f = _TAPS
-    v1, v2, v3, v4, v5 = (
-        values[n:],
-        values[2 * n :],
-        values[3 * n :],
-        values[4 * n :],
-        values[5 * n :],
-    )
-    v6, v7, v8, v9, v10 = (
-        values[6 * n :],
-        values[7 * n :],
-        values[8 * n :],
-        values[9 * n :],
-        values[10 * n :],
-    )
+    a, b, c, d = _TAPS
+    v1, v2, v3 = values[n:], values[2 * n :], values[3 * n :]
+    v4, v5, v6 = values[4 * n :], values[5 * n :], values[6 * n :]
     for i in range(len(out)):
-        inner = a * v5[i] + b * (v4[i] + v6[i]) + c * (v3[i] + v7[i])
-        out[i] = inner + d * (v2[i] + v8[i]) + e * (v1[i] + v9[i]) + f * (values[i] + v10[i])
+        inner = a * v3[i] + b * (v2[i] + v4[i])
+        out[i] = inner + c * (v1[i] + v5[i]) + d * (values[i] + v6[i])

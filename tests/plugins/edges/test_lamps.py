@@ -36,7 +36,7 @@ def _lamp(direction, power=1.0):
 def test_a_lamp_lights_by_the_cosine_and_not_beyond_its_terminator():
     lamp = _lamp([0.0, -0.8, 0.6])  # from behind the ball, as a lamp overhead often is
     j = int(np.searchsorted(STEPS, -8.0))
-    beta = HALF_ANGLE * (1 - 8.0 / RADIUS_PX)
+    beta = HALF_ANGLE * (1 + STEPS[j] / RADIUS_PX)
     incidence = np.arcsin(np.sin(beta) / np.sin(HALF_ANGLE))
     tilt = incidence - beta
     normals = np.column_stack([np.sin(tilt) * AROUND, np.full(72, -np.cos(tilt))])

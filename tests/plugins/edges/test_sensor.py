@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter1d, uniform_filter1d
+from scipy.ndimage import correlate1d, gaussian_filter1d
 from scipy.special import erf
 
 from measure_plugins._edges.radial import STEPS
@@ -16,10 +16,11 @@ YCC = np.array([[0.114, 0.587, 0.299], [1 - 0.114, -0.587, -0.299], [-0.114, -0.
 def test_colour_is_blurred_more_than_brightness_along_rays():
     values = np.random.default_rng(0).random((3, 30, 7))
     parts = np.einsum("ac,cmn->amn", YCC, values)
-    sigma = 2 * np.sqrt(0.8**2 + 1 / 6)  # px, at steps of half a pixel
+    sigma = np.sqrt(0.8**2 + 1 / 6)  # px, and steps
     for k in (1, 2):
         parts[k] = gaussian_filter1d(parts[k], sigma, axis=0, mode="nearest", radius=CHROMA_REACH)
-    parts[0] = uniform_filter1d(parts[0], 3, axis=0, mode="nearest")  # of variance 1/6 px^2
+    kernel = [1 / 12, 10 / 12, 1 / 12]  # of variance 1/6 px^2
+    parts[0] = correlate1d(parts[0], kernel, axis=0, mode="nearest")
     wanted = np.einsum("ca,amn->cmn", np.linalg.inv(YCC), parts)[:, CHROMA_REACH:]
     assert read_off(values) == pytest.approx(wanted, abs=1e-12)
 
@@ -37,7 +38,7 @@ def test_brightness_is_blurred_as_much_as_sampling_blurs_a_grey_edge(tilt_deg):
     alone = np.repeat(_edge(STEPS)[None, :, None], 3, axis=0)
     left = seen[0, CHROMA_REACH:].mean(axis=1) - read_off(alone)[0, :, 0]
     without = seen[0, CHROMA_REACH:].mean(axis=1) - alone[0, CHROMA_REACH:, 0]
-    assert np.abs(left).max() < 0.1 * np.abs(without).max()
+    assert np.abs(left).max() < 0.22 * np.abs(without).max()
     assert np.abs(without).max() > 0.015
 
 
