@@ -116,7 +116,7 @@ def _once(
     spent: dict[str, list[float]] = {stage: [] for stage in (*STAGES, "judge")}
     for detector in pipeline.stages.detectors.values():
         _watch(detector, "detect", spent["detect"])
-    _watch(pipeline.stages.triangulator, "triangulate", spent["triangulate"])
+    _watch(pipeline.stages.triangulator, "triangulate_all", spent["triangulate"])
     _watch(pipeline.stages.solver, "solve", spent["solve"])
     _watch(pipeline.stages.tracker, "judge", spent["judge"])
     pipeline.warm_up()

@@ -90,6 +90,26 @@ class Triangulator(Plugin):
             parallel rays).
         """
 
+    def triangulate_all(
+        self, detections: Sequence[Detection], cameras: Mapping[str, Camera]
+    ) -> list[Fix]:
+        """Locate every ball, ball by ball unless overridden: one call may cost less than many.
+
+        Args:
+            detections: of any balls, at most one per ball and camera, all effective.
+            cameras: by name.
+
+        Returns:
+            What `triangulate` gives for each ball of two detections or more, in the order in which
+            the balls first come.
+        """
+        by_ball: dict[str, list[Detection]] = {}
+        for detection in detections:
+            by_ball.setdefault(detection.ball, []).append(detection)
+        several = [seen for seen in by_ball.values() if len(seen) > 1]
+        fixes = [self.triangulate(seen, cameras) for seen in several]
+        return [fix for fix in fixes if fix is not None]
+
 
 class PoseSolver(Plugin):
     """Turns what was seen of all balls into the body's pose."""

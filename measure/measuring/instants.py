@@ -61,7 +61,7 @@ class Seen:
         there = np.repeat(motion.moved(self.time_s)[None], len(s), axis=0)
         centers = s.pixels + (self._pixels(motion.world_from_body, there) - then)
         return [
-            d if d.time_s == self.time_s else replace(d, center_px=center, time_s=self.time_s)
+            d if d.time_s == self.time_s else d.moved(center, self.time_s)
             for d, center in zip(self.detections, centers, strict=True)
         ]
 

@@ -223,19 +223,16 @@ class Pipeline:
         return sum(image.time_s for image in frame_set.images.values()) / len(frame_set.images)
 
     def _triangulate(self, seen: Seen, motion: Motion | None) -> tuple[Fix, ...]:
+        if not seen.detections:
+            return ()
         used: Sequence[Detection] = seen.detections
         if motion is not None and self.stages.own_times:
             used = seen.carried(motion)
-        fixes = []
-        for name in self._body.names:
-            views = [d for d in used if d.ball == name]
-            if len(views) < 2:
-                continue
-            fix = self.stages.triangulator.triangulate(views, self._cameras)
-            if fix is not None:
-                here = fix.time_s == seen.time_s
-                fixes.append(fix if here else replace(fix, time_s=seen.time_s))
-        return tuple(fixes)
+        fixes = self.stages.triangulator.triangulate_all(used, self._cameras)
+        fixes.sort(key=lambda fix: self._body.index(fix.ball))
+        return tuple(
+            [f if f.time_s == seen.time_s else replace(f, time_s=seen.time_s) for f in fixes]
+        )
 
     def _solve(self, seen: Seen, fixes: Sequence[Fix], prior: Motion | None) -> Pose | None:
         if not seen.detections:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from measure.arrays import Floats
+from measure.arrays import Floats, Ints
 from measure.compiling import compiled
 from measure.geometry.linear_kernels import inverse, solved
 from measure.geometry.rays import MIN_PARALLAX_RAD
@@ -92,6 +92,68 @@ def fit_rows(
         off[i] = (b * u * u - 2 * c * u * v + a * v * v) / (a * b - c * c)
         distances[i] = _distance(point, origins[i], directions[i])
     return PointFit(point, inverse(information), residuals, chi_square, off, distances, FITTED)
+
+
+class PointFits(NamedTuple):
+    """k points fitted to n pixels, see `PointFit`.
+
+    Attributes:
+        points: (k, 3).
+        covariances: (k, 3, 3).
+        chi_squares: (k,).
+        disagreements: (k,) sums of those of the point's pixels.
+        distances_mm: (n,).
+        ends: (k,).
+    """
+
+    points: Floats
+    covariances: Floats
+    chi_squares: Floats
+    disagreements: Floats
+    distances_mm: Floats
+    ends: Ints
+
+
+@compiled
+def fit_groups(
+    starts: Ints,
+    lenses: Floats,
+    reach: Floats,
+    rotation: Floats,
+    centers: Floats,
+    covariances: Floats,
+    pixels: Floats,
+    noise: Floats,
+    extra_px: float,
+    min_depth: float,
+) -> PointFits:
+    """`fit_rows` for k points one after the other, each at rest.
+
+    Args:
+        starts: (k + 1,) where each point's rows begin; the others are as in `fit_rows`.
+        lenses: (n, 13).
+        reach: (n,).
+        rotation: (n, 3, 3).
+        centers: (n, 3).
+        covariances: (n, 18, 18).
+        pixels: (n, 2).
+        noise: (n, 2, 2).
+        extra_px: see `fit_rows`.
+        min_depth: see `fit_rows`.
+    """
+    k = len(starts) - 1
+    points, known, distances = np.empty((k, 3)), np.empty((k, 3, 3)), np.empty(len(pixels))
+    chi_squares, disagreements, ends = np.empty(k), np.empty(k), np.empty(k, np.int64)
+    for i in range(k):
+        a, b = starts[i], starts[i + 1]
+        fit = fit_rows(
+            lenses[a:b], reach[a:b], rotation[a:b], centers[a:b], covariances[a:b], pixels[a:b],
+            noise[a:b], np.zeros((b - a, 3)), extra_px, min_depth,
+        )  # fmt: skip
+        points[i], known[i], ends[i] = fit.point, fit.covariance, fit.end
+        chi_squares[i], disagreements[i] = fit.chi_square, np.sum(fit.disagreement)
+        distances[a:b] = fit.distances_mm
+    return PointFits(points, known, chi_squares, disagreements, distances, ends)
 
 
 @compiled
@@ -202,10 +264,12 @@ def refine_point(
 
 
 def warm_up() -> None:
-    """Compile the fit, by fitting a point to pixels of two cameras in one place."""
+    """Compile the fits, by fitting a point to pixels of two cameras in one place."""
     two = np.zeros((2, 3))
     turns = np.stack([np.eye(3), np.eye(3)])
     lenses = np.tile(np.eye(1, 13) + np.eye(1, 13, 3), (2, 1))
     noise = np.zeros((2, 2, 2))
     known = np.zeros((2, 18, 18))
-    fit_rows(lenses, np.full(2, np.inf), turns, two, known, two[:, :2].copy(), noise, two, 0.0, 0.0)
+    pixels, reach = two[:, :2].copy(), np.full(2, np.inf)
+    fit_rows(lenses, reach, turns, two, known, pixels, noise, two, 0.0, 0.0)
+    fit_groups(np.array([0, 2]), lenses, reach, turns, two, known, pixels, noise, 0.0, 0.0)

@@ -66,6 +66,21 @@ class Detection:
     outline_px: Floats | None = None
     outline_sd_px: Floats | None = None
 
+    def moved(self, center_px: Floats, time_s: float) -> Detection:
+        """The same ball where it was at another time; the outline points stay as they are seen."""
+        return Detection(
+            self.ball,
+            self.camera,
+            time_s,
+            center_px,
+            self.radius_px,
+            self.covariance_px,
+            self.score,
+            self.color_match,
+            self.outline_px,
+            self.outline_sd_px,
+        )
+
     @cached_property
     def variance_px2(self) -> float:
         """Variance of `center_px` along an axis, the mean of both."""

@@ -50,6 +50,20 @@ class TriangulatorConformance(PluginConformance):
                 off = float(np.linalg.norm(fix.center - center))
                 assert off <= self.max_error_mm, f"{ball}, {count} cameras: {off:.3g} mm off"
 
+    def test_all_balls_at_once_are_located_as_one_by_one(self) -> None:
+        """Cameras in any order, one of them wrong about a ball; a ball seen once has no fix."""
+        scene = example()
+        first, second, *_ = scene.body.names
+        seen = [d for d in scene.detections(np.random.default_rng(5), 0.3) if d.ball != second]
+        wrong = next(d for d in seen if d.ball == first)
+        seen = [replace(d, center_px=d.center_px + 40) if d is wrong else d for d in seen[::-1]]
+        once = next(d for d in scene.detections(np.random.default_rng(5), 0.3) if d.ball == second)
+        fixes = self.build().triangulate_all([once, *seen], scene.cameras)
+        balls = list(dict.fromkeys(d.ball for d in seen))
+        alone = [[d for d in seen if d.ball == ball] for ball in balls]
+        expected = [self.build().triangulate(some, scene.cameras) for some in alone]
+        assert_same(fixes, expected, "fixes of all balls at once")
+
     def test_too_little_gives_none(self) -> None:
         """No camera, one camera: there is no depth."""
         for count in (0, 1):

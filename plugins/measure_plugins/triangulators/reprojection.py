@@ -8,19 +8,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from itertools import accumulate, pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from measure.arrays import Floats
+from measure.arrays import Floats, Ints, stacked
 from measure.errors import DegenerateGeometryError
 from measure.geometry import chi_square_quantile
 from measure.host import Settings, Triangulator, hookimpl, setting
 from measure.measuring.multiview import Views, fit_point
-from measure.model import Camera, Detection, Fix
+from measure.model import Camera, Detection, Fix, Rig
+from measure.model.camera import MIN_DEPTH_MM
 
 if TYPE_CHECKING:
     from measure.measuring.point_fit import PointFit
+
+
+_SCATTER = 0.99
 
 
 class ReprojectionConfig(Settings):
@@ -85,6 +91,50 @@ class ReprojectionTriangulator(Triangulator):
             dropped=tuple(n for i, n in enumerate(views.rig.names) if i not in chosen.rows),
         )
 
+    def triangulate_all(
+        self, detections: Sequence[Detection], cameras: Mapping[str, Camera]
+    ) -> list[Fix]:
+        """Locate all balls at once; those on which the cameras do not agree, one by one."""
+        from measure.measuring.point_fit import FITTED, fit_groups
+
+        seen = _grouped(
+            tuple([d.ball for d in detections]), tuple([cameras[d.camera] for d in detections])
+        )
+        if not seen.groups:
+            return []
+        rig, used = seen.rig, [detections[row] for row in seen.rows]
+        fits = fit_groups(
+            seen.starts,
+            rig.lenses,
+            rig.reach,
+            rig.rotation,
+            rig.centers,
+            rig.covariances,
+            stacked([d.center_px for d in used]),
+            stacked([d.covariance_px for d in used]),
+            self.config.tolerance_px,
+            MIN_DEPTH_MM,
+        )
+        ends, apart = fits.ends.tolist(), fits.disagreements.tolist()
+        chi_squares, out = fits.chi_squares.tolist(), list[Fix | None]()
+        for i, (first, last) in enumerate(seen.groups):
+            own, degrees = used[first:last], 2 * (last - first) - 3
+            agreed = ends[i] == FITTED and self._agreed(apart[i], chi_squares[i], degrees)
+            if not agreed:
+                out.append(self.triangulate(own, cameras))
+                continue
+            names, distances = rig.names[first:last], fits.distances_mm[first:last]
+            time_s = sum([d.time_s for d in own]) / len(own)
+            out.append(
+                Fix(own[0].ball, time_s, fits.points[i], fits.covariances[i], names, distances)
+            )
+        return [fix for fix in out if fix is not None]
+
+    def _agreed(self, disagreement: float, chi_square: float, degrees: int) -> bool:
+        """Whether no camera would be left out, and the covariance stays as it is."""
+        gate = chi_square_quantile(self.config.confidence, degrees)
+        return disagreement <= gate and chi_square <= chi_square_quantile(_SCATTER, degrees)
+
     def _choose(self, views: Views) -> tuple[_Candidate | None, list[_Candidate]]:
         """The fit to use, and the other fits that leave as many cameras out and pass the gate."""
         best = self._try(views, list(range(len(views))))
@@ -111,17 +161,44 @@ class ReprojectionTriangulator(Triangulator):
         return _Candidate(rows, fit, float(fit.disagreement.sum()) / gate)
 
 
+@dataclass(frozen=True, eq=False)
+class _Grouped:
+    """Which of some detections show the same ball: balls in the order in which they first come.
+
+    Attributes:
+        rows: (n,) the detections of balls that two or more show, ball by ball.
+        groups: (k,) first and last but one of each ball's, in `rows`.
+        starts: (k + 1,) the same.
+        rig: (n,) the detections' cameras.
+    """
+
+    rows: tuple[int, ...]
+    groups: tuple[tuple[int, int], ...]
+    starts: Ints
+    rig: Rig
+
+
+@lru_cache(maxsize=64)
+def _grouped(balls: tuple[str, ...], cameras: tuple[Camera, ...]) -> _Grouped:
+    """Cameras compare by identity: what is kept never stands for a camera that was changed."""
+    rows = [[i for i, name in enumerate(balls) if name == ball] for ball in dict.fromkeys(balls)]
+    rows = [some for some in rows if len(some) > 1]
+    starts, flat = [0, *accumulate(map(len, rows))], [i for some in rows for i in some]
+    rig = Rig.of([cameras[i] for i in flat])
+    return _Grouped(tuple(flat), tuple(pairwise(starts)), np.array(starts), rig)
+
+
 def _honest_covariance(chosen: _Candidate, rivals: Sequence[_Candidate]) -> Floats:
     """The fit's covariance; wider where the cameras disagree or another choice is as good.
 
-    Beyond the 99 % quantile the covariance grows with the residuals (Birge ratio). If leaving out a
-    different camera passes as well, nobody can tell which one errs: the distance between the two
-    answers becomes part of the uncertainty.
+    Beyond the quantile `_SCATTER` the covariance grows with the residuals (Birge ratio). If leaving
+    out a different camera passes as well, nobody can tell which one errs: the distance between the
+    two answers becomes part of the uncertainty.
     """
     fit = chosen.fit
     degrees = 2 * len(chosen.rows) - 3
     covariance = fit.covariance
-    if fit.chi_square > chi_square_quantile(0.99, degrees):
+    if fit.chi_square > chi_square_quantile(_SCATTER, degrees):
         covariance = covariance * (fit.chi_square / degrees)
     for rival in rivals:
         apart = rival.fit.point - fit.point
