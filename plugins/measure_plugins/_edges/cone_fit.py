@@ -14,7 +14,7 @@ from measure.geometry.linear_kernels import cholesky, solve_factored
 from measure_plugins._edges.selection import kth_smallest
 
 _TUKEY = 4.685
-_ROUNDS = 6
+_ROUNDS, _ENOUGH_PX = 6, 1e-3
 FURTHEST_PX = 1.6
 """A point further off than this belongs to something else, whatever the others scatter by."""
 
@@ -121,6 +121,9 @@ def refine(
         if not det > 1e-7 * normal[2, 2] ** 3:
             return solution, normal, nothing, np.inf
         solve_factored(factor, right, solution)
+        change = max(abs(solution[0] - d1), abs(solution[1] - d2), abs(solution[2] - growing))
+        if change < _ENOUGH_PX:
+            break
     return solution, normal, weights, scale
 
 
