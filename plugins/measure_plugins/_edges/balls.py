@@ -18,6 +18,7 @@ from measure_plugins._edges.look import Search, View
 from measure_plugins._edges.outline_fit import Outline
 from measure_plugins._edges.radial import unpacked
 from measure_plugins._edges.rays import radius_px
+from measure_plugins._edges.reading_ahead import ask_for_outline
 from measure_plugins._edges.rough_outlines import measure_roughly
 
 _SAME_MM = 1e-6
@@ -112,6 +113,9 @@ def measure_balls(
         np.zeros((k, 4)),
     )
     for i in range(k):
+        for later in range(i + int(i > 0), min(i + 2, k)):
+            cone = expected.cones[later]
+            ask_for_outline(view.pixels, cone[:3], cone[3], view.lens)
         search = _search(expected, i, rays, min_contrast, margin_px)
         if expected.sized[i]:
             outline = measure_closely(view, search, unpacked(expected.tables[i]))
