@@ -32,6 +32,17 @@ def skew(vectors: ArrayLike) -> Floats:
     return out
 
 
+def _is_single(rotation: object, translation: object) -> bool:
+    """Whether these are what one transform is made of, with nothing to convert."""
+    return (
+        type(rotation) is np.ndarray
+        and type(translation) is np.ndarray
+        and rotation.shape == (3, 3)
+        and translation.shape == (3,)
+        and rotation.dtype == translation.dtype == np.float64
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class RigidTransform:
     """A rotation followed by a translation, or a batch of them.
@@ -49,6 +60,8 @@ class RigidTransform:
     translation: Floats
 
     def __post_init__(self) -> None:
+        if _is_single(self.rotation, self.translation):
+            return
         rotation = floats("rotation", self.rotation, "...", 3, 3)
         translation = floats("translation", self.translation, "...", 3)
         if rotation.shape[:-2] != translation.shape[:-1]:

@@ -50,11 +50,9 @@ class Windows:
         """
         sizes = search_sizes(self.balls, sigmas, floor_px, size_slack, _DECIMALS)
         out: dict[str, list[Expectation]] = {camera: [] for camera, _ in self.keys}
-        for (camera, ball), place, numbers in zip(self.keys, sizes, sizes.tolist(), strict=True):
-            low, high, apart, around = numbers[5:]
-            out[camera].append(
-                Expectation(ball, place[:2], (low, high), apart, around, 1.0, place[2:5])
-            )
+        rows = zip(self.keys, sizes[:, :2], sizes[:, 2:5], sizes[:, 5:].tolist(), strict=True)
+        for (camera, ball), pixel, place, (low, high, apart, around) in rows:
+            out[camera].append(Expectation(ball, pixel, (low, high), apart, around, 1.0, place))
         return out
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -51,6 +51,11 @@ class Outlines:
     contours: Contours
     detections: tuple[Detection, ...]
     named: Named
+
+    @cached_property
+    def instants(self) -> set[float]:
+        """The times of the pictures."""
+        return {d.time_s for d in self.detections}
 
     def moved(self, motion: Motion, time_s: float) -> Floats:
         """How far (k, 6) the body has moved in each picture from where it is at `time_s`."""

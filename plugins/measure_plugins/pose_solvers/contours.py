@@ -119,7 +119,7 @@ class ContoursSolver(PoseSolver):
         rotation = np.ascontiguousarray(start.rotation)
         translation = np.ascontiguousarray(start.translation)
         rig, contours = Rig.of(named.cameras), outlines.contours
-        if prior is not None:
+        if prior is not None and outlines.instants != {time_s}:
             contours = contours._replace(motion=outlines.moved(prior, time_s))
         fit = solve_contours(
             contours,
@@ -175,9 +175,10 @@ class ContoursSolver(PoseSolver):
 
     def _flags(self, fit: Solution, outlines: Outlines) -> tuple[str, ...]:
         flags = []
+        limit = self.config.max_shift_px
         for seen, (right, down, _) in zip(outlines.detections, fit.shifts_px.tolist(), strict=True):
             off = math.hypot(right, down)
-            if off > self.config.max_shift_px and _beyond(seen.covariance_px, right, down):
+            if off > limit and _beyond(seen.covariance_px, right, down):
                 flags.append(f"{seen.ball} in {seen.camera} sits {off:.1f} px off the fit")
         balls = len(set(outlines.named.balls))
         if balls < 3:
