@@ -7,7 +7,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.compiling import compiled
 from measure.geometry.covariance_kernels import inverse_2x2
-from measure.geometry.rotation_kernels import rotation_of, times
+from measure.geometry.rotation_kernels import times, turned
 from measure.model.rig_kernels import project_one
 
 _SINGULAR = 1e-9
@@ -38,14 +38,16 @@ def carried_pixels(
         moved: (n, 6) how far the body has moved from there in each picture, mm and rad.
         min_depth: see `rig_kernels.project_one`.
     """
-    out, by_point = np.empty((len(lenses), 2)), np.empty((2, 3))
+    out, by_point, place = np.empty((len(lenses), 2)), np.empty((2, 3)), np.empty(3)
     for i in range(len(lenses)):
         arm = times(rotation, points_body[i])
-        if moved[i, 3] != 0 or moved[i, 4] != 0 or moved[i, 5] != 0:
-            arm = times(rotation_of(moved[i, 3:]), arm)
+        x, y, z = turned(moved[i, 3], moved[i, 4], moved[i, 5], arm)
+        place[0] = x + translation[0] + moved[i, 0]
+        place[1] = y + translation[1] + moved[i, 1]
+        place[2] = z + translation[2] + moved[i, 2]
         project_one(
-            lenses[i], reach[i], rig_rotation[i], rig_centers[i], arm + translation + moved[i, :3],
-            min_depth, out[i], by_point,
+            lenses[i], reach[i], rig_rotation[i], rig_centers[i], place, min_depth, out[i],
+            by_point,
         )  # fmt: skip
     return out
 
