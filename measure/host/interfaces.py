@@ -68,6 +68,18 @@ class Detector(Plugin):
         """
         return False
 
+    @property
+    def learnt(self) -> object:
+        """What the other cameras' detectors are to hear of its rehearsal."""
+        return None
+
+    def confer(self, learnt: Sequence[object]) -> None:
+        """A rehearsal is over: cameras are often of one kind, and learn more together.
+
+        Args:
+            learnt: by the detectors of all cameras, each as its property says.
+        """
+
 
 class Triangulator(Plugin):
     """Turns detections of one ball in several cameras into its centre in the world."""

@@ -29,7 +29,9 @@ def wanted(detectors: Mapping[str, Detector]) -> bool:
 def rehearse(
     body: Body, cameras: Sequence[Camera], stages: Stages, frame_sets: Iterable[FrameSet]
 ) -> None:
-    """Measure frame sets until the detectors have learnt; what is wrong with them shows later.
+    """Measure frame sets until the detectors have learnt, and let them compare what.
+
+    What is wrong with the frame sets shows when they are measured again.
 
     Args:
         body: what is measured.
@@ -44,3 +46,6 @@ def rehearse(
             found += one.pose is not None
             if seen == _LONGEST or found == _FOUND or not wanted(stages.detectors):
                 break
+    learnt = [detector.learnt for detector in stages.detectors.values()]
+    for detector in stages.detectors.values():
+        detector.confer(learnt)

@@ -55,5 +55,16 @@ def test_no_frame_set_of_a_sharpened_recording_is_lost(shared, tmp_path, unrehea
         assert position_mm < 0.15
         assert rotation_deg < 0.25
     unrehearsed()
-    statuses = [status for status, *_ in first_errors(folder, 3)]
-    assert statuses == [Status.LOST, Status.FLAGGED, Status.FLAGGED]
+    assert Status.OK not in [status for status, *_ in first_errors(folder, 2)]
+
+
+def test_a_mild_bend_that_hidden_balls_conceal_is_told_by_all_cameras_together(
+    shared, tmp_path, monkeypatch
+):
+    folder = tmp_path / "contrast"
+    altered_copy(shared / "renders" / "occluded", folder, "contrast")
+    together = [position_mm for _, position_mm, _ in first_errors(folder, 6)]
+    monkeypatch.setattr(OutlineDetector, "confer", lambda *_: None)
+    alone = [position_mm for _, position_mm, _ in first_errors(folder, 6)]
+    assert np.mean(together) < 0.06
+    assert np.mean(alone) > 0.1

@@ -34,12 +34,19 @@ class Blind(Detector):
 
     def __init__(self, config, body, camera):
         super().__init__(config, body, camera)
-        self.shown = []
+        self.shown, self.heard = [], []
         self.instances.append(self)
 
     def detect(self, image, expected):
         self.shown.append(image.frame)
         return []
+
+    @property
+    def learnt(self):
+        return self.camera.name, len(set(self.shown))
+
+    def confer(self, learnt):
+        self.heard.append(learnt)
 
 
 class Curious(Blind):
@@ -92,6 +99,7 @@ def test_a_detector_that_does_not_ask_never_sees_time_run_backwards(recording):
     for detector in detectors:
         assert sorted(set(detector.shown)) == list(range(_FRAMES))
         assert all(before <= after for before, after in pairwise(detector.shown))
+        assert detector.heard == []
 
 
 def test_nor_does_one_that_asks_and_does_not_say_that_it_may(recording, monkeypatch):
@@ -106,6 +114,7 @@ def test_one_that_asks_sees_the_first_pictures_and_then_all_of_them(recording):
     assert len(detectors) == 3, "the detectors that learnt measure"
     for detector in detectors:
         assert _in_turn(detector.shown) == [*range(3), *range(_FRAMES)]
+        assert detector.heard == [[("cam0", 3), ("cam1", 3), ("cam2", 3)]]
 
 
 def test_a_recording_that_is_too_short_is_rehearsed_as_far_as_it_goes(recording, monkeypatch):

@@ -28,6 +28,7 @@ _STEP = float(LATER_STEPS[1] - LATER_STEPS[0])
 _STRAIGHT = np.array([1e-6, 1e-6, 1e-6, 0.15])
 _BENT = np.array([0.03, 0.1, 0.05, 0.15])
 """How far curves (lift, bow, S) and blurs (its logarithm) of cameras depart from the standard."""
+BENDS_SD = _BENT[:BENDS]
 _PRIOR_WEIGHT = 0.02
 """Share by which the misfit's square must fall before one such sd is believed."""
 _TRIAL = np.array([0.004, 0.01, 0.006, 0.1])

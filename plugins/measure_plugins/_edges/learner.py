@@ -12,7 +12,7 @@ from measure_plugins._edges.appearance import Appearance
 from measure_plugins._edges.appearance_fit import Sight, misfits
 from measure_plugins._edges.corrected import INSIDE_PX, OUTSIDE_PX
 from measure_plugins._edges.lamps_fit import learn_lamps
-from measure_plugins._edges.lesson import learnt_appearance
+from measure_plugins._edges.lesson import Lesson, take_lesson
 from measure_plugins._edges.radial import STEPS
 from measure_plugins._edges.rays import cast_rays, frame_about, ways
 
@@ -38,11 +38,32 @@ class AppearanceLearner:
         self._count, self._kept, self._due = 0, 1, _FIRST
         self._pictures: deque[list[Sight]] = deque(maxlen=_REMEMBERED)
         self._lessons, self._latest_s = 0, -np.inf
+        self._lesson: Lesson | None = None
+        self._believe_bent = False
 
     @property
     def settled(self) -> bool:
         """Whether there have been lessons enough to start measuring."""
         return self._lessons >= _SETTLED
+
+    @property
+    def lesson(self) -> Lesson | None:
+        """The last of enough lessons; None before, and where there was too little to see."""
+        return self._lesson if self.settled else None
+
+    def told_bent(self, now: Appearance) -> Appearance:
+        """Believe that the tone curve is bent, as other cameras' is.
+
+        Args:
+            now: the appearance at present.
+
+        Returns:
+            The appearance with that: what was shown last, explained once more.
+        """
+        self._believe_bent = True
+        if self._lesson is None or self._lesson.bent:
+            return now
+        return self._taught(now)
 
     def wants(self, found: int, time_s: float) -> bool:
         """Whether a picture is one to keep or to learn from; asked about every picture.
@@ -72,8 +93,12 @@ class AppearanceLearner:
         if self._count < self._due:
             return None
         self._due, self._lessons = _LATER * self._count, self._lessons + 1
+        return self._taught(now)
+
+    def _taught(self, now: Appearance) -> Appearance:
         sights = [sight for picture in self._pictures for sight in picture]
-        return learnt_appearance(sights, now)
+        self._lesson = take_lesson(sights, now, self._believe_bent)
+        return now if self._lesson is None else self._lesson.appearance
 
     def warm_up(self, pixels: Bytes, cone: Cone, now: Appearance) -> None:
         """Compile what a lesson runs."""

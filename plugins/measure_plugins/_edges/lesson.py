@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
+from measure.arrays import Floats
 from measure_plugins._edges.appearance import Appearance
 from measure_plugins._edges.appearance_fit import (
     Sight,
@@ -29,22 +31,51 @@ A curve that leaves more than the first without lamps is not tried any further: 
 the end, none did."""
 
 
-def learnt_appearance(sights: Sequence[Sight], now: Appearance) -> Appearance:
-    """What explains the sights; the simplest unless another does clearly.
+_BELIEVED_BENT = 1.0
+"""The same where cameras of one kind have shown together that their curve is bent."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lesson:
+    """What balls in view taught.
+
+    Attributes:
+        appearance: to go on with.
+        bent: whether its tone curve is a bent one.
+        left: share of the misfit's square that a bent curve leaves of a straight one's.
+        bends: (3,) of that curve, believed or not, see `appearance.bent_table`.
+    """
+
+    appearance: Appearance
+    bent: bool
+    left: float
+    bends: Floats
+
+
+def take_lesson(
+    sights: Sequence[Sight], now: Appearance, believe_bent: bool = False
+) -> Lesson | None:
+    """What explains the sights; the simplest unless another does clearly. None: too few sights.
 
     Whether the tone curve is bent is told by the light of lamps: freely fitted shading takes up
     part of a bend, and a bend part of what free shading leaves.
+
+    Args:
+        sights: balls in the camera's pictures.
+        now: the appearance at present.
+        believe_bent: whether other cameras say that the curve is bent.
     """
     useful = telling(sights)
     if not useful:
-        return now
+        return None
     start, clear = as_stated(now), unclipped(useful)
     if_straight, if_bent = surface_bounds(useful, start.table)
     unlit = straight_appearance(clear, start, if_straight)
     straight, bent = with_lamps(useful, unlit), bent_appearance(clear, unlit, if_bent)
-    chosen = straight
-    if left_by(bent, unlit, clear) < _HOPELESS:
+    left = left_by(bent, unlit, clear)
+    if believe_bent or left < _HOPELESS:
         bent = with_lamps(useful, refined_bends(clear, with_lamps(useful, bent)))
-        if left_by(bent, straight, clear) < _BENT_BELOW:
-            chosen = bent
-    return with_or_without_mirroring(useful, chosen)
+        left = left_by(bent, straight, clear)
+    believed = left < (_BELIEVED_BENT if believe_bent else _BENT_BELOW)
+    appearance = with_or_without_mirroring(useful, bent if believed else straight)
+    return Lesson(appearance, believed, left, bent.bends)
