@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
-from functools import cached_property
 
 import numpy as np
 
@@ -81,7 +80,7 @@ class Detection:
             self.outline_sd_px,
         )
 
-    @cached_property
+    @property
     def variance_px2(self) -> float:
         """Variance of `center_px` along an axis, the mean of both."""
         (first, _), (_, second) = self.covariance_px.tolist()

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from measure.arrays import Bools, Floats, Ints
-from measure.compiling import compiled
+from measure.compiling import compiled, inlined
 from measure.geometry.covariance_kernels import inverse_2x2, squared_distance
 from measure.geometry.linear_kernels import cholesky, inverse, invert_factored, solve_factored
 from measure.measuring.tracking.prediction_kernels import Predicted, carried
@@ -138,7 +138,7 @@ def agree_with_each_other(
         normal[:], right[:] = information, 0.0
         for i in range(n):
             weight = max(1 - distances[i] / (2.25 * width), 0.0) ** 2
-            _add(slopes[i], sharpness[i] * weight, innovations[i], normal, right)
+            _add(slopes[i], sharpness[i], weight, innovations[i], normal, right)
         if not cholesky(normal, factor):
             return np.zeros(n, np.bool_), np.full(12, np.nan), covariance
         solve_factored(factor, right, step)
@@ -150,12 +150,16 @@ def agree_with_each_other(
     return distances <= gate, step, covariance
 
 
-@compiled
-def _add(slopes: Floats, weight: Floats, seen: Floats, normal: Floats, right: Floats) -> None:
-    """Add a detection (2,), its slopes (2, 12) and weight (2, 2), to the equations' lower half."""
+@inlined
+def _add(
+    slopes: Floats, sharpness: Floats, weight: float, seen: Floats, normal: Floats, right: Floats
+) -> None:
+    """Add a detection (2,), its slopes (2, 12) and weights, to the equations' lower half."""
+    p, q = sharpness[0, 0] * weight, sharpness[0, 1] * weight
+    r, s = sharpness[1, 0] * weight, sharpness[1, 1] * weight
     for a in range(12):
-        u = slopes[0, a] * weight[0, 0] + slopes[1, a] * weight[1, 0]
-        v = slopes[0, a] * weight[0, 1] + slopes[1, a] * weight[1, 1]
+        u = slopes[0, a] * p + slopes[1, a] * r
+        v = slopes[0, a] * q + slopes[1, a] * s
         right[a] += u * seen[0] + v * seen[1]
         for b in range(a + 1):
             normal[a, b] += u * slopes[0, b] + v * slopes[1, b]

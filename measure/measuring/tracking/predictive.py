@@ -72,6 +72,7 @@ class PredictiveTracker:
         self.config = config
         self._body = body
         self._cameras = tuple(cameras)
+        self._keys = [(camera.name, ball) for camera in cameras for ball in body.names]
         self._acceleration = _chart(config.acceleration_mm_s2, config.turning_rad_s2)
         self._state: MotionState | None = None
         self._windows: Windows | None = None
@@ -210,16 +211,19 @@ class PredictiveTracker:
     ) -> tuple[BallView, ...]:
         best = {(d.camera, d.ball): d for some in detections.values() for d in reversed(some)}
         rows = [row for row, key in enumerate(windows.keys) if key in best]
-        reasons = self._gate(windows, rows, [best[windows.keys[row]] for row in rows])
-        judged = {windows.keys[row]: reason for row, reason in zip(rows, reasons, strict=True)}
+        keys = [windows.keys[row] for row in rows]
+        reasons = self._gate(windows, rows, [best[key] for key in keys])
+        judged = dict(zip(keys, reasons, strict=True))
         views = []
-        for name in [camera.name for camera in self._cameras]:
-            missing = Reason.NOT_FOUND if name in frame_set.images else Reason.NO_IMAGE
-            for ball in self._body.names:
-                key = (name, ball)
-                reason = self._patience(key, judged.get(key, missing))
-                state = State.EFFECTIVE if reason is Reason.NONE else State.SUSPENDED
-                views.append(BallView(ball, name, state, reason, best.get(key)))
+        for key in self._keys:
+            camera, ball = key
+            reason = judged.get(key)
+            if reason is None:
+                reason = Reason.NOT_FOUND if camera in frame_set.images else Reason.NO_IMAGE
+            if self._waiting or reason is not Reason.NONE:
+                reason = self._patience(key, reason)
+            state = State.EFFECTIVE if reason is Reason.NONE else State.SUSPENDED
+            views.append(BallView(ball, camera, state, reason, best.get(key)))
         return tuple(views)
 
     def _gate(
