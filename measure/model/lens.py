@@ -10,8 +10,8 @@ import numpy as np
 from measure.arrays import Floats
 from measure.compiling import compiled
 
-_NEWTON_STEPS = 20
-_NEWTON_TOLERANCE = 1e-5
+NEWTON_STEPS = 20
+NEWTON_TOLERANCE = 1e-5
 """Steps shrink by their square: one so short leaves less than 1e-9."""
 
 
@@ -57,39 +57,17 @@ def bend_slopes(x: float, y: float, lens: Floats) -> tuple[float, float, float, 
 
 
 @compiled
-def bearing_and_slopes(
-    pixel: Floats, lens: Floats, dx: float, dy: float, bearing: Floats, slopes: Floats
-) -> tuple[float, float]:
-    """Unit bearing (3,) of a pixel (2,), and the pixel's derivatives by the bearing (6,).
-
-    Args:
-        pixel: (2,).
-        lens: (13,).
-        dx: by how much the lens shifts a point near by, in normalised coordinates.
-        dy: the same along y.
-        bearing: (3,) filled; NaN where the lens model has no inverse.
-        slopes: (6,) filled: of u by x, y and z, then of v.
-
-    Returns:
-        By how much the lens shifts this point.
-    """
+def bearing(pixel: Floats, lens: Floats) -> Floats:
+    """Unit bearing (3,) of a pixel (2,); NaN where the lens model has no inverse."""
     yd = (pixel[1] - lens[4]) / lens[3]
     xd = (pixel[0] - lens[2] - lens[1] * yd) / lens[0]
-    x, y = xd - dx, yd - dy
-    for _ in range(_NEWTON_STEPS):
+    x, y = xd, yd
+    for _ in range(NEWTON_STEPS):
         u, v = bend(x, y, lens)
         a, b, c, d = bend_slopes(x, y, lens)
         det = a * d - b * c
         step_x, step_y = (d * (xd - u) - b * (yd - v)) / det, (a * (yd - v) - c * (xd - u)) / det
         x, y = x + step_x, y + step_y
-        if abs(step_x) + abs(step_y) < _NEWTON_TOLERANCE:
-            length = np.sqrt(x * x + y * y + 1)
-            bearing[0], bearing[1], bearing[2] = x / length, y / length, 1 / length
-            ux, uy = lens[0] * a + lens[1] * c, lens[0] * b + lens[1] * d
-            vx, vy = lens[3] * c, lens[3] * d
-            slopes[0], slopes[1], slopes[2] = ux * length, uy * length, -(ux * x + uy * y) * length
-            slopes[3], slopes[4], slopes[5] = vx * length, vy * length, -(vx * x + vy * y) * length
-            return xd - x, yd - y
-    bearing[:] = np.nan
-    slopes[:] = np.nan
-    return 0.0, 0.0
+        if abs(step_x) + abs(step_y) < NEWTON_TOLERANCE:
+            return np.array([x, y, 1.0]) / np.sqrt(x * x + y * y + 1)
+    return np.full(3, np.nan)

@@ -10,14 +10,11 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled, inlined
-from measure.model.lens import bend, bend_slopes
+from measure.model.lens import NEWTON_STEPS, NEWTON_TOLERANCE, bend, bend_slopes
 
 RAY = 9
 """Numbers of a ray: the unit bearing's x, y and z, and the pixel's derivatives by those, first u's,
 then v's."""
-_NEWTON_STEPS = 20
-_NEWTON_TOLERANCE = 1e-5
-"""Steps shrink by their square: one so short leaves less than 1e-9."""
 
 
 @compiled
@@ -38,7 +35,7 @@ def fill_rays(pixels: Floats, start: int, end: int, lens: Floats, out: Floats) -
     for i in range(n):
         bent_x[i] = (pixels[first + i, 0] - lens[2] - lens[1] * bent_y[i]) / lens[0]
     x, y = bent_x.copy(), bent_y.copy()
-    for _ in range(_NEWTON_STEPS):
+    for _ in range(NEWTON_STEPS):
         if _straighten(bent_x, bent_y, lens, x, y) == 0:
             break
     else:
@@ -62,7 +59,7 @@ def _straighten(bent_x: Floats, bent_y: Floats, lens: Floats, x: Floats, y: Floa
         step_x, step_y = (d * u - b * v) * unit, (a * v - c * u) * unit
         x[i] += step_x
         y[i] += step_y
-        long += int(not abs(step_x) + abs(step_y) < _NEWTON_TOLERANCE)
+        long += int(not abs(step_x) + abs(step_y) < NEWTON_TOLERANCE)
     return long
 
 
@@ -71,7 +68,7 @@ def _give_up(bent_x: Floats, bent_y: Floats, lens: Floats, x: Floats, y: Floats)
     """Leave no number of points that the lens does not bend to the others."""
     for i in range(len(x)):
         u, v = bend(x[i], y[i], lens)
-        if not abs(bent_x[i] - u) + abs(bent_y[i] - v) < _NEWTON_TOLERANCE:
+        if not abs(bent_x[i] - u) + abs(bent_y[i] - v) < NEWTON_TOLERANCE:
             x[i] = np.nan
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
-from measure.model.lens import bearing_and_slopes
+from measure.model.lens import bearing
 from measure_plugins._edges.cone_fit import FURTHEST_PX
 from measure_plugins._edges.corrected import SEARCH_PX
 from measure_plugins._edges.look import Look, Search, View, look_roughly
@@ -59,10 +59,9 @@ def approach(
     """
     out = np.zeros((len(circles), 5))
     out[:, 4] = np.inf
-    slopes, nearer, unknown = np.empty(6), np.empty((0, 4)), np.eye(2)
+    nearer, unknown = np.empty((0, 4)), np.eye(2)
     for i, circle in enumerate(circles):
-        axis, radius = np.empty(3), circle[2]
-        bearing_and_slopes(circle[:2], view.lens, 0.0, 0.0, axis, slopes)
+        axis, radius = bearing(circle[:2], view.lens), circle[2]
         half_angle = 2 * radius / (view.lens[0] + view.lens[3])
         far = _CIRCLE_REACH * radius
         search = Search(axis, half_angle, nearer, far, rays, min_contrast, 0.0, unknown)

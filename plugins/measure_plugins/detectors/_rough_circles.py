@@ -6,7 +6,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.model import Camera, Expectation
-from measure.model.lens import bearing_and_slopes
+from measure.model.lens import bearing
 
 
 def expected_at(ball: str, x: float, y: float, radius_px: float) -> Expectation:
@@ -23,7 +23,6 @@ def expected_at(ball: str, x: float, y: float, radius_px: float) -> Expectation:
 
 def center_by_size(expectation: Expectation, camera: Camera, radius_mm: float) -> Floats:
     """Where (3,) in the camera frame, in mm, a ball is that looks as large as expected."""
-    axis = np.empty(3)
-    bearing_and_slopes(expectation.center_px, camera.intrinsics.row, 0.0, 0.0, axis, np.empty(6))
+    axis = bearing(expectation.center_px, camera.intrinsics.row)
     half_angle = sum(expectation.radius_px) / 2 / camera.intrinsics.focal_px
     return axis * (radius_mm / np.sin(half_angle))
