@@ -52,8 +52,8 @@ class _Solver:
 
 
 class _Triangulator:
-    def triangulate(self, detections, cameras):
-        return measurement(0).fixes[0]
+    def triangulate_all(self, detections, cameras):
+        return [measurement(0).fixes[0] for _ in {d.ball for d in detections}]
 
 
 def _measure(look_again, looks=99, loses=()):
