@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -114,10 +114,13 @@ def measure_timed(
         pass
     steps: list[float] = []
     pipeline = method.pipeline(session, registry)
-    detectors = pipeline.stages.detectors
-    if rehearsal.wanted(detectors):
-        stages = replace(method.pipeline(session, registry).stages, detectors=detectors)
-        rehearsal.rehearse(session.body, session.cameras, stages, sets)
+    rehearsal.rehearse_if_wanted(
+        session.body,
+        session.cameras,
+        pipeline.stages.detectors,
+        lambda: method.pipeline(session, registry).stages,
+        sets,
+    )
     measured = list(pipeline.measure(_timed(sets, steps)))
     return measured, np.array(steps)
 

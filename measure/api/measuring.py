@@ -8,7 +8,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 
 from measure.host import Registry
 from measure.measuring import Measurement, Pipeline, Profile, rehearsal
@@ -66,12 +65,13 @@ def rehearsed_pipeline(session: Session, profile: Profile, registry: Registry) -
 
     body, cameras = session.body, session.cameras
     pipeline = warm_pipeline(profile, registry, body, cameras)
-    detectors = pipeline.stages.detectors
-    if rehearsal.wanted(detectors):
-        stages = build_pipeline(profile, registry, body, cameras).stages
-        rehearsal.rehearse(
-            body, cameras, replace(stages, detectors=detectors), session.frame_sets()
-        )
+    rehearsal.rehearse_if_wanted(
+        body,
+        cameras,
+        pipeline.stages.detectors,
+        lambda: build_pipeline(profile, registry, body, cameras).stages,
+        session.frame_sets(),
+    )
     return pipeline
 
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from measure.arrays import Floats
 from measure.errors import MeasureError
-from measure.host import Detector, PoseSolver, Triangulator
 from measure.measuring import instants, pose_spline
 from measure.measuring.instants import Seen
 from measure.measuring.looking_back import Looked, looked_back
@@ -17,7 +16,7 @@ from measure.measuring.measurement import Draft, Measurement, Status
 from measure.measuring.pose_spline import motion_at, with_neighbours
 from measure.measuring.repeats import Repeats
 from measure.measuring.side_by_side import SideBySide
-from measure.measuring.tracking import Tracker
+from measure.measuring.stages import Stages
 from measure.model import (
     Body,
     Camera,
@@ -33,31 +32,6 @@ _ROUNDS = 2
 """The first poses rest on predicted velocities; a spline through them is not yet the best one."""
 _SAME_MM = 1e-3
 _ARM_MM = np.array([1.0, 1.0, 1.0, 40.0, 40.0, 40.0])
-
-
-@dataclass(frozen=True, eq=False)
-class Stages:
-    """The parts a pipeline is made of.
-
-    Attributes:
-        detectors: one per camera, by name.
-        tracker: holds the state between frame sets.
-        triangulator: locates single balls.
-        solver: locates the body.
-        own_times: whether each image counts at its own time.
-        neighbours: whether poses wait for later ones: one is solved again with the motion that
-            those round it show, and a body just found is tracked back to where it was not.
-        look_again: whether, after a search of whole frames, the balls are measured once more where
-            they were found; and whether pictures in which the body was lost are searched.
-    """
-
-    detectors: Mapping[str, Detector]
-    tracker: Tracker
-    triangulator: Triangulator
-    solver: PoseSolver
-    own_times: bool
-    neighbours: bool
-    look_again: bool
 
 
 class Pipeline:

@@ -6,13 +6,14 @@ measured before that, and with cameras far from the standard be lost.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import replace
 
 from measure.errors import MeasureError
 from measure.host import Detector
-from measure.measuring.pipeline import Pipeline, Stages
+from measure.measuring.pipeline import Pipeline
+from measure.measuring.stages import Stages
 from measure.model import Body, Camera, FrameSet
 
 _FOUND = 16
@@ -24,6 +25,26 @@ _LONGEST = 64
 def wanted(detectors: Mapping[str, Detector]) -> bool:
     """Whether any of the detectors, one per camera, would rather see more pictures first."""
     return any(d.out_of_order and d.wants_rehearsal for d in detectors.values())
+
+
+def rehearse_if_wanted(
+    body: Body,
+    cameras: Sequence[Camera],
+    detectors: Mapping[str, Detector],
+    fresh: Callable[[], Stages],
+    frame_sets: Iterable[FrameSet],
+) -> None:
+    """Let detectors, one per camera, see how a recording begins, if any of them asks for it.
+
+    Args:
+        body: what is measured.
+        cameras: calibrated.
+        detectors: those that will measure the recording.
+        fresh: builds stages of which all but the detectors are used, and are of no use after.
+        frame_sets: of the recording, from its start.
+    """
+    if wanted(detectors):
+        rehearse(body, cameras, replace(fresh(), detectors=detectors), frame_sets)
 
 
 def rehearse(

@@ -194,10 +194,8 @@ class FrameUpdate:
         return Limits(self.config.consistency_mm, self.config.radius_percent / 100)
 
     def _sound(self, detection: Detection) -> bool:
-        return detection.score > 0 and self._color_ok(detection)
-
-    def _color_ok(self, detection: Detection) -> bool:
-        return not 100 * detection.color_match < self.config.color_percent
+        miscolored = 100 * detection.color_match < self.config.color_percent
+        return detection.score > 0 and not miscolored
 
     def _start(
         self, frame_set: FrameSet, detections: Mapping[str, Sequence[Detection]]

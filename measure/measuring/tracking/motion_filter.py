@@ -21,6 +21,11 @@ _SETTLED = 2
 """Measured poses after which changes of the velocity are the body's, not the filter's start."""
 
 
+def per_axis(millimetres: float, radians: float) -> Floats:
+    """The same for all axes (6,): of translation, then of rotation."""
+    return np.repeat([millimetres, radians], 3)
+
+
 @dataclass(frozen=True, eq=False)
 class MotionState:
     """What is known of the motion at one instant.

@@ -34,7 +34,7 @@ from measure.measuring.tracking.gates import (
     Sighted,
     judge_sightings,
 )
-from measure.measuring.tracking.motion_filter import MotionState
+from measure.measuring.tracking.motion_filter import MotionState, per_axis
 from measure.measuring.tracking.predictive_settings import PredictiveConfig
 from measure.measuring.tracking.tracker import Verdict
 from measure.measuring.tracking.warm_up import warm_up
@@ -73,7 +73,7 @@ class PredictiveTracker:
         self._body = body
         self._cameras = tuple(cameras)
         self._keys = [(camera.name, ball) for camera in cameras for ball in body.names]
-        self._acceleration = _chart(config.acceleration_mm_s2, config.turning_rad_s2)
+        self._acceleration = per_axis(config.acceleration_mm_s2, config.turning_rad_s2)
         self._state: MotionState | None = None
         self._windows: Windows | None = None
         self._found: Association | None = None
@@ -174,7 +174,7 @@ class PredictiveTracker:
         if found.world_from_body is not None:
             assert found.covariance is not None
             time_s = float(np.mean([d.time_s for d in found.detections]))
-            speed = _chart(self.config.speed_mm_s, self.config.turning_rad_s)
+            speed = per_axis(self.config.speed_mm_s, self.config.turning_rad_s)
             self._state = MotionState.begin(found.world_from_body, found.covariance, time_s, speed)
             self._strangers = strangers(found, self._body, present, detections)
             self._confirmed = set()
@@ -297,7 +297,3 @@ class PredictiveTracker:
 
     def _forget(self) -> None:
         self._state, self._misses, self._waiting = None, 0, {}
-
-
-def _chart(millimetres: float, radians: float) -> Floats:
-    return np.repeat([millimetres, radians], 3)

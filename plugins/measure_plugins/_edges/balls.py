@@ -112,10 +112,9 @@ def measure_balls(
         np.empty((k, rays)),
         np.zeros((k, 4)),
     )
+    _ask_for(view, expected, 0)
     for i in range(k):
-        for later in range(i + int(i > 0), min(i + 2, k)):
-            cone = expected.cones[later]
-            ask_for_outline(view.pixels, cone[:3], cone[3], view.lens)
+        _ask_for(view, expected, i + 1)
         search = _search(expected, i, rays, min_contrast, margin_px)
         if expected.sized[i]:
             outline = measure_closely(view, search, unpacked(expected.tables[i]))
@@ -127,6 +126,14 @@ def measure_balls(
             )
             _note(outline, match, i, found)
     return found
+
+
+@compiled
+def _ask_for(view: View, expected: Expected, i: int) -> None:
+    """Have the part of the picture fetched that shows ball i, if there is one."""
+    if i < len(expected.cones):
+        cone = expected.cones[i]
+        ask_for_outline(view.pixels, cone[:3], cone[3], view.lens)
 
 
 @compiled

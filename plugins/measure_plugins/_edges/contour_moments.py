@@ -111,13 +111,15 @@ def _columns(contours: Contours, centers: Floats, offsets: Floats) -> Floats:
 
 
 @inlined
+def _points(contours: Contours, k: int) -> tuple[np.uint64, np.uint64]:
+    """The first of ball-view k's points and the one after its last."""
+    return np.uint64(contours.start[k]), np.uint64(contours.start[k + 1])
+
+
+@inlined
 def _face(contours: Contours, k: int, center: Floats, along: Floats, out: Floats) -> None:
     """Fill the cosines between ball-view k's bearings and its line of sight, and -J u."""
-    first, last, rays = (
-        np.uint64(contours.start[k]),
-        np.uint64(contours.start[k + 1]),
-        contours.rays,
-    )
+    (first, last), rays = _points(contours, k), contours.rays
     x, y, z = center
     per_mm = 1 / np.sqrt(x * x + y * y + z * z)
     x, y, z = x * per_mm, y * per_mm, z * per_mm
@@ -142,11 +144,7 @@ def _derive(
     out: Floats,
 ) -> None:
     """Fill ball-view k's residuals, and their derivatives by its centre."""
-    first, last, rays = (
-        np.uint64(contours.start[k]),
-        np.uint64(contours.start[k + 1]),
-        contours.rays,
-    )
+    (first, last), rays = _points(contours, k), contours.rays
     x, y, z = center
     per_mm = 1 / np.sqrt(x * x + y * y + z * z)
     sine = contours.radii[k] * per_mm

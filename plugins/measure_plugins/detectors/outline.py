@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from measure.arrays import Floats
-from measure.host import Detector, Settings, hookimpl, setting
+from measure.host import Detector, Settings, hookimpl
 from measure.model import Body, Camera, Detection, Expectation, Image
+from measure_plugins.detectors._outline_settings import OutlineConfig
 from measure_plugins.detectors._rough_circles import center_by_size, expected_at
 
 if TYPE_CHECKING:
@@ -31,38 +32,6 @@ _HOPELESS = 2 / 3
 
 
 _NO_GAIN = np.eye(2)
-
-
-class OutlineConfig(Settings):
-    """Settings of the `outline` detector."""
-
-    rays: int = setting(72, "Rays cast across each outline.", ge=16, le=720)
-    tone: str = setting(
-        "srgb", "The cameras' tone curve: srgb, none, or gamma with its exponent (gamma2.2)."
-    )
-    learn: bool = setting(
-        True,
-        "Whether the tone curve, the blur, whether balls are glossy or matt, what they mirror and "
-        "what lights them are learnt from the pictures, starting from the tone curve given here.",
-    )
-    min_contrast: float = setting(
-        0.06,
-        "Least difference of a ray's inside and outside, as a share of the largest picture value.",
-        gt=0,
-    )
-    min_color_match: float = setting(
-        0.25, "Least share of samples inside the border that have the ball's colour.", ge=0, le=1
-    )
-    min_agreement: float = setting(
-        0.45,
-        "Least share of the rays that should show an edge whose edges lie on one outline.",
-        ge=0,
-        le=1,
-    )
-    min_rays: int = setting(12, "Fewest edge points an outline is fitted to.", ge=6)
-    margin_px: float = setting(
-        7.0, "Rays nearer than this to a nearer ball's outline are left out.", unit="px", ge=0
-    )
 
 
 class OutlineDetector(Detector):
