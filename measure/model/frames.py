@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
+from threading import Lock
 
 from measure.arrays import Bytes
 
@@ -27,11 +27,24 @@ class Image:
     time_s: float
     decode: Callable[[], Bytes]
     encoded: bytes | None = None
+    _turn: Lock = field(default_factory=Lock, init=False, repr=False)
+    _decoded: list[Bytes] = field(default_factory=list, init=False, repr=False)
 
-    @cached_property
+    @property
+    def is_decoded(self) -> bool:
+        """Whether the pixels are there already."""
+        return bool(self._decoded)
+
+    @property
     def pixels(self) -> Bytes:
         """BGR pixels (h, w, 3), decoded on first use."""
-        return self.decode()
+        # Not a `cached_property`: before Python 3.12 all instances share its lock, so that only
+        # one thread of all would decode.
+        if not self.is_decoded:
+            with self._turn:
+                if not self.is_decoded:
+                    self._decoded.append(self.decode())
+        return self._decoded[0]
 
 
 @dataclass(frozen=True, eq=False)
