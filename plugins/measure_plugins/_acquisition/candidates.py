@@ -75,6 +75,7 @@ def warm_up() -> None:
     """Compile the loops, or load them from the cache, before the first picture arrives."""
     bits = classify(np.zeros((64, 64, 3), np.uint8), color_table((BallColor.named("red"),)), 4)
     bits[5:12, 5:12] = 1
+    much_in_shade(bits[::_SPARSE, ::_SPARSE], bits, 1)
     distinct(_circles(majority(bits), 1, 4, 64, AcquisitionSettings(max_radius_share=1.0)))
 
 

@@ -12,11 +12,13 @@ import numpy as np
 from measure.arrays import Bytes, Floats, Ints
 from measure.compiling import compiled
 from measure.geometry.linear_kernels import cholesky, solve_factored
-from measure_plugins._acquisition.patches import borders
+from measure_plugins._acquisition.patches import OFF, borders, framed
 
 _ANGLES = 48
 _COSINES = np.cos(2 * np.pi * np.arange(_ANGLES) / _ANGLES)
 _SINES = np.sin(2 * np.pi * np.arange(_ANGLES) / _ANGLES)
+_TOGETHER = 8
+"""Angles that are looked at before asking whether the others can still do: guesses cost more."""
 _REACH = 1.5
 """Inside and outside are looked up this far from the circle, in reduced pixels."""
 _LEAST_ARC = 2.0
@@ -53,7 +55,7 @@ def circles_of(
     Returns:
         (k, 5) centre x, y, radius, share of the circle seen, share of its inside filled.
     """
-    mask = bits & np.uint8(bit)
+    mask = framed(bits, bit)
     pixels, ends = borders(bits, bit, _LEAST_BORDER)
     best = np.zeros((most, 4))
     start = 0
@@ -81,11 +83,9 @@ def _along(
             x, y, r = _through(border, i, j, k)
             if not radii[0] <= r <= radii[1] or 2 * span > 5 * r:
                 continue
-            if not (
-                _parts(mask, border[i, 0], border[i, 1], x, y)
-                and _parts(mask, border[j, 0], border[j, 1], x, y)
-                and _parts(mask, border[k, 0], border[k, 1], x, y)
-            ):
+            parted = _parts(mask, border[i, 0], border[i, 1], x, y)
+            parted &= _parts(mask, border[j, 0], border[j, 1], x, y)
+            if not parted & _parts(mask, border[k, 0], border[k, 1], x, y):
                 continue
             # Where the best are found already, lesser ones need not be looked at to their end.
             needed = max(least, _LEAST_ARC / r, min(worst / np.sqrt(r), _CLEAR))
@@ -185,12 +185,11 @@ def _share_filled(mask: Bytes, x: float, y: float, r: float) -> float:
     inside = 0
     matching = 0
     limit = (0.9 * r) ** 2
-    for row in range(max(0, int(y - r)), min(mask.shape[0], int(y + r) + 2)):
-        for column in range(max(0, int(x - r)), min(mask.shape[1], int(x + r) + 2)):
-            if (column - x) ** 2 + (row - y) ** 2 <= limit:
-                inside += 1
-                if mask[row, column]:
-                    matching += 1
+    for row in range(max(0, int(y - r)), min(mask.shape[0] - 2, int(y + r) + 2)):
+        for column in range(max(0, int(x - r)), min(mask.shape[1] - 2, int(x + r) + 2)):
+            within = int((column - x) ** 2 + (row - y) ** 2 <= limit)
+            inside += within
+            matching += within & int(mask[row + 1, column + 1])
     return matching / inside if inside else 0.0
 
 
@@ -211,12 +210,10 @@ def _through(border: Ints, i: int, j: int, k: int) -> tuple[float, float, float]
 
 @compiled
 def _at(mask: Bytes, x: float, y: float) -> int:
-    """1 inside the colour, 0 outside, -1 off the picture."""
-    # Unsigned: what is off to the left or above is off beyond the end, and none counts from there.
-    column, row = np.uint64(int(np.floor(x + 0.5))), np.uint64(int(np.floor(y + 0.5)))
-    if column >= np.uint64(mask.shape[1]) or row >= np.uint64(mask.shape[0]):
-        return -1
-    return 1 if mask[row, column] else 0
+    """1 inside the colour, 0 outside, OFF off the picture; without a branch."""
+    column = min(max(x + 1.5, 0.0), mask.shape[1] - 1.0)
+    row = min(max(y + 1.5, 0.0), mask.shape[0] - 1.0)
+    return mask[np.uint64(np.int64(row)), np.uint64(np.int64(column))]
 
 
 @compiled
@@ -225,19 +222,22 @@ def _parts(mask: Bytes, u: int, v: int, x: float, y: float) -> bool:
     dx, dy = u - x, v - y
     per = 1 / (np.sqrt(dx * dx + dy * dy) + 1e-9)
     dx, dy = dx * per, dy * per
-    return _at(mask, u + 2 * dx, v + 2 * dy) == 0 and _at(mask, u - dx, v - dy) == 1
+    beyond, within = _at(mask, u + 2 * dx, v + 2 * dy), _at(mask, u - dx, v - dy)
+    return (beyond == 0) & (within == 1)
 
 
 @compiled
 def _share_seen(mask: Bytes, x: float, y: float, r: float, needed: float) -> float:
     """Share of a circle that parts colour from other; given up once it cannot reach `needed`."""
     hits = 0
-    for k in range(_ANGLES):
-        if hits + _ANGLES - k < needed * _ANGLES:
+    for start in range(0, _ANGLES, _TOGETHER):
+        if hits + _ANGLES - start < needed * _ANGLES:
             return 0.0
-        c, s = _COSINES[k], _SINES[k]
-        if _at(mask, x + (r + _REACH) * c, y + (r + _REACH) * s) == 0:
-            hits += _at(mask, x + (r - _REACH) * c, y + (r - _REACH) * s) == 1
+        for k in range(start, start + _TOGETHER):
+            c, s = _COSINES[k], _SINES[k]
+            outside = _at(mask, x + (r + _REACH) * c, y + (r + _REACH) * s)
+            inside = _at(mask, x + (r - _REACH) * c, y + (r - _REACH) * s)
+            hits += int(inside == 1) & int(outside == 0)
     return hits / _ANGLES
 
 
@@ -251,7 +251,7 @@ def _edge(mask: Bytes, x: float, y: float, r: float, k: int, reach: float) -> fl
     while offset < reach:
         offset += 1.0
         here = _at(mask, x + (r + offset) * c, y + (r + offset) * s)
-        if here < 0:
+        if here == OFF:
             return np.nan
         if here == 0:
             for _ in range(3):  # by quarters back to the first that is outside

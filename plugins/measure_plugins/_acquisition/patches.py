@@ -11,10 +11,36 @@ _DX = np.array([1, 1, 0, -1, -1, -1, 0, 1])
 _DY = np.array([0, -1, -1, -1, 0, 1, 1, 1])
 """The eight neighbours of a pixel, counter-clockwise from the right as one looks at the picture."""
 _WEST = 4
-_CHUNK = 32
-"""Pixels that are looked at together, to skip what has no colour at all."""
-_SET, _ENTERED, _LEFT = 1, 2, 3
-"""Labels: a pixel of the colour; one on a traced border; the same, with nothing to its right."""
+_ALL = 0xFF
+"""All eight neighbours; no border passes such a pixel."""
+_WORD = 8
+"""Pixels that are looked at together, to skip what no border passes."""
+OFF = 2
+"""What a mask of one colour holds beyond the picture."""
+_EDGE, _ENTERED, _LEFT = 1, 2, 3
+"""Labels of pixels of the colour with a neighbour that has not got it: no border has passed yet;
+one has; one has and found nothing to the right."""
+
+
+def _turns() -> Ints:
+    """Where a border that enters a pixel goes on.
+
+    Returns:
+        (8, 256) for each neighbour that it comes from, and each set of neighbours that have the
+        colour, the first of these counter-clockwise; eight more if there is none to the right.
+    """
+    out = np.zeros((8, 256), np.int64)
+    for back in range(8):
+        for neighbours in range(1, 256):
+            turn = 1
+            while not neighbours >> (back + turn & 7) & 1:
+                turn += 1
+            passed = [back + k & 7 for k in range(1, turn)]
+            out[back, neighbours] = (back + turn & 7) + 8 * (0 in passed)
+    return out
+
+
+_TURNS = _turns()
 
 
 @compiled
@@ -50,6 +76,18 @@ def majority(bits: Bytes) -> Bytes:
 
 
 @compiled
+def framed(bits: Bytes, bit: int) -> Bytes:
+    """(h + 2, w + 2): 1 where pixels have a colour, 0 where not, in a margin of OFF."""
+    (h, w), one = bits.shape, np.uint8(bit)
+    out = np.full((h + 2, w + 2), np.uint8(OFF))
+    for i in range(h):
+        colors, row = bits[i], out[i + 1, 1 : w + 1]
+        for j in range(w):
+            row[j] = np.uint8(np.uint8(colors[j] & one) == one)
+    return out
+
+
+@compiled
 def borders(bits: Bytes, bit: int, least: int) -> tuple[Ints, Ints]:
     """Outer borders of a colour's patches, each in order (Suzuki and Abe 1985, algorithm 2).
 
@@ -61,62 +99,68 @@ def borders(bits: Bytes, bit: int, least: int) -> tuple[Ints, Ints]:
     Returns:
         (n, 2) pixels x, y of one border after the other; (patches,) the row after each one's last.
     """
-    labels, filled = _labels(bits, bit)
-    h, w = bits.shape
-    pixels = np.empty((4 * filled, 2), np.int64)  # a border passes a pixel four times at most
-    ends = np.empty(filled, np.int64)
+    neighbours, labels, edges = _labels(bits, bit)
+    words = labels.view(np.uint64)
+    pixels = np.empty((4 * edges, 2), np.int64)  # a border passes a pixel four times at most
+    ends = np.empty(edges, np.int64)
     count, total = 0, 0
-    for i in range(1, h + 1):
-        row = labels[i]
-        if not _any(row):
-            continue
+    for i in range(1, len(bits) + 1):
         inside = False
-        for start in range(1, w + 1, _CHUNK):
-            stop = min(start + _CHUNK, w + 1)
-            if not _any(row[start:stop]):
+        for word in range(words.shape[1]):
+            if words[i, word] == 0:
                 continue
-            for j in range(start, stop):
-                label = row[j]
-                if label == _SET and row[j - 1] == 0 and not inside:
-                    end = _trace(labels, i, j, pixels, total)
-                    label = row[j]
+            for j in range(_WORD * word, _WORD * (word + 1)):
+                label = labels[i, j]
+                if label == _EDGE and not inside and not neighbours[i, j] >> _WEST & 1:
+                    end = _trace(neighbours, labels, i, j, pixels, total)
+                    label = labels[i, j]
                     if end - total >= least:
                         ends[count] = total = end
                         count += 1
-                if label > _SET:
+                if label > _EDGE:
                     inside = label == _ENTERED
     return pixels[:total], ends[:count]
 
 
 @compiled
-def _labels(bits: Bytes, bit: int) -> tuple[Bytes, int]:
-    """_SET where pixels have the colour, in a margin of zeros; and how many have it."""
-    h, w = bits.shape
-    out = np.zeros((h + 2, w + 2), np.uint8)
-    count = 0
+def _labels(bits: Bytes, bit: int) -> tuple[Bytes, Bytes, int]:
+    """Which neighbours have a colour too, and where a border may pass.
+
+    Returns:
+        (h + 2, more than w + 1) a bit for each of a pixel's neighbours that have the colour;
+        as many labels, _EDGE where a pixel with the colour has a neighbour without; how many have.
+        Both with a margin of zeros.
+    """
+    (h, w), one = bits.shape, np.uint8(bit)
+    wide = (w + 2 + _WORD - 1) // _WORD * _WORD
+    colored = np.zeros((h + 2, wide), np.uint8)
     for i in range(h):
-        colors, row = bits[i], out[i + 1, 1 : w + 1]
+        colors, row = bits[i], colored[i + 1, 1 : w + 1]
         for j in range(w):
-            row[j] = np.uint8((colors[j] & bit) != 0)
-        for j in range(w):
-            count += row[j]
-    return out, count
+            row[j] = np.uint8(np.uint8(colors[j] & one) == one)
+    neighbours, labels = np.zeros((h + 2, wide), np.uint8), np.zeros((h + 2, wide), np.uint8)
+    edges = 0
+    for i in range(1, h + 1):
+        above, here, below = colored[i - 1], colored[i], colored[i + 1]
+        around, row = neighbours[i], labels[i]
+        for j in range(1, w + 1):
+            upper = above[j + 1] << 1 | above[j] << 2 | above[j - 1] << 3
+            lower = below[j - 1] << 5 | below[j] << 6 | below[j + 1] << 7
+            around[j] = np.uint8(here[j + 1] | upper | here[j - 1] << _WEST | lower)
+        for j in range(1, w + 1):
+            row[j] = here[j] & np.uint8(around[j] != _ALL)
+        for j in range(1, w + 1):
+            edges += row[j]
+    return neighbours, labels, edges
 
 
 @compiled
-def _any(row: Bytes) -> bool:
-    some = np.uint8(0)
-    for value in row:
-        some = np.uint8(some | value)
-    return some != 0
-
-
-@compiled
-def _trace(labels: Bytes, row: int, column: int, pixels: Ints, at: int) -> int:
+def _trace(neighbours: Bytes, labels: Bytes, row: int, column: int, pixels: Ints, at: int) -> int:
     """Follow an outer border from its first pixel, label it, and write it down from row `at` on.
 
     Args:
-        labels: (h + 2, w + 2), a margin of zeros about the picture; changed in place.
+        neighbours: as from `_labels`.
+        labels: the same; changed in place.
         row: of the first pixel, in `labels`.
         column: the same; the pixel to its left has not the colour.
         pixels: (room, 2) where x, y in the picture are written.
@@ -125,35 +169,26 @@ def _trace(labels: Bytes, row: int, column: int, pixels: Ints, at: int) -> int:
     Returns:
         The first row that is free now.
     """
-    width, flat = labels.shape[1], labels.reshape(-1)
+    width, flat, around = labels.shape[1], labels.reshape(-1), neighbours.reshape(-1)
     steps = _DY * width + _DX
     begin = row * width + column
-    first = _WEST
-    for turn in range(1, 9):
-        first = (_WEST - turn) & 7  # clockwise
-        if flat[begin + steps[first]] != 0:
-            break
-    else:
+    if around[begin] == 0:
         flat[begin] = _LEFT
         pixels[at, 0], pixels[at, 1] = column - 1, row - 1
         return at + 1
-    last, here, back = begin + steps[first], begin, first
+    first = (_WEST - 1) & 7
+    while not around[begin] >> first & 1:
+        first = (first - 1) & 7  # clockwise
+    last, here, back = begin + steps[first], begin, np.uint64(first)
     x, y = column - 1, row - 1
     while True:
-        left, k, beside = False, back, here
-        for _ in range(8):
-            k = (k + 1) & 7
-            beside = here + steps[np.uint64(k)]
-            if flat[np.uint64(beside)] != 0:
-                break
-            left |= k == 0
-        if left:
-            flat[here] = _LEFT
-        elif flat[here] == _SET:
-            flat[here] = _ENTERED
+        turn = _TURNS[back, around[np.uint64(here)]]
+        k = np.uint64(turn & 7)
+        flat[here] = max(flat[here], _LEFT if turn > 7 else _ENTERED)
         pixels[at, 0], pixels[at, 1] = x, y
         at += 1
+        beside = here + steps[k]
         if beside == begin and here == last:
             return at
-        x, y = x + _DX[np.uint64(k)], y + _DY[np.uint64(k)]
-        here, back = beside, (k + 4) & 7
+        x, y = x + _DX[k], y + _DY[k]
+        here, back = beside, k ^ np.uint64(4)

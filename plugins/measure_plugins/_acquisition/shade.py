@@ -14,6 +14,7 @@ from functools import lru_cache
 import numpy as np
 
 from measure.arrays import Bytes
+from measure.compiling import compiled
 from measure.model import BallColor
 from measure.model.color import ColorRange
 from measure_plugins._acquisition.color_table import color_table
@@ -34,6 +35,7 @@ def with_shade(colors: tuple[BallColor, ...]) -> Bytes:
     return color_table(tuple(map(_reaching, colors)))
 
 
+@compiled
 def much_in_shade(lit: Bytes, shaded: Bytes, bit: int) -> bool:
     """Whether so much of a colour lies in the dark that a ball may be cut or missed without that.
 
@@ -42,8 +44,16 @@ def much_in_shade(lit: Bytes, shaded: Bytes, bit: int) -> bool:
         shaded: (h, w) of as many, where colours reach into the dark.
         bit: the colour's.
     """
-    without = np.count_nonzero(lit & np.uint8(bit))
-    return bool(np.count_nonzero(shaded & np.uint8(bit)) > (1 + _MUCH) * without)
+    return _count(shaded, bit) > (1 + _MUCH) * _count(lit, bit)
+
+
+@compiled
+def _count(bits: Bytes, bit: int) -> int:
+    one, count = np.uint8(bit), 0
+    for row in bits:
+        for value in row:
+            count += int(np.uint8(value & one) == one)
+    return count
 
 
 def _reaching(color: BallColor) -> BallColor:
