@@ -190,7 +190,7 @@ def test_warming_up_compiles_all_that_a_search_runs():
         agreement.fitting_pairs,
         agreement.fitting_triples,
         fit_kernels.fit_rows,
-        rig_kernels.project_rows,
+        agreement.on_balls,
         rig_kernels.ray_rows,
     )
     with nothing_compiles(*loops):

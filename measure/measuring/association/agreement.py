@@ -87,6 +87,50 @@ def agreeing(
 
 
 @compiled
+def on_balls(
+    centers: Floats,
+    radii: Floats,
+    lenses: Floats,
+    reach: Floats,
+    rig_rotation: Floats,
+    rig_centers: Floats,
+    cameras: Ints,
+    pixels: Floats,
+    share: float,
+    min_depth: float,
+) -> Bools:
+    """Which of n candidates (n,) lie on some ball.
+
+    Args:
+        centers: (balls, 3) in the world.
+        radii: (balls,) mm.
+        lenses: (cameras, 13).
+        reach: (cameras,) of the lens models.
+        rig_rotation: (cameras, 3, 3) of world_from_camera.
+        rig_centers: (cameras, 3).
+        cameras: (n,) index of the candidates' cameras.
+        pixels: (n, 2).
+        share: of a ball's radius, how far from its centre.
+        min_depth: see `rig_kernels.project_one`.
+    """
+    out = np.zeros(len(cameras), np.bool_)
+    pixel, by_point = np.empty(2), np.empty((2, 3))
+    for i in range(len(cameras)):
+        k = cameras[i]
+        focal = (lenses[k, 0] + lenses[k, 3]) / 2
+        for ball in range(len(centers)):
+            project_one(
+                lenses[k], reach[k], rig_rotation[k], rig_centers[k],
+                centers[ball], min_depth, pixel, by_point,
+            )  # fmt: skip
+            off = np.hypot(pixels[i, 0] - pixel[0], pixels[i, 1] - pixel[1])
+            away = _apart(centers[ball], rig_centers[k])
+            if off < share * focal * radii[ball] / away:
+                out[i] = True
+    return out
+
+
+@compiled
 def fitting_pairs(
     a: Floats,
     sd_a: Floats,

@@ -15,9 +15,10 @@ import numpy as np
 
 from measure.arrays import Bools, Floats, Ints
 from measure.geometry import RigidTransform
-from measure.measuring.association.agreement import fitting_ranges
+from measure.measuring.association.agreement import fitting_ranges, on_balls
 from measure.measuring.association.points import BallPoints, Candidates, meeting_points
 from measure.model import Body, Camera, Rig
+from measure.model.camera import MIN_DEPTH_MM
 
 _OWN_RADII = 0.8
 """Candidates within this many radii of the body's own ball belong to it: a reflection, a double."""
@@ -107,23 +108,30 @@ def _unexplained(
     candidates: Sequence[Candidates],
 ) -> list[Candidates]:
     """Candidates of every ball that do not lie on a ball of the body found."""
-    centers = world_from_body.apply(body.centers)
-    rig, balls = Rig.of(cameras), len(body.balls)
-    everywhere = rig.take(np.repeat(np.arange(len(rig)), balls))
-    pixels = everywhere.project(np.tile(centers, (len(rig), 1)))[0].reshape(-1, balls, 2)
-    away = np.linalg.norm(centers - rig.centers[:, None], axis=2)
-    reach = _OWN_RADII * rig.focal_px[:, None] * body.radii / away
+    centers, rig = world_from_body.apply(body.centers), Rig.of(cameras)
     out = []
     for ball, some in zip(body.balls, candidates, strict=True):
-        alike = np.array([other.color == ball.color for other in body.balls])
-        off = np.linalg.norm(some.pixels[:, None] - pixels[some.cameras], axis=2)
-        own = np.any((off < reach[some.cameras]) & alike, axis=1)
+        alike = [k for k, other in enumerate(body.balls) if other.color == ball.color]
+        own = on_balls(
+            centers[alike],
+            body.radii[alike],
+            rig.lenses,
+            rig.reach,
+            rig.rotation,
+            rig.centers,
+            some.cameras,
+            some.pixels,
+            _OWN_RADII,
+            MIN_DEPTH_MM,
+        )
         out.append(some.rows(np.nonzero(~own)[0]))
     return out
 
 
 def _pair(a: BallPoints, b: BallPoints, distance_mm: float, sigmas: float) -> Floats | None:
     """The middle (3,) of two located points that are `distance_mm` apart, if there are such."""
+    if not len(a.points) or not len(b.points):
+        return None
     apart = np.linalg.norm(a.points[:, None] - b.points[None], axis=2)
     limit = sigmas * np.hypot(a.sd_mm[:, None], b.sd_mm[None]) + _SLACK_MM
     rows, columns = np.nonzero(np.abs(apart - distance_mm) < limit)
@@ -161,12 +169,16 @@ def _by_sizes(
         outer_two: (n, k) the same.
         last_two: (m, k) the same.
     """
+    if not (first_two.any() and outer_two.any() and last_two.any()):
+        return None
     found = np.argwhere(first_two[:, :, None] & outer_two[:, None, :] & last_two[None])
     return _middle(some, found[0]) if len(found) else None
 
 
 def _side_by_side(first: Candidates, second: Candidates, fits: Bools) -> Floats | None:
     """The same for two that one camera sees, and sees well: of their distance little is open."""
+    if not fits.any():
+        return None
     alike = first.cameras[:, None] == second.cameras
     found = np.argwhere(fits & alike & _well_seen(first)[:, None] & _well_seen(second))
     return _middle([first, second], found[0]) if len(found) else None

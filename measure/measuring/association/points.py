@@ -11,11 +11,12 @@ from measure.arrays import Floats, Ints
 from measure.geometry import Rays
 from measure.measuring.association.meeting import Sightlines, meeting_centers, meetings
 from measure.model import Ball, Camera, Detection, Rig
+from measure.model.rig_kernels import ray_rows
 
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Candidates of one ball in all cameras, as arrays of n rows.
+    """Candidates in all cameras, as arrays of n rows.
 
     Attributes:
         detections: the n candidates.
@@ -37,32 +38,13 @@ class Candidates:
     range_mm: Floats
     angle_sd: Floats
 
-    @classmethod
-    def of(
-        cls, detections: Sequence[Detection], cameras: Ints, ball: Ball, rig: Rig, rays: Rays
-    ) -> Candidates:
-        """Stack the candidates of `ball`; `rig` and `rays` have a row for each."""
-        sd = np.sqrt([d.variance_px2 for d in detections]).reshape(-1)
-        focal = rig.focal_px
-        radius = np.array([d.radius_px for d in detections])
-        return cls(
-            tuple(detections),
-            cameras,
-            np.array([d.center_px for d in detections]).reshape(-1, 2),
-            sd,
-            rays.origins,
-            rays.directions,
-            ball.radius_mm * np.sqrt(1 + (focal / radius) ** 2),
-            sd / focal,
-        )
-
     def __len__(self) -> int:
         return len(self.cameras)
 
     def rows(self, index: Ints) -> Candidates:
         """Some of them."""
         return Candidates(
-            tuple(self.detections[k] for k in index),
+            tuple([self.detections[k] for k in index.tolist()]),
             self.cameras[index],
             self.pixels[index],
             self.sd_px[index],
@@ -113,16 +95,36 @@ def by_ball(
     cameras: Sequence[Camera],
 ) -> list[Candidates]:
     """The candidates of every ball, from detections by camera name."""
-    rig = Rig.of(cameras)
     seen = [(i, d) for i, c in enumerate(cameras) for d in detections.get(c.name, ())]
     numbers = np.array([i for i, _ in seen], dtype=np.int64)
-    rows = rig.take(numbers)
-    rays = rows.rays(np.array([d.center_px for _, d in seen]).reshape(-1, 2))
-    out = []
-    for ball in balls:
-        mine = np.array([k for k, (_, d) in enumerate(seen) if d.ball == ball.name], dtype=np.int64)
-        some = Rays(rays.origins[mine], rays.directions[mine])
-        out.append(
-            Candidates.of([seen[k][1] for k in mine], numbers[mine], ball, rows.take(mine), some)
-        )
-    return out
+    of_all = _candidates(tuple(d for _, d in seen), numbers, balls, Rig.of(cameras))
+    names = [d.ball for d in of_all.detections]
+    return [
+        of_all.rows(np.array([k for k, name in enumerate(names) if name == ball.name], np.int64))
+        for ball in balls
+    ]
+
+
+def _candidates(
+    detections: tuple[Detection, ...], cameras: Ints, balls: Sequence[Ball], rig: Rig
+) -> Candidates:
+    """Stack detections, the cameras (n,) of which stand in the rig."""
+    sizes = {ball.name: ball.radius_mm for ball in balls}
+    radius_mm = np.array([sizes.get(d.ball, np.nan) for d in detections])
+    radius_px = np.array([d.radius_px for d in detections])
+    sd = np.sqrt(np.array([d.variance_px2 for d in detections]))
+    pixels = np.array([d.center_px for d in detections]).reshape(-1, 2)
+    focal, lenses = rig.focal_px[cameras], rig.lenses[cameras]
+    rays = Rays(
+        rig.centers[cameras], ray_rows(pixels, lenses, rig.reach[cameras], rig.rotation[cameras])
+    )
+    return Candidates(
+        detections,
+        cameras,
+        pixels,
+        sd,
+        rays.origins,
+        rays.directions,
+        radius_mm * np.sqrt(1 + (focal / radius_px) ** 2),
+        sd / focal,
+    )

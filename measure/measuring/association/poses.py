@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import combinations
 
 import numpy as np
@@ -24,13 +25,10 @@ _ANGLES = 90
 def poses_from_triples(body: Body, points: Sequence[BallPoints], sigmas: float) -> RigidTransform:
     """Poses (m) of every three balls whose possible centres are as far apart as in the body."""
     targets, sources = [np.zeros((0, 3, 3))], [np.zeros((0, 3, 3))]
-    for triple in combinations(range(len(body.balls)), 3):
-        centers = body.centers[list(triple)]
-        if _on_a_line(centers):
-            continue
+    for triple in _triples(body):
         rows = _fitting_triples(body, points, triple, sigmas)
         targets.append(np.stack([points[b].points[rows[:, k]] for k, b in enumerate(triple)], 1))
-        sources.append(np.broadcast_to(centers, targets[-1].shape))
+        sources.append(np.broadcast_to(body.centers[list(triple)], targets[-1].shape))
     return align_batch(np.concatenate(targets), np.concatenate(sources))
 
 
@@ -132,6 +130,13 @@ def _fitting_triples(
     sides = (_misfits(body, points, i, j, sigmas) for i, j in combinations(triple, 2))
     rows, misfit = fitting_triples(*sides)
     return rows[np.argsort(misfit, kind="stable")[:_MOST_POSES]]
+
+
+@lru_cache(maxsize=16)
+def _triples(body: Body) -> tuple[tuple[int, int, int], ...]:
+    """Every three balls that are not on a line; bodies compare by identity."""
+    triples = combinations(range(len(body.balls)), 3)
+    return tuple(three for three in triples if not _on_a_line(body.centers[list(three)]))
 
 
 def _on_a_line(points: Floats) -> bool:
