@@ -16,8 +16,6 @@ from measure_plugins._acquisition.patches import majority
 from measure_plugins._acquisition.shade import much_in_shade, with_shade
 
 _REDUCED_WIDTH = 320
-_SPARSE = 2
-"""Every other pixel each way tells whether much of a colour lies in the dark."""
 
 
 class AcquisitionSettings(Settings):
@@ -55,16 +53,14 @@ def find_circles(
     table = color_table(tuple(colors))
     for more, i in enumerate(pale, len(colors)):
         table = table | brighter_than_the_rest(colors[i], 1 << more, pixels)
-    bits, count = majority(classify(pixels, table, step)), len(colors) + len(pale)
+    with_dark, count = with_shade(tuple(colors)), len(colors) + len(pale)
+    bits, shaded = map(majority, classify(pixels, table, with_dark, step))
     found = [_circles(bits, 1 << i, step, pixels.shape[0], config) for i in range(count)]
     for i, others in zip(pale, found[len(colors) :], strict=True):
         found[i] = distinct(np.concatenate([found[i], others]))[: config.max_candidates]
-    some = majority(classify(pixels, with_shade(tuple(colors)), _SPARSE * step))
-    dark = [
-        i for i in range(len(colors)) if much_in_shade(bits[::_SPARSE, ::_SPARSE], some, 1 << i)
-    ]
+    dark = [i for i in range(len(colors)) if much_in_shade(bits[::2, ::2], shaded, 1 << i)]
     if dark:
-        bits = majority(classify(pixels, with_shade(tuple(colors)), step))
+        bits = majority(classify(pixels, with_dark, with_dark, step)[0])
     for i in dark:
         others = _circles(bits, 1 << i, step, pixels.shape[0], config)
         found[i] = distinct(np.concatenate([found[i], others]))[: config.max_candidates]
@@ -73,9 +69,10 @@ def find_circles(
 
 def warm_up() -> None:
     """Compile the loops, or load them from the cache, before the first picture arrives."""
-    bits = classify(np.zeros((64, 64, 3), np.uint8), color_table((BallColor.named("red"),)), 4)
+    table = color_table((BallColor.named("red"),))
+    bits, shaded = classify(np.zeros((64, 64, 3), np.uint8), table, table, 4)
     bits[5:12, 5:12] = 1
-    much_in_shade(bits[::_SPARSE, ::_SPARSE], bits, 1)
+    much_in_shade(bits[::2, ::2], shaded, 1)
     distinct(_circles(majority(bits), 1, 4, 64, AcquisitionSettings(max_radius_share=1.0)))
 
 

@@ -42,8 +42,8 @@ def color_table(colors: tuple[BallColor, ...]) -> Bytes:
 
 
 @compiled
-def classify(pixels: Bytes, table: Bytes, step: int) -> Bytes:
-    """Colour bits of an image reduced by `step`.
+def classify(pixels: Bytes, table: Bytes, sparse: Bytes, step: int) -> tuple[Bytes, Bytes]:
+    """Colour bits of an image reduced by `step`; of every other pixel each way by another table.
 
     Each reduced pixel is the mean of four pixels near the middle of its block: enough to tame noise
     and the demosaic's colour fringes, and a quarter of the reading that a full mean takes.
@@ -51,29 +51,32 @@ def classify(pixels: Bytes, table: Bytes, step: int) -> Bytes:
     Args:
         pixels: BGR (h, w, 3).
         table: from `color_table`.
+        sparse: another one.
         step: reduction, 1 or more.
 
     Returns:
-        (h // step, w // step) bytes.
+        (h // step, w // step) bytes, and those at even rows and columns by the other table.
     """
     height, width = pixels.shape[0] // step, pixels.shape[1] // step
-    rows, entries = pixels.reshape(pixels.shape[0], -1), table.reshape(-1)
+    rows, entries, others = pixels.reshape(len(pixels), -1), table.reshape(-1), sparse.reshape(-1)
     first = max(step // 2 - 1, 0)
     second = min(first + 1, step - 1)
     apart = 3 * (second - first)
     out = np.empty((height, width), np.uint8)
-    cut = np.empty(rows.shape[1], np.uint8)
+    some = np.empty((-(-height // 2), -(-width // 2)), np.uint8)
+    cut, places = np.empty(rows.shape[1], np.uint8), np.empty(width, np.uint32)
     for i in range(height):
         above, below = rows[i * step + first], rows[i * step + second]
         above_right, below_right = above[apart:], below[apart:]
         for k in range(len(above_right)):  # where they are not needed, too: many at once
             cut[k] = (above[k] + below[k] + above_right[k] + below_right[k]) >> 4
-        row = out[i]
         for j in range(width):
             # Unsigned, like all that is added: no look whether it counts from the end.
             at = np.uint64(3 * (j * step + first))
             blue, green, red = cut[at], cut[at + _ONE], cut[at + _TWO]
-            row[j] = entries[
-                (np.uint64(blue) << _TWELVE) | (np.uint64(green) << _SIX) | np.uint64(red)
-            ]
-    return out
+            places[j] = (np.uint64(blue) << _TWELVE) | (np.uint64(green) << _SIX) | np.uint64(red)
+            out[i, j] = entries[places[j]]
+        if i % 2 == 0:
+            for j in range(0, width, 2):
+                some[i // 2, j // 2] = others[places[j]]
+    return out, some

@@ -50,7 +50,7 @@ def test_colour_reaches_into_the_dark_but_not_into_grey():
     assert np.all(wide & usual == usual)  # nothing is lost
     grey = np.random.default_rng(0).normal(20, 2.5, (360, 640, 3))
     cloth = np.clip(np.rint(grey), 0, 255).astype(np.uint8)
-    assert np.count_nonzero(classify(cloth, wide, 4)) < 0.01 * 90 * 160
+    assert np.count_nonzero(classify(cloth, wide, wide, 4)[0]) < 0.01 * 90 * 160
     assert wide[1, 1, 1] == 0  # black
     for bit, name in enumerate(HUED):
         b, g, r = (np.array(BGR[name]) * DARK).astype(int) // 4
