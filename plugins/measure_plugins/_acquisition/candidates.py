@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -49,16 +50,15 @@ def find_circles(
         x, y and radius in px, share of the circle seen, share of its inside that has the colour.
     """
     step = max(1, round(pixels.shape[1] / _REDUCED_WIDTH))
-    pale = [i for i, color in enumerate(colors) if is_pale(color)][: MAX_COLORS - len(colors)]
-    table = color_table(tuple(colors))
+    table, with_dark, pale = _tables(tuple(colors))
     for more, i in enumerate(pale, len(colors)):
         table = table | brighter_than_the_rest(colors[i], 1 << more, pixels)
-    with_dark, count = with_shade(tuple(colors)), len(colors) + len(pale)
     bits, shaded = map(majority, classify(pixels, table, with_dark, step))
+    lit, count = np.ascontiguousarray(bits[::2, ::2]), len(colors) + len(pale)
     found = [_circles(bits, 1 << i, step, pixels.shape[0], config) for i in range(count)]
     for i, others in zip(pale, found[len(colors) :], strict=True):
         found[i] = distinct(np.concatenate([found[i], others]))[: config.max_candidates]
-    dark = [i for i in range(len(colors)) if much_in_shade(bits[::2, ::2], shaded, 1 << i)]
+    dark = [i for i in range(len(colors)) if much_in_shade(lit, shaded, 1 << i)]
     if dark:
         bits = majority(classify(pixels, with_dark, with_dark, step)[0])
     for i in dark:
@@ -67,12 +67,19 @@ def find_circles(
     return found[: len(colors)]
 
 
+@lru_cache(maxsize=16)
+def _tables(colors: tuple[BallColor, ...]) -> tuple[Bytes, Bytes, tuple[int, ...]]:
+    """The colours' table, that which reaches into the dark, and which of them are pale."""
+    pale = [i for i, color in enumerate(colors) if is_pale(color)]
+    return color_table(colors), with_shade(colors), tuple(pale[: MAX_COLORS - len(colors)])
+
+
 def warm_up() -> None:
     """Compile the loops, or load them from the cache, before the first picture arrives."""
     table = color_table((BallColor.named("red"),))
     bits, shaded = classify(np.zeros((64, 64, 3), np.uint8), table, table, 4)
     bits[5:12, 5:12] = 1
-    much_in_shade(bits[::2, ::2], shaded, 1)
+    much_in_shade(bits, shaded, 1)
     distinct(_circles(majority(bits), 1, 4, 64, AcquisitionSettings(max_radius_share=1.0)))
 
 
@@ -82,6 +89,6 @@ def _circles(bits: Bytes, bit: int, step: int, height: int, config: AcquisitionS
     circles = circles_of(
         bits, bit, radii, config.min_seen, config.min_filled, config.max_candidates
     )
-    scale = np.array([step, step, step, 1.0, 1.0])
-    shift = np.array([(step - 1) / 2, (step - 1) / 2, 0, 0, 0])
-    return circles * scale + shift
+    circles[:, :3] *= step
+    circles[:, :2] += (step - 1) / 2
+    return circles
