@@ -56,7 +56,7 @@ def circles_of(
         (k, 5) centre x, y, radius, share of the circle seen, share of its inside filled.
     """
     mask = framed(bits, bit)
-    pixels, ends = borders(bits, bit, _LEAST_BORDER)
+    pixels, ends = borders(mask, _LEAST_BORDER)
     best = np.zeros((most, 4))
     start = 0
     for end in ends:

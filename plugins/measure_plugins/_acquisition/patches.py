@@ -88,23 +88,23 @@ def framed(bits: Bytes, bit: int) -> Bytes:
 
 
 @compiled
-def borders(bits: Bytes, bit: int, least: int) -> tuple[Ints, Ints]:
+def borders(mask: Bytes, least: int) -> tuple[Ints, Ints]:
     """Outer borders of a colour's patches, each in order (Suzuki and Abe 1985, algorithm 2).
 
     Args:
-        bits: (h, w) colours of each pixel.
-        bit: the colour's.
+        mask: (h + 2, w + 2) of the colour, see `framed`.
         least: borders with fewer pixels are left out.
 
     Returns:
         (n, 2) pixels x, y of one border after the other; (patches,) the row after each one's last.
     """
-    neighbours, labels, edges = _labels(bits, bit)
+    neighbours, labels = _labels(mask)
     words = labels.view(np.uint64)
+    edges = _WORD * np.count_nonzero(words)  # at most
     pixels = np.empty((4 * edges, 2), np.int64)  # a border passes a pixel four times at most
     ends = np.empty(edges, np.int64)
     count, total = 0, 0
-    for i in range(1, len(bits) + 1):
+    for i in range(1, len(mask) - 1):
         inside = False
         for word in range(words.shape[1]):
             if words[i, word] == 0:
@@ -123,23 +123,18 @@ def borders(bits: Bytes, bit: int, least: int) -> tuple[Ints, Ints]:
 
 
 @compiled
-def _labels(bits: Bytes, bit: int) -> tuple[Bytes, Bytes, int]:
-    """Which neighbours have a colour too, and where a border may pass.
+def _labels(mask: Bytes) -> tuple[Bytes, Bytes]:
+    """Which neighbours have a colour too, and where a border may pass, of a mask (h + 2, w + 2).
 
     Returns:
-        (h + 2, more than w + 1) a bit for each of a pixel's neighbours that have the colour;
-        as many labels, _EDGE where a pixel with the colour has a neighbour without; how many have.
-        Both with a margin of zeros.
+        (h + 2, w + 2 or a little more) a bit for each of a pixel's neighbours that have the colour;
+        as many labels, _EDGE where a pixel with the colour has a neighbour without. Both with a
+        margin of zeros.
     """
-    (h, w), one = bits.shape, np.uint8(bit)
+    h, w = mask.shape[0] - 2, mask.shape[1] - 2
     wide = (w + 2 + _WORD - 1) // _WORD * _WORD
-    colored = np.zeros((h + 2, wide), np.uint8)
-    for i in range(h):
-        colors, row = bits[i], colored[i + 1, 1 : w + 1]
-        for j in range(w):
-            row[j] = np.uint8(np.uint8(colors[j] & one) == one)
     neighbours, labels = np.zeros((h + 2, wide), np.uint8), np.zeros((h + 2, wide), np.uint8)
-    edges = 0
+    colored = mask & np.uint8(1)
     for i in range(1, h + 1):
         above, here, below = colored[i - 1], colored[i], colored[i + 1]
         around, row = neighbours[i], labels[i]
@@ -149,9 +144,7 @@ def _labels(bits: Bytes, bit: int) -> tuple[Bytes, Bytes, int]:
             around[j] = np.uint8(here[j + 1] | upper | here[j - 1] << _WEST | lower)
         for j in range(1, w + 1):
             row[j] = here[j] & np.uint8(around[j] != _ALL)
-        for j in range(1, w + 1):
-            edges += row[j]
-    return neighbours, labels, edges
+    return neighbours, labels
 
 
 @compiled
