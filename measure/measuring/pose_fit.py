@@ -143,7 +143,7 @@ def fit_pose(
         raise _undetermined(len(s)) from None
     if weighing < 0:
         raise _undetermined(-weighing - 1)
-    distances = np.nan_to_num(distances, nan=np.inf)
+    distances[np.isnan(distances)] = np.inf
     pose = RigidTransform(rotation, translation)
     return PoseFit(pose, _inverse(normal), residuals, distances)
 

@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from measure.geometry import RigidTransform
 from measure.measuring import fit_kernels
-from measure.measuring.association import agreement, associate, meeting, warm_up
+from measure.measuring.association import agreement, associate, meeting, triangles, warm_up
 from measure.model import Ball, BallColor, Body, Camera, Detection, rig_kernels
 from tests.compiled import nothing_compiles
 from tests.scenes import FOUR, RAVEN, TARGET, a_pose, ring, see
@@ -180,6 +181,23 @@ def test_swapped_calibrations_give_no_confident_wrong_pose(pair):
             assert {d.camera for d in found.detections}.isdisjoint({a, b})
 
 
+def test_triangles_are_put_on_others_by_least_squares():
+    rng = np.random.default_rng(3)
+    source = rng.normal(0, 50, (3, 3))
+    turned = source @ Rotation.random(30, random_state=rng).as_matrix().swapaxes(1, 2)
+    target = turned + rng.normal(0, 15, (30, 3, 3)) + TARGET
+    rotation, translation = triangles.align_triangles(target, source)
+    middle = target.mean(axis=1)
+    best = [
+        Rotation.align_vectors(corners - corners.mean(axis=0), source - source.mean(axis=0))[0]
+        for corners in target
+    ]
+    assert rotation == pytest.approx(np.array([r.as_matrix() for r in best]), abs=1e-9)
+    assert rotation @ source.mean(axis=0) + translation == pytest.approx(middle, abs=1e-9)
+    on_a_line = np.outer([0.0, 1, 2], [1.0, 2, 3])[None]
+    assert np.isnan(triangles.align_triangles(on_a_line, source)[0]).all()
+
+
 def test_warming_up_compiles_all_that_a_search_runs():
     """For the very types that a search uses: else the first one would compile them again."""
     warm_up(RAVEN, list(CAMERAS.values()))
@@ -192,6 +210,7 @@ def test_warming_up_compiles_all_that_a_search_runs():
         fit_kernels.fit_rows,
         agreement.on_balls,
         rig_kernels.ray_rows,
+        triangles.align_triangles,
     )
     with nothing_compiles(*loops):
         truth = a_pose(np.random.default_rng(2))

@@ -173,13 +173,13 @@ def _share_in_common(rival: Association, best: Association) -> float:
 
 def _different(search: _Search, poses: RigidTransform, rough: Support, order: Floats) -> list[int]:
     """The best few poses that differ from each other, of those that enough candidates back."""
-    centers = np.einsum("mij,kj->mki", poses.rotation, search.body.centers)
-    centers = centers + poses.translation[:, None]
+    centers = search.body.centers @ np.swapaxes(poses.rotation, 1, 2) + poses.translation[:, None]
     least = max(search.settings.min_views, 0)
     kept: list[int] = []
+    count = rough.count
     floor = 0.5 * search.settings.rival_score * float(np.max(rough.score))
     for row in order:
-        if rough.count[row] < least or rough.score[row] < floor:
+        if count[row] < least or rough.score[row] < floor:
             continue
         apart = [np.max(np.linalg.norm(centers[row] - centers[k], axis=1)) for k in kept]
         if not apart or min(apart) > search.settings.rival_mm:
@@ -204,7 +204,7 @@ def _refined(
         if [id(d) for d in chosen] == [id(d) for d in before]:
             break
         before = chosen
-        time_s = float(np.mean([d.time_s for d in chosen]))
+        time_s = sum(d.time_s for d in chosen) / len(chosen)
         try:
             seen = Sightings.of(chosen, search.body, by_name, time_s, settings.extra_px)
             fit = fit_pose(pose, seen, tolerance=_TOLERANCE)
@@ -217,7 +217,7 @@ def _refined(
     share = len(chosen) / max(1, int(agreeing.expected[0]))
     if not enough or share < settings.min_share or not _determined(chosen):
         return None
-    rms = float(np.sqrt(np.mean(np.sum(fit.residuals_px**2, axis=1))))
+    rms = float(np.sqrt(np.vdot(fit.residuals_px, fit.residuals_px) / len(fit.residuals_px)))
     return float(agreeing.score[0]), Association(pose, covariance, tuple(chosen), rms)
 
 

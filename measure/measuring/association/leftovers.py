@@ -179,8 +179,10 @@ def _side_by_side(first: Candidates, second: Candidates, fits: Bools) -> Floats 
     """The same for two that one camera sees, and sees well: of their distance little is open."""
     if not fits.any():
         return None
-    alike = first.cameras[:, None] == second.cameras
-    found = np.argwhere(fits & alike & _well_seen(first)[:, None] & _well_seen(second))
+    alike = fits & (first.cameras[:, None] == second.cameras)
+    if not alike.any():
+        return None
+    found = np.argwhere(alike & _well_seen(first)[:, None] & _well_seen(second))
     return _middle([first, second], found[0]) if len(found) else None
 
 

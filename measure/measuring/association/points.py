@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from measure.arrays import Floats, Ints
-from measure.geometry import Rays
 from measure.measuring.association.meeting import Sightlines, meeting_centers, meetings
 from measure.model import Ball, Camera, Detection, Rig
 from measure.model.rig_kernels import ray_rows
@@ -115,16 +114,13 @@ def _candidates(
     sd = np.sqrt(np.array([d.variance_px2 for d in detections]))
     pixels = np.array([d.center_px for d in detections]).reshape(-1, 2)
     focal, lenses = rig.focal_px[cameras], rig.lenses[cameras]
-    rays = Rays(
-        rig.centers[cameras], ray_rows(pixels, lenses, rig.reach[cameras], rig.rotation[cameras])
-    )
     return Candidates(
         detections,
         cameras,
         pixels,
         sd,
-        rays.origins,
-        rays.directions,
+        rig.centers[cameras],
+        ray_rows(pixels, lenses, rig.reach[cameras], rig.rotation[cameras]),
         radius_mm * np.sqrt(1 + (focal / radius_px) ** 2),
         sd / focal,
     )

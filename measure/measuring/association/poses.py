@@ -13,6 +13,7 @@ from measure.arrays import Floats, Ints
 from measure.geometry import RigidTransform
 from measure.measuring.association.agreement import agreeing, fitting_pairs, fitting_triples
 from measure.measuring.association.points import BallPoints, Candidates
+from measure.measuring.association.triangles import align_triangles
 from measure.model import Body, Camera, Rig
 from measure.model.camera import MIN_DEPTH_MM
 
@@ -24,12 +25,11 @@ _ANGLES = 90
 
 def poses_from_triples(body: Body, points: Sequence[BallPoints], sigmas: float) -> RigidTransform:
     """Poses (m) of every three balls whose possible centres are as far apart as in the body."""
-    targets, sources = [np.zeros((0, 3, 3))], [np.zeros((0, 3, 3))]
+    found = []
     for triple in _triples(body):
         rows = _fitting_triples(body, points, triple, sigmas)
-        targets.append(np.stack([points[b].points[rows[:, k]] for k, b in enumerate(triple)], 1))
-        sources.append(np.broadcast_to(body.centers[list(triple)], targets[-1].shape))
-    return align_batch(np.concatenate(targets), np.concatenate(sources))
+        found.append(_aligned(_targets(points, triple, rows), body.centers[list(triple)]))
+    return _joined(found)
 
 
 def poses_from_pairs(body: Body, points: Sequence[BallPoints], sigmas: float) -> RigidTransform:
@@ -40,19 +40,8 @@ def poses_from_pairs(body: Body, points: Sequence[BallPoints], sigmas: float) ->
     found = []
     for pair in combinations(range(len(body.balls)), 2):
         rows = _fitting_pairs(body, points, pair, sigmas)[:20]
-        target = np.stack([points[b].points[rows[:, k]] for k, b in enumerate(pair)], axis=1)
-        found.append(_spun(target, body.centers[list(pair)]))
+        found.append(_spun(_targets(points, pair, rows), body.centers[list(pair)]))
     return _joined(found)
-
-
-def align_batch(target: Floats, source: Floats) -> RigidTransform:
-    """Least-squares poses (m) of points (m, k, 3) on source points (m, k, 3), or (k, 3) for all."""
-    centre, origin = target.mean(axis=-2, keepdims=True), source.mean(axis=-2, keepdims=True)
-    u, _, vt = np.linalg.svd(np.swapaxes(target - centre, 1, 2) @ (source - origin))
-    u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
-    rotation = u @ vt
-    turned = rotation @ np.swapaxes(origin, -1, -2)
-    return RigidTransform(rotation, centre[:, 0] - turned[:, :, 0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +97,19 @@ def support(
     )
 
 
+def _targets(points: Sequence[BallPoints], balls: Sequence[int], rows: Ints) -> Floats:
+    """Possible centres (m, balls, 3) of some balls, from their rows (m, balls) of `points`."""
+    out = np.empty((*rows.shape, 3))
+    for k, ball in enumerate(balls):
+        out[:, k] = points[ball].points[rows[:, k]]
+    return out
+
+
+def _aligned(target: Floats, source: Floats) -> RigidTransform:
+    """Least-squares poses (m) that put three source points (3, 3) on target points (m, 3, 3)."""
+    return RigidTransform(*align_triangles(target, source))
+
+
 def _misfits(body: Body, points: Sequence[BallPoints], i: int, j: int, sigmas: float) -> Floats:
     a, b = points[i], points[j]
     distance = float(np.linalg.norm(body.centers[i] - body.centers[j]))
@@ -146,7 +148,7 @@ def _on_a_line(points: Floats) -> bool:
 
 def _spun(target: Floats, source: Floats) -> RigidTransform:
     """Poses that bring the line of two source points (2, 3) onto (m, 2, 3), at every angle."""
-    start = align_batch(
+    start = _aligned(
         np.concatenate([target, _third(target)], axis=1),
         np.concatenate([source, _third(source[None])[0]], axis=0),
     )
@@ -173,6 +175,8 @@ def _third(pair: Floats) -> Floats:
 
 
 def _joined(poses: Sequence[RigidTransform]) -> RigidTransform:
+    if len(poses) == 1:
+        return poses[0]
     return RigidTransform(
         np.concatenate([np.zeros((0, 3, 3)), *(p.rotation for p in poses)]),
         np.concatenate([np.zeros((0, 3)), *(p.translation for p in poses)]),
