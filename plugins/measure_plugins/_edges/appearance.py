@@ -17,6 +17,7 @@ from measure_plugins._edges.radial import (
     packed_radials,
     radial,
 )
+from measure_plugins._edges.room import Room, no_room
 from measure_plugins._edges.sensor import encoding
 from measure_plugins._edges.tone import tone_table
 
@@ -38,6 +39,7 @@ class Appearance:
         index: refractive index of the balls' surface.
         mirrors: whether it mirrors, at grazing angles, the colours of what is behind the ball.
         lamps: (k, 4) what lights the balls, in the camera frame, see `lamps`; none if not known.
+        room: what else they mirror of the room.
     """
 
     tone: str
@@ -46,6 +48,7 @@ class Appearance:
     index: float
     mirrors: bool = True
     lamps: Floats = field(default_factory=no_lamps)
+    room: Room = field(default_factory=no_room)
 
     @cached_property
     def table(self) -> Floats:

@@ -19,7 +19,10 @@ from measure_plugins._edges.clipped import clipped
 from measure_plugins._edges.corrected import LATER_STEPS, compare
 from measure_plugins._edges.highlights import highlights
 from measure_plugins._edges.lamps import lamp_light, no_lamps, seen_from
+from measure_plugins._edges.prediction import Ambient
+from measure_plugins._edges.radial import Radial
 from measure_plugins._edges.rays import FREE, HIDDEN
+from measure_plugins._edges.room import no_room, room_light
 
 _COMPARED = int(np.count_nonzero(LATER_STEPS <= 4.0))
 """Both sides of the edge; further in, highlights have their own shapes."""
@@ -83,7 +86,7 @@ class Sight:
 
 def as_stated(now: Appearance) -> Appearance:
     """An appearance with all forgotten that a lesson teaches anew."""
-    return replace(now, bends=np.zeros(BENDS), mirrors=True, lamps=no_lamps())
+    return replace(now, bends=np.zeros(BENDS), mirrors=True, lamps=no_lamps(), room=no_room())
 
 
 def straight_appearance(sights: Sequence[Sight], start: Appearance, bounds: Bounds) -> Appearance:
@@ -136,7 +139,7 @@ def with_or_without_mirroring(sights: Sequence[Sight], appearance: Appearance) -
     useful = telling(sights)
     if not useful or appearance.index != GLOSSY:
         return appearance
-    does, does_not = (replace(appearance, mirrors=mirrors) for mirrors in (True, False))
+    does, does_not = (appearance, replace(appearance, mirrors=False, room=no_room()))
     worse = np.log([_plain_misfit(s, does) / _plain_misfit(s, does_not) for s in useful])
     return does_not if float(np.mean(worse)) > _CLEARLY_DULL else does
 
@@ -264,7 +267,16 @@ def _residuals(
         sight.around,
         sight.free.copy(),
         tables,
-        lamp_light(tables.diffuse, sight.around, seen_from(appearance.lamps, sight.frame)),
+        _ambient(sight, appearance, tables),
     )
     known = np.empty(0) if weights is None else weights
     return aligned_residuals(seen, predicted, sight.free, sight.around, _COMPARED, _STEP, known)
+
+
+def _ambient(sight: Sight, appearance: Appearance, tables: Radial) -> Ambient:
+    """What the appearance says of the light round a ball."""
+    lamps = seen_from(appearance.lamps, sight.frame)
+    return Ambient(
+        lamp_light(tables.diffuse, sight.around, lamps),
+        room_light(appearance.room, tables.grey, sight.frame, sight.half_angle, sight.around),
+    )

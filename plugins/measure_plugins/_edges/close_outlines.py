@@ -8,7 +8,7 @@ from measure.arrays import Floats
 from measure.compiling import compiled
 from measure_plugins._edges.corrected import SEARCH_PX
 from measure_plugins._edges.gain import CORRECTED_GROWTH, restore
-from measure_plugins._edges.look import Search, View, lamps_shine, look_closely, look_roughly
+from measure_plugins._edges.look import Search, View, light_about, look_closely, look_roughly
 from measure_plugins._edges.outline_fit import (
     INLIER,
     Fit,
@@ -58,9 +58,10 @@ def measure_closely(view: View, search: Search, radial: Radial) -> Outline:
 @compiled
 def _settled(view: View, search: Search, radial: Radial, axis: Floats, first: bool) -> Outline:
     """The outline that corrected looks lead to from `axis`; `first` if nobody looked there yet."""
-    before, lit = np.zeros(2), lamps_shine(view, axis, search.rays, radial)
+    ambient = light_about(view, axis, search.half_angle, search.rays, radial)
+    before = np.zeros(2)
     for turn in range(_TURNS):
-        look = look_closely(view, search, axis, search.half_angle, radial, lit)
+        look = look_closely(view, search, axis, search.half_angle, radial, ambient)
         fit = fit_look(look, CORRECTED_GROWTH, first and turn == 0)
         if not np.isfinite(fit.scale):
             break

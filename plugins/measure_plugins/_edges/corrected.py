@@ -9,7 +9,7 @@ import numpy as np
 from measure.arrays import Bytes, Floats
 from measure.compiling import compiled
 from measure_plugins._edges.crossing import crossings, levels, project, uncertainty
-from measure_plugins._edges.prediction import predict_light
+from measure_plugins._edges.prediction import Ambient, predict_light
 from measure_plugins._edges.radial import STEPS, Radial
 from measure_plugins._edges.rays import FREE, sample
 from measure_plugins._edges.selection import median
@@ -69,7 +69,7 @@ def corrected_edges(
     around: Floats,
     free: Floats,
     radial: Radial,
-    lit: Floats,
+    ambient: Ambient,
 ) -> Edges:
     """Find edges twice, by all colours and without grey, less the finder's errors on a prediction.
 
@@ -86,7 +86,7 @@ def corrected_edges(
         around: (n, 2) cosine and sine around the axis.
         free: (n,) `rays.FREE` where nothing is known to be in the way; may be set to OUTSIDE.
         radial: what the ball shows along a ray, see `radial.radial`.
-        lit: (m, n) light from the camera's lamps, see `lamps.lamp_light`; empty if none are known.
+        ambient: what is known of the light round it.
 
     Returns:
         The edges; their contrast in picture values from 0 to 1.
@@ -94,7 +94,7 @@ def corrected_edges(
     light, values = sample(pixels, table, points, normals, STEPS, free, _FIRST)
     window = inside_window(points)
     within, background = levels(light, STEPS, window), levels(light, STEPS, _BACKGROUND_PX)
-    predicted = predicted_values(light, free, around, background, inverse, radial, lit)
+    predicted = predicted_values(light, free, around, background, inverse, radial, ambient)
     inside = levels(values, LATER_STEPS, window)
     outside = levels(values, LATER_STEPS, OUTSIDE_PX)
     model_inside = levels(predicted, LATER_STEPS, window)
@@ -148,12 +148,12 @@ def compare(
     around: Floats,
     free: Floats,
     radial: Radial,
-    lit: Floats,
+    ambient: Ambient,
 ) -> tuple[Floats, Floats]:
     """Picture values (3, m, n) at `LATER_STEPS`: seen, and predicted. Arguments as above."""
     light, values = sample(pixels, table, points, normals, STEPS, free, _FIRST)
     background = levels(light, STEPS, _BACKGROUND_PX)
-    predicted = predicted_values(light, free, around, background, inverse, radial, lit)
+    predicted = predicted_values(light, free, around, background, inverse, radial, ambient)
     return values, predicted
 
 
@@ -174,11 +174,11 @@ def predicted_values(
     background: Floats,
     inverse: Floats,
     radial: Radial,
-    lit: Floats,
+    ambient: Ambient,
 ) -> Floats:
     """Picture values (3, m, n) at `LATER_STEPS` that the model predicts along rays of `light`."""
     first = _FIRST - CHROMA_REACH
-    predicted = predict_light(light, free, around, background, STEPS, radial, lit, first)
+    predicted = predict_light(light, free, around, background, STEPS, radial, ambient, first)
     return read_off(encode(predicted, inverse))
 
 

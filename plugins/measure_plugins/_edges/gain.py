@@ -11,7 +11,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
-from measure_plugins._edges.look import Look, Search, View, lamps_shine, look_closely
+from measure_plugins._edges.look import Look, Search, View, light_about, look_closely
 from measure_plugins._edges.outline_fit import Fit, fit_look
 from measure_plugins._edges.radial import Radial
 from measure_plugins._edges.rays import frame_about, radius_px
@@ -48,13 +48,13 @@ def measured_gain(view: View, search: Search, radial: Radial) -> Floats:
         radial: see `close_outlines.measure_closely`.
     """
     axis, shown = search.axis, np.zeros((2, 2))
-    lit = lamps_shine(view, axis, search.rays, radial)
+    ambient = light_about(view, axis, search.half_angle, search.rays, radial)
     frame, scale = frame_about(axis), radius_px(axis, search.half_angle, view.lens)
     for k in range(2):
         for side in (-1, 1):
             aside = axis + side * _ASIDE_PX * search.half_angle / scale * frame[k]
             aside /= np.sqrt(np.sum(aside * aside))
-            look = look_closely(view, search, aside, search.half_angle, radial, lit)
+            look = look_closely(view, search, aside, search.half_angle, radial, ambient)
             fit = fit_look(look, CORRECTED_GROWTH, False)
             if not np.isfinite(fit.scale):
                 return np.eye(2)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from measure_plugins._edges.lamps_fit import learn_lamps
 from measure_plugins._edges.lesson import Lesson, take_lesson
 from measure_plugins._edges.radial import STEPS
 from measure_plugins._edges.rays import cast_rays, frame_about, ways
+from measure_plugins._edges.room_fit import Backdrop, backdrop_of, room_of
 
 _FIRST = 2
 """The first picture is only kept: finding the balls in it is slow enough."""
@@ -37,6 +39,7 @@ class AppearanceLearner:
         self._lens, self._rays, self._margin_px = lens, rays, margin_px
         self._count, self._kept, self._due = 0, 1, _FIRST
         self._pictures: deque[list[Sight]] = deque(maxlen=_REMEMBERED)
+        self._backdrops: deque[Backdrop] = deque(maxlen=_REMEMBERED)
         self._lessons, self._latest_s = 0, -np.inf
         self._lesson: Lesson | None = None
         self._believe_bent = False
@@ -89,6 +92,7 @@ class AppearanceLearner:
             now: the appearance at present.
         """
         self._kept = 2 * self._count
+        self._backdrops.append(self._backdrop(pixels, (*seen, *others)))
         self._pictures.append([self._sight(pixels, cone, (*seen, *others)) for cone in seen])
         if self._count < self._due:
             return None
@@ -97,7 +101,7 @@ class AppearanceLearner:
 
     def _taught(self, now: Appearance) -> Appearance:
         sights = [sight for picture in self._pictures for sight in picture]
-        self._lesson = take_lesson(sights, now, self._believe_bent)
+        self._lesson = take_lesson(sights, now, self._believe_bent, self._backdrops)
         return now if self._lesson is None else self._lesson.appearance
 
     def warm_up(self, pixels: Bytes, cone: Cone, now: Appearance) -> None:
@@ -105,6 +109,12 @@ class AppearanceLearner:
         sights = [self._sight(pixels, cone, [])]
         misfits(sights, now)
         learn_lamps(sights, now)
+        backdrop = self._backdrop(pixels, [cone])
+        misfits(sights, replace(now, room=room_of([backdrop], now.table)))
+
+    def _backdrop(self, pixels: Bytes, balls: Sequence[Cone]) -> Backdrop:
+        rows = np.array([[*axis, half_angle] for axis, half_angle, _ in balls])
+        return backdrop_of(pixels, self._lens, rows.reshape(-1, 4))
 
     def _sight(self, pixels: Bytes, cone: Cone, all_cones: Sequence[Cone]) -> Sight:
         axis, half_angle, distance = cone

@@ -20,6 +20,7 @@ from measure_plugins._edges.appearance_fit import (
     with_or_without_mirroring,
 )
 from measure_plugins._edges.lamps_fit import with_lamps
+from measure_plugins._edges.room_fit import Backdrop, with_room
 
 _HOPELESS = 0.9
 _BENT_BELOW = 0.72
@@ -53,7 +54,10 @@ class Lesson:
 
 
 def take_lesson(
-    sights: Sequence[Sight], now: Appearance, believe_bent: bool = False
+    sights: Sequence[Sight],
+    now: Appearance,
+    believe_bent: bool = False,
+    backdrops: Sequence[Backdrop] = (),
 ) -> Lesson | None:
     """What explains the sights; the simplest unless another does clearly. None: too few sights.
 
@@ -64,6 +68,7 @@ def take_lesson(
         sights: balls in the camera's pictures.
         now: the appearance at present.
         believe_bent: whether other cameras say that the curve is bent.
+        backdrops: the pictures without the balls.
     """
     useful = telling(sights)
     if not useful:
@@ -77,5 +82,6 @@ def take_lesson(
         bent = with_lamps(useful, refined_bends(clear, with_lamps(useful, bent)))
         left = left_by(bent, straight, clear)
     believed = left < (_BELIEVED_BENT if believe_bent else _BENT_BELOW)
-    appearance = with_or_without_mirroring(useful, bent if believed else straight)
+    in_room = with_room(useful, bent if believed else straight, backdrops)
+    appearance = with_or_without_mirroring(useful, in_room)
     return Lesson(appearance, believed, left, bent.bends)

@@ -17,6 +17,7 @@ from measure_plugins._edges.corrected import (
 )
 from measure_plugins._edges.crossing import crossings, levels, project, uncertainty
 from measure_plugins._edges.lamps import lamp_light, seen_from
+from measure_plugins._edges.prediction import Ambient
 from measure_plugins._edges.radial import Radial
 from measure_plugins._edges.rays import (
     FREE,
@@ -27,6 +28,7 @@ from measure_plugins._edges.rays import (
     sample_nearest,
     ways,
 )
+from measure_plugins._edges.room import Room, room_light
 
 _STEP_PX, _WHOLE_PX, _WIDE_PX = 0.5, 1.0, 2.0
 """A wide look only leads to a near one, and a quick one to a better one: whole pixels will do."""
@@ -45,6 +47,7 @@ class View(NamedTuple):
         inverse: of the table, see `sensor.encoding`.
         lens: (13,) lens row.
         lamps: (k, 4) in the camera frame, see `lamps`.
+        room: what balls mirror of the room.
     """
 
     pixels: Bytes
@@ -52,6 +55,7 @@ class View(NamedTuple):
     inverse: Floats
     lens: Floats
     lamps: Floats
+    room: Room
 
 
 class Search(NamedTuple):
@@ -143,28 +147,29 @@ def look_roughly(
 
 @compiled
 def look_closely(
-    view: View, search: Search, axis: Floats, half_angle: float, radial: Radial, lit: Floats
+    view: View, search: Search, axis: Floats, half_angle: float, radial: Radial, ambient: Ambient
 ) -> Look:
-    """The same with the edge finder's own error taken off; `lit` by `lamps_shine` about there."""
+    """The same with the edge finder's own error taken off; `ambient` by `light_about` there."""
     frame = frame_about(axis)
     points, normals, scale, around = cast_rays(frame, half_angle, search.rays, view.lens)
     reach = (INSIDE_PX[0], OUTSIDE_PX[1])
     free = ways(frame, half_angle, scale, around, search.nearer, reach, search.margin_px)
     edges = corrected_edges(
-        view.pixels, view.table, view.inverse, points, normals, around, free, radial, lit
+        view.pixels, view.table, view.inverse, points, normals, around, free, radial, ambient
     )
     clear, use = _usable(edges, free, search.min_contrast, SEARCH_PX)
     return Look(frame, points, normals, scale, around, free, edges, clear, use)
 
 
 @compiled
-def lamps_shine(view: View, axis: Floats, rays: int, radial: Radial) -> Floats:
-    """Light (m, n) the camera's lamps draw from a ball along its rays, see `lamps.lamp_light`.
+def light_about(view: View, axis: Floats, half_angle: float, rays: int, radial: Radial) -> Ambient:
+    """What the camera has taught about the light round a ball, along its rays.
 
-    Looks a few pixels away may use it too: lamps are far, a degree does not matter.
+    Looks a few pixels away may use it too: lamps and walls are far, a degree does not matter.
     """
-    lamps = seen_from(view.lamps, frame_about(axis))
-    return lamp_light(radial.diffuse, angles_around(rays), lamps)
+    frame, around = frame_about(axis), angles_around(rays)
+    lit = lamp_light(radial.diffuse, around, seen_from(view.lamps, frame))
+    return Ambient(lit, room_light(view.room, radial.grey, frame, half_angle, around))
 
 
 @compiled

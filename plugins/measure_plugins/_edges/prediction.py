@@ -7,6 +7,8 @@ own error there can be measured.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from measure.arrays import Floats
@@ -22,6 +24,20 @@ _NOTHING = 1e-9
 """Share of the surroundings' light too small to take off."""
 
 
+class Ambient(NamedTuple):
+    """What a camera's pictures taught about the light round a ball, along n rays across it.
+
+    Attributes:
+        lit: (m, n) light its lamps draw from the ball, see `lamps.lamp_light`; empty if none are
+            known, then shading is a polynomial.
+        mirrored: (3, m, n) what the ball mirrors of the room, see `room.room_light`; empty if
+            that is not known.
+    """
+
+    lit: Floats
+    mirrored: Floats
+
+
 @compiled
 def predict_light(
     profiles: Floats,
@@ -30,7 +46,7 @@ def predict_light(
     background: Floats,
     steps: Floats,
     radial: Radial,
-    lit: Floats,
+    ambient: Ambient,
     first: int,
 ) -> Floats:
     """Light (3, m - first, n) the model predicts along the rays.
@@ -42,12 +58,12 @@ def predict_light(
         background: (3, n) light outside the outline.
         steps: (m,) px along the normal.
         radial: the ball's tables at the same steps.
-        lit: (m, n) light the camera's lamps draw from the ball, see `lamps.lamp_light`; where it
-            is empty, shading is a polynomial.
+        ambient: of the same rays and steps.
         first: the step at which the prediction begins.
     """
     used = int(np.searchsorted(steps, _FIT_LAST_PX, side="right"))
-    own, amounts, grey, behind_grey = split_light(profiles, free, background, steps, radial, used)
+    lit, shown = ambient.lit, _without(profiles, ambient.mirrored, used)
+    own, amounts, grey, behind_grey = split_light(shown, free, background, steps, radial, used)
     if lit.size > 0:
         fitted = fit_lamp_light(amounts, free, around, radial.diffuse, lit, used)
         body = lamp_body(fitted, around, radial.diffuse, lit, first)
@@ -60,7 +76,32 @@ def predict_light(
         for i in range(len(free)):
             tied = reflected[k, i] + radial.tie_grey[k] * behind_grey[i]
             reflected[k, i] = max(tied, 0.0)
-    return _compose(own, body, reflected, background, behind_grey, radial, first)
+    out = _compose(own, body, reflected, background, behind_grey, radial, first)
+    _add(ambient.mirrored, first, out)
+    return out
+
+
+@compiled
+def _without(profiles: Floats, mirrored: Floats, used: int) -> Floats:
+    """Profiles (3, m, n), at least the first `used` steps, less what is mirrored, if known."""
+    if mirrored.size == 0:
+        return profiles
+    out = np.empty((3, used, profiles.shape[2]))
+    for c in range(3):
+        for j in range(used):
+            for i in range(profiles.shape[2]):
+                out[c, j, i] = profiles[c, j, i] - mirrored[c, j, i]
+    return out
+
+
+@compiled
+def _add(mirrored: Floats, first: int, out: Floats) -> None:
+    """Add what is mirrored (3, m, n), if that is known, to light (3, m - first, n)."""
+    if mirrored.size > 0:
+        for c in range(3):
+            for j in range(out.shape[1]):
+                for i in range(out.shape[2]):
+                    out[c, j, i] = max(out[c, j, i] + mirrored[c, first + j, i], 0.0)
 
 
 @compiled

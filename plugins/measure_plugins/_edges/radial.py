@@ -30,7 +30,7 @@ BLUR_PX = 1.0
 _FINE = np.arange(-24.0, 12.01, 0.25)
 _GREY_RANGE = (-13.0, 0.6)
 _GREY_STIFFNESS = 0.02
-_FADE_RAD = np.radians(40)
+FADE_RAD = np.radians(40)
 _LOBES = 6
 
 
@@ -118,7 +118,7 @@ def _radial(radius4: int, angle200: int, blur20: int, index: float, mirrors: boo
     return Radial(
         diffuse=blur @ own,
         grey=grey,
-        nearby=mirrors * blur @ (mirrored * np.clip(1 - deflection / _FADE_RAD, 0, 1)),
+        nearby=mirrors * blur @ (mirrored * np.clip(1 - deflection / FADE_RAD, 0, 1)),
         outside=blur @ (1 - inside),
         solve_grey=solve,
         tie_grey=tie,

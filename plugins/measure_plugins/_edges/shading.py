@@ -15,7 +15,7 @@ from measure.geometry.linear_kernels import times
 from measure_plugins._edges.selection import kth_smallest
 
 GREY = 1 / np.sqrt(3.0)
-_COLORLESS = 0.15
+COLORLESS = 0.15
 """Sine of the angle between a ball's colour and grey below which the two cannot be told apart."""
 _VECTOR = 8
 """Rays are filled up to a multiple of so many."""
@@ -67,7 +67,7 @@ def split(
     """Amounts (n,) of a ball's own colour and of grey in colours (n,), by least squares."""
     b = np.sum(own) * GREY
     apart = 1 - b * b
-    separable = apart > _COLORLESS**2
+    separable = apart > COLORLESS**2
     per, mixed, greyness = 1 / apart, b / apart, 1.0
     if not separable:
         per, mixed, greyness = 1.0, 0.0, 0.0

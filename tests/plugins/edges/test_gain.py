@@ -11,7 +11,7 @@ from measure.simulation.renderer import Renderer
 from measure.simulation.sensor import encode
 from measure_plugins._edges.balls import cones_of
 from measure_plugins._edges.gain import CORRECTED_GROWTH, measured_gain, restore
-from measure_plugins._edges.look import Search, lamps_shine, look_closely
+from measure_plugins._edges.look import Search, light_about, look_closely
 from measure_plugins._edges.outline_fit import fit_look, turned
 from measure_plugins.detectors.outline import OutlineConfig, OutlineDetector
 from tests.plugins.detectors.drawing import expect, image_of
@@ -60,8 +60,8 @@ def search_for(axis, half_angle, gain=_UNKNOWN):
 
 def looked(view, axis, half_angle, radial, gain):
     """The axis that one look leads to, and the look."""
-    lit = lamps_shine(view, axis, 72, radial)
-    look = look_closely(view, search_for(axis, half_angle), axis, half_angle, radial, lit)
+    ambient = light_about(view, axis, half_angle, 72, radial)
+    look = look_closely(view, search_for(axis, half_angle), axis, half_angle, radial, ambient)
     fit = fit_look(look, CORRECTED_GROWTH, False)
     restore(look, fit, gain)
     return turned(look, fit), look
