@@ -117,6 +117,6 @@ def _tell_until(over: threading.Event, compiled: Sequence[object]) -> None:
     while not compiled:
         if over.wait(PATIENCE_S):
             return
-    _log.warning("compiling the hot loops: once after an installation, about two minutes")
+    _log.warning("compiling the hot loops: once after an installation, two to five minutes")
     while not over.wait(AGAIN_S):
         _log.warning("compiling the hot loops: %.0f s so far", time.monotonic() - begun)
