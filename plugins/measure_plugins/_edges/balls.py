@@ -19,7 +19,7 @@ from measure_plugins._edges.outline_fit import Outline
 from measure_plugins._edges.radial import unpacked
 from measure_plugins._edges.rays import radius_px
 from measure_plugins._edges.reading_ahead import ask_for_outline
-from measure_plugins._edges.rough_outlines import measure_roughly
+from measure_plugins._edges.rough_outlines import approach, measure_roughly, unhidden
 
 _SAME_MM = 1e-6
 """Balls whose distances differ by less do not hide each other."""
@@ -104,28 +104,68 @@ def measure_balls(
         hopeless: see `measure_roughly`.
         colors: see `color_share`.
     """
-    k = len(expected.cones)
-    found = Measured(
-        np.empty((k, 2)),
-        np.empty((k, 2, 2)),
-        np.empty((k, rays, 2)),
-        np.empty((k, rays)),
-        np.zeros((k, 4)),
-    )
+    found = _nothing(len(expected.cones), rays)
     _ask_for(view, expected, 0)
-    for i in range(k):
+    for i in range(len(expected.cones)):
         _ask_for(view, expected, i + 1)
         search = _search(expected, i, rays, min_contrast, margin_px)
         if expected.sized[i]:
             outline = measure_closely(view, search, unpacked(expected.tables[i]))
         else:
             outline = measure_roughly(view, search, hopeless)
-        if outline.agreeing > 0:
-            match = color_share(
-                view.pixels, colors, expected.bits[i], outline.center_px, outline.points_px
-            )
-            _note(outline, match, i, found)
+        _note(view, outline, colors, expected.bits[i], i, found)
     return found
+
+
+@compiled
+def measure_circles(
+    view: View,
+    circles: Floats,
+    bits: Ints,
+    rays: tuple[int, int],
+    min_contrast: float,
+    margin_px: float,
+    agreement: tuple[float, float],
+    colors: Bytes,
+) -> Measured:
+    """Measure what rough circles lead to, of unknown size each and hidden by nothing known.
+
+    Args:
+        view: the picture.
+        circles: (k, 5) of which the first are centre x, y and radius, px.
+        bits: (k,) of their colours in the table of colours.
+        rays: cast to come near an outline, and to measure it.
+        min_contrast: see `Search`.
+        margin_px: see `Search`.
+        agreement: the least share of edges that agree in the end, see `approach`; and the share
+            below which it is `hopeless`, see `measure_roughly`.
+        colors: see `color_share`.
+    """
+    found = _nothing(len(circles), rays[1])
+    cones = np.empty((len(circles), 4))
+    for i in range(len(circles)):
+        axis, half_angle = approach(view, circles[i], rays[0], min_contrast, agreement[0])
+        cones[i, :3], cones[i, 3] = axis, half_angle
+    near = np.nonzero(cones[:, 3])[0]
+    for k, i in enumerate(near):
+        ahead = cones[near[min(k + 1, len(near) - 1)]]
+        ask_for_outline(view.pixels, ahead[:3], ahead[3], view.lens)
+        search = unhidden(cones[i, :3], cones[i, 3], 0.0, rays[1], min_contrast, margin_px)
+        outline = measure_roughly(view, search, agreement[1])
+        _note(view, outline, colors, bits[i], i, found)
+    return found
+
+
+@compiled
+def _nothing(k: int, rays: int) -> Measured:
+    """Room for k balls, nothing found of any yet."""
+    return Measured(
+        np.empty((k, 2)),
+        np.empty((k, 2, 2)),
+        np.empty((k, rays, 2)),
+        np.empty((k, rays)),
+        np.zeros((k, 4)),
+    )
 
 
 @compiled
@@ -171,9 +211,14 @@ def _nearer(cones: Floats, i: int) -> Floats:
 
 
 @compiled
-def _note(outline: Outline, match: float, i: int, found: Measured) -> None:
+def _note(view: View, outline: Outline, colors: Bytes, bit: int, i: int, found: Measured) -> None:
+    """Write down ball i's outline, if one was found, and how much inside has its colour."""
     count = outline.agreeing
-    found.centers_px[i], found.covariances_px[i] = outline.center_px, outline.covariance_px
-    found.points_px[i, :count], found.sd_px[i, :count] = outline.points_px, outline.sd_px
+    if count == 0:
+        return
+    center, points = outline.center_px, outline.points_px
+    found.centers_px[i], found.covariances_px[i] = center, outline.covariance_px
+    found.points_px[i, :count], found.sd_px[i, :count] = points, outline.sd_px
     found.numbers[i, 0], found.numbers[i, 1] = outline.radius_px, count
-    found.numbers[i, 2], found.numbers[i, 3] = outline.share, match
+    found.numbers[i, 2] = outline.share
+    found.numbers[i, 3] = color_share(view.pixels, colors, bit, center, points)

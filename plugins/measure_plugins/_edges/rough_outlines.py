@@ -42,44 +42,52 @@ _GROWTH = (0.0, 1e3)
 
 @compiled
 def approach(
-    view: View, circles: Floats, rays: int, min_contrast: float, agreement: float
-) -> Floats:
-    """Go from rough circles to about where their outlines are, by the nearest pixels.
+    view: View, circle: Floats, rays: int, min_contrast: float, agreement: float
+) -> tuple[Floats, float]:
+    """Go from a rough circle to about where its outline is, by the nearest pixels.
 
     Args:
         view: where to look.
-        circles: (k, 5) of which the first are centre x, y and radius, px.
-        rays: across each outline.
+        circle: (5,) of which the first are centre x, y and radius, px.
+        rays: across the outline.
         min_contrast: see `Search`.
         agreement: the least share of edges that agree in the end.
 
     Returns:
-        (k, 5) unit axis and half angle of each outline, half angle 0 where there is none; and the
-        ball's distance: infinite, as nobody knows which of them is in front of which.
+        Unit axis (3,) and half angle of the outline, half angle 0 if there is none.
     """
-    out = np.zeros((len(circles), 5))
-    out[:, 4] = np.inf
+    axis, radius = bearing(circle[:2], view.lens), circle[2]
+    half_angle = 2 * radius / (view.lens[0] + view.lens[3])
+    far = _CIRCLE_REACH * radius
+    search = unhidden(axis, half_angle, far, rays, min_contrast, 0.0)
+    reach = reach_px(view, search)
+    for turn in range(_TURNS):
+        look = look_roughly(view, search, axis, half_angle, reach, True)
+        fit = fit_look(look, _GROWTH, turn == 0)
+        settled = turn > 0 and moved(fit) < _SETTLED_PX
+        share = _SETTLED_SHARE if settled else _FAR_SHARE
+        if not np.isfinite(fit.scale) or agreeing_share(look, fit) < share * agreement:
+            break
+        axis = turned(look, fit)
+        half_angle += fit.solution[2] / np.mean(look.scale)
+        if settled:
+            return axis, half_angle
+        reach = SEARCH_PX
+    return axis, 0.0
+
+
+@compiled
+def unhidden(
+    axis: Floats,
+    half_angle: float,
+    far: float,
+    rays: int,
+    min_contrast: float,
+    margin_px: float,
+) -> Search:
+    """How to look for an outline when nobody knows of any ball in front of it."""
     nearer, unknown = np.empty((0, 4)), np.eye(2)
-    for i, circle in enumerate(circles):
-        axis, radius = bearing(circle[:2], view.lens), circle[2]
-        half_angle = 2 * radius / (view.lens[0] + view.lens[3])
-        far = _CIRCLE_REACH * radius
-        search = Search(axis, half_angle, nearer, far, rays, min_contrast, 0.0, unknown)
-        reach = reach_px(view, search)
-        for turn in range(_TURNS):
-            look = look_roughly(view, search, axis, half_angle, reach, True)
-            fit = fit_look(look, _GROWTH, turn == 0)
-            settled = turn > 0 and moved(fit) < _SETTLED_PX
-            share = _SETTLED_SHARE if settled else _FAR_SHARE
-            if not np.isfinite(fit.scale) or agreeing_share(look, fit) < share * agreement:
-                break
-            axis = turned(look, fit)
-            half_angle += fit.solution[2] / np.mean(look.scale)
-            if settled:
-                out[i, :3], out[i, 3] = axis, half_angle
-                break
-            reach = SEARCH_PX
-    return out
+    return Search(axis, half_angle, nearer, far, rays, min_contrast, margin_px, unknown)
 
 
 @compiled

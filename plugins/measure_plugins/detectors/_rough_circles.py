@@ -9,16 +9,10 @@ from measure.model import Camera, Expectation
 from measure.model.lens import bearing
 
 
-def expected_at(ball: str, x: float, y: float, radius_px: float) -> Expectation:
-    """A ball looked for where a rough circle, approached, has been found."""
+def radii_about(radius_px: float) -> tuple[float, float]:
+    """Smallest and largest radius, px, of an outline that a rough circle leads to."""
     spread = 0.25 * radius_px + 3
-    return Expectation(
-        ball=ball,
-        center_px=np.array([x, y]),
-        radius_px=(radius_px - spread, radius_px + spread),
-        min_distance_px=0.0,
-        reach_px=0.0,
-    )
+    return radius_px - spread, radius_px + spread
 
 
 def center_by_size(expectation: Expectation, camera: Camera, radius_mm: float) -> Floats:

@@ -16,9 +16,9 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.host import Detector, Settings, hookimpl
-from measure.model import Body, Camera, Detection, Expectation, Image
+from measure.model import BallColor, Body, Camera, Detection, Expectation, Image
 from measure_plugins.detectors._outline_settings import OutlineConfig
-from measure_plugins.detectors._rough_circles import center_by_size, expected_at
+from measure_plugins.detectors._rough_circles import center_by_size, radii_about
 
 if TYPE_CHECKING:
     from measure_plugins._edges.balls import Expected, Measured
@@ -104,28 +104,34 @@ class OutlineDetector(Detector):
     def _searched(self, image: Image, known: Collection[str]) -> list[Detection]:
         """All that may be balls that are not `known`; what one ball may be, any of its colour."""
         from measure_plugins._acquisition import find_circles
-        from measure_plugins._edges.rough_outlines import approach
+        from measure_plugins._edges.balls import measure_circles
 
         c, view = self.config, self._view(image)
         circles = find_circles(view.pixels, self._colors, self._acquisition)
-        alike = {
-            color: [b.name for b in self.body.balls if b.color == color and b.name not in known]
-            for color in self._colors
-        }
+        alike: dict[BallColor, list[str]] = {color: [] for color in self._colors}
+        for ball in self.body.balls:
+            if ball.name not in known:
+                alike[ball.color].append(ball.name)
         kinds = [(alike[color], some) for color, some in zip(self._colors, circles, strict=True)]
-        first = [names[0] for names, some in kinds for _ in some if names]
+        names = [names for names, some in kinds if names for _ in range(len(some))]
         rough = np.concatenate([some for names, some in kinds if names])
-        rays = max(c.rays // _APPROACHING, _FEWEST_RAYS)
-        cones = approach(view, rough, rays, c.min_contrast, c.min_agreement)
-        near = np.nonzero(cones[:, 3])[0]
-        expected = [expected_at(first[i], *rough[i, :3].tolist()) for i in near]
-        found = self._measure_at(image, view, expected, cones[near])
-        same = {names[0]: names for names in alike.values() if names}
-        return [
-            one if name == one.ball else replace(one, ball=name)
-            for one in found
-            for name in same[one.ball]
-        ]
+        found = measure_circles(
+            view,
+            rough,
+            np.array([self._bits[first] for first, *_ in names], np.int64),
+            (max(c.rays // _APPROACHING, _FEWEST_RAYS), max(c.rays // _ROUGHLY, _FEWEST_RAYS)),
+            c.min_contrast,
+            c.margin_px,
+            (c.min_agreement, _HOPELESS * c.min_agreement),
+            self._table,
+        )
+        numbers, sizes = found.numbers.tolist(), rough[:, 2].tolist()
+        each = (
+            self._detection(image, ball, radii_about(sizes[i]), i, found, numbers[i])
+            for i in np.nonzero(found.numbers[:, 1])[0].tolist()
+            for ball in names[i]
+        )
+        return [detection for detection in each if detection is not None]
 
     def _learnt(
         self, image: Image, expected: Sequence[Expectation], found: Sequence[Detection]
@@ -207,7 +213,10 @@ class OutlineDetector(Detector):
         hopeless = _HOPELESS * c.min_agreement
         found = measure_balls(view, balls, rays, c.min_contrast, c.margin_px, hopeless, self._table)
         numbers = found.numbers.tolist()
-        each = (self._detection(image, one, i, found, numbers[i]) for i, one in enumerate(expected))
+        each = (
+            self._detection(image, one.ball, one.radius_px, i, found, numbers[i])
+            for i, one in enumerate(expected)
+        )
         return [detection for detection in each if detection is not None]
 
     def _expected(self, expected: Sequence[Expectation], cones: Floats) -> Expected:
@@ -227,21 +236,22 @@ class OutlineDetector(Detector):
     def _detection(
         self,
         image: Image,
-        expectation: Expectation,
+        ball: str,
+        limits_px: tuple[float, float],
         i: int,
         found: Measured,
         numbers: Sequence[float],
     ) -> Detection | None:
-        """What was found of one ball, with its row of numbers, unless it is no ball."""
+        """What was found of a ball of some size, with its row of numbers, unless it is no ball."""
         radius_px, points, agreement, match = numbers
-        c, count, (low, high) = self.config, int(points), expectation.radius_px
+        c, count, (low, high) = self.config, int(points), limits_px
         least = c.min_rays * found.points_px.shape[1] / c.rays
         if count < least or agreement < c.min_agreement or match < c.min_color_match:
             return None
         if not low - 2 <= radius_px <= high + 2:
             return None
         return Detection(
-            ball=expectation.ball,
+            ball=ball,
             camera=image.camera,
             time_s=image.time_s,
             center_px=found.centers_px[i],

@@ -190,14 +190,14 @@ def test_small_pictures_are_warmed_up_with_a_smaller_disc(size_wh):
 def test_warm_up_compiles_every_hot_loop(camera):
     """For the very types that measuring uses: else the first picture would compile them again."""
     from measure_plugins._acquisition import circles, color_table, patches
-    from measure_plugins._edges import balls, rough_outlines
+    from measure_plugins._edges import balls
 
     OutlineDetector(OutlineConfig(), RAVEN, camera).warm_up()
     loops = (
         balls.measure_balls,
         balls.measure_gains,
         balls.cones_of,
-        rough_outlines.approach,
+        balls.measure_circles,
         color_table.classify,
         patches.majority,
         circles.circles_of,
