@@ -143,16 +143,14 @@ def measure_circles(
     """
     found = _nothing(len(circles), rays[1])
     cones = np.empty((len(circles), 4))
-    for i in range(len(circles)):
+    for i in range(len(circles)):  # apart from the next loop: the code of each stays near
         axis, half_angle = approach(view, circles[i], rays[0], min_contrast, agreement[0])
         cones[i, :3], cones[i, 3] = axis, half_angle
-    near = np.nonzero(cones[:, 3])[0]
-    for k, i in enumerate(near):
-        ahead = cones[near[min(k + 1, len(near) - 1)]]
-        ask_for_outline(view.pixels, ahead[:3], ahead[3], view.lens)
-        search = unhidden(cones[i, :3], cones[i, 3], 0.0, rays[1], min_contrast, margin_px)
-        outline = measure_roughly(view, search, agreement[1])
-        _note(view, outline, colors, bits[i], i, found)
+    for i in range(len(circles)):
+        if cones[i, 3] > 0:
+            search = unhidden(cones[i, :3], cones[i, 3], 0.0, rays[1], min_contrast, margin_px)
+            outline = measure_roughly(view, search, agreement[1])
+            _note(view, outline, colors, bits[i], i, found)
     return found
 
 
