@@ -9,11 +9,14 @@ import numpy as np
 from measure.arrays import Bytes
 from measure.compiling import compiled
 from measure.model import BallColor
+from measure_plugins._edges.reading_ahead import ask_for_row
 
 _BITS = 6
 _LEVELS = 1 << _BITS
 MAX_COLORS = 8
 """A pixel's colours are the bits of one byte."""
+_AHEAD = 2
+"""Reduced rows that are asked for before they are looked at."""
 _ONE, _TWO = np.uint64(1), np.uint64(2)
 _SIX, _TWELVE = np.uint64(_BITS), np.uint64(2 * _BITS)
 
@@ -66,6 +69,8 @@ def classify(pixels: Bytes, table: Bytes, sparse: Bytes, step: int) -> tuple[Byt
     some = np.empty((-(-height // 2), -(-width // 2)), np.uint8)
     cut, places = np.empty(rows.shape[1], np.uint8), np.empty(width, np.uint32)
     for i in range(height):
+        for ahead in (first, second):
+            ask_for_row(rows, (i + _AHEAD) * step + ahead)
         above, below = rows[i * step + first], rows[i * step + second]
         above_right, below_right = above[apart:], below[apart:]
         for k in range(len(above_right)):  # where they are not needed, too: many at once

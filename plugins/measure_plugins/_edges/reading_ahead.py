@@ -1,7 +1,9 @@
 """Asking for a picture's bytes before they are needed.
 
+A picture is larger than the memory near a processor, which waits for what it has not asked for.
 Rays cross hundreds of rows far apart in memory, and would wait for most of them: while one outline
-is measured, the next one's part of the picture is fetched.
+is measured, the next one's part of the picture is fetched; and while some rows are searched, the
+next ones.
 """
 
 from __future__ import annotations
@@ -45,6 +47,14 @@ def ask_for_outline(pixels: Bytes, axis: Floats, half_angle: float, lens: Floats
             first = _CHANNELS * (y * width + start)
             for at in range(first, first + _CHANNELS * (end - start) + _LINE, _LINE):
                 _ask_for(flat, min(at, last))
+
+
+@compiled
+def ask_for_row(rows: Bytes, y: int) -> None:
+    """Have row y of a picture (h, w) of bytes brought near, if there is such a row."""
+    if y < len(rows):
+        for at in range(0, rows.shape[1], _LINE):
+            _ask_for(rows[y], at)
 
 
 @compiled
