@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 
-from measure.arrays import Bytes, Floats
+from measure.arrays import Bools, Bytes, Floats
+from measure.compiling import compiled
 from measure.host import Settings, setting
 from measure.model import BallColor
-from measure_plugins._acquisition.circles import circles_of, distinct
+from measure_plugins._acquisition.circles import circles_of_each, distinct
 from measure_plugins._acquisition.color_table import MAX_COLORS, classify, color_table
 from measure_plugins._acquisition.pale import brighter_than_the_rest, is_pale
 from measure_plugins._acquisition.patches import majority
@@ -53,18 +55,41 @@ def find_circles(
     table, with_dark, pale = _tables(tuple(colors))
     for more, i in enumerate(pale, len(colors)):
         table = table | brighter_than_the_rest(colors[i], 1 << more, pixels)
-    bits, shaded = map(majority, classify(pixels, table, with_dark, step))
-    lit, count = np.ascontiguousarray(bits[::2, ::2]), len(colors) + len(pale)
-    found = [_circles(bits, 1 << i, step, pixels.shape[0], config) for i in range(count)]
+    bits, shaded = _bits_of(pixels, table, with_dark, step, len(colors))
+    found = _circles(bits, range(len(colors) + len(pale)), step, pixels.shape[0], config)
     for i, others in zip(pale, found[len(colors) :], strict=True):
         found[i] = distinct(np.concatenate([found[i], others]))[: config.max_candidates]
-    dark = [i for i in range(len(colors)) if much_in_shade(lit, shaded, 1 << i)]
+    dark = np.nonzero(shaded)[0].tolist()
     if dark:
-        bits = majority(classify(pixels, with_dark, with_dark, step)[0])
-    for i in dark:
-        others = _circles(bits, 1 << i, step, pixels.shape[0], config)
-        found[i] = distinct(np.concatenate([found[i], others]))[: config.max_candidates]
+        bits, _ = _bits_of(pixels, with_dark, with_dark, step, 0)
+        more_of = _circles(bits, dark, step, pixels.shape[0], config)
+        for i, others in zip(dark, more_of, strict=True):
+            found[i] = distinct(np.concatenate([found[i], others]))[: config.max_candidates]
     return found[: len(colors)]
+
+
+@compiled
+def _bits_of(
+    pixels: Bytes, table: Bytes, with_dark: Bytes, step: int, count: int
+) -> tuple[Bytes, Bools]:
+    """What is searched of a picture, see `classify`, and which colours lie in the dark too.
+
+    Args:
+        pixels: BGR (h, w, 3).
+        table: from `color_table`.
+        with_dark: from `with_shade`, of the same colours.
+        step: reduction, 1 or more.
+        count: of colours that are asked about.
+
+    Returns:
+        Colour bits of the reduced picture; of each colour whether it is `much_in_shade` (count,).
+    """
+    every, some = classify(pixels, table, with_dark, step)
+    bits, dark = majority(every), majority(some)
+    lit, shaded = bits[::2, ::2].copy(), np.zeros(count, np.bool_)
+    for i in range(count):
+        shaded[i] = much_in_shade(lit, dark, 1 << i)
+    return bits, shaded
 
 
 @lru_cache(maxsize=16)
@@ -76,19 +101,25 @@ def _tables(colors: tuple[BallColor, ...]) -> tuple[Bytes, Bytes, tuple[int, ...
 
 def warm_up() -> None:
     """Compile the loops, or load them from the cache, before the first picture arrives."""
-    table = color_table((BallColor.named("red"),))
-    bits, shaded = classify(np.zeros((64, 64, 3), np.uint8), table, table, 4)
+    table, settings = color_table((BallColor.named("red"),)), AcquisitionSettings()
+    bits, _ = _bits_of(np.zeros((64, 64, 3), np.uint8), table, table, 4, 1)
     bits[5:12, 5:12] = 1
-    much_in_shade(bits, shaded, 1)
-    distinct(_circles(majority(bits), 1, 4, 64, AcquisitionSettings(max_radius_share=1.0)))
+    distinct(_circles(bits, [0], 4, 64, settings)[0])
 
 
-def _circles(bits: Bytes, bit: int, step: int, height: int, config: AcquisitionSettings) -> Floats:
-    """Circles (k, 5) of one colour, best first: centre x, y, radius in px, share seen, filled."""
+def _circles(
+    bits: Bytes, of: Sequence[int], step: int, height: int, config: AcquisitionSettings
+) -> list[Floats]:
+    """Circles (k, 5) of some colours, best first: centre x, y, radius in px, share seen, filled."""
     radii = (config.min_radius_px / step, config.max_radius_share * height / step)
-    circles = circles_of(
-        bits, bit, radii, config.min_seen, config.min_filled, config.max_candidates
+    circles, ends = circles_of_each(
+        bits,
+        np.array(of, np.int64),
+        radii,
+        config.min_seen,
+        config.min_filled,
+        config.max_candidates,
     )
     circles[:, :3] *= step
     circles[:, :2] += (step - 1) / 2
-    return circles
+    return [circles[start:end] for start, end in pairwise([0, *ends.tolist()])]

@@ -11,12 +11,9 @@ import numpy as np
 
 from measure.arrays import Bytes, Floats, Ints
 from measure.compiling import compiled
-from measure.geometry.linear_kernels import cholesky, solve_factored
-from measure_plugins._acquisition.patches import OFF, borders, framed
+from measure_plugins._acquisition.circle_fit import ANGLES, COSINES, SINES, refined, share_filled
+from measure_plugins._acquisition.patches import borders, framed
 
-_ANGLES = 48
-_COSINES = np.cos(2 * np.pi * np.arange(_ANGLES) / _ANGLES)
-_SINES = np.sin(2 * np.pi * np.arange(_ANGLES) / _ANGLES)
 _TOGETHER = 8
 """Angles that are looked at before asking whether the others can still do: guesses cost more."""
 _REACH = 1.5
@@ -31,6 +28,29 @@ _CLEAR = 0.8
 """A circle seen more than this leaves nothing to look for along its part of a border."""
 _PLAIN = 0.6
 """A circle seen more than this is a ball: what lies inside it is part of it."""
+
+
+@compiled
+def circles_of_each(
+    bits: Bytes,
+    colors: Ints,
+    radii: tuple[float, float],
+    least_seen: float,
+    least_filled: float,
+    most: int,
+) -> tuple[Floats, Ints]:
+    """`circles_of` each of some colours, the numbers of whose bits are given (n,), in one call.
+
+    Returns:
+        (k, 5) circles of one colour after the other; (n,) the row after each one's last.
+    """
+    out, ends = np.empty((most * len(colors), 5)), np.empty(len(colors), np.int64)
+    count = 0
+    for i in range(len(colors)):
+        found = circles_of(bits, 1 << colors[i], radii, least_seen, least_filled, most)
+        out[count : count + len(found)] = found
+        ends[i] = count = count + len(found)
+    return out[:count], ends
 
 
 @compiled
@@ -57,7 +77,7 @@ def circles_of(
     """
     mask = framed(bits, bit)
     pixels, ends = borders(mask, _LEAST_BORDER)
-    best = np.zeros((most, 4))
+    best = np.zeros((most, 5))
     start = 0
     for end in ends:
         _along(pixels[start:end], mask, radii, least_seen, best)
@@ -72,7 +92,7 @@ def _along(
     """Keep the best circles along a border: far-apart points first, which tell circles best."""
     n = len(border)
     explained = np.zeros(n, np.uint8)
-    worst = _worst(best)[1]
+    worst = float(np.min(best[:, 4]))
     for span in _SPANS:
         if span >= n:
             continue
@@ -109,16 +129,16 @@ def _explain(border: Ints, x: float, y: float, r: float, explained: Bytes) -> No
 def _finished(
     mask: Bytes, circles: Floats, radii: tuple[float, float], least_filled: float
 ) -> Floats:
-    """Refine circles (k, 4) and keep those that are still such; (m, 5), the last: share filled."""
+    """Refine the best circles and keep those that are still such; (m, 5), the last: filled."""
     out = np.empty((len(circles), 5))
     count = 0
     for i in range(len(circles)):
         if not circles[i, 3] > 0:
             continue
-        x, y, r, seen = _refined(mask, circles[i])
+        x, y, r, seen = refined(mask, circles[i])
         if not radii[0] <= r <= radii[1]:
             continue
-        filled = _share_filled(mask, x, y, r)
+        filled = share_filled(mask, x, y, r)
         if filled >= least_filled:
             out[count] = (x, y, r, seen, filled)
             count += 1
@@ -142,55 +162,6 @@ def distinct(circles: Floats) -> Floats:
             out[count] = circles[i]
             count += 1
     return out[:count]
-
-
-@compiled
-def _refined(mask: Bytes, circle: Floats) -> tuple[float, float, float, float]:
-    """Fit a circle (x, y, r, seen) to the colour's edge near it; returns the same numbers."""
-    x, y, r, seen = circle[0], circle[1], circle[2], circle[3]
-    normal, right = np.empty((3, 3)), np.empty(3)
-    factor, step = np.empty((3, 3)), np.empty(3)
-    for reach in (3.0, 2.0, 1.5):
-        normal[:], right[:] = 0.0, 0.0
-        hits = 0
-        for k in range(_ANGLES):
-            offset = _edge(mask, x, y, r, k, reach)
-            if np.isnan(offset):
-                continue
-            c, s = _COSINES[k], _SINES[k]
-            hits += 1
-            normal[0, 0] += c * c
-            normal[1, 0] += s * c
-            normal[1, 1] += s * s
-            normal[2, 0] += c
-            normal[2, 1] += s
-            right[0] += c * offset
-            right[1] += s * offset
-            right[2] += offset
-        if hits < 6:
-            break
-        normal[2, 2] = hits
-        for a in range(3):
-            normal[a, a] += 0.02  # a short arc: stay near what three points said
-        cholesky(normal, factor)
-        solve_factored(factor, right, step)
-        x, y, r = x + step[0], y + step[1], r + step[2]
-        seen = hits / _ANGLES
-    return x, y, r, seen
-
-
-@compiled
-def _share_filled(mask: Bytes, x: float, y: float, r: float) -> float:
-    """Share of the circle's inside, a tenth in from its edge, that has the colour."""
-    inside = 0
-    matching = 0
-    limit = (0.9 * r) ** 2
-    for row in range(max(0, int(y - r)), min(mask.shape[0] - 2, int(y + r) + 2)):
-        for column in range(max(0, int(x - r)), min(mask.shape[1] - 2, int(x + r) + 2)):
-            within = int((column - x) ** 2 + (row - y) ** 2 <= limit)
-            inside += within
-            matching += within & int(mask[row + 1, column + 1])
-    return matching / inside if inside else 0.0
 
 
 @compiled
@@ -230,63 +201,32 @@ def _parts(mask: Bytes, u: int, v: int, x: float, y: float) -> bool:
 def _share_seen(mask: Bytes, x: float, y: float, r: float, needed: float) -> float:
     """Share of a circle that parts colour from other; given up once it cannot reach `needed`."""
     hits = 0
-    for start in range(0, _ANGLES, _TOGETHER):
-        if hits + _ANGLES - start < needed * _ANGLES:
+    for start in range(0, ANGLES, _TOGETHER):
+        if hits + ANGLES - start < needed * ANGLES:
             return 0.0
         for k in range(start, start + _TOGETHER):
-            c, s = _COSINES[k], _SINES[k]
+            c, s = COSINES[k], SINES[k]
             outside = _at(mask, x + (r + _REACH) * c, y + (r + _REACH) * s)
             inside = _at(mask, x + (r - _REACH) * c, y + (r - _REACH) * s)
             hits += int(inside == 1) & int(outside == 0)
-    return hits / _ANGLES
-
-
-@compiled
-def _edge(mask: Bytes, x: float, y: float, r: float, k: int, reach: float) -> float:
-    """Where the colour ends along one radius, relative to `r`; NaN if not within `reach`."""
-    c, s = _COSINES[k], _SINES[k]
-    if _at(mask, x + (r - reach) * c, y + (r - reach) * s) != 1:
-        return np.nan
-    offset = -reach
-    while offset < reach:
-        offset += 1.0
-        here = _at(mask, x + (r + offset) * c, y + (r + offset) * s)
-        if here == OFF:
-            return np.nan
-        if here == 0:
-            for _ in range(3):  # by quarters back to the first that is outside
-                if _at(mask, x + (r + offset - 0.25) * c, y + (r + offset - 0.25) * s) == 0:
-                    offset -= 0.25
-            return offset - 0.125
-    return np.nan
+    return hits / ANGLES
 
 
 @compiled
 def _keep(best: Floats, x: float, y: float, r: float, seen: float) -> float:
-    """Put a circle into `best`: in place of its double if better, else of the worst.
+    """Put a circle and its merit into `best`: in place of its double if better, else of the worst.
 
     Returns:
         The worst one's merit now: what has no more is never kept.
     """
     merit = seen * np.sqrt(r)
-    place, least = _worst(best)
+    place = int(np.argmin(best[:, 4]))
     for i in range(len(best)):
         if best[i, 3] > 0:
             apart = np.sqrt((best[i, 0] - x) ** 2 + (best[i, 1] - y) ** 2)
             if apart < 0.5 * max(r, best[i, 2]):
-                place, least = i, best[i, 3] * np.sqrt(best[i, 2])
+                place = i
                 break
-    if merit > least:
-        best[place] = (x, y, r, seen)
-    return _worst(best)[1]
-
-
-@compiled
-def _worst(best: Floats) -> tuple[int, float]:
-    """The first circle of least merit, or the first free place; and that merit."""
-    worst, least = 0, np.inf
-    for i in range(len(best)):
-        merit = best[i, 3] * np.sqrt(best[i, 2])
-        if merit < least:
-            worst, least = i, merit
-    return worst, least
+    if merit > best[place, 4]:
+        best[place] = (x, y, r, seen, merit)
+    return float(np.min(best[:, 4]))

@@ -189,7 +189,7 @@ def test_small_pictures_are_warmed_up_with_a_smaller_disc(size_wh):
 
 def test_warm_up_compiles_every_hot_loop(camera):
     """For the very types that measuring uses: else the first picture would compile them again."""
-    from measure_plugins._acquisition import circles, color_table, patches
+    from measure_plugins._acquisition import candidates, circles
     from measure_plugins._edges import balls
 
     OutlineDetector(OutlineConfig(), RAVEN, camera).warm_up()
@@ -198,9 +198,9 @@ def test_warm_up_compiles_every_hot_loop(camera):
         balls.measure_gains,
         balls.cones_of,
         balls.measure_circles,
-        color_table.classify,
-        patches.majority,
-        circles.circles_of,
+        candidates._bits_of,
+        circles.circles_of_each,
+        circles.distinct,
     )
     with nothing_compiles(*loops):
         center = at_angle(3.0, 200.0)
