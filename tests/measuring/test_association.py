@@ -202,7 +202,6 @@ def test_warming_up_compiles_all_that_a_search_runs():
     """For the very types that a search uses: else the first one would compile them again."""
     warm_up(RAVEN, list(CAMERAS.values()))
     loops = (
-        meeting.meetings,
         meeting.meeting_centers,
         agreement.agreeing,
         agreement.fitting_pairs,

@@ -18,6 +18,7 @@ from measure.geometry import RigidTransform
 from measure.measuring.association.leftovers import signs_of_another
 from measure.measuring.association.points import Candidates, by_ball, meeting_points
 from measure.measuring.association.poses import (
+    Stacked,
     Support,
     poses_from_pairs,
     poses_from_triples,
@@ -64,18 +65,11 @@ class _Search:
     body: Body
     cameras: Sequence[Camera]
     candidates: Sequence[Candidates]
+    stacked: Stacked
     settings: AssociationSettings
 
     def support(self, poses: RigidTransform) -> Support:
-        return support(
-            poses,
-            self.body,
-            self.cameras,
-            self.candidates,
-            self.settings.sigmas,
-            self.settings.extra_px,
-            self.settings.range_ratio,
-        )
+        return support(poses, self.body, self.cameras, self.stacked, self.settings.range_ratio)
 
     def chosen(self, agreeing: Support, row: int) -> list[Detection]:
         return [
@@ -102,7 +96,8 @@ def associate(
     """
     settings = settings or AssociationSettings()
     candidates = by_ball(detections, body.balls, cameras)
-    search = _Search(body, cameras, candidates, settings)
+    stacked = Stacked.of(candidates, settings.sigmas, settings.extra_px)
+    search = _Search(body, cameras, candidates, stacked, settings)
     points = [
         meeting_points(c, settings.sigmas, settings.range_ratio, settings.max_points)
         for c in candidates

@@ -108,24 +108,26 @@ def _unexplained(
     candidates: Sequence[Candidates],
 ) -> list[Candidates]:
     """Candidates of every ball that do not lie on a ball of the body found."""
-    centers, rig = world_from_body.apply(body.centers), Rig.of(cameras)
-    out = []
-    for ball, some in zip(body.balls, candidates, strict=True):
-        alike = [k for k, other in enumerate(body.balls) if other.color == ball.color]
-        own = on_balls(
-            centers[alike],
-            body.radii[alike],
-            rig.lenses,
-            rig.reach,
-            rig.rotation,
-            rig.centers,
-            some.cameras,
-            some.pixels,
-            _OWN_RADII,
-            MIN_DEPTH_MM,
-        )
-        out.append(some.rows(np.nonzero(~own)[0]))
-    return out
+    rig, colors = Rig.of(cameras), [ball.color for ball in body.balls]
+    own = on_balls(
+        world_from_body.apply(body.centers),
+        body.radii,
+        np.array([colors.index(color) for color in colors]),
+        rig.lenses,
+        rig.reach,
+        rig.rotation,
+        rig.centers,
+        np.repeat(np.arange(len(colors)), [len(some) for some in candidates]),
+        np.concatenate([some.cameras for some in candidates]),
+        np.concatenate([some.pixels for some in candidates]),
+        _OWN_RADII,
+        MIN_DEPTH_MM,
+    )
+    ends = np.cumsum([len(some) for some in candidates]).tolist()
+    return [
+        some.rows(np.nonzero(~own[end - len(some) : end])[0])
+        for some, end in zip(candidates, ends, strict=True)
+    ]
 
 
 def _pair(a: BallPoints, b: BallPoints, distance_mm: float, sigmas: float) -> Floats | None:

@@ -126,19 +126,24 @@ def _is_new(member: Bools, count: int) -> bool:
 
 @compiled
 def meeting_centers(
-    member: Bools, origins: Floats, directions: Floats, sd_mm: Floats
+    lines: Sightlines, sigmas: float, range_ratio: float
 ) -> tuple[Floats, Floats, Ints]:
-    """Least squares on the rays of each set of members (k, n).
+    """Least squares on the rays of each set of candidates that see a common point.
 
     Args:
-        member: from `meetings`.
-        origins: (n, 3).
-        directions: (n, 3).
-        sd_mm: (n,) of each ray, at the distance where it meets others.
+        lines: the candidates.
+        sigmas: see `meetings`.
+        range_ratio: see `meetings`.
 
     Returns:
         Points (k, 3), their standard deviations (k,) in mm, and how many rays (k,).
     """
+    member, origins, directions = (
+        meetings(lines, sigmas, range_ratio),
+        lines.origins,
+        lines.directions,
+    )
+    sd_mm = lines.angle_sd * lines.range_mm  # at the distance where a ray meets others
     m, n = member.shape
     points, sd, support = np.empty((m, 3)), np.empty(m), np.zeros(m, np.int64)
     normal, right = np.empty((3, 3)), np.empty(3)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from measure.arrays import Floats, Ints
-from measure.measuring.association.meeting import Sightlines, meeting_centers, meetings
+from measure.measuring.association.meeting import Sightlines, meeting_centers
 from measure.model import Ball, Camera, Detection, Rig
 from measure.model.rig_kernels import ray_rows
 
@@ -82,8 +82,7 @@ def meeting_points(
     """
     c = candidates
     lines = Sightlines(c.cameras, c.origins, c.directions, c.range_mm, c.angle_sd)
-    member = meetings(lines, sigmas, range_ratio)
-    points, sd, support = meeting_centers(member, c.origins, c.directions, c.angle_sd * c.range_mm)
+    points, sd, support = meeting_centers(lines, sigmas, range_ratio)
     order = np.argsort(-support, kind="stable")[:most]
     return BallPoints(points[order], sd[order], support[order])
 

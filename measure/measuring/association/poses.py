@@ -45,6 +45,37 @@ def poses_from_pairs(body: Body, points: Sequence[BallPoints], sigmas: float) ->
 
 
 @dataclass(frozen=True, eq=False)
+class Stacked:
+    """The candidates of all balls as arrays of n rows, one ball's after the other's.
+
+    Attributes:
+        starts: (balls + 1,) first row of each ball's.
+        cameras: (n,) index of the camera.
+        pixels: (n, 2).
+        limit_px: (n,) the furthest that a candidate may be from where a pose puts its ball.
+        range_mm: (n,) distance that the outline's radius tells.
+    """
+
+    starts: Ints
+    cameras: Ints
+    pixels: Floats
+    limit_px: Floats
+    range_mm: Floats
+
+    @classmethod
+    def of(cls, candidates: Sequence[Candidates], sigmas: float, extra_px: float) -> Stacked:
+        """Stack the candidates of every ball."""
+        sd_px = np.concatenate([c.sd_px for c in candidates])
+        return cls(
+            np.cumsum([0, *map(len, candidates)]),
+            np.concatenate([c.cameras for c in candidates]),
+            np.concatenate([c.pixels for c in candidates]),
+            sigmas * np.hypot(sd_px, extra_px),
+            np.concatenate([c.range_mm for c in candidates]),
+        )
+
+
+@dataclass(frozen=True, eq=False)
 class Support:
     """Which candidates agree with m poses.
 
@@ -68,14 +99,11 @@ def support(
     poses: RigidTransform,
     body: Body,
     cameras: Sequence[Camera],
-    candidates: Sequence[Candidates],
-    sigmas: float,
-    extra_px: float,
+    candidates: Stacked,
     range_ratio: float,
 ) -> Support:
     """Compare the balls of m poses, projected, with the candidates: in place and in size."""
     rig = Rig.of(cameras)
-    sd_px = np.concatenate([c.sd_px for c in candidates])
     return Support(
         *agreeing(
             np.ascontiguousarray(poses.rotation),
@@ -86,11 +114,11 @@ def support(
             rig.rotation,
             rig.centers,
             np.array([c.intrinsics.size_wh for c in cameras]) - 1.0,
-            np.cumsum([0, *map(len, candidates)]),
-            np.concatenate([c.cameras for c in candidates]),
-            np.concatenate([c.pixels for c in candidates]),
-            sigmas * np.hypot(sd_px, extra_px),
-            np.concatenate([c.range_mm for c in candidates]),
+            candidates.starts,
+            candidates.cameras,
+            candidates.pixels,
+            candidates.limit_px,
+            candidates.range_mm,
             range_ratio,
             MIN_DEPTH_MM,
         )

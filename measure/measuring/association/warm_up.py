@@ -12,7 +12,7 @@ from measure.geometry import RigidTransform
 from measure.measuring.association.agreement import fitting_ranges
 from measure.measuring.association.leftovers import signs_of_another
 from measure.measuring.association.points import by_ball, meeting_points
-from measure.measuring.association.poses import poses_from_triples, support
+from measure.measuring.association.poses import Stacked, poses_from_triples, support
 from measure.measuring.association.settings import AssociationSettings
 from measure.measuring.pose_fit import Sightings, fit_pose
 from measure.model import Body, Camera, Rig
@@ -28,7 +28,8 @@ def warm_up(body: Body, cameras: Sequence[Camera]) -> None:
     ]
     poses_from_triples(body, points, settings.sigmas)
     nowhere = RigidTransform(np.zeros((0, 3, 3)), np.zeros((0, 3)))
-    support(nowhere, body, cameras, candidates, settings.sigmas, 1.0, settings.range_ratio)
+    stacked = Stacked.of(candidates, settings.sigmas, settings.extra_px)
+    support(nowhere, body, cameras, stacked, settings.range_ratio)
     signs_of_another(RigidTransform.identity(), body, cameras, candidates, settings.sigmas)
     fitting_ranges(np.zeros((0, 1, 3)), np.zeros((0, 1, 3)), 1.0, 1.0)
     one = np.zeros(1, np.int64)
