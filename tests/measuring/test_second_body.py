@@ -11,7 +11,8 @@ import pytest
 from measure.geometry import RigidTransform
 from measure.measuring import Status
 from measure.measuring.association import associate
-from measure.measuring.association.agreement import fitting_ranges
+from measure.measuring.association.agreement import fitting_ranges, on_balls
+from measure.model import Rig
 from tests.hidden_scenes import balls_of, lone_balls, seen, two_bodies
 from tests.scenes import RAVEN, TARGET, a_pose, ring
 from tests.tracking_rig import run
@@ -155,3 +156,24 @@ def test_two_balls_of_one_camera_are_a_sign_if_their_sizes_are_known(sd_px, doub
     found = associate(RAVEN, list(CAMERAS.values()), {**detections, name: detections[name] + exact})
     assert measured_which(found, first, second) == "first"
     assert bool(found.doubts) == doubted
+
+
+def test_candidates_lie_on_balls_that_look_like_their_own_only():
+    (camera,) = ring(1).values()
+    rig, centers = Rig.of([camera]), TARGET + np.array([[0.0, 0.0, 0.0], [120.0, 0.0, 0.0]])
+    pixels = camera.project(centers)
+    own = on_balls(
+        centers,
+        np.full(2, 20.0),
+        np.array([0, 1]),
+        rig.lenses,
+        rig.reach,
+        rig.rotation,
+        rig.centers,
+        np.array([0, 0, 1, 1]),
+        np.zeros(4, np.int64),
+        pixels[[0, 1, 0, 1]],
+        0.8,
+        1.0,
+    )
+    assert own.tolist() == [True, False, False, True]

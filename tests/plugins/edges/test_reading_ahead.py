@@ -5,7 +5,7 @@ import pytest
 
 from measure_plugins._edges.radial import STEPS
 from measure_plugins._edges.rays import FREE, cast_rays, frame_about, sample
-from measure_plugins._edges.reading_ahead import ask_for_outline, ring_in_row
+from measure_plugins._edges.reading_ahead import ask_for_outline, ask_for_row, ring_in_row
 
 WIDTH, HEIGHT, FOCAL = 320, 240, 700.0
 LENS = np.array([FOCAL, 0.0, 160.0, FOCAL, 120.0, *np.zeros(8)])
@@ -51,3 +51,11 @@ def test_outlines_beyond_the_picture_ask_for_nothing_outside_it(center):
     asked = _asked_for(*center)
     assert np.any(asked) == (0 <= center[0] <= WIDTH)
     assert np.count_nonzero(asked) < 0.1 * asked.size
+
+
+@pytest.mark.parametrize("y", [0, 9, 10, 400])
+def test_rows_are_only_asked_for_where_there_are_any(y):
+    rows = np.arange(1000, dtype=np.uint8).reshape(10, 100)
+    before = rows.copy()
+    ask_for_row(rows, y)
+    assert np.array_equal(rows, before)
