@@ -9,6 +9,7 @@ import numpy as np
 from measure.arrays import Bytes, Floats
 from measure.compiling import compiled
 from measure_plugins._edges.crossing import crossings, levels, project, uncertainty
+from measure_plugins._edges.neighbours import TOGETHER, middle_angles, together
 from measure_plugins._edges.prediction import Ambient, predict_light
 from measure_plugins._edges.radial import STEPS, Radial
 from measure_plugins._edges.rays import FREE, sample
@@ -86,7 +87,7 @@ def corrected_edges(
         around: (n, 2) cosine and sine around the axis.
         free: (n,) `rays.FREE` where nothing is known to be in the way; may be set to OUTSIDE.
         radial: what the ball shows along a ray, see `radial.radial`.
-        ambient: what is known of the light round it.
+        ambient: what is known of the light round it, along the n / 2 rays that are predicted.
 
     Returns:
         The edges; their contrast in picture values from 0 to 1.
@@ -94,7 +95,7 @@ def corrected_edges(
     light, values = sample(pixels, table, points, normals, STEPS, free, _FIRST)
     window = inside_window(points)
     within, background = levels(light, STEPS, window), levels(light, STEPS, _BACKGROUND_PX)
-    predicted = predicted_values(light, free, around, background, inverse, radial, ambient)
+    predicted = _predicted_together(light, free, around, inverse, radial, ambient)
     inside = levels(values, LATER_STEPS, window)
     outside = levels(values, LATER_STEPS, OUTSIDE_PX)
     model_inside = levels(predicted, LATER_STEPS, window)
@@ -107,14 +108,25 @@ def corrected_edges(
         at, slope = crossings(x, LATER_STEPS, SEARCH_PX)
         sd = uncertainty(x, LATER_STEPS, at, slope, window)
         y, _ = project(predicted, model_inside, model_outside, without_grey)
-        bias, _ = crossings(y, LATER_STEPS, SEARCH_PX)
-        common = _middle(bias)
+        biases, _ = crossings(y, LATER_STEPS, SEARCH_PX)
+        bias, common = np.repeat(biases, TOGETHER), _middle(biases)
         shifts[k] = at - common - _REAL * (bias - common)
         variances[k] = sd**2 + (_TRUST * (bias - common)) ** 2
     apart = shifts[0] - shifts[1]
     sd = np.sqrt((variances[0] + variances[1]) / 2 + apart**2 / 4 + _SYSTEMATIC_PX**2)
     contrast = np.minimum(contrasts[0], contrasts[1])
     return Edges((shifts[0] + shifts[1]) / 2, sd, contrast, within, background)
+
+
+@compiled
+def _predicted_together(
+    light: Floats, free: Floats, around: Floats, inverse: Floats, radial: Radial, ambient: Ambient
+) -> Floats:
+    """Picture values (3, m, n / 2) at `LATER_STEPS` that the model predicts for groups of rays."""
+    some, ways = together(light, free)
+    background = levels(some, STEPS, _BACKGROUND_PX)
+    angles = middle_angles(around)
+    return predicted_values(some, ways, angles, background, inverse, radial, ambient)
 
 
 @compiled

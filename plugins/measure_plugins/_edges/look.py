@@ -17,6 +17,7 @@ from measure_plugins._edges.corrected import (
 )
 from measure_plugins._edges.crossing import crossings, levels, project, uncertainty
 from measure_plugins._edges.lamps import lamp_light, seen_from
+from measure_plugins._edges.neighbours import middle_angles
 from measure_plugins._edges.prediction import Ambient
 from measure_plugins._edges.radial import Radial
 from measure_plugins._edges.rays import (
@@ -163,11 +164,11 @@ def look_closely(
 
 @compiled
 def light_about(view: View, axis: Floats, half_angle: float, rays: int, radial: Radial) -> Ambient:
-    """What the camera has taught about the light round a ball, along its rays.
+    """What the camera has taught about the light round a ball, along its groups of `rays`.
 
     Looks a few pixels away may use it too: lamps and walls are far, a degree does not matter.
     """
-    frame, around = frame_about(axis), angles_around(rays)
+    frame, around = frame_about(axis), middle_angles(angles_around(rays))
     lit = lamp_light(radial.diffuse, around, seen_from(view.lamps, frame))
     return Ambient(lit, room_light(view.room, radial.grey, frame, half_angle, around))
 

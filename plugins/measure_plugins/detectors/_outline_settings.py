@@ -8,7 +8,9 @@ from measure.host import Settings, setting
 class OutlineConfig(Settings):
     """Settings of the `outline` detector."""
 
-    rays: int = setting(72, "Rays cast across each outline.", ge=16, le=720)
+    rays: int = setting(
+        72, "Rays cast across each outline, an even number.", ge=16, le=720, multiple_of=2
+    )
     tone: str = setting(
         "srgb", "The cameras' tone curve: srgb, none, or gamma with its exponent (gamma2.2)."
     )

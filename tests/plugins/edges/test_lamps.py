@@ -15,6 +15,7 @@ from measure.simulation.catalogue import plain_scene
 from measure_plugins._edges.corrected import corrected_edges
 from measure_plugins._edges.lamps import fit_lamp_light, lamp_body, lamp_light, no_lamps, seen_from
 from measure_plugins._edges.lamps_fit import non_negative
+from measure_plugins._edges.neighbours import middle_angles
 from measure_plugins._edges.prediction import Ambient
 from measure_plugins._edges.radial import STEPS, fresnel, radial
 from measure_plugins._edges.rays import cast_rays, frame_about
@@ -187,8 +188,10 @@ def _mean_errors(scene, appearance):
             np.zeros(72),
             tables,
             Ambient(
-                lamp_light(tables.diffuse, around, seen_from(appearance.lamps, frame)),
-                np.zeros((3, 0, 72)),
+                lamp_light(
+                    tables.diffuse, middle_angles(around), seen_from(appearance.lamps, frame)
+                ),
+                np.zeros((3, 0, 36)),
             ),
         )
         center = pose.apply(ball.center_mm)
