@@ -20,6 +20,7 @@ _COUNTED_CONTAINERS = ("avi",)
 """These store no presentation time: the n-th picture shown gets the n-th time."""
 _RAW_CONTAINERS = ("h264", "hevc", "m4v", "mjpeg", "mpeg", "rawvideo")
 """Bare streams without any time; a reader that gives some invents them."""
+_REMEDY = "; to use the rest, copy it (ffmpeg -i OLD -c copy NEW) and keep as many timestamps"
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,9 +229,8 @@ def _packets(
 def _refuse_truncated(container: Any, stream: Any, packets: list[Any], source: str) -> None:
     promised = int(stream.frames or 0)
     if promised > len(packets) > 0:
-        raise SessionError(
-            f"{source}: the video is cut off: {len(packets)} of {promised} frames are there"
-        )
+        there = f"{len(packets)} of {promised} frames are there"
+        raise SessionError(f"{source}: the video is cut off: {there}{_REMEDY}")
     # Matroska promises no number of frames, but a duration; with sound it may be the sound's.
     stamps = [packet[0] for packet in packets if packet[0] is not None]
     if promised or not container.duration or not stamps or len(container.streams) > 1:
@@ -239,4 +239,6 @@ def _refuse_truncated(container: Any, stream: Any, packets: list[Any], source: s
     step = (end - start) / (len(stamps) - 1) if len(stamps) > 1 else 0.1
     missing = container.duration / 1e6 - end - step
     if missing > 0.75 * step + 0.002:
-        raise SessionError(f"{source}: the video is cut off: its last {missing:.2f} s are missing")
+        raise SessionError(
+            f"{source}: the video is cut off: its last {missing:.2f} s are missing{_REMEDY}"
+        )

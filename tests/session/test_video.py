@@ -86,6 +86,7 @@ def test_a_cut_video_is_refused_by_name(
     assert message.startswith(f"camera 'left': {path}: ")
     assert "\n" not in message
     assert any(word in message for word in ("empty", "cut off", "no frames"))
+    assert ("to use the rest" in message) == ("the video is cut off: " in message)
 
 
 def test_damage_within_a_video_names_the_frame(tmp_path: Path) -> None:
