@@ -17,10 +17,10 @@ from measure_plugins._edges.shading import every_second
 
 _ROUNDS = 4
 _COLUMNS = 5
-_FITTED_RAYS = 18
+_FITTED_RAYS = 36
 """Neighbouring rays show much the same: light is fitted to about so many of them."""
-_LANES = 40
-"""There are never more: fewer than twice as many, filled up to whole vectors."""
+_LANES = 2 * _FITTED_RAYS
+"""There are always fewer of them."""
 _NOTHING = 1e-4
 """Share of a ball's own light below which a place along a ray lies past its blurred outline."""
 UNIFORM, FACING, ASIDE = 0, 1, 3

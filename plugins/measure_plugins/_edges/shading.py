@@ -20,7 +20,7 @@ COLORLESS = 0.15
 _VECTOR = 8
 """Rays are filled up to a multiple of so many."""
 _OWN_LAST_PX = -3.0
-_COLOR_RAYS = 18
+_COLOR_RAYS = 36
 """Neighbouring rays show much the same: a ball's colour is taken from about so many of them."""
 _NEIGHBOURS = tuple(float(w) for w in np.exp(-0.5 * (np.arange(5) / 1.5) ** 2))
 """Weights of a ray, and of those one to four further on."""
