@@ -138,11 +138,8 @@ def meeting_centers(
     Returns:
         Points (k, 3), their standard deviations (k,) in mm, and how many rays (k,).
     """
-    member, origins, directions = (
-        meetings(lines, sigmas, range_ratio),
-        lines.origins,
-        lines.directions,
-    )
+    member = meetings(lines, sigmas, range_ratio)
+    origins, directions = lines.origins, lines.directions
     sd_mm = lines.angle_sd * lines.range_mm  # at the distance where a ray meets others
     m, n = member.shape
     points, sd, support = np.empty((m, 3)), np.empty(m), np.zeros(m, np.int64)
