@@ -18,7 +18,7 @@ from measure_plugins._edges.radial import (
     radial,
 )
 from measure_plugins._edges.room import Room, no_room
-from measure_plugins._edges.sensor import encoding
+from measure_plugins._edges.sensor import CHROMA_PX, Sensor, chroma_taps, encoding
 from measure_plugins._edges.tone import tone_table
 
 GLOSSY, MATT = REFRACTIVE_INDEX, 1.0001
@@ -36,6 +36,7 @@ class Appearance:
         tone: name of the tone curve to start from, as in `tone.tone_table`.
         bends: (3,) how the camera's curve departs from it, see `bent_table`.
         blur_px: sigma of the blur of brightness.
+        chroma_px: sigma of the blur of colour beyond that.
         index: refractive index of the balls' surface.
         mirrors: whether it mirrors, at grazing angles, the colours of what is behind the ball.
         lamps: (k, 4) what lights the balls, in the camera frame, see `lamps`; none if not known.
@@ -46,6 +47,7 @@ class Appearance:
     bends: Floats
     blur_px: float
     index: float
+    chroma_px: float = CHROMA_PX
     mirrors: bool = True
     lamps: Floats = field(default_factory=no_lamps)
     room: Room = field(default_factory=no_room)
@@ -56,9 +58,9 @@ class Appearance:
         return bent_table(self.tone, self.bends)
 
     @cached_property
-    def encoding(self) -> Floats:
-        """The inverse of the table, see `sensor.encoding`."""
-        return encoding(self.table)
+    def sensor(self) -> Sensor:
+        """How the camera turns light into picture values."""
+        return Sensor(encoding(self.table), chroma_taps(self.chroma_px))
 
     def tables(self, radius_px: float, half_angle: float) -> Radial:
         """What a ball of this size shows along a ray across its outline."""

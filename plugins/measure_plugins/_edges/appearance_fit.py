@@ -23,20 +23,22 @@ from measure_plugins._edges.prediction import Ambient
 from measure_plugins._edges.radial import Radial
 from measure_plugins._edges.rays import FREE, HIDDEN
 from measure_plugins._edges.room import no_room, room_light
+from measure_plugins._edges.sensor import CHROMA_PX
 
 _COMPARED = int(np.count_nonzero(LATER_STEPS <= 4.0))
 """Both sides of the edge; further in, highlights have their own shapes."""
 _LOOKED_AT = LATER_STEPS[:_COMPARED]
 _STEP = float(LATER_STEPS[1] - LATER_STEPS[0])
-_STRAIGHT = np.array([1e-6, 1e-6, 1e-6, 0.15])
-_BENT = np.array([0.03, 0.1, 0.05, 0.15])
-"""How far curves (lift, bow, S) and blurs (its logarithm) of cameras depart from the standard."""
+_STRAIGHT = np.array([1e-6, 1e-6, 1e-6, 0.15, 0.3])
+_BENT = np.array([0.03, 0.1, 0.05, 0.15, 0.3])
+"""How far curves (lift, bow, S) and blurs (logarithms) of cameras depart from the standard."""
 BENDS_SD = _BENT[:BENDS]
 _PRIOR_WEIGHT = 0.02
 """Share by which the misfit's square must fall before one such sd is believed."""
-_TRIAL = np.array([0.004, 0.01, 0.006, 0.1])
+_TRIAL = np.array([0.004, 0.01, 0.006, 0.1, 0.1])
 """Steps of the numeric derivatives; the last is wider than the steps in which blur is tabulated."""
 _BLUR_RANGE_PX = (0.5, 2.0)
+_CHROMA_RANGE_PX = (0.3, 2.0)
 _ROUNDS = 4
 _ENOUGH = 5e-3
 _CLEARLY_DULL = 0.02
@@ -72,6 +74,7 @@ class Sight:
         half_angle: of the cone, rad.
         scale: px per rad.
         frame: (3, 3) about the axis, see `rays.frame_about`.
+        behind: see `behind.mirrored_behind`.
     """
 
     pixels: Bytes
@@ -82,6 +85,7 @@ class Sight:
     half_angle: float
     scale: float
     frame: Floats
+    behind: Floats
 
 
 def as_stated(now: Appearance) -> Appearance:
@@ -227,7 +231,7 @@ class _Step:
         self.cost = float(np.mean(power / self.scales) + _PRIOR_WEIGHT * away @ away)
 
     def solve(self) -> Floats:
-        """The Gauss-Newton step (4,)."""
+        """The Gauss-Newton step (5,)."""
         moved = [_moved(self.at, _TRIAL * unit) for unit in np.eye(len(_TRIAL))]
         normal = _PRIOR_WEIGHT * np.diag(1 / self.prior_sd**2)
         right = -normal @ _state(self.at)
@@ -245,12 +249,18 @@ class _Step:
 
 
 def _state(at: Appearance) -> Floats:
-    return np.append(at.bends, np.log(at.blur_px))
+    return np.append(at.bends, np.log([at.blur_px, at.chroma_px / CHROMA_PX]))
 
 
 def _moved(at: Appearance, change: Floats) -> Appearance:
-    blur = float(np.clip(at.blur_px * np.exp(np.clip(change[BENDS], -0.5, 0.5)), *_BLUR_RANGE_PX))
-    return replace(at, bends=at.bends + np.clip(change[:BENDS], -0.1, 0.1), blur_px=blur)
+    bends = at.bends + np.clip(change[:BENDS], -0.1, 0.1)
+    blur, chroma = np.array([at.blur_px, at.chroma_px]) * np.exp(np.clip(change[BENDS:], -0.5, 0.5))
+    return replace(
+        at,
+        bends=bends,
+        blur_px=float(np.clip(blur, *_BLUR_RANGE_PX)),
+        chroma_px=float(np.clip(chroma, *_CHROMA_RANGE_PX)),
+    )
 
 
 def _residuals(
@@ -261,7 +271,7 @@ def _residuals(
     seen, predicted = compare(
         sight.pixels,
         appearance.table,
-        appearance.encoding,
+        appearance.sensor,
         sight.points,
         sight.normals,
         sight.around,
@@ -279,4 +289,5 @@ def _ambient(sight: Sight, appearance: Appearance, tables: Radial) -> Ambient:
     return Ambient(
         lamp_light(tables.diffuse, sight.around, lamps),
         room_light(appearance.room, tables.grey, sight.frame, sight.half_angle, sight.around),
+        sight.behind,
     )

@@ -11,6 +11,7 @@ import numpy as np
 
 from measure.arrays import Bools, Bytes, Floats, Ints
 from measure.compiling import compiled
+from measure_plugins._edges.behind import SAME_MM, balls_behind
 from measure_plugins._edges.close_outlines import measure_closely
 from measure_plugins._edges.color_check import color_share
 from measure_plugins._edges.gain import measured_gain
@@ -20,9 +21,6 @@ from measure_plugins._edges.radial import unpacked
 from measure_plugins._edges.rays import radius_px
 from measure_plugins._edges.reading_ahead import ask_for_outline
 from measure_plugins._edges.rough_outlines import approach, measure_roughly, unhidden
-
-_SAME_MM = 1e-6
-"""Balls whose distances differ by less do not hide each other."""
 
 
 class Expected(NamedTuple):
@@ -193,6 +191,7 @@ def _search(expected: Expected, i: int, rays: int, min_contrast: float, margin_p
         expected.cones[i, :3],
         expected.cones[i, 3],
         _nearer(expected.cones, i),
+        balls_behind(expected.cones[i], expected.cones),
         expected.reach_px[i],
         rays,
         min_contrast,
@@ -204,7 +203,7 @@ def _search(expected: Expected, i: int, rays: int, min_contrast: float, margin_p
 @compiled
 def _nearer(cones: Floats, i: int) -> Floats:
     """Axes and half angles (m, 4) of the outlines of balls nearer than ball i."""
-    near = cones[:, 4] < cones[i, 4] - _SAME_MM
+    near = cones[:, 4] < cones[i, 4] - SAME_MM
     return cones[near, :4]
 
 

@@ -58,7 +58,7 @@ def measure_closely(view: View, search: Search, radial: Radial) -> Outline:
 @compiled
 def _settled(view: View, search: Search, radial: Radial, axis: Floats, first: bool) -> Outline:
     """The outline that corrected looks lead to from `axis`; `first` if nobody looked there yet."""
-    ambient = light_about(view, axis, search.half_angle, search.rays, radial)
+    ambient = light_about(view, search, axis, radial)
     before = np.zeros(2)
     for turn in range(_TURNS):
         look = look_closely(view, search, axis, search.half_angle, radial, ambient)

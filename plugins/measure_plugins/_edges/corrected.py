@@ -14,7 +14,7 @@ from measure_plugins._edges.prediction import Ambient, predict_light
 from measure_plugins._edges.radial import STEPS, Radial
 from measure_plugins._edges.rays import FREE, sample
 from measure_plugins._edges.selection import median
-from measure_plugins._edges.sensor import CHROMA_REACH, encode, read_off
+from measure_plugins._edges.sensor import CHROMA_REACH, Sensor, encode, read_off
 
 INSIDE_PX = (-7.0, -3.0)
 """Where the colour inside is taken: clear of the blurred edge, near enough to have its shade."""
@@ -64,7 +64,7 @@ class Edges(NamedTuple):
 def corrected_edges(
     pixels: Bytes,
     table: Floats,
-    inverse: Floats,
+    sensor: Sensor,
     points: Floats,
     normals: Floats,
     around: Floats,
@@ -81,7 +81,7 @@ def corrected_edges(
     Args:
         pixels: (h, w, 3) uint8.
         table: (256,) light of each picture value.
-        inverse: of the table, see `sensor.encoding`.
+        sensor: of the camera.
         points: (n, 2) predicted outline, px.
         normals: (n, 2) its outward unit normals.
         around: (n, 2) cosine and sine around the axis.
@@ -95,7 +95,7 @@ def corrected_edges(
     light, values = sample(pixels, table, points, normals, STEPS, free, _FIRST)
     window = inside_window(points)
     within, background = levels(light, STEPS, window), levels(light, STEPS, _BACKGROUND_PX)
-    predicted = _predicted_together(light, free, around, inverse, radial, ambient)
+    predicted = _predicted_together(light, free, around, sensor, radial, ambient)
     inside = levels(values, LATER_STEPS, window)
     outside = levels(values, LATER_STEPS, OUTSIDE_PX)
     model_inside = levels(predicted, LATER_STEPS, window)
@@ -120,13 +120,13 @@ def corrected_edges(
 
 @compiled
 def _predicted_together(
-    light: Floats, free: Floats, around: Floats, inverse: Floats, radial: Radial, ambient: Ambient
+    light: Floats, free: Floats, around: Floats, sensor: Sensor, radial: Radial, ambient: Ambient
 ) -> Floats:
     """Picture values (3, m, n / 2) at `LATER_STEPS` that the model predicts for groups of rays."""
     some, ways = together(light, free)
     background = levels(some, STEPS, _BACKGROUND_PX)
     angles = middle_angles(around)
-    return predicted_values(some, ways, angles, background, inverse, radial, ambient)
+    return predicted_values(some, ways, angles, background, sensor, radial, ambient)
 
 
 @compiled
@@ -154,7 +154,7 @@ def _middle(values: Floats) -> float:
 def compare(
     pixels: Bytes,
     table: Floats,
-    inverse: Floats,
+    sensor: Sensor,
     points: Floats,
     normals: Floats,
     around: Floats,
@@ -165,7 +165,7 @@ def compare(
     """Picture values (3, m, n) at `LATER_STEPS`: seen, and predicted. Arguments as above."""
     light, values = sample(pixels, table, points, normals, STEPS, free, _FIRST)
     background = levels(light, STEPS, _BACKGROUND_PX)
-    predicted = predicted_values(light, free, around, background, inverse, radial, ambient)
+    predicted = predicted_values(light, free, around, background, sensor, radial, ambient)
     return values, predicted
 
 
@@ -184,14 +184,14 @@ def predicted_values(
     free: Floats,
     around: Floats,
     background: Floats,
-    inverse: Floats,
+    sensor: Sensor,
     radial: Radial,
     ambient: Ambient,
 ) -> Floats:
     """Picture values (3, m, n) at `LATER_STEPS` that the model predicts along rays of `light`."""
     first = _FIRST - CHROMA_REACH
     predicted = predict_light(light, free, around, background, STEPS, radial, ambient, first)
-    return read_off(encode(predicted, inverse))
+    return read_off(encode(predicted, sensor.encoding), sensor.taps)
 
 
 @compiled

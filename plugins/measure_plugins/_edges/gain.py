@@ -48,7 +48,7 @@ def measured_gain(view: View, search: Search, radial: Radial) -> Floats:
         radial: see `close_outlines.measure_closely`.
     """
     axis, shown = search.axis, np.zeros((2, 2))
-    ambient = light_about(view, axis, search.half_angle, search.rays, radial)
+    ambient = light_about(view, search, axis, radial)
     frame, scale = frame_about(axis), radius_px(axis, search.half_angle, view.lens)
     for k in range(2):
         for side in (-1, 1):

@@ -11,6 +11,7 @@ import numpy as np
 from measure.arrays import Bytes, Floats
 from measure_plugins._edges.appearance import Appearance
 from measure_plugins._edges.appearance_fit import Sight, misfits
+from measure_plugins._edges.behind import SAME_MM, balls_behind, mirrored_behind
 from measure_plugins._edges.corrected import INSIDE_PX, OUTSIDE_PX
 from measure_plugins._edges.lamps_fit import learn_lamps
 from measure_plugins._edges.lesson import Lesson, take_lesson
@@ -118,15 +119,16 @@ class AppearanceLearner:
 
     def _sight(self, pixels: Bytes, cone: Cone, all_cones: Sequence[Cone]) -> Sight:
         axis, half_angle, distance = cone
-        nearer = np.array([[*a, h] for a, h, d in all_cones if d < distance - 1e-6])
+        rows = np.array([[*a, h, d] for a, h, d in (cone, *all_cones)])
+        nearer = rows[rows[:, 4] < distance - SAME_MM, :4]
         frame = frame_about(axis)
         points, normals, scale, around = cast_rays(frame, half_angle, self._rays, self._lens)
         reach = (INSIDE_PX[0], OUTSIDE_PX[1])
-        free = ways(frame, half_angle, scale, around, nearer.reshape(-1, 4), reach, self._margin_px)
+        free = ways(frame, half_angle, scale, around, nearer, reach, self._margin_px)
         part, corner = _cut(pixels, points)
-        return Sight(
-            part, points - corner, normals, around, free, half_angle, float(np.mean(scale)), frame
-        )
+        behind = mirrored_behind(balls_behind(rows[0], rows), frame, half_angle, around)
+        at, scale_px = points - corner, float(np.mean(scale))
+        return Sight(part, at, normals, around, free, half_angle, scale_px, frame, behind)
 
 
 def _cut(pixels: Bytes, points: Floats) -> tuple[Bytes, Floats]:

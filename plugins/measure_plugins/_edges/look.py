@@ -8,6 +8,7 @@ import numpy as np
 
 from measure.arrays import Bytes, Floats
 from measure.compiling import compiled
+from measure_plugins._edges.behind import mirrored_behind
 from measure_plugins._edges.corrected import (
     INSIDE_PX,
     OUTSIDE_PX,
@@ -30,6 +31,7 @@ from measure_plugins._edges.rays import (
     ways,
 )
 from measure_plugins._edges.room import Room, room_light
+from measure_plugins._edges.sensor import Sensor
 
 _STEP_PX, _WHOLE_PX, _WIDE_PX = 0.5, 1.0, 2.0
 """A wide look only leads to a near one, and a quick one to a better one: whole pixels will do."""
@@ -45,7 +47,7 @@ class View(NamedTuple):
     Attributes:
         pixels: (h, w, 3) uint8.
         table: (256,) light of each picture value.
-        inverse: of the table, see `sensor.encoding`.
+        sensor: how it turned light into values.
         lens: (13,) lens row.
         lamps: (k, 4) in the camera frame, see `lamps`.
         room: what balls mirror of the room.
@@ -53,7 +55,7 @@ class View(NamedTuple):
 
     pixels: Bytes
     table: Floats
-    inverse: Floats
+    sensor: Sensor
     lens: Floats
     lamps: Floats
     room: Room
@@ -66,6 +68,7 @@ class Search(NamedTuple):
         axis: (3,) predicted unit direction of the ball's centre in the camera frame.
         half_angle: predicted half angle of its cone, rad.
         nearer: (k, 4) unit axes and half angles of nearer balls.
+        behind: (k, 4) balls further away, see `behind.balls_behind`.
         reach_px: how far the outline may be from the prediction.
         rays: number of rays.
         min_contrast: least difference of inside and outside, in picture values from 0 to 1.
@@ -76,6 +79,7 @@ class Search(NamedTuple):
     axis: Floats
     half_angle: float
     nearer: Floats
+    behind: Floats
     reach_px: float
     rays: int
     min_contrast: float
@@ -156,21 +160,25 @@ def look_closely(
     reach = (INSIDE_PX[0], OUTSIDE_PX[1])
     free = ways(frame, half_angle, scale, around, search.nearer, reach, search.margin_px)
     edges = corrected_edges(
-        view.pixels, view.table, view.inverse, points, normals, around, free, radial, ambient
+        view.pixels, view.table, view.sensor, points, normals, around, free, radial, ambient
     )
     clear, use = _usable(edges, free, search.min_contrast, SEARCH_PX)
     return Look(frame, points, normals, scale, around, free, edges, clear, use)
 
 
 @compiled
-def light_about(view: View, axis: Floats, half_angle: float, rays: int, radial: Radial) -> Ambient:
-    """What the camera has taught about the light round a ball, along its groups of `rays`.
+def light_about(view: View, search: Search, axis: Floats, radial: Radial) -> Ambient:
+    """What the camera has taught about the light round a ball, along its groups of rays.
 
     Looks a few pixels away may use it too: lamps and walls are far, a degree does not matter.
     """
-    frame, around = frame_about(axis), middle_angles(angles_around(rays))
+    frame, around = frame_about(axis), middle_angles(angles_around(search.rays))
     lit = lamp_light(radial.diffuse, around, seen_from(view.lamps, frame))
-    return Ambient(lit, room_light(view.room, radial.grey, frame, half_angle, around))
+    return Ambient(
+        lit,
+        room_light(view.room, radial.grey, frame, search.half_angle, around),
+        mirrored_behind(search.behind, frame, search.half_angle, around),
+    )
 
 
 @compiled

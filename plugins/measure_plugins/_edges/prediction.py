@@ -14,6 +14,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.compiling import compiled
 from measure.geometry.linear_kernels import times
+from measure_plugins._edges.behind import mirror_behind
 from measure_plugins._edges.lamps import fit_lamp_light, lamp_body
 from measure_plugins._edges.quadratic import angular_terms, fit_shading, shaded
 from measure_plugins._edges.radial import Radial
@@ -32,10 +33,12 @@ class Ambient(NamedTuple):
             known, then shading is a polynomial.
         mirrored: (3, m, n) what the ball mirrors of the room, see `room.room_light`; empty if
             that is not known.
+        behind: (k, n) what they mirror of balls behind, see `behind.mirrored_behind`.
     """
 
     lit: Floats
     mirrored: Floats
+    behind: Floats
 
 
 @compiled
@@ -77,6 +80,7 @@ def predict_light(
             tied = reflected[k, i] + radial.tie_grey[k] * behind_grey[i]
             reflected[k, i] = max(tied, 0.0)
     out = _compose(own, body, reflected, background, behind_grey, radial, first)
+    mirror_behind(ambient.behind, background, behind_grey, radial, first, out)
     _add(ambient.mirrored, first, out)
     return out
 

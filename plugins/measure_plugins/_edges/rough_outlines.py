@@ -86,8 +86,8 @@ def unhidden(
     margin_px: float,
 ) -> Search:
     """How to look for an outline when nobody knows of any ball in front of it."""
-    nearer, unknown = np.empty((0, 4)), np.eye(2)
-    return Search(axis, half_angle, nearer, far, rays, min_contrast, margin_px, unknown)
+    none, unknown = np.empty((0, 4)), np.eye(2)
+    return Search(axis, half_angle, none, none, far, rays, min_contrast, margin_px, unknown)
 
 
 @compiled

@@ -6,15 +6,16 @@ Webcams interpolate a colour mosaic and store colour at half the resolution of b
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
 from measure_plugins._edges.radial import STEPS
 
-_CHROMA_PX = 0.8
-"""Blur of the colour channels beyond that of brightness; its exact size hardly matters, because
-picture and prediction are compared on the same side of it."""
+CHROMA_PX = 0.8
+"""Blur of the colour channels beyond that of brightness, until it is learnt."""
 _BLUE, _GREEN, _RED = 0.114, 0.587, 0.299
 """What brightness is made of, in JPEG."""
 CHROMA_REACH = 3
@@ -26,9 +27,19 @@ average over all places t between two pixels."""
 _ASIDE = _INTERPOLATED / (2 * _STEP**2)
 """Weight of either neighbouring step in a blur of that variance."""
 _AWAY = np.arange(-CHROMA_REACH, CHROMA_REACH + 1) * _STEP
-_WEIGHTS = np.exp(-0.5 * _AWAY**2 / (_CHROMA_PX**2 + _INTERPOLATED))
-_TAPS = tuple(float(w) for w in (_WEIGHTS / _WEIGHTS.sum())[CHROMA_REACH:])
 _ENCODED = 2048
+
+
+class Sensor(NamedTuple):
+    """How a camera turns light into what is read off its pictures.
+
+    Attributes:
+        encoding: (2050,) see `encoding`.
+        taps: (4,) see `chroma_taps`.
+    """
+
+    encoding: Floats
+    taps: Floats
 
 
 def encoding(table: Floats) -> Floats:
@@ -41,6 +52,16 @@ def encoding(table: Floats) -> Floats:
     light = np.linspace(0.0, 1.0, _ENCODED + 1) ** 2
     values = np.interp(light, table, np.arange(len(table)) / (len(table) - 1))
     return np.append(values, values[-1])
+
+
+def chroma_taps(chroma_px: float) -> Floats:
+    """Weights (CHROMA_REACH + 1,) of a step and of those on either side in the blur of colour.
+
+    Args:
+        chroma_px: sigma of the camera's blur of colour beyond that of brightness.
+    """
+    weights = np.exp(-0.5 * _AWAY**2 / (chroma_px**2 + _INTERPOLATED))
+    return np.ascontiguousarray((weights / weights.sum())[CHROMA_REACH:])
 
 
 @compiled
@@ -66,11 +87,15 @@ def encode(light: Floats, inverse: Floats) -> Floats:
 
 
 @compiled
-def read_off(values: Floats) -> Floats:
+def read_off(values: Floats, taps: Floats) -> Floats:
     """Blur BGR values (3, m, n) along the rays as pictures and reading them off do.
 
     Blue and red minus brightness (JPEG's YCbCr) are blurred by the camera and by interpolation
     between pixels, brightness by the latter: what the camera does to that is in the light already.
+
+    Args:
+        values: (3, m, n).
+        taps: see `chroma_taps`.
 
     Returns:
         (3, m - CHROMA_REACH, n): from the step CHROMA_REACH on; beyond the last step, values are
@@ -90,8 +115,8 @@ def read_off(values: Floats) -> Floats:
         for i in range(n):
             bluer[j * n + i], redder[j * n + i] = bluer[(m - 1) * n + i], redder[(m - 1) * n + i]
     blue, green, red = out[0].reshape(-1), out[1].reshape(-1), out[2].reshape(-1)
-    _blur(bluer, n, blue)
-    _blur(redder, n, red)
+    _blur(bluer, n, taps, blue)
+    _blur(redder, n, taps, red)
     _put_together(_interpolated(grey[(CHROMA_REACH - 1) * n :], n), blue, green, red)
     return out
 
@@ -128,12 +153,12 @@ def _interpolated(grey: Floats, n: int) -> Floats:
 
 
 @compiled
-def _blur(values: Floats, n: int, out: Floats) -> None:
+def _blur(values: Floats, n: int, taps: Floats, out: Floats) -> None:
     """Blur rows of n, one after the other, across; into those from the row CHROMA_REACH on.
 
     All taps at once: what adds them up stays in registers.
     """
-    a, b, c, d = _TAPS
+    a, b, c, d = taps[0], taps[1], taps[2], taps[3]
     v1, v2, v3 = values[n:], values[2 * n :], values[3 * n :]
     v4, v5, v6 = values[4 * n :], values[5 * n :], values[6 * n :]
     for i in range(len(out)):

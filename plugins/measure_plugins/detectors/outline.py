@@ -155,7 +155,7 @@ class OutlineDetector(Detector):
         from measure_plugins._edges.look import View
 
         seen, pixels = self._appearance, np.ascontiguousarray(image.pixels)
-        return View(pixels, seen.table, seen.encoding, self._lens, seen.lamps, seen.room)
+        return View(pixels, seen.table, seen.sensor, self._lens, seen.lamps, seen.room)
 
     def _measure(self, image: Image, expected: Sequence[Expectation]) -> list[Detection]:
         """The expected balls, once more if how looks answer is learnt from what was found."""

@@ -2,10 +2,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
-from measure.simulation import Renderer, scene_catalogue
+from measure.simulation import Renderer, Sensor, scene_catalogue
+from measure.simulation.sensor import encode
 from measure_plugins._edges.appearance import GLOSSY, MATT, bent_table, first_appearance
 from measure_plugins._edges.learner import AppearanceLearner
 from measure_plugins._edges.tone import tone_table
@@ -30,6 +32,17 @@ def test_a_standard_camera_and_glossy_balls_are_left_as_they_are(learnt):
     assert learnt["still"].index == GLOSSY
     assert np.all(np.abs(learnt["still"].bends) < 1e-6)
     assert 0.8 < learnt["still"].blur_px < 1.3
+
+
+def test_how_far_colour_is_blurred_is_told_by_pictures(learnt):
+    """JPEG 4:2:0 keeps colour at half the resolution."""
+
+    def halved(_, pixels, balls):
+        stored = np.frombuffer(encode(pixels, Sensor(quality=90, chroma="420")), np.uint8)
+        return cv2.imdecode(stored, cv2.IMREAD_COLOR), balls
+
+    colour_at_half = lessons(scene_catalogue()["still"], CAMERA, halved)[1]
+    assert learnt["still"].chroma_px < 0.7 < 0.85 < colour_at_half.chroma_px < 1.1
 
 
 def test_a_bent_tone_curve_is_found(learnt):

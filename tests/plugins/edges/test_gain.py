@@ -55,13 +55,15 @@ def balls(scene_view):
 
 
 def search_for(axis, half_angle, gain=_UNKNOWN):
-    return Search(axis, half_angle, np.empty((0, 4)), 0.0, 72, 0.06, 7.0, gain)
+    none = np.empty((0, 4))
+    return Search(axis, half_angle, none, none, 0.0, 72, 0.06, 7.0, gain)
 
 
 def looked(view, axis, half_angle, radial, gain):
     """The axis that one look leads to, and the look."""
-    ambient = light_about(view, axis, half_angle, 72, radial)
-    look = look_closely(view, search_for(axis, half_angle), axis, half_angle, radial, ambient)
+    search = search_for(axis, half_angle)
+    ambient = light_about(view, search, axis, radial)
+    look = look_closely(view, search, axis, half_angle, radial, ambient)
     fit = fit_look(look, CORRECTED_GROWTH, False)
     restore(look, fit, gain)
     return turned(look, fit), look

@@ -19,7 +19,6 @@ from measure_plugins._edges.neighbours import middle_angles
 from measure_plugins._edges.prediction import Ambient
 from measure_plugins._edges.radial import STEPS, fresnel, radial
 from measure_plugins._edges.rays import cast_rays, frame_about
-from measure_plugins._edges.sensor import encoding
 from tests.plugins.edges.lessons import cones, lessons
 
 CAMERA = "cam1"
@@ -181,7 +180,7 @@ def _mean_errors(scene, appearance):
         edges = corrected_edges(
             pixels,
             table,
-            encoding(table),
+            appearance.sensor,
             points,
             normals,
             around,
@@ -192,6 +191,7 @@ def _mean_errors(scene, appearance):
                     tables.diffuse, middle_angles(around), seen_from(appearance.lamps, frame)
                 ),
                 np.zeros((3, 0, 36)),
+                np.zeros((8, 0)),
             ),
         )
         center = pose.apply(ball.center_mm)

@@ -7,22 +7,29 @@ from scipy.special import erf
 
 from measure_plugins._edges.radial import STEPS
 from measure_plugins._edges.rays import sample
-from measure_plugins._edges.sensor import CHROMA_REACH, encode, encoding, read_off
+from measure_plugins._edges.sensor import (
+    CHROMA_REACH,
+    chroma_taps,
+    encode,
+    encoding,
+    read_off,
+)
 
 YCC = np.array([[0.114, 0.587, 0.299], [1 - 0.114, -0.587, -0.299], [-0.114, -0.587, 1 - 0.299]])
 """Brightness, and blue and red minus it, of BGR."""
 
 
-def test_colour_is_blurred_more_than_brightness_along_rays():
+@pytest.mark.parametrize("chroma_px", [0.4, 0.8, 1.3])
+def test_colour_is_blurred_more_than_brightness_along_rays(chroma_px):
     values = np.random.default_rng(0).random((3, 30, 7))
     parts = np.einsum("ac,cmn->amn", YCC, values)
-    sigma = np.sqrt(0.8**2 + 1 / 6)  # px, and steps
+    sigma = np.sqrt(chroma_px**2 + 1 / 6)  # px, and steps
     for k in (1, 2):
         parts[k] = gaussian_filter1d(parts[k], sigma, axis=0, mode="nearest", radius=CHROMA_REACH)
     kernel = [1 / 12, 10 / 12, 1 / 12]  # of variance 1/6 px^2
     parts[0] = correlate1d(parts[0], kernel, axis=0, mode="nearest")
     wanted = np.einsum("ca,amn->cmn", np.linalg.inv(YCC), parts)[:, CHROMA_REACH:]
-    assert read_off(values) == pytest.approx(wanted, abs=1e-12)
+    assert read_off(values, chroma_taps(chroma_px)) == pytest.approx(wanted, abs=1e-12)
 
 
 @pytest.mark.parametrize("tilt_deg", [7, 33, 61])
@@ -36,7 +43,7 @@ def test_brightness_is_blurred_as_much_as_sampling_blurs_a_grey_edge(tilt_deg):
     points, normals = 40 + along, np.tile(normal, (400, 1))
     _, seen = sample(picture, np.linspace(0, 1, 256), points, normals, STEPS, np.zeros(400), 0)
     alone = np.repeat(_edge(STEPS)[None, :, None], 3, axis=0)
-    left = seen[0, CHROMA_REACH:].mean(axis=1) - read_off(alone)[0, :, 0]
+    left = seen[0, CHROMA_REACH:].mean(axis=1) - read_off(alone, chroma_taps(0.8))[0, :, 0]
     without = seen[0, CHROMA_REACH:].mean(axis=1) - alone[0, CHROMA_REACH:, 0]
     assert np.abs(left).max() < 0.22 * np.abs(without).max()
     assert np.abs(without).max() > 0.015
