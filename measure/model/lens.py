@@ -10,13 +10,37 @@ import numpy as np
 from measure.arrays import Floats
 from measure.compiling import compiled
 
+Numbers = tuple[
+    float, float, float, float, float, float, float, float, float, float, float, float, float
+]
+"""A lens row as `lens_numbers` has it: `bend` and `to_pixel` take either."""
 NEWTON_STEPS = 20
 NEWTON_TOLERANCE = 1e-5
 """Steps shrink by their square: one so short leaves less than 1e-9."""
 
 
 @compiled
-def bend(x: float, y: float, lens: Floats) -> tuple[float, float]:
+def lens_numbers(lens: Floats) -> Numbers:
+    """A lens row (13,) that stays at hand in a loop over many points, which then sees several."""
+    return (
+        lens[0],
+        lens[1],
+        lens[2],
+        lens[3],
+        lens[4],
+        lens[5],
+        lens[6],
+        lens[7],
+        lens[8],
+        lens[9],
+        lens[10],
+        lens[11],
+        lens[12],
+    )
+
+
+@compiled
+def bend(x: float, y: float, lens: Floats | Numbers) -> tuple[float, float]:
     """Distort a normalised image point."""
     r2 = x * x + y * y
     above = 1 + r2 * (lens[5] + r2 * (lens[6] + r2 * lens[9]))
@@ -30,7 +54,7 @@ def bend(x: float, y: float, lens: Floats) -> tuple[float, float]:
 
 
 @compiled
-def to_pixel(x: float, y: float, z: float, lens: Floats) -> tuple[float, float]:
+def to_pixel(x: float, y: float, z: float, lens: Floats | Numbers) -> tuple[float, float]:
     """Pixel of a camera-frame point in front of the camera."""
     u, v = bend(x / z, y / z, lens)
     return lens[0] * u + lens[1] * v + lens[2], lens[3] * v + lens[4]

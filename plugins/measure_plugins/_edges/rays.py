@@ -6,7 +6,7 @@ import numpy as np
 
 from measure.arrays import Bytes, Floats, Ints
 from measure.compiling import compiled
-from measure.model.lens import to_pixel
+from measure.model.lens import lens_numbers, to_pixel
 
 FREE, HIDDEN, OUTSIDE = 0, 1, 2
 """What stands in a ray's way: nothing, a nearer ball, the picture's border."""
@@ -61,26 +61,32 @@ def cast_rays(
         Outline points (n, 2), outward unit normals (n, 2) in px, px per rad along them (n,), and
         cosine and sine of the angle around the axis (n, 2).
     """
-    points, normals = np.empty((count, 2)), np.empty((count, 2))
-    scale, around = np.empty(count), angles_around(count)
-    wide = half_angle + _TILT
-    near, aside = np.cos(half_angle), np.sin(half_angle)
-    near2, aside2 = np.cos(wide), np.sin(wide)
+    points, normals, scale = np.empty((count, 2)), np.empty((count, 2)), np.empty(count)
+    around, at, beyond = angles_around(count), np.empty((2, count)), np.empty((2, count))
+    _see(frame, half_angle, around, lens, at)
+    _see(frame, half_angle + _TILT, around, lens, beyond)
     for i in range(count):
-        cosine, sine = around[i]
+        u, v = at[0, i], at[1, i]
+        right, down = beyond[0, i] - u, beyond[1, i] - v
+        length = np.sqrt(right**2 + down**2)
+        points[i, 0], points[i, 1] = u, v
+        normals[i, 0], normals[i, 1] = right / length, down / length
+        scale[i] = length / _TILT
+    return points, normals, scale, around
+
+
+@compiled
+def _see(frame: Floats, half_angle: float, around: Floats, lens: Floats, out: Floats) -> None:
+    """Pixels (2, n) of the directions at `half_angle` from `frame[2]`, (n, 2) around it."""
+    near, aside = np.cos(half_angle), np.sin(half_angle)
+    a, b, c = near * frame[2, 0], near * frame[2, 1], near * frame[2, 2]
+    numbers = lens_numbers(lens)
+    for i in range(len(around)):
+        cosine, sine = around[i, 0], around[i, 1]
         x = cosine * frame[0, 0] + sine * frame[1, 0]
         y = cosine * frame[0, 1] + sine * frame[1, 1]
         z = cosine * frame[0, 2] + sine * frame[1, 2]
-        c, d, e = frame[2]
-        u, v = to_pixel(near * c + aside * x, near * d + aside * y, near * e + aside * z, lens)
-        u2, v2 = to_pixel(
-            near2 * c + aside2 * x, near2 * d + aside2 * y, near2 * e + aside2 * z, lens
-        )
-        length = np.sqrt((u2 - u) ** 2 + (v2 - v) ** 2)
-        points[i, 0], points[i, 1] = u, v
-        normals[i, 0], normals[i, 1] = (u2 - u) / length, (v2 - v) / length
-        scale[i] = length / _TILT
-    return points, normals, scale, around
+        out[0, i], out[1, i] = to_pixel(a + aside * x, b + aside * y, c + aside * z, numbers)
 
 
 @compiled
