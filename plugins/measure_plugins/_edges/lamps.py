@@ -63,7 +63,8 @@ def lamp_light(diffuse: Floats, around: Floats, lamps: Floats) -> Floats:
             facing, aside = -power * z * diffuse[j, FACING], diffuse[j, ASIDE]
             if diffuse[j, UNIFORM] > _NOTHING:
                 for i in range(n):
-                    out[j, i] += max(facing + aside * sideways[i], 0.0)
+                    light = facing + aside * sideways[i]
+                    out[j, i] += light if light > 0.0 else 0.0
     return out
 
 

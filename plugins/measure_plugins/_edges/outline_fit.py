@@ -166,7 +166,8 @@ def outline_of(
         sd[k] = look.edges.sd[i] * max(fit.scale, 1.0) * wider
     radius = float(fit.solution[2])
     for u, v in look.points:
-        radius += np.hypot(u - center[0], v - center[1]) / len(look.points)
+        right, down = u - center[0], v - center[1]
+        radius += np.sqrt(right * right + down * down) / len(look.points)
     to_image = image_directions(look.frame, view.lens) / px
     middle = len(sd) // 2
     return Outline(

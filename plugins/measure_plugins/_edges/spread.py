@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from measure.arrays import Floats
+from measure.arrays import Floats, Ints
 from measure.compiling import compiled
 from measure.geometry.linear_kernels import inverse
 from measure.model.lens import to_pixel
@@ -14,6 +14,7 @@ _WAVES = 12
 _STEEPNESS = 1.5
 """The power of an outline's errors falls with this power of their waves round it: so fall, in the
 mean of seventeen rendered recordings, the residuals' waves from the second one to the fifth."""
+_POWERS = tuple(float(max(wave, 1) ** -_STEEPNESS) for wave in range(_WAVES + 1))
 _ARCS = 24
 """Edges scatter within such arcs by noise, which their means are all but free of."""
 
@@ -46,19 +47,19 @@ def center_covariance(around: Floats, weights: Floats, off: Floats, normal: Floa
         off: (n,) the edges' residuals, px.
         normal: (3, 3) of the fit: axis along e1 and e2, growth.
     """
-    known, answer = inverse(normal), np.empty(3)
-    arcs = _arc_sums(around, weights)
+    known, answers = inverse(normal), np.empty((2, 3))
+    arc_of = np.arange(len(off)) * _ARCS // len(off)
+    arcs = _arc_sums(around, weights, arc_of)
     out, left, seen = np.zeros((2, 2)), 0.0, 0.0
     for wave in range(_WAVES + 1):
-        power = max(wave, 1) ** -_STEEPNESS
-        for part in range(2 if wave > 0 else 1):
-            left += power * _answer(around, weights, arcs, known, wave, part, answer)
+        left += _POWERS[wave] * _answers(around, weights, arc_of, arcs, known, wave, answers)
+        for part in range(2):
             for a in range(2):
                 for b in range(2):
-                    out[a, b] += power * answer[a] * answer[b]
+                    out[a, b] += _POWERS[wave] * answers[part, a] * answers[part, b]
     sums = np.zeros(_ARCS)
     for i in range(len(off)):
-        sums[i * _ARCS // len(off)] += weights[i] * off[i]
+        sums[arc_of[i]] += weights[i] * off[i]
     for arc in range(_ARCS):
         if arcs[arc, 2] > 0:
             seen += sums[arc] ** 2 / arcs[arc, 2]
@@ -66,11 +67,11 @@ def center_covariance(around: Floats, weights: Floats, off: Floats, normal: Floa
 
 
 @compiled
-def _arc_sums(around: Floats, weights: Floats) -> Floats:
+def _arc_sums(around: Floats, weights: Floats, arc_of: Ints) -> Floats:
     """Sums over arcs (a, 3) of the weighted cosines and sines, and of the weights."""
-    n, out = len(weights), np.zeros((_ARCS, 3))
-    for i in range(n):
-        arc = i * _ARCS // n
+    out = np.zeros((_ARCS, 3))
+    for i in range(len(weights)):
+        arc = arc_of[i]
         out[arc, 0] += weights[i] * around[i, 0]
         out[arc, 1] += weights[i] * around[i, 1]
         out[arc, 2] += weights[i]
@@ -78,37 +79,39 @@ def _arc_sums(around: Floats, weights: Floats) -> Floats:
 
 
 @compiled
-def _answer(
+def _answers(
     around: Floats,
     weights: Floats,
+    arc_of: Ints,
     arcs: Floats,
     known: Floats,
     wave: int,
-    part: int,
-    answer: Floats,
+    answers: Floats,
 ) -> float:
-    """The fit's answer (3,) to edges shifted by a cosine (part 0) or sine wave.
+    """The fit's answers (2, 3) to edges shifted by a cosine and by a sine wave.
 
-    And the weighted square sum of what it leaves in the arcs' means. The rays' own cosines and
+    And the weighted square sum of what they leave in the arcs' means. The rays' own cosines and
     sines serve for all waves.
     """
-    n, sums = len(around), np.zeros(_ARCS)
-    x, y, total, turned = 0.0, 0.0, 0.0, 0
+    n, turned, sums = len(around), 0, np.zeros((_ARCS, 2))
+    x1, y1, total1, x2, y2, total2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(n):
-        weighted = weights[i] * around[turned, part]
+        cosine, sine = weights[i] * around[turned, 0], weights[i] * around[turned, 1]
         turned = turned + wave if turned + wave < n else turned + wave - n
-        x += weighted * around[i, 0]
-        y += weighted * around[i, 1]
-        total += weighted
-        sums[i * _ARCS // n] += weighted
+        x1, y1, total1 = x1 + cosine * around[i, 0], y1 + cosine * around[i, 1], total1 + cosine
+        x2, y2, total2 = x2 + sine * around[i, 0], y2 + sine * around[i, 1], total2 + sine
+        sums[arc_of[i], 0] += cosine
+        sums[arc_of[i], 1] += sine
     for a in range(3):
-        answer[a] = known[a, 0] * x + known[a, 1] * y + known[a, 2] * total
+        answers[0, a] = known[a, 0] * x1 + known[a, 1] * y1 + known[a, 2] * total1
+        answers[1, a] = known[a, 0] * x2 + known[a, 1] * y2 + known[a, 2] * total2
     left = 0.0
     for arc in range(_ARCS):
         c, s, mass = arcs[arc]
         if mass > 0:
-            gone = sums[arc] - answer[0] * c - answer[1] * s - answer[2] * mass
-            left += gone * gone / mass
+            for part in range(2):
+                kept = answers[part, 0] * c + answers[part, 1] * s + answers[part, 2] * mass
+                left += (sums[arc, part] - kept) ** 2 / mass
     return left
 
 
