@@ -15,6 +15,7 @@ from measure.arrays import Floats
 from measure.geometry import RigidTransform, skew
 from measure.model import Body, Camera, FrameSet, Image
 from measure.session import Trajectory
+from measure_plugins._edges.behind import balls_nearer
 from measure_plugins._edges.crossing import levels
 from measure_plugins._edges.rays import FREE, cast_rays, frame_about, sample, ways
 
@@ -48,13 +49,12 @@ def _of_image(
     distances = np.linalg.norm(centers, axis=1)
     axes = centers / distances[:, None]
     angles = np.arcsin(np.array([ball.radius_mm for ball in body.balls]) / distances)
-    noise = _noise(image)
+    cones, noise = np.column_stack([axes, angles, distances]), _noise(image)
     turn = camera.camera_from_world.rotation
     out = np.zeros((6, 6))
     for k in range(len(body.balls)):
-        nearer = distances < distances[k] - 1e-6
-        others = np.column_stack([axes, angles])[nearer]
-        rows, weights = _rays(camera, image, axes[k], float(angles[k]), others)
+        nearer = balls_nearer(cones[k], cones)
+        rows, weights = _rays(camera, image, axes[k], float(angles[k]), nearer)
         by_center = rows / distances[k]
         arm = pose.rotate(body.balls[k].center_mm)
         by_pose = by_center @ np.hstack([turn, -turn @ skew(arm)])

@@ -36,7 +36,7 @@ BENDS_SD = _BENT[:BENDS]
 _PRIOR_WEIGHT = 0.02
 """Share by which the misfit's square must fall before one such sd is believed."""
 _TRIAL = np.array([0.004, 0.01, 0.006, 0.1, 0.1])
-"""Steps of the numeric derivatives; the last is wider than the steps in which blur is tabulated."""
+"""Steps of the numeric derivatives; that of blur is wider than the steps it is tabulated in."""
 _BLUR_RANGE_PX = (0.5, 2.0)
 _CHROMA_RANGE_PX = (0.3, 2.0)
 _ROUNDS = 4

@@ -11,7 +11,7 @@ import numpy as np
 
 from measure.arrays import Bools, Bytes, Floats, Ints
 from measure.compiling import compiled
-from measure_plugins._edges.behind import SAME_MM, balls_behind
+from measure_plugins._edges.behind import balls_behind, balls_nearer
 from measure_plugins._edges.close_outlines import measure_closely
 from measure_plugins._edges.color_check import color_share
 from measure_plugins._edges.gain import measured_gain
@@ -190,7 +190,7 @@ def _search(expected: Expected, i: int, rays: int, min_contrast: float, margin_p
     return Search(
         expected.cones[i, :3],
         expected.cones[i, 3],
-        _nearer(expected.cones, i),
+        balls_nearer(expected.cones[i], expected.cones),
         balls_behind(expected.cones[i], expected.cones),
         expected.reach_px[i],
         rays,
@@ -198,13 +198,6 @@ def _search(expected: Expected, i: int, rays: int, min_contrast: float, margin_p
         margin_px,
         expected.gains[i],
     )
-
-
-@compiled
-def _nearer(cones: Floats, i: int) -> Floats:
-    """Axes and half angles (m, 4) of the outlines of balls nearer than ball i."""
-    near = cones[:, 4] < cones[i, 4] - SAME_MM
-    return cones[near, :4]
 
 
 @compiled

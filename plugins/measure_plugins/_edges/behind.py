@@ -1,4 +1,4 @@
-"""What a ball mirrors, at grazing angles, of another ball right behind it.
+"""A ball's neighbours: which hide it, and what it mirrors at grazing angles of one right behind it.
 
 Surroundings go on behind a ball, and are mirrored the less the further its surface turns the line
 of sight away from them. Another ball ends: where it does, and so how much of it is mirrored, is
@@ -15,8 +15,14 @@ from measure_plugins._edges.radial import DEFLECTIONS, Radial
 from measure_plugins._edges.shading import GREY
 
 _SPACING = float(DEFLECTIONS[1] - DEFLECTIONS[0])
-SAME_MM = 1e-6
+_SAME_MM = 1e-6
 """Balls whose distances differ by less neither hide nor mirror each other."""
+
+
+@compiled
+def balls_nearer(cone: Floats, cones: Floats) -> Floats:
+    """Axes and half angles (m, 4) of the outlines of balls nearer than one; see `balls_behind`."""
+    return cones[cones[:, 4] < cone[4] - _SAME_MM, :4]
 
 
 @compiled
@@ -25,9 +31,9 @@ def balls_behind(cone: Floats, cones: Floats) -> Floats:
 
     Args:
         cone: (5,) its axis, half angle in rad and distance in mm, see `balls.Expected`.
-        cones: (k, 5) of all balls.
+        cones: (k, 5) of all balls; columns beyond those are ignored.
     """
-    further = cones[cones[:, 4] > cone[4] + SAME_MM]
+    further = cones[cones[:, 4] > cone[4] + _SAME_MM]
     out, radius = np.empty((len(further), 4)), cone[4] * np.sin(cone[3])
     for k in range(len(further)):
         for a in range(3):
@@ -103,9 +109,10 @@ def mirror_behind(
         first: the step at which the prediction begins.
         out: (3, m - first, n) the predicted light, changed.
     """
-    mirrors = np.max(radial.nearby) > 0.0
+    if np.max(radial.nearby) <= 0.0:
+        return
     for i in range(shares.shape[1]):
-        if mirrors and shares[0, i] >= 0.0:
+        if shares[0, i] >= 0.0:
             for j in range(out.shape[1]):
                 more = -radial.nearby[first + j]
                 for k in range(len(shares)):

@@ -11,7 +11,7 @@ import numpy as np
 from measure.arrays import Bytes, Floats
 from measure_plugins._edges.appearance import Appearance
 from measure_plugins._edges.appearance_fit import Sight, misfits
-from measure_plugins._edges.behind import SAME_MM, balls_behind, mirrored_behind
+from measure_plugins._edges.behind import balls_behind, balls_nearer, mirrored_behind
 from measure_plugins._edges.corrected import INSIDE_PX, OUTSIDE_PX
 from measure_plugins._edges.lamps_fit import learn_lamps
 from measure_plugins._edges.lesson import Lesson, take_lesson
@@ -118,10 +118,9 @@ class AppearanceLearner:
         return backdrop_of(pixels, self._lens, rows.reshape(-1, 4))
 
     def _sight(self, pixels: Bytes, cone: Cone, all_cones: Sequence[Cone]) -> Sight:
-        axis, half_angle, distance = cone
+        axis, half_angle, _ = cone
         rows = np.array([[*a, h, d] for a, h, d in (cone, *all_cones)])
-        nearer = rows[rows[:, 4] < distance - SAME_MM, :4]
-        frame = frame_about(axis)
+        nearer, frame = balls_nearer(rows[0], rows), frame_about(axis)
         points, normals, scale, around = cast_rays(frame, half_angle, self._rays, self._lens)
         reach = (INSIDE_PX[0], OUTSIDE_PX[1])
         free = ways(frame, half_angle, scale, around, nearer, reach, self._margin_px)

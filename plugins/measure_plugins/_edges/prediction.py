@@ -33,7 +33,7 @@ class Ambient(NamedTuple):
             known, then shading is a polynomial.
         mirrored: (3, m, n) what the ball mirrors of the room, see `room.room_light`; empty if
             that is not known.
-        behind: (k, n) what they mirror of balls behind, see `behind.mirrored_behind`.
+        behind: (k, n) how much of that is a ball behind, see `behind.mirrored_behind`.
     """
 
     lit: Floats
