@@ -4,6 +4,11 @@ from __future__ import annotations
 
 from measure.host import Settings, setting
 
+ROUGHLY, FEWEST_RAYS = 2, 16
+"""So many times fewer rays recognise an outline; but not too few."""
+HOPELESS = 2 / 3
+"""A candidate that so far reaches less than this of the least agreement is given up."""
+
 
 class OutlineConfig(Settings):
     """Settings of the `outline` detector."""

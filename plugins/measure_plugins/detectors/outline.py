@@ -17,21 +17,20 @@ import numpy as np
 from measure.arrays import Floats
 from measure.host import Detector, Settings, hookimpl
 from measure.model import BallColor, Body, Camera, Detection, Expectation, Image
-from measure_plugins.detectors._outline_settings import OutlineConfig
-from measure_plugins.detectors._rough_circles import center_by_size, radii_about
+from measure_plugins.detectors._outline_settings import (
+    FEWEST_RAYS,
+    HOPELESS,
+    ROUGHLY,
+    OutlineConfig,
+)
+from measure_plugins.detectors._rough_circles import radii_about
 
 if TYPE_CHECKING:
-    from measure_plugins._edges.balls import Expected, Measured
+    from measure_plugins._edges.balls import Measured
     from measure_plugins._edges.look import View
 
-
-_APPROACHING, _ROUGHLY, _FEWEST_RAYS = 3, 2, 16
-"""So many times fewer rays lead to where outlines are, and recognise them; but not too few."""
-_HOPELESS = 2 / 3
-"""A candidate that so far reaches less than this of the least agreement is given up."""
-
-
-_NO_GAIN = np.eye(2)
+_APPROACHING = 3
+"""So many times fewer rays lead to where outlines are."""
 
 
 class OutlineDetector(Detector):
@@ -48,16 +47,16 @@ class OutlineDetector(Detector):
         from measure_plugins._acquisition.shade import with_shade
         from measure_plugins._edges.appearance import first_appearance
         from measure_plugins._edges.learner import AppearanceLearner
+        from measure_plugins.detectors._known_balls import KnownBalls
 
-        self._lens = camera.intrinsics.row
-        self._appearance = first_appearance(self.config.tone)
-        self._learner = AppearanceLearner(self._lens, self.config.rays, self.config.margin_px)
+        c, lens = self.config, camera.intrinsics.row
+        self._appearance = first_appearance(c.tone)
+        self._learner = AppearanceLearner(lens, c.rays, c.margin_px)
         self._acquisition = AcquisitionSettings()
         self._colors = tuple(dict.fromkeys(ball.color for ball in body.balls))
         self._table = with_shade(self._colors)
         self._bits = {ball.name: 1 << self._colors.index(ball.color) for ball in body.balls}
-        self._radii = {ball.name: ball.radius_mm for ball in body.balls}
-        self._gains: dict[str, Floats] = {}
+        self._balls = KnownBalls(c, body, camera, self._bits, self._table)
 
     def warm_up(self) -> None:
         """Compile the hot loops (seconds, once per machine), by measuring a drawn disc."""
@@ -69,8 +68,9 @@ class OutlineDetector(Detector):
         self._measure(image, expected)
         self._measure(image, [replace(one, center_camera=None) for one in expected])
         self._searched(image, ())
-        self._gains_about(self._view(image), expected, self._cones(expected))
-        self._learner.warm_up(image.pixels, _cones(self._cones(expected))[0], self._appearance)
+        cones, view = self._balls.cones(expected), self._view(image)
+        self._balls.gains_about(view, expected, cones, self._appearance)
+        self._learner.warm_up(image.pixels, _cones(cones)[0], self._appearance)
 
     @property
     def wants_rehearsal(self) -> bool:
@@ -91,7 +91,7 @@ class OutlineDetector(Detector):
             return
         before, self._appearance = self._appearance, self._learner.told_bent(self._appearance)
         if self._appearance is not before:
-            self._gains.clear()
+            self._balls.forget_gains()
 
     def detect(self, image: Image, expected: Sequence[Expectation]) -> list[Detection]:
         """Measure the expected balls; search the frame for the others."""
@@ -119,10 +119,10 @@ class OutlineDetector(Detector):
             view,
             rough,
             np.array([self._bits[first] for first, *_ in names], np.int64),
-            (max(c.rays // _APPROACHING, _FEWEST_RAYS), max(c.rays // _ROUGHLY, _FEWEST_RAYS)),
+            (max(c.rays // _APPROACHING, FEWEST_RAYS), max(c.rays // ROUGHLY, FEWEST_RAYS)),
             c.min_contrast,
             c.margin_px,
-            (c.min_agreement, _HOPELESS * c.min_agreement),
+            (c.min_agreement, HOPELESS * c.min_agreement),
             self._table,
         )
         numbers, sizes = found.numbers.tolist(), rough[:, 2].tolist()
@@ -141,27 +141,26 @@ class OutlineDetector(Detector):
             return []
         if not self._learner.wants(len(found), image.time_s):
             return []
-        cones = dict(zip((e.ball for e in expected), _cones(self._cones(expected)), strict=True))
+        cones = dict(
+            zip((e.ball for e in expected), _cones(self._balls.cones(expected)), strict=True)
+        )
         axes = {d.ball: self.camera.intrinsics.unproject(d.center_px[None])[0] for d in found}
         seen = [(axis, *cones.pop(ball)[1:]) for ball, axis in axes.items()]
         learnt = self._learner.shown(image.pixels, seen, list(cones.values()), self._appearance)
         if learnt is None:
             return []
         self._appearance = learnt
-        self._gains.clear()
+        self._balls.forget_gains()
         return self._measure(image, expected)
 
     def _view(self, image: Image) -> View:
-        from measure_plugins._edges.look import View
-
-        seen, pixels = self._appearance, np.ascontiguousarray(image.pixels)
-        return View(pixels, seen.table, seen.sensor, self._lens, seen.lamps, seen.room)
+        return self._balls.view(image, self._appearance)
 
     def _measure(self, image: Image, expected: Sequence[Expectation]) -> list[Detection]:
         """The expected balls, once more if how looks answer is learnt from what was found."""
         if not expected:
             return []
-        view, cones = self._view(image), self._cones(expected)
+        view, cones = self._view(image), self._balls.cones(expected)
         found = self._measure_at(image, view, expected, cones)
         if not self._learn_gains(view, expected, cones, found):
             return found
@@ -176,62 +175,27 @@ class OutlineDetector(Detector):
     ) -> bool:
         """Learn how looks answer at balls where that is not known; whether there were any."""
         sized = {e.ball for e in expected if e.center_camera is not None}
-        new = [d.ball for d in found if d.ball in sized and d.ball not in self._gains]
+        new = self._balls.without_gain([d.ball for d in found if d.ball in sized])
         if not new:
             return False
         row, cones = {e.ball: i for i, e in enumerate(expected)}, cones.copy()
         for d in found:
             cones[row[d.ball], :3] = self.camera.intrinsics.unproject(d.center_px[None])[0]
-        gains = self._gains_about(view, expected, cones)
-        self._gains.update({ball: gains[row[ball]] for ball in new})
+        gains = self._balls.gains_about(view, expected, cones, self._appearance)
+        self._balls.learn_gains({ball: gains[row[ball]] for ball in new})
         return True
-
-    def _gains_about(self, view: View, expected: Sequence[Expectation], settled: Floats) -> Floats:
-        """How looks answer (k, 2, 2) at the expected balls, whose outlines are `settled`."""
-        from measure_plugins._edges.balls import measure_gains
-
-        c, balls = self.config, self._expected(expected, settled)
-        return measure_gains(view, balls, c.rays, c.min_contrast, c.margin_px)
 
     def _measure_at(
         self, image: Image, view: View, expected: Sequence[Expectation], cones: Floats
     ) -> list[Detection]:
-        """Corrected edges where the distance, and so the size, is known; else rough ones.
-
-        Args:
-            image: the picture.
-            view: the same, ready to be looked at.
-            expected: the balls.
-            cones: (k, 6) as from `_cones`; (k, 5), without the radii, where no size is known.
-        """
-        from measure_plugins._edges.balls import measure_balls
-
-        if not expected:
-            return []
-        c, balls = self.config, self._expected(expected, cones)
-        rays = c.rays if any(balls.sized) else max(c.rays // _ROUGHLY, _FEWEST_RAYS)
-        hopeless = _HOPELESS * c.min_agreement
-        found = measure_balls(view, balls, rays, c.min_contrast, c.margin_px, hopeless, self._table)
+        """What is found of expected balls with these outlines, see `KnownBalls.measured`."""
+        found = self._balls.measured(view, expected, cones, self._appearance)
         numbers = found.numbers.tolist()
-        each = (
+        each = [
             self._detection(image, one.ball, one.radius_px, i, found, numbers[i])
             for i, one in enumerate(expected)
-        )
+        ]
         return [detection for detection in each if detection is not None]
-
-    def _expected(self, expected: Sequence[Expectation], cones: Floats) -> Expected:
-        """What compiled code is to know of the balls."""
-        from measure_plugins._edges.balls import Expected
-
-        sized = [e.center_camera is not None for e in expected]
-        return Expected(
-            cones,
-            np.array([e.reach_px for e in expected]),
-            self._tables(cones) if any(sized) else np.empty((len(cones), 0)),
-            np.array(sized),
-            np.array([self._bits[e.ball] for e in expected]),
-            np.array([self._gains.get(e.ball, _NO_GAIN) for e in expected]),
-        )
 
     def _detection(
         self,
@@ -251,33 +215,17 @@ class OutlineDetector(Detector):
         if not low - 2 <= radius_px <= high + 2:
             return None
         return Detection(
-            ball=ball,
-            camera=image.camera,
-            time_s=image.time_s,
-            center_px=found.centers_px[i],
-            radius_px=radius_px,
-            covariance_px=found.covariances_px[i],
+            ball,
+            image.camera,
+            image.time_s,
+            found.centers_px[i],
+            radius_px,
+            found.covariances_px[i],
             score=min(1.0, agreement),
             color_match=match,
             outline_px=found.points_px[i, :count],
             outline_sd_px=found.sd_px[i, :count],
         )
-
-    def _tables(self, cones: Floats) -> Floats:
-        """What balls of known size show along a ray across their outlines: (k, r)."""
-        outlines = [(size_px, half_angle) for *_, half_angle, _, size_px in cones.tolist()]
-        return self._appearance.packed_tables(outlines)
-
-    def _cones(self, expected: Sequence[Expectation]) -> Floats:
-        """Axes, half angles in rad, distances in mm, and radii in px of outlines: (k, 6)."""
-        from measure_plugins._edges.balls import cones_of
-
-        radii = np.array([self._radii[e.ball] for e in expected])
-        centers = [
-            center_by_size(e, self.camera, radius) if e.center_camera is None else e.center_camera
-            for e, radius in zip(expected, radii, strict=True)
-        ]
-        return cones_of(np.concatenate(centers).reshape(-1, 3), radii, self._lens)
 
 
 def _cones(rows: Floats) -> list[tuple[Floats, float, float]]:

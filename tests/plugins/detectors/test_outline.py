@@ -268,7 +268,7 @@ def test_a_candidate_given_up_early_is_one_that_would_not_have_become_a_ball(
     pixels = cv2.GaussianBlur(pixels, (0, 0), 0.8)
     found = []
     for hopeless in (2 / 3, 0.0):
-        monkeypatch.setattr(outline, "_HOPELESS", hopeless)
+        monkeypatch.setattr(outline, "HOPELESS", hopeless)
         seen = OutlineDetector(OutlineConfig(), RAVEN, camera).detect(image_of(camera, pixels), ())
         found.append(sorted((d.ball, *d.center_px.tolist(), d.score) for d in seen))
     assert found[0] == found[1]

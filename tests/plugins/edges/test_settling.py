@@ -17,6 +17,7 @@ from measure.simulation.catalogue import scene_catalogue
 from measure.simulation.renderer import Renderer
 from measure.simulation.sensor import encode
 from measure_plugins._edges import balls, close_outlines
+from measure_plugins.detectors import _known_balls
 from measure_plugins.detectors.outline import OutlineConfig, OutlineDetector
 from tests.plugins.detectors.drawing import expect, image_of
 
@@ -59,7 +60,7 @@ def views():
         ]
         out.append((image_of(camera, cv2.imdecode(data, cv2.IMREAD_COLOR)), expected))
     detector = OutlineDetector(OutlineConfig(learn=False), scene.body, camera)
-    detector._gains.update({ball.name: _FALSE_GAIN * np.eye(2) for ball in scene.body.balls})
+    detector._balls.learn_gains({ball.name: _FALSE_GAIN * np.eye(2) for ball in scene.body.balls})
     return detector, out
 
 
@@ -75,6 +76,6 @@ def test_outlines_settle_though_looks_overshoot(views):
 @pytest.mark.slow
 def test_without_halved_steps_some_never_do(views, monkeypatch):
     """The negative control: without it, the test above would fail."""
-    monkeypatch.setattr(balls, "measure_balls", without_halving())
+    monkeypatch.setattr(_known_balls, "measure_balls", without_halving())
     missing = 3 * len(_FRAMES) - sum(map(len, measured(views)))
     assert missing > 0
