@@ -126,11 +126,9 @@ def agree_with_each_other(
         (12, 12).
     """
     n = len(innovations)
-    sharpness, slopes, distances = np.empty((n, 2, 2)), np.empty((n, 2, 12)), np.zeros(n)
+    sharpness, left, distances = np.empty((n, 2, 2)), np.empty(2), np.zeros(n)
     for i in range(n):
         sharpness[i] = inverse_2x2(noise[i])
-        slopes[i, :, :6] = jacobians[i]
-        slopes[i, :, 6:] = jacobians[i] * lead_s[i]
     information, normal, factor = inverse(prior), np.empty((12, 12)), np.empty((12, 12))
     right, step, covariance = np.empty(12), np.empty(12), np.full((12, 12), np.nan)
     width = 16.0 * gate
@@ -138,12 +136,15 @@ def agree_with_each_other(
         normal[:], right[:] = information, 0.0
         for i in range(n):
             weight = max(1 - distances[i] / (2.25 * width), 0.0) ** 2
-            _add(slopes[i], sharpness[i], weight, innovations[i], normal, right)
+            _add(jacobians[i], lead_s[i], sharpness[i], weight, innovations[i], normal, right)
         if not cholesky(normal, factor):
             return np.zeros(n, np.bool_), np.full(12, np.nan), covariance
         solve_factored(factor, right, step)
         for i in range(n):
-            left = innovations[i] - slopes[i] @ step
+            for u in range(2):
+                left[u] = innovations[i, u]
+                for a in range(6):
+                    left[u] -= jacobians[i, u, a] * (step[a] + lead_s[i] * step[6 + a])
             distances[i] = squared_distance(left, sharpness[i])
         width = max(gate, width / 4)
     invert_factored(factor, covariance)
@@ -152,14 +153,28 @@ def agree_with_each_other(
 
 @inlined
 def _add(
-    slopes: Floats, sharpness: Floats, weight: float, seen: Floats, normal: Floats, right: Floats
+    slopes: Floats,
+    lead: float,
+    sharpness: Floats,
+    weight: float,
+    seen: Floats,
+    normal: Floats,
+    right: Floats,
 ) -> None:
-    """Add a detection (2,), its slopes (2, 12) and weights, to the equations' lower half."""
+    """Add a detection (2,), its slopes (2, 6) and weights, to the equations' lower half.
+
+    By the velocity the slopes are `lead` times those by the pose.
+    """
     p, q = sharpness[0, 0] * weight, sharpness[0, 1] * weight
     r, s = sharpness[1, 0] * weight, sharpness[1, 1] * weight
-    for a in range(12):
+    for a in range(6):
         u = slopes[0, a] * p + slopes[1, a] * r
         v = slopes[0, a] * q + slopes[1, a] * s
-        right[a] += u * seen[0] + v * seen[1]
-        for b in range(a + 1):
-            normal[a, b] += u * slopes[0, b] + v * slopes[1, b]
+        pull = u * seen[0] + v * seen[1]
+        right[a] += pull
+        right[6 + a] += lead * pull
+        for b in range(6):
+            share = u * slopes[0, b] + v * slopes[1, b]
+            normal[a, b] += share
+            normal[6 + a, b] += lead * share
+            normal[6 + a, 6 + b] += lead * lead * share
