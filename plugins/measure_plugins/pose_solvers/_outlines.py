@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from measure.arrays import Floats, Ints, stacked
 from measure.errors import DegenerateGeometryError
-from measure.model import Body, Camera, Detection, Motion
+from measure.model import Body, Camera, Detection, Motion, Rig
 
 if TYPE_CHECKING:
     from measure_plugins._edges.contours import Balls, Contours, Views
@@ -24,16 +24,20 @@ class Named:
     Attributes:
         balls: (k,) names.
         ball_of: (k,) the balls' places in the body.
+        shown: the balls' names, each once, in the order of the body.
         seen_by: (c,) names of the cameras, sorted.
         cameras: (c,) the same.
+        rig: (c,) the same, stacked.
         rows: what is known of the balls as arrays.
         views: the same of the cameras.
     """
 
     balls: tuple[str, ...]
     ball_of: Ints
+    shown: tuple[str, ...]
     seen_by: tuple[str, ...]
     cameras: tuple[Camera, ...]
+    rig: Rig
     rows: Balls
     views: Views
 
@@ -46,16 +50,13 @@ class Outlines:
         contours: k ball-views in c views, of a body at rest.
         detections: (k,) which they are.
         named: the same by their names.
+        instants: the times of the pictures.
     """
 
     contours: Contours
     detections: tuple[Detection, ...]
     named: Named
-
-    @cached_property
-    def instants(self) -> set[float]:
-        """The times of the pictures."""
-        return {d.time_s for d in self.detections}
+    instants: set[float]
 
     def moved(self, motion: Motion, time_s: float) -> Floats:
         """How far (k, 6) the body has moved in each picture from where it is at `time_s`."""
@@ -99,7 +100,7 @@ def _packed(
     contours, kept = pack(points, sd, covariances, named.rows, named.views)
     if len(kept) < len(seen):
         return _packed(tuple(seen[i] for i in kept), body, tuple(cameras[i] for i in kept))
-    return Outlines(contours, seen, named)
+    return Outlines(contours, seen, named, {d.time_s for d in seen})
 
 
 @lru_cache(maxsize=64)
@@ -113,4 +114,5 @@ def _named(balls: tuple[str, ...], body: Body, cameras: tuple[Camera, ...]) -> N
     ball_of = np.array([body.index(name) for name in balls])
     view_of = np.array([names.index(camera.name) for camera in cameras])
     rows = Balls(view_of, body.centers[ball_of], body.radii[ball_of])
-    return Named(balls, ball_of, names, own, rows, views_of(own))
+    shown = tuple(name for name in body.names if name in balls)
+    return Named(balls, ball_of, shown, names, own, Rig.of(own), rows, views_of(own))

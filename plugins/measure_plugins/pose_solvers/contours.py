@@ -21,7 +21,7 @@ from measure.arrays import Floats, stacked
 from measure.errors import ConfigError, DegenerateGeometryError
 from measure.geometry import RigidTransform, align_points
 from measure.host import PoseSolver, Settings, hookimpl, setting
-from measure.model import Camera, Detection, Fix, Intrinsics, Motion, Pose, Rig
+from measure.model import Camera, Detection, Fix, Intrinsics, Motion, Pose
 from measure_plugins.pose_solvers._outlines import Outlines, outlines_of
 
 if TYPE_CHECKING:
@@ -111,14 +111,14 @@ class ContoursSolver(PoseSolver):
             return None
         known = np.zeros((6, 6))
         named = outlines.named
-        if len(set(named.balls)) < 3:
+        if len(named.shown) < 3:
             if prior is None or prior.covariance is None:
                 return None
             known = np.asarray(np.linalg.inv(prior.covariance), dtype=np.float64)
         # Arrays laid out otherwise would be compiled for once more.
         rotation = np.ascontiguousarray(start.rotation)
         translation = np.ascontiguousarray(start.translation)
-        rig, contours = Rig.of(named.cameras), outlines.contours
+        rig, contours = named.rig, outlines.contours
         if prior is not None and outlines.instants != {time_s}:
             contours = contours._replace(motion=outlines.moved(prior, time_s))
         fit = solve_contours(
@@ -161,7 +161,6 @@ class ContoursSolver(PoseSolver):
             return None
 
     def _pose(self, fit: Solution, outlines: Outlines, time_s: float) -> Pose:
-        balls = set(outlines.named.balls)
         return Pose(
             time_s=time_s,
             world_from_body=RigidTransform(fit.rotation, fit.translation),
@@ -169,7 +168,7 @@ class ContoursSolver(PoseSolver):
             residual_mm=fit.residual_mm,
             rms_px=fit.rms_px,
             cameras=outlines.named.seen_by,
-            balls=tuple(name for name in self.body.names if name in balls),
+            balls=outlines.named.shown,
             flags=self._flags(fit, outlines),
         )
 
@@ -180,7 +179,7 @@ class ContoursSolver(PoseSolver):
             off = math.hypot(right, down)
             if off > limit and _beyond(seen.covariance_px, right, down):
                 flags.append(f"{seen.ball} in {seen.camera} sits {off:.1f} px off the fit")
-        balls = len(set(outlines.named.balls))
+        balls = len(outlines.named.shown)
         if balls < 3:
             flags.append(f"only {balls} balls seen: part of the pose is from the prediction")
         if len(outlines.named.seen_by) < 2:
