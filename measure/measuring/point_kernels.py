@@ -109,10 +109,19 @@ def camera_noise(
 ) -> Floats:
     """What uncertain cameras add to the covariances (n, 2, 2) of the pixels of points (n, 3)."""
     out = np.zeros((len(seen), 2, 2))
-    if not np.any(covariances):
+    if not _any_uncertain(covariances):
         return out
     _, _, by_pose = sensitivities(lenses, reach, rotation, centers, seen, min_depth)
     by_camera = by_cameras(lenses, rotation, centers, seen, by_pose, covariances)
     for i in range(len(seen)):
         out[i] = by_camera[i] @ covariances[i] @ by_camera[i].T
     return out
+
+
+@compiled
+def _any_uncertain(covariances: Floats) -> bool:
+    """Whether `by_cameras` has anything to tell of any camera."""
+    for i in range(len(covariances)):
+        if covariances[i, 0, 0] > 0 or covariances[i, 6, 6] > 0:
+            return True
+    return False
