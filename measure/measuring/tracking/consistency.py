@@ -44,15 +44,16 @@ def inconsistencies(
         own_px: standard deviation of what a sighting is off by besides its noise.
         confidence: what is less likely than this is doubted.
     """
-    believed = [view for view in views if view.effective and view.detection is not None]
     variances = {
-        (v.ball, v.camera): v.detection.variance_px2 for v in believed if v.detection is not None
+        (v.ball, v.camera): v.detection.variance_px2
+        for v in views
+        if v.effective and v.detection is not None
     }
     found = tuple(_disbelieved(views))
     found += tuple(_balls_aside(pose, fixes, variances, body, own_px, confidence))
     found += tuple(_cameras_aside(residuals_px, variances, own_px, confidence))
-    if len(believed) < _LEAST_SIGHTINGS:
-        found += (f"only {len(believed)} sightings of balls: little would show a mistake",)
+    if len(variances) < _LEAST_SIGHTINGS:
+        found += (f"only {len(variances)} sightings of balls: little would show a mistake",)
     return found
 
 
