@@ -75,6 +75,7 @@ class Sight:
         scale: px per rad.
         frame: (3, 3) about the axis, see `rays.frame_about`.
         behind: see `behind.mirrored_behind`.
+        distance: of the ball, mm.
     """
 
     pixels: Bytes
@@ -86,6 +87,7 @@ class Sight:
     scale: float
     frame: Floats
     behind: Floats
+    distance: float
 
 
 def as_stated(now: Appearance) -> Appearance:
@@ -285,9 +287,9 @@ def _residuals(
 
 def _ambient(sight: Sight, appearance: Appearance, tables: Radial) -> Ambient:
     """What the appearance says of the light round a ball."""
-    lamps = seen_from(appearance.lamps, sight.frame)
+    lamps = seen_from(appearance.lamps, sight.frame, sight.distance)
     return Ambient(
-        lamp_light(tables.diffuse, sight.around, lamps),
+        lamp_light(tables.diffuse, tables.kept_out[0], sight.around, lamps),
         room_light(appearance.room, tables.grey, sight.frame, sight.half_angle, sight.around),
         sight.behind,
     )

@@ -196,6 +196,7 @@ def _search(expected: Expected, i: int, rays: int, min_contrast: float, margin_p
         rays,
         min_contrast,
         margin_px,
+        expected.cones[i, 4],
         expected.gains[i],
     )
 

@@ -46,6 +46,8 @@ def balls_behind(cone: Floats, cones: Floats) -> Floats:
 def mirrored_behind(behind: Floats, frame: Floats, half_angle: float, around: Floats) -> Floats:
     """How much of what each ray mirrors from about `DEFLECTIONS` is the ball behind its outline.
 
+    Where several stand behind one another, that is the first.
+
     Args:
         behind: (m, 4) see `balls_behind`.
         frame: (3, 3) about the ball's axis, see `rays.frame_about`.
@@ -56,18 +58,19 @@ def mirrored_behind(behind: Floats, frame: Floats, half_angle: float, around: Fl
         Shares (k, n); -1 on rays before no ball, and (k, 0) if all are.
     """
     shares, found = np.full((len(DEFLECTIONS), len(around)), -1.0), False
-    for b in range(len(behind)):
-        for i in range(len(around)):
-            ends = _ends(behind[b], frame, half_angle, around[i])
-            if ends > 0:
-                found = True
+    for i in range(len(around)):
+        first = np.inf
+        for b in range(len(behind)):
+            ends, begins = _ends(behind[b], frame, half_angle, around[i])
+            if ends > 0 and begins < first:
+                first, found = begins, True
                 for k in range(len(DEFLECTIONS)):
                     shares[k, i] = min(max((ends - DEFLECTIONS[k]) / _SPACING + 0.5, 0.0), 1.0)
     return shares if found else np.empty((len(DEFLECTIONS), 0))
 
 
 @compiled
-def _ends(ball: Floats, frame: Floats, half_angle: float, around: Floats) -> float:
+def _ends(ball: Floats, frame: Floats, half_angle: float, around: Floats) -> tuple[float, float]:
     """Deflection in rad at which a line of sight past the outline leaves the ball behind it.
 
     Args:
@@ -77,7 +80,8 @@ def _ends(ball: Floats, frame: Floats, half_angle: float, around: Floats) -> flo
         around: (2,) where on the outline.
 
     Returns:
-        Not above 0 where the line of sight does not meet the ball undeflected.
+        That, not above 0 where the line of sight does not meet the ball undeflected; and how far
+        behind the outline it meets it, in radii of the ball before.
     """
     along, aside = np.cos(half_angle), np.sin(half_angle)
     up, ahead, sideways = -1.0, 0.0, 0.0  # of the ball's centre, from the outline
@@ -89,8 +93,9 @@ def _ends(ball: Floats, frame: Floats, half_angle: float, around: Floats) -> flo
     square = ball[3] * ball[3] - sideways * sideways
     far = ahead * ahead + up * up
     if square <= 0 or far <= square or ahead <= 0 or up * up >= square:
-        return 0.0
-    return float(np.arctan2(up, ahead) + np.arcsin(np.sqrt(square / far)))
+        return 0.0, np.inf
+    ends = np.arctan2(up, ahead) + np.arcsin(np.sqrt(square / far))
+    return float(ends), float(ahead - np.sqrt(square - up * up))
 
 
 @compiled

@@ -1,8 +1,11 @@
 """How a handful of lamps light a ball.
 
 A lamp lights a surface by the cosine towards it, and not at all beyond its terminator. A polynomial
-of the normal runs on there, past zero, just where a ball lit from above has its dark limb.
-Lamps are rows (k, 4): the unit direction towards one, and its irradiance in any unit.
+of the normal runs on there, past zero, just where a ball lit from above has its dark limb. What
+enters a glossy surface slantwise is weakened as what leaves it is, so lamps set gradually.
+Lamps are rows (k, 4): where one is in the camera frame, in mm, and its irradiance a metre away, in
+any unit; seen from a ball, the unit direction towards it, and its irradiance there. They are near:
+a terminator is elsewhere on each ball.
 """
 
 from __future__ import annotations
@@ -15,6 +18,8 @@ from measure.geometry.linear_kernels import cholesky, solve_factored
 from measure_plugins._edges.selection import halved
 from measure_plugins._edges.shading import every_second
 
+REFERENCE_MM = 1000.0
+"""A lamp's irradiance is what it gives at this distance."""
 _ROUNDS = 4
 _COLUMNS = 5
 _FITTED_RAYS = 36
@@ -33,25 +38,35 @@ def no_lamps() -> Floats:
 
 
 @compiled
-def seen_from(lamps: Floats, frame: Floats) -> Floats:
-    """Lamps (k, 4) in the frame (3, 3) about an axis, see `rays.frame_about`."""
-    out = lamps.copy()
+def seen_from(lamps: Floats, frame: Floats, distance: float) -> Floats:
+    """Lamps (k, 4) as a ball sees them, in the frame about its axis.
+
+    Args:
+        lamps: (k, 4) in the camera frame.
+        frame: (3, 3) see `rays.frame_about`.
+        distance: of the ball, mm.
+    """
+    out, way = np.empty_like(lamps), np.empty(3)
     for k in range(len(lamps)):
         for a in range(3):
-            out[k, a] = (
-                frame[a, 0] * lamps[k, 0] + frame[a, 1] * lamps[k, 1] + frame[a, 2] * lamps[k, 2]
-            )
+            way[a] = lamps[k, a] - distance * frame[2, a]
+        square = way[0] * way[0] + way[1] * way[1] + way[2] * way[2]
+        per = 1 / np.sqrt(square)
+        for a in range(3):
+            out[k, a] = per * (frame[a, 0] * way[0] + frame[a, 1] * way[1] + frame[a, 2] * way[2])
+        out[k, 3] = lamps[k, 3] * REFERENCE_MM**2 / square
     return out
 
 
 @compiled
-def lamp_light(diffuse: Floats, around: Floats, lamps: Floats) -> Floats:
+def lamp_light(diffuse: Floats, kept_out: float, around: Floats, lamps: Floats) -> Floats:
     """Light (m, n) the lamps draw from a ball, along its rays; empty (0, n) without lamps.
 
     Args:
         diffuse: (m, 6) see `radial.Radial`.
+        kept_out: see `radial.Radial`.
         around: (n, 2) cosine and sine around the axis.
-        lamps: (k, 4) in the frame about the axis.
+        lamps: (k, 4) seen from the ball.
     """
     m, n = len(diffuse), len(around)
     out, sideways = np.zeros((m if len(lamps) > 0 else 0, n)), np.empty(n)
@@ -62,9 +77,14 @@ def lamp_light(diffuse: Floats, around: Floats, lamps: Floats) -> Floats:
         for j in range(m):
             facing, aside = -power * z * diffuse[j, FACING], diffuse[j, ASIDE]
             if diffuse[j, UNIFORM] > _NOTHING:
+                per_full = 1 / (power * diffuse[j, UNIFORM])
                 for i in range(n):
                     light = facing + aside * sideways[i]
-                    out[j, i] += light if light > 0.0 else 0.0
+                    light = light if light > 0.0 else 0.0
+                    slant = 1 - light * per_full
+                    slant = slant if slant > 0.0 else 0.0
+                    square = slant * slant
+                    out[j, i] += light * (1 - kept_out * square * square * slant)
     return out
 
 

@@ -1,8 +1,9 @@
 """Learning where the light on a camera's balls comes from.
 
-Many directions are tried at once, each with an irradiance that cannot be negative: that leaves a
+Many places are tried at once, each with an irradiance that cannot be negative: that leaves a
 handful. They are the same for all balls and pictures of a camera, so that what one ball hides in
-its shade another shows; each ball has an albedo of its own.
+its shade another shows; each ball has an albedo of its own. Light from all round, which changes
+evenly from one side to the other, needs no lamps, and must not pass for many.
 
 Sums over pixels are loops of our own: a linear algebra library parts products of this size among
 threads, which wait for one another where cameras are measured side by side.
@@ -20,19 +21,32 @@ from measure.compiling import compiled
 from measure_plugins._edges.appearance import Appearance
 from measure_plugins._edges.appearance_fit import Sight, misfits, telling
 from measure_plugins._edges.corrected import sampled_light
-from measure_plugins._edges.lamps import lamp_light, no_lamps, seen_from
+from measure_plugins._edges.lamps import (
+    ASIDE,
+    FACING,
+    REFERENCE_MM,
+    UNIFORM,
+    lamp_light,
+    no_lamps,
+    seen_from,
+)
 from measure_plugins._edges.prediction import split_light
 from measure_plugins._edges.radial import STEPS, Radial
 
 _DIRECTIONS = 100
+_AWAY_MM = 1000.0
+"""How far lamps are taken to be from the balls, between those on a desk and those on a ceiling;
+further only where the camera is."""
 _LAST_PX = -1.0
 """Pixels nearer to the outline are left to what is found there later."""
 _EVERY = 2
+_ALL_ROUND = 6
+"""Columns of `_from_all_round`."""
 _ROUNDS = 4
-_SWEEPS = 40
-_SPREAD = 0.01
-"""Ridge, as a share of the mean of the normal matrix's diagonal: lamps have a size, so light is
-rather shared by neighbouring directions than given to one."""
+_SWEEPS = 400
+_SPREAD = 3e-4
+"""Ridge, as a share of the mean of the normal matrix's diagonal: where pictures do not tell, light
+is rather shared by neighbouring places than given to one."""
 _FAINT = 0.01
 """Lamps that give less than this share of the light are left out."""
 
@@ -52,27 +66,30 @@ def with_lamps(sights: Sequence[Sight], appearance: Appearance) -> Appearance:
 
 def learn_lamps(sights: Sequence[Sight], appearance: Appearance) -> Floats:
     """Lamps (k, 4) in the camera's frame that explain the balls' shading, robustly."""
-    directions, table = _directions(_DIRECTIONS), appearance.table
+    lamps = _directions(_DIRECTIONS)
+    middle = np.mean([sight.distance * sight.frame[2] for sight in sights], axis=0)
+    away = max(_AWAY_MM, float(np.linalg.norm(middle)))
+    lamps[:, :3], lamps[:, 3] = middle + away * lamps[:, :3], (away / REFERENCE_MM) ** 2
     shares, seen = [], []
     for sight in sights:
         tables = appearance.tables(sight.half_angle * sight.scale, sight.half_angle)
-        lamps = seen_from(directions, sight.frame)
         one, amounts = _shaded(
             sight.pixels,
-            table,
+            appearance.table,
             sight.points,
             sight.normals,
             sight.around,
             sight.free.copy(),
             tables,
-            lamps,
+            sight.frame,
+            seen_from(lamps, sight.frame, sight.distance),
         )
         shares.append(one)
         bright = max(float(np.quantile(amounts, 0.9)), 1e-6)
         seen.append(amounts / bright)
-    power = powers(shares, seen)
-    kept = power > _FAINT * power.sum()
-    return np.column_stack([directions[kept, :3], power[kept]])
+    power = powers(shares, seen)[:_DIRECTIONS]
+    lamps[:, 3] *= power
+    return lamps[power > _FAINT * power.sum()]
 
 
 def _directions(count: int) -> Floats:
@@ -84,7 +101,7 @@ def _directions(count: int) -> Floats:
 
 
 def powers(shares: Sequence[Floats], seen: Sequence[Floats]) -> Floats:
-    """Irradiances (k,), none negative, of amounts (p,) by shares (p, k); albedos fitted too."""
+    """Powers (k,), none negative, of amounts (p,) by shares (p, k); albedos fitted too."""
     albedo, weights = np.ones(len(seen)), [np.ones(len(one)) for one in seen]
     power = np.zeros(shares[0].shape[1])
     for _ in range(_ROUNDS):
@@ -151,19 +168,41 @@ def _shaded(
     around: Floats,
     free: Floats,
     tables: Radial,
+    frame: Floats,
     lamps: Floats,
 ) -> tuple[Floats, Floats]:
-    """What each lamp would give (p, k) at a ball's clear pixels; the amounts (p,) seen there."""
+    """What each lamp would give at a ball's clear pixels, and what light from all round would.
+
+    Returns:
+        That (p, k + 6), see `_from_all_round`; and the amounts (p,) seen there.
+    """
     light, background = sampled_light(pixels, table, points, normals, free)
     inside = int(np.searchsorted(STEPS, _LAST_PX, side="right"))
     _, amounts, _, _ = split_light(light, free, background, STEPS, tables, inside)
-    used = np.arange(0, inside, _EVERY)
-    clear = np.nonzero(free == 0)[0]
-    rows, angles, out = (
-        tables.diffuse[used],
-        around[clear],
-        np.empty((len(used) * len(clear), len(lamps))),
-    )
+    used, clear = np.arange(0, inside, _EVERY), np.nonzero(free == 0)[0]
+    rows, angles = tables.diffuse[used], around[clear]
+    out = np.empty((len(used), len(clear), len(lamps) + _ALL_ROUND))
     for k in range(len(lamps)):
-        out[:, k] = lamp_light(rows, angles, lamps[k : k + 1]).reshape(-1)
-    return out, amounts[used][:, clear].copy().reshape(-1)
+        out[:, :, k] = lamp_light(rows, tables.kept_out[0], angles, lamps[k : k + 1])
+    _from_all_round(rows, angles, frame, out[:, :, len(lamps) :])
+    seen = amounts[used][:, clear].copy()
+    return out.reshape(seen.size, len(lamps) + _ALL_ROUND), seen.reshape(-1)
+
+
+@compiled
+def _from_all_round(diffuse: Floats, around: Floats, frame: Floats, out: Floats) -> None:
+    """Fill in the light (m, n, 6) of skies that fade evenly, all from one side to none opposite.
+
+    Args:
+        diffuse: (m, 6) see `radial.Radial`.
+        around: (n, 2) cosine and sine around the axis.
+        frame: (3, 3) about it.
+        out: by the side from which most comes: either way along the camera's x, y and z.
+    """
+    for a in range(3):
+        for i in range(len(around)):
+            sideways = around[i, 0] * frame[0, a] + around[i, 1] * frame[1, a]
+            for j in range(len(diffuse)):
+                even = diffuse[j, UNIFORM]
+                leaning = diffuse[j, ASIDE] * sideways - diffuse[j, FACING] * frame[2, a]
+                out[j, i, 2 * a], out[j, i, 2 * a + 1] = even + leaning, even - leaning

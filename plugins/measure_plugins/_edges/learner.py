@@ -118,7 +118,7 @@ class AppearanceLearner:
         return backdrop_of(pixels, self._lens, rows.reshape(-1, 4))
 
     def _sight(self, pixels: Bytes, cone: Cone, all_cones: Sequence[Cone]) -> Sight:
-        axis, half_angle, _ = cone
+        axis, half_angle, distance = cone
         rows = np.array([[*a, h, d] for a, h, d in (cone, *all_cones)])
         nearer, frame = balls_nearer(rows[0], rows), frame_about(axis)
         points, normals, scale, around = cast_rays(frame, half_angle, self._rays, self._lens)
@@ -127,7 +127,7 @@ class AppearanceLearner:
         part, corner = _cut(pixels, points)
         behind = mirrored_behind(balls_behind(rows[0], rows), frame, half_angle, around)
         at, scale_px = points - corner, float(np.mean(scale))
-        return Sight(part, at, normals, around, free, half_angle, scale_px, frame, behind)
+        return Sight(part, at, normals, around, free, half_angle, scale_px, frame, behind, distance)
 
 
 def _cut(pixels: Bytes, points: Floats) -> tuple[Bytes, Floats]:

@@ -73,6 +73,7 @@ class Search(NamedTuple):
         rays: number of rays.
         min_contrast: least difference of inside and outside, in picture values from 0 to 1.
         margin_px: distance to keep from nearer balls.
+        distance: of the ball, mm; unused where its size is not known.
         gain: (2, 2) see `gain.measured_gain`; used for corrected edges only.
     """
 
@@ -84,6 +85,7 @@ class Search(NamedTuple):
     rays: int
     min_contrast: float
     margin_px: float
+    distance: float
     gain: Floats
 
 
@@ -173,9 +175,9 @@ def light_about(view: View, search: Search, axis: Floats, radial: Radial) -> Amb
     Looks a few pixels away may use it too: lamps and walls are far, a degree does not matter.
     """
     frame, around = frame_about(axis), middle_angles(angles_around(search.rays))
-    lit = lamp_light(radial.diffuse, around, seen_from(view.lamps, frame))
+    lamps = seen_from(view.lamps, frame, search.distance)
     return Ambient(
-        lit,
+        lamp_light(radial.diffuse, radial.kept_out[0], around, lamps),
         room_light(view.room, radial.grey, frame, search.half_angle, around),
         mirrored_behind(search.behind, frame, search.half_angle, around),
     )

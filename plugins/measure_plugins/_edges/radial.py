@@ -30,6 +30,8 @@ BLUR_PX = 1.0
 _FINE = np.arange(-24.0, 12.01, 0.25)
 _GREY_RANGE = (-13.0, 0.6)
 _GREY_STIFFNESS = 0.02
+_SLANTING = 0.3
+"""Cosine at which Schlick's formula is fitted to a surface."""
 FADE_RAD = np.radians(40)
 _LOBES = 6
 
@@ -42,6 +44,8 @@ class Radial(NamedTuple):
         grey: (m, k) of light reflected from the directions around each of `DEFLECTIONS`.
         nearby: (m,) of what is right behind the ball, mirrored at grazing angles.
         outside: (m,) of the surroundings past the outline.
+        kept_out: (1,) share of light entering ever more slantwise that is reflected off in the
+            end; it is (1 - cosine)^5 times as much before (Schlick 1994).
         solve_grey: (k, m) from a profile to the reflected light; grows smooth where unseen.
         tie_grey: (k,) the same for what is known at the outline: the surroundings.
     """
@@ -50,6 +54,7 @@ class Radial(NamedTuple):
     grey: Floats
     nearby: Floats
     outside: Floats
+    kept_out: Floats
     solve_grey: Floats
     tie_grey: Floats
 
@@ -91,14 +96,15 @@ def _packed(sizes: tuple[tuple[int, int, int], ...], index: float, mirrors: bool
 def unpacked(row: Floats) -> Radial:
     """The tables of a row of `packed_radials`."""
     m, k, lobes = len(STEPS), len(DEFLECTIONS), _LOBES
-    ends = np.cumsum(np.array([m * lobes, m * k, m, m, k * m, k]))
+    ends = np.cumsum(np.array([m * lobes, m * k, m, m, 1, k * m, k]))
     return Radial(
         row[: ends[0]].reshape(m, lobes),
         row[ends[0] : ends[1]].reshape(m, k),
         row[ends[1] : ends[2]],
         row[ends[2] : ends[3]],
-        row[ends[3] : ends[4]].reshape(k, m),
-        row[ends[4] :],
+        row[ends[3] : ends[4]],
+        row[ends[4] : ends[5]].reshape(k, m),
+        row[ends[5] :],
     )
 
 
@@ -120,9 +126,15 @@ def _radial(radius4: int, angle200: int, blur20: int, index: float, mirrors: boo
         grey=grey,
         nearby=mirrors * blur @ (mirrored * np.clip(1 - deflection / FADE_RAD, 0, 1)),
         outside=blur @ (1 - inside),
+        kept_out=_kept_out(index),
         solve_grey=solve,
         tie_grey=tie,
     )
+
+
+def _kept_out(index: float) -> Floats:
+    straight, slanting = fresnel(np.array([1.0, _SLANTING]), index)
+    return np.array([min((slanting - straight) / (1 - straight) / (1 - _SLANTING) ** 5, 1.0)])
 
 
 def fresnel(cosine: Floats, index: float) -> Floats:

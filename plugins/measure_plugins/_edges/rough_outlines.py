@@ -87,7 +87,7 @@ def unhidden(
 ) -> Search:
     """How to look for an outline when nobody knows of any ball in front of it."""
     none, unknown = np.empty((0, 4)), np.eye(2)
-    return Search(axis, half_angle, none, none, far, rays, min_contrast, margin_px, unknown)
+    return Search(axis, half_angle, none, none, far, rays, min_contrast, margin_px, np.inf, unknown)
 
 
 @compiled

@@ -67,6 +67,23 @@ def test_geometry_is_tried_with_balls_before_each_other():
     assert mirrored_behind(balls[:0], frame_about(cone[:3]), cone[3], angles_around(RAYS)).size == 0
 
 
+def test_of_balls_behind_each_other_the_first_is_mirrored_in_whatever_order_they_come():
+    cone = _cone(np.array([0.0, 0, 400]), 16)
+    near, far = _cone(np.array([0.0, 20, 440]), 16), _cone(np.array([0.0, 30, 520]), 16)
+    frame, around = frame_about(cone[:3]), angles_around(RAYS)
+
+    def shares(*others):
+        balls = balls_behind(cone, np.array([cone, *others]))
+        return mirrored_behind(balls, frame, cone[3], around)
+
+    alone, further = shares(near), shares(far)
+    both = (alone[0] > 0) & (further[0] > 0)
+    assert np.count_nonzero(both) > 5
+    assert np.abs(alone - further)[:, both].max() > 0.2
+    for found in (shares(near, far), shares(far, near)):
+        assert np.array_equal(found, np.where(alone[0] > 0, alone, further))
+
+
 @pytest.mark.parametrize(("index", "mirrors"), [(MATT, True), (GLOSSY, False)])
 def test_balls_that_mirror_no_surroundings_mirror_no_ball(index, mirrors):
     tables = radial(60.0, 0.045, 1.0, index, mirrors)
@@ -106,7 +123,7 @@ def _mean_error(view, known):
     tables = appearance.tables(half_angle * float(np.mean(scale)), half_angle)
     middles = middle_angles(around)
     shares = mirrored_behind(balls_behind(rows[green], rows), frame, half_angle, middles)
-    lit = lamp_light(tables.diffuse, middles, appearance.lamps)
+    lit = lamp_light(tables.diffuse, tables.kept_out[0], middles, appearance.lamps)
     told = shares if known else shares[:, :0].copy()
     edges = corrected_edges(
         pixels,

@@ -18,6 +18,7 @@ from tests.plugins.detectors.drawing import expect, image_of
 
 _ASIDE_PX = 0.3
 _UNKNOWN = np.eye(2)
+_NO_LAMPS_MM = 300.0  # only lamps ask how far a ball is, and there are none
 
 
 def sight(camera_name):
@@ -56,7 +57,7 @@ def balls(scene_view):
 
 def search_for(axis, half_angle, gain=_UNKNOWN):
     none = np.empty((0, 4))
-    return Search(axis, half_angle, none, none, 0.0, 72, 0.06, 7.0, gain)
+    return Search(axis, half_angle, none, none, 0.0, 72, 0.06, 7.0, _NO_LAMPS_MM, gain)
 
 
 def looked(view, axis, half_angle, radial, gain):

@@ -12,6 +12,7 @@ from scipy.optimize import nnls
 from measure.cores import usable_cores
 from measure.simulation import Renderer
 from measure.simulation.catalogue import plain_scene
+from measure_plugins._edges.appearance import MATT
 from measure_plugins._edges.corrected import corrected_edges
 from measure_plugins._edges.lamps import fit_lamp_light, lamp_body, lamp_light, no_lamps, seen_from
 from measure_plugins._edges.lamps_fit import non_negative
@@ -29,26 +30,56 @@ AROUND = np.column_stack([np.cos(TURNS), np.sin(TURNS)])
 USED = int(np.searchsorted(STEPS, 1.0, side="right"))
 
 
+KEPT_OUT = float(TABLES.kept_out[0])
+
+
 def _lamp(direction, power=1.0):
     unit = np.array(direction) / np.linalg.norm(direction)
     return np.array([[*unit, power]])
 
 
-def test_a_lamp_lights_by_the_cosine_and_not_beyond_its_terminator():
-    lamp = _lamp([0.0, -0.8, 0.6])  # from behind the ball, as a lamp overhead often is
-    j = int(np.searchsorted(STEPS, -8.0))
+def _normals(j):
+    """Normals (72, 3) at step j of the rays, in the frame about the axis; incidence in rad."""
     beta = HALF_ANGLE * (1 + STEPS[j] / RADIUS_PX)
     incidence = np.arcsin(np.sin(beta) / np.sin(HALF_ANGLE))
     tilt = incidence - beta
-    normals = np.column_stack([np.sin(tilt) * AROUND, np.full(72, -np.cos(tilt))])
-    crossing = 1 - fresnel(np.array([np.cos(incidence)]), 1.5)[0]
-    expected = crossing * np.maximum(normals @ lamp[0, :3], 0)
-    assert lamp_light(TABLES.diffuse, AROUND, lamp)[j] == pytest.approx(expected, abs=0.01)
+    return np.column_stack([np.sin(tilt) * AROUND, np.full(72, -np.cos(tilt))]), incidence
+
+
+def test_a_lamp_lights_by_the_cosine_and_not_beyond_its_terminator():
+    lamp = _lamp([0.0, -0.8, 0.6], 2.0)  # from behind the ball, as a lamp overhead often is
+    matt, j = radial(RADIUS_PX, HALF_ANGLE, 0.9, MATT), int(np.searchsorted(STEPS, -8.0))
+    expected = 2 * np.maximum(_normals(j)[0] @ lamp[0, :3], 0)
+    lit = lamp_light(matt.diffuse, matt.kept_out[0], AROUND, lamp)[j]
+    assert lit == pytest.approx(expected, abs=0.02)
     assert np.count_nonzero(expected) < 40
 
 
+def test_a_glossy_surface_reflects_what_enters_slantwise_as_it_does_what_leaves():
+    lamp, j = _lamp([0.0, -0.8, 0.6], 2.0), int(np.searchsorted(STEPS, -8.0))
+    normals, incidence = _normals(j)
+    cosine = np.maximum(normals @ lamp[0, :3], 0)
+    entering = (1 - fresnel(cosine, 1.5)) / (1 - fresnel(np.ones(1), 1.5))
+    leaving = 1 - fresnel(np.array([np.cos(incidence)]), 1.5)[0]
+    lit = lamp_light(TABLES.diffuse, KEPT_OUT, AROUND, lamp)[j]
+    assert lit == pytest.approx(2 * cosine * entering * leaving, abs=0.03)
+    unweakened = lamp_light(TABLES.diffuse, 0.0, AROUND, lamp)[j]
+    assert np.max(unweakened - lit) > 0.1
+
+
+def test_a_lamp_nearby_is_elsewhere_for_another_ball():
+    lamp = np.array([[0.0, -800.0, 300.0, 0.5]])  # above the camera, mm
+    left, right = np.array([-0.2, 0.0, 1.0]), np.array([0.2, 0.0, 1.0])
+    for axis in (left / np.linalg.norm(left), right / np.linalg.norm(right)):
+        frame, ball = frame_about(axis), 400 * axis
+        seen = seen_from(lamp, frame, 400.0)[0]
+        way = lamp[0, :3] - ball
+        assert frame.T @ seen[:3] == pytest.approx(way / np.linalg.norm(way))
+        assert seen[3] == pytest.approx(0.5 * 1e6 / (way @ way))
+
+
 def test_what_lights_a_ball_is_found_among_pixels_that_do_not_belong():
-    lit = lamp_light(TABLES.diffuse, AROUND, _lamp([0.3, -0.9, -0.2]))
+    lit = lamp_light(TABLES.diffuse, KEPT_OUT, AROUND, _lamp([0.3, -0.9, -0.2]))
     true = np.array([0.1, 0.02, -0.03, 0.05, 0.7])
     amounts = lamp_body(true, AROUND, TABLES.diffuse, lit, 0)
     rng, free = np.random.default_rng(1), np.zeros(72)
@@ -145,16 +176,23 @@ def test_learnt_lamps_light_a_ball_as_the_scenes_lamps_do(scene, learnt):
     below = scene.lighting.below
     true += scene.lighting.ambient_rgb[0] * (below + (1 - below) * (1 + normals @ up) / 2)
     assert np.all(learnt.lamps[:, 3] > 0)
-    assert _unlike(learnt.lamps, normals, true) < 0.08
-    from_below = learnt.lamps * [1, -1, 1, 1]
-    assert _unlike(from_below, normals, true) > 0.4
+    at = turn.apply(middle)
+    distance = float(np.linalg.norm(at))
+    frame = frame_about(at / distance)
+    lamps = seen_from(learnt.lamps, frame, distance)
+    lamps[:, :3] = lamps[:, :3] @ frame
+    assert _unlike(lamps, normals, true) < 0.03
+    from_below = lamps * [1, -1, 1, 1]
+    assert _unlike(from_below, normals, true) > 0.1
 
 
 def _unlike(lamps, normals, true):
-    """What is left of true light (n,), as a share, by that of lamps, whatever their power."""
-    found = np.maximum(normals @ lamps[:, :3].T, 0) @ lamps[:, 3]
-    scale = true @ found / (found @ found)
-    return np.sqrt(np.mean((scale * found - true) ** 2) / np.mean(true**2))
+    """What is left of true light (n,), as a share, by that of lamps and light from all round."""
+    cosine = np.maximum(normals @ lamps[:, :3].T, 0)
+    found = (cosine * (1 - KEPT_OUT * (1 - cosine) ** 5)) @ lamps[:, 3]
+    design = np.column_stack([found, np.ones(len(normals)), normals])
+    left = true - design @ np.linalg.lstsq(design, true, rcond=None)[0]
+    return np.sqrt(np.mean(left**2) / np.mean(true**2))
 
 
 def test_edges_on_the_dark_side_lie_nearer_to_the_outline_with_lamps(scene, learnt):
@@ -170,7 +208,7 @@ def _mean_errors(scene, appearance):
     camera, pose = scene.camera(CAMERA), scene.trajectory.at(np.array([0.0]))[0]
     pixels = Renderer(scene, CAMERA).picture(0.0)
     dark, bright, table = [], [], appearance.table
-    for ball, (axis, half_angle, _) in zip(
+    for ball, (axis, half_angle, distance) in zip(
         scene.body.balls, cones(scene, scene.camera(CAMERA), 0.0), strict=True
     ):
         frame = frame_about(axis)
@@ -188,7 +226,10 @@ def _mean_errors(scene, appearance):
             tables,
             Ambient(
                 lamp_light(
-                    tables.diffuse, middle_angles(around), seen_from(appearance.lamps, frame)
+                    tables.diffuse,
+                    tables.kept_out[0],
+                    middle_angles(around),
+                    seen_from(appearance.lamps, frame, distance),
                 ),
                 np.zeros((3, 0, 36)),
                 np.zeros((8, 0)),
@@ -208,3 +249,10 @@ def _mean_errors(scene, appearance):
 
 def test_pictures_that_no_lamps_explain_teach_none(scene):
     assert len(lessons(scene, CAMERA, _upside_down(scene))[-1].lamps) == 0
+
+
+def test_light_from_all_round_passes_for_no_lamps(scene):
+    """More of it comes from above: that needs no lamps either."""
+    dull = replace(scene, lighting=replace(scene.lighting, lights=(), ambient_rgb=(0.6, 0.6, 0.6)))
+    assert len(lessons(dull, CAMERA)[-1].lamps) == 0
+    assert len(lessons(scene, CAMERA)[-1].lamps) > 1
