@@ -76,10 +76,10 @@ def take_lesson(
     start, clear = as_stated(now), unclipped(useful)
     if_straight, if_bent = surface_bounds(useful, start.table)
     unlit = straight_appearance(clear, start, if_straight)
-    straight, bent = with_lamps(useful, unlit), bent_appearance(clear, unlit, if_bent)
+    straight, bent = with_lamps(clear, unlit), bent_appearance(clear, unlit, if_bent)
     left = left_by(bent, unlit, clear)
     if believe_bent or left < _HOPELESS:
-        bent = with_lamps(useful, refined_bends(clear, with_lamps(useful, bent)))
+        bent = with_lamps(clear, refined_bends(clear, with_lamps(clear, bent)))
         left = left_by(bent, straight, clear)
     believed = left < (_BELIEVED_BENT if believe_bent else _BENT_BELOW)
     in_room = with_room(useful, bent if believed else straight, backdrops)
