@@ -214,15 +214,15 @@ class PredictiveTracker:
         keys = [windows.keys[row] for row in rows]
         reasons = self._gate(windows, rows, [best[key] for key in keys])
         judged = dict(zip(keys, reasons, strict=True))
-        views, good, effective = [], Reason.NONE, State.EFFECTIVE
+        views = []
         for key in self._keys:
             camera, ball = key
             reason = judged.get(key)
             if reason is None:
                 reason = Reason.NOT_FOUND if camera in frame_set.images else Reason.NO_IMAGE
-            if self._waiting or reason is not good:
+            if self._waiting or reason is not Reason.NONE:
                 reason = self._patience(key, reason)
-            state = effective if reason is good else State.SUSPENDED
+            state = State.EFFECTIVE if reason is Reason.NONE else State.SUSPENDED
             views.append(BallView(ball, camera, state, reason, best.get(key)))
         return tuple(views)
 

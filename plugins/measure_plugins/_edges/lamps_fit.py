@@ -66,10 +66,7 @@ def with_lamps(sights: Sequence[Sight], appearance: Appearance) -> Appearance:
 
 def learn_lamps(sights: Sequence[Sight], appearance: Appearance) -> Floats:
     """Lamps (k, 4) in the camera's frame that explain the balls' shading, robustly."""
-    lamps = _directions(_DIRECTIONS)
-    middle = np.mean([sight.distance * sight.frame[2] for sight in sights], axis=0)
-    away = max(_AWAY_MM, float(np.linalg.norm(middle)))
-    lamps[:, :3], lamps[:, 3] = middle + away * lamps[:, :3], (away / REFERENCE_MM) ** 2
+    lamps = _all_round(np.mean([sight.distance * sight.frame[2] for sight in sights], axis=0))
     shares, seen = [], []
     for sight in sights:
         tables = appearance.tables(sight.half_angle * sight.scale, sight.half_angle)
@@ -87,17 +84,19 @@ def learn_lamps(sights: Sequence[Sight], appearance: Appearance) -> Floats:
         shares.append(one)
         bright = max(float(np.quantile(amounts, 0.9)), 1e-6)
         seen.append(amounts / bright)
-    power = powers(shares, seen)[:_DIRECTIONS]
+    power = powers(shares, seen)[: len(lamps)]
     lamps[:, 3] *= power
     return lamps[power > _FAINT * power.sum()]
 
 
-def _directions(count: int) -> Floats:
-    """Lamps (count, 4) of unit power, spread evenly over the sphere on a spiral."""
-    i = np.arange(count) + 0.5
-    height, turn = 1 - 2 * i / count, np.pi * (1 + np.sqrt(5.0)) * i
-    aside = np.sqrt(1 - height**2)
-    return np.column_stack([aside * np.cos(turn), aside * np.sin(turn), height, np.ones(count)])
+def _all_round(middle: Floats) -> Floats:
+    """Lamps (k, 4) of irradiance 1 at a place (3,) in mm, evenly round it on a spiral."""
+    i = np.arange(_DIRECTIONS) + 0.5
+    height, turn = 1 - 2 * i / _DIRECTIONS, np.pi * (1 + np.sqrt(5.0)) * i
+    aside, away = np.sqrt(1 - height**2), max(_AWAY_MM, float(np.linalg.norm(middle)))
+    directions = np.column_stack([aside * np.cos(turn), aside * np.sin(turn), height])
+    power = np.full(_DIRECTIONS, (away / REFERENCE_MM) ** 2)
+    return np.column_stack([middle + away * directions, power])
 
 
 def powers(shares: Sequence[Floats], seen: Sequence[Floats]) -> Floats:

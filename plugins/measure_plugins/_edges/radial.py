@@ -133,6 +133,7 @@ def _radial(radius4: int, angle200: int, blur20: int, index: float, mirrors: boo
 
 
 def _kept_out(index: float) -> Floats:
+    """See `Radial`: 0 of paint without a boundary, 1 of clear plastic."""
     straight, slanting = fresnel(np.array([1.0, _SLANTING]), index)
     return np.array([min((slanting - straight) / (1 - straight) / (1 - _SLANTING) ** 5, 1.0)])
 
