@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from measure.geometry import RigidTransform
+from measure.model import Camera
 from measure.simulation.presets import (
     MATT,
     PLASTIC,
@@ -130,6 +132,11 @@ def async_scene(seed: int = 4) -> Scene:
     )
 
 
+def rolling(cameras: Sequence[Camera], row_time_s: float) -> tuple[Camera, ...]:
+    """Cameras whose calibration says that their shutters roll, by so much from row to row."""
+    return tuple(replace(c, readout_s=row_time_s * c.intrinsics.size_wh[1]) for c in cameras)
+
+
 def scene_catalogue() -> dict[str, Scene]:
     """All scenes by name, built anew.
 
@@ -169,6 +176,7 @@ def scene_catalogue() -> dict[str, Scene]:
             still,
             name="rolling",
             trajectory=motion(9, MotionLimits(slowest_hz=0.3, fastest_hz=0.9)),
+            cameras=rolling(still.cameras, 30e-6),
             sensor=replace(WEBCAM, row_time_s=30e-6),
             description="rolling shutter, 30 us a row",
         ),

@@ -41,8 +41,10 @@ def calibration_toml(cameras: tuple[Camera, ...]) -> str:
             f"distortion = {_row(lens.distortion)}",
             f"quat_wxyz = {_row(pose.quat_wxyz)}",
             f"translation_mm = {_row(pose.translation)}",
-            "",
         ]
+        if camera.readout_s:
+            lines.append(f"readout_s = {camera.readout_s!r}")
+        lines.append("")
     return "\n".join(lines)
 
 

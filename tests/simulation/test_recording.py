@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from measure.session import open_session
+from measure.session import open_session, read_calibration
 from measure.simulation import Sensor, scene_catalogue, write_session
 from measure.simulation.catalogue import async_scene, plain_scene
 from measure.simulation.degraded import (
@@ -19,6 +19,7 @@ from measure.simulation.degraded import (
     with_balls,
     without_balls,
 )
+from measure.simulation.files import calibration_toml
 from measure.simulation.renderer import Renderer
 from measure.simulation.scene import Scene
 
@@ -137,3 +138,12 @@ def test_degraded_calibrations_are_stated_not_true(tmp_path) -> None:
     wrong = misstated_body(scene, {"green": (33.0, 0.0, 0.0)})
     write_session(wrong, [0.0], tmp_path)
     assert open_session(tmp_path).body.centers[0, 0] == 33.0
+
+
+@pytest.mark.parametrize("name", scene_catalogue())
+def test_calibrations_of_scenes_say_how_their_shutters_roll(name, tmp_path) -> None:
+    scene, path = scene_catalogue()[name], tmp_path / "calibration.toml"
+    path.write_text(calibration_toml(scene.cameras))
+    for camera in read_calibration(path).cameras:
+        row_time_s = scene.sensor_of(camera.name).row_time_s
+        assert camera.row_delay_s([1.0, 0.0]) @ [1, -1] == pytest.approx(row_time_s, rel=1e-6)
