@@ -2,8 +2,9 @@
 
 Many places are tried at once, each with an irradiance that cannot be negative: that leaves a
 handful. They are the same for all balls and pictures of a camera, so that what one ball hides in
-its shade another shows; each ball has an albedo of its own. Light from all round, which changes
-evenly from one side to the other, needs no lamps, and must not pass for many.
+its shade another shows, and the same for all cameras; each ball has an albedo of its own. Light
+from all round, which changes evenly from one side to the other, needs no lamps, and must not pass
+for many.
 
 Sums over pixels are loops of our own: a linear algebra library parts products of this size among
 threads, which wait for one another where cameras are measured side by side.
@@ -13,13 +14,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from measure.arrays import Bytes, Floats
 from measure.compiling import compiled
 from measure_plugins._edges.appearance import Appearance
-from measure_plugins._edges.appearance_fit import Sight, misfits, telling
+from measure_plugins._edges.appearance_fit import Sight, misfits
 from measure_plugins._edges.corrected import sampled_light
 from measure_plugins._edges.lamps import (
     ASIDE,
@@ -33,7 +35,7 @@ from measure_plugins._edges.lamps import (
 from measure_plugins._edges.prediction import split_light
 from measure_plugins._edges.radial import STEPS, Radial
 
-_DIRECTIONS = 100
+_DIRECTIONS = 200
 _AWAY_MM = 1000.0
 """How far lamps are taken to be from the balls, between those on a desk and those on a ceiling;
 further only where the camera is."""
@@ -47,26 +49,72 @@ _SWEEPS = 400
 _SPREAD = 3e-4
 """Ridge, as a share of the mean of the normal matrix's diagonal: where pictures do not tell, light
 is rather shared by neighbouring places than given to one."""
+_EXPOSURES = 16
+"""So often are exposures and powers told by one another."""
+_NOTHING = 1e-12
 _FAINT = 0.01
 """Lamps that give less than this share of the light are left out."""
 
 
-def with_lamps(sights: Sequence[Sight], appearance: Appearance) -> Appearance:
-    """The appearance with lamps, if pictures then look more like their predictions."""
-    useful = telling(sights)
-    if not useful:
-        return appearance
+class Light(NamedTuple):
+    """What balls in one camera's pictures say of the light on them: equations of its powers (m,).
+
+    Attributes:
+        places: (k, 4) lamps of irradiance 1 in the camera frame, in the world's directions; the
+            other powers, m - k = 6 of them, are of light from all round, by the world's axes.
+        normal: (m, m) normal equations, per variance of what the light leaves unexplained.
+        right: (m,) their right side.
+    """
+
+    places: Floats
+    normal: Floats
+    right: Floats
+
+
+def with_lamps(sights: Sequence[Sight], appearance: Appearance, light: Light) -> Appearance:
+    """The appearance with the lamps that `light` asks for, if pictures then look more like it."""
     without = replace(appearance, lamps=no_lamps())
-    lit = replace(appearance, lamps=learn_lamps(useful, without))
+    lit = replace(appearance, lamps=lamps_by([light]))
     if len(lit.lamps) == 0:
         return without
-    gain = np.log(misfits(useful, lit) / misfits(useful, without))
+    gain = np.log(misfits(sights, lit) / misfits(sights, without))
     return lit if float(np.mean(gain)) < 0 else without
 
 
-def learn_lamps(sights: Sequence[Sight], appearance: Appearance) -> Floats:
-    """Lamps (k, 4) in the camera's frame that explain the balls' shading, robustly."""
-    lamps = _all_round(np.mean([sight.distance * sight.frame[2] for sight in sights], axis=0))
+def lamps_by(lights: Sequence[Light]) -> Floats:
+    """Lamps (k, 4), in the frame of the first camera, that explain what all the cameras say.
+
+    Cameras see the same light, each by an exposure of its own, which follows from what the powers
+    would be by the light so far.
+
+    Args:
+        lights: of one or more cameras about the same body.
+    """
+    own, others = lights[0], lights[1:]
+    power = _solved(own.normal, own.right, np.zeros(len(own.right)))
+    for _ in range(_EXPOSURES if others else 0):
+        normal, right = own.normal.copy(), own.right.copy()
+        for other in others:
+            expected = max(float(power @ other.normal @ power), _NOTHING)
+            exposure = float(power @ other.right) / expected
+            normal += exposure**2 * other.normal
+            right += exposure * other.right
+        power = _solved(normal, right, power)
+    lamps, power = own.places.copy(), power[: len(own.places)]
+    lamps[:, 3] *= power
+    return lamps[power > _FAINT * power.sum()]
+
+
+def light_on(sights: Sequence[Sight], appearance: Appearance, world_from_camera: Floats) -> Light:
+    """What the balls' shading says of the light, robustly.
+
+    Args:
+        sights: the balls.
+        appearance: how the camera shows them.
+        world_from_camera: (3, 3) how the camera is turned.
+    """
+    middle = np.mean([sight.distance * sight.frame[2] for sight in sights], axis=0)
+    places = _all_round(middle, world_from_camera)
     shares, seen = [], []
     for sight in sights:
         tables = appearance.tables(sight.half_angle * sight.scale, sight.half_angle)
@@ -78,38 +126,37 @@ def learn_lamps(sights: Sequence[Sight], appearance: Appearance) -> Floats:
             sight.around,
             sight.free.copy(),
             tables,
-            sight.frame,
-            seen_from(lamps, sight.frame, sight.distance),
+            sight.frame @ world_from_camera.T,
+            seen_from(places, sight.frame, sight.distance),
         )
         shares.append(one)
         bright = max(float(np.quantile(amounts, 0.9)), 1e-6)
         seen.append(amounts / bright)
-    power = powers(shares, seen)[: len(lamps)]
-    lamps[:, 3] *= power
-    return lamps[power > _FAINT * power.sum()]
+    return Light(places, *equations(shares, seen))
 
 
-def _all_round(middle: Floats) -> Floats:
+def _all_round(middle: Floats, world_from_camera: Floats) -> Floats:
     """Lamps (k, 4) of irradiance 1 at a place (3,) in mm, evenly round it on a spiral."""
     i = np.arange(_DIRECTIONS) + 0.5
     height, turn = 1 - 2 * i / _DIRECTIONS, np.pi * (1 + np.sqrt(5.0)) * i
     aside, away = np.sqrt(1 - height**2), max(_AWAY_MM, float(np.linalg.norm(middle)))
     directions = np.column_stack([aside * np.cos(turn), aside * np.sin(turn), height])
     power = np.full(_DIRECTIONS, (away / REFERENCE_MM) ** 2)
-    return np.column_stack([middle + away * directions, power])
+    return np.column_stack([middle + away * directions @ world_from_camera, power])
 
 
-def powers(shares: Sequence[Floats], seen: Sequence[Floats]) -> Floats:
-    """Powers (k,), none negative, of amounts (p,) by shares (p, k); albedos fitted too."""
+def equations(shares: Sequence[Floats], seen: Sequence[Floats]) -> tuple[Floats, Floats]:
+    """Normal equations (k, k), (k,) of powers, of amounts (p,) by shares (p, k); albedos fitted."""
     albedo, weights = np.ones(len(seen)), [np.ones(len(one)) for one in seen]
-    power = np.zeros(shares[0].shape[1])
-    for _ in range(_ROUNDS):
+    power, variance = np.zeros(shares[0].shape[1]), 1.0
+    for turn in range(_ROUNDS):
         normal, right = np.zeros((len(power), len(power))), np.zeros(len(power))
         for one, amounts, scale, w in zip(shares, seen, albedo, weights, strict=True):
             add_normal(scale * one, w, amounts, normal, right)
-        normal += np.tril(normal, -1).T
-        normal += _SPREAD * np.mean(np.diag(normal)) * np.eye(len(power))
-        power = non_negative(normal, right, power, _SWEEPS)
+        normal, right = (normal + np.tril(normal, -1).T) / variance, right / variance
+        if turn == _ROUNDS - 1:
+            break
+        power, left = _solved(normal, right, power), np.zeros(2)
         for i, (one, amounts) in enumerate(zip(shares, seen, strict=True)):
             lit = _product(one, power)
             off = amounts - albedo[i] * lit
@@ -117,7 +164,15 @@ def powers(shares: Sequence[Floats], seen: Sequence[Floats]) -> Floats:
             weights[i] = np.clip(1 - (off / limit) ** 2, 0, None) ** 4
             shown = weights[i] * lit
             albedo[i] = float(shown @ amounts) / max(float(shown @ lit), 1e-9)
-    return power
+            left += weights[i] @ off**2, weights[i].sum()
+        variance = max(float(left[0] / left[1]), _NOTHING)
+    return normal, right
+
+
+def _solved(normal: Floats, right: Floats, start: Floats) -> Floats:
+    """Powers (m,), none negative, by their normal equations."""
+    ridge = _SPREAD * np.mean(np.diag(normal)) * np.eye(len(right))
+    return non_negative(normal + ridge, right, start, _SWEEPS)
 
 
 @compiled

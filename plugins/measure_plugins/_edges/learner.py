@@ -13,7 +13,7 @@ from measure_plugins._edges.appearance import Appearance
 from measure_plugins._edges.appearance_fit import Sight, misfits
 from measure_plugins._edges.behind import balls_behind, balls_nearer, mirrored_behind
 from measure_plugins._edges.corrected import INSIDE_PX, OUTSIDE_PX
-from measure_plugins._edges.lamps_fit import learn_lamps
+from measure_plugins._edges.lamps_fit import Light, lamps_by, light_on
 from measure_plugins._edges.lesson import Lesson, take_lesson
 from measure_plugins._edges.radial import STEPS
 from measure_plugins._edges.rays import cast_rays, frame_about, ways
@@ -36,14 +36,19 @@ Cone = tuple[Floats, float, float]
 class AppearanceLearner:
     """Counts one camera's pictures; now and then, learns from the balls in one and those before."""
 
-    def __init__(self, lens: Floats, rays: int, margin_px: float) -> None:
-        self._lens, self._rays, self._margin_px = lens, rays, margin_px
+    def __init__(
+        self, lens: Floats, world_from_camera: Floats, rays: int, margin_px: float
+    ) -> None:
+        """Of a camera with this lens row (13,), turned this way in the world (3, 3)."""
+        self._lens, self._world_from_camera = lens, world_from_camera
+        self._rays, self._margin_px = rays, margin_px
         self._count, self._kept, self._due = 0, 1, _FIRST
         self._pictures: deque[list[Sight]] = deque(maxlen=_REMEMBERED)
         self._backdrops: deque[Backdrop] = deque(maxlen=_REMEMBERED)
         self._lessons, self._latest_s = 0, -np.inf
         self._lesson: Lesson | None = None
         self._believe_bent = False
+        self._others: list[Light] = []
 
     @property
     def settled(self) -> bool:
@@ -55,19 +60,26 @@ class AppearanceLearner:
         """The last of enough lessons; None before, and where there was too little to see."""
         return self._lesson if self.settled else None
 
-    def told_bent(self, now: Appearance) -> Appearance:
-        """Believe that the tone curve is bent, as other cameras' is.
+    def told(self, now: Appearance, lessons: Sequence[Lesson], bent: bool) -> Appearance:
+        """Hear what all cameras have learnt.
 
         Args:
             now: the appearance at present.
+            lessons: the last of every camera, this one's own among them.
+            bent: whether to believe that the tone curve is bent, as the other cameras' is.
 
         Returns:
             The appearance with that: what was shown last, explained once more.
         """
-        self._believe_bent = True
-        if self._lesson is None or self._lesson.bent:
+        if self._lesson is None:
             return now
-        return self._taught(now)
+        others = [one for one in lessons if one is not self._lesson]
+        lights = [one.light_if_bent if bent or one.bent else one.light for one in others]
+        self._others = [light for light in lights if light is not None]
+        self._believe_bent |= bent
+        if bent and not self._lesson.bent:
+            return self._taught(now)
+        return self._lit_alike(self._lesson)
 
     def wants(self, found: int, time_s: float) -> bool:
         """Whether a picture is one to keep or to learn from; asked about every picture.
@@ -102,14 +114,23 @@ class AppearanceLearner:
 
     def _taught(self, now: Appearance) -> Appearance:
         sights = [sight for picture in self._pictures for sight in picture]
-        self._lesson = take_lesson(sights, now, self._believe_bent, self._backdrops)
-        return now if self._lesson is None else self._lesson.appearance
+        self._lesson = take_lesson(
+            sights, now, self._world_from_camera, self._believe_bent, self._backdrops
+        )
+        return now if self._lesson is None else self._lit_alike(self._lesson)
+
+    def _lit_alike(self, lesson: Lesson) -> Appearance:
+        """What a lesson taught, by the light that other cameras see as well."""
+        own = lesson.light_if_bent if lesson.bent else lesson.light
+        if own is None or not self._others or len(lesson.appearance.lamps) == 0:
+            return lesson.appearance
+        return replace(lesson.appearance, lamps=lamps_by([own, *self._others]))
 
     def warm_up(self, pixels: Bytes, cone: Cone, now: Appearance) -> None:
         """Compile what a lesson runs."""
         sights = [self._sight(pixels, cone, [])]
         misfits(sights, now)
-        learn_lamps(sights, now)
+        lamps_by([light_on(sights, now, self._world_from_camera)])
         backdrop = self._backdrop(pixels, [cone])
         misfits(sights, replace(now, room=room_of([backdrop], now.table)))
 

@@ -13,12 +13,12 @@ import numpy as np
 from measure_plugins._edges.appearance_fit import BENDS_SD
 from measure_plugins._edges.lesson import Lesson
 
-_CLEARLY = 0.17
+_CLEARLY = 0.11
 """How clear a bend must be, times how strong: minus the logarithm of the share of the misfit's
 square that bent curves leave, in the mean of the cameras, and the middle one's S, in standard
 deviations of cameras'. Free bends take up what else is wrong with the model, but mildly. Of fifty
-recordings, rendered, path-traced and altered, it is at most 0.15 with the standard's curve; with
-bent ones at least 0.19, but 0.08 for a mild bend in a cluttered room, which stays unnoticed."""
+recordings, rendered, path-traced and altered, it is at most 0.08 with the standard's curve; with
+bent ones at least 0.16, but 0.07 for a mild bend in a cluttered room, which stays unnoticed."""
 
 
 def bent_together(lessons: Sequence[Lesson]) -> bool:

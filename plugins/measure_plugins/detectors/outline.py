@@ -51,7 +51,8 @@ class OutlineDetector(Detector):
 
         c, lens = self.config, camera.intrinsics.row
         self._appearance = first_appearance(c.tone)
-        self._learner = AppearanceLearner(lens, c.rays, c.margin_px)
+        turned = camera.world_from_camera.rotation
+        self._learner = AppearanceLearner(lens, turned, c.rays, c.margin_px)
         self._acquisition = AcquisitionSettings()
         self._colors = tuple(dict.fromkeys(ball.color for ball in body.balls))
         self._table = with_shade(self._colors)
@@ -83,13 +84,13 @@ class OutlineDetector(Detector):
         return self._learner.lesson
 
     def confer(self, learnt: Sequence[object]) -> None:
-        """Whether the tone curve is bent all cameras together may tell, where one cannot."""
+        """All cameras together know the light, and a bend of the tone curve, better than one."""
         from measure_plugins._edges.lesson import Lesson
         from measure_plugins._edges.one_kind import bent_together
 
-        if not bent_together([lesson for lesson in learnt if isinstance(lesson, Lesson)]):
-            return
-        before, self._appearance = self._appearance, self._learner.told_bent(self._appearance)
+        lessons = [lesson for lesson in learnt if isinstance(lesson, Lesson)]
+        before, bent = self._appearance, bent_together(lessons)
+        self._appearance = self._learner.told(before, lessons, bent)
         if self._appearance is not before:
             self._balls.forget_gains()
 

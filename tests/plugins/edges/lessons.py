@@ -23,12 +23,35 @@ def cones(scene, camera, time_s):
     return out
 
 
+def learner_of(camera):
+    """Of one camera that has seen nothing yet."""
+    return AppearanceLearner(
+        camera.intrinsics.row, camera.world_from_camera.rotation, rays=72, margin_px=7.0
+    )
+
+
 def lessons(scene, camera_name, changed=lambda _, pixels, balls: (pixels, balls)):
     """What each of two pictures teaches one camera; `changed` may alter what is shown of each."""
     renderer, camera = Renderer(scene, camera_name), scene.camera(camera_name)
-    learner, out = AppearanceLearner(camera.intrinsics.row, 72, 7.0), []
+    learner, out = learner_of(camera), []
     for k, time_s in enumerate(TIMES_S):
         pixels, balls = changed(k, renderer.picture(time_s, k), cones(scene, camera, time_s))
         assert learner.wants(len(balls), time_s)
         out.append(learner.shown(pixels, balls, [], first_appearance("srgb")))
     return out
+
+
+def settled(learner, scene, camera_name):
+    """What a camera knows after the eight pictures, two and two alike, that it wants to see."""
+    renderer, camera = Renderer(scene, camera_name), scene.camera(camera_name)
+    shown = [
+        (renderer.picture(time_s, k), cones(scene, camera, time_s))
+        for k, time_s in enumerate(TIMES_S)
+    ]
+    now = first_appearance("srgb")
+    for number in range(8):
+        pixels, balls = shown[number % 2]
+        if learner.wants(len(balls), number / 30):
+            now = learner.shown(pixels, balls, [], now) or now
+    assert learner.settled
+    return now

@@ -9,9 +9,8 @@ import pytest
 from measure.simulation import Renderer, Sensor, scene_catalogue
 from measure.simulation.sensor import encode
 from measure_plugins._edges.appearance import GLOSSY, MATT, bent_table, first_appearance
-from measure_plugins._edges.learner import AppearanceLearner
 from measure_plugins._edges.tone import tone_table
-from tests.plugins.edges.lessons import TIMES_S, cones, lessons
+from tests.plugins.edges.lessons import TIMES_S, cones, learner_of, lessons
 
 CAMERA = "cam1"
 
@@ -99,7 +98,7 @@ def test_tables_rise_from_0_to_1(bends):
 def test_too_few_balls_teach_nothing():
     scene = replace(scene_catalogue()["still"], shown=("red",))
     renderer, camera = Renderer(scene, CAMERA), scene.camera(CAMERA)
-    learner = AppearanceLearner(camera.intrinsics.row, 72, 7.0)
+    learner = learner_of(camera)
     start = first_appearance("srgb")
     for k, time_s in enumerate(TIMES_S):
         red = cones(scene, camera, time_s)[scene.body.index("red")]

@@ -15,12 +15,12 @@ from measure.simulation.catalogue import plain_scene
 from measure_plugins._edges.appearance import MATT
 from measure_plugins._edges.corrected import corrected_edges
 from measure_plugins._edges.lamps import fit_lamp_light, lamp_body, lamp_light, no_lamps, seen_from
-from measure_plugins._edges.lamps_fit import non_negative
+from measure_plugins._edges.lamps_fit import Light, equations, lamps_by, non_negative
 from measure_plugins._edges.neighbours import middle_angles
 from measure_plugins._edges.prediction import Ambient
 from measure_plugins._edges.radial import STEPS, fresnel, radial
 from measure_plugins._edges.rays import cast_rays, frame_about
-from tests.plugins.edges.lessons import cones, lessons
+from tests.plugins.edges.lessons import cones, learner_of, lessons, settled
 
 CAMERA = "cam1"
 HALF_ANGLE, RADIUS_PX = 0.045, 63.0
@@ -99,17 +99,37 @@ def test_unknowns_that_cannot_be_negative_are_those_of_lawson_and_hanson(seed):
     assert np.any(found == 0)
 
 
+def test_cameras_tell_together_of_lamps_that_no_camera_sees_all_of():
+    """The second is exposed for half as long, and sees lamps from the second on only."""
+    rng, true = np.random.default_rng(0), np.array([1.0, 0, 0.5, 2.0, 0, 1.5, 0, 0.2, *[0.1] * 6])
+    places = rng.uniform(1, 2, (8, 4))
+    seen_by = (slice(0, 6), slice(1, 8))
+    lights = []
+    for exposure, lamps in zip((1.0, 0.5), seen_by, strict=True):
+        shares = rng.random((400, 14))
+        hidden = np.setdiff1d(np.arange(8), np.arange(8)[lamps])
+        shares[:, hidden] = 0.0
+        noise = 1e-4 * rng.normal(size=400)
+        lights.append(Light(places, *equations([shares], [exposure * shares @ true + noise])))
+    for light, lamps in zip(lights, seen_by, strict=True):
+        assert len(lamps_by([light])) == np.count_nonzero(true[:8][lamps])
+    found = lamps_by(lights)
+    assert found[:, :3] == pytest.approx(places[true[:8] > 0, :3])
+    power = found[:, 3] / places[true[:8] > 0, 3]
+    assert power / power.sum() == pytest.approx(true[:8][true[:8] > 0] / 5.2, abs=0.01)
+
+
 @pytest.mark.skipif(usable_cores() < 2, reason="one core: no library has threads to share work")
 def test_learning_lamps_keeps_to_the_thread_that_asks():
     """Threads of the linear algebra library wait for each other where cameras run side by side."""
     script = (
         "import sys, time\n"
         "import numpy as np\n"
-        "from measure_plugins._edges.lamps_fit import powers\n"
+        "from measure_plugins._edges.lamps_fit import equations\n"
         "rng = np.random.default_rng(0)\n"
         "shares, seen = [rng.random((600, 100)) for _ in range(6)], [np.ones(600)] * 6\n"
         "work = {\n"
-        "    'lamps': lambda: powers(shares, seen),\n"
+        "    'lamps': lambda: equations(shares, seen),\n"
         "    'control': lambda: [one.T @ one for one in shares for _ in range(20)],\n"
         "}[sys.argv[1]]\n"
         "work()\n"
@@ -139,6 +159,15 @@ def learnt(scene):
     return lessons(scene, CAMERA)[-1]
 
 
+@pytest.fixture(scope="module")
+def together(scene):
+    """What the camera knows when it has conferred with the others."""
+    learners = {camera.name: learner_of(camera) for camera in scene.cameras}
+    alone = {name: settled(learner, scene, name) for name, learner in learners.items()}
+    heard = [learner.lesson for learner in learners.values()]
+    return learners[CAMERA].told(alone[CAMERA], heard, bent=False)
+
+
 def _upside_down(scene):
     """Shows the second picture turned upside down, lamps and all."""
     camera = scene.camera(CAMERA)
@@ -160,11 +189,32 @@ def _turned(camera, axis, middle):
 
 
 def test_learnt_lamps_light_a_ball_as_the_scenes_lamps_do(scene, learnt):
+    normals, true = _true_light(scene)
+    seen = normals[:, 2] < -0.1
+    assert np.all(learnt.lamps[:, 3] > 0)
+    lamps = _from_the_middle(scene, learnt.lamps)
+    assert _unlike(lamps, normals[seen], true[seen]) < 0.03
+    from_below = lamps * [1, -1, 1, 1]
+    assert _unlike(from_below, normals[seen], true[seen]) > 0.08
+
+
+def test_what_lights_the_far_side_of_balls_other_cameras_tell(scene, learnt, together):
+    normals, true = _true_light(scene)
+    far = normals[:, 2] > 0.1
+    alone, told = (
+        _unlike(_from_the_middle(scene, one.lamps), normals[far], true[far])
+        for one in (learnt, together)
+    )
+    assert told < 0.02
+    assert told < 0.75 * alone
+
+
+def _true_light(scene):
+    """Normals (n, 3) of a ball in the middle, in the camera frame, and the light (n,) they get."""
     turn = scene.camera(CAMERA).camera_from_world
     middle = scene.trajectory.at(np.array([0.0]))[0].apply(np.zeros(3))
     normals = np.random.default_rng(0).normal(size=(4000, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    normals = normals[normals[:, 2] < -0.1]  # what the camera sees
     true = np.zeros(len(normals))
     for light in scene.lighting.lights:
         way = light.position_mm - middle
@@ -175,15 +225,18 @@ def test_learnt_lamps_light_a_ball_as_the_scenes_lamps_do(scene, learnt):
     up = turn.rotate(np.array([0.0, 0.0, 1.0]))
     below = scene.lighting.below
     true += scene.lighting.ambient_rgb[0] * (below + (1 - below) * (1 + normals @ up) / 2)
-    assert np.all(learnt.lamps[:, 3] > 0)
-    at = turn.apply(middle)
+    return normals, true
+
+
+def _from_the_middle(scene, lamps):
+    """Lamps (k, 4) as a ball in the middle sees them, in the camera frame."""
+    middle = scene.trajectory.at(np.array([0.0]))[0].apply(np.zeros(3))
+    at = scene.camera(CAMERA).camera_from_world.apply(middle)
     distance = float(np.linalg.norm(at))
     frame = frame_about(at / distance)
-    lamps = seen_from(learnt.lamps, frame, distance)
-    lamps[:, :3] = lamps[:, :3] @ frame
-    assert _unlike(lamps, normals, true) < 0.03
-    from_below = lamps * [1, -1, 1, 1]
-    assert _unlike(from_below, normals, true) > 0.1
+    seen = seen_from(lamps, frame, distance)
+    seen[:, :3] = seen[:, :3] @ frame
+    return seen
 
 
 def _unlike(lamps, normals, true):
@@ -195,12 +248,13 @@ def _unlike(lamps, normals, true):
     return np.sqrt(np.mean(left**2) / np.mean(true**2))
 
 
-def test_edges_on_the_dark_side_lie_nearer_to_the_outline_with_lamps(scene, learnt):
-    dark_with, bright_with = _mean_errors(scene, learnt)
-    dark_without, bright_without = _mean_errors(scene, replace(learnt, lamps=no_lamps()))
+def test_edges_on_the_dark_side_lie_nearer_to_the_outline_with_lamps(scene, learnt, together):
+    dark_with, bright_with = _mean_errors(scene, together)
+    dark_without, bright_without = _mean_errors(scene, replace(together, lamps=no_lamps()))
     assert dark_without > 0.1, "a polynomial runs on past the terminator"
     assert abs(dark_with) < 0.5 * dark_without
     assert abs(bright_with) < abs(bright_without) + 0.05
+    assert abs(dark_with) < 0.5 * abs(_mean_errors(scene, learnt)[0]), "one camera alone"
 
 
 def _mean_errors(scene, appearance):

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from measure.simulation import Renderer, scene_catalogue
 from measure_plugins._edges.appearance import first_appearance
-from measure_plugins._edges.learner import AppearanceLearner
-from tests.plugins.edges.lessons import cones
+from tests.plugins.edges.lessons import cones, learner_of
 
 
 def lessons_of(learner, scene, camera_name, pictures):
@@ -23,7 +22,7 @@ def lessons_of(learner, scene, camera_name, pictures):
 
 def test_pictures_that_come_again_teach_nothing_again():
     scene = scene_catalogue()["still"]
-    learner = AppearanceLearner(scene.camera("cam1").intrinsics.row, 72, 7.0)
+    learner = learner_of(scene.camera("cam1"))
     assert lessons_of(learner, scene, "cam1", range(1, 8)) == [2]
     assert not learner.settled
     assert lessons_of(learner, scene, "cam1", range(8, 9)) == [8]
@@ -34,6 +33,6 @@ def test_pictures_that_come_again_teach_nothing_again():
 
 def test_of_a_short_rehearsal_the_lesson_that_is_left_comes_in_its_turn():
     scene = scene_catalogue()["still"]
-    learner = AppearanceLearner(scene.camera("cam1").intrinsics.row, 72, 7.0)
+    learner = learner_of(scene.camera("cam1"))
     assert lessons_of(learner, scene, "cam1", range(1, 6)) == [2]
     assert lessons_of(learner, scene, "cam1", range(1, 10)) == [8]
