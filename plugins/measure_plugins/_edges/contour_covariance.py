@@ -14,7 +14,7 @@ from measure.model.lens import bend
 from measure_plugins._edges.contour_fit import ContourFit, fit_contours
 from measure_plugins._edges.contours import Contours
 
-_LEAST_COMMON_PX = 0.08
+_LEAST_COMMON_PX = 0.06
 """What light shifts a ball by alike in all cameras, however well these agree: chosen on rendered
 recordings, dim rooms and large lamps among them, so that 95 % regions hold the truth in 95 %."""
 
