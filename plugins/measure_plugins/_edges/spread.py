@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from measure.arrays import Floats, Ints
+from measure.arrays import Floats
 from measure.compiling import compiled
 from measure.geometry.linear_kernels import inverse
 from measure.model.lens import to_pixel
@@ -15,6 +15,8 @@ _STEEPNESS = 1.5
 """The power of an outline's errors falls with this power of their waves round it: so fall, in the
 mean of seventeen rendered recordings, the residuals' waves from the second one to the fifth."""
 _POWERS = tuple(float(max(wave, 1) ** -_STEEPNESS) for wave in range(_WAVES + 1))
+_LANES = 16
+"""Waves are filled up to a multiple of the machine's vector; one more than `_WAVES` is used."""
 _ARCS = 24
 """Edges scatter within such arcs by noise, which their means are all but free of."""
 
@@ -47,72 +49,102 @@ def center_covariance(around: Floats, weights: Floats, off: Floats, normal: Floa
         off: (n,) the edges' residuals, px.
         normal: (3, 3) of the fit: axis along e1 and e2, growth.
     """
-    known, answers = inverse(normal), np.empty((2, 3))
-    arc_of = np.arange(len(off)) * _ARCS // len(off)
-    arcs = _arc_sums(around, weights, arc_of)
-    out, left, seen = np.zeros((2, 2)), 0.0, 0.0
+    known, (cosines, sines) = inverse(normal), _waves_in_arcs(around, weights)
+    answers = _answers(_summed(cosines), _summed(sines), known)
+    out, left, seen = np.zeros((2, 2)), _left(answers, cosines, sines), 0.0
     for wave in range(_WAVES + 1):
-        left += _POWERS[wave] * _answers(around, weights, arc_of, arcs, known, wave, answers)
         for part in range(2):
-            for a in range(2):
-                for b in range(2):
-                    out[a, b] += _POWERS[wave] * answers[part, a] * answers[part, b]
-    sums = np.zeros(_ARCS)
-    for i in range(len(off)):
-        sums[arc_of[i]] += weights[i] * off[i]
+            x, y = answers[part, 0, wave], answers[part, 1, wave]
+            out[0, 0] += _POWERS[wave] * x * x
+            out[0, 1] += _POWERS[wave] * x * y
+            out[1, 1] += _POWERS[wave] * y * y
+    out[1, 0] = out[0, 1]
     for arc in range(_ARCS):
-        if arcs[arc, 2] > 0:
-            seen += sums[arc] ** 2 / arcs[arc, 2]
+        if cosines[arc, 0] > 0:
+            total = 0.0
+            for i in range(_begins(arc, len(off)), _begins(arc + 1, len(off))):
+                total += weights[i] * off[i]
+            seen += total * total / cosines[arc, 0]
     return out * (seen / left) + known[:2, :2]
 
 
 @compiled
-def _arc_sums(around: Floats, weights: Floats, arc_of: Ints) -> Floats:
-    """Sums over arcs (a, 3) of the weighted cosines and sines, and of the weights."""
-    out = np.zeros((_ARCS, 3))
-    for i in range(len(weights)):
-        arc = arc_of[i]
-        out[arc, 0] += weights[i] * around[i, 0]
-        out[arc, 1] += weights[i] * around[i, 1]
-        out[arc, 2] += weights[i]
+def _waves_in_arcs(around: Floats, weights: Floats) -> tuple[Floats, Floats]:
+    """Weighted sums over each arc of the cosines (a, w) and sines (a, w) of waves round an outline.
+
+    Wave 0 is even: its cosines' sums are those of the weights. All waves at once: each turns by its
+    own angle from ray to ray.
+    """
+    n = len(weights)
+    cosines, sines = np.zeros((_ARCS, _LANES)), np.zeros((_ARCS, _LANES))
+    x, y, by = np.ones(_LANES), np.zeros(_LANES), np.empty((2, _LANES))
+    for wave in range(_LANES):
+        by[0, wave], by[1, wave] = around[wave % n, 0], around[wave % n, 1]
+    for arc in range(_ARCS):
+        for i in range(_begins(arc, n), _begins(arc + 1, n)):
+            for wave in range(len(x)):
+                cosine, sine = x[wave], y[wave]
+                cosines[arc, wave] += weights[i] * cosine
+                sines[arc, wave] += weights[i] * sine
+                x[wave] = by[0, wave] * cosine - by[1, wave] * sine
+                y[wave] = by[1, wave] * cosine + by[0, wave] * sine
+    return cosines, sines
+
+
+@compiled
+def _summed(rows: Floats) -> Floats:
+    """Sum (n,) of rows (k, n)."""
+    out = np.zeros(rows.shape[1])
+    for row in rows:
+        for i in range(len(out)):
+            out[i] += row[i]
     return out
 
 
 @compiled
-def _answers(
-    around: Floats,
-    weights: Floats,
-    arc_of: Ints,
-    arcs: Floats,
-    known: Floats,
-    wave: int,
-    answers: Floats,
-) -> float:
-    """The fit's answers (2, 3) to edges shifted by a cosine and by a sine wave.
+def _begins(arc: int, rays: int) -> int:
+    """The first of so many rays that lies in an arc."""
+    return (arc * rays + _ARCS - 1) // _ARCS
 
-    And the weighted square sum of what they leave in the arcs' means. The rays' own cosines and
-    sines serve for all waves.
+
+@compiled
+def _answers(cosines: Floats, sines: Floats, known: Floats) -> Floats:
+    """The fit's answers (2, 3, w) to edges shifted by cosine and by sine waves.
+
+    Args:
+        cosines: (w,) the waves' weighted sums all round the outline.
+        sines: (w,) likewise.
+        known: (3, 3) inverse of the fit's normal matrix.
     """
-    n, turned, sums = len(around), 0, np.zeros((_ARCS, 2))
-    x1, y1, total1, x2, y2, total2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for i in range(n):
-        cosine, sine = weights[i] * around[turned, 0], weights[i] * around[turned, 1]
-        turned = turned + wave if turned + wave < n else turned + wave - n
-        x1, y1, total1 = x1 + cosine * around[i, 0], y1 + cosine * around[i, 1], total1 + cosine
-        x2, y2, total2 = x2 + sine * around[i, 0], y2 + sine * around[i, 1], total2 + sine
-        sums[arc_of[i], 0] += cosine
-        sums[arc_of[i], 1] += sine
-    for a in range(3):
-        answers[0, a] = known[a, 0] * x1 + known[a, 1] * y1 + known[a, 2] * total1
-        answers[1, a] = known[a, 0] * x2 + known[a, 1] * y2 + known[a, 2] * total2
-    left = 0.0
-    for arc in range(_ARCS):
-        c, s, mass = arcs[arc]
-        if mass > 0:
-            for part in range(2):
-                kept = answers[part, 0] * c + answers[part, 1] * s + answers[part, 2] * mass
-                left += (sums[arc, part] - kept) ** 2 / mass
-    return left
+    out = np.zeros((2, 3, _LANES))
+    for wave in range(_WAVES + 1):
+        # A product of waves, here with the first one, is half the sum of two others.
+        more, less, sign = wave + 1, abs(wave - 1), 1.0 if wave > 0 else -1.0
+        x1, y2 = cosines[less] + cosines[more], cosines[less] - cosines[more]
+        x2, y1 = sines[more] + sign * sines[less], sines[more] - sign * sines[less]
+        for a in range(3):
+            along, aside, even = 0.5 * known[a, 0], 0.5 * known[a, 1], known[a, 2]
+            out[0, a, wave] = along * x1 + aside * y1 + even * cosines[wave]
+            out[1, a, wave] = along * x2 + aside * y2 + even * sines[wave]
+    return out
+
+
+@compiled
+def _left(answers: Floats, cosines: Floats, sines: Floats) -> float:
+    """Weighted square sum of what the answers leave of waves of `_POWERS` in the arcs' means."""
+    left = np.zeros(_LANES)
+    for arc in range(len(cosines)):
+        x, y, mass = cosines[arc, 1], sines[arc, 1], cosines[arc, 0]
+        per = 1 / mass if mass > 0 else 0.0
+        for wave in range(len(left)):
+            first, second = answers[0, :, wave], answers[1, :, wave]
+            a = cosines[arc, wave] - (first[0] * x + first[1] * y + first[2] * mass)
+            b = sines[arc, wave] - (second[0] * x + second[1] * y + second[2] * mass)
+            left[wave] += per * (a * a + b * b)
+    total = 0.0
+    for wave in range(_WAVES + 1):
+        total += _POWERS[wave] * left[wave]
+    return total
 
 
 @compiled
