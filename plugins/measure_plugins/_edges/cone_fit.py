@@ -11,10 +11,12 @@ import numpy as np
 from measure.arrays import Floats
 from measure.compiling import compiled
 from measure.geometry.linear_kernels import cholesky, solve_factored
-from measure_plugins._edges.selection import kth_smallest
+from measure_plugins._edges.selection import nearly_kth
 
 _TUKEY = 4.685
+_VECTOR = 8
 _ROUNDS, _ENOUGH_PX = 6, 1e-3
+_FEWEST = 4
 FURTHEST_PX = 1.6
 """A point further off than this belongs to something else, whatever the others scatter by."""
 
@@ -36,11 +38,13 @@ def consensus(shifts: Floats, around: Floats, use: Floats, gate_px: float, trial
     index = np.nonzero(use)[0]
     at, cosine, sine = shifts[index], around[index, 0], around[index, 1]
     found, score = _three_point_solutions(at, cosine, sine, trials)
+    per_gate = 1 / gate_px
     # All trials in the inner loop: many at once, and each one's sum in the points' order.
     for j in range(len(at)):
-        for t in range(trials):
-            r = (at[j] - (cosine[j] * found[0, t] + sine[j] * found[1, t] + found[2, t])) / gate_px
-            score[t] += max(1 - r * r, 0.0)
+        for t in range(len(score)):
+            r = (at[j] - (cosine[j] * found[0, t] + sine[j] * found[1, t] + found[2, t])) * per_gate
+            near = 1 - r * r
+            score[t] += near if near > 0.0 else 0.0
     best, out = -1.0, np.zeros(3)
     for t in range(trials):
         if score[t] > best:
@@ -53,8 +57,12 @@ def consensus(shifts: Floats, around: Floats, use: Floats, gate_px: float, trial
 def _three_point_solutions(
     at: Floats, cosine: Floats, sine: Floats, trials: int
 ) -> tuple[Floats, Floats]:
-    """Solutions (3, trials) through triples of points (n,); -inf (trials,) for those with none."""
-    found, score = np.zeros((3, trials)), np.zeros(trials)
+    """Solutions (3, k) through triples of points (n,); -inf (k,) for those with none.
+
+    Beyond the trials, such columns fill up the last vector of the machine.
+    """
+    columns = -(-trials // _VECTOR) * _VECTOR
+    found, score = np.zeros((3, columns)), np.full(columns, -np.inf)
     state, n = np.uint64(12345), np.uint32(len(at))
     pick = np.zeros(3, np.uint64)
     for t in range(trials):
@@ -66,11 +74,11 @@ def _three_point_solutions(
         g, h, r = cosine[pick[2]], sine[pick[2]], at[pick[2]]
         det = a * (e - h) - b * (d - g) + (d * h - e * g)
         if abs(det) < 1e-3:
-            score[t] = -np.inf
             continue
-        found[0, t] = (p * (e - h) - b * (q - r) + (q * h - e * r)) / det
-        found[1, t] = (a * (q - r) - p * (d - g) + (d * r - q * g)) / det
-        found[2, t] = (a * (e * r - q * h) - b * (d * r - q * g) + p * (d * h - e * g)) / det
+        score[t], per = 0.0, 1 / det
+        found[0, t] = per * (p * (e - h) - b * (q - r) + (q * h - e * r))
+        found[1, t] = per * (a * (q - r) - p * (d - g) + (d * r - q * g))
+        found[2, t] = per * (a * (e * r - q * h) - b * (d * r - q * g) + p * (d * h - e * g))
     return found, score
 
 
@@ -112,8 +120,9 @@ def refine(
         if not np.isfinite(scale):
             return solution, normal, nothing, np.inf
         _weigh(off, sd, use, scale, weights)
+        per_scale = 1 / (scale * scale)
         for i in range(len(shifts)):
-            scratch[i] = weights[i] / (sd[i] * scale) ** 2
+            scratch[i] = weights[i] * per_scale / (sd[i] * sd[i])
         _equations(shifts, around, scratch, growth, normal, right)
         if not cholesky(normal, factor):
             return solution, normal, nothing, np.inf
@@ -133,24 +142,25 @@ def _scatter(off: Floats, sd: Floats, use: Floats, gate_px: float, standard: Flo
 
     What `standard` (n,) holds is written over.
     """
-    count = 0
-    for i in range(len(off)):
-        if use[i] > 0 and abs(off[i]) < gate_px:
-            standard[count] = abs(off[i]) / sd[i]
-            count += 1
-    if count < 4:
+    unused = 0
+    for i in range(len(off)):  # without branches: those not in use stand before all others
+        used = (use[i] > 0) & (abs(off[i]) < gate_px)
+        standard[i] = abs(off[i]) / sd[i] if used else -1.0
+        unused += int(not used)
+    count = len(off) - unused
+    if count < _FEWEST:
         return np.inf
-    return max(1.4826 * kth_smallest(standard, count, count // 2), 0.3)
+    return max(1.4826 * nearly_kth(standard, unused + count // 2), 0.3)
 
 
 @compiled
 def _weigh(off: Floats, sd: Floats, use: Floats, scale: float, weights: Floats) -> None:
     """Tukey's weights of residuals (n,) of those points that are to be used."""
-    for i in range(len(off)):
-        weights[i] = 0.0
-        if use[i] > 0:
-            t = off[i] / min(sd[i] * scale * _TUKEY, FURTHEST_PX)
-            weights[i] = max(1 - t * t, 0.0) ** 2
+    for i in range(len(off)):  # without branches, so that it does many points at once
+        limit = sd[i] * scale * _TUKEY
+        t = off[i] / (limit if limit < FURTHEST_PX else FURTHEST_PX)
+        root = 1 - t * t
+        weights[i] = root * root if (root > 0.0) & (use[i] > 0) else 0.0
 
 
 @compiled
@@ -163,20 +173,17 @@ def _equations(
     right: Floats,
 ) -> None:
     """Normal matrix (3, 3) and right side (3,) of the weighted fit and what is known before."""
-    normal[:], right[:] = 0.0, 0.0
-    normal[2, 2] = 1 / growth[1] ** 2
-    right[2] = growth[0] / growth[1] ** 2
+    xx, xy, yy, x1, y1, xs, ys = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    mass, shift = 1 / growth[1] ** 2, growth[0] / growth[1] ** 2
     for i in range(len(shifts)):
         w = weights[i]
         if w > 0:
-            x, y, s = around[i, 0], around[i, 1], shifts[i]
-            normal[0, 0] += w * x * x
-            normal[1, 0] += w * x * y
-            normal[1, 1] += w * y * y
-            normal[2, 0] += w * x
-            normal[2, 1] += w * y
-            normal[2, 2] += w
-            right[0] += w * x * s
-            right[1] += w * y * s
-            right[2] += w * s
-    normal[0, 1], normal[0, 2], normal[1, 2] = normal[1, 0], normal[2, 0], normal[2, 1]
+            x, y = around[i, 0], around[i, 1]
+            wx, wy, ws = w * x, w * y, w * shifts[i]
+            xx, xy, yy = xx + wx * x, xy + wx * y, yy + wy * y
+            x1, y1, mass = x1 + wx, y1 + wy, mass + w
+            xs, ys, shift = xs + x * ws, ys + y * ws, shift + ws
+    normal[0, 0], normal[1, 1], normal[2, 2] = xx, yy, mass
+    normal[1, 0], normal[2, 0], normal[2, 1] = xy, x1, y1
+    normal[0, 1], normal[0, 2], normal[1, 2] = xy, x1, y1
+    right[0], right[1], right[2] = xs, ys, shift

@@ -15,7 +15,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.compiling import compiled
 from measure.geometry.linear_kernels import cholesky, solve_factored
-from measure_plugins._edges.selection import halved
+from measure_plugins._edges.selection import nearly_kth
 from measure_plugins._edges.shading import every_second
 
 REFERENCE_MM = 1000.0
@@ -146,7 +146,7 @@ def _typically_off(
             sideways = x * angles[i, 0] + y * angles[i, 1]
             sizes[count] = abs(seen[j, i] - (common + aside * sideways + power * bright[j, i]))
             count += 1
-    return halved(sizes)
+    return nearly_kth(sizes, len(sizes) // 2)
 
 
 @compiled

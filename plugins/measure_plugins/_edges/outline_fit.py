@@ -13,7 +13,7 @@ from measure_plugins._edges.cone_fit import consensus, refine
 from measure_plugins._edges.corrected import SEARCH_PX
 from measure_plugins._edges.look import Look, Search, View
 from measure_plugins._edges.rays import FREE
-from measure_plugins._edges.selection import kth_smallest
+from measure_plugins._edges.selection import nearly_kth
 from measure_plugins._edges.spread import image_directions
 
 _CONSENSUS_TRIALS = 60
@@ -164,24 +164,36 @@ def outline_of(
         points[k, 0] = look.points[i, 0] + s * look.normals[i, 0]
         points[k, 1] = look.points[i, 1] + s * look.normals[i, 1]
         sd[k] = look.edges.sd[i] * max(fit.scale, 1.0) * wider
-    radius = float(fit.solution[2])
-    for u, v in look.points:
-        right, down = u - center[0], v - center[1]
-        radius += np.sqrt(right * right + down * down) / len(look.points)
+    total = 0.0
+    for ray in range(len(look.points)):
+        right, down = look.points[ray, 0] - center[0], look.points[ray, 1] - center[1]
+        total += np.sqrt(right * right + down * down)
+    radius = fit.solution[2] + total / len(look.points)
     to_image = image_directions(look.frame, view.lens) / px
-    middle = len(sd) // 2
     return Outline(
         axis,
         half_angle + fit.solution[2] / px,
         center,
         radius,
-        to_image @ spread @ to_image.T,
+        _carried(to_image, spread),
         points,
         sd,
         len(inliers),
         share,
-        fit.scale * kth_smallest(look.edges.sd[inliers], len(sd), middle) if len(sd) else 0.0,
+        fit.scale * nearly_kth(look.edges.sd[inliers], len(sd) // 2),
     )
+
+
+@compiled
+def _carried(matrix: Floats, spread: Floats) -> Floats:
+    """Covariance (2, 2) of what a matrix (2, 2) makes of something of covariance `spread`."""
+    out = np.zeros((2, 2))
+    for a in range(2):
+        for b in range(2):
+            for c in range(2):
+                for d in range(2):
+                    out[a, b] += matrix[a, c] * spread[c, d] * matrix[b, d]
+    return out
 
 
 @compiled
@@ -190,11 +202,11 @@ def _overflow(look: Look, inliers: Ints) -> int:
     if len(inliers) == 0:
         return 0
     inside, outside = look.edges.inside, look.edges.outside
-    ball, ground = np.zeros(3), np.zeros(3)
+    ball, ground, per = np.zeros(3), np.zeros(3), 1 / len(inliers)
     for c in range(3):
         for i in inliers:
-            ball[c] += inside[c, i] / len(inliers)
-            ground[c] += outside[c, i] / len(inliers)
+            ball[c] += inside[c, i] * per
+            ground[c] += outside[c, i] * per
     count = 0
     for i in range(len(look.free)):
         if look.free[i] == FREE and look.clear[i] == 0:

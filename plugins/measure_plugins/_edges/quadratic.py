@@ -10,7 +10,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.compiling import compiled
 from measure.geometry.linear_kernels import cholesky, solve_factored, times
-from measure_plugins._edges.selection import halved
+from measure_plugins._edges.selection import nearly_kth
 from measure_plugins._edges.shading import every_second
 
 LOBE = np.array([0, 1, 2, 3, 3, 4, 4, 5, 5])
@@ -166,4 +166,4 @@ def _typically_off(seen: Floats, shown: Floats, rays: int) -> float:
     for j in range(len(sizes)):
         for i in range(rays):
             sizes[j, i] = abs(seen[3 * j, i] - shown[3 * j, i])
-    return halved(sizes.reshape(-1))
+    return nearly_kth(sizes.reshape(-1), sizes.size // 2)

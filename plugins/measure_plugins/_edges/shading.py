@@ -12,7 +12,7 @@ import numpy as np
 from measure.arrays import Floats, Ints
 from measure.compiling import compiled
 from measure.geometry.linear_kernels import times
-from measure_plugins._edges.selection import kth_smallest
+from measure_plugins._edges.selection import nearly_kth
 
 GREY = 1 / np.sqrt(3.0)
 COLORLESS = 0.15
@@ -44,14 +44,14 @@ def own_color(profiles: Floats, free: Floats, steps: Floats) -> Floats:
                 brightest[count] = max(b, g, r)
                 greyness[count] = (b + g + r) * GREY / np.sqrt(b * b + g * g + r * r + 1e-12)
                 count += 1
-    lit = 0.25 * kth_smallest(brightest.copy(), count, int(0.9 * (count - 1)))
+    lit = 0.25 * nearly_kth(brightest[:count], int(0.9 * (count - 1)))
     kept = 0
     lit_greyness = np.empty(count)
     for k in range(count):
         if brightest[k] > lit:
             lit_greyness[kept] = greyness[k]
             kept += 1
-    limit = kth_smallest(lit_greyness, kept, int(0.15 * (kept - 1)))
+    limit = nearly_kth(lit_greyness[:kept], int(0.15 * (kept - 1)))
     out = np.zeros(3)
     for k in range(count):
         if brightest[k] > lit and greyness[k] <= limit:

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from measure_plugins._edges.selection import NINE, halved, kth_smallest, median, median_rows
+from measure_plugins._edges.selection import NINE, kth_smallest, median, median_rows, nearly_kth
 
 
 @pytest.mark.parametrize("count", range(1, NINE + 1))
@@ -23,8 +23,11 @@ def test_selections_are_those_of_a_sorted_array(count):
 
 
 @pytest.mark.parametrize("count", [1, 2, 7, 216])
-def test_halving_finds_the_upper_median(count):
+@pytest.mark.parametrize("unused", [0, 3])
+def test_counting_finds_those_of_a_sorted_array_nearly(count, unused):
     sizes = np.random.default_rng(count).exponential(size=count)
-    upper = np.sort(sizes)[count // 2]
-    assert halved(sizes) == pytest.approx(upper, abs=1e-6)
-    assert halved(np.zeros(count)) == 0
+    # What is not to count is given as less than all others.
+    given = np.append(sizes, np.full(unused, -1.0))
+    for k in {0, count // 2, count - 1}:
+        assert nearly_kth(given, unused + k) == pytest.approx(np.sort(sizes)[k], abs=1e-6)
+    assert nearly_kth(np.zeros(count), count // 2) == 0
