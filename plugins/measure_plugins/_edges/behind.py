@@ -58,10 +58,11 @@ def mirrored_behind(behind: Floats, frame: Floats, half_angle: float, around: Fl
         Shares (k, n); -1 on rays before no ball, and (k, 0) if all are.
     """
     shares, found = np.full((len(DEFLECTIONS), len(around)), -1.0), False
+    edge = np.cos(half_angle), np.sin(half_angle)
     for i in range(len(around)):
         first = np.inf
         for b in range(len(behind)):
-            ends, begins = _ends(behind[b], frame, half_angle, around[i])
+            ends, begins = _ends(behind[b], frame, edge, around[i])
             if ends > 0 and begins < first:
                 first, found = begins, True
                 for k in range(len(DEFLECTIONS)):
@@ -70,20 +71,22 @@ def mirrored_behind(behind: Floats, frame: Floats, half_angle: float, around: Fl
 
 
 @compiled
-def _ends(ball: Floats, frame: Floats, half_angle: float, around: Floats) -> tuple[float, float]:
+def _ends(
+    ball: Floats, frame: Floats, edge: tuple[float, float], around: Floats
+) -> tuple[float, float]:
     """Deflection in rad at which a line of sight past the outline leaves the ball behind it.
 
     Args:
         ball: (4,) see `balls_behind`.
         frame: as above.
-        half_angle: as above.
+        edge: cosine and sine of the half angle.
         around: (2,) where on the outline.
 
     Returns:
         That, not above 0 where the line of sight does not meet the ball undeflected; and how far
         behind the outline it meets it, in radii of the ball before.
     """
-    along, aside = np.cos(half_angle), np.sin(half_angle)
+    along, aside = edge
     up, ahead, sideways = -1.0, 0.0, 0.0  # of the ball's centre, from the outline
     for a in range(3):
         outward = around[0] * frame[0, a] + around[1] * frame[1, a]

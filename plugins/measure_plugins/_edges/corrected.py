@@ -109,13 +109,28 @@ def corrected_edges(
         sd = uncertainty(x, LATER_STEPS, at, slope, window)
         y, _ = project(predicted, model_inside, model_outside, without_grey)
         biases, _ = crossings(y, LATER_STEPS, SEARCH_PX)
-        bias, common = np.repeat(biases, TOGETHER), _middle(biases)
-        shifts[k] = at - common - _REAL * (bias - common)
-        variances[k] = sd**2 + (_TRUST * (bias - common)) ** 2
-    apart = shifts[0] - shifts[1]
-    sd = np.sqrt((variances[0] + variances[1]) / 2 + apart**2 / 4 + _SYSTEMATIC_PX**2)
-    contrast = np.minimum(contrasts[0], contrasts[1])
-    return Edges((shifts[0] + shifts[1]) / 2, sd, contrast, within, background)
+        common = _middle(biases)
+        for i in range(n):
+            own = biases[i // TOGETHER] - common
+            shifts[k, i] = at[i] - common - _REAL * own
+            variances[k, i] = sd[i] * sd[i] + _TRUST * own * _TRUST * own
+    return _joined(shifts, variances, contrasts, within, background)
+
+
+@compiled
+def _joined(
+    shifts: Floats, variances: Floats, contrasts: Floats, inside: Floats, outside: Floats
+) -> Edges:
+    """Edges from both ways (2, n) of finding them."""
+    n = shifts.shape[1]
+    shift, sd, contrast = np.empty(n), np.empty(n), np.empty(n)
+    for i in range(n):
+        a, b = shifts[0, i], shifts[1, i]
+        apart, variance = 0.5 * (a - b), 0.5 * (variances[0, i] + variances[1, i])
+        shift[i] = 0.5 * (a + b)
+        sd[i] = np.sqrt(variance + apart * apart + _SYSTEMATIC_PX**2)
+        contrast[i] = min(contrasts[0, i], contrasts[1, i])
+    return Edges(shift, sd, contrast, inside, outside)
 
 
 @compiled

@@ -11,7 +11,8 @@ from measure.model.lens import lens_numbers, to_pixel
 FREE, HIDDEN, OUTSIDE = 0, 1, 2
 """What stands in a ray's way: nothing, a nearer ball, the picture's border."""
 
-_PER_LEVEL = 1 / 255
+_VALUES = np.arange(256) / 255
+"""Picture values from 0 to 1; to look one up is quicker than to convert it."""
 _TILT = 1e-4
 """Angle in rad over which the outline's normal and scale are taken."""
 
@@ -121,11 +122,14 @@ def ways(
         (n,) FREE or HIDDEN.
     """
     out = np.zeros(len(scale))
-    near = _near(frame, half_angle, scale, nearer, reach[1] + margin_px)
+    if len(nearer) == 0:
+        return out
+    least = np.min(scale)
+    near = _near(frame, half_angle, nearer, (reach[1] + margin_px) / least)
     along, aside = np.cos(half_angle), np.sin(half_angle)
     far_px = margin_px + max(abs(reach[0]), abs(reach[1]))
     for k in near:
-        meets = np.cos(nearer[k, 3] + far_px / np.min(scale))
+        meets = np.cos(nearer[k, 3] + far_px / least)
         for i in range(len(scale)):
             if _cosine(frame, around[i], along, aside, nearer[k]) > meets:
                 hides = np.cos(nearer[k, 3] + margin_px / scale[i])
@@ -148,13 +152,15 @@ def _cosine(frame: Floats, around: Floats, along: float, aside: float, ball: Flo
 
 
 @compiled
-def _near(frame: Floats, half_angle: float, scale: Floats, nearer: Floats, reach_px: float) -> Ints:
-    """Which of the nearer balls' outlines come within reach of this one at all."""
+def _near(frame: Floats, half_angle: float, nearer: Floats, reach: float) -> Ints:
+    """Which of the nearer balls' outlines come within reach, in rad, of this one at all."""
     found = np.empty(len(nearer), np.int64)
     count = 0
     for k in range(len(nearer)):
-        cosine = np.sum(frame[2] * nearer[k, :3])
-        if np.arccos(cosine) < half_angle + nearer[k, 3] + reach_px / np.min(scale):
+        cosine = 0.0
+        for a in range(3):
+            cosine += frame[2, a] * nearer[k, a]
+        if cosine > np.cos(min(half_angle + nearer[k, 3] + reach, np.pi)):
             found[count] = k
             count += 1
     return found[:count]
@@ -189,45 +195,47 @@ def sample(
     light, values = np.zeros((3, m, n)), np.zeros((3, m - values_from, n))
     _mark_outside(image, points, normals, steps, free)
     flat, row, pixel = image.reshape(-1), np.uint64(3 * image.shape[1]), np.uint64(3)
-    first, weights = np.empty(n, np.int64), np.empty((4, n))
-    for j in range(m):
-        _pixels_around(points, normals, steps[j], 3.0 * image.shape[1], first, weights)
-        for i in range(n):
-            if free[i] != FREE:
-                continue
-            w00, w01, w10, w11 = weights[0, i], weights[1, i], weights[2, i], weights[3, i]
+    first, weights = np.empty(m, np.int64), np.empty((4, m))
+    for i in range(n):  # ray by ray: a ray's pixels are near each other in memory
+        if free[i] != FREE:
+            continue
+        _pixels_along(points[i], normals[i], steps, 3.0 * image.shape[1], first, weights)
+        for j in range(m):
+            w00, w01, w10, w11 = weights[0, j], weights[1, j], weights[2, j], weights[3, j]
             for c in range(3):
-                at = np.uint64(first[i] + c)  # unsigned: no look whether it counts from the end
+                at = np.uint64(first[j] + c)  # unsigned: no look whether it counts from the end
                 p, q, r, s = flat[at], flat[at + pixel], flat[at + row], flat[at + row + pixel]
                 light[c, j, i] = w00 * table[p] + w01 * table[q] + w10 * table[r] + w11 * table[s]
                 if j >= values_from:
-                    value = w00 * p + w01 * q + w10 * r + w11 * s
-                    values[c, j - values_from, i] = value * _PER_LEVEL
+                    upper = w00 * _VALUES[p] + w01 * _VALUES[q]
+                    lower = w10 * _VALUES[r] + w11 * _VALUES[s]
+                    values[c, j - values_from, i] = upper + lower
     return light, values
 
 
 @compiled
-def _pixels_around(
-    points: Floats, normals: Floats, step: float, row: float, first: Ints, weights: Floats
+def _pixels_along(
+    point: Floats, normal: Floats, steps: Floats, row: float, first: Ints, weights: Floats
 ) -> None:
-    """Where the four pixels round each ray's sample are, and their bilinear weights.
+    """Where the four pixels round each of a ray's samples are, and their bilinear weights.
 
     Args:
-        points: (n, 2) px.
-        normals: (n, 2) unit vectors.
-        step: px along the normals.
+        point: (2,) px.
+        normal: (2,) unit vector.
+        steps: (m,) px along the normal.
         row: length of a picture row.
-        first: (n,) filled: index of the upper left pixel's first colour in the flat picture.
-        weights: (4, n) filled: upper left and right, lower left and right.
+        first: (m,) filled: index of the upper left pixel's first colour in the flat picture.
+        weights: (4, m) filled: upper left and right, lower left and right.
     """
-    for i in range(len(points)):
-        u = points[i, 0] + step * normals[i, 0]
-        v = points[i, 1] + step * normals[i, 1]
+    right, down = normal[0], normal[1]
+    start_u, start_v = point[0], point[1]
+    for j in range(len(steps)):
+        u, v = start_u + steps[j] * right, start_v + steps[j] * down
         x, y = np.floor(u), np.floor(v)
         a, b = u - x, v - y
-        weights[0, i], weights[1, i] = (1 - a) * (1 - b), a * (1 - b)
-        weights[2, i], weights[3, i] = (1 - a) * b, a * b
-        first[i] = int(y * row + 3 * x)
+        weights[0, j], weights[1, j] = (1 - a) * (1 - b), a * (1 - b)
+        weights[2, j], weights[3, j] = (1 - a) * b, a * b
+        first[j] = int(y * row + 3 * x)
 
 
 @compiled
