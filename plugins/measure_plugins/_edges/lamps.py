@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from measure.arrays import Floats
-from measure.compiling import compiled
+from measure.arrays import Floats, Halves
+from measure.compiling import compiled, inlined
 from measure.geometry.linear_kernels import cholesky, solve_factored
 from measure_plugins._edges.selection import nearly_kth
 from measure_plugins._edges.shading import every_second
@@ -28,6 +28,9 @@ _LANES = 2 * _FITTED_RAYS
 """There are always fewer of them."""
 _NOTHING = 1e-4
 """Share of a ball's own light below which a place along a ray lies past its blurred outline."""
+_VECTOR = 16
+"""Rays are filled up to a multiple of so many: numbers of half the width, so many at once."""
+_NONE, _ONE = np.float32(0), np.float32(1)
 UNIFORM, FACING, ASIDE = 0, 1, 3
 """The columns of `radial.Radial.diffuse` for light that is even, or linear in the normal."""
 
@@ -68,24 +71,43 @@ def lamp_light(diffuse: Floats, kept_out: float, around: Floats, lamps: Floats) 
         around: (n, 2) cosine and sine around the axis.
         lamps: (k, 4) seen from the ball.
     """
-    m, n = len(diffuse), len(around)
-    out, sideways = np.zeros((m if len(lamps) > 0 else 0, n)), np.empty(n)
+    m, n, lanes = len(diffuse), len(around), -(-len(around) // _VECTOR) * _VECTOR
+    out, total = np.zeros((m if len(lamps) > 0 else 0, n)), np.empty(lanes, np.float32)
+    sideways = np.zeros((len(lamps), lanes), np.float32)
     for k in range(len(lamps)):
-        x, y, z, power = lamps[k]
+        x, y, _, power = lamps[k]
         for i in range(n):
-            sideways[i] = power * (around[i, 0] * x + around[i, 1] * y)
-        for j in range(m):
-            facing, aside = -power * z * diffuse[j, FACING], diffuse[j, ASIDE]
-            if diffuse[j, UNIFORM] > _NOTHING:
-                per_full = 1 / (power * diffuse[j, UNIFORM])
-                for i in range(n):
-                    light = facing + aside * sideways[i]
-                    light = light if light > 0.0 else 0.0
-                    slant = 1 - light * per_full
-                    slant = slant if slant > 0.0 else 0.0
-                    square = slant * slant
-                    out[j, i] += light * (1 - kept_out * square * square * slant)
+            sideways[k, i] = power * (around[i, 0] * x + around[i, 1] * y)
+    for j in range(len(out)):
+        even, aside = diffuse[j, UNIFORM], np.float32(diffuse[j, ASIDE])
+        if even > _NOTHING:
+            total[:] = _NONE
+            for k in range(len(lamps)):
+                facing = np.float32(-lamps[k, 3] * lamps[k, 2] * diffuse[j, FACING])
+                per_full = np.float32(1 / (lamps[k, 3] * even))
+                _add_light(facing, aside, per_full, np.float32(kept_out), sideways[k], total)
+            for i in range(n):
+                out[j, i] = total[i]
     return out
+
+
+@inlined
+def _add_light(
+    facing: np.float32,
+    aside: np.float32,
+    per_full: np.float32,
+    kept_out: np.float32,
+    sideways: Halves,
+    out: Halves,
+) -> None:
+    """Add one lamp's light at one step of all rays (k,)."""
+    for i in range(len(out)):
+        light = facing + aside * sideways[i]
+        light = light if light > _NONE else _NONE
+        slant = _ONE - light * per_full
+        slant = slant if slant > _NONE else _NONE
+        square = slant * slant
+        out[i] += light * (_ONE - kept_out * square * square * slant)
 
 
 @compiled

@@ -28,6 +28,7 @@ _ASIDE = _INTERPOLATED / (2 * _STEP**2)
 """Weight of either neighbouring step in a blur of that variance."""
 _AWAY = np.arange(-CHROMA_REACH, CHROMA_REACH + 1) * _STEP
 _ENCODED = 2048
+_NO_LIGHT, _FULL_LIGHT = np.float32(0), np.float32(1)
 
 
 class Sensor(NamedTuple):
@@ -67,22 +68,19 @@ def chroma_taps(chroma_px: float) -> Floats:
 @compiled
 def encode(light: Floats, inverse: Floats) -> Floats:
     """Picture values, 0 to 1, of light (3, m, n), by the table of `encoding`."""
-    colors, m, n = light.shape
-    out, lows = np.empty((colors, m, n)), np.empty(n, np.int64)
-    top = len(inverse) - 2
-    for c in range(colors):
-        for j in range(m):
-            for i in range(n):
-                x = light[c, j, i]
-                x = x if x > 0.0 else 0.0
-                x = x if x < 1.0 else 1.0
-                place = np.sqrt(x) * top
-                lows[i] = int(place)
-                out[c, j, i] = place - lows[i]
-            for i in range(n):
-                low = np.uint64(lows[i])  # unsigned: no look whether it counts from the end
-                value = inverse[low]
-                out[c, j, i] = value + out[c, j, i] * (inverse[low + np.uint64(1)] - value)
+    out, lows = np.empty(light.shape), np.empty(light.size, np.int32)
+    flat, read, top = light.reshape(-1), out.reshape(-1), np.float32(len(inverse) - 2)
+    for i in range(light.size):  # half as wide: roots take half the time
+        x = np.float32(flat[i])
+        x = x if x > _NO_LIGHT else _NO_LIGHT
+        x = x if x < _FULL_LIGHT else _FULL_LIGHT
+        place = np.sqrt(x) * top
+        lows[i] = np.int32(place)
+        read[i] = place - np.float32(lows[i])
+    for i in range(light.size):
+        low = np.uint32(lows[i])  # unsigned: no look whether it counts from the end
+        value = inverse[low]
+        read[i] = value + read[i] * (inverse[low + np.uint32(1)] - value)
     return out
 
 
