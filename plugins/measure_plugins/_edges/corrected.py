@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from measure.arrays import Bytes, Floats
+from measure.arrays import Bytes, Floats, Reals
 from measure.compiling import compiled
 from measure_plugins._edges.crossing import crossings, levels, project, uncertainty
 from measure_plugins._edges.neighbours import TOGETHER, middle_angles, together
@@ -119,7 +119,7 @@ def corrected_edges(
 
 @compiled
 def _joined(
-    shifts: Floats, variances: Floats, contrasts: Floats, inside: Floats, outside: Floats
+    shifts: Floats, variances: Floats, contrasts: Floats, inside: Reals, outside: Reals
 ) -> Edges:
     """Edges from both ways (2, n) of finding them."""
     n = shifts.shape[1]
@@ -130,13 +130,13 @@ def _joined(
         shift[i] = 0.5 * (a + b)
         sd[i] = np.sqrt(variance + apart * apart + _SYSTEMATIC_PX**2)
         contrast[i] = min(contrasts[0, i], contrasts[1, i])
-    return Edges(shift, sd, contrast, inside, outside)
+    return Edges(shift, sd, contrast, inside.astype(np.float64), outside.astype(np.float64))
 
 
 @compiled
 def _predicted_together(
-    light: Floats, free: Floats, around: Floats, sensor: Sensor, radial: Radial, ambient: Ambient
-) -> Floats:
+    light: Reals, free: Floats, around: Floats, sensor: Sensor, radial: Radial, ambient: Ambient
+) -> Reals:
     """Picture values (3, m, n / 2) at `LATER_STEPS` that the model predicts for groups of rays."""
     some, ways = together(light, free)
     background = levels(some, STEPS, _BACKGROUND_PX)
@@ -155,7 +155,7 @@ def inside_window(points: Floats) -> tuple[float, float]:
 
 
 @compiled
-def _middle(values: Floats) -> float:
+def _middle(values: Reals) -> float:
     """Median of those values that are numbers; NaN if none is."""
     some, count = np.empty(len(values)), 0
     for value in values:
@@ -178,10 +178,11 @@ def compare(
     ambient: Ambient,
 ) -> tuple[Floats, Floats]:
     """Picture values (3, m, n) at `LATER_STEPS`: seen, and predicted. Arguments as above."""
-    light, values = sample(pixels, table, points, normals, STEPS, free, _FIRST)
+    seen, values = sample(pixels, table, points, normals, STEPS, free, _FIRST)
+    light = seen.astype(np.float64)
     background = levels(light, STEPS, _BACKGROUND_PX)
     predicted = predicted_values(light, free, around, background, sensor, radial, ambient)
-    return values, predicted
+    return values.astype(np.float64), predicted.astype(np.float64)
 
 
 @compiled
@@ -189,8 +190,9 @@ def sampled_light(
     pixels: Bytes, table: Floats, points: Floats, normals: Floats, free: Floats
 ) -> tuple[Floats, Floats]:
     """Light (3, m, n) at `STEPS`, and of the surroundings (3, n). Arguments as above."""
-    light, _ = sample(pixels, table, points, normals, STEPS, free, len(STEPS))
-    return light, levels(light, STEPS, _BACKGROUND_PX)
+    seen, _ = sample(pixels, table, points, normals, STEPS, free, len(STEPS))
+    light = seen.astype(np.float64)
+    return light, levels(light, STEPS, _BACKGROUND_PX).astype(np.float64)
 
 
 @compiled
@@ -198,19 +200,20 @@ def predicted_values(
     light: Floats,
     free: Floats,
     around: Floats,
-    background: Floats,
+    background: Reals,
     sensor: Sensor,
     radial: Radial,
     ambient: Ambient,
-) -> Floats:
+) -> Reals:
     """Picture values (3, m, n) at `LATER_STEPS` that the model predicts along rays of `light`."""
     first = _FIRST - CHROMA_REACH
-    predicted = predict_light(light, free, around, background, STEPS, radial, ambient, first)
+    behind = background.astype(np.float64)
+    predicted = predict_light(light, free, around, behind, STEPS, radial, ambient, first)
     return read_off(encode(predicted, sensor.encoding), sensor.taps)
 
 
 @compiled
-def _is_colorful(inside: Floats, outside: Floats, free: Floats) -> bool:
+def _is_colorful(inside: Reals, outside: Reals, free: Floats) -> bool:
     """Whether the edges differ enough in colour alone."""
     whole, part = 0.0, 0.0
     for i in range(len(free)):

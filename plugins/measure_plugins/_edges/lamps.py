@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from measure.arrays import Floats, Halves
+from measure.arrays import Floats, Singles
 from measure.compiling import compiled, inlined
 from measure.geometry.linear_kernels import cholesky, solve_factored
 from measure_plugins._edges.selection import nearly_kth
@@ -29,7 +29,7 @@ _LANES = 2 * _FITTED_RAYS
 _NOTHING = 1e-4
 """Share of a ball's own light below which a place along a ray lies past its blurred outline."""
 _VECTOR = 16
-"""Rays are filled up to a multiple of so many: numbers of half the width, so many at once."""
+"""Rays are filled up to a multiple of so many: a vector of the machine, in single precision."""
 _NONE, _ONE = np.float32(0), np.float32(1)
 UNIFORM, FACING, ASIDE = 0, 1, 3
 """The columns of `radial.Radial.diffuse` for light that is even, or linear in the normal."""
@@ -97,8 +97,8 @@ def _add_light(
     aside: np.float32,
     per_full: np.float32,
     kept_out: np.float32,
-    sideways: Halves,
-    out: Halves,
+    sideways: Singles,
+    out: Singles,
 ) -> None:
     """Add one lamp's light at one step of all rays (k,)."""
     for i in range(len(out)):

@@ -142,11 +142,14 @@ def look_roughly(
     if wider > 0 or quickly:
         profiles = sample_nearest(view.pixels, view.table, points, normals, steps, free)
     else:
-        profiles, _ = sample(view.pixels, view.table, points, normals, steps, free, len(steps))
+        near, _ = sample(view.pixels, view.table, points, normals, steps, free, len(steps))
+        profiles = near.astype(np.float64)
     within, without = levels(profiles, steps, inside), levels(profiles, steps, outside)
     x, contrast = project(profiles, within, without, False)
     at, slope = crossings(x, steps, reach_px)
-    edges = Edges(at, uncertainty(x, steps, at, slope, inside), contrast, within, without)
+    sd = uncertainty(x, steps, at, slope, inside)
+    lights = within.astype(np.float64), without.astype(np.float64)
+    edges = Edges(at.astype(np.float64), sd, contrast, lights[0], lights[1])
     least = _LIGHT_PER_VALUE * search.min_contrast
     clear, use = _usable(edges, free, least, np.inf)
     return Look(frame, points, normals, scale, around, free, edges, clear, use)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from measure.arrays import Floats
+from measure.arrays import Floats, Reals
 from measure.compiling import compiled
 from measure_plugins._edges.rays import FREE
 
@@ -32,7 +32,7 @@ def middle_angles(around: Floats) -> Floats:
 
 
 @compiled
-def together(light: Floats, free: Floats) -> tuple[Floats, Floats]:
+def together(light: Reals, free: Floats) -> tuple[Floats, Floats]:
     """Mean light of the free rays of each group, and which groups are free: those with such a ray.
 
     Args:

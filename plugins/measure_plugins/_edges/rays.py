@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from measure.arrays import Bytes, Floats, Ints
-from measure.compiling import compiled
+from measure.arrays import Bytes, Floats, Ints, Singles
+from measure.compiling import compiled, inlined
 from measure.model.lens import lens_numbers, to_pixel
+from measure_plugins._edges.four_pixels import between_pixels
 
 FREE, HIDDEN, OUTSIDE = 0, 1, 2
 """What stands in a ray's way: nothing, a nearer ball, the picture's border."""
 
-_VALUES = np.arange(256) / 255
-"""Picture values from 0 to 1; to look one up is quicker than to convert it."""
+_LEVEL = np.float32(1 / 255)
+_VECTOR = 8
 _TILT = 1e-4
 """Angle in rad over which the outline's normal and scale are taken."""
 
@@ -175,7 +176,7 @@ def sample(
     steps: Floats,
     free: Floats,
     values_from: int,
-) -> tuple[Floats, Floats]:
+) -> tuple[Singles, Singles]:
     """Light and picture values along the rays, both by bilinear interpolation.
 
     Args:
@@ -188,34 +189,52 @@ def sample(
         values_from: the first step at which picture values are wanted.
 
     Returns:
-        Light (3, m, n), and values from 0 to 1 (3, m - values_from, n); zeros where the ray is not
-        free.
+        Light (3, m, n), and values from 0 to 1 (3, m - values_from, n), in single precision: loops
+        over them do twice as many at once. Zeros where the ray is not free.
     """
-    m, n = len(steps), len(points)
-    light, values = np.zeros((3, m, n)), np.zeros((3, m - values_from, n))
+    m, n, every = len(steps), len(points), _filled_up(steps)
+    light, values = np.zeros((3, m, n), np.float32), np.zeros((3, m - values_from, n), np.float32)
     _mark_outside(image, points, normals, steps, free)
-    flat, row, pixel = image.reshape(-1), np.uint64(3 * image.shape[1]), np.uint64(3)
-    first, weights = np.empty(m, np.int64), np.empty((4, m))
+    flat, of, row = image.reshape(-1), table.astype(np.float32), 3 * image.shape[1]
+    first, weights = np.empty(len(every), np.int64), np.empty((4, len(every)), np.float32)
     for i in range(n):  # ray by ray: a ray's pixels are near each other in memory
         if free[i] != FREE:
             continue
-        _pixels_along(points[i], normals[i], steps, 3.0 * image.shape[1], first, weights)
-        for j in range(m):
-            w00, w01, w10, w11 = weights[0, j], weights[1, j], weights[2, j], weights[3, j]
-            for c in range(3):
-                at = np.uint64(first[j] + c)  # unsigned: no look whether it counts from the end
-                p, q, r, s = flat[at], flat[at + pixel], flat[at + row], flat[at + row + pixel]
-                light[c, j, i] = w00 * table[p] + w01 * table[q] + w10 * table[r] + w11 * table[s]
-                if j >= values_from:
-                    upper = w00 * _VALUES[p] + w01 * _VALUES[q]
-                    lower = w10 * _VALUES[r] + w11 * _VALUES[s]
-                    values[c, j - values_from, i] = upper + lower
+        _pixels_along(points[i], normals[i], every, row, first, weights)
+        _light_between(flat, of, row, first, weights, light[:, :, i])
+        for j in range(values_from, m):
+            shares = weights[0, j], weights[1, j], weights[2, j], weights[3, j]
+            b, g, r = between_pixels(flat, first[j], row, shares)
+            k = j - values_from
+            values[0, k, i], values[1, k, i], values[2, k, i] = b * _LEVEL, g * _LEVEL, r * _LEVEL
     return light, values
+
+
+@inlined
+def _light_between(
+    flat: Bytes, table: Singles, row: int, first: Ints, weights: Singles, out: Singles
+) -> None:
+    """Light (3, m) between four pixels each, see `_pixels_along`."""
+    below, pixel = np.uint64(row), np.uint64(3)
+    for j in range(out.shape[1]):
+        w00, w01, w10, w11 = weights[0, j], weights[1, j], weights[2, j], weights[3, j]
+        for c in range(3):
+            at = np.uint64(first[j] + c)  # unsigned: no look whether it counts from the end
+            p, q, r, s = flat[at], flat[at + pixel], flat[at + below], flat[at + below + pixel]
+            out[c, j] = w00 * table[p] + w01 * table[q] + w10 * table[r] + w11 * table[s]
+
+
+@compiled
+def _filled_up(steps: Floats) -> Floats:
+    """Steps (m or more,), the last of them again and again up to a whole vector of the machine."""
+    out = np.full(-(-len(steps) // _VECTOR) * _VECTOR, steps[len(steps) - 1])
+    out[: len(steps)] = steps
+    return out
 
 
 @compiled
 def _pixels_along(
-    point: Floats, normal: Floats, steps: Floats, row: float, first: Ints, weights: Floats
+    point: Floats, normal: Floats, steps: Floats, row: int, first: Ints, weights: Singles
 ) -> None:
     """Where the four pixels round each of a ray's samples are, and their bilinear weights.
 

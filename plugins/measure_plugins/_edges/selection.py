@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from measure.arrays import Floats
+from measure.arrays import Floats, Reals
 from measure.compiling import compiled
 
 NINE = 9
@@ -62,10 +62,10 @@ def nearly_kth(sizes: Floats, k: int) -> float:
 
 
 @compiled
-def median_rows(rows: Floats, count: int) -> Floats:
+def median_rows(rows: Reals, count: int) -> Reals:
     """Medians (n,) over the first `count` of rows (9, n); the others are overwritten."""
     n = rows.shape[1]
-    out = np.empty(n)
+    out = np.empty(n, rows.dtype)
     if count == _THREE:
         for i in range(n):
             out[i] = _sorted(rows[0, i], rows[1, i], rows[2, i])[1]
@@ -77,7 +77,7 @@ def median_rows(rows: Floats, count: int) -> Floats:
         rows[j] = np.inf if j % 2 == 0 else -np.inf
     _middle_of_nine(rows, out)
     if count % 2 == 0:
-        lower = np.empty(n)
+        lower = np.empty(n, rows.dtype)
         rows[NINE - 1] = -np.inf
         _middle_of_nine(rows, lower)
         for i in range(n):
@@ -86,16 +86,17 @@ def median_rows(rows: Floats, count: int) -> Floats:
 
 
 @compiled
-def _middle_of_four(rows: Floats, out: Floats) -> None:
+def _middle_of_four(rows: Reals, out: Reals) -> None:
     """Mean (n,) of the middle two of rows (4, n): the greater low and the lesser high of pairs."""
+    half = rows.dtype.type(0.5)
     for i in range(len(out)):
         a, b, c, d = rows[0, i], rows[1, i], rows[2, i], rows[3, i]
         low, high = _greater(_less(a, b), _less(c, d)), _less(_greater(a, b), _greater(c, d))
-        out[i] = 0.5 * (low + high)
+        out[i] = half * (low + high)
 
 
 @compiled
-def _middle_of_nine(rows: Floats, out: Floats) -> None:
+def _middle_of_nine(rows: Reals, out: Reals) -> None:
     """Middle (n,) of rows (9, n).
 
     Without branches, so that the loop does many columns at once: each triple is sorted, and the

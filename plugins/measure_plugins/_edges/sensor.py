@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from measure.arrays import Floats
+from measure.arrays import Floats, Reals, Singles
 from measure.compiling import compiled
 from measure_plugins._edges.radial import STEPS
 
@@ -66,11 +66,12 @@ def chroma_taps(chroma_px: float) -> Floats:
 
 
 @compiled
-def encode(light: Floats, inverse: Floats) -> Floats:
+def encode(light: Floats, inverse: Floats) -> Singles:
     """Picture values, 0 to 1, of light (3, m, n), by the table of `encoding`."""
-    out, lows = np.empty(light.shape), np.empty(light.size, np.int32)
+    out, lows = np.empty(light.shape, np.float32), np.empty(light.size, np.int32)
     flat, read, top = light.reshape(-1), out.reshape(-1), np.float32(len(inverse) - 2)
-    for i in range(light.size):  # half as wide: roots take half the time
+    table = inverse.astype(np.float32)
+    for i in range(light.size):  # in single precision roots take half the time
         x = np.float32(flat[i])
         x = x if x > _NO_LIGHT else _NO_LIGHT
         x = x if x < _FULL_LIGHT else _FULL_LIGHT
@@ -79,13 +80,13 @@ def encode(light: Floats, inverse: Floats) -> Floats:
         read[i] = place - np.float32(lows[i])
     for i in range(light.size):
         low = np.uint32(lows[i])  # unsigned: no look whether it counts from the end
-        value = inverse[low]
-        read[i] = value + read[i] * (inverse[low + np.uint32(1)] - value)
+        value = table[low]
+        read[i] = value + read[i] * (table[low + np.uint32(1)] - value)
     return out
 
 
 @compiled
-def read_off(values: Floats, taps: Floats) -> Floats:
+def read_off(values: Reals, taps: Floats) -> Reals:
     """Blur BGR values (3, m, n) along the rays as pictures and reading them off do.
 
     Blue and red minus brightness (JPEG's YCbCr) are blurred by the camera and by interpolation
@@ -101,8 +102,8 @@ def read_off(values: Floats, taps: Floats) -> Floats:
     """
     m, n = values.shape[1:]
     beyond = m + CHROMA_REACH
-    grey, bluer, redder = np.empty(m * n), np.empty(beyond * n), np.empty(beyond * n)
-    out = np.empty((3, m - CHROMA_REACH, n))
+    grey, out = np.empty(m * n, values.dtype), np.empty((3, m - CHROMA_REACH, n), values.dtype)
+    bluer, redder = np.empty(beyond * n, values.dtype), np.empty(beyond * n, values.dtype)
     blue, green, red = (
         values[0].reshape(-1),
         values[1].reshape(-1),
@@ -121,42 +122,48 @@ def read_off(values: Floats, taps: Floats) -> Floats:
 
 @compiled
 def _take_apart(
-    blue: Floats, green: Floats, red: Floats, grey: Floats, bluer: Floats, redder: Floats
+    blue: Reals, green: Reals, red: Reals, grey: Reals, bluer: Reals, redder: Reals
 ) -> None:
     """Brightness, and blue and red minus it, of colours (k,), into the last three."""
+    number = grey.dtype.type  # of the values' precision, else loops do half as many at once
+    of_blue, of_green, of_red = number(_BLUE), number(_GREEN), number(_RED)
     for i in range(len(grey)):
-        brightness = _BLUE * blue[i] + _GREEN * green[i] + _RED * red[i]
+        brightness = of_blue * blue[i] + of_green * green[i] + of_red * red[i]
         grey[i], bluer[i], redder[i] = brightness, blue[i] - brightness, red[i] - brightness
 
 
 @compiled
-def _put_together(grey: Floats, blue: Floats, green: Floats, red: Floats) -> None:
+def _put_together(grey: Reals, blue: Reals, green: Reals, red: Reals) -> None:
     """Colours (k,) in place of what makes blue and red differ from brightness."""
+    number = grey.dtype.type
+    blue_share, red_share = number(_BLUE / _GREEN), number(_RED / _GREEN)
     for i in range(len(grey)):
         bluer, redder = blue[i], red[i]
         blue[i], red[i] = grey[i] + bluer, grey[i] + redder
-        green[i] = grey[i] - (_BLUE * bluer + _RED * redder) / _GREEN
+        green[i] = grey[i] - (blue_share * bluer + red_share * redder)
 
 
 @compiled
-def _interpolated(grey: Floats, n: int) -> Floats:
+def _interpolated(grey: Reals, n: int) -> Reals:
     """Rows of n from the second on, blurred across as interpolation does; the last goes on."""
-    out = np.empty(len(grey) - n)
+    number, out = grey.dtype.type, np.empty(len(grey) - n, grey.dtype)
+    aside, inner, end = number(_ASIDE), number(1 - 2 * _ASIDE), number(1 - _ASIDE)
     last = len(out) - n
     for i in range(last):
-        out[i] = (1 - 2 * _ASIDE) * grey[n + i] + _ASIDE * (grey[i] + grey[2 * n + i])
+        out[i] = inner * grey[n + i] + aside * (grey[i] + grey[2 * n + i])
     for i in range(last, len(out)):
-        out[i] = (1 - _ASIDE) * grey[n + i] + _ASIDE * grey[i]
+        out[i] = end * grey[n + i] + aside * grey[i]
     return out
 
 
 @compiled
-def _blur(values: Floats, n: int, taps: Floats, out: Floats) -> None:
+def _blur(values: Reals, n: int, taps: Floats, out: Reals) -> None:
     """Blur rows of n, one after the other, across; into those from the row CHROMA_REACH on.
 
     All taps at once: what adds them up stays in registers.
     """
-    a, b, c, d = taps[0], taps[1], taps[2], taps[3]
+    number = out.dtype.type
+    a, b, c, d = number(taps[0]), number(taps[1]), number(taps[2]), number(taps[3])
     v1, v2, v3 = values[n:], values[2 * n :], values[3 * n :]
     v4, v5, v6 = values[4 * n :], values[5 * n :], values[6 * n :]
     for i in range(len(out)):

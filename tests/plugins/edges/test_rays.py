@@ -72,3 +72,16 @@ def test_values_are_interpolated_between_pixels() -> None:
     y = points[:, 1] + steps[:, None] * normals[:, 1]
     assert np.allclose(255 * values, np.stack([2 * x + 3 * y, 4 * x, 5 * y]), atol=1e-9)
     assert np.allclose(light, values, atol=1e-12)
+
+
+@pytest.mark.parametrize("x", [0, WIDTH - 2])
+@pytest.mark.parametrize("y", [0, HEIGHT - 2])
+def test_values_are_read_up_to_the_last_pixel(picture, x, y) -> None:
+    """Pixels are read four bytes at once; the picture's last one has but three."""
+    light, values = sample(
+        picture, TABLE, np.array([[x + 0.25, y + 0.75]]), ACROSS, np.zeros(1), np.zeros(1), 0
+    )
+    upper = 0.75 * picture[y, x] + 0.25 * picture[y, x + 1]
+    lower = 0.75 * picture[y + 1, x] + 0.25 * picture[y + 1, x + 1]
+    assert values[:, 0, 0] == pytest.approx((0.25 * upper + 0.75 * lower) / 255, abs=1e-6)
+    assert light == pytest.approx(values, abs=1e-6)
