@@ -95,8 +95,8 @@ def lamps_by(lights: Sequence[Light]) -> Floats:
     for _ in range(_EXPOSURES if others else 0):
         normal, right = own.normal.copy(), own.right.copy()
         for other in others:
-            expected = max(float(power @ other.normal @ power), _NOTHING)
-            exposure = float(power @ other.right) / expected
+            expected = max(float(power @ _product(other.normal, power)), _NOTHING)
+            exposure = max(float(power @ other.right) / expected, 0.0)
             normal += exposure**2 * other.normal
             right += exposure * other.right
         power = _solved(normal, right, power)

@@ -125,11 +125,11 @@ def test_learning_lamps_keeps_to_the_thread_that_asks():
     script = (
         "import sys, time\n"
         "import numpy as np\n"
-        "from measure_plugins._edges.lamps_fit import equations\n"
+        "from measure_plugins._edges.lamps_fit import Light, equations, lamps_by\n"
         "rng = np.random.default_rng(0)\n"
         "shares, seen = [rng.random((600, 100)) for _ in range(6)], [np.ones(600)] * 6\n"
         "work = {\n"
-        "    'lamps': lambda: equations(shares, seen),\n"
+        "    'lamps': lambda: lamps_by([Light(np.ones((94, 4)), *equations(shares, seen))] * 4),\n"
         "    'control': lambda: [one.T @ one for one in shares for _ in range(20)],\n"
         "}[sys.argv[1]]\n"
         "work()\n"
