@@ -183,6 +183,8 @@ def add_normal(
     for i in range(len(amounts)):
         for a in range(len(right)):
             weighted = weights[i] * shares[i, a]
+            if weighted == 0:  # half of all lamps are below a pixel's horizon
+                continue
             right[a] += weighted * amounts[i]
             for b in range(a + 1):
                 normal[a, b] += weighted * shares[i, b]
