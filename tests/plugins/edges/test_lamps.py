@@ -1,21 +1,15 @@
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.optimize import nnls
 
-from measure.cores import usable_cores
 from measure.simulation import Renderer
 from measure.simulation.catalogue import plain_scene
 from measure_plugins._edges.appearance import MATT
 from measure_plugins._edges.corrected import corrected_edges
 from measure_plugins._edges.lamps import fit_lamp_light, lamp_body, lamp_light, no_lamps, seen_from
-from measure_plugins._edges.lamps_fit import Light, equations, lamps_by, non_negative
 from measure_plugins._edges.neighbours import middle_angles
 from measure_plugins._edges.prediction import Ambient
 from measure_plugins._edges.radial import STEPS, fresnel, radial
@@ -88,65 +82,6 @@ def test_what_lights_a_ball_is_found_among_pixels_that_do_not_belong():
     amounts[:, 10:20] = 5.0
     found = fit_lamp_light(amounts, free, AROUND, TABLES.diffuse, lit, USED)
     assert found == pytest.approx(true, abs=0.01)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_unknowns_that_cannot_be_negative_are_those_of_lawson_and_hanson(seed):
-    rng = np.random.default_rng(seed)
-    a, b = rng.normal(size=(40, 8)), rng.normal(size=40)
-    found = non_negative(a.T @ a, a.T @ b, np.zeros(8), 500)
-    assert found == pytest.approx(nnls(a, b)[0], abs=1e-6)
-    assert np.any(found == 0)
-
-
-def test_cameras_tell_together_of_lamps_that_no_camera_sees_all_of():
-    """The second is exposed for half as long, and sees lamps from the second on only."""
-    rng, true = np.random.default_rng(0), np.array([1.0, 0, 0.5, 2.0, 0, 1.5, 0, 0.2, *[0.1] * 6])
-    places = rng.uniform(1, 2, (8, 4))
-    seen_by = (slice(0, 6), slice(1, 8))
-    lights = []
-    for exposure, lamps in zip((1.0, 0.5), seen_by, strict=True):
-        shares = rng.random((400, 14))
-        hidden = np.setdiff1d(np.arange(8), np.arange(8)[lamps])
-        shares[:, hidden] = 0.0
-        noise = 1e-4 * rng.normal(size=400)
-        lights.append(Light(places, *equations([shares], [exposure * shares @ true + noise])))
-    for light, lamps in zip(lights, seen_by, strict=True):
-        assert len(lamps_by([light])) == np.count_nonzero(true[:8][lamps])
-    found = lamps_by(lights)
-    assert found[:, :3] == pytest.approx(places[true[:8] > 0, :3])
-    power = found[:, 3] / places[true[:8] > 0, 3]
-    assert power / power.sum() == pytest.approx(true[:8][true[:8] > 0] / 5.2, abs=0.01)
-
-
-@pytest.mark.skipif(usable_cores() < 2, reason="one core: no library has threads to share work")
-def test_learning_lamps_keeps_to_the_thread_that_asks():
-    """Threads of the linear algebra library wait for each other where cameras run side by side."""
-    script = (
-        "import sys, time\n"
-        "import numpy as np\n"
-        "from measure_plugins._edges.lamps_fit import Light, equations, lamps_by\n"
-        "rng = np.random.default_rng(0)\n"
-        "shares, seen = [rng.random((600, 100)) for _ in range(6)], [np.ones(600)] * 6\n"
-        "work = {\n"
-        "    'lamps': lambda: lamps_by([Light(np.ones((94, 4)), *equations(shares, seen))] * 4),\n"
-        "    'control': lambda: [one.T @ one for one in shares for _ in range(20)],\n"
-        "}[sys.argv[1]]\n"
-        "work()\n"
-        "all_threads, own = time.process_time(), time.thread_time()\n"
-        "work()\n"
-        "own, all_threads = time.thread_time() - own, time.process_time() - all_threads\n"
-        "print(all_threads / own)"
-    )
-    for work, threads in (("lamps", False), ("control", True)):
-        ran = subprocess.run(
-            [sys.executable, "-c", script, work],
-            env={**os.environ, "OPENBLAS_NUM_THREADS": "2"},
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        assert (float(ran.stdout) > 1.2) == threads, work
 
 
 @pytest.fixture(scope="module")
