@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from measure.geometry import RigidTransform
-from measure.model import Camera
 from measure.simulation.presets import (
     MATT,
     PLASTIC,
@@ -132,9 +130,15 @@ def async_scene(seed: int = 4) -> Scene:
     )
 
 
-def rolling(cameras: Sequence[Camera], row_time_s: float) -> tuple[Camera, ...]:
-    """Cameras whose calibration says that their shutters roll, by so much from row to row."""
-    return tuple(replace(c, readout_s=row_time_s * c.intrinsics.size_wh[1]) for c in cameras)
+def rolling(scene: Scene, row_time_s: float) -> Scene:
+    """The scene through shutters that take so long from row to row, as the calibration says."""
+    cameras = [
+        replace(camera, readout_s=row_time_s * camera.intrinsics.size_wh[1])
+        for camera in scene.cameras
+    ]
+    return replace(
+        scene, cameras=tuple(cameras), sensor=replace(scene.sensor, row_time_s=row_time_s)
+    )
 
 
 def scene_catalogue() -> dict[str, Scene]:
@@ -173,11 +177,9 @@ def scene_catalogue() -> dict[str, Scene]:
             still, name="three-cameras", cameras=three_camera_rig(), description="three cameras"
         ),
         replace(
-            still,
+            rolling(still, 30e-6),
             name="rolling",
             trajectory=motion(9, MotionLimits(slowest_hz=0.3, fastest_hz=0.9)),
-            cameras=rolling(still.cameras, 30e-6),
-            sensor=replace(WEBCAM, row_time_s=30e-6),
             description="rolling shutter, 30 us a row",
         ),
     )

@@ -74,7 +74,7 @@ class AppearanceLearner:
         if self._lesson is None:
             return now
         others = [one for one in lessons if one is not self._lesson]
-        lights = [one.light_if_bent if bent or one.bent else one.light for one in others]
+        lights = [one.light_by(bent or one.bent) for one in others]
         self._others = [light for light in lights if light is not None]
         self._believe_bent |= bent
         if bent and not self._lesson.bent:
@@ -121,7 +121,7 @@ class AppearanceLearner:
 
     def _lit_alike(self, lesson: Lesson) -> Appearance:
         """What a lesson taught, by the light that other cameras see as well."""
-        own = lesson.light_if_bent if lesson.bent else lesson.light
+        own = lesson.light_by(lesson.bent)
         if own is None or not self._others or len(lesson.appearance.lamps) == 0:
             return lesson.appearance
         return replace(lesson.appearance, lamps=lamps_by([own, *self._others]))

@@ -57,6 +57,10 @@ class Lesson:
     light: Light
     light_if_bent: Light | None
 
+    def light_by(self, bent: bool) -> Light | None:
+        """What the pictures say of the light by the bent curve, or by the straight one."""
+        return self.light_if_bent if bent else self.light
+
 
 def take_lesson(
     sights: Sequence[Sight],

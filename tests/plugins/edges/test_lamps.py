@@ -130,7 +130,7 @@ def test_learnt_lamps_light_a_ball_as_the_scenes_lamps_do(scene, learnt):
     lamps = _from_the_middle(scene, learnt.lamps)
     assert _unlike(lamps, normals[seen], true[seen]) < 0.03
     from_below = lamps * [1, -1, 1, 1]
-    assert _unlike(from_below, normals[seen], true[seen]) > 0.08
+    assert _unlike(from_below, normals[seen], true[seen]) > 0.1
 
 
 def test_what_lights_the_far_side_of_balls_other_cameras_tell(scene, learnt, together):
