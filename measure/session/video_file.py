@@ -189,7 +189,7 @@ def _open(path: Path, where: str) -> Any:
     except (av.error.FFmpegError, OSError) as problem:
         raise SessionError(
             f"{where}{path}: not a video that can be read, or its recording was cut off "
-            f"({_reason(problem)})"
+            f"({_reason(problem)}): copy it again from where it was recorded, or record it anew"
         ) from None
 
 
