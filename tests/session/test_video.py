@@ -109,7 +109,7 @@ def test_damage_within_a_video_names_the_frame(tmp_path: Path) -> None:
 
 def test_a_file_without_video_is_refused(tmp_path: Path) -> None:
     (tmp_path / "cam.mp4").write_text("no video at all")
-    with pytest.raises(SessionError, match="not a video that can be read.*: copy it again"):
+    with pytest.raises(SessionError, match=r"not a video that can be read.*: copy it again"):
         open_video_stream("left", tmp_path / "cam.mp4")
     with pytest.raises(SessionError, match=r"did you mean cam\.mp4"):
         open_video_stream("left", tmp_path / "can.mp4")
