@@ -37,6 +37,17 @@ def _tie(kernel: object, stamp: str) -> None:
         kept._source_stamp = (kept._source_stamp, stamp)  # noqa: SLF001
 
 
+def folded(function: F) -> F:
+    """`function` as a part of the source of the compiled loops that call it.
+
+    Compilers go once more through all that a kernel calls: one that is only called by one other
+    costs as much time again as the other. Folded, it is compiled with its caller alone.
+    """
+    kernel = numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")(function)
+    _tie(kernel, digest(function.__module__))
+    return cast("F", kernel)
+
+
 def inlined(function: F) -> F:
     """`function` as a part of the compiled loops that call it: none of its own is kept."""
     return cast("F", numba.njit(nogil=True, error_model="numpy", forceinline=True)(function))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from measure.arrays import Floats
-from measure.compiling import compiled
+from measure.compiling import compiled, folded
 from measure_plugins._edges.corrected import SEARCH_PX
 from measure_plugins._edges.gain import CORRECTED_GROWTH, restore
 from measure_plugins._edges.look import Search, View, light_about, look_closely, look_roughly
@@ -37,32 +37,32 @@ _GROWTH_SEEN = (-0.5, 0.5)
 diffuse light fades at grazing angles, so a ball's edge lies inside its outline."""
 
 
-@compiled
+@folded
 def measure_closely(view: View, search: Search, radial: Radial) -> Outline:
     """Measure an outline of known size by corrected edges, from the prediction if that will do.
 
     A wide look sees much besides the outline, and is often further off than the prediction: it is
     taken only where corrected edges about the prediction do not agree.
     """
-    near, reach = _settled(view, search, radial, search.axis, True), reach_px(view, search)
+    near, reach = _settled(view, search, radial, search.axis), reach_px(view, search)
     if reach <= SEARCH_PX or near.share >= _CONVINCING:
         return near
     look = look_roughly(view, search, search.axis, search.half_angle, reach)
     fit = fit_look(look, _GROWTH_SEEN, True)
     if not np.isfinite(fit.scale):
         return near
-    far = _settled(view, search, radial, turned(look, fit), False)
+    far = _settled(view, search, radial, turned(look, fit))
     return far if far.agreeing > near.agreeing else near
 
 
 @compiled
-def _settled(view: View, search: Search, radial: Radial, axis: Floats, first: bool) -> Outline:
-    """The outline that corrected looks lead to from `axis`; `first` if nobody looked there yet."""
+def _settled(view: View, search: Search, radial: Radial, axis: Floats) -> Outline:
+    """The outline that corrected looks lead to from `axis`, the predicted one or a better one."""
     ambient = light_about(view, search, axis, radial)
-    before = np.zeros(2)
+    before, predicted = np.zeros(2), bool(np.all(axis == search.axis))
     for turn in range(_TURNS):
         look = look_closely(view, search, axis, search.half_angle, radial, ambient)
-        fit = fit_look(look, CORRECTED_GROWTH, first and turn == 0)
+        fit = fit_look(look, CORRECTED_GROWTH, predicted and turn == 0)
         if not np.isfinite(fit.scale):
             break
         restore(look, fit, search.gain)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from measure.arrays import Floats
-from measure.compiling import compiled
+from measure.compiling import compiled, folded
 from measure.geometry.linear_kernels import cholesky, invert_factored
 from measure.geometry.rotation_kernels import rotation_of, rotvec_of
 from measure_plugins._edges.contour_moments import COLUMNS, collect
@@ -92,7 +92,7 @@ class _Balance(NamedTuple):
     scatter: Scatter
 
 
-@compiled
+@folded
 def fit_contours(
     contours: Contours, rotation: Floats, translation: Floats, prior_information: Floats
 ) -> ContourFit:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from measure.arrays import Bytes, Floats, Reals
-from measure.compiling import compiled
+from measure.compiling import compiled, folded
 from measure_plugins._edges.crossing import crossings, levels, project, uncertainty
 from measure_plugins._edges.neighbours import TOGETHER, middle_angles, together
 from measure_plugins._edges.prediction import Ambient, predict_light
@@ -60,7 +60,7 @@ class Edges(NamedTuple):
     outside: Floats
 
 
-@compiled
+@folded
 def corrected_edges(
     pixels: Bytes,
     table: Floats,
@@ -133,7 +133,7 @@ def _joined(
     return Edges(shift, sd, contrast, inside.astype(np.float64), outside.astype(np.float64))
 
 
-@compiled
+@folded
 def _predicted_together(
     light: Reals, free: Floats, around: Floats, sensor: Sensor, radial: Radial, ambient: Ambient
 ) -> Reals:
@@ -195,7 +195,7 @@ def sampled_light(
     return light, levels(light, STEPS, _BACKGROUND_PX).astype(np.float64)
 
 
-@compiled
+@folded
 def predicted_values(
     light: Floats,
     free: Floats,

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from measure.arrays import Floats
-from measure.compiling import compiled
+from measure.compiling import compiled, folded
 from measure_plugins._edges.look import Look, Search, View, light_about, look_closely
 from measure_plugins._edges.outline_fit import Fit, fit_look
 from measure_plugins._edges.radial import Radial
@@ -36,7 +36,7 @@ def restore(look: Look, fit: Fit, gain: Floats) -> None:
         look.edges.shifts[i] += look.around[i, 0] * more[0] + look.around[i, 1] * more[1]
 
 
-@compiled
+@folded
 def measured_gain(view: View, search: Search, radial: Radial) -> Floats:
     """How far (2, 2) an axis is off, along e1 and e2, per px that a look finds it off.
 
