@@ -23,6 +23,21 @@ settings.register_profile("search", deadline=None, max_examples=1500, suppress_h
 settings.load_profile("suite")
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Compile the hot loops before there are workers: each of them would compile them all."""
+    config = session.config
+    if not config.getoption("numprocesses", None) or hasattr(config, "workerinput"):
+        return
+    from measure.api import load_profile
+    from measure.api.warming_up import warm_pipeline
+    from measure.host import Registry
+    from measure.simulation.catalogue import webcam_scene
+
+    scene = webcam_scene()
+    warm_pipeline(load_profile(), Registry.discover(), scene.body, scene.cameras)
+
+
 @pytest.fixture(scope="session")
 def shared() -> Path:
     """The folder of recordings that lies beside the repository."""

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from measure.api.measuring import measure_session, warm_pipeline
+from measure.api.measuring import measure_session
 from measure.api.profiles import load_profile
+from measure.api.warming_up import warm_pipeline
 from measure.arrays import Floats
 from measure.errors import ConfigError
 from measure.geometry import RigidTransform

@@ -11,9 +11,8 @@ import numpy as np
 
 from measure.api.correcting import correct_simulated_robot
 from measure.api.evaluate import evaluate
-from measure.api.measuring import a_word_if_it_takes_long
-from measure.api.profiles import build_pipeline
 from measure.api.run import RunOptions, run
+from measure.api.warming_up import a_word_if_it_takes_long, compiled_pipeline
 from measure.errors import ConfigError
 from measure.host import Registry
 from measure.measuring import Profile
@@ -80,7 +79,7 @@ def demo(
     _refuse_what_is_no_demo(folder, frames)
     scene = webcam_scene()
     with a_word_if_it_takes_long() as begun:
-        build_pipeline(profile, registry, scene.body, scene.cameras).warm_up()
+        compiled_pipeline(profile, registry, scene.body, scene.cameras)
 
         def rendered(done: int, total: int) -> None:
             begun()

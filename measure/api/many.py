@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
 
-from measure.api.measuring import warm_pipeline
 from measure.api.run import RunOptions, run
+from measure.api.warming_up import warm_pipeline
 from measure.cores import usable_cores
 from measure.errors import ConfigError, MeasureError
 from measure.host import Registry

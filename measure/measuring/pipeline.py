@@ -48,9 +48,17 @@ class Pipeline:
         self.stages = stages
 
     def warm_up(self) -> None:
-        """Let every stage compile or load what is slow; detectors of all cameras share that."""
+        """Let every stage compile or load what is slow."""
+        self.warm_up_detectors()
+        self.warm_up_what_follows()
+
+    def warm_up_detectors(self) -> None:
+        """One of them: those of all cameras share what is slow."""
         for detector in list(self.stages.detectors.values())[:1]:
             detector.warm_up()
+
+    def warm_up_what_follows(self) -> None:
+        """Tracking, triangulation, poses and motion."""
         self.stages.tracker.warm_up()
         self.stages.triangulator.warm_up()
         self.stages.solver.warm_up()

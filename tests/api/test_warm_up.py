@@ -8,8 +8,10 @@ import time
 
 import numba
 from measurements import BODY, CAMERAS
+from numba.core import event
 
-from measure.api import RunOptions, measuring
+from measure.api import RunOptions, compiling_aside, load_profile, warming_up
+from measure.host import Registry
 from measure.measuring import Pipeline, Stages
 from tests.session.conftest import write_recording
 
@@ -35,16 +37,16 @@ def test_every_stage_is_warmed_up_once_and_cameras_share_it():
 
 
 def test_only_a_long_warm_up_is_explained(monkeypatch, caplog):
-    monkeypatch.setattr(measuring, "PATIENCE_S", 0.05)
+    monkeypatch.setattr(warming_up, "PATIENCE_S", 0.05)
     with caplog.at_level(logging.WARNING):
-        with measuring.a_word_if_it_takes_long():
+        with warming_up.a_word_if_it_takes_long():
             pass
         time.sleep(0.1)
         assert caplog.text == ""
-        with measuring.a_word_if_it_takes_long():
+        with warming_up.a_word_if_it_takes_long():
             time.sleep(0.2)
         assert caplog.text == "", "nothing was compiled: it was something else that took long"
-        with measuring.a_word_if_it_takes_long():
+        with warming_up.a_word_if_it_takes_long():
             numba.njit(_add_one)(1)
             time.sleep(0.2)
     assert "compiling" in caplog.text
@@ -52,9 +54,9 @@ def test_only_a_long_warm_up_is_explained(monkeypatch, caplog):
 
 
 def test_a_very_long_warm_up_shows_that_it_goes_on(monkeypatch, caplog):
-    monkeypatch.setattr(measuring, "PATIENCE_S", 0.05)
-    monkeypatch.setattr(measuring, "AGAIN_S", 0.05)
-    with caplog.at_level(logging.WARNING), measuring.a_word_if_it_takes_long() as begun:
+    monkeypatch.setattr(warming_up, "PATIENCE_S", 0.05)
+    monkeypatch.setattr(warming_up, "AGAIN_S", 0.05)
+    with caplog.at_level(logging.WARNING), warming_up.a_word_if_it_takes_long() as begun:
         numba.njit(_add_one)(1)
         time.sleep(0.3)
         begun()
@@ -77,3 +79,37 @@ def test_processes_share_what_the_first_has_compiled(monkeypatch, tmp_path):
     ]
     many._compile_once(jobs)
     assert [len(body.balls) for body in warmed] == [3]
+
+
+def _begun_when_compiling(work):
+    aside = compiling_aside._SecondProcess(work)
+    with event.install_listener("numba:compile", aside):
+        assert aside._process is None, "nothing is compiled yet"
+        numba.njit(_add_one)(1)
+    return aside
+
+
+def _work():
+    return load_profile("paper"), Registry.discover(), BODY, CAMERAS
+
+
+def test_a_second_process_compiles_what_follows_detection():
+    aside = _begun_when_compiling(_work())
+    aside.end(at_once=False)
+    assert aside._process.returncode == 0
+
+
+def test_a_second_process_is_not_left_behind_by_a_failure():
+    aside = _begun_when_compiling(_work())
+    aside.end(at_once=True)
+    assert aside._process.returncode not in (None, 0)
+
+
+def test_without_a_second_core_or_with_parts_that_cannot_be_handed_over_there_is_one_process(
+    monkeypatch,
+):
+    assert _begun_when_compiling((lambda: None,))._process is None
+    monkeypatch.setattr(compiling_aside, "usable_cores", lambda: 1)
+    alone = _begun_when_compiling(_work())
+    alone.end(at_once=False)
+    assert alone._process is None

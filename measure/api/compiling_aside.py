@@ -1,0 +1,80 @@
+"""A second process that compiles, into the cache on disk, what follows detection."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+
+from numba.core import event
+
+from measure.api.profiles import build_pipeline
+from measure.cores import usable_cores
+from measure.host import Registry
+from measure.measuring import Profile
+from measure.model import Body, Camera
+
+
+@contextmanager
+def what_follows_aside(
+    profile: Profile, registry: Registry, body: Body, cameras: Sequence[Camera]
+) -> Iterator[None]:
+    """Have a pipeline's later stages compiled while detectors are, if those have to be.
+
+    In the end what another process compiled only has to be loaded.
+    """
+    aside, at_once = _SecondProcess((profile, registry, body, cameras)), True
+    try:
+        with event.install_listener("numba:compile", aside):
+            yield
+        at_once = False
+    finally:
+        aside.end(at_once)
+
+
+class _SecondProcess(event.Listener):  # type: ignore[misc]
+    """Begins as soon as something is compiled, for then all is; what it compiles is on disk.
+
+    Where there is one core only, or what it takes cannot be handed over, there is no such process,
+    and nothing is lost but time.
+    """
+
+    def __init__(self, work: tuple[object, ...]) -> None:
+        self._work: tuple[object, ...] | None = work if usable_cores() > 1 else None
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def on_start(self, event: object) -> None:  # noqa: ARG002
+        """Called by numba when it begins to compile a function."""
+        work, self._work = self._work, None
+        if work is None or getattr(sys, "frozen", False):
+            return
+        with suppress(OSError, pickle.PicklingError, TypeError, AttributeError):
+            handed_over = pickle.dumps(work)
+            self._process = subprocess.Popen(
+                [sys.executable, "-c", f"from {__name__} import _compile; _compile()"],
+                env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )
+            assert self._process.stdin is not None
+            with self._process.stdin as pipe:
+                pipe.write(handed_over)
+
+    def on_end(self, event: object) -> None:
+        """Nothing to do: it goes on with its own."""
+
+    def end(self, at_once: bool) -> None:
+        """Wait for what it does, if it ever began, or stop it."""
+        if self._process is not None:
+            if at_once:
+                self._process.kill()
+            self._process.wait()
+
+
+def _compile() -> None:
+    """What the second process does."""
+    build_pipeline(*pickle.load(sys.stdin.buffer)).warm_up_what_follows()
