@@ -12,9 +12,9 @@ from measure.arrays import Floats
 from measure.compiling import compiled
 from measure.geometry.linear_kernels import cholesky, solve_factored
 from measure_plugins._edges.selection import nearly_kth
+from measure_plugins._edges.vectors import DOUBLES, whole_vectors
 
 _TUKEY = 4.685
-_VECTOR = 8
 _ROUNDS, _ENOUGH_PX = 6, 1e-3
 _FEWEST = 4
 FURTHEST_PX = 1.6
@@ -61,7 +61,7 @@ def _three_point_solutions(
 
     Beyond the trials, such columns fill up the last vector of the machine.
     """
-    columns = -(-trials // _VECTOR) * _VECTOR
+    columns = whole_vectors(trials, DOUBLES)
     found, score = np.zeros((3, columns)), np.full(columns, -np.inf)
     state, n = np.uint64(12345), np.uint32(len(at))
     pick = np.zeros(3, np.uint64)

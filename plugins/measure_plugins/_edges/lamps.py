@@ -17,6 +17,7 @@ from measure.compiling import compiled, inlined
 from measure.geometry.linear_kernels import cholesky, solve_factored
 from measure_plugins._edges.selection import nearly_kth
 from measure_plugins._edges.shading import every_second
+from measure_plugins._edges.vectors import SINGLES, whole_vectors
 
 REFERENCE_MM = 1000.0
 """A lamp's irradiance is what it gives at this distance."""
@@ -28,8 +29,6 @@ _LANES = 2 * _FITTED_RAYS
 """There are always fewer of them."""
 _NOTHING = 1e-4
 """Share of a ball's own light below which a place along a ray lies past its blurred outline."""
-_VECTOR = 16
-"""Rays are filled up to a multiple of so many: a vector of the machine, in single precision."""
 _NONE, _ONE = np.float32(0), np.float32(1)
 UNIFORM, FACING, ASIDE = 0, 1, 3
 """The columns of `radial.Radial.diffuse` for light that is even, or linear in the normal."""
@@ -71,7 +70,7 @@ def lamp_light(diffuse: Floats, kept_out: float, around: Floats, lamps: Floats) 
         around: (n, 2) cosine and sine around the axis.
         lamps: (k, 4) seen from the ball.
     """
-    m, n, lanes = len(diffuse), len(around), -(-len(around) // _VECTOR) * _VECTOR
+    m, n, lanes = len(diffuse), len(around), whole_vectors(len(around), SINGLES)
     out, total = np.zeros((m if len(lamps) > 0 else 0, n)), np.empty(lanes, np.float32)
     sideways = np.zeros((len(lamps), lanes), np.float32)
     for k in range(len(lamps)):

@@ -8,12 +8,12 @@ from measure.arrays import Bytes, Floats, Ints, Singles
 from measure.compiling import compiled, inlined
 from measure.model.lens import lens_numbers, to_pixel
 from measure_plugins._edges.four_pixels import between_pixels
+from measure_plugins._edges.vectors import DOUBLES, whole_vectors
 
 FREE, HIDDEN, OUTSIDE = 0, 1, 2
 """What stands in a ray's way: nothing, a nearer ball, the picture's border."""
 
 _LEVEL = np.float32(1 / 255)
-_VECTOR = 8
 _TILT = 1e-4
 """Angle in rad over which the outline's normal and scale are taken."""
 
@@ -227,7 +227,7 @@ def _light_between(
 @compiled
 def _filled_up(steps: Floats) -> Floats:
     """Steps (m or more,), the last of them again and again up to a whole vector of the machine."""
-    out = np.full(-(-len(steps) // _VECTOR) * _VECTOR, steps[len(steps) - 1])
+    out = np.full(whole_vectors(len(steps), DOUBLES), steps[len(steps) - 1])
     out[: len(steps)] = steps
     return out
 

@@ -13,12 +13,11 @@ from measure.arrays import Floats, Ints
 from measure.compiling import compiled
 from measure.geometry.linear_kernels import times
 from measure_plugins._edges.selection import nearly_kth
+from measure_plugins._edges.vectors import DOUBLES, whole_vectors
 
 GREY = 1 / np.sqrt(3.0)
 COLORLESS = 0.15
 """Sine of the angle between a ball's colour and grey below which the two cannot be told apart."""
-_VECTOR = 8
-"""Rays are filled up to a multiple of so many."""
 _OWN_LAST_PX = -3.0
 _COLOR_RAYS = 36
 """Neighbouring rays show much the same: a ball's colour is taken from about so many of them."""
@@ -85,7 +84,7 @@ def every_second(values: Floats, used: int, rays: Ints) -> Floats:
     Returns:
         (p, k or more): columns of zeros fill up the last vector of the machine.
     """
-    out = np.zeros(((used + 1) // 2, -(-len(rays) // _VECTOR) * _VECTOR))
+    out = np.zeros(((used + 1) // 2, whole_vectors(len(rays), DOUBLES)))
     for j in range(len(out)):
         for k in range(len(rays)):
             out[j, k] = values[2 * j, rays[k]]
