@@ -6,6 +6,7 @@ import os
 import pickle
 import subprocess
 import sys
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 
@@ -39,12 +40,14 @@ class _SecondProcess(event.Listener):  # type: ignore[misc]
     """Begins as soon as something is compiled, for then all is; what it compiles is on disk.
 
     Where there is one core only, or what it takes cannot be handed over, there is no such process,
-    and nothing is lost but time.
+    and where it hangs (a part that waits for a device which this process holds) it is given up:
+    nothing is lost but time.
     """
 
     def __init__(self, work: tuple[object, ...]) -> None:
         self._work: tuple[object, ...] | None = work if usable_cores() > 1 else None
         self._process: subprocess.Popen[bytes] | None = None
+        self._begun_s = time.monotonic()
 
     def on_start(self, event: object) -> None:  # noqa: ARG002
         """Called by numba when it begins to compile a function."""
@@ -52,7 +55,7 @@ class _SecondProcess(event.Listener):  # type: ignore[misc]
         if work is None or getattr(sys, "frozen", False):
             return
         with suppress(OSError, pickle.PicklingError, TypeError, AttributeError):
-            handed_over = pickle.dumps(work)
+            handed_over, self._begun_s = pickle.dumps(work), time.monotonic()
             self._process = subprocess.Popen(
                 [sys.executable, "-c", f"from {__name__} import _compile; _compile()"],
                 env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
@@ -68,10 +71,14 @@ class _SecondProcess(event.Listener):  # type: ignore[misc]
         """Nothing to do: it goes on with its own."""
 
     def end(self, at_once: bool) -> None:
-        """Wait for what it does, if it ever began, or stop it."""
-        if self._process is not None:
-            if at_once:
-                self._process.kill()
+        """Stop it, or wait as long again as it has had: it has less to do than this process."""
+        if self._process is None:
+            return
+        patience_s = 0.0 if at_once else time.monotonic() - self._begun_s
+        try:
+            self._process.wait(patience_s)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
             self._process.wait()
 
 

@@ -95,6 +95,7 @@ def _work():
 
 def test_a_second_process_compiles_what_follows_detection():
     aside = _begun_when_compiling(_work())
+    aside._process.wait(60)
     aside.end(at_once=False)
     assert aside._process.returncode == 0
 
@@ -102,6 +103,20 @@ def test_a_second_process_compiles_what_follows_detection():
 def test_a_second_process_is_not_left_behind_by_a_failure():
     aside = _begun_when_compiling(_work())
     aside.end(at_once=True)
+    assert aside._process.returncode not in (None, 0)
+
+
+class _Endless:
+    def __reduce__(self):
+        return time.sleep, (600.0,)
+
+
+def test_a_second_process_that_hangs_is_given_up():
+    aside = _begun_when_compiling((_Endless(),))
+    time.sleep(1.0)
+    begun = time.monotonic()
+    aside.end(at_once=False)
+    assert time.monotonic() - begun < 10.0
     assert aside._process.returncode not in (None, 0)
 
 
