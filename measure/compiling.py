@@ -22,7 +22,11 @@ def compiled(function: F) -> F:
     It runs without the interpreter's lock, so that cameras are measured side by side. The code on
     disk is used until a source changes that it may be made of.
     """
-    kernel = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+    return _kept_on_disk(function)
+
+
+def _kept_on_disk(function: F, **options: str) -> F:
+    kernel = numba.njit(cache=True, nogil=True, error_model="numpy", **options)(function)
     _tie(kernel, digest(function.__module__))
     return cast("F", kernel)
 
@@ -43,9 +47,7 @@ def folded(function: F) -> F:
     Compilers go once more through all that a kernel calls: one that is only called by one other
     costs as much time again as the other. Folded, it is compiled with its caller alone.
     """
-    kernel = numba.njit(cache=True, nogil=True, error_model="numpy", inline="always")(function)
-    _tie(kernel, digest(function.__module__))
-    return cast("F", kernel)
+    return _kept_on_disk(function, inline="always")
 
 
 def inlined(function: F) -> F:

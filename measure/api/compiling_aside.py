@@ -39,23 +39,24 @@ def what_follows_aside(
 class _SecondProcess(event.Listener):  # type: ignore[misc]
     """Begins as soon as something is compiled, for then all is; what it compiles is on disk.
 
-    Where there is one core only, or what it takes cannot be handed over, there is no such process,
-    and where it hangs (a part that waits for a device which this process holds) it is given up:
-    nothing is lost but time.
+    Where there is one core only, or what it takes cannot be handed over, there is no such process;
+    nor in a frozen program, which is no interpreter to start. Where it hangs (a part that waits for
+    a device which this process holds) it is given up. Nothing is lost but time.
     """
 
     def __init__(self, work: tuple[object, ...]) -> None:
-        self._work: tuple[object, ...] | None = work if usable_cores() > 1 else None
+        alone = usable_cores() == 1 or getattr(sys, "frozen", False)
+        self._work: tuple[object, ...] | None = None if alone else work
         self._process: subprocess.Popen[bytes] | None = None
         self._begun_s = time.monotonic()
 
     def on_start(self, event: object) -> None:  # noqa: ARG002
         """Called by numba when it begins to compile a function."""
         work, self._work = self._work, None
-        if work is None or getattr(sys, "frozen", False):
+        if work is None:
             return
         with suppress(OSError, pickle.PicklingError, TypeError, AttributeError):
-            handed_over, self._begun_s = pickle.dumps(work), time.monotonic()
+            handed_over = pickle.dumps(work)
             self._process = subprocess.Popen(
                 [sys.executable, "-c", f"from {__name__} import _compile; _compile()"],
                 env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
@@ -71,7 +72,7 @@ class _SecondProcess(event.Listener):  # type: ignore[misc]
         """Nothing to do: it goes on with its own."""
 
     def end(self, at_once: bool) -> None:
-        """Stop it, or wait as long again as it has had: it has less to do than this process."""
+        """Stop it, or wait as long again as detectors took: it has less to do than they."""
         if self._process is None:
             return
         patience_s = 0.0 if at_once else time.monotonic() - self._begun_s
