@@ -7,17 +7,26 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.altered import ALTERATIONS, altered_copy
-from measure.simulation import Scene, scene_catalogue, unusual_scenes, write_session
+from measure.simulation import (
+    Scene,
+    relit_scenes,
+    scene_catalogue,
+    unusual_scenes,
+    write_session,
+)
 
 BESIDE = Path(__file__).resolve().parents[2] / "shared" / "renders"
+RELIT = "relit "
 UNUSUAL = "unusual "
 ALTERED = "altered "
-"""What the names of recordings of unusual scenes, and of altered recordings, begin with."""
+"""What the names of recordings of own scenes in other light, of unusual scenes, and of altered
+recordings begin with."""
 
 
 def rendered_scenes() -> dict[str, Scene]:
     """The scenes that are rendered, by the names of their recordings."""
     usual = {f"own {name}": scene for name, scene in scene_catalogue().items()}
+    usual |= {RELIT + name: scene for name, scene in relit_scenes().items()}
     return usual | {UNUSUAL + name: scene for name, scene in unusual_scenes().items()}
 
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
+import numpy as np
 
 from benchmarks.methods import METHODS
 from benchmarks.trial import Trial, bounds_of, run_trial
@@ -58,6 +59,24 @@ def _cells(trial: Trial) -> tuple[str, ...]:
         f"{trial.first_ref:.1f}",
         f"{trial.later_ref:.1f}",
     )
+
+
+def typical(rows: Rows) -> Rows:
+    """A row for every method in rows (recording, method, figures): what is typical of all of them.
+
+    Geometric means, for what is twice as far off in one scene may be half as far off in another;
+    plain means of shares.
+    """
+    out: Rows = []
+    for method in dict.fromkeys(row[1] for row in rows):
+        figures = np.array([row[2:] for row in rows if row[1] == method], dtype=np.float64)
+        cells = []
+        for name, column, text in zip(FIGURES, figures.T, rows[0][2:], strict=True):
+            with np.errstate(divide="ignore"):
+                mean = np.mean(column) if name.endswith("%") else np.exp(np.mean(np.log(column)))
+            cells.append(f"{mean:.{len(text.partition('.')[2])}f}")
+        out.append((f"typical of {len(figures)}", method, *cells))
+    return out
 
 
 def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -128,6 +128,7 @@ def provenance(session: Session, profile: Profile, registry: Registry) -> Proven
         profile=resolved(profile, registry),
         plugins=plugins,
         notes=session.notes,
+        session_name=session.name,
     )
 
 

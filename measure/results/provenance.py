@@ -31,6 +31,7 @@ class Provenance:
         profile: the resolved stages with all their settings, defaults included.
         plugins: by stage, "NAME of DISTRIBUTION VERSION".
         notes: what the session left to be known: missing pictures and the like.
+        session_name: what the session is called; empty if not known.
     """
 
     session: str
@@ -41,12 +42,14 @@ class Provenance:
     profile: Mapping[str, Any]
     plugins: Mapping[str, str]
     notes: tuple[str, ...] = ()
+    session_name: str = ""
 
     def values(self) -> dict[str, Any]:
         """As written to `run.toml`."""
         return {
             "run": {"started": datetime.now(UTC).isoformat(timespec="seconds")},
             "session": {
+                "name": self.session_name,
                 "path": self.session,
                 "sha256": self.session_digest,
                 "notes": list(self.notes),

@@ -2,7 +2,7 @@
 
 from measure.simulation.boards import Chessboard, Print, charuco
 from measure.simulation.capture import CaptureScene, write_capture
-from measure.simulation.catalogue import scene_catalogue
+from measure.simulation.catalogue import relit_scenes, scene_catalogue
 from measure.simulation.observations import Observation, simulate_observations
 from measure.simulation.recording import write_session
 from measure.simulation.renderer import Renderer, render
@@ -34,6 +34,7 @@ __all__ = [
     "Trajectory",
     "charuco",
     "random_motion",
+    "relit_scenes",
     "render",
     "scene_catalogue",
     "simulate_observations",

@@ -34,6 +34,9 @@ WEBCAM = Sensor(
 PLAIN_CAMERA = Sensor(blur_px=0.7, level_noise=2.0, encoding="png")
 """Blur, sRGB and noise of two levels, nothing else: the response is known."""
 
+_OTHER_SEEDS = (11, 12, 13, 14)
+"""Of lamps, rooms, motions and noise that no scene of the catalogue has."""
+
 
 def motion(seed: int, limits: MotionLimits | None = None) -> Sines:
     """A smooth random motion about the middle of the workspace."""
@@ -183,4 +186,25 @@ def scene_catalogue() -> dict[str, Scene]:
             description="rolling shutter, 30 us a row",
         ),
     )
+    return {scene.name: scene for scene in scenes}
+
+
+def relit_scenes() -> dict[str, Scene]:
+    """The catalogue's kinds of scene under other lamps, in other rooms, moving otherwise, by name.
+
+    One scene says how well one light is told: its frames err alike. Many say how well any is.
+    """
+    scenes = [
+        replace(scene, name=f"{scene.name} {seed}")
+        for seed in _OTHER_SEEDS
+        for scene in (
+            plain_scene("black", seed),
+            plain_scene("grey", seed),
+            plain_scene("clutter", seed),
+            webcam_scene(seed),
+            occluded_scene(seed),
+            clutter_scene(seed),
+            async_scene(seed),
+        )
+    ]
     return {scene.name: scene for scene in scenes}

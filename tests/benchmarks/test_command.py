@@ -7,8 +7,9 @@ import sys
 import pytest
 
 from benchmarks.__main__ import main
-from benchmarks.recordings import UNUSUAL, rendered_scenes
-from measure.simulation import scene_catalogue, unusual_scenes
+from benchmarks.recordings import RELIT, UNUSUAL, rendered_scenes
+from benchmarks.tables import typical
+from measure.simulation import relit_scenes, scene_catalogue, unusual_scenes
 
 
 def typed(monkeypatch, *words: str) -> None:
@@ -17,9 +18,10 @@ def typed(monkeypatch, *words: str) -> None:
 
 
 def test_every_scene_is_a_recording() -> None:
-    names = list(rendered_scenes())
-    assert [f"own {name}" for name in scene_catalogue()] == names[: len(scene_catalogue())]
-    assert [UNUSUAL + name for name in unusual_scenes()] == names[len(scene_catalogue()) :]
+    own = [f"own {name}" for name in scene_catalogue()]
+    relit = [RELIT + name for name in relit_scenes()]
+    unusual = [UNUSUAL + name for name in unusual_scenes()]
+    assert list(rendered_scenes()) == own + relit + unusual
 
 
 def test_unusual_scenes_make_one_table_of_the_default_method(monkeypatch, capsys, tmp_path) -> None:
@@ -66,3 +68,27 @@ def test_a_session_that_is_not_there_is_one_line(monkeypatch, capsys, tmp_path) 
     assert err.startswith("benchmarks: ")
     assert "nowhere: no such file" in err
     assert err.count("\n") == 1
+
+
+def test_what_is_typical_of_recordings_is_their_geometric_mean_and_mean_share() -> None:
+    figures = ("0.100", "0.010", "0.040", "40", "0", "0", "10", "100", "5.0", "2.0")
+    other = ("0.400", "0.040", "0.010", "10", "0", "50", "0", "50", "5.0", "8.0")
+    paper = ("0.900", "0.900", "0.900", "90", "0", "0", "0", "0", "9.0", "9.0")
+    rows = [("a", "ours", *figures), ("a", "paper", *paper), ("b", "ours", *other)]
+    assert typical(rows) == [
+        (
+            "typical of 2",
+            "ours",
+            "0.200",
+            "0.020",
+            "0.020",
+            "20",
+            "0",
+            "25",
+            "5",
+            "75",
+            "5.0",
+            "4.0",
+        ),
+        ("typical of 1", "paper", *paper),
+    ]

@@ -53,6 +53,9 @@ def test_a_report_names_the_recording_and_the_day(tmp_path):
     assert "<title>Run run of s</title>" in page
     assert re.search(r"\d{4}-\d\d-\d\d \d\d:\d\d UTC", page)
     assert "<title>Run s</title>" in run_report(_run(tmp_path / "s", 5))
+    named = replace(PROVENANCE, session_name="white room")
+    page = run_report(_run(tmp_path / "other", 5, provenance=named))
+    assert "<title>Run other of white room</title>" in page
 
 
 def test_missing_poses_make_the_verdict_doubtful(tmp_path):

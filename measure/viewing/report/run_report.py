@@ -45,7 +45,8 @@ def run_report(run: Run, errors: Floats | None = None) -> str:
 def _title(run: Run) -> str:
     """Names the run, and the recording where that is called something else."""
     name = run.path.resolve().name
-    recording = Path(run.provenance.get("session", {}).get("path", "")).name
+    session = run.provenance.get("session", {})
+    recording = session.get("name") or Path(session.get("path", "")).name
     return f"Run {name}" if recording in ("", name) else f"Run {name} of {recording}"
 
 
