@@ -24,6 +24,8 @@ from measure_plugins._edges.tone import tone_table
 GLOSSY, MATT = REFRACTIVE_INDEX, 1.0001
 """Refractive index of lacquer and clear plastic; and of paint without a boundary that reflects."""
 BENDS = 3
+BELIEVED = 0.9
+"""What is believed of predictions before it is known how well they tell what is seen."""
 _VALUES = np.arange(256) / 255.0
 _FLATTEST = 1e-4
 
@@ -41,6 +43,7 @@ class Appearance:
         mirrors: whether it mirrors, at grazing angles, the colours of what is behind the ball.
         lamps: (k, 4) what lights the balls, in the camera frame, see `lamps`; none if not known.
         room: what else they mirror of the room.
+        believed: share of what a prediction says of an edge that is taken off, see `believing`.
     """
 
     tone: str
@@ -51,6 +54,7 @@ class Appearance:
     mirrors: bool = True
     lamps: Floats = field(default_factory=no_lamps)
     room: Room = field(default_factory=no_room)
+    believed: float = BELIEVED
 
     @cached_property
     def table(self) -> Floats:

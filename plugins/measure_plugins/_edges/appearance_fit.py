@@ -19,6 +19,7 @@ from measure_plugins._edges.clipped import clipped
 from measure_plugins._edges.corrected import LATER_STEPS, compare
 from measure_plugins._edges.highlights import highlights
 from measure_plugins._edges.lamps import lamp_light, no_lamps, seen_from
+from measure_plugins._edges.neighbours import TOGETHER, middle_angles
 from measure_plugins._edges.prediction import Ambient
 from measure_plugins._edges.radial import Radial
 from measure_plugins._edges.rays import FREE, HIDDEN
@@ -279,17 +280,22 @@ def _residuals(
         sight.around,
         sight.free.copy(),
         tables,
-        _ambient(sight, appearance, tables),
+        ambient_of(sight, appearance, tables),
     )
     known = np.empty(0) if weights is None else weights
     return aligned_residuals(seen, predicted, sight.free, sight.around, _COMPARED, _STEP, known)
 
 
-def _ambient(sight: Sight, appearance: Appearance, tables: Radial) -> Ambient:
-    """What the appearance says of the light round a ball."""
+def ambient_of(
+    sight: Sight, appearance: Appearance, tables: Radial, in_groups: bool = False
+) -> Ambient:
+    """What the appearance says of the light round a ball, on its rays or between them."""
+    around, behind = sight.around, sight.behind
+    if in_groups:
+        around, behind = middle_angles(around), np.ascontiguousarray(behind[:, ::TOGETHER])
     lamps = seen_from(appearance.lamps, sight.frame, sight.distance)
     return Ambient(
-        lamp_light(tables.diffuse, tables.kept_out[0], sight.around, lamps),
-        room_light(appearance.room, tables.grey, sight.frame, sight.half_angle, sight.around),
-        sight.behind,
+        lamp_light(tables.diffuse, tables.kept_out[0], around, lamps),
+        room_light(appearance.room, tables.grey, sight.frame, sight.half_angle, around),
+        behind,
     )

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from measure.arrays import Bytes, Floats, Reals
+from measure.arrays import Bytes, Floats, Reals, Singles
 from measure.compiling import compiled, folded
 from measure_plugins._edges.crossing import crossings, levels, project, uncertainty
 from measure_plugins._edges.neighbours import TOGETHER, middle_angles, together
@@ -28,10 +28,6 @@ SEARCH_PX = 3.0
 _BACKGROUND_PX = (3.0, 6.0)
 _COLORFUL = 0.35
 """Share of the edges' contrast that is colour, above which grey is left out of it."""
-_REAL = 0.9
-"""Share of a ray's correction, beyond the contour's common one, that is taken off. Predictions are
-fitted to noisy pictures and follow the outline they assume: the difference of the two edges that
-is seen is, on average over unlike scenes, this much of the one predicted."""
 _TRUST = 0.25
 """Share of a ray's correction, beyond the contour's common one, that counts as its uncertainty."""
 _SYSTEMATIC_PX = 0.25
@@ -60,6 +56,26 @@ class Edges(NamedTuple):
     outside: Floats
 
 
+class FoundTwice(NamedTuple):
+    """Edges along n rays, found by all colours but grey, then by all.
+
+    Attributes:
+        at: (2, n) px outward from the prediction, NaN where there is none.
+        sd: (2, n) px.
+        contrast: (2, n) difference of inside and outside, in picture values from 0 to 1.
+        predicted: (2, n / 2) where the same finder sees edges on the prediction, px.
+        inside: (3, n) light inside.
+        outside: (3, n) light outside.
+    """
+
+    at: Floats
+    sd: Floats
+    contrast: Floats
+    predicted: Floats
+    inside: Singles
+    outside: Singles
+
+
 @folded
 def corrected_edges(
     pixels: Bytes,
@@ -71,12 +87,46 @@ def corrected_edges(
     free: Floats,
     radial: Radial,
     ambient: Ambient,
+    believed: float,
 ) -> Edges:
-    """Find edges twice, by all colours and without grey, less the finder's errors on a prediction.
+    """Edges found twice, less the finder's errors on a prediction.
+
+    What the prediction gets wrong moves the two differently: their mean is less off than either,
+    and their difference tells by how much. Of a ray's correction, beyond the contour's common one,
+    the share that is `believed` is taken off. All other arguments are those of `find_twice`.
+
+    Returns:
+        The edges; their contrast in picture values from 0 to 1.
+    """
+    found = find_twice(pixels, table, sensor, points, normals, around, free, radial, ambient)
+    n = len(points)
+    shifts, variances = np.empty((2, n)), np.empty((2, n))
+    for k in range(2):
+        common = _middle(found.predicted[k])
+        for i in range(n):
+            own = found.predicted[k, i // TOGETHER] - common
+            sd = found.sd[k, i]
+            shifts[k, i] = found.at[k, i] - common - believed * own
+            variances[k, i] = sd * sd + _TRUST * own * _TRUST * own
+    return _joined(shifts, variances, found.contrast, found.inside, found.outside)
+
+
+@compiled
+def find_twice(
+    pixels: Bytes,
+    table: Floats,
+    sensor: Sensor,
+    points: Floats,
+    normals: Floats,
+    around: Floats,
+    free: Floats,
+    radial: Radial,
+    ambient: Ambient,
+) -> FoundTwice:
+    """Find edges without grey and by all colours, in a picture and on the prediction of it.
 
     Without grey, colourless reflections do not count; with it, brightness does, which the camera
-    shows sharper. What the prediction gets wrong moves the two differently: their mean is less off
-    than either, and their difference tells by how much.
+    shows sharper.
 
     Args:
         pixels: (h, w, 3) uint8.
@@ -88,9 +138,6 @@ def corrected_edges(
         free: (n,) `rays.FREE` where nothing is known to be in the way; may be set to OUTSIDE.
         radial: what the ball shows along a ray, see `radial.radial`.
         ambient: what is known of the light round it, along the n / 2 rays that are predicted.
-
-    Returns:
-        The edges; their contrast in picture values from 0 to 1.
     """
     light, values = sample(pixels, table, points, normals, STEPS, free, _FIRST)
     window = inside_window(points)
@@ -101,20 +148,16 @@ def corrected_edges(
     model_inside = levels(predicted, LATER_STEPS, window)
     model_outside = levels(predicted, LATER_STEPS, OUTSIDE_PX)
     n = len(points)
-    shifts, variances, contrasts = np.empty((2, n)), np.empty((2, n)), np.empty((2, n))
+    at, sd, contrasts = np.empty((2, n)), np.empty((2, n)), np.empty((2, n))
+    biases = np.empty((2, n // TOGETHER))
     for k in range(2):
         without_grey = k == 0 and _is_colorful(within, background, free)
         x, contrasts[k] = project(values, inside, outside, without_grey)
-        at, slope = crossings(x, LATER_STEPS, SEARCH_PX)
-        sd = uncertainty(x, LATER_STEPS, at, slope, window)
+        seen, slope = crossings(x, LATER_STEPS, SEARCH_PX)
+        at[k], sd[k] = seen, uncertainty(x, LATER_STEPS, seen, slope, window)
         y, _ = project(predicted, model_inside, model_outside, without_grey)
-        biases, _ = crossings(y, LATER_STEPS, SEARCH_PX)
-        common = _middle(biases)
-        for i in range(n):
-            own = biases[i // TOGETHER] - common
-            shifts[k, i] = at[i] - common - _REAL * own
-            variances[k, i] = sd[i] * sd[i] + _TRUST * own * _TRUST * own
-    return _joined(shifts, variances, contrasts, within, background)
+        biases[k], _ = crossings(y, LATER_STEPS, SEARCH_PX)
+    return FoundTwice(at, sd, contrasts, biases, within, background)
 
 
 @compiled

@@ -12,6 +12,7 @@ from measure.arrays import Bytes, Floats
 from measure_plugins._edges.appearance import Appearance
 from measure_plugins._edges.appearance_fit import Sight, misfits
 from measure_plugins._edges.behind import balls_behind, balls_nearer, mirrored_behind
+from measure_plugins._edges.believing import Agreement, agreement_on, believed_share
 from measure_plugins._edges.corrected import INSIDE_PX, OUTSIDE_PX
 from measure_plugins._edges.lamps_fit import Light, lamps_by, light_on
 from measure_plugins._edges.lesson import Lesson, take_lesson
@@ -49,6 +50,7 @@ class AppearanceLearner:
         self._lesson: Lesson | None = None
         self._believe_bent = False
         self._others: list[Light] = []
+        self._agreements: list[Agreement] = []
 
     @property
     def settled(self) -> bool:
@@ -76,6 +78,7 @@ class AppearanceLearner:
         others = [one for one in lessons if one is not self._lesson]
         lights = [one.light_by(bent or one.bent) for one in others]
         self._others = [light for light in lights if light is not None]
+        self._agreements = [one.agreement for one in others]
         self._believe_bent |= bent
         if bent and not self._lesson.bent:
             return self._taught(now)
@@ -120,16 +123,18 @@ class AppearanceLearner:
         return now if self._lesson is None else self._lit_alike(self._lesson)
 
     def _lit_alike(self, lesson: Lesson) -> Appearance:
-        """What a lesson taught, by the light that other cameras see as well."""
-        own = lesson.light_by(lesson.bent)
-        if own is None or not self._others or len(lesson.appearance.lamps) == 0:
-            return lesson.appearance
-        return replace(lesson.appearance, lamps=lamps_by([own, *self._others]))
+        """What a lesson taught, by the light that other cameras see, believed as they agree."""
+        own, now = lesson.light_by(lesson.bent), lesson.appearance
+        if own is not None and self._others and len(now.lamps) > 0:
+            now = replace(now, lamps=lamps_by([own, *self._others]))
+        share = believed_share([lesson.agreement, *self._agreements])
+        return now if share == now.believed else replace(now, believed=share)
 
     def warm_up(self, pixels: Bytes, cone: Cone, now: Appearance) -> None:
         """Compile what a lesson runs."""
         sights = [self._sight(pixels, cone, [])]
         misfits(sights, now)
+        agreement_on(sights, now)
         lamps_by([light_on(sights, now, self._world_from_camera)])
         backdrop = self._backdrop(pixels, [cone])
         misfits(sights, replace(now, room=room_of([backdrop], now.table)))

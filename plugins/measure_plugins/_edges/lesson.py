@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from measure.arrays import Floats
 from measure_plugins._edges.appearance import Appearance
@@ -19,6 +19,7 @@ from measure_plugins._edges.appearance_fit import (
     unclipped,
     with_or_without_mirroring,
 )
+from measure_plugins._edges.believing import Agreement, agreement_on, believed_share
 from measure_plugins._edges.lamps_fit import Light, light_on, with_lamps
 from measure_plugins._edges.room_fit import Backdrop, with_room
 
@@ -48,6 +49,7 @@ class Lesson:
         bends: (3,) of that curve, believed or not, see `appearance.bent_table`.
         light: what the pictures say of the light, by the straight curve.
         light_if_bent: the same by the bent one; None where that leaves too much to be tried.
+        agreement: how well what the appearance foresees agrees with what is seen.
     """
 
     appearance: Appearance
@@ -56,6 +58,7 @@ class Lesson:
     bends: Floats
     light: Light
     light_if_bent: Light | None
+    agreement: Agreement
 
     def light_by(self, bent: bool) -> Light | None:
         """What the pictures say of the light by the bent curve, or by the straight one."""
@@ -98,5 +101,7 @@ def take_lesson(
         left = left_by(bent, straight, clear)
     believed = left < (_BELIEVED_BENT if believe_bent else _BENT_BELOW)
     in_room = with_room(useful, bent if believed else straight, backdrops)
-    appearance = with_or_without_mirroring(useful, in_room)
-    return Lesson(appearance, believed, left, bent.bends, light, light_if_bent)
+    unweighed = with_or_without_mirroring(useful, in_room)
+    agreement = agreement_on(useful, unweighed)
+    appearance = replace(unweighed, believed=believed_share([agreement]))
+    return Lesson(appearance, believed, left, bent.bends, light, light_if_bent, agreement)

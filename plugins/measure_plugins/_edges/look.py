@@ -51,6 +51,7 @@ class View(NamedTuple):
         lens: (13,) lens row.
         lamps: (k, 4) in the camera frame, see `lamps`.
         room: what balls mirror of the room.
+        believed: see `appearance.Appearance`.
     """
 
     pixels: Bytes
@@ -59,6 +60,7 @@ class View(NamedTuple):
     lens: Floats
     lamps: Floats
     room: Room
+    believed: float
 
 
 class Search(NamedTuple):
@@ -165,7 +167,16 @@ def look_closely(
     reach = (INSIDE_PX[0], OUTSIDE_PX[1])
     free = ways(frame, half_angle, scale, around, search.nearer, reach, search.margin_px)
     edges = corrected_edges(
-        view.pixels, view.table, view.sensor, points, normals, around, free, radial, ambient
+        view.pixels,
+        view.table,
+        view.sensor,
+        points,
+        normals,
+        around,
+        free,
+        radial,
+        ambient,
+        view.believed,
     )
     clear, use = _usable(edges, free, search.min_contrast, SEARCH_PX)
     return Look(frame, points, normals, scale, around, free, edges, clear, use)

@@ -53,7 +53,8 @@ class KnownBalls:
     def view(self, image: Image, seen: Appearance) -> View:
         """A picture ready to be looked at, as the camera shows things."""
         pixels = np.ascontiguousarray(image.pixels)
-        return View(pixels, seen.table, seen.sensor, self._lens, seen.lamps, seen.room)
+        lens, believed = self._lens, seen.believed
+        return View(pixels, seen.table, seen.sensor, lens, seen.lamps, seen.room, believed)
 
     def cones(self, expected: Sequence[Expectation]) -> Floats:
         """Axes, half angles in rad, distances in mm, and radii in px of outlines: (k, 6)."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from measure.simulation import Renderer, scene_catalogue
-from measure_plugins._edges.appearance import GLOSSY, MATT, Appearance, first_appearance
+from measure_plugins._edges.appearance import BELIEVED, GLOSSY, MATT, Appearance, first_appearance
 from measure_plugins._edges.behind import balls_behind, mirror_behind, mirrored_behind
 from measure_plugins._edges.corrected import corrected_edges
 from measure_plugins._edges.lamps import lamp_light
@@ -135,6 +135,7 @@ def _mean_error(view, known):
         np.zeros(RAYS),
         tables,
         Ambient(lit, np.zeros((3, 0, len(middles))), told),
+        BELIEVED,
     )
     before = np.repeat(shares[0] > 0, RAYS // len(middles))
     good = before & (np.abs(edges.shifts) < 2.0)

@@ -7,7 +7,7 @@ import pytest
 
 from measure.simulation import Renderer
 from measure.simulation.catalogue import plain_scene
-from measure_plugins._edges.appearance import MATT
+from measure_plugins._edges.appearance import BELIEVED, MATT
 from measure_plugins._edges.corrected import corrected_edges
 from measure_plugins._edges.lamps import fit_lamp_light, lamp_body, lamp_light, no_lamps, seen_from
 from measure_plugins._edges.neighbours import middle_angles
@@ -223,6 +223,7 @@ def _mean_errors(scene, appearance):
                 np.zeros((3, 0, 36)),
                 np.zeros((8, 0)),
             ),
+            BELIEVED,
         )
         center = pose.apply(ball.center_mm)
         limb = around @ frame[:2] @ camera.camera_from_world.rotation

@@ -7,6 +7,7 @@ import pytest
 
 from measure.simulation import Renderer, scene_catalogue
 from measure_plugins._edges.appearance import first_appearance
+from measure_plugins._edges.believing import Agreement
 from measure_plugins._edges.lamps_fit import Light
 from measure_plugins._edges.lesson import Lesson
 from measure_plugins._edges.one_kind import bent_together
@@ -21,7 +22,7 @@ def lessons_of(shares, bends):
     start = first_appearance("srgb")
     dark = Light(np.zeros((0, 4)), np.zeros((0, 0)), np.zeros(0))
     return [
-        Lesson(start, False, left, np.array(b), dark, None)
+        Lesson(start, False, left, np.array(b), dark, None, Agreement(0.0, 0.0))
         for left, b in zip(shares, bends, strict=True)
     ]
 
