@@ -77,29 +77,20 @@ class FoundTwice(NamedTuple):
 
 
 @folded
-def corrected_edges(
-    pixels: Bytes,
-    table: Floats,
-    sensor: Sensor,
-    points: Floats,
-    normals: Floats,
-    around: Floats,
-    free: Floats,
-    radial: Radial,
-    ambient: Ambient,
-    believed: float,
-) -> Edges:
+def corrected_edges(found: FoundTwice, believed: float) -> Edges:
     """Edges found twice, less the finder's errors on a prediction.
 
     What the prediction gets wrong moves the two differently: their mean is less off than either,
-    and their difference tells by how much. Of a ray's correction, beyond the contour's common one,
-    the share that is `believed` is taken off. All other arguments are those of `find_twice`.
+    and their difference tells by how much.
+
+    Args:
+        found: by `find_twice`.
+        believed: share of a ray's correction, beyond the contour's common one, that is taken off.
 
     Returns:
         The edges; their contrast in picture values from 0 to 1.
     """
-    found = find_twice(pixels, table, sensor, points, normals, around, free, radial, ambient)
-    n = len(points)
+    n = found.at.shape[1]
     shifts, variances = np.empty((2, n)), np.empty((2, n))
     for k in range(2):
         common = _middle(found.predicted[k])

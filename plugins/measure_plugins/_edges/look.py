@@ -15,6 +15,7 @@ from measure_plugins._edges.corrected import (
     SEARCH_PX,
     Edges,
     corrected_edges,
+    find_twice,
 )
 from measure_plugins._edges.crossing import crossings, levels, project, uncertainty
 from measure_plugins._edges.lamps import lamp_light, seen_from
@@ -166,18 +167,10 @@ def look_closely(
     points, normals, scale, around = cast_rays(frame, half_angle, search.rays, view.lens)
     reach = (INSIDE_PX[0], OUTSIDE_PX[1])
     free = ways(frame, half_angle, scale, around, search.nearer, reach, search.margin_px)
-    edges = corrected_edges(
-        view.pixels,
-        view.table,
-        view.sensor,
-        points,
-        normals,
-        around,
-        free,
-        radial,
-        ambient,
-        view.believed,
+    found = find_twice(
+        view.pixels, view.table, view.sensor, points, normals, around, free, radial, ambient
     )
+    edges = corrected_edges(found, view.believed)
     clear, use = _usable(edges, free, search.min_contrast, SEARCH_PX)
     return Look(frame, points, normals, scale, around, free, edges, clear, use)
 

@@ -8,7 +8,7 @@ import pytest
 from measure.simulation import Renderer, scene_catalogue
 from measure_plugins._edges.appearance import BELIEVED, GLOSSY, MATT, Appearance, first_appearance
 from measure_plugins._edges.behind import balls_behind, mirror_behind, mirrored_behind
-from measure_plugins._edges.corrected import corrected_edges
+from measure_plugins._edges.corrected import corrected_edges, find_twice
 from measure_plugins._edges.lamps import lamp_light
 from measure_plugins._edges.neighbours import middle_angles
 from measure_plugins._edges.prediction import Ambient
@@ -125,7 +125,7 @@ def _mean_error(view, known):
     shares = mirrored_behind(balls_behind(rows[green], rows), frame, half_angle, middles)
     lit = lamp_light(tables.diffuse, tables.kept_out[0], middles, appearance.lamps)
     told = shares if known else shares[:, :0].copy()
-    edges = corrected_edges(
+    found = find_twice(
         pixels,
         appearance.table,
         appearance.sensor,
@@ -135,8 +135,8 @@ def _mean_error(view, known):
         np.zeros(RAYS),
         tables,
         Ambient(lit, np.zeros((3, 0, len(middles))), told),
-        BELIEVED,
     )
+    edges = corrected_edges(found, BELIEVED)
     before = np.repeat(shares[0] > 0, RAYS // len(middles))
     good = before & (np.abs(edges.shifts) < 2.0)
     assert np.count_nonzero(good) > 8

@@ -8,7 +8,7 @@ import pytest
 from measure.simulation import Renderer
 from measure.simulation.catalogue import plain_scene
 from measure_plugins._edges.appearance import BELIEVED, MATT
-from measure_plugins._edges.corrected import corrected_edges
+from measure_plugins._edges.corrected import corrected_edges, find_twice
 from measure_plugins._edges.lamps import fit_lamp_light, lamp_body, lamp_light, no_lamps, seen_from
 from measure_plugins._edges.neighbours import middle_angles
 from measure_plugins._edges.prediction import Ambient
@@ -204,7 +204,7 @@ def _mean_errors(scene, appearance):
         points, normals, scale, around = cast_rays(frame, half_angle, 72, camera.intrinsics.row)
         size = half_angle * float(np.mean(scale))
         tables = radial(size, half_angle, appearance.blur_px, appearance.index)
-        edges = corrected_edges(
+        found = find_twice(
             pixels,
             table,
             appearance.sensor,
@@ -223,8 +223,8 @@ def _mean_errors(scene, appearance):
                 np.zeros((3, 0, 36)),
                 np.zeros((8, 0)),
             ),
-            BELIEVED,
         )
+        edges = corrected_edges(found, BELIEVED)
         center = pose.apply(ball.center_mm)
         limb = around @ frame[:2] @ camera.camera_from_world.rotation
         lit = np.full(72, -1.0)
