@@ -39,11 +39,11 @@ class Sensor(NamedTuple):
         taps: (4,) see `chroma_taps`.
     """
 
-    encoding: Floats
+    encoding: Singles
     taps: Floats
 
 
-def encoding(table: Floats) -> Floats:
+def encoding(table: Floats) -> Singles:
     """The inverse of a tone table (256,): picture values, 0 to 1, at even steps of sqrt(light).
 
     The root spreads the shade, where tone curves are steep: interpolated linearly, the error is
@@ -52,7 +52,7 @@ def encoding(table: Floats) -> Floats:
     """
     light = np.linspace(0.0, 1.0, _ENCODED + 1) ** 2
     values = np.interp(light, table, np.arange(len(table)) / (len(table) - 1))
-    return np.append(values, values[-1])
+    return np.append(values, values[-1]).astype(np.float32)
 
 
 def chroma_taps(chroma_px: float) -> Floats:
@@ -66,11 +66,10 @@ def chroma_taps(chroma_px: float) -> Floats:
 
 
 @compiled
-def encode(light: Floats, inverse: Floats) -> Singles:
+def encode(light: Floats, inverse: Singles) -> Singles:
     """Picture values, 0 to 1, of light (3, m, n), by the table of `encoding`."""
     out, lows = np.empty(light.shape, np.float32), np.empty(light.size, np.int32)
     flat, read, top = light.reshape(-1), out.reshape(-1), np.float32(len(inverse) - 2)
-    table = inverse.astype(np.float32)
     for i in range(light.size):  # in single precision roots take half the time
         x = np.float32(flat[i])
         x = x if x > _NO_LIGHT else _NO_LIGHT
@@ -80,8 +79,8 @@ def encode(light: Floats, inverse: Floats) -> Singles:
         read[i] = place - np.float32(lows[i])
     for i in range(light.size):
         low = np.uint32(lows[i])  # unsigned: no look whether it counts from the end
-        value = table[low]
-        read[i] = value + read[i] * (table[low + np.uint32(1)] - value)
+        value = inverse[low]
+        read[i] = value + read[i] * (inverse[low + np.uint32(1)] - value)
     return out
 
 
