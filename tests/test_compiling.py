@@ -1,4 +1,4 @@
-"""Machine code on disk follows the sources it is made of."""
+"""Machine code on disk follows the sources it is made of; it does not grow by unrolling loops."""
 
 from __future__ import annotations
 
@@ -30,6 +30,23 @@ _CALL = """from parts.whole import whole
 print(whole(1.0), sum(whole.stats.cache_hits.values()))
 """
 
+_LENGTHS = """import numba
+import numpy as np
+
+def add(one, other):
+    for i in range(len(one)):
+        one[i] += other[i]
+
+def length():
+    kernel = numba.njit(add)
+    kernel(np.ones(3), np.ones(3))
+    return len(next(iter(kernel.inspect_asm().values())))
+
+before = length()
+import measure.compiling
+print(before, length())
+"""
+
 
 @pytest.fixture
 def package(tmp_path: Path) -> Path:
@@ -45,13 +62,18 @@ def package(tmp_path: Path) -> Path:
 
 def _call(package: Path) -> list[float]:
     """The outer kernel's answer in a new process, and whether it was loaded from disk."""
-    paths = [str(package.parent), *(path for path in sys.path if path)]
+    return _printed(_CALL, package.parent)
+
+
+def _printed(program: str, folder: Path) -> list[float]:
+    """The numbers that a program prints; it finds modules in the folder, and keeps code there."""
+    paths = [str(folder), *(path for path in sys.path if path)]
     done = subprocess.run(
-        [sys.executable, "-c", _CALL],
+        [sys.executable, "-c", program],
         env={
             **os.environ,
             "PYTHONPATH": os.pathsep.join(paths),
-            "NUMBA_CACHE_DIR": str(package.parent / "cache"),
+            "NUMBA_CACHE_DIR": str(folder / "cache"),
         },
         capture_output=True,
         text=True,
@@ -70,3 +92,8 @@ def test_a_kernel_follows_the_functions_and_constants_of_other_files(
     text = _PART.format(factor=changed[0], size=changed[1])
     (package / "part.py").write_text(text, "utf-8")
     assert _call(package) == [answer, 0]
+
+
+def test_loops_are_not_unrolled(tmp_path: Path) -> None:
+    unrolled, plain = _printed(_LENGTHS, tmp_path)
+    assert plain < unrolled
