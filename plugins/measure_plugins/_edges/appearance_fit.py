@@ -8,23 +8,21 @@ blur and the wrong kind of surface. No truth is needed, only balls in view.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from measure.arrays import Bytes, Floats
+from measure.arrays import Floats
 from measure_plugins._edges.alignment import aligned_residuals
 from measure_plugins._edges.appearance import BENDS, GLOSSY, MATT, Appearance
 from measure_plugins._edges.clipped import clipped
 from measure_plugins._edges.corrected import LATER_STEPS, compare
 from measure_plugins._edges.highlights import highlights
-from measure_plugins._edges.lamps import lamp_light, no_lamps, seen_from
-from measure_plugins._edges.neighbours import TOGETHER, middle_angles
-from measure_plugins._edges.prediction import Ambient
-from measure_plugins._edges.radial import Radial
+from measure_plugins._edges.lamps import no_lamps
 from measure_plugins._edges.rays import FREE, HIDDEN
-from measure_plugins._edges.room import no_room, room_light
+from measure_plugins._edges.room import no_room
 from measure_plugins._edges.sensor import CHROMA_PX
+from measure_plugins._edges.sight import Sight, asked
 
 _COMPARED = int(np.count_nonzero(LATER_STEPS <= 4.0))
 """Both sides of the edge; further in, highlights have their own shapes."""
@@ -60,35 +58,6 @@ balls, it is believed above the second (the third, where curves are bent): the g
 free reflections besides, explains matt paint nearly as well."""
 
 Bounds = tuple[float, float]
-
-
-@dataclass(frozen=True, eq=False)
-class Sight:
-    """A ball in a picture, cut out, with the rays across its outline.
-
-    Attributes:
-        pixels: (h, w, 3) the part of the picture.
-        points: (n, 2) the outline as found, px in that part.
-        normals: (n, 2) outward.
-        around: (n, 2) cosine and sine around the axis.
-        free: (n,) 0 where the way is clear and an edge agrees with the outline.
-        half_angle: of the cone, rad.
-        scale: px per rad.
-        frame: (3, 3) about the axis, see `rays.frame_about`.
-        behind: see `behind.mirrored_behind`.
-        distance: of the ball, mm.
-    """
-
-    pixels: Bytes
-    points: Floats
-    normals: Floats
-    around: Floats
-    free: Floats
-    half_angle: float
-    scale: float
-    frame: Floats
-    behind: Floats
-    distance: float
 
 
 def as_stated(now: Appearance) -> Appearance:
@@ -270,32 +239,6 @@ def _residuals(
     sight: Sight, appearance: Appearance, weights: Floats | None = None
 ) -> tuple[Floats, Floats]:
     """Picture minus prediction (k, m) along the free rays, the outline moved to fit; weights."""
-    tables = appearance.tables(sight.half_angle * sight.scale, sight.half_angle)
-    seen, predicted = compare(
-        sight.pixels,
-        appearance.table,
-        appearance.sensor,
-        sight.points,
-        sight.normals,
-        sight.around,
-        sight.free.copy(),
-        tables,
-        ambient_of(sight, appearance, tables),
-    )
+    seen, predicted = compare(*asked(sight, appearance))
     known = np.empty(0) if weights is None else weights
     return aligned_residuals(seen, predicted, sight.free, sight.around, _COMPARED, _STEP, known)
-
-
-def ambient_of(
-    sight: Sight, appearance: Appearance, tables: Radial, in_groups: bool = False
-) -> Ambient:
-    """What the appearance says of the light round a ball, on its rays or between them."""
-    around, behind = sight.around, sight.behind
-    if in_groups:
-        around, behind = middle_angles(around), np.ascontiguousarray(behind[:, ::TOGETHER])
-    lamps = seen_from(appearance.lamps, sight.frame, sight.distance)
-    return Ambient(
-        lamp_light(tables.diffuse, tables.kept_out[0], around, lamps),
-        room_light(appearance.room, tables.grey, sight.frame, sight.half_angle, around),
-        behind,
-    )

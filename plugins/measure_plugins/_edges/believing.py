@@ -15,10 +15,10 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure_plugins._edges.appearance import BELIEVED, Appearance
-from measure_plugins._edges.appearance_fit import Sight, ambient_of
 from measure_plugins._edges.corrected import find_twice
 from measure_plugins._edges.neighbours import TOGETHER
 from measure_plugins._edges.rays import FREE
+from measure_plugins._edges.sight import Sight, asked
 
 _UNSEEN, _SEEN = 0.65, 0.4
 """What is believed where nothing of what is foreseen is seen, and how much more where all is:
@@ -69,22 +69,11 @@ def agreement_on(sights: Sequence[Sight], appearance: Appearance) -> Agreement:
 
 def _apart(sight: Sight, appearance: Appearance) -> tuple[Floats, Floats]:
     """How far the two edges lie apart on clear rays (k,), seen and foreseen, less the medians."""
-    tables = appearance.tables(sight.half_angle * sight.scale, sight.half_angle)
-    free = sight.free.copy()
-    found = find_twice(
-        sight.pixels,
-        appearance.table,
-        appearance.sensor,
-        sight.points,
-        sight.normals,
-        sight.around,
-        free,
-        tables,
-        ambient_of(sight, appearance, tables, in_groups=True),
-    )
+    known = asked(sight, appearance, in_groups=True)
+    found = find_twice(*known)
     seen = found.at[0] - found.at[1]
     foreseen = np.repeat(found.predicted[0] - found.predicted[1], TOGETHER)
-    clear = (free == FREE) & np.isfinite(seen) & np.isfinite(foreseen)
+    clear = (known.free == FREE) & np.isfinite(seen) & np.isfinite(foreseen)
     clear &= found.contrast.min(axis=0) > _LEAST_CONTRAST
     if not clear.any():
         return np.empty(0), np.empty(0)

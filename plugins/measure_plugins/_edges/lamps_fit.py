@@ -21,7 +21,7 @@ import numpy as np
 from measure.arrays import Bytes, Floats
 from measure.compiling import compiled
 from measure_plugins._edges.appearance import Appearance
-from measure_plugins._edges.appearance_fit import Sight, misfits
+from measure_plugins._edges.appearance_fit import misfits
 from measure_plugins._edges.corrected import sampled_light
 from measure_plugins._edges.lamps import (
     ASIDE,
@@ -34,6 +34,7 @@ from measure_plugins._edges.lamps import (
 )
 from measure_plugins._edges.prediction import split_light
 from measure_plugins._edges.radial import STEPS, Radial
+from measure_plugins._edges.sight import Sight
 
 _DIRECTIONS = 200
 _AWAY_MM = 1000.0

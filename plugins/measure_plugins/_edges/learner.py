@@ -10,7 +10,7 @@ import numpy as np
 
 from measure.arrays import Bytes, Floats
 from measure_plugins._edges.appearance import Appearance
-from measure_plugins._edges.appearance_fit import Sight, misfits
+from measure_plugins._edges.appearance_fit import misfits
 from measure_plugins._edges.behind import balls_behind, balls_nearer, mirrored_behind
 from measure_plugins._edges.believing import Agreement, agreement_on, believed_share
 from measure_plugins._edges.corrected import INSIDE_PX, OUTSIDE_PX
@@ -19,6 +19,7 @@ from measure_plugins._edges.lesson import Lesson, take_lesson
 from measure_plugins._edges.radial import STEPS
 from measure_plugins._edges.rays import cast_rays, frame_about, ways
 from measure_plugins._edges.room_fit import Backdrop, backdrop_of, room_of
+from measure_plugins._edges.sight import Sight
 
 _FIRST = 2
 """The first picture is only kept: finding the balls in it is slow enough."""

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from measure.arrays import Floats
 from measure_plugins._edges.appearance import Appearance
 from measure_plugins._edges.appearance_fit import (
-    Sight,
     as_stated,
     bent_appearance,
     left_by,
@@ -22,6 +21,7 @@ from measure_plugins._edges.appearance_fit import (
 from measure_plugins._edges.believing import Agreement, agreement_on, believed_share
 from measure_plugins._edges.lamps_fit import Light, light_on, with_lamps
 from measure_plugins._edges.room_fit import Backdrop, with_room
+from measure_plugins._edges.sight import Sight
 
 _HOPELESS = 0.9
 _BENT_BELOW = 0.72

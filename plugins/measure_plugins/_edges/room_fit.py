@@ -16,12 +16,12 @@ from measure.arrays import Bools, Bytes, Floats
 from measure.compiling import compiled
 from measure.model.lens import bearing, to_pixel
 from measure_plugins._edges.appearance import GLOSSY, Appearance
-from measure_plugins._edges.appearance_fit import Sight
 from measure_plugins._edges.corrected import sampled_light
 from measure_plugins._edges.radial import STEPS
 from measure_plugins._edges.rays import FREE
 from measure_plugins._edges.room import Room, by_side, no_room, room_light
 from measure_plugins._edges.shading import COLORLESS, GREY, own_color
+from measure_plugins._edges.sight import Sight
 
 _LONGER = 80
 """Places along the longer side of a picture: what balls mirror is blurred more than that."""
