@@ -71,6 +71,8 @@ def velocity_share(
 ) -> Floats:
     """Covariance (6, 6) of a pose fitted to n points: see `instants.Seen.velocity_share`.
 
+    Points without an image say nothing.
+
     Args:
         lenses: (n, 13).
         reach: (n,) of the lens models.
@@ -96,6 +98,8 @@ def velocity_share(
             lenses[i], reach[i], rig_rotation[i], rig_centers[i],
             arm + translation + lead * (velocity[:3] + swung), min_depth, pixel, by_point,
         )  # fmt: skip
+        if np.isnan(pixel[0]):
+            continue
         slopes[:, :3] = by_point
         for u in range(2):
             slopes[u, 3:] = np.cross(arm, by_point[u])

@@ -11,11 +11,12 @@ from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform, propagate
 from measure.geometry.rays import MIN_PARALLAX_RAD
+from measure.measuring import instants
 from measure.measuring.instants import Seen
 from measure.measuring.multiview import Views, fit_point
 from measure.measuring.point_fit import _nearest
 from measure.measuring.pose_fit import fit_pose
-from measure.model import BallView, Camera, Detection, Motion, Pose
+from measure.model import BallView, Camera, Detection, Intrinsics, Motion, Pose
 from measure.model.observations import State
 from tests.scenes import RAVEN, TARGET, ring, see
 
@@ -128,6 +129,31 @@ def test_a_velocity_that_may_be_wrong_makes_the_pose_of_pictures_out_of_step_les
         share = share - alone
     np.testing.assert_allclose(share, 0, atol=1e-12)
     assert seen.velocity_share(pose, _moving(pose, np.zeros(6))) is None
+
+
+def test_balls_without_an_image_say_nothing_of_a_velocity() -> None:
+    """A camera at the world's origin, as where a stereo rig's first camera is the world."""
+    still, known = RigidTransform.identity(), {"velocity_covariance": np.eye(6)}
+    away, ahead = _lone("away", 0.0), _lone("ahead", -500.0)
+    shares = []
+    for some in ((ahead,), (ahead, away)):
+        found = [
+            Detection(ball, camera.name, 0.01 * i, np.zeros(2), 20.0, np.eye(2))
+            for camera in some
+            for i, ball in enumerate(RAVEN.names)
+        ]
+        views = [BallView(d.ball, d.camera, State.EFFECTIVE, detection=d) for d in found]
+        seen = Seen.of(views, 0.0, RAVEN, {camera.name: camera for camera in some})
+        pose = Pose(0.0, still, np.eye(6), 0.0, 0.0, (), ())
+        shares.append(seen.velocity_share(pose, _moving(pose, np.zeros(6), **known)))
+    assert np.max(shares[0]) > 0
+    np.testing.assert_array_equal(shares[1], shares[0])
+    instants.warm_up(RAVEN, away)
+
+
+def _lone(name: str, z_mm: float) -> Camera:
+    lens = Intrinsics((640, 480), np.array([[700.0, 0, 320], [0, 700, 240], [0, 0, 1]]))
+    return Camera(name, lens, RigidTransform(np.eye(3), np.array([0.0, 0.0, z_mm])))
 
 
 def _moving(pose: Pose, velocity: Floats, **known: Floats) -> Motion:
