@@ -18,7 +18,15 @@ from measure.calibration.targets import MarkerField, read_board, read_markers, r
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
 from measure.model import Intrinsics
-from measure.session import FileModel, load_toml, open_video_stream, read_intrinsics, read_picture
+from measure.session import (
+    FileModel,
+    Name,
+    load_toml,
+    matching_files,
+    open_video_stream,
+    read_intrinsics,
+    read_picture,
+)
 
 _VIDEO_ENDINGS = {".mp4", ".mkv", ".avi", ".mov", ".webm", ".m4v"}
 _VIDEO_FRAMES = 80
@@ -31,9 +39,9 @@ class CaptureTable(FileModel):
 
     name: str
     description: str = ""
-    board: str | None = None
-    markers: str | None = None
-    marks: str | None = None
+    board: Name | None = None
+    markers: Name | None = None
+    marks: Name | None = None
     marker_kind: MarkerKind = "dot"
     marker_tolerance_mm: Tolerance | None = None
     board_tolerance_mm: Tolerance | None = None
@@ -46,13 +54,13 @@ class CaptureTable(FileModel):
 class CameraTable(FileModel):
     """`[[cameras]]`."""
 
-    name: Annotated[str, Field(min_length=1)]
-    intrinsics: str | None = None
-    calibration: str | None = None
-    board_image: str | None = None
+    name: Name
+    intrinsics: Name | None = None
+    calibration: Name | None = None
+    board_image: Name | None = None
     board_quat_wxyz: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat] | None = None
     board_translation_mm: tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None = None
-    marker_image: str | None = None
+    marker_image: Name | None = None
 
     @model_validator(mode="after")
     def _complete(self) -> CameraTable:
@@ -112,7 +120,7 @@ class CameraCapture:
         if Path(self.pictures).suffix.lower() in _VIDEO_ENDINGS:
             yield from self._video(self.folder / self.pictures)
             return
-        files = sorted(self.folder.glob(self.pictures), key=_natural)
+        files = sorted(matching_files(self.folder, self.pictures), key=_natural)
         if not files:
             raise CalibrationError(
                 f"camera {self.name}: no picture matches {self.folder / self.pictures}"

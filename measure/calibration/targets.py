@@ -15,7 +15,7 @@ from pydantic import Field, FiniteFloat, field_validator, model_validator
 from measure.arrays import Floats
 from measure.calibration.boards import Board, Charuco, Chessboard
 from measure.errors import CalibrationError
-from measure.session import FileModel, load_toml
+from measure.session import FileModel, Name, load_toml
 
 Count = Annotated[int, Field(ge=2, le=100)]
 Length = Annotated[FiniteFloat, Field(gt=0)]
@@ -76,7 +76,7 @@ class CharucoFile(FileModel):
 class MarkerRow(FileModel):
     """One marker of a field."""
 
-    name: Annotated[str, Field(min_length=1)]
+    name: Name
     position_mm: tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 
 

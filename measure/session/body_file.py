@@ -15,7 +15,7 @@ from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError, SessionError
 from measure.model import Ball, BallColor, Body, ColorRange
 from measure.model.color import NAMED_RANGES
-from measure.session.files import FileModel, load_toml
+from measure.session.files import FileModel, Name, load_toml
 from measure.session.pictures import read_picture
 from measure.session.toml_text import dump_toml
 
@@ -42,7 +42,7 @@ class RangeModel(FileModel):
 class CropModel(FileModel):
     """A patch of a picture that shows nothing but the ball."""
 
-    image: str
+    image: Name
     crop_xywh: tuple[int, int, Annotated[int, Field(ge=2)], Annotated[int, Field(ge=2)]]
 
 
@@ -80,7 +80,7 @@ class ColorModel(FileModel):
 class BallModel(FileModel):
     """One `[[balls]]` table."""
 
-    name: Annotated[str, Field(min_length=1)]
+    name: Name
     color: str | ColorModel
     center_mm: tuple[FiniteFloat, FiniteFloat, FiniteFloat]
     radius_mm: Annotated[FiniteFloat, Field(gt=0)]

@@ -13,7 +13,7 @@ from pydantic import Field, FiniteFloat, field_validator, model_validator
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
 from measure.model import Camera, Intrinsics
-from measure.session.files import FileModel, load_toml
+from measure.session.files import FileModel, Name, load_toml
 from measure.session.toml_text import dump_toml
 
 Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
@@ -57,7 +57,7 @@ class Calibration:
 class CameraModel(FileModel):
     """One `[[cameras]]` table; the pose is world_from_camera."""
 
-    name: Annotated[str, Field(min_length=1)]
+    name: Name
     size_wh: tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]]
     matrix: tuple[Triple, Triple, Triple]
     distortion: Annotated[Row, Field(default_factory=list)]

@@ -32,6 +32,9 @@ from measure.session.interchange_toml import (
 
 Format = Literal["triball", "anipose", "caliscope", "opencv"]
 
+_FOCAL_SIZES = 0.05, 200.0
+"""Least and largest focal length of what may be a lens, in sizes of its picture."""
+_MIDDLE, _SAME_PX = (0.25, 0.5, 0.75), 0.01
 METRES_SPREAD_MM = 3.0
 """Cameras all within this many "mm" of the first were surely written in metres."""
 
@@ -94,8 +97,8 @@ def check_calibration(calibration: Calibration, source: str) -> None:
     """Refuse what cannot be right.
 
     Raises:
-        CalibrationError: no camera, two of one name, or all so close together that their
-            translations must be metres.
+        CalibrationError: no camera, two of one name, a lens that there cannot be, or all so close
+            together that their translations must be metres.
     """
     names = calibration.names
     if not names:
@@ -103,6 +106,13 @@ def check_calibration(calibration: Calibration, source: str) -> None:
     for name in names:
         if names.count(name) > 1:
             raise CalibrationError(f"{source}: camera '{name}' is there {names.count(name)} times")
+    for camera in calibration.cameras:
+        if not _is_a_lens(camera.intrinsics):
+            raise CalibrationError(
+                f"{source}: camera '{camera.name}': no lens sees pictures of "
+                f"{camera.intrinsics.size_wh[0]}x{camera.intrinsics.size_wh[1]} px with this "
+                "matrix and distortion: are they in px, and of this camera?"
+            )
     if len(names) < 2:
         return
     centers = np.stack([camera.center for camera in calibration.cameras])
@@ -113,6 +123,16 @@ def check_calibration(calibration: Calibration, source: str) -> None:
             "look like metres; write mm, or for another program's file say calibration_unit = "
             '"m" in [session]'
         )
+
+
+def _is_a_lens(lens: Intrinsics) -> bool:
+    """Whether the middle half of the picture is seen along rays that lead back to it."""
+    if not _FOCAL_SIZES[0] <= lens.focal_px / max(lens.size_wh) <= _FOCAL_SIZES[1]:
+        return False
+    pixels = np.array([(u, v) for u in _MIDDLE for v in _MIDDLE]) * lens.size_wh
+    with np.errstate(all="ignore"):
+        back = lens.project(lens.unproject(pixels))
+    return bool(np.all(np.abs(back - pixels) < _SAME_PX))
 
 
 def _toml(text: str) -> dict[str, object] | None:

@@ -3,16 +3,28 @@
 from __future__ import annotations
 
 import difflib
+import glob
 import tomllib
+import unicodedata
 from pathlib import Path
-from typing import TypeVar
+from typing import Annotated, TypeVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from measure.errors import MeasureError, SessionError
 from measure.session.toml_errors import syntax_message, validation_message
 
 M = TypeVar("M", bound=BaseModel)
+
+
+def _without_control_characters(text: str) -> str:
+    if any(unicodedata.category(character) == "Cc" for character in text):
+        raise ValueError(f"{text!r} holds a control character")
+    return text
+
+
+Name = Annotated[str, Field(min_length=1), AfterValidator(_without_control_characters)]
+"""What a thing or a file is called."""
 
 
 class FileModel(BaseModel):
@@ -59,6 +71,12 @@ def read_text(path: Path | str, error: type[MeasureError] = SessionError) -> str
         raise error(f"{path}: not a text file (byte {problem.start} is not UTF-8)") from None
     except OSError as problem:
         raise error(f"{path}: cannot be read: {problem.strerror}") from None
+
+
+def matching_files(folder: Path, pattern: str) -> list[Path]:
+    """Files that fit a shell's pattern, from `folder` on if it is relative; none that is hidden."""
+    names = glob.glob(pattern, root_dir=folder, recursive=True)  # noqa: PTH207 Path takes no absolute
+    return [path for path in (folder / name for name in names) if path.is_file()]
 
 
 def missing_message(path: Path) -> str:

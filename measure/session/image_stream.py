@@ -10,7 +10,7 @@ import numpy as np
 from measure.arrays import Bytes, Floats, Ints
 from measure.errors import SessionError
 from measure.model import Image
-from measure.session.files import missing_message
+from measure.session.files import matching_files, missing_message
 from measure.session.pictures import JPEG_START, decode_picture, read_bytes
 from measure.session.streams import Stream
 from measure.session.timestamps import Stamps
@@ -100,7 +100,7 @@ def open_image_stream(
 
 
 def _find(name: str, folder: Path, pattern: str) -> list[Path]:
-    files = sorted(file for file in folder.glob(pattern) if file.is_file())
+    files = sorted(matching_files(folder, pattern))
     if files:
         return files
     place = (folder / pattern).parent

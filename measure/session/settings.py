@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import Field, FiniteFloat, model_validator
 
 from measure.session.body_file import BodyModel
-from measure.session.files import FileModel
+from measure.session.files import FileModel, Name
 from measure.session.interchange_toml import Unit
 
 
@@ -16,19 +16,19 @@ class SessionTable(FileModel):
 
     name: str = ""
     description: str = ""
-    body: str | None = None
-    calibration: str | None = None
+    body: Name | None = None
+    calibration: Name | None = None
     calibration_unit: Unit | None = None
-    truth: str | None = None
+    truth: Name | None = None
 
 
 class CameraTable(FileModel):
     """One `[[cameras]]` table."""
 
-    name: Annotated[str, Field(min_length=1)]
-    images: str | None = None
-    video: str | None = None
-    timestamps: str | None = None
+    name: Name
+    images: Name | None = None
+    video: Name | None = None
+    timestamps: Name | None = None
     time_offset_s: FiniteFloat = 0.0
 
     @model_validator(mode="after")
@@ -45,7 +45,7 @@ class CameraTable(FileModel):
 class RobotTable(FileModel):
     """The `[robot]` table."""
 
-    log: str
+    log: Name
 
 
 class SessionModel(FileModel):

@@ -147,6 +147,41 @@ CASES: dict[str, tuple[Break, type[MeasureError], list[str]]] = {
         CalibrationError,
         ["calibration.toml:4: 'cameras[0].matrix': not a camera matrix"],
     ),
+    "focal length of no lens": (
+        _replace("calibration.toml", "[[70.0,", "[[1e30,"),
+        CalibrationError,
+        ["calibration.toml: camera 'cam0': no lens sees pictures of 64x48 px"],
+    ),
+    "skew of no lens": (
+        _replace("calibration.toml", "[[70.0, 0.0,", "[[70.0, 1e30,"),
+        CalibrationError,
+        ["calibration.toml: camera 'cam0': no lens sees"],
+    ),
+    "distortion of no lens": (
+        _replace("calibration.toml", "distortion = [", "distortion = [-1e3, 1e5, 0.0, 0.0"),
+        CalibrationError,
+        ["calibration.toml: camera 'cam0': no lens sees"],
+    ),
+    "no name for pictures": (
+        _replace("session.toml", "cam1/*.jpg", ""),
+        SessionError,
+        ["session.toml:13: 'cameras[1].images': string should have at least 1 character, got ''"],
+    ),
+    "no name for stamps": (
+        _replace("session.toml", '"cam1.csv"', '""'),
+        SessionError,
+        ["'cameras[1].timestamps': string should have at least 1 character"],
+    ),
+    "control character in a file name": (
+        _replace("session.toml", '"body.toml"', '"body\\u0000.toml"'),
+        SessionError,
+        ["'session.body': 'body\\x00.toml' holds a control character"],
+    ),
+    "control character in a ball's name": (
+        _replace("body.toml", '"yellow"', '"yel\\nlow"'),
+        SessionError,
+        ["'balls[1].name': 'yel\\nlow' holds a control character"],
+    ),
     "one camera": (
         lambda r: (r.path / "session.toml").write_text(
             "\n".join((r.path / "session.toml").read_text().splitlines()[:9])

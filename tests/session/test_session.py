@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from measure.session import open_session
 from tests.session.conftest import Recording
@@ -17,3 +18,17 @@ def test_every_set_holds_every_camera_and_the_right_pixels(recording: Recording)
             assert abs(image.pixels.mean() - 20 * image.frame) < 3
             assert image.frame == frame_set.index
             assert image.encoded is not None
+
+
+@pytest.mark.parametrize("pattern", ["cam1/*.jpg", "cam*/**/[0-9]*.jpg", "{folder}/cam1/*.jpg"])
+def test_a_pattern_may_be_absolute_and_leaves_hidden_files_alone(
+    recording: Recording, pattern: str
+) -> None:
+    for name in ("cam0", "cam2") if pattern.startswith("cam*") else ():
+        (recording.path / name).rename(recording.path / f"other_{name}")
+        recording.replace("session.toml", f"{name}/*.jpg", f"other_{name}/*.jpg")
+    (recording.path / "cam1" / "._000003.jpg").write_bytes(b"what some systems leave behind")
+    absolute = pattern.format(folder=recording.path.resolve().as_posix())
+    recording.replace("session.toml", "cam1/*.jpg", absolute)
+    with open_session(recording.path) as session:
+        assert session.streams["cam1"].frames.tolist() == list(range(6))
