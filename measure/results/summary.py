@@ -35,7 +35,8 @@ class Summary:
         effective: share of frame sets in which a camera saw a ball effectively, by "ball@camera".
         suspended: how often each reason suspended a view.
         reasons: how often each reason, its numbers left out, kept a frame set from being "ok".
-        notes: what the session left to be known: missing pictures and the like.
+        notes: what the session left to be known: missing pictures and the like; and cameras that
+            took part in no pose.
     """
 
     frame_sets: int
@@ -83,10 +84,13 @@ def summarise(detections: pa.Table, poses: pa.Table, notes: Sequence[str] = ()) 
         kind for text in poses["reason"].to_pylist() if text for kind in sorted(_kinds(text))
     )
     seen = detections.group_by(["ball", "camera", "state"], use_threads=False)
-    effective = {
-        f"{row['ball']}@{row['camera']}": row["index_count"] / poses.num_rows
+    used = [
+        row
         for row in seen.aggregate([("index", "count")]).to_pylist()
         if row["state"] == "effective"
+    ]
+    effective = {
+        f"{row['ball']}@{row['camera']}": row["index_count"] / poses.num_rows for row in used
     }
     suspended = detections.filter(pc.equal(detections["state"], "suspended"))
     believed = poses.filter(pc.equal(poses["status"], "ok"))
@@ -102,7 +106,20 @@ def summarise(detections: pa.Table, poses: pa.Table, notes: Sequence[str] = ()) 
         effective=dict(sorted(effective.items())),
         suspended=dict(Counter(suspended["reason"].to_pylist()).most_common()),
         reasons=dict(doubts.most_common()),
-        notes=tuple(notes),
+        notes=(*notes, *_idle(suspended, {row["camera"] for row in used})),
+    )
+
+
+def _idle(suspended: pa.Table, used: set[str]) -> tuple[str, ...]:
+    """A line for every camera of which no view was effective, where another's was."""
+    reasons: dict[str, Counter[str]] = {}
+    for row in suspended.select(["camera", "reason"]).to_pylist():
+        reasons.setdefault(row["camera"], Counter())[row["reason"]] += 1
+    return tuple(
+        f"camera {name} took part in no pose (its balls: {counts.most_common(1)[0][0]}): does its "
+        "calibration fit, and does it see the body? `measure check` says more"
+        for name, counts in reasons.items()
+        if used and name not in used
     )
 
 

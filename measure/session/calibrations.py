@@ -35,6 +35,7 @@ Format = Literal["triball", "anipose", "caliscope", "opencv"]
 _FOCAL_SIZES = 0.05, 200.0
 """Least and largest focal length of what may be a lens, in sizes of its picture."""
 _MIDDLE, _SAME_PX = (0.25, 0.5, 0.75), 0.01
+_FURTHEST_MM = 1e6
 METRES_SPREAD_MM = 3.0
 """Cameras all within this many "mm" of the first were surely written in metres."""
 
@@ -98,7 +99,7 @@ def check_calibration(calibration: Calibration, source: str) -> None:
 
     Raises:
         CalibrationError: no camera, two of one name, a lens that there cannot be, or all so close
-            together that their translations must be metres.
+            together that their translations must be metres, or so far apart that they cannot be mm.
     """
     names = calibration.names
     if not names:
@@ -122,6 +123,10 @@ def check_calibration(calibration: Calibration, source: str) -> None:
             f"{source}: the cameras stand within {spread:.3g} mm of each other: the translations "
             "look like metres; write mm, or for another program's file say calibration_unit = "
             '"m" in [session]'
+        )
+    if spread > _FURTHEST_MM:
+        raise CalibrationError(
+            f"{source}: the cameras stand up to {spread:.3g} mm apart: are the translations in mm?"
         )
 
 

@@ -50,3 +50,17 @@ def test_poses_to_doubt_make_no_position_known():
         "0 of 2 frame sets measured, 2 with a pose to doubt; no position is known"
     )
     assert none.values()["position_sd_mm"] is None
+
+
+def test_a_camera_that_took_part_in_no_pose_is_named():
+    rows = [("cam0", "effective", ""), ("cam1", "suspended", "not found")]
+    rows += [("cam1", "suspended", "no image"), ("cam1", "suspended", "not found")]
+    cameras, states, reasons = zip(*rows, strict=True)
+    columns = {"camera": cameras, "state": states, "reason": reasons}
+    seen = pa.table({"ball": ["red"] * 4, "index": [0] * 4, **columns})
+    poses = _poses(("ok", 0.1))
+    (note,) = summarise(seen, poses).notes
+    assert "camera cam1 took part in no pose (its balls: not found)" in note
+    assert summarise(seen, poses, ["cam0 lost a picture"]).notes == ("cam0 lost a picture", note)
+    assert summarise(SEEN, poses).notes == ()
+    assert summarise(seen.slice(1), poses).notes == (), "nobody saw anything: not this camera's"

@@ -132,6 +132,11 @@ CASES: dict[str, tuple[Break, type[MeasureError], list[str]]] = {
         CalibrationError,
         ["calibration.toml: the cameras stand within 0.4 mm", "metres"],
     ),
+    "cameras a thousand kilometres apart": (
+        _replace("calibration.toml", "[200.0, 0.0, 500.0]", "[1e9, 0.0, 500.0]"),
+        CalibrationError,
+        ["calibration.toml: the cameras stand up to 1e+09 mm apart"],
+    ),
     "calibration is not a rotation": (
         _replace("calibration.toml", "[0.0, 1.0, 0.0, 0.0]", "[0.0, 1.0, 0.5, 0.0]"),
         CalibrationError,
