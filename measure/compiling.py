@@ -40,11 +40,13 @@ def _kept_on_disk(function: F, **options: str) -> F:
 def _tie(kernel: object, stamp: str) -> None:
     """Let a kernel's machine code on disk hold only as long as the stamp stays the same.
 
-    Numba has no public way to say so. Where compilation is switched off, nothing is on disk.
+    Numba has no public way to say so. Its version is what it compares first: files of another one
+    it does not read on, and they may name types that are gone. Where compilation is switched off,
+    nothing is on disk.
     """
     kept: Any = getattr(getattr(kernel, "_cache", None), "_cache_file", None)
     if kept is not None:
-        kept._source_stamp = (kept._source_stamp, stamp)  # noqa: SLF001
+        kept._version = f"{kept._version} {stamp}"  # noqa: SLF001
 
 
 def folded(function: F) -> F:

@@ -30,6 +30,20 @@ _CALL = """from parts.whole import whole
 print(whole(1.0), sum(whole.stats.cache_hits.values()))
 """
 
+_GIVEN = """from typing import NamedTuple
+from measure.compiling import compiled
+
+class {name}(NamedTuple):
+    size: float
+
+@compiled
+def doubled(given: {name}) -> float:
+    return 2.0 * given.size
+"""
+_CALL_GIVEN = """from parts.given import {name}, doubled
+print(doubled({name}(1.5)), sum(doubled.stats.cache_hits.values()))
+"""
+
 _LENGTHS = """import numba
 import numpy as np
 
@@ -92,6 +106,14 @@ def test_a_kernel_follows_the_functions_and_constants_of_other_files(
     text = _PART.format(factor=changed[0], size=changed[1])
     (package / "part.py").write_text(text, "utf-8")
     assert _call(package) == [answer, 0]
+
+
+def test_code_kept_for_a_type_that_is_gone_is_compiled_anew(package: Path) -> None:
+    for name in ("Before", "After"):
+        (package / "given.py").write_text(_GIVEN.format(name=name), "utf-8")
+        call = _CALL_GIVEN.format(name=name)
+        assert _printed(call, package.parent) == [3.0, 0], name
+        assert _printed(call, package.parent) == [3.0, 1], name
 
 
 def test_loops_are_not_unrolled(tmp_path: Path) -> None:
