@@ -20,18 +20,19 @@ _TILT = 1e-4
 
 @compiled
 def frame_about(axis: Floats) -> Floats:
-    """Rows e1, e2, axis: a right-handed frame about a unit vector (3,)."""
+    """Rows e1, e2, axis: a right-handed frame about a unit vector (3,).
+
+    It turns with the axis without a jump, wherever in a picture that is: what is known along the
+    rays about one axis, and how looks answer along e1 and e2, hold about its neighbours too (Duff
+    et al. 2017, "Building an Orthonormal Basis, Revisited").
+    """
+    x, y, z = axis[0], axis[1], axis[2]
+    sign = 1.0 if z >= 0 else -1.0
+    per = -1 / (sign + z)
     out = np.empty((3, 3))
-    k = 0
-    for i in range(1, 3):
-        if abs(axis[i]) < abs(axis[k]):
-            k = i
-    helper = np.zeros(3)
-    helper[k] = 1.0
-    e1 = np.cross(helper, axis)
-    out[0] = e1 / np.sqrt(np.sum(e1 * e1))
-    out[1] = np.cross(axis, out[0])
-    out[2] = axis
+    out[0, 0], out[0, 1], out[0, 2] = 1 + sign * x * x * per, sign * x * y * per, -sign * x
+    out[1, 0], out[1, 1], out[1, 2] = x * y * per, sign + y * y * per, -y
+    out[2, 0], out[2, 1], out[2, 2] = x, y, z
     return out
 
 

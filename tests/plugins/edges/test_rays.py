@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from measure_plugins._edges.rays import FREE, HIDDEN, OUTSIDE, sample, sample_nearest
+from measure_plugins._edges.rays import (
+    FREE,
+    HIDDEN,
+    OUTSIDE,
+    frame_about,
+    sample,
+    sample_nearest,
+)
 
 HEIGHT, WIDTH = 30, 40
 TABLE = np.linspace(0.0, 1.0, 256)
@@ -85,3 +92,21 @@ def test_values_are_read_up_to_the_last_pixel(picture, x, y) -> None:
     lower = 0.75 * picture[y + 1, x] + 0.25 * picture[y + 1, x + 1]
     assert values[:, 0, 0] == pytest.approx((0.25 * upper + 0.75 * lower) / 255, abs=1e-6)
     assert light == pytest.approx(values, abs=1e-6)
+
+
+def test_frames_turn_with_their_axes_wherever_a_camera_looks():
+    """Also across the picture's diagonals, where the coordinate nearest to zero is another one."""
+    step = 1e-3
+    for x in np.linspace(-1.5, 1.5, 61):
+        for y in {*np.linspace(-1.5, 1.5, 61), x - step / 2, -x - step / 2}:
+            here, beside = (_frame(u, v) for u, v in ((x, y), (x, y + step)))
+            np.testing.assert_allclose(here @ here.T, np.eye(3), atol=1e-12)
+            np.testing.assert_allclose(np.linalg.det(here), 1.0)
+            assert np.max(np.abs(beside - here)) < 2 * step, (x, y)
+
+
+def _frame(x, y):
+    axis = np.array([x, y, 1.0]) / np.linalg.norm([x, y, 1.0])
+    frame = frame_about(axis)
+    np.testing.assert_array_equal(frame[2], axis)
+    return frame
