@@ -17,7 +17,8 @@ import numpy as np
 
 from benchmarks.command import run_command
 from measure.arrays import Floats
-from measure.robots import raven_schema, read_columns, read_log
+from measure.robots import raven_schema, read_log
+from measure.robots.tables import Table
 
 
 def main() -> None:
@@ -67,8 +68,7 @@ def errors(folder: Path) -> list[str]:
     wrong = table[:, 1:4] - reported
     lines = [f"reported   {_rms(wrong):.3f} mm RMS"]
     for name in ("corrected", "rezeroed"):
-        columns = read_columns(folder / f"{name}.parquet", ("ex", "ey", "ez"))
-        left = wrong - np.stack([columns[f"e{axis}"] for axis in "xyz"], axis=1)
+        left = wrong - Table.read(folder / f"{name}.parquet").numbers("ex", "ey", "ez")
         lines.append(f"{name:10s} {_rms(left):.3f} mm RMS, {_rms(left) / _rms(wrong) - 1:+.1%}")
     return lines
 

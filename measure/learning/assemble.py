@@ -13,6 +13,8 @@ from measure.host import Dataset
 from measure.learning.clock import ClockOffset, estimate_offset
 from measure.robots import RobotLog
 
+_LARGEST_OFFSET_S = 3600.0
+
 
 @dataclass(frozen=True, eq=False)
 class PoseTrack:
@@ -58,6 +60,11 @@ class AssemblySettings:
             value = getattr(self, name)
             if not (value >= 0 and np.isfinite(value)):
                 raise EstimatorError(f"{name} is {value:g}: expected a number that is not negative")
+        if self.largest_offset_s > _LARGEST_OFFSET_S:
+            raise EstimatorError(
+                f"largest_offset_s is {self.largest_offset_s:g}: the search goes up to "
+                f"{_LARGEST_OFFSET_S:g} s; bring the log nearer to the recording"
+            )
 
 
 @dataclass(frozen=True)
@@ -179,14 +186,17 @@ def _clock(track: PoseTrack, log: RobotLog, settings: AssemblySettings) -> Clock
     if seen.sum() < 10:
         raise EstimatorError(f"{track.name}: only {int(seen.sum())} poses were measured")
     reported = log.schema.position_mm(log.states)
-    _check_units(track.name, track.positions_mm[seen], reported)
+    told = np.isfinite(reported).all(axis=1)
+    if told.sum() < 2:
+        raise EstimatorError(f"{track.name}: the robot's log holds no positions that are numbers")
+    _check_units(track.name, track.positions_mm[seen], reported[told])
     if settings.clock_offset_s is not None:
         return None
     return estimate_offset(
         track.times_s[seen],
         track.positions_mm[seen],
-        log.times_s,
-        reported,
+        log.times_s[told],
+        reported[told],
         largest_s=settings.largest_offset_s,
     )
 

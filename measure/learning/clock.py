@@ -5,13 +5,22 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import correlate
 
-from measure.arrays import Bools, Floats, Ints
+from measure.arrays import Bools, Floats
 from measure.errors import EstimatorError
 
 _GRID_HZ = 100.0
 _SPAN_S = 0.1  # velocities are differences over twice this
-_LEAST_CORRELATION = 0.8
+_LEAST_MOTION_S = 8.0  # shorter motions of one hand resemble each other
+_LEAST_SHARE = 0.5  # of the shorter recording must lie in the other
+_ENOUGH_S = 1e5  # of motion; what is beyond is not compared
+_GAP_S, _GAP_STEPS = 0.3, 3.0  # steps longer than both, the latter in usual steps, are gaps
+_SLOPE_S = 0.01
+_LEAST_CORRELATION = 0.9
+_APART_S = 0.5  # offsets farther apart are different answers
+_LEAST_ADVANTAGE = 3.0  # what is left of the motion at any other offset, over what is left at best
+_ALIKE_S = 2.0  # residuals closer than this may belong together
 _SPARSE_S = 0.4  # poses farther apart miss most of a hand's motion
 
 
@@ -21,8 +30,10 @@ class ClockOffset:
 
     Attributes:
         offset_s: the offset.
-        sd_s: its standard deviation, from how sharply the velocities fit.
-        correlation: of the two speeds at that offset; one if they agree perfectly.
+        sd_s: its standard deviation, from how sharply the velocities fit and how long what is
+            left of them keeps its sign.
+        correlation: of the two velocities at that offset, one turned into the other's frame; one
+            if they agree perfectly.
     """
 
     offset_s: float
@@ -40,9 +51,9 @@ def estimate_offset(
 ) -> ClockOffset:
     """Align measured and reported velocities.
 
-    Speeds find the offset roughly (they need no common frame); velocities refine it. Velocities,
-    not positions: hysteresis shifts positions along the motion as a delay would, but hardly
-    changes how fast the tip moves.
+    At every offset the reported velocities are turned into the measured ones as well as a rotation
+    can; the offset at which they agree best is refined. Velocities, not positions: hysteresis
+    shifts positions along the motion as a delay would, but hardly changes how fast the tip moves.
 
     Args:
         camera_times_s: (n,) and
@@ -52,88 +63,134 @@ def estimate_offset(
         largest_s: search within plus and minus this around equal clocks.
 
     Raises:
-        EstimatorError: too little motion in common, or no offset makes the speeds agree.
+        EstimatorError: too little motion in common, no offset makes the velocities agree, or
+            several do (motion that repeats itself).
     """
-    grid = _common_times(camera_times_s, robot_times_s, largest_s)
-    measured = _velocity(camera_times_s, measured_mm, grid)
-    lags, scores = _scores(measured, grid, robot_times_s, reported_mm, largest_s)
-    best = int(np.nanargmax(scores)) if np.isfinite(scores).any() else 0
+    cameras, robot = _Motion(camera_times_s, measured_mm), _Motion(robot_times_s, reported_mm)
+    grid = _common_times(cameras.times_s, robot.times_s, largest_s)
+    lags, scores = _agreements(cameras, robot, grid, largest_s)
+    best = int(np.argmax(scores))
     if not scores[best] >= _LEAST_CORRELATION:
         step = float(np.median(np.diff(camera_times_s)))
         hint = f" Poses every {step:.2g} s hardly show speeds: give the clock offset."
         raise EstimatorError(
-            f"no clock offset within {largest_s:g} s makes the measured and the reported speed "
+            f"no clock offset within {largest_s:g} s makes the measured and the reported velocity "
             f"agree (best correlation {scores[best]:.2f}): is this the log of this recording?"
             + (hint if step > _SPARSE_S else "")
         )
-    return _refine(
-        measured, robot_times_s, reported_mm, grid, lags[best] / _GRID_HZ, float(scores[best])
-    )
+    rival = int(np.argmax(np.where(np.abs(lags - lags[best]) > _APART_S, scores, 0.0)))
+    if 1 - scores[rival] ** 2 < _LEAST_ADVANTAGE * (1 - scores[best] ** 2):
+        raise EstimatorError(
+            f"the motion fits clock offsets of {lags[best]:.2f} s and {lags[rival]:.2f} s alike "
+            f"(correlations {scores[best]:.2f} and {scores[rival]:.2f}), as it repeats itself or "
+            "is too short: give the clock offset"
+        )
+    return _refine(cameras, robot, grid, float(lags[best]), float(scores[best]))
 
 
 def _common_times(camera_s: Floats, robot_s: Floats, largest_s: float) -> Floats:
-    start = max(camera_s[0], robot_s[0] - largest_s) + _SPAN_S
-    stop = min(camera_s[-1], robot_s[-1] + largest_s) - _SPAN_S
-    if stop - start < 2.0:
-        raise EstimatorError(
-            f"cameras ({camera_s[0]:.1f} to {camera_s[-1]:.1f} s) and robot "
-            f"({robot_s[0]:.1f} to {robot_s[-1]:.1f} s) share less than 2 s of motion: "
-            "give the clock offset, or the log of this recording"
-        )
+    start = max(camera_s[0], robot_s[0] - largest_s)
+    stop = min(camera_s[-1], robot_s[-1] + largest_s, start + _ENOUGH_S)
+    if min(stop - start, robot_s[-1] - robot_s[0]) < _LEAST_MOTION_S:
+        raise _too_little(camera_s, robot_s)
     return np.arange(start, stop, 1.0 / _GRID_HZ)
 
 
-def _scores(
-    measured: Floats, grid: Floats, times: Floats, positions: Floats, largest_s: float
-) -> tuple[Ints, Floats]:
-    """How well the speeds match at every lag (in grid steps) within the search range."""
-    reach, count = round(largest_s * _GRID_HZ), len(grid)
-    lags = np.arange(-reach, reach + 1)
-    wide = np.arange(count + 2 * reach) / _GRID_HZ + (grid[0] - reach / _GRID_HZ)
-    inside = (wide > times[0] + _SPAN_S) & (wide < times[-1] - _SPAN_S)
-    speed = np.linalg.norm(measured, axis=1)
-    other = np.linalg.norm(_velocity(times, positions, wide), axis=1)
-    scores = [_match(speed, other[i : i + count], inside[i : i + count]) for i in lags + reach]
-    return lags, np.array(scores)
-
-
-def _velocity(times: Floats, positions: Floats, at: Floats) -> Floats:
-    ahead, behind = (
-        np.stack([np.interp(at + side * _SPAN_S, times, positions[:, i]) for i in range(3)], axis=1)
-        for side in (1.0, -1.0)
+def _too_little(camera_s: Floats, robot_s: Floats) -> EstimatorError:
+    return EstimatorError(
+        f"cameras ({camera_s[0]:.1f} to {camera_s[-1]:.1f} s) and robot ({robot_s[0]:.1f} to "
+        f"{robot_s[-1]:.1f} s) share less than {_LEAST_MOTION_S:g} s of motion: give the clock "
+        "offset, or the log of this recording"
     )
-    return (ahead - behind) / (2.0 * _SPAN_S)
 
 
-def _match(speed: Floats, other: Floats, inside: Bools) -> float:
-    """Correlation of two speeds where both are known; NaN where too little is, or nothing moves."""
-    a, b = speed[inside], other[inside]
-    if len(a) < _GRID_HZ or a.std() < 1e-6 or b.std() < 1e-6:
-        return float("nan")
-    return float(np.mean((a - a.mean()) * (b - b.mean())) / (a.std() * b.std()))
+@dataclass(frozen=True, eq=False)
+class _Motion:
+    """Positions (n, 3) in mm over times (n,) in s, and what lies between them."""
+
+    times_s: Floats
+    positions_mm: Floats
+
+    def velocity(self, at_s: Floats) -> Floats:
+        """Velocities (m, 3) in mm/s at instants (m,); 0 where a gap or an end is near."""
+        ahead, behind = (
+            np.stack([np.interp(at, self.times_s, axis) for axis in self.positions_mm.T], axis=1)
+            for at in (at_s + _SPAN_S, at_s - _SPAN_S)
+        )
+        return (ahead - behind) / (2.0 * _SPAN_S) * self.known(at_s)[:, None]
+
+    def known(self, at_s: Floats) -> Bools:
+        """Whether velocities at instants (m,) bridge no gap and pass no end."""
+        steps = np.diff(self.times_s)
+        gaps = steps > max(_GAP_S, _GAP_STEPS * float(np.median(steps)))
+        before = np.concatenate([[0], np.cumsum(gaps)])  # gaps before every sample
+        first = np.searchsorted(self.times_s, at_s - _SPAN_S, side="right") - 1
+        last = np.searchsorted(self.times_s, at_s + _SPAN_S, side="left")
+        inside = (first >= 0) & (last < len(self.times_s))
+        bridged = before[np.minimum(last, len(gaps))] - before[np.maximum(first, 0)]
+        return np.asarray(inside & (bridged == 0))
+
+
+def _agreements(
+    cameras: _Motion, robot: _Motion, grid: Floats, largest_s: float
+) -> tuple[Floats, Floats]:
+    """How well the velocities agree at every offset of the search range, after a rotation.
+
+    Returns:
+        Offsets (n,) in s and correlations (n,), 0 where too little motion is in common: the sum of
+        the singular values of the velocities' cross products, the last one with the sign of a
+        rotation, over the root of both sums of squares (Kabsch 1976).
+
+    Raises:
+        EstimatorError: too little is in common at any offset.
+    """
+    reach = round(largest_s * _GRID_HZ)
+    lags = np.arange(-reach, reach + 1) / _GRID_HZ
+    wide = np.arange(len(grid) + 2 * reach) / _GRID_HZ + (grid[0] - largest_s)
+    measured, reported = cameras.velocity(grid), robot.velocity(wide)
+    seen, told = cameras.known(grid).astype(np.float64), robot.known(wide).astype(np.float64)
+    common_s = _sliding(told, seen) / _GRID_HZ
+    shorter_s = min(seen.sum(), told.sum()) / _GRID_HZ
+    if not common_s.max() > _LEAST_MOTION_S:
+        raise _too_little(cameras.times_s, robot.times_s)
+    cross = [[_sliding(theirs, ours) for theirs in reported.T] for ours in measured.T]
+    u, values, v = np.linalg.svd(np.moveaxis(np.array(cross), 2, 0))
+    values[:, 2] *= np.sign(np.linalg.det(u @ v))
+    squares = _sliding(told, (measured**2).sum(axis=1)) * _sliding((reported**2).sum(axis=1), seen)
+    enough = (common_s > max(_LEAST_MOTION_S, _LEAST_SHARE * shorter_s)) & (squares > 1e-6)
+    return lags, np.where(enough, values.sum(axis=1) / np.sqrt(np.where(enough, squares, 1)), 0.0)
+
+
+def _sliding(long: Floats, short: Floats) -> Floats:
+    """Sums of products of `short` with every stretch of `long`."""
+    return np.asarray(correlate(long, short, mode="valid", method="fft"))
 
 
 def _refine(
-    measured: Floats, times: Floats, positions: Floats, grid: Floats, lag: float, score: float
+    cameras: _Motion, robot: _Motion, grid: Floats, lag: float, score: float
 ) -> ClockOffset:
     """Gauss-Newton on the offset and the 3x3 map from reported to measured velocities."""
-    variance, curvature = 1.0, 1.0
+    pull, curvature = np.zeros(1), 1.0
     for _ in range(10):
-        at = grid + lag
-        inside = (at > times[0] + 2 * _SPAN_S) & (at < times[-1] - 2 * _SPAN_S)
-        wanted = measured[inside]
-        velocity = _velocity(times, positions, at[inside])
-        slope = (
-            _velocity(times, positions, at[inside] + 0.01)
-            - _velocity(times, positions, at[inside] - 0.01)
-        ) / 0.02
+        inside = cameras.known(grid)
+        for side in (-_SLOPE_S, 0.0, _SLOPE_S):
+            inside &= robot.known(grid + lag + side)
+        at = grid[inside] + lag
+        wanted, velocity = cameras.velocity(grid[inside]), robot.velocity(at)
+        slope = (robot.velocity(at + _SLOPE_S) - robot.velocity(at - _SLOPE_S)) / (2 * _SLOPE_S)
         turn = np.linalg.lstsq(velocity, wanted, rcond=None)[0]
         residual, change = wanted - velocity @ turn, slope @ turn
-        curvature = float((change**2).sum())
-        step = float((residual * change).sum()) / curvature
+        pull, curvature = (residual * change).sum(axis=1), float((change**2).sum())
+        step = float(pull.sum()) / curvature
         lag += float(np.clip(step, -0.02, 0.02))
-        variance = float((residual**2).mean())
         if abs(step) < 1e-6:
             break
-    # Samples closer than the velocity span are not independent.
-    return ClockOffset(lag, float(np.sqrt(variance * 2 * _SPAN_S * _GRID_HZ / curvature)), score)
+    return ClockOffset(lag, float(np.sqrt(_variance_of_sum(pull)) / curvature), score)
+
+
+def _variance_of_sum(pull: Floats) -> float:
+    """Of the sum of a stationary series (n,), with lags up to `_ALIKE_S` (Newey and West 1987)."""
+    reach = min(round(_ALIKE_S * _GRID_HZ), len(pull) - 1)
+    products = correlate(pull, pull, mode="full", method="fft")[len(pull) - 1 :][: reach + 1]
+    weights = 1 - np.arange(reach + 1) / (reach + 1)
+    return float(2 * weights @ products - products[0])

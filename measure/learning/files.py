@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -18,10 +17,12 @@ from measure.host import Dataset
 from measure.learning.assemble import PoseTrack, TrajectoryFacts
 from measure.learning.scores import Score
 from measure.results import read_run
-from measure.robots import ROBOT_KEY, StateSchema, read_columns
+from measure.robots import ROBOT_KEY, StateSchema
+from measure.robots.tables import Table
 
 _KEY = b"measure.schema"
 _ERRORS = ("ex_mm", "ey_mm", "ez_mm")
+_LABELS = ("ex", "ey", "ez")
 _UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 _COVARIANCE = tuple(f"cov_{'xyz'[i]}{'xyz'[j]}_mm2" for i, j in _UPPER)
 
@@ -73,37 +74,35 @@ def read_dataset(path: Path) -> Dataset:
     """Read what `write_dataset` wrote.
 
     Raises:
-        EstimatorError: missing, damaged, or not such a file.
+        EstimatorError: missing, damaged, not such a file, or with usable rows that are not numbers.
     """
-    import pyarrow as pa
-    from pyarrow import parquet
-
-    try:
-        table = parquet.read_table(path)
-    except FileNotFoundError:
-        raise EstimatorError(f"{path}: no such data set") from None
-    except (pa.ArrowException, OSError) as error:
-        raise EstimatorError(f"{path}: not a data set: {str(error).splitlines()[0]}") from None
-    text = (table.schema.metadata or {}).get(_KEY)
-    if text is None:
+    if not path.exists():
+        raise EstimatorError(f"{path}: no such data set")
+    table = Table.read(path)
+    text = table.metadata(_KEY)
+    if not text:
         raise EstimatorError(
-            f"{path}: a Parquet file, but not a data set: make one with `measure dataset`"
+            f"{path}: a table, but not a data set: make one with `measure dataset`"
         )
     schema = StateSchema.from_dict(json.loads(text))
-    names, trajectory = _encode(table["trajectory"].to_pylist())
+    names, trajectory = _encode(table.labels("trajectory"))
     covariances = np.empty((len(trajectory), 3, 3))
-    for name, (i, j) in zip(_COVARIANCE, _UPPER, strict=True):
-        covariances[:, i, j] = covariances[:, j, i] = table[name].to_numpy()
-    return Dataset(
+    for (i, j), column in zip(_UPPER, table.numbers(*_COVARIANCE).T, strict=True):
+        covariances[:, i, j] = covariances[:, j, i] = column
+    usable = table.numbers("usable")[:, 0]
+    if not np.isin(usable, (0, 1)).all():
+        raise EstimatorError(f"{path}: column 'usable' must say true or false in every row")
+    data = Dataset(
         schema,
-        np.stack([table[name].to_numpy().astype(np.float64) for name in schema.names], axis=1),
-        table["time_s"].to_numpy(),
+        table.numbers(*schema.names),
+        table.numbers("time_s")[:, 0],
         trajectory,
         names,
-        np.stack([table[name].to_numpy() for name in _ERRORS], axis=1),
+        table.numbers(*_ERRORS),
         covariances,
-        table["usable"].to_numpy(),
+        usable == 1,
     )
+    return _checked(path, data)
 
 
 def read_labelled(path: Path, schema: StateSchema, *, label_sd_mm: float = 0.1) -> Dataset:
@@ -115,34 +114,51 @@ def read_labelled(path: Path, schema: StateSchema, *, label_sd_mm: float = 0.1) 
     Raises:
         EstimatorError: columns are missing, or the labels look like metres.
     """
-    columns = read_columns(path, ("run", "t_s", "ex", "ey", "ez", *schema.names))
-    names, trajectory = _encode(columns["run"].tolist())
-    errors = np.stack([columns[name].astype(np.float64) for name in ("ex", "ey", "ez")], axis=1)
+    table = Table.read(path)
+    table.require(("run", "t_s", *_LABELS, *schema.names))
+    names, trajectory = _encode(table.labels("run"))
+    errors = table.numbers(*_LABELS)
     usable: Any = np.isfinite(errors).all(axis=1)
-    with suppress(EstimatorError):  # a table need not say anything about its rows
-        usable = usable & np.array(read_columns(path, ("quality",))["quality"] == "ok")
+    if "quality" in table:
+        usable = usable & np.array([word == "ok" for word in table.labels("quality")])
     size = float(np.median(np.linalg.norm(errors[usable], axis=1))) if usable.any() else 0.0
     if size < 0.03 or size > 200.0:
         raise EstimatorError(
             f"{path}: labels of {size:.2g} (median) are not millimetres of a robot's error: "
             "are they metres or micrometres?"
         )
-    return Dataset(
+    data = Dataset(
         schema,
-        np.stack([columns[name].astype(np.float64) for name in schema.names], axis=1),
-        columns["t_s"].astype(np.float64),
+        table.numbers(*schema.names),
+        table.numbers("t_s")[:, 0],
         trajectory,
         names,
         errors,
         np.tile(label_sd_mm**2 * np.eye(3), (len(trajectory), 1, 1)),
         usable,
     )
+    return _checked(path, data)
+
+
+def _checked(path: Path, data: Dataset) -> Dataset:
+    """The same data set, if it has rows and what may be learnt from is numbers."""
+    if not len(data):
+        raise EstimatorError(f"{path}: holds no rows")
+    for what, good in (
+        ("state", np.isfinite(data.states).all(axis=1)),
+        ("usable error", np.isfinite(data.errors_mm).all(axis=1) | ~data.usable),
+        ("usable covariance", np.isfinite(data.covariances).all(axis=(1, 2)) | ~data.usable),
+    ):
+        if not good.all():
+            row = int(np.argmin(good)) + 1
+            raise EstimatorError(f"{path}: row {row} has a {what} that is no finite number")
+    return data
 
 
 def has_labels(path: Path) -> bool:
     """Whether a table already holds errors beside states."""
     try:
-        read_columns(path, ("run", "ex", "ey", "ez"))
+        Table.read(path).require(("run", *_LABELS))
     except EstimatorError:
         return False
     return True
@@ -162,14 +178,17 @@ def read_poses(path: Path) -> PoseTrack:
         return _run_poses(path)
     if not path.exists():
         raise EstimatorError(f"{path}: no such run or file of poses")
-    columns = read_columns(path, ("time_s", "x_mm", "y_mm", "z_mm"))
-    positions = np.stack([columns[f"{a}_mm"].astype(np.float64) for a in "xyz"], axis=1)
-    variance = np.full(len(positions), 0.1**2)
-    with suppress(EstimatorError):
-        sd = read_columns(path, ("position_sd_mm",))["position_sd_mm"].astype(np.float64)
+    table = Table.read(path)
+    columns = table.numbers("time_s", "x_mm", "y_mm", "z_mm")
+    variance = np.full(len(table), 0.1**2)
+    if "position_sd_mm" in table:
+        sd = table.numbers("position_sd_mm")[:, 0]
         variance = np.where(np.isfinite(sd), sd, np.sqrt(3.0)) ** 2 / 3.0
     covariances = variance[:, None, None] * np.eye(3)
-    return _ordered(path.stem, columns["time_s"].astype(np.float64), positions, covariances)
+    if not np.isfinite(columns[:, 0]).all():
+        row = int(np.argmin(np.isfinite(columns[:, 0]))) + 1
+        raise EstimatorError(f"{path}: row {row} has no time")
+    return _ordered(path.stem, columns[:, 0], columns[:, 1:], covariances)
 
 
 def _run_poses(path: Path) -> PoseTrack:

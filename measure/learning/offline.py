@@ -13,7 +13,8 @@ from measure.errors import EstimatorError
 from measure.host import Correction, Dataset, OnnxModel
 from measure.learning.guard import DriftMonitor, GuardedModel, runs_of
 from measure.learning.zeroing import Zeroing, fit_zeroing
-from measure.robots import Feature, Reading, StateSchema, check_robot, read_columns, read_log
+from measure.robots import Feature, Reading, StateSchema, check_robot, read_log
+from measure.robots.tables import Table
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,14 +58,16 @@ def read_states(path: Path, model: OnnxModel) -> StateTable:
         log = read_log(path, schema_of(model))
         count = len(log.times_s)
         return StateTable(np.array([path.stem] * count), np.arange(count), log.times_s, log.states)
-    columns = read_columns(path, model.features)
-    check_robot(path, model.robot)
-    states = np.stack([columns[name].astype(np.float64) for name in model.features], axis=1)
-    count = len(states)
-    run = _optional(path, "run", _optional(path, "trajectory", np.array([path.stem] * count)))
-    index = _optional(path, "i", np.arange(count))
-    times = _optional(path, "t_s", _optional(path, "time_s", np.full(count, np.nan)))
-    return StateTable(run, index, times.astype(np.float64), states)
+    table = Table.read(path)
+    check_robot(table, model.robot)
+    states = table.numbers(*model.features)
+    run, times = np.array([path.stem] * len(table)), np.full(len(table), np.nan)
+    for name in ("trajectory", "run"):
+        run = np.array(table.labels(name)) if name in table else run
+    for name in ("time_s", "t_s"):
+        times = table.numbers(name)[:, 0] if name in table else times
+    index = np.array(table.labels("i")) if "i" in table else np.arange(len(table))
+    return StateTable(run, index, times, states)
 
 
 def correct(table: StateTable, model: OnnxModel, zeroing: Zeroing | None = None) -> Corrected:
@@ -143,10 +146,3 @@ def schema_of(model: OnnxModel) -> StateSchema:
     )
     features = tuple(Feature(name, unit) for name, unit in model.facts["features"])
     return StateSchema(model.robot, features, (x, y, z))
-
-
-def _optional(path: Path, name: str, default: Any) -> Any:
-    try:
-        return read_columns(path, (name,))[name]
-    except EstimatorError:
-        return default

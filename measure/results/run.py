@@ -14,10 +14,9 @@ from measure.arrays import Bools, Floats
 from measure.errors import RunError
 from measure.geometry import RigidTransform
 from measure.model import Body, Camera
-from measure.results.journal import read_table
 from measure.results.provenance import read_provenance
+from measure.results.stored import PLACE, read_tables
 from measure.results.summary import Summary, summarise
-from measure.results.tables import SCHEMAS
 from measure.session import read_body, read_calibration
 
 
@@ -64,7 +63,7 @@ class Run:
     @cached_property
     def world_from_body(self) -> RigidTransform:
         """The poses of the frame sets that have one, in order."""
-        columns = [self.poses[name].to_numpy()[self.has_pose] for name in _PLACE]
+        columns = [self.poses[name].to_numpy()[self.has_pose] for name in PLACE]
         place = np.stack(columns, axis=1) if columns else np.zeros((0, 7))
         return RigidTransform.from_quat_wxyz(place[:, 3:], place[:, :3])
 
@@ -73,9 +72,6 @@ class Run:
         """Covariances (m, 6, 6) of the poses there are."""
         rows = self.poses["covariance"].filter(pa.array(self.has_pose)).to_pylist()
         return np.asarray(rows, dtype=np.float64).reshape(-1, 6, 6)
-
-
-_PLACE = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
 
 
 def read_run(folder: Path) -> Run:
@@ -89,7 +85,7 @@ def read_run(folder: Path) -> Run:
         what = "no such folder" if not folder.exists() else "it has no run.toml"
         raise RunError(f"{folder} is no run: {what}; `measure run` makes one")
     provenance = read_provenance(file)
-    tables = {name: read_table(folder, name, schema) for name, schema in SCHEMAS.items()}
+    tables = read_tables(folder)
     return Run(
         path=folder,
         provenance=provenance,

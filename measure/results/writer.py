@@ -11,13 +11,13 @@ from types import TracebackType
 from typing import Self
 
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from measure.errors import RunError
 from measure.measuring import Measurement
 from measure.model import Body, Camera
 from measure.results.journal import GrowingFile, Journal, finish, read_table, writing
 from measure.results.provenance import Provenance, read_provenance
+from measure.results.stored import read_tables
 from measure.results.summary import Summary, summarise
 from measure.results.tables import CSV_COLUMNS, SCHEMAS, csv_line, rows_of
 from measure.session import Calibration, dump_toml, write_body, write_calibration
@@ -64,7 +64,7 @@ class RunWriter:
                 (folder / "run.toml").write_text(dump_toml(provenance.values()), "utf-8")
                 write_body(folder / "body.toml", body)
                 write_calibration(folder / "calibration.toml", Calibration(tuple(cameras)))
-            kept = _kept_rows(folder) if earlier else {}
+            kept = read_tables(folder) if earlier else {}
             self._journals = {
                 name: Journal(folder / f"{name}.arrows", schema, kept.get(name))
                 for name, schema in SCHEMAS.items()
@@ -160,13 +160,6 @@ def _prepare(folder: Path, provenance: Provenance, resume: bool, overwrite: bool
             "--overwrite starts anew"
         )
     return True
-
-
-def _kept_rows(folder: Path) -> dict[str, pa.Table]:
-    """The rows of complete frame sets."""
-    tables = {name: read_table(folder, name, schema) for name, schema in SCHEMAS.items()}
-    complete = tables["poses"].num_rows
-    return {name: t.filter(pc.less(t["index"], complete)) for name, t in tables.items()}
 
 
 def _open_csv(path: Path, kept: pa.Table | None) -> GrowingFile:

@@ -5,7 +5,6 @@ from measure.robots.logs import (
     ROBOT_KEY,
     check_robot,
     find_schema,
-    read_columns,
     read_log,
     write_log,
 )
@@ -28,7 +27,6 @@ __all__ = [
     "psm_schema",
     "raven_chain",
     "raven_schema",
-    "read_columns",
     "read_log",
     "write_log",
 ]

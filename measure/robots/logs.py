@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,6 +14,9 @@ from measure.robots.psm import psm_schema
 from measure.robots.raven import raven_schema
 from measure.robots.robot_log import RobotLog
 from measure.robots.schema import StateSchema
+
+if TYPE_CHECKING:
+    from measure.robots.tables import Table
 
 TIME = "time_s"
 ROBOT_KEY = b"measure.robot"
@@ -92,52 +96,32 @@ def write_log(path: Path, log: RobotLog) -> None:
         parquet.write_table(named, path, compression="zstd")
 
 
-def read_columns(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
-    """Columns of a Parquet or CSV file.
-
-    Raises:
-        EstimatorError: columns are missing (they are named) or the file cannot be read.
-    """
-    import pyarrow as pa
-    from pyarrow import csv, parquet
-
-    try:
-        table = csv.read_csv(path) if path.suffix == ".csv" else parquet.read_table(path)
-    except (pa.ArrowException, OSError) as error:
-        raise EstimatorError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from None
-    if missing := [name for name in names if name not in table.column_names]:
-        raise EstimatorError(
-            f"{path}: lacks {len(missing)} of {len(names)} columns: {', '.join(missing[:12])}"
-            f"{', ...' if len(missing) > 12 else ''}; it has {', '.join(table.column_names[:8])}"
-        )
-    return {name: table[name].to_numpy() for name in names}
-
-
-def check_robot(path: Path, robot: str) -> None:
-    """Refuse a Parquet file that says it holds another robot's states; most files say nothing.
+def check_robot(table: Table, robot: str) -> None:
+    """Refuse a table that says it holds another robot's states; most files say nothing.
 
     Raises:
         EstimatorError: it names another robot.
     """
-    from pyarrow import parquet
-
-    if path.suffix != ".parquet":
-        return
-    named = (parquet.read_schema(path).metadata or {}).get(ROBOT_KEY, b"").decode()
+    named = table.metadata(ROBOT_KEY)
     if named not in ("", robot):
-        raise EstimatorError(f"{path}: holds states of robot '{named}', not of '{robot}'")
+        raise EstimatorError(f"{table.path}: holds states of robot '{named}', not of '{robot}'")
 
 
 def _read_table(path: Path, schema: StateSchema) -> tuple[Floats, Floats]:
-    columns = read_columns(path, (TIME, *schema.names))
-    check_robot(path, schema.robot)
-    states = np.stack([columns[name].astype(np.float64) for name in schema.names], axis=1)
-    return columns[TIME].astype(np.float64), states
+    from measure.robots.tables import Table
+
+    table = Table.read(path)
+    check_robot(table, schema.robot)
+    columns = table.numbers(TIME, *schema.names)
+    return columns[:, 0], columns[:, 1:]
 
 
 def _checked(path: Path, log: RobotLog) -> RobotLog:
     if len(log.times_s) < 2:
         raise EstimatorError(f"{path}: holds {len(log.times_s)} states; a log needs at least two")
+    if not np.isfinite(log.times_s).all():
+        row = int(np.argmin(np.isfinite(log.times_s))) + 1
+        raise EstimatorError(f"{path}: row {row} has no time")
     step = np.diff(log.times_s)
     if np.any(step < 0):
         row = int(np.argmax(step < 0)) + 1

@@ -11,6 +11,8 @@ import textwrap
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from measure.errors import RunError
@@ -107,6 +109,7 @@ def test_a_torn_batch_is_dropped(folder: Path, torn: tuple[str, ...], cut: int) 
     for table in torn:
         path = folder / f"{table}.arrows"
         path.write_bytes(path.read_bytes()[:-cut])
+    assert set(read_run(folder).detections["index"].to_pylist()) <= set(_frames(folder))
     if "poses" in torn:
         assert _frames(folder) == [0, 1]
         assert _go_on(folder, 3) == 2
@@ -283,3 +286,30 @@ def test_a_disk_full_at_the_very_end_keeps_the_journals(
     assert not read_run(folder).finished
     assert _go_on(folder, 4) == 4
     _check_whole(folder, 4)
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "message"),
+    [
+        ("index", 7, "frame sets are missing or out of order"),
+        ("time_s", None, "frame set 1 has no time, or half a pose"),
+        ("qw", None, "frame set 1 has no time, or half a pose"),
+        ("qw", 7.0, "frame set 1 has no time, or half a pose"),
+        ("covariance", None, "a pose has no covariance"),
+    ],
+)
+def test_poses_that_a_run_never_writes(
+    folder: Path, column: str, value: float | None, message: str
+) -> None:
+    _go_on(folder, 4)
+    assert len(read_run(folder).poses) == 4
+    path = folder / "poses.parquet"
+    table = pq.read_table(path)
+    cells = table[column].to_pylist()
+    cells[1] = value
+    field = table.schema.get_field_index(column)
+    pq.write_table(
+        table.set_column(field, column, pa.array(cells, table.schema.field(field).type)), path
+    )
+    with pytest.raises(RunError, match=f"{folder}: the poses are damaged: {message}"):
+        read_run(folder)

@@ -1,0 +1,124 @@
+"""Tables of numbers, from Parquet and CSV files that people made: what is wrong is said at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import pyarrow as pa
+from pyarrow import csv, parquet
+from pyarrow import types as kinds
+
+from measure.arrays import Floats
+from measure.errors import EstimatorError
+
+_SHOWN = 12
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """A Parquet or CSV file in memory.
+
+    Attributes:
+        path: the file.
+        content: what it holds.
+    """
+
+    path: Path
+    content: pa.Table
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Read a file, CSV if its name ends so, else Parquet.
+
+        Raises:
+            EstimatorError: it cannot be read.
+        """
+        try:
+            content = csv.read_csv(path) if path.suffix == ".csv" else parquet.read_table(path)
+        except (pa.ArrowException, OSError) as error:
+            raise EstimatorError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from None
+        return cls(path, content)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.content.column_names
+
+    def __len__(self) -> int:
+        return int(self.content.num_rows)
+
+    def metadata(self, key: bytes) -> str:
+        """What a Parquet file says of itself under a key; empty if nothing."""
+        return (self.content.schema.metadata or {}).get(key, b"").decode("utf-8", "replace")
+
+    def numbers(self, *names: str) -> Floats:
+        """Columns (n, k) as numbers; NaN where a cell is empty.
+
+        Raises:
+            EstimatorError: columns are missing (they are named) or hold something else.
+        """
+        self.require(names)
+        columns = [self._numbers(name) for name in names]
+        return np.stack(columns, axis=1) if columns else np.empty((len(self), 0))
+
+    def labels(self, name: str) -> list[Any]:
+        """A column (n,) of words or numbers that name something.
+
+        Raises:
+            EstimatorError: it is missing, holds something else, or a cell is empty.
+        """
+        self.require((name,))
+        column = self.content[name]
+        if kinds.is_nested(column.type):
+            raise EstimatorError(f"{self.path}: column '{name}' holds {column.type}, not words")
+        values = column.to_pylist()
+        if None in values:
+            row = values.index(None) + 1
+            raise EstimatorError(f"{self.path}: column '{name}' is empty in row {row}")
+        return values
+
+    def require(self, names: Sequence[str]) -> None:
+        """Refuse a table that lacks one of these columns, or holds it twice.
+
+        Raises:
+            EstimatorError: with the columns there are.
+        """
+        there = self.content.column_names
+        if missing := [name for name in names if name not in there]:
+            raise EstimatorError(
+                f"{self.path}: lacks {len(missing)} of {len(names)} columns: "
+                f"{', '.join(missing[:_SHOWN])}{', ...' if len(missing) > _SHOWN else ''}; it has "
+                f"{', '.join(there[:8])}"
+            )
+        if twice := [name for name in names if there.count(name) > 1]:
+            raise EstimatorError(f"{self.path}: column '{twice[0]}' is there twice")
+
+    def _numbers(self, name: str) -> Floats:
+        column = self.content[name]
+        if kinds.is_dictionary(column.type):
+            column = column.cast(column.type.value_type)
+        kind = column.type
+        if kinds.is_integer(kind) or kinds.is_floating(kind) or kinds.is_boolean(kind):
+            return np.asarray(column.cast(pa.float64()).to_numpy(), dtype=np.float64)
+        if kinds.is_null(kind):
+            return np.full(len(self), np.nan)
+        if kinds.is_string(kind) or kinds.is_large_string(kind):
+            row, text = next(
+                ((row, t) for row, t in enumerate(column.to_pylist(), 1) if not _is_number(t)),
+                (1, ""),
+            )
+            raise EstimatorError(
+                f"{self.path}: column '{name}' holds text, {text!r} in row {row}, where numbers "
+                "are needed"
+            )
+        raise EstimatorError(f"{self.path}: column '{name}' holds {kind}, where numbers are needed")
+
+
+def _is_number(text: str | None) -> bool:
+    try:
+        float(text or "nan")
+    except ValueError:
+        return False
+    return True
