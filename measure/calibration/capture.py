@@ -14,13 +14,14 @@ from pydantic import Field, FiniteFloat, model_validator
 from measure.arrays import Bytes, Floats
 from measure.calibration.boards import Board
 from measure.calibration.markers import MarkerKind
-from measure.calibration.targets import MarkerField, read_board, read_markers, read_marks
+from measure.calibration.targets import MarkerField, Tolerance, read_board, read_markers, read_marks
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
 from measure.model import Intrinsics
 from measure.session import (
     FileModel,
     Name,
+    Position,
     load_toml,
     matching_files,
     open_video_stream,
@@ -30,8 +31,6 @@ from measure.session import (
 
 _VIDEO_ENDINGS = {".mp4", ".mkv", ".avi", ".mov", ".webm", ".m4v"}
 _VIDEO_FRAMES = 80
-
-Tolerance = Annotated[FiniteFloat, Field(ge=0)]
 
 
 class CaptureTable(FileModel):
@@ -46,7 +45,7 @@ class CaptureTable(FileModel):
     marker_tolerance_mm: Tolerance | None = None
     board_tolerance_mm: Tolerance | None = None
     board_tolerance_deg: Tolerance | None = None
-    mark_sd_px: Annotated[FiniteFloat, Field(gt=0)] | None = None
+    mark_sd_px: Annotated[FiniteFloat, Field(ge=1e-3, le=1e3)] | None = None
     common_views: bool = False
     floor_z_mm: FiniteFloat | None = None
 
@@ -59,7 +58,7 @@ class CameraTable(FileModel):
     calibration: Name | None = None
     board_image: Name | None = None
     board_quat_wxyz: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat] | None = None
-    board_translation_mm: tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None = None
+    board_translation_mm: Position | None = None
     marker_image: Name | None = None
 
     @model_validator(mode="after")

@@ -24,6 +24,8 @@ _UNEXPLAINED = (
 )
 _EXPLAINS = 0.25
 """A hypothesis that leaves less than this share of the misfit is named as the cause."""
+_FEWEST_OTHERS = 3
+"""So many marks must agree with the board before another is blamed for disagreeing."""
 
 
 def check_board_against_marks(
@@ -96,6 +98,18 @@ class _Witness:
                 text = f"it fits squares of about {scale:.2f} times the stated size"
                 left = self._misfit(mine, pose, float(scale))
                 yield left, f"{text}: check square_mm"
+        for k, marker in enumerate(self.marks.ids):
+            text = f"only {self.markers.names[marker]} does: its place or its mark is wrong"
+            yield self._misfit_without(k), text
+
+    def _misfit_without(self, k: int) -> float:
+        """RMS px of the camera's marks but the k-th; infinite if too few are left to say."""
+        ids, pixels = np.delete(self.marks.ids, k), np.delete(self.marks.pixels, k, 0)
+        if len(ids) < _FEWEST_OTHERS:
+            return np.inf
+        return mark_rms(
+            self.start, self.markers.points, replace(self.marks, ids=ids, pixels=pixels)
+        )
 
     def _misfit(
         self, corners: Corners, world_from_board: RigidTransform, scale: float = 1.0

@@ -10,15 +10,25 @@ from typing import Annotated, Literal
 
 import cv2
 import numpy as np
-from pydantic import Field, FiniteFloat, field_validator, model_validator
+from pydantic import AfterValidator, Field, FiniteFloat, field_validator, model_validator
 
 from measure.arrays import Floats
 from measure.calibration.boards import Board, Charuco, Chessboard
 from measure.errors import CalibrationError
-from measure.session import FileModel, Name, load_toml
+from measure.session import FileModel, Length, Name, Position, load_toml
 
 Count = Annotated[int, Field(ge=2, le=100)]
-Length = Annotated[FiniteFloat, Field(gt=0)]
+
+
+def _exact_or_known(tolerance: float) -> float:
+    if 0 < tolerance < _LEAST_TOLERANCE:
+        raise ValueError(f"{tolerance:g} is finer than can be measured: 0 says exact")
+    return tolerance
+
+
+_LEAST_TOLERANCE = 1e-6
+Tolerance = Annotated[FiniteFloat, Field(ge=0, le=1e6), AfterValidator(_exact_or_known)]
+"""A standard deviation in mm or degrees; 0 is exact."""
 
 
 class ChessboardFile(FileModel):
@@ -77,7 +87,7 @@ class MarkerRow(FileModel):
     """One marker of a field."""
 
     name: Name
-    position_mm: tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+    position_mm: Position
 
 
 class MarkerFieldFile(FileModel):
@@ -86,7 +96,7 @@ class MarkerFieldFile(FileModel):
     kind: Literal["markers"]
     name: str = "markers"
     dot_mm: Length = 4.0
-    tolerance_mm: Annotated[FiniteFloat, Field(ge=0)] = 0.1
+    tolerance_mm: Tolerance = 0.1
     markers: Annotated[list[MarkerRow], Field(min_length=1)]
 
 

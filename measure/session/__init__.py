@@ -4,7 +4,7 @@ from measure.session.body_file import read_body, write_body
 from measure.session.calibration_file import Calibration
 from measure.session.calibrations import read_calibration, read_intrinsics, write_calibration
 from measure.session.clock_shifts import clock_values
-from measure.session.files import FileModel, Name, load_toml, matching_files
+from measure.session.files import FileModel, Length, Name, Position, load_toml, matching_files
 from measure.session.opening import open_session, session_truth
 from measure.session.pairing import Pairing, pair_nearest
 from measure.session.pictures import decode_picture, read_picture
@@ -17,8 +17,10 @@ from measure.session.video_stream import VideoStream, open_video_stream
 __all__ = [
     "Calibration",
     "FileModel",
+    "Length",
     "Name",
     "Pairing",
+    "Position",
     "Session",
     "Stream",
     "Trajectory",

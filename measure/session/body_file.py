@@ -9,13 +9,13 @@ from typing import Annotated, Any, Literal
 
 import cv2
 import numpy as np
-from pydantic import Field, FiniteFloat, ValidationInfo, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError, SessionError
 from measure.model import Ball, BallColor, Body, ColorRange
 from measure.model.color import NAMED_RANGES
-from measure.session.files import FileModel, Name, load_toml
+from measure.session.files import FileModel, Length, Name, Position, load_toml
 from measure.session.pictures import read_picture
 from measure.session.toml_text import dump_toml
 
@@ -82,8 +82,8 @@ class BallModel(FileModel):
 
     name: Name
     color: str | ColorModel
-    center_mm: tuple[FiniteFloat, FiniteFloat, FiniteFloat]
-    radius_mm: Annotated[FiniteFloat, Field(gt=0)]
+    center_mm: Position
+    radius_mm: Length
 
     @field_validator("color", mode="before")
     @classmethod

@@ -9,7 +9,7 @@ import unicodedata
 from pathlib import Path
 from typing import Annotated, TypeVar
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from measure.errors import MeasureError, SessionError
 from measure.session.toml_errors import syntax_message, validation_message
@@ -25,6 +25,11 @@ def _without_control_characters(text: str) -> str:
 
 Name = Annotated[str, Field(min_length=1), AfterValidator(_without_control_characters)]
 """What a thing or a file is called."""
+Length = Annotated[FiniteFloat, Field(ge=1e-3, le=1e6)]
+"""A size in mm of what can be made and seen: a micrometre to a kilometre."""
+_Coordinate = Annotated[FiniteFloat, Field(ge=-1e6, le=1e6)]
+Position = tuple[_Coordinate, _Coordinate, _Coordinate]
+"""Where a thing stands, mm: no further than a kilometre from the origin."""
 
 
 class FileModel(BaseModel):

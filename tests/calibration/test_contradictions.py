@@ -94,6 +94,17 @@ def test_marker_names_permuted(world: Rig) -> None:
         check(world, boards(world), replace(marks, ids=ids))
 
 
+def test_a_single_marker_at_a_wrong_place_is_named(world: Rig) -> None:
+    marks = world.sights.marks["cam0"]
+    wrong = int(marks.ids[2])
+    points = markers()
+    points[wrong, 0] -= 100.0
+    with pytest.raises(CalibrationError, match=f"only {FIELD.names[wrong]} does: its place or its"):
+        check_board_against_marks(
+            world.start[0], BOARD, boards(world), replace(FIELD, points=points), marks
+        )
+
+
 def test_a_camera_moved_between_its_two_pictures(world: Rig) -> None:
     turned = world.true[0].world_from_camera.perturb([0, 0, 0, 0, 0, np.deg2rad(0.5)])
     moved = replace(world.true[0], world_from_camera=turned)

@@ -15,7 +15,7 @@ from measure.arrays import Bytes
 from measure.calibration import read_board
 from measure.calibration.drawing import BAR_MM, Sheet
 from measure.calibration.targets import read_markers
-from measure.errors import ConfigError
+from measure.errors import CalibrationError, ConfigError
 from measure.session import read_body
 from tests.chromium import Chromium, find_chromium
 
@@ -114,3 +114,16 @@ def test_the_papers_body_is_drawn_and_true(tmp_path: Path) -> None:
 def test_other_endings_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"\.pdf or \.svg"):
         draw_target(TARGETS / "raven_three_ball.toml", tmp_path / "body.png")
+
+
+def test_a_tolerance_finer_than_any_measurement(tmp_path):
+    """The joint fit of a rig would end in numbers that are none."""
+    text = (TARGETS / "raven_markers_16.toml").read_text()
+    field = tmp_path / "markers.toml"
+    for tolerance, stands in (("0", True), ("1e-6", True), ("1e-300", False), ("-1", False)):
+        field.write_text(text.replace("tolerance_mm = 0.1", f"tolerance_mm = {tolerance}"))
+        if stands:
+            assert read_markers(field).tolerance_mm == float(tolerance)
+        else:
+            with pytest.raises(CalibrationError, match=r"markers.toml:\d+: 'tolerance_mm'"):
+                read_markers(field)

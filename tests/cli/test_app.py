@@ -61,6 +61,18 @@ def test_a_full_disk_is_a_mistake_that_names_the_file(monkeypatch, capsys):
     assert capsys.readouterr().err == "measure: run/poses.parquet: No space left on device\n"
 
 
+@pytest.mark.parametrize(("key", "mm"), [("square_mm", "1e300"), ("marker_mm", "1e-300")])
+def test_a_size_that_cannot_be_printed(tmp_path, capsys, key, mm):
+    """Drawing would end in a traceback."""
+    board = (Path(__file__).parents[2] / "calibration_targets/charuco_8x5_27.toml").read_text()
+    lines = [f"{key} = {mm}" if line.startswith(key) else line for line in board.splitlines()]
+    target = tmp_path / "board.toml"
+    target.write_text("\n".join(lines))
+    assert main(["target", str(target), "--output", str(tmp_path / "sheet.pdf")]) == 2
+    place = f"{target}:{lines.index(f'{key} = {mm}') + 1}: '{key}'"
+    assert capsys.readouterr().err.startswith(f"measure: {place}: input should be ")
+
+
 @pytest.mark.parametrize("number", [errno.ENOENT, errno.EISDIR, errno.ENOTDIR, errno.EEXIST])
 def test_a_path_that_is_none_of_ours_is_a_mistake(monkeypatch, capsys, number):
     _register(monkeypatch, _raise(OSError(number, "cannot", "nowhere/out.toml")))

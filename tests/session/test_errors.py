@@ -84,6 +84,11 @@ CASES: dict[str, tuple[Break, type[MeasureError], list[str]]] = {
         SessionError,
         ["body.toml", "the largest radius is 0.02 mm: this looks like metres: write mm"],
     ),
+    "a ball a thousand kilometres away": (
+        _replace("body.toml", "[0.0, 38.0, 0.0]", "[0.0, 1e9, 0.0]"),
+        SessionError,
+        ["body.toml:", "center_mm[1]': input should be less than or equal to 1000000, got"],
+    ),
     "unknown colour": (
         _replace("body.toml", 'color = "red"', 'color = "rod"'),
         SessionError,

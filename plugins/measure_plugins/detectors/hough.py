@@ -32,24 +32,24 @@ class HoughSettings(Settings):
     """Settings of `hough`."""
 
     blur_sigma_px: float = setting(
-        1.5, "Gaussian blur of the gray image before Canny", unit="px", gt=0
+        1.5, "Gaussian blur of the gray image before Canny", unit="px", gt=0, le=20
     )
     blur_sigma_max_px: float = setting(
-        3.0, "largest tolerable blur; beyond it the search gives up", unit="px", gt=0
+        3.0, "largest tolerable blur; beyond it the search gives up", unit="px", gt=0, le=20
     )
     blur_sigma_step_px: float = setting(
-        0.75, "how much the blur is raised when the circle count jumps", unit="px", gt=0
+        0.75, "how much the blur is raised when the circle count jumps", unit="px", ge=0.1
     )
     edge_threshold: float = setting(
         40.0, "upper threshold of Canny on the gray image; the lower one is half of it", gt=0
     )
     channel_blur_percent: float = setting(
-        10.0, "Gaussian blur of a colour channel, as a share of the radius", unit="%", gt=0
+        10.0, "Gaussian blur of a colour channel, as a share of the radius", unit="%", gt=0, le=100
     )
     channel_level_percent: float = setting(
         15.0, "level of the binarisation; lower enlarges the segments more", unit="%", gt=0, lt=100
     )
-    dp: float = setting(1.0, "inverse resolution of the Hough accumulator", gt=0)
+    dp: float = setting(1.0, "inverse resolution of the Hough accumulator", ge=0.5, le=8)
     param1: float = setting(100.0, "upper Canny threshold inside the Hough transform", gt=0)
     lowest_threshold: int = setting(
         6, "lowest accumulator threshold (param2) the bisection may reach", unit="votes", ge=1
@@ -69,9 +69,13 @@ class HoughSettings(Settings):
     color_percent: float = setting(
         25.0, "share of samples near the border that must have the colour", unit="%", ge=0, le=100
     )
-    color_samples: int = setting(72, "directions sampled for the colour check", ge=8)
+    color_samples: int = setting(72, "directions sampled for the colour check", ge=8, le=3600)
     center_sd_px: float = setting(
-        1.0, "standard deviation of a fully visible circle's centre, per axis", unit="px", gt=0
+        1.0,
+        "standard deviation of a fully visible circle's centre, per axis",
+        unit="px",
+        ge=1e-3,
+        le=1e3,
     )
 
 

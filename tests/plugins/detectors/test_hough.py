@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from measure.errors import ConfigError
 from measure.host import Registry
@@ -168,3 +169,12 @@ def test_four_other_colours_are_accepted():
 def test_distances_must_be_in_order():
     with pytest.raises(ConfigError, match=r"nearest_mm \(900\) must be less than farthest_mm"):
         detector(nearest_mm=900.0, farthest_mm=300.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("blur_sigma_px", 1e8), ("blur_sigma_step_px", 1e-300), ("dp", 1e-3), ("center_sd_px", 1e300)],
+)
+def test_settings_that_would_never_end_or_overflow(name, value):
+    with pytest.raises(ValidationError, match=f"{name}\n"):
+        HoughSettings(**{name: value})
