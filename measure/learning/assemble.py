@@ -14,6 +14,8 @@ from measure.learning.clock import ClockOffset, estimate_offset
 from measure.robots import RobotLog
 
 _LARGEST_OFFSET_S = 3600.0
+_STANDS_STILL = 1e-4
+"""A tip that spreads less than this share of the measured one is not the same."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,6 +230,11 @@ def _check_units(name: str, measured_mm: Floats, reported_mm: Floats) -> None:
                 f"{name}: the measured positions look like {what} (they spread {ratio:.2g} times "
                 "as far as the robot's reported ones): convert them to mm"
             )
+    if expected < _STANDS_STILL * spread:
+        raise EstimatorError(
+            f"{name}: the robot's log reports a tip that stands still while the measured one moves "
+            f"by {spread:.1f} mm: are these the right columns, and is their unit?"
+        )
     if (
         np.median(np.linalg.norm(measured_mm, axis=1))
         < 1e-1 * np.median(np.linalg.norm(reported_mm, axis=1))

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import json
 import os
-import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, RootModel, model_validator
 
 from measure.errors import EstimatorError
+from measure.session import load_toml
 
 _LEAST_PATIENCE_S = 600.0
 
@@ -24,11 +24,29 @@ class Range(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    choices: list[Any] | None = None
-    low: float | None = None
-    high: float | None = None
+    choices: Annotated[list[Any], Field(min_length=1)] | None = None
+    low: FiniteFloat | None = None
+    high: FiniteFloat | None = None
     log: bool = False
     integer: bool = False
+
+    @model_validator(mode="after")
+    def _says_what_to_try(self) -> Range:
+        if self.choices is not None:
+            return self
+        if self.low is None or self.high is None:
+            raise ValueError("give choices, or low and high")
+        if self.low > self.high:
+            raise ValueError(f"low ({self.low:g}) must not be above high ({self.high:g})")
+        if self.log and self.low <= 0:
+            raise ValueError(f"low is {self.low:g}: log needs more than 0")
+        if self.integer and (self.low % 1 or self.high % 1):
+            raise ValueError("low and high must be whole numbers, as integer says")
+        return self
+
+
+class _Space(RootModel[dict[str, Range]]):
+    """By setting."""
 
 
 @dataclass(frozen=True)
@@ -45,15 +63,9 @@ def read_space(path: Path) -> dict[str, Range]:
     """Read a search space: a TOML table per setting.
 
     Raises:
-        EstimatorError: missing, not TOML, or a table that makes no sense.
+        EstimatorError: missing, not TOML, or a table that makes no sense, with its line.
     """
-    try:
-        tables = tomllib.loads(path.read_text())
-        return {name: Range.model_validate(table) for name, table in tables.items()}
-    except OSError:
-        raise EstimatorError(f"{path}: no such search space") from None
-    except (tomllib.TOMLDecodeError, ValidationError) as error:
-        raise EstimatorError(f"{path}: {' '.join(str(error).split())[:200]}") from None
+    return load_toml(path, _Space, EstimatorError).root
 
 
 def sweep_state(study: Any) -> SweepState:
@@ -123,9 +135,10 @@ def _suggest(trial: Any, space: Mapping[str, Range]) -> dict[str, Any]:
         if range_.choices is not None:
             text = trial.suggest_categorical(name, [json.dumps(c) for c in range_.choices])
             out[name] = json.loads(text)
-        elif range_.low is None or range_.high is None:
-            raise EstimatorError(f"'{name}': give choices, or low and high")
-        elif range_.integer:
+            continue
+        assert range_.low is not None
+        assert range_.high is not None
+        if range_.integer:
             out[name] = trial.suggest_int(name, int(range_.low), int(range_.high), log=range_.log)
         else:
             out[name] = trial.suggest_float(name, range_.low, range_.high, log=range_.log)

@@ -4,10 +4,18 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    FiniteFloat,
+    ValidationError,
+    model_validator,
+)
 
 from measure.errors import EstimatorError
 from measure.robots.chain import Joint, SerialChain, dh_link
@@ -23,26 +31,45 @@ class _Column(_File):
     unit: str = ""
 
 
+def _not_zero(factor: float) -> float:
+    if not 1e-9 <= abs(factor) <= 1e9:
+        raise ValueError(f"{factor:g} is no factor between units")
+    return factor
+
+
+_Factor = Annotated[FiniteFloat, AfterValidator(_not_zero)]
+_Size = Annotated[FiniteFloat, Field(ge=-1e6, le=1e6)]
+
+
 class _Joint(_File):
     """A joint and its Craig link: alpha and a before it, offset and d along it."""
 
     feature: str
-    scale: float = Field(1.0, description="to rad or mm")
+    scale: _Factor = Field(1.0, description="to rad or mm")
     kind: Literal["turns", "slides"] = "turns"
-    alpha_deg: float | None = None
-    a_mm: float = 0.0
-    offset_deg: float = 0.0
-    d_mm: float = 0.0
+    alpha_deg: _Size | None = None
+    a_mm: _Size = 0.0
+    offset_deg: _Size = 0.0
+    d_mm: _Size = 0.0
 
 
 class _Robot(_File):
     robot: str
     features: list[_Column] = Field(min_length=1)
     position: list[str] = Field(min_length=3, max_length=3)
-    position_to_mm: float = 1.0
+    position_to_mm: Annotated[FiniteFloat, Field(ge=1e-9, le=1e9)] = 1.0
     joints: list[_Joint] = []
     coupled: list[int] = []
-    tool_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    tool_mm: tuple[_Size, _Size, _Size] = (0.0, 0.0, 0.0)
+
+    @model_validator(mode="after")
+    def _coupled_joints_exist(self) -> _Robot:
+        for index in self.coupled:
+            if not 0 <= index < len(self.joints):
+                raise ValueError(
+                    f"coupled names joint {index}; there are {len(self.joints)}, from 0 on"
+                )
+        return self
 
 
 def read_schema(path: Path) -> StateSchema:
@@ -57,12 +84,13 @@ def read_schema(path: Path) -> StateSchema:
         file = _Robot.model_validate(tomllib.loads(path.read_text()))
     except OSError:
         raise EstimatorError(f"{path}: no such robot description") from None
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise EstimatorError(f"{path}: not TOML: {error}") from None
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         where = ".".join(str(part) for part in first["loc"])
-        raise EstimatorError(f"{path}: '{where}': {first['msg']}") from None
+        place = f"'{where}': " if where else ""
+        raise EstimatorError(f"{path}: {place}{first['msg']}") from None
     x, y, z = (Reading.of(name, file.position_to_mm) for name in file.position)
     schema = StateSchema(
         robot=file.robot,

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from measure.errors import CalibrationError, SessionError
 from measure.model import Body, Camera
 from measure.session.body_file import read_body
@@ -151,18 +153,26 @@ def _open_stream(table: CameraTable, folder: Path, camera: Camera, calibrated: P
 
 
 def _check_overlap(streams: list[Stream]) -> None:
-    for stream in streams:
-        start, end = stream.times_s[0], stream.times_s[-1]
-        others = [other for other in streams if other is not stream]
-        if not any(o.times_s[0] <= end and start <= o.times_s[-1] for o in others):
-            ranges = ", ".join(
-                f"{o.name} {o.times_s[0]:.3f} to {o.times_s[-1]:.3f} s" for o in others
-            )
-            raise SessionError(
-                f"camera '{stream.name}' was recorded from {start:.3f} to {end:.3f} s, at no time "
-                f"together with another ({ranges}): are all stamps on one clock? "
-                "time_offset_s shifts a camera's"
-            )
+    """Refuse cameras that fall into groups without a moment in common: they have two clocks."""
+    groups: list[list[Stream]] = []
+    end = np.inf
+    for stream in sorted(streams, key=lambda s: float(s.times_s[0])):
+        if not groups or stream.times_s[0] > end:
+            groups.append([])
+            end = stream.times_s[-1]
+        groups[-1].append(stream)
+        end = max(end, stream.times_s[-1])
+    if len(groups) > 1:
+        apart = min(groups, key=len)
+        raise SessionError(
+            f"cameras without a time in common: {_spans(apart)}; and "
+            f"{_spans([s for s in streams if s not in apart])}: are all stamps on one clock? "
+            "time_offset_s shifts a camera's"
+        )
+
+
+def _spans(streams: list[Stream]) -> str:
+    return ", ".join(f"{s.name} ({s.times_s[0]:.3f} to {s.times_s[-1]:.3f} s)" for s in streams)
 
 
 def _optional(folder: Path, name: str | None, file: Path) -> Path | None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
@@ -65,22 +64,31 @@ def pair_nearest(
 
 
 def _instants(times_s: Sequence[Floats], reference: int, period: float) -> tuple[Floats, Bools]:
+    """The reference's stamps and, where it has none, those next to other cameras' images."""
     own = times_s[reference]
     if not np.isfinite(period):
         return own, np.ones(len(own), bool)
-    start, end = min(t[0] for t in times_s), max(t[-1] for t in times_s)
-    before = own[0] - period * np.arange(int((own[0] - start) / period + 0.5), 0, -1)
-    after = own[-1] + period * np.arange(1, int((end - own[-1]) / period + 0.5) + 1)
-    between = [
-        np.linspace(a, b, round((b - a) / period) + 1)[1:-1]
-        for a, b in pairwise(own)
-        if b - a > GAP_PERIODS * period
-    ]
+    others = np.concatenate(list(times_s))
+    before = own[0] - period * _next_to((own[0] - others) / period)
+    after = own[-1] + period * _next_to((others - own[-1]) / period)
+    between = []
+    for i in np.flatnonzero(np.diff(own) > GAP_PERIODS * period):
+        steps = round((own[i + 1] - own[i]) / period)
+        step = (own[i + 1] - own[i]) / steps
+        inside = others[(others > own[i]) & (others < own[i + 1])]
+        missed = _next_to((inside - own[i]) / step)
+        between.append(own[i] + step * missed[missed < steps])
     virtual = np.concatenate([before, after, *between])
     instants = np.concatenate([own, virtual])
     real = np.arange(len(instants)) < len(own)
     order = np.argsort(instants, kind="stable")
     return instants[order], real[order]
+
+
+def _next_to(steps: Floats) -> Floats:
+    """The whole numbers from 1 on that are next to some of these, each once."""
+    whole = np.unique(np.concatenate([np.floor(steps), np.ceil(steps)]))
+    return whole[whole >= 1]
 
 
 def _nearest(times: Floats, instants: Floats, tolerance_s: float) -> Ints:

@@ -12,6 +12,9 @@ from measure.arrays import Floats, Ints
 from measure.errors import MeasureError, SessionError
 from measure.session.files import read_text
 
+_LATEST_S = 1e11
+"""No recording is later, seconds after 1970."""
+
 
 @dataclass(frozen=True, eq=False)
 class Stamps:
@@ -40,6 +43,11 @@ def read_stamps(path: Path, camera: str) -> Stamps:
         raise SessionError(
             f"{where}:{table.lines[i]}: frame {frames[i]:g} has the time {times[i]:g}; "
             "both must be numbers, the frame a whole one"
+        )
+    for i in np.flatnonzero(np.abs(times) > _LATEST_S):
+        raise SessionError(
+            f"{where}:{table.lines[i]}: frame {frames[i]:g} has the time {times[i]:.6g} s: are "
+            "these milli-, micro- or nanoseconds? time_s holds seconds"
         )
     for i in np.flatnonzero(np.diff(times) <= 0):
         way = "goes backwards" if times[i + 1] < times[i] else "stands still"

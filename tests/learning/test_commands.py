@@ -15,9 +15,11 @@ import numpy as np
 import pytest
 
 from measure.cli import main
+from measure.errors import EstimatorError
 from measure.host import Dataset
 from measure.host.onnx_model import OnnxModel
 from measure.learning import files
+from measure.learning.study import read_space
 from tests.dask_cluster import Cluster, wait_for
 
 pytest.importorskip("torch", reason="training needs the extra 'train'")
@@ -220,6 +222,34 @@ log = true
 [features]
 choices = ["pose", "play"]
 """
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "reason"),
+    [
+        ("high = 1e-1", "high = 1e-9", r"space.toml:2: 'penalty': low \(1e-06\) must not be above"),
+        ("low = 1e-6", "low = 0", r"space.toml:2: 'penalty': low is 0: log needs more than 0"),
+        (
+            "low = 1e-6",
+            "low = nan",
+            r"space.toml:3: 'penalty.low': input should be a finite number",
+        ),
+        ("low = 1e-6", "", r"space.toml:2: 'penalty': give choices, or low and high"),
+        ("log = true", "integer = true", "must be whole numbers"),
+        (
+            '["pose", "play"]',
+            "[]",
+            r"space.toml:7: 'features.choices': list should have at least 1",
+        ),
+    ],
+)
+def test_a_search_space_that_makes_no_sense(
+    old: str, new: str, reason: str, tmp_path: Path
+) -> None:
+    space = tmp_path / "space.toml"
+    space.write_text(SPACE.replace(old, new))
+    with pytest.raises(EstimatorError, match=reason):
+        read_space(space)
 
 
 @pytest.mark.slow

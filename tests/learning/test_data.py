@@ -159,6 +159,14 @@ def test_other_units_are_noticed(
         assemble([(replace(track, positions_mm=track.positions_mm * factor), log)])
 
 
+def test_a_robot_that_reports_to_stand_still(pair: tuple[PoseTrack, RobotLog]) -> None:
+    """Labels as large as the whole motion would be learnt, if the clock offset is given."""
+    track, log = pair
+    still = replace(log, states=np.tile(log.states[0], (len(log.states), 1)))
+    with pytest.raises(EstimatorError, match=r"a tip that stands still while .* moves by \d"):
+        assemble([(track, still)], AssemblySettings(clock_offset_s=1.5))
+
+
 def test_a_data_set_is_written_and_read(small: Dataset, tmp_path: Path) -> None:
     path = tmp_path / "data.parquet"
     files.write_dataset(path, small, [], "a test")

@@ -177,6 +177,11 @@ def test_a_robot_described_by_a_file(tmp_path: Path) -> None:
         ('"x", "y", "z"]', '"x", "y", "w"]', "no feature w"),
         ("tool_mm", "tool_m", "tool_m"),
         ('robot = "two-link"', "", "'robot'"),
+        ("position_to_mm = 1000.0", "position_to_mm = 0", "'position_to_mm'"),
+        ("scale = 0.017453292519943295", "scale = nan", "'joints.0.scale'"),
+        ("scale = 0.017453292519943295", "scale = 0", "0 is no factor between units"),
+        ("alpha_deg = 0", "alpha_deg = inf", "'joints.0.alpha_deg'"),
+        ("tool_mm", "coupled = [2]\ntool_mm", "coupled names joint 2; there are 2, from 0 on"),
     ],
 )
 def test_a_wrong_robot_file_is_explained(old: str, new: str, reason: str, tmp_path: Path) -> None:

@@ -307,7 +307,12 @@ CASES: dict[str, tuple[Break, type[MeasureError], list[str]]] = {
     "no common time": (
         _stamp("cam1", [100.0, 100.1, 100.2, 100.3, 100.4, 100.5]),
         SessionError,
-        ["camera 'cam1' was recorded from 100.000 to 100.500 s", "one clock"],
+        ["time in common: cam1 (100.000 to 100.500 s); and cam0 (0.000 to ", "on one clock?"],
+    ),
+    "stamps in nanoseconds": (
+        _stamp("cam1", [1.7e18, 1.8e18, 1.9e18, 2.0e18, 2.1e18, 2.2e18]),
+        SessionError,
+        ["cam1.csv:2: frame 0 has the time 1.7e+18 s: are these milli-, micro- or nanoseconds?"],
     ),
     "missing truth": (
         _replace("session.toml", 'name = "small"', 'name = "small"\ntruth = "truth.csv"'),

@@ -83,3 +83,15 @@ def test_cameras_that_start_and_end_at_different_times() -> None:
 def test_the_time_is_the_mean_of_the_images() -> None:
     paired = pair_nearest([_clock(0.0, 3), _clock(0.004, 3), _clock(-0.001, 3)])
     assert np.allclose(paired.times_s, _clock(0.001, 3))
+
+
+def test_two_pairs_of_cameras_with_an_age_between_them() -> None:
+    """Only instants near an image are filled in: all between would not fit into memory."""
+    late = 1.7e9
+    paired = pair_nearest([_clock(0.0, 5), _clock(0.001, 5), _clock(late, 5), _clock(late, 5)])
+    assert len(paired.times_s) == 10
+    assert (paired.positions >= 0).sum(axis=1).tolist() == [2] * 10
+    hole = np.concatenate([_clock(0.0, 3), _clock(late, 3)])
+    filled = pair_nearest([hole, _clock(0.0, 9), _clock(0.002, 9), hole])
+    assert filled.positions[3:9, 0].tolist() == [-1] * 6
+    assert filled.positions[3:9, 1:3].tolist() == [[i, i] for i in range(3, 9)]
