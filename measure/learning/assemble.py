@@ -10,12 +10,11 @@ import numpy as np
 from measure.arrays import Bools, Floats, Ints
 from measure.errors import EstimatorError
 from measure.host import Dataset
+from measure.learning.agreement import check_frames, check_units
 from measure.learning.clock import ClockOffset, estimate_offset
 from measure.robots import RobotLog
 
 _LARGEST_OFFSET_S = 3600.0
-_STANDS_STILL = 1e-4
-"""A tip that spreads less than this share of the measured one is not the same."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +89,8 @@ def assemble(
     """Pair every measured pose with the robot's state of that instant.
 
     Raises:
-        EstimatorError: no recordings, clocks that do not match, positions in other units than mm.
+        EstimatorError: no recordings, clocks that do not match, positions in other units than mm
+            or in another frame than the robot's.
     """
     settings = settings or AssemblySettings()
     if not pairs:
@@ -167,6 +167,8 @@ def _one(
     measured = np.isfinite(errors).all(axis=1)
     sd = np.sqrt(np.trace(covariances, axis1=1, axis2=2))
     marks = _Marks(measured, near, outlier, measured & (sd > settings.largest_sd_mm))
+    told = log.schema.position_mm(states)[marks.usable]
+    check_frames(track.name, errors[marks.usable] + told, told)
     kept = marks.kept
     trajectory, names = _cut(track.name, times[kept], settings.cut_s)
     part = Dataset(
@@ -191,7 +193,7 @@ def _clock(track: PoseTrack, log: RobotLog, settings: AssemblySettings) -> Clock
     told = np.isfinite(reported).all(axis=1)
     if told.sum() < 2:
         raise EstimatorError(f"{track.name}: the robot's log holds no positions that are numbers")
-    _check_units(track.name, track.positions_mm[seen], reported[told])
+    check_units(track.name, track.positions_mm[seen], reported[told])
     if settings.clock_offset_s is not None:
         return None
     return estimate_offset(
@@ -218,31 +220,6 @@ def _facts(
         duration_s,
         clock,
     )
-
-
-def _check_units(name: str, measured_mm: Floats, reported_mm: Floats) -> None:
-    spread = np.linalg.norm(measured_mm.std(axis=0))
-    expected = np.linalg.norm(reported_mm.std(axis=0))
-    ratio = spread / max(float(expected), 1e-12)
-    for factor, what in ((1e-3, "metres"), (1e-1, "centimetres"), (1e3, "micrometres")):
-        if 0.3 < ratio / factor < 3.0:
-            raise EstimatorError(
-                f"{name}: the measured positions look like {what} (they spread {ratio:.2g} times "
-                "as far as the robot's reported ones): convert them to mm"
-            )
-    if expected < _STANDS_STILL * spread:
-        raise EstimatorError(
-            f"{name}: the robot's log reports a tip that stands still while the measured one moves "
-            f"by {spread:.1f} mm: are these the right columns, and is their unit?"
-        )
-    if (
-        np.median(np.linalg.norm(measured_mm, axis=1))
-        < 1e-1 * np.median(np.linalg.norm(reported_mm, axis=1))
-        and spread < 0.3 * expected
-    ):
-        raise EstimatorError(
-            f"{name}: measured and reported positions are of different size: use mm"
-        )
 
 
 def _row_times(pose_times: Floats, log: RobotLog, history_hz: float) -> tuple[Floats, Ints]:

@@ -75,8 +75,8 @@ def estimate_offset(
         hint = f" Poses every {step:.2g} s hardly show speeds: give the clock offset."
         raise EstimatorError(
             f"no clock offset within {largest_s:g} s makes the measured and the reported velocity "
-            f"agree (best correlation {scores[best]:.2f}): is this the log of this recording?"
-            + (hint if step > _SPARSE_S else "")
+            f"agree (best correlation {scores[best]:.2f}): is this the log of this recording, "
+            "and no axis reversed?" + (hint if step > _SPARSE_S else "")
         )
     rival = int(np.argmax(np.where(np.abs(lags - lags[best]) > _APART_S, scores, 0.0)))
     if 1 - scores[rival] ** 2 < _LEAST_ADVANTAGE * (1 - scores[best] ** 2):

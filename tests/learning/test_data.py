@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.host import Dataset
 from measure.learning import (
@@ -157,6 +158,32 @@ def test_other_units_are_noticed(
     track, log = pair
     with pytest.raises(EstimatorError, match=f"look like {word}"):
         assemble([(replace(track, positions_mm=track.positions_mm * factor), log)])
+
+
+@pytest.mark.parametrize(
+    ("turn", "shift_mm", "reason"),
+    [
+        (np.diag([1.0, 1, -1]), 0, "are mirror images of each other"),
+        (np.eye(3)[[1, 0, 2]], 0, "are mirror images of each other"),
+        (np.diag([1.0, -1, -1]), 0, "are turned by 1[78]. degrees"),
+        (np.eye(3)[[2, 0, 1]], 0, "are turned by 1[12]. degrees"),
+        (np.eye(3), 150, "lie 2[56]. mm apart"),
+    ],
+)
+def test_positions_in_another_frame_are_refused(
+    turn: Floats, shift_mm: float, reason: str, pair: tuple[PoseTrack, RobotLog]
+) -> None:
+    """Labels of 60 to 250 mm used to be handed on without a word."""
+    track, log = pair
+    other = replace(track, positions_mm=track.positions_mm @ turn.T + shift_mm)
+    with pytest.raises(EstimatorError, match=reason):
+        assemble([(other, log)], AssemblySettings(clock_offset_s=1.485))
+
+
+def test_a_given_clock_offset_that_is_wrong_is_told(pair: tuple[PoseTrack, RobotLog]) -> None:
+    track, log = pair
+    with pytest.raises(EstimatorError, match=r"do not go together \(correlation 0.*clock offset"):
+        assemble([(track, log)], AssemblySettings(clock_offset_s=5.0))
 
 
 def test_a_robot_that_reports_to_stand_still(pair: tuple[PoseTrack, RobotLog]) -> None:

@@ -1,0 +1,86 @@
+"""Whether measured and reported positions can be of one motion, in one unit and one frame."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.errors import EstimatorError
+
+_STANDS_STILL = 1e-4
+"""A tip that spreads less than this share of the measured one is not the same."""
+_LEAST_ROWS, _LEAST_SPREAD_MM = 20, 10.0
+"""Fewer positions, or positions nearer to one line, do not tell a frame."""
+_LEAST_CORRELATION = 0.8
+_MIRRORED = 3.0
+"""How many times less a mirrored frame must leave of the motion to be named."""
+_LARGEST_TURN_DEG, _LARGEST_SHIFT_MM = 20.0, 100.0
+"""No robot errs by more: joints homed wrongly turn its frame by a few degrees."""
+
+
+def check_units(name: str, measured_mm: Floats, reported_mm: Floats) -> None:
+    """Refuse positions (n, 3) and (m, 3) of one motion that are not both in mm.
+
+    Raises:
+        EstimatorError: what they look like.
+    """
+    spread = np.linalg.norm(measured_mm.std(axis=0))
+    expected = np.linalg.norm(reported_mm.std(axis=0))
+    ratio = spread / max(float(expected), 1e-12)
+    for factor, what in ((1e-3, "metres"), (1e-1, "centimetres"), (1e3, "micrometres")):
+        if 0.3 < ratio / factor < 3.0:
+            raise EstimatorError(
+                f"{name}: the measured positions look like {what} (they spread {ratio:.2g} times "
+                "as far as the robot's reported ones): convert them to mm"
+            )
+    if expected < _STANDS_STILL * spread:
+        raise EstimatorError(
+            f"{name}: the robot's log reports a tip that stands still while the measured one moves "
+            f"by {spread:.1f} mm: are these the right columns, and is their unit?"
+        )
+    if (
+        np.median(np.linalg.norm(measured_mm, axis=1))
+        < 1e-1 * np.median(np.linalg.norm(reported_mm, axis=1))
+        and spread < 0.3 * expected
+    ):
+        raise EstimatorError(
+            f"{name}: measured and reported positions are of different size: use mm"
+        )
+
+
+def check_frames(name: str, measured_mm: Floats, reported_mm: Floats) -> None:
+    """Refuse positions (n, 3) of the same instants that are of two frames.
+
+    Their difference would be learnt as the robot's error. Frames are told apart by the rotation
+    that brings the reported positions nearest to the measured ones (Kabsch 1976), where they
+    spread enough to tell.
+
+    Raises:
+        EstimatorError: they do not go together, or one is mirrored, turned or shifted.
+    """
+    if len(reported_mm) < _LEAST_ROWS:
+        return
+    apart = measured_mm.mean(axis=0) - reported_mm.mean(axis=0)
+    ours, theirs = (p - p.mean(axis=0) for p in (measured_mm, reported_mm))
+    spread = np.linalg.svd(theirs, compute_uv=False) / np.sqrt(len(theirs))
+    if spread[1] < _LEAST_SPREAD_MM:
+        return
+    u, values, v = np.linalg.svd(ours.T @ theirs)
+    handed = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ v))])
+    size = float(np.sqrt((ours**2).sum() * (theirs**2).sum()))
+    turned, mirrored = float(handed @ values) / size, float(values.sum()) / size
+    turn_deg = float(np.degrees(np.arccos(np.clip((np.trace(u * handed @ v) - 1) / 2, -1, 1))))
+    wrong = ""
+    if mirrored < _LEAST_CORRELATION:
+        wrong = f"do not go together (correlation {mirrored:.2f}): is the clock offset right?"
+    elif 1 - turned**2 > _MIRRORED * (1 - mirrored**2) and spread[2] > _LEAST_SPREAD_MM:
+        wrong = "are mirror images of each other: are two axes exchanged, or one reversed?"
+    elif turn_deg > _LARGEST_TURN_DEG:
+        wrong = f"are turned by {turn_deg:.0f} degrees to each other"
+    elif np.linalg.norm(apart) > _LARGEST_SHIFT_MM:
+        wrong = f"lie {np.linalg.norm(apart):.0f} mm apart"
+    if wrong:
+        raise EstimatorError(
+            f"{name}: the measured and the reported positions {wrong}; the cameras' world must be "
+            "the robot's frame, or the difference would be learnt as the robot's error"
+        )
