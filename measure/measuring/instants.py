@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,12 +13,13 @@ from measure.measuring.pose_fit import Sightings
 from measure.model import BallView, Body, Camera, Detection, Motion, Pose
 from measure.model.camera import MIN_DEPTH_MM
 from measure.model.observations import State
+from measure.records import record
 
 _COMMON_PX = 0.3
 """What a detection is off by besides its noise: it makes all of them count about alike."""
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Seen:
     """The n believed detections of one frame set, also as arrays, stacked once.
 

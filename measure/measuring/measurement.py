@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from measure.arrays import Floats
 from measure.model import BallView, Fix, Motion, Pose
+from measure.records import record
 
 if TYPE_CHECKING:
     from measure.measuring.instants import Seen
@@ -52,7 +53,7 @@ class Measurement:
     searched: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Draft:
     """A measurement that may be solved once more when later ones are known.
 

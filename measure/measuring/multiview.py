@@ -8,7 +8,6 @@ camera and cameras calibrated independently make that sum the exact weight.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,12 +16,13 @@ from measure.arrays import Floats, stacked
 from measure.errors import DegenerateGeometryError
 from measure.model import Camera, Detection, Rig
 from measure.model.camera import MIN_DEPTH_MM
+from measure.records import record
 
 if TYPE_CHECKING:
     from measure.measuring.point_fit import PointFit
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Views:
     """One ball's pixels in n cameras.
 

@@ -18,11 +18,12 @@ from measure.geometry import RigidTransform, skew
 from measure.measuring.fit_kernels import fit_rows
 from measure.model import Body, Camera, Detection, Rig
 from measure.model.camera import MIN_DEPTH_MM
+from measure.records import record
 
 _STEP_TOLERANCE = 1e-8
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Sightings:
     """Ball centres seen in pictures, as arrays of n rows.
 

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
 
 from measure.arrays import Floats
 from measure.geometry import RigidTransform
+from measure.records import record
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Expectation:
     """Where to look for one ball; a ball without one is searched for in the whole frame.
 
@@ -35,7 +35,7 @@ class Expectation:
     center_camera: Floats | None = None
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Detection:
     """One ball in one image.
 
@@ -110,7 +110,7 @@ class Reason(StrEnum):
     NO_IMAGE = "no image"
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class BallView:
     """One ball in one camera at one instant: its state, why, and the detection if there is one."""
 
@@ -126,7 +126,7 @@ class BallView:
         return self.state is _EFFECTIVE and self.detection is not None
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Fix:
     """A ball's centre in the world.
 
@@ -154,7 +154,7 @@ class Fix:
         return float(np.sqrt(np.mean(np.square(self.residuals_mm))))
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Pose:
     """The body's pose.
 
@@ -177,7 +177,7 @@ class Pose:
     rms_px: float
     cameras: tuple[str, ...]
     balls: tuple[str, ...]
-    flags: tuple[str, ...] = field(default=())
+    flags: tuple[str, ...] = ()
 
     @property
     def position_sd_mm(self) -> float:

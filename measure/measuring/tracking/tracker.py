@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Protocol
 
 from measure.arrays import Floats
 from measure.model import BallView, Detection, Expectation, Fix, FrameSet, Motion, Pose
+from measure.records import record
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Verdict:
     """Whether a pose is believed: the pose (maybe with flags added) or None, and why in words."""
 

@@ -12,6 +12,7 @@ import numpy as np
 from measure.arrays import Floats, Ints, stacked
 from measure.errors import DegenerateGeometryError
 from measure.model import Body, Camera, Detection, Motion, Rig
+from measure.records import record
 
 if TYPE_CHECKING:
     from measure_plugins._edges.contours import Balls, Contours, Views
@@ -42,7 +43,7 @@ class Named:
     views: Views
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Outlines:
     """Packed outlines with the names that go with them.
 
