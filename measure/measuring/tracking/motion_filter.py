@@ -1,7 +1,10 @@
 """A constant-velocity Kalman filter on rigid poses.
 
 The error state is the pose's `perturb` chart and its rate; between pictures the body accelerates at
-random (Bar-Shalom, Li and Kirubarajan 2001, section 6.3.2, discrete white-noise acceleration).
+random (Bar-Shalom, Li and Kirubarajan 2001, section 6.3.2, discrete white-noise acceleration), as
+strongly as it did so far. What hands and robots do is less random than that: as far as one
+acceleration told the next so far, the last one is expected to go on (an autoregression, as in
+Singer 1970, of which the share is learnt).
 """
 
 from __future__ import annotations
@@ -12,13 +15,27 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.geometry import RigidTransform
-from measure.measuring.tracking.prediction_kernels import moved_on, updated
+from measure.measuring.tracking.prediction_kernels import (
+    Accelerations,
+    Course,
+    moved_on,
+    updated,
+)
 from measure.model import Motion, Pose
 
 _STEADY_S = 0.3
 """How far back accelerations count: a second or two of shaking has many phases in it."""
 _SETTLED = 2
 """Measured poses after which changes of the velocity are the body's, not the filter's start."""
+
+
+def steady(velocity: Floats) -> Course:
+    """A velocity (6,) that is not expected to change."""
+    return Course(velocity, np.zeros(6), 0.0)
+
+
+def _none_seen() -> Accelerations:
+    return Accelerations(np.zeros(6), np.zeros((6, 6)), np.zeros(6))
 
 
 def per_axis(millimetres: float, radians: float) -> Floats:
@@ -32,18 +49,18 @@ class MotionState:
 
     Attributes:
         world_from_body: the pose.
-        velocity: (6,) mm/s and rad/s in the world.
+        course: how it moves on.
         time_s: the instant.
         covariance: (12, 12) of the pose's chart and the velocity.
-        acceleration_square: (6, 6) mean square of the accelerations so far, mm/s^2 and rad/s^2.
+        accelerations: so far.
         measured: number of measured poses it rests on.
     """
 
     world_from_body: RigidTransform
-    velocity: Floats
+    course: Course
     time_s: float
     covariance: Floats
-    acceleration_square: Floats = field(default_factory=lambda: np.zeros((6, 6)))
+    accelerations: Accelerations = field(default_factory=_none_seen)
     measured: int = 0
 
     @classmethod
@@ -57,7 +74,7 @@ class MotionState:
         """A body just found: its velocity is zero give or take `speed_sd` (6,)."""
         full = np.zeros((12, 12))
         full[:6, :6], full[6:, 6:] = covariance, np.diag(speed_sd**2)
-        return cls(world_from_body, np.zeros(6), time_s, full)
+        return cls(world_from_body, steady(np.zeros(6)), time_s, full)
 
     def at(self, time_s: float, acceleration_sd: Floats) -> MotionState:
         """The prediction for another instant.
@@ -66,20 +83,20 @@ class MotionState:
             time_s: the instant.
             acceleration_sd: (6,) standard deviation of the acceleration, mm/s^2 and rad/s^2.
         """
-        rotation, translation, covariance = moved_on(
+        rotation, translation, velocity, covariance = moved_on(
             np.ascontiguousarray(self.world_from_body.rotation),
             np.ascontiguousarray(self.world_from_body.translation),
-            self.velocity,
+            self.course,
             self.covariance,
             time_s - self.time_s,
             acceleration_sd**2,
         )
         return MotionState(
             RigidTransform(rotation, translation),
-            self.velocity,
+            steady(velocity),
             time_s,
             covariance,
-            self.acceleration_square,
+            self.accelerations,
             self.measured,
         )
 
@@ -92,10 +109,10 @@ class MotionState:
             acceleration_sd: as in `at`.
         """
         here, seen, dt = self.world_from_body, pose.world_from_body, pose.time_s - self.time_s
-        rotation, translation, velocity, covariance, square = updated(
+        rotation, translation, course, covariance, accelerations = updated(
             np.ascontiguousarray(here.rotation),
             np.ascontiguousarray(here.translation),
-            self.velocity,
+            self.course,
             self.covariance,
             dt,
             acceleration_sd**2,
@@ -103,15 +120,15 @@ class MotionState:
             np.ascontiguousarray(seen.translation),
             pose.covariance,
             extra**2,
-            self.acceleration_square,
+            self.accelerations,
             self._share(dt),
         )
         return MotionState(
             RigidTransform(rotation, translation),
-            velocity,
+            course,
             pose.time_s,
             covariance,
-            square,
+            accelerations,
             self.measured + 1,
         )
 
@@ -131,8 +148,8 @@ class MotionState:
         return Motion(
             self.world_from_body,
             self.time_s,
-            self.velocity + change,
+            self.course.velocity + change,
             self.covariance[:6, :6],
             velocity_covariance=known,
-            acceleration_square=self.acceleration_square,
+            acceleration_square=self.accelerations.square,
         )

@@ -13,6 +13,8 @@ from measure.geometry.rotation_kernels import rotation_of, rotvec_of, times
 from measure.model.rig_kernels import project_one
 
 _OUT_OF_SIGHT_PX = -1e4
+_LEAST_USUAL = 1 / 64
+"""A body that rested may accelerate at an eighth of what is set, lest its start be missed."""
 
 
 class Predicted(NamedTuple):
@@ -33,6 +35,34 @@ class Predicted(NamedTuple):
     covariances_px: Floats
     jacobians: Floats
     spread_px: Floats
+
+
+class Course(NamedTuple):
+    """How a body moves at an instant, in the world.
+
+    Attributes:
+        velocity: (6,) mm/s and rad/s.
+        acceleration: (6,) as it is expected to go on, mm/s^2 and rad/s^2.
+        during_s: for how long.
+    """
+
+    velocity: Floats
+    acceleration: Floats
+    during_s: float
+
+
+class Accelerations(NamedTuple):
+    """How a body has accelerated so far, in mm/s^2 and rad/s^2.
+
+    Attributes:
+        last: (6,) seen.
+        square: (6, 6) mean square; zero if none was seen.
+        product: (6,) mean product of each with the one before.
+    """
+
+    last: Floats
+    square: Floats
+    product: Floats
 
 
 @compiled
@@ -60,18 +90,31 @@ def carried(covariance: Floats, dt: float, variance: Floats) -> Floats:
 
 
 @compiled
+def way(course: Course, dt: float) -> tuple[Floats, Floats]:
+    """How far (6,) a body goes within `dt` seconds, of either sign, and its velocity (6,) then.
+
+    An acceleration is not expected to go on for longer than it has been seen.
+    """
+    during = min(max(dt, -course.during_s), course.during_s)
+    gone = course.velocity * dt + course.acceleration * (during * (dt - during / 2))
+    return gone, course.velocity + course.acceleration * during
+
+
+@compiled
 def moved_on(
     rotation: Floats,
     translation: Floats,
-    velocity: Floats,
+    course: Course,
     covariance: Floats,
     dt: float,
     variance: Floats,
-) -> tuple[Floats, Floats, Floats]:
-    """Rotation, translation and covariance `dt` seconds on: see `MotionState.at`."""
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Rotation, translation, velocity and covariance `dt` seconds on: see `MotionState.at`."""
+    gone, velocity = way(course, dt)
     return (
-        rotation_of(velocity[3:] * dt) @ rotation,
-        translation + velocity[:3] * dt,
+        rotation_of(gone[3:]) @ rotation,
+        translation + gone[:3],
+        velocity,
         carried(covariance, dt, variance),
     )
 
@@ -80,7 +123,7 @@ def moved_on(
 def predict_balls(
     rotation: Floats,
     translation: Floats,
-    velocity: Floats,
+    course: Course,
     covariance: Floats,
     variance: Floats,
     leads_s: Floats,
@@ -98,7 +141,7 @@ def predict_balls(
     Args:
         rotation: (3, 3) of world_from_body.
         translation: (3,) the same.
-        velocity: (6,) mm/s and rad/s in the world.
+        course: how it moves.
         covariance: (12, 12) of pose and velocity.
         variance: (6,) of the acceleration.
         leads_s: (c,) times of the pictures after the pose's.
@@ -117,11 +160,12 @@ def predict_balls(
     for camera in range(len(lenses)):
         dt = leads_s[camera]
         known = carried(covariance, dt, variance)
-        turned = rotation_of(velocity[3:] * dt) @ rotation
+        gone, velocity = way(course, dt)
+        turned = rotation_of(gone[3:]) @ rotation
         for ball in range(count):
             row = camera * count + ball
             arm = times(turned, balls[ball])
-            center = arm + translation + velocity[:3] * dt
+            center = arm + translation + gone[:3]
             pixel = out.centers_px[row]
             project_one(
                 lenses[camera], reach[camera], rig_rotation[camera], rig_centers[camera], center,
@@ -218,7 +262,7 @@ def search_sizes(
 def updated(
     rotation: Floats,
     translation: Floats,
-    velocity: Floats,
+    course: Course,
     covariance: Floats,
     dt: float,
     variance: Floats,
@@ -226,15 +270,15 @@ def updated(
     measured_translation: Floats,
     noise: Floats,
     extra: Floats,
-    square: Floats,
+    accelerations: Accelerations,
     share: float,
-) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+) -> tuple[Floats, Floats, Course, Floats, Accelerations]:
     """A motion, carried on to the time of a measured pose, after that.
 
     Args:
         rotation: (3, 3) of world_from_body.
         translation: (3,) the same.
-        velocity: (6,) mm/s and rad/s in the world.
+        course: how it moves.
         covariance: (12, 12) of pose and velocity.
         dt: s until the measured pose.
         variance: (6,) of the acceleration.
@@ -242,29 +286,59 @@ def updated(
         measured_translation: (3,) the same.
         noise: (6, 6) covariance of the measured pose.
         extra: (6,) variances added to that.
-        square: (6, 6) mean square of the accelerations so far.
-        share: of this one in that mean.
+        accelerations: so far.
+        share: of one more in their means; 0 to leave them as they are.
 
     Returns:
-        Rotation, translation, velocity, covariance and mean square acceleration after.
+        Rotation, translation, course, covariance and accelerations after.
     """
-    rotation, translation, known = moved_on(
-        rotation, translation, velocity, covariance, dt, variance
+    usual = _usual(accelerations.square, variance)
+    rotation, translation, velocity, known = moved_on(
+        rotation, translation, course, covariance, dt, usual
     )
     off = np.empty(6)
     off[:3] = measured_translation - translation
     off[3:] = rotvec_of(measured_rotation @ rotation.T)
     step, covariance = corrected(known, noise + np.diag(extra), off)
-    square = square.copy()
     if share > 0:
-        square += share * (np.outer(step[6:], step[6:]) / dt**2 - square)
+        accelerations = _with(course.acceleration + step[6:] / dt, accelerations, share)
     return (
         rotation_of(step[3:6]) @ rotation,
         translation + step[:3],
-        velocity + step[6:],
+        Course(velocity + step[6:], _going_on(accelerations), abs(dt)),
         covariance,
-        square,
+        accelerations,
     )
+
+
+@compiled
+def _with(seen: Floats, before: Accelerations, share: float) -> Accelerations:
+    """One more acceleration (6,), and its share in the means."""
+    square = before.square + share * (np.outer(seen, seen) - before.square)
+    return Accelerations(
+        seen, square, before.product + share * (seen * before.last - before.product)
+    )
+
+
+@compiled
+def _going_on(so_far: Accelerations) -> Floats:
+    """The acceleration (6,) to expect: as much of the last one as each told of the next so far."""
+    out = np.zeros(6)
+    for i in range(6):
+        if so_far.square[i, i] > 0:
+            share = so_far.product[i] / so_far.square[i, i]
+            out[i] = min(max(share, 0.0), 1.0) * so_far.last[i]
+    return out
+
+
+@compiled
+def _usual(square: Floats, variance: Floats) -> Floats:
+    """Variances (6,) of the acceleration that a body has shown, within what is set."""
+    out = variance.copy()
+    for i in range(6):
+        if square[i, i] > 0:
+            out[i] = min(variance[i], max(square[i, i], _LEAST_USUAL * variance[i]))
+    return out
 
 
 @compiled

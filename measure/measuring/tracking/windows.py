@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -17,6 +16,7 @@ from measure.measuring.tracking.prediction_kernels import (
 )
 from measure.model import Body, Camera, Expectation, Rig
 from measure.model.camera import MIN_DEPTH_MM
+from measure.records import record
 
 _DECIMALS = 7
 """Of px and mm handed to detectors, without the last bits, which depend on the order of sums.
@@ -26,7 +26,7 @@ elsewhere must not decide.
 """
 
 
-@dataclass(frozen=True, eq=False)
+@record
 class Windows:
     """Predictions of n ball-views.
 
@@ -77,7 +77,7 @@ def predict_windows(
     balls = predict_balls(
         np.ascontiguousarray(state.world_from_body.rotation),
         np.ascontiguousarray(state.world_from_body.translation),
-        state.velocity,
+        state.course,
         state.covariance,
         acceleration_sd**2,
         np.array([times_s[camera.name] - state.time_s for camera in present]),
