@@ -13,6 +13,8 @@ from measure.geometry.rotation_kernels import rotation_of, rotvec_of, times
 from measure.model.rig_kernels import project_one
 
 _OUT_OF_SIGHT_PX = -1e4
+_BEFOREHAND = 0.5
+"""That accelerations last counts so much beforehand, in those seen: few of them tell little."""
 _LEAST_USUAL = 1 / 64
 """A body that rested may accelerate at an eighth of what is set, lest its start be missed."""
 
@@ -326,7 +328,8 @@ def _going_on(so_far: Accelerations) -> Floats:
     out = np.zeros(6)
     for i in range(6):
         if so_far.square[i, i] > 0:
-            share = so_far.product[i] / so_far.square[i, i]
+            told = so_far.product[i] / so_far.square[i, i]
+            share = (told + _BEFOREHAND) / (1 + _BEFOREHAND)
             out[i] = min(max(share, 0.0), 1.0) * so_far.last[i]
     return out
 
