@@ -44,8 +44,8 @@ class Seen:
         cameras: Mapping[str, Camera],
     ) -> Seen:
         """What of `views` is effective."""
-        seen = tuple(v.detection for v in views if v.effective and v.detection is not None)
-        instants = tuple(dict.fromkeys(d.time_s for d in seen))
+        seen = tuple([v.detection for v in views if v.effective and v.detection is not None])
+        instants = tuple(dict.fromkeys([d.time_s for d in seen]))
         stacked = Sightings.of(seen, body, cameras, time_s) if seen else None
         return cls(seen, time_s, instants, stacked)
 

@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from measure.arrays import Floats, stacked
+from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
 from measure.model import Camera, Detection, Rig
 from measure.model.camera import MIN_DEPTH_MM
+from measure.model.observations import stacked_detections
 from measure.records import record
 
 if TYPE_CHECKING:
@@ -53,8 +54,7 @@ class Views:
         return cls(
             used,
             Rig.of(used),
-            stacked([d.center_px for d in detections]),
-            stacked([d.covariance_px for d in detections]),
+            *stacked_detections(tuple(detections)),
             np.zeros((len(used), 3)) if shifts is None else shifts,
         )
 

@@ -12,12 +12,13 @@ from functools import lru_cache
 
 import numpy as np
 
-from measure.arrays import Floats, Ints, stacked
+from measure.arrays import Floats, Ints
 from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform, skew
 from measure.measuring.fit_kernels import fit_rows
 from measure.model import Body, Camera, Detection, Rig
 from measure.model.camera import MIN_DEPTH_MM
+from measure.model.observations import stacked_detections
 from measure.records import record
 
 _STEP_TOLERANCE = 1e-8
@@ -53,13 +54,13 @@ class Sightings:
         extra_px: float = 0.0,
     ) -> Sightings:
         """Stack detections; `extra_px` is added to their standard deviations in quadrature."""
-        balls, points_body = _placed(body, tuple(d.ball for d in detections))
-        noise = stacked([d.covariance_px for d in detections])
+        balls, points_body = _placed(body, tuple([d.ball for d in detections]))
+        pixels, noise = stacked_detections(tuple(detections))
         return cls(
             Rig.of([cameras[d.camera] for d in detections]),
             points_body,
             balls,
-            stacked([d.center_px for d in detections]),
+            pixels,
             noise + extra_px**2 * np.eye(2) if extra_px else noise,
             np.array([d.time_s - time_s for d in detections]),
         )

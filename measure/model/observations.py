@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from enum import StrEnum
+from functools import lru_cache
 
 import numpy as np
 
-from measure.arrays import Floats
+from measure.arrays import Floats, stacked
 from measure.geometry import RigidTransform
 from measure.records import record
 
@@ -83,8 +85,7 @@ class Detection:
     @property
     def variance_px2(self) -> float:
         """Variance of `center_px` along an axis, the mean of both."""
-        (first, _), (_, second) = self.covariance_px.tolist()
-        return float(first + second) / 2
+        return float(self.covariance_px.item(0) + self.covariance_px.item(3)) / 2
 
 
 class State(StrEnum):
@@ -182,9 +183,27 @@ class Pose:
     @property
     def position_sd_mm(self) -> float:
         """Standard deviation of the 3-D position: root of the trace of its covariance."""
-        return float(np.sqrt(sum(self.covariance.diagonal()[:3].tolist())))
+        return math.sqrt(sum(self.covariance.diagonal()[:3].tolist()))
 
     @property
     def rotation_sd_deg(self) -> float:
         """Standard deviation of the 3-D rotation: root of the trace of its covariance, in deg."""
-        return float(np.degrees(np.sqrt(sum(self.covariance.diagonal()[3:].tolist()))))
+        return math.degrees(math.sqrt(sum(self.covariance.diagonal()[3:].tolist())))
+
+
+@lru_cache(maxsize=8)
+def stacked_detections(seen: tuple[Detection, ...]) -> tuple[Floats, Floats]:
+    """Centres (n, 2) in px of n >= 1 detections and their covariances (n, 2, 2).
+
+    They are asked about several times, and compare by identity; what is returned is kept, and not
+    to be changed.
+    """
+    return stacked([d.center_px for d in seen]), stacked([d.covariance_px for d in seen])
+
+
+@lru_cache(maxsize=8)
+def stacked_fixes(fixes: tuple[Fix, ...]) -> tuple[Floats, Floats]:
+    """Centres (n, 3) in mm of n fixes and their covariances (n, 3, 3), as `stacked_detections`."""
+    if not fixes:
+        return np.empty((0, 3)), np.empty((0, 3, 3))
+    return stacked([fix.center for fix in fixes]), stacked([fix.covariance for fix in fixes])

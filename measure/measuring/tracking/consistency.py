@@ -12,11 +12,11 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from measure.arrays import Floats, stacked
+from measure.arrays import Floats
 from measure.geometry import chi_square_quantile
 from measure.measuring.body_kernels import distances_from_body
 from measure.model import BallView, Body, Camera, Fix, Pose
-from measure.model.observations import Reason
+from measure.model.observations import Reason, stacked_fixes
 
 _DISBELIEVED = (Reason.JUMPED, Reason.INCONSISTENT, Reason.RECOVERING)
 _MANY = 2
@@ -129,8 +129,7 @@ def _balls_aside(
         np.ascontiguousarray(placed.rotation),
         np.ascontiguousarray(placed.translation),
         body.centers_of([fix.ball for fix in fixes]),
-        stacked([fix.center for fix in fixes]),
-        stacked([fix.covariance for fix in fixes]),
+        *stacked_fixes(tuple(fixes)),
     )
     for fix, (distance, gone_mm) in zip(fixes, distances.tolist(), strict=True):
         if distance > gate and distance > gate * _widening(fix, variances, own_px):

@@ -7,13 +7,13 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from measure.arrays import Floats, stacked
+from measure.arrays import Floats
 from measure.geometry import chi_square_quantile
 from measure.measuring.association import Association
 from measure.measuring.body_checks import layout_flags
 from measure.measuring.tracking.motion_filter import MotionState
 from measure.model import BallView, Body, Camera, Detection, Fix, Pose
-from measure.model.observations import Reason
+from measure.model.observations import Reason, stacked_fixes
 
 _GOOD_CANDIDATE = 0.5
 _MOST_CAMERAS = 0.5
@@ -45,8 +45,7 @@ def contradictions(
         found += layout_flags(
             body,
             [fix.ball for fix in fixes],
-            stacked([fix.center for fix in fixes]),
-            stacked([fix.covariance for fix in fixes]),
+            *stacked_fixes(tuple(fixes)),
             tolerance_mm,
         )
     if pose.rms_px > max_rms_px and pose.rms_px > math.hypot(max_rms_px, _SIGMAS * _noise(views)):

@@ -13,7 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from measure.arrays import Floats, stacked
+from measure.arrays import Floats
 from measure.geometry import chi_square_quantile
 from measure.host.settings import Settings
 from measure.measuring import association
@@ -50,7 +50,7 @@ from measure.model import (
     Motion,
     Pose,
 )
-from measure.model.observations import Reason, State
+from measure.model.observations import Reason, State, stacked_detections
 
 _LEFT_OUT = np.repeat([0.02, 0.0005], 3)
 """In mm and rad: errors of a pose that its covariance does not tell, for the filter."""
@@ -236,8 +236,7 @@ class PredictiveTracker:
         c = self.config
         judged, change, covariance = judge_sightings(
             Sighted(
-                stacked([d.center_px for d in seen]),
-                stacked([d.covariance_px for d in seen]),
+                *stacked_detections(tuple(seen)),
                 np.array([d.time_s for d in seen]),
                 np.array([not d.color_match < c.min_color_match for d in seen]),
             ),

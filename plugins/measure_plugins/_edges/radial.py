@@ -78,7 +78,7 @@ def packed_radials(
     outlines: Sequence[tuple[float, float]], blur_px: float, index: float, mirrors: bool = True
 ) -> Floats:
     """The same tables of k outlines (radius in px, half angle in rad), a row each: (k, r)."""
-    return _packed(tuple(_sizes(*one, blur_px) for one in outlines), index, mirrors)
+    return _packed(tuple([_sizes(*one, blur_px) for one in outlines]), index, mirrors)
 
 
 def _sizes(radius_px: float, half_angle: float, blur_px: float) -> tuple[int, int, int]:

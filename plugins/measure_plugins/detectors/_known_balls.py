@@ -89,6 +89,11 @@ class KnownBalls:
         c, balls = self._config, self._packed(expected, settled, seen)
         return measure_gains(view, balls, c.rays, c.min_contrast, c.margin_px)
 
+    @property
+    def knows_gains(self) -> bool:
+        """Whether it is known how looks at each ball answer."""
+        return len(self._gains) == len(self._radii)
+
     def without_gain(self, balls: Iterable[str]) -> list[str]:
         """Those of which it is not known how looks answer."""
         return [ball for ball in balls if ball not in self._gains]

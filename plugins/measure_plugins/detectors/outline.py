@@ -138,7 +138,7 @@ class OutlineDetector(Detector):
         self, image: Image, expected: Sequence[Expectation], found: Sequence[Detection]
     ) -> list[Detection]:
         """A picture's detections once more, if it has just taught something; else none."""
-        if not self.config.learn or any(e.center_camera is None for e in expected):
+        if not self.config.learn or [e for e in expected if e.center_camera is None]:
             return []
         if not self._learner.wants(len(found), image.time_s):
             return []
@@ -175,6 +175,8 @@ class OutlineDetector(Detector):
         found: Sequence[Detection],
     ) -> bool:
         """Learn how looks answer at balls where that is not known; whether there were any."""
+        if self._balls.knows_gains:
+            return False
         sized = {e.ball for e in expected if e.center_camera is not None}
         new = self._balls.without_gain([d.ball for d in found if d.ball in sized])
         if not new:

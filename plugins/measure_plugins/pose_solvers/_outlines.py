@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from measure.arrays import Floats, Ints, stacked
+from measure.arrays import Floats, Ints
 from measure.errors import DegenerateGeometryError
 from measure.model import Body, Camera, Detection, Motion, Rig
+from measure.model.observations import stacked_detections
 from measure.records import record
 
 if TYPE_CHECKING:
@@ -97,7 +98,7 @@ def _packed(
     named = _named(tuple([d.ball for d in seen]), body, cameras)
     points = [d.outline_px for d in seen if d.outline_px is not None]
     sd = [d.outline_sd_px for d in seen if d.outline_sd_px is not None]
-    covariances = stacked([d.covariance_px for d in seen])
+    covariances = stacked_detections(seen)[1]
     contours, kept = pack(points, sd, covariances, named.rows, named.views)
     if len(kept) < len(seen):
         return _packed(tuple(seen[i] for i in kept), body, tuple(cameras[i] for i in kept))

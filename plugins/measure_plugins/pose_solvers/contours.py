@@ -17,11 +17,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from measure.arrays import Floats, stacked
+from measure.arrays import Floats
 from measure.errors import ConfigError, DegenerateGeometryError
 from measure.geometry import RigidTransform, align_points
 from measure.host import PoseSolver, Settings, hookimpl, setting
 from measure.model import Camera, Detection, Fix, Intrinsics, Motion, Pose
+from measure.model.observations import stacked_fixes
 from measure_plugins.pose_solvers._outlines import Outlines, outlines_of
 
 if TYPE_CHECKING:
@@ -132,7 +133,7 @@ class ContoursSolver(PoseSolver):
             rig.covariances,
             _small_sample(2 * len(named.balls) - 6),
             self.body.centers_of([fix.ball for fix in fixes]),
-            stacked([fix.center for fix in fixes]) if fixes else np.empty((0, 3)),
+            stacked_fixes(tuple(fixes))[0],
         )
         return self._pose(fit, outlines, time_s) if fit.solved else None
 

@@ -14,13 +14,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from measure.arrays import Floats, Ints, stacked
+from measure.arrays import Floats, Ints
 from measure.errors import DegenerateGeometryError
 from measure.geometry import chi_square_quantile
 from measure.host import Settings, Triangulator, hookimpl, setting
 from measure.measuring.multiview import Views, fit_point
 from measure.model import Camera, Detection, Fix, Rig
 from measure.model.camera import MIN_DEPTH_MM
+from measure.model.observations import stacked_detections
 
 if TYPE_CHECKING:
     from measure.measuring.point_fit import PointFit
@@ -102,7 +103,8 @@ class ReprojectionTriangulator(Triangulator):
         )
         if not seen.groups:
             return []
-        rig, used = seen.rig, [detections[row] for row in seen.rows]
+        rig, used = seen.rig, [detections[row] for row in seen.rows.tolist()]
+        pixels, noise = stacked_detections(tuple(detections))
         fits = fit_groups(
             seen.starts,
             rig.lenses,
@@ -110,8 +112,8 @@ class ReprojectionTriangulator(Triangulator):
             rig.rotation,
             rig.centers,
             rig.covariances,
-            stacked([d.center_px for d in used]),
-            stacked([d.covariance_px for d in used]),
+            pixels[seen.rows],
+            noise[seen.rows],
             self.config.tolerance_px,
             MIN_DEPTH_MM,
         )
@@ -172,7 +174,7 @@ class _Grouped:
         rig: (n,) the detections' cameras.
     """
 
-    rows: tuple[int, ...]
+    rows: Ints
     groups: tuple[tuple[int, int], ...]
     starts: Ints
     rig: Rig
@@ -185,7 +187,7 @@ def _grouped(balls: tuple[str, ...], cameras: tuple[Camera, ...]) -> _Grouped:
     rows = [some for some in rows if len(some) > 1]
     starts, flat = [0, *accumulate(map(len, rows))], [i for some in rows for i in some]
     rig = Rig.of([cameras[i] for i in flat])
-    return _Grouped(tuple(flat), tuple(pairwise(starts)), np.array(starts), rig)
+    return _Grouped(np.array(flat), tuple(pairwise(starts)), np.array(starts), rig)
 
 
 def _honest_covariance(chosen: _Candidate, rivals: Sequence[_Candidate]) -> Floats:
