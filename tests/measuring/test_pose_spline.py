@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from measure.geometry import RigidTransform
 from measure.measuring import Measurement, Status
+from measure.measuring.instants import Seen
 from measure.measuring.measurement import Draft
 from measure.measuring.pose_spline import REACH, motion_at, with_neighbours
 from measure.model import Pose
@@ -132,6 +135,13 @@ def test_no_more_is_read_ahead_than_needed():
     drafts = with_neighbours(draft(k) for k in range(100) if read.append(k) is None)
     next(drafts)
     assert len(read) == REACH + 1
+
+
+def test_only_pictures_of_different_instants_have_neighbours():
+    together, apart = (Seen((), 0.0, instants, None) for instants in ((0.0,), (0.0, 0.01)))
+    drafts = [replace(draft(k), seen=apart if k == 2 else together) for k in range(5)]
+    counts = [(len(before), len(after)) for before, _, after in with_neighbours(drafts)]
+    assert counts == [(0, 0), (0, 0), (2, 2), (0, 0), (0, 0)]
 
 
 def test_lost_and_doubted_poses_are_no_knots_and_a_pause_ends_the_spline():
