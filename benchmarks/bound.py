@@ -71,7 +71,8 @@ def _rays(
     reach = (_INSIDE_PX[0], _OUTSIDE_PX[1])
     free = ways(frame, half_angle, scale, around, nearer, reach, 0.0)
     pixels = np.ascontiguousarray(image.pixels)
-    _, values = sample(pixels, _VALUES, points, normals, _STEPS, free, 0)
+    no_light = np.zeros(len(_STEPS), np.bool_)
+    _, values = sample(pixels, _VALUES, points, normals, _STEPS, free, no_light, 0)
     contrast = levels(values, _STEPS, _INSIDE_PX) - levels(values, _STEPS, _OUTSIDE_PX)
     length = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
     told = np.sum(contrast**2, axis=0) / (2 * np.sqrt(np.pi) * BLUR_PX) * length

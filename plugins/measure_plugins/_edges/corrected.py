@@ -10,7 +10,7 @@ from measure.arrays import Bytes, Floats, Reals, Singles
 from measure.compiling import compiled, folded
 from measure_plugins._edges.crossing import crossings, levels, project, uncertainty
 from measure_plugins._edges.neighbours import TOGETHER, middle_angles, together
-from measure_plugins._edges.prediction import Ambient, predict_light
+from measure_plugins._edges.prediction import FIT_LAST_PX, Ambient, predict_light
 from measure_plugins._edges.radial import STEPS, Radial
 from measure_plugins._edges.rays import FREE, sample
 from measure_plugins._edges.selection import median
@@ -36,6 +36,8 @@ _FIRST = int(np.searchsorted(STEPS, INSIDE_PX[0]))
 """The step at which the edge finder begins to look."""
 LATER_STEPS = STEPS[_FIRST:]
 """Where the picture is predicted, px along the normal."""
+_LIT = (STEPS <= FIT_LAST_PX) | ((_BACKGROUND_PX[0] <= STEPS) & (_BACKGROUND_PX[1] >= STEPS))
+"""The steps at which light is asked for, not picture values alone."""
 
 
 class Edges(NamedTuple):
@@ -130,7 +132,7 @@ def find_twice(
         radial: what the ball shows along a ray, see `radial.radial`.
         ambient: what is known of the light round it, along the n / 2 rays that are predicted.
     """
-    light, values = sample(pixels, table, points, normals, STEPS, free, _FIRST)
+    light, values = sample(pixels, table, points, normals, STEPS, free, _LIT, _FIRST)
     window = inside_window(points)
     within, background = levels(light, STEPS, window), levels(light, STEPS, _BACKGROUND_PX)
     predicted = _predicted_together(light, free, around, sensor, radial, ambient)
@@ -212,7 +214,7 @@ def compare(
     ambient: Ambient,
 ) -> tuple[Floats, Floats]:
     """Picture values (3, m, n) at `LATER_STEPS`: seen, and predicted. Arguments as above."""
-    seen, values = sample(pixels, table, points, normals, STEPS, free, _FIRST)
+    seen, values = sample(pixels, table, points, normals, STEPS, free, _LIT, _FIRST)
     light = seen.astype(np.float64)
     background = levels(light, STEPS, _BACKGROUND_PX)
     predicted = predicted_values(light, free, around, background, sensor, radial, ambient)
@@ -224,7 +226,8 @@ def sampled_light(
     pixels: Bytes, table: Floats, points: Floats, normals: Floats, free: Floats
 ) -> tuple[Floats, Floats]:
     """Light (3, m, n) at `STEPS`, and of the surroundings (3, n). Arguments as above."""
-    seen, _ = sample(pixels, table, points, normals, STEPS, free, len(STEPS))
+    everywhere = np.ones(len(STEPS), np.bool_)
+    seen, _ = sample(pixels, table, points, normals, STEPS, free, everywhere, len(STEPS))
     light = seen.astype(np.float64)
     return light, levels(light, STEPS, _BACKGROUND_PX).astype(np.float64)
 

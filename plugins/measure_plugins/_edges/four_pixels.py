@@ -30,10 +30,56 @@ def between_pixels(context: Any, flat: Any, at: Any, row: Any, weights: Any) -> 
     """
     single = types.float32
     four = types.UniTuple(single, 4)
-    return types.UniTuple(single, 3)(flat, types.intp, types.intp, four), _emit
+    return types.UniTuple(single, 3)(flat, types.intp, types.intp, four), _emit_values
 
 
-def _emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+@intrinsic  # type: ignore[untyped-decorator]
+def light_between(context: Any, flat: Any, of: Any, at: Any, row: Any, weights: Any) -> Any:  # noqa: ARG001
+    """Light of blue, green and red (3,) between four pixels, by their weights.
+
+    Args:
+        context: of the compiler.
+        flat: (k,) bytes of a picture.
+        of: (256,) float32, the light of each of them.
+        at: of the upper left pixel's first colour.
+        row: length of a picture row.
+        weights: (4,) float32 of the upper left and right, lower left and right pixel.
+    """
+    single = types.float32
+    four = types.UniTuple(single, 4)
+    return types.UniTuple(single, 3)(flat, of, types.intp, types.intp, four), _emit_light
+
+
+def _emit_light(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    """Four bytes at once, as below; their light is looked up one by one."""
+    data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
+    table = context.make_array(signature.args[1])(context, builder, arguments[1]).data
+    at, row, weights = arguments[2:]
+    right = builder.add(at, ir.Constant(at.type, 2))
+    places = [at, right, builder.add(at, row), builder.add(right, row)]
+    total = None
+    for k, weight in enumerate(cgutils.unpack_tuple(builder, weights)):
+        light = _looked_up(builder, data, table, places[k], k % 2)
+        light = builder.fmul(_all_four(builder, weight), light)
+        total = light if total is None else builder.fadd(total, light)
+    colors = [builder.extract_element(total, ir.Constant(_INDEX, c)) for c in range(3)]
+    return context.make_tuple(builder, signature.return_type, colors)
+
+
+def _looked_up(builder: Any, data: Any, table: Any, at: Any, skipped: int) -> Any:
+    """Light of three of the four bytes at a place (the first is the lowest), some `skipped`."""
+    address = builder.bitcast(builder.gep(data, [at]), _INDEX.as_pointer())
+    word = builder.zext(builder.load(address, align=1), at.type)
+    out = _NOTHING
+    for c in range(3):
+        shifted = builder.lshr(word, ir.Constant(at.type, 8 * (c + skipped)))
+        byte = builder.and_(shifted, ir.Constant(at.type, 255))
+        light = builder.load(builder.gep(table, [byte]))
+        out = builder.insert_element(out, light, ir.Constant(_INDEX, c))
+    return out
+
+
+def _emit_values(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     """Four bytes of a left pixel end in the right one's first; of a right one, begin before it."""
     data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
     at, row, weights = arguments[1:]

@@ -145,7 +145,8 @@ def look_roughly(
     if wider > 0 or quickly:
         profiles = sample_nearest(view.pixels, view.table, points, normals, steps, free)
     else:
-        near, _ = sample(view.pixels, view.table, points, normals, steps, free, len(steps))
+        lit = np.ones(len(steps), np.bool_)
+        near, _ = sample(view.pixels, view.table, points, normals, steps, free, lit, len(steps))
         profiles = near.astype(np.float64)
     within, without = levels(profiles, steps, inside), levels(profiles, steps, outside)
     x, contrast = project(profiles, within, without, False)

@@ -20,7 +20,8 @@ from measure_plugins._edges.quadratic import angular_terms, fit_shading, shaded
 from measure_plugins._edges.radial import Radial
 from measure_plugins._edges.shading import GREY, own_color, reflected_light, split
 
-_FIT_LAST_PX = 1.0
+FIT_LAST_PX = 1.0
+"""No light further out is fitted."""
 _NOTHING = 1e-9
 """Share of the surroundings' light too small to take off."""
 
@@ -64,7 +65,7 @@ def predict_light(
         ambient: of the same rays and steps.
         first: the step at which the prediction begins.
     """
-    used = int(np.searchsorted(steps, _FIT_LAST_PX, side="right"))
+    used = int(np.searchsorted(steps, FIT_LAST_PX, side="right"))
     lit, shown = ambient.lit, _without(profiles, ambient.mirrored, used)
     own, amounts, grey, behind_grey = split_light(shown, free, background, steps, radial, used)
     if lit.size > 0:

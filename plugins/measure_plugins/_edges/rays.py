@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from measure.arrays import Bytes, Floats, Ints, Singles
+from measure.arrays import Bools, Bytes, Floats, Ints, Singles
 from measure.compiling import compiled, inlined
 from measure.model.lens import lens_numbers, to_pixel
-from measure_plugins._edges.four_pixels import between_pixels
+from measure_plugins._edges.four_pixels import between_pixels, light_between
 from measure_plugins._edges.vectors import DOUBLES, whole_vectors
 
 FREE, HIDDEN, OUTSIDE = 0, 1, 2
@@ -176,6 +176,7 @@ def sample(
     normals: Floats,
     steps: Floats,
     free: Floats,
+    lit: Bools,
     values_from: int,
 ) -> tuple[Singles, Singles]:
     """Light and picture values along the rays, both by bilinear interpolation.
@@ -187,6 +188,7 @@ def sample(
         normals: (n, 2) unit vectors.
         steps: (m,) px along the normals.
         free: (n,) FREE to sample a ray; set to OUTSIDE in place where it leaves the picture.
+        lit: (m,) at which steps light is wanted; it is zero at the others.
         values_from: the first step at which picture values are wanted.
 
     Returns:
@@ -202,7 +204,7 @@ def sample(
         if free[i] != FREE:
             continue
         _pixels_along(points[i], normals[i], every, row, first, weights)
-        _light_between(flat, of, row, first, weights, light[:, :, i])
+        _light_between(flat, of, row, first, weights, lit, light[:, :, i])
         for j in range(values_from, m):
             shares = weights[0, j], weights[1, j], weights[2, j], weights[3, j]
             b, g, r = between_pixels(flat, first[j], row, shares)
@@ -213,16 +215,20 @@ def sample(
 
 @inlined
 def _light_between(
-    flat: Bytes, table: Singles, row: int, first: Ints, weights: Singles, out: Singles
+    flat: Bytes,
+    table: Singles,
+    row: int,
+    first: Ints,
+    weights: Singles,
+    lit: Bools,
+    out: Singles,
 ) -> None:
-    """Light (3, m) between four pixels each, see `_pixels_along`."""
-    below, pixel = np.uint64(row), np.uint64(3)
+    """Light (3, m) between four pixels each where it is wanted, see `_pixels_along`."""
     for j in range(out.shape[1]):
-        w00, w01, w10, w11 = weights[0, j], weights[1, j], weights[2, j], weights[3, j]
-        for c in range(3):
-            at = np.uint64(first[j] + c)  # unsigned: no look whether it counts from the end
-            p, q, r, s = flat[at], flat[at + pixel], flat[at + below], flat[at + below + pixel]
-            out[c, j] = w00 * table[p] + w01 * table[q] + w10 * table[r] + w11 * table[s]
+        if lit[j]:
+            shares = weights[0, j], weights[1, j], weights[2, j], weights[3, j]
+            b, g, r = light_between(flat, table, first[j], row, shares)
+            out[0, j], out[1, j], out[2, j] = b, g, r
 
 
 @compiled

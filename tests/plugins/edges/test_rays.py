@@ -25,12 +25,16 @@ def picture():
     return np.random.default_rng(1).integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8)
 
 
+def _all(steps):
+    return np.ones(len(steps), np.bool_)
+
+
 def both(picture, points, normals, steps=STEPS, free=None):
     points = np.asarray(points, dtype=np.float64)
     normals = np.ascontiguousarray(np.broadcast_to(normals, points.shape), dtype=np.float64)
     state = np.full(len(points), FREE, np.uint8) if free is None else np.array(free, np.uint8)
     other = state.copy()
-    light, _ = sample(picture, TABLE, points, normals, steps, state, len(steps))
+    light, _ = sample(picture, TABLE, points, normals, steps, state, _all(steps), len(steps))
     nearest = sample_nearest(picture, TABLE, points, normals, steps, other)
     np.testing.assert_array_equal(state, other)
     return light, nearest, state
@@ -74,20 +78,30 @@ def test_values_are_interpolated_between_pixels() -> None:
     picture = np.stack([2 * u + 3 * v, 4 * u, 5 * v], axis=-1).astype(np.uint8)
     points, normals = np.array([[20.3, 18.6], [30.0, 10.25]]), np.array([[0.6, 0.8], [1.0, 0.0]])
     steps, table = np.array([-2.0, 0.0, 1.5]), np.arange(256) / 255.0
-    light, values = sample(picture, table, points, normals, steps, np.zeros(2), 0)
+    light, values = sample(picture, table, points, normals, steps, np.zeros(2), _all(steps), 0)
     x = points[:, 0] + steps[:, None] * normals[:, 0]
     y = points[:, 1] + steps[:, None] * normals[:, 1]
     assert np.allclose(255 * values, np.stack([2 * x + 3 * y, 4 * x, 5 * y]), atol=1e-9)
     assert np.allclose(light, values, atol=1e-12)
 
 
+def test_light_is_read_where_it_is_wanted_and_nowhere_else(picture) -> None:
+    points, normals = np.array([[20.3, 18.6], [30.0, 10.25]]), np.array([[0.6, 0.8], [1.0, 0.0]])
+    steps, lit = np.array([-2.0, 0.0, 1.5]), np.array([True, False, True])
+    light, values = sample(picture, TABLE, points, normals, steps, np.zeros(2), lit, 1)
+    full, _ = sample(picture, TABLE, points, normals, steps, np.zeros(2), _all(steps), 1)
+    np.testing.assert_array_equal(light[:, lit], full[:, lit])
+    assert np.all(light[:, ~lit] == 0)
+    assert np.any(full[:, ~lit] != 0)
+    assert np.all(values[:, 0] > 0)
+
+
 @pytest.mark.parametrize("x", [0, WIDTH - 2])
 @pytest.mark.parametrize("y", [0, HEIGHT - 2])
 def test_values_are_read_up_to_the_last_pixel(picture, x, y) -> None:
     """Pixels are read four bytes at once; the picture's last one has but three."""
-    light, values = sample(
-        picture, TABLE, np.array([[x + 0.25, y + 0.75]]), ACROSS, np.zeros(1), np.zeros(1), 0
-    )
+    points, one = np.array([[x + 0.25, y + 0.75]]), np.zeros(1)
+    light, values = sample(picture, TABLE, points, ACROSS, one, one.copy(), _all(one), 0)
     upper = 0.75 * picture[y, x] + 0.25 * picture[y, x + 1]
     lower = 0.75 * picture[y + 1, x] + 0.25 * picture[y + 1, x + 1]
     assert values[:, 0, 0] == pytest.approx((0.25 * upper + 0.75 * lower) / 255, abs=1e-6)

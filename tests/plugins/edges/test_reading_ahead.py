@@ -41,7 +41,8 @@ def test_what_rays_read_is_asked_for_and_little_else(center):
     assert not np.any(read & ~asked)
     assert np.count_nonzero(asked) < 1.4 * np.count_nonzero(read)
     ask_for_outline(black, axis, HALF_ANGLE, LENS)
-    light, _ = sample(black, np.ones(256), points, normals, STEPS, np.full(720, FREE, float), 0)
+    free, lit = np.full(720, FREE, float), np.ones(len(STEPS), np.bool_)
+    light, _ = sample(black, np.ones(256), points, normals, STEPS, free, lit, 0)
     assert light == pytest.approx(1.0)
 
 
