@@ -35,6 +35,11 @@ class Seen:
     instants: tuple[float, ...]
     sightings: Sightings | None
 
+    @property
+    def at_once(self) -> bool:
+        """Whether they are of one instant: whatever the motion, they need not be moved."""
+        return len(self.instants) < 2
+
     @classmethod
     def of(
         cls,
@@ -91,7 +96,7 @@ class Seen:
         from measure.measuring.instant_kernels import velocity_share
 
         s = self.sightings
-        if motion.velocity_covariance is None or len(self.instants) < 2 or s is None:
+        if motion.velocity_covariance is None or self.at_once or s is None:
             return None
         bend = motion.acceleration_square
         return velocity_share(

@@ -31,8 +31,7 @@ from measure.model import (
 _ROUNDS = 2
 """The first poses rest on predicted velocities; a spline through them is not yet the best one."""
 _SAME_MM = 5e-3
-"""Motions that carry pictures to places no further apart are the same: a fifth of what poses are
-off by at best. A second spline seldom differs more from the first."""
+"""Motions that carry pictures to places no further apart are the same: a second spline often is."""
 _ARM_MM = np.array([1.0, 1.0, 1.0, 40.0, 40.0, 40.0])
 
 
@@ -231,7 +230,7 @@ class Pipeline:
         """Solve a pose once more, with the motion that the poses round it show."""
         before, draft, after = near
         current, seen = draft.measurement, draft.seen
-        if current.pose is None or seen is None or len(seen.instants) < 2:
+        if current.pose is None or seen is None or seen.at_once:
             return draft
         motion = motion_at(current.pose, before, after)
         if motion is None or not _differ(motion, draft.motion, seen.instants):

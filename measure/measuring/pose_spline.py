@@ -114,10 +114,10 @@ def with_neighbours(drafts: Iterable[Draft]) -> Iterator[tuple[list[Pose], Draft
 def _neighbours(held: Sequence[Draft], at: int) -> tuple[list[Pose], Draft, list[Pose]]:
     """The believed poses before and after one of `held`, as far as they hang together.
 
-    None for pictures of one instant, which need not be moved, whatever the motion.
+    None for pictures of one instant.
     """
     seen = held[at].seen
-    if seen is not None and len(seen.instants) < 2:
+    if seen is not None and seen.at_once:
         return [], held[at], []
     measured = [draft.measurement for draft in held]
     time_s = measured[at].time_s

@@ -10,7 +10,8 @@ from measure.arrays import Bools, Floats, Ints
 from measure.compiling import compiled, inlined
 from measure.geometry.covariance_kernels import inverse_2x2, squared_distance
 from measure.geometry.linear_kernels import cholesky, inverse, invert_factored, solve_factored
-from measure.measuring.tracking.prediction_kernels import Predicted, carried
+from measure.measuring.tracking.motion_kernels import carried
+from measure.measuring.tracking.prediction_kernels import Predicted
 
 _ROUNDS = 4
 AGREES, JUMPED, MISCOLORED, CONTRADICTS = 0, 1, 2, 3

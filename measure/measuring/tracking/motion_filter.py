@@ -15,7 +15,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.geometry import RigidTransform
-from measure.measuring.tracking.prediction_kernels import (
+from measure.measuring.tracking.motion_kernels import (
     Accelerations,
     Course,
     moved_on,

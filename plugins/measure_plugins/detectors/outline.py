@@ -138,7 +138,7 @@ class OutlineDetector(Detector):
         self, image: Image, expected: Sequence[Expectation], found: Sequence[Detection]
     ) -> list[Detection]:
         """A picture's detections once more, if it has just taught something; else none."""
-        if not self.config.learn or [e for e in expected if e.center_camera is None]:
+        if not self.config.learn or any(e.center_camera is None for e in expected):
             return []
         if not self._learner.wants(len(found), image.time_s):
             return []

@@ -21,7 +21,7 @@ from measure.measuring.tracking.gates import (
     judge_sightings,
 )
 from measure.measuring.tracking.motion_filter import MotionState, steady
-from measure.measuring.tracking.prediction_kernels import Course
+from measure.measuring.tracking.motion_kernels import Course
 from measure.measuring.tracking.windows import Windows, predict_windows
 from measure.model import Pose
 from tests.scenes import RAVEN, TARGET, ring
