@@ -77,17 +77,21 @@ def test_the_bodys_own_geometry_is_learnt_against_its_prior() -> None:
     assert np.all(learning.center_sds > 0)
 
 
-def test_a_long_recording_by_six_cameras_is_quick_and_holds_the_world() -> None:
+def test_a_long_recording_by_six_cameras_holds_the_world_and_costs_by_its_length() -> None:
     # Cameras out of step: what their motion between instants gets wrong must not turn the world.
     six = cameras((20, 80, 140, 200, 260, 320))
-    given = case(1, frames=1000, stated=False, true=six)
-    began = time.process_time()
-    found = refine_rig(given.start, BODY, given.recording)
-    assert time.process_time() - began < 10
+    spent = []
+    for frames in (100, 1000):
+        given = case(1, frames=frames, stated=False, true=six)
+        began = time.thread_time()
+        found = refine_rig(given.start, BODY, given.recording)
+        spent.append(time.thread_time() - began)
     before, after = errors(given.start, given), errors(found.cameras, given)
     assert after[0] < 0.7 * before[0]
     assert after[1] < 0.5 * before[1]
     assert 0.3 < found.scatter.position_mm < 0.55  # PRIOR: 0.4
+    # Ten times the frames: some 11 times the work, and 100 times were every pose solved with all.
+    assert spent[1] < 30 * spent[0]
 
 
 def test_repeats_to_the_last_digit() -> None:
