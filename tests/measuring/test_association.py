@@ -101,6 +101,25 @@ def test_a_ball_seen_by_one_camera_only():
     assert_found(find(rough(truth, 1, skip=skip)), truth, mm=6, deg=8)
 
 
+@pytest.mark.parametrize("confused", [2, 3, 4])
+def test_balls_taken_for_others_are_no_other_body(confused):
+    """Some cameras see the green ball as a red one too, and the red as a green: the body turned."""
+    truth = a_pose(np.random.default_rng(4))
+    right, other = rough(truth, 1), {"green": "red", "red": "green"}
+    cameras = list(CAMERAS)[:confused]
+    doubles = [
+        replace(d, ball=other[d.ball], center_px=d.center_px + 0.4)
+        for d in right
+        if d.ball in other and d.camera in cameras
+    ]
+    found = find([*right, *doubles])
+    if confused == len(CAMERAS):  # now nobody can tell
+        assert found.world_from_body is None
+        return
+    assert_found(found, truth)
+    assert not found.doubts
+
+
 def test_colours_may_repeat():
     same = Body(
         "all red",

@@ -158,22 +158,21 @@ def test_two_balls_of_one_camera_are_a_sign_if_their_sizes_are_known(sd_px, doub
     assert bool(found.doubts) == doubted
 
 
-def test_candidates_lie_on_balls_that_look_like_their_own_only():
+def test_candidates_lie_on_balls_within_their_outlines_only():
     (camera,) = ring(1).values()
     rig, centers = Rig.of([camera]), TARGET + np.array([[0.0, 0.0, 0.0], [120.0, 0.0, 0.0]])
-    pixels = camera.project(centers)
+    radii_off, sideways = np.array([0.0, 0.7, 0.9]), camera.world_from_camera.rotation[:, 0]
+    places = centers[1] + 20.0 * radii_off[:, None] * sideways
     own = on_balls(
         centers,
         np.full(2, 20.0),
-        np.array([0, 1]),
         rig.lenses,
         rig.reach,
         rig.rotation,
         rig.centers,
-        np.array([0, 0, 1, 1]),
         np.zeros(4, np.int64),
-        pixels[[0, 1, 0, 1]],
+        camera.project(np.concatenate([centers[:1], places])),
         0.8,
         1.0,
     )
-    assert own.tolist() == [True, False, False, True]
+    assert own.tolist() == [True, True, True, False]

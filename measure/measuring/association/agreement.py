@@ -90,28 +90,24 @@ def agreeing(
 def on_balls(
     centers: Floats,
     radii: Floats,
-    kinds: Ints,
     lenses: Floats,
     reach: Floats,
     rig_rotation: Floats,
     rig_centers: Floats,
-    balls: Ints,
     cameras: Ints,
     pixels: Floats,
     share: float,
     min_depth: float,
 ) -> Bools:
-    """Which of n candidates (n,) lie on some ball of the kind that they may be.
+    """Which of n candidates (n,) lie on some ball.
 
     Args:
         centers: (balls, 3) in the world.
         radii: (balls,) mm.
-        kinds: (balls,) the same number for balls that look alike.
         lenses: (cameras, 13).
         reach: (cameras,) of the lens models.
         rig_rotation: (cameras, 3, 3) of world_from_camera.
         rig_centers: (cameras, 3).
-        balls: (n,) index of the balls that the candidates may be.
         cameras: (n,) index of the candidates' cameras.
         pixels: (n, 2).
         share: of a ball's radius, how far from its centre.
@@ -123,8 +119,6 @@ def on_balls(
         k = cameras[i]
         focal = (lenses[k, 0] + lenses[k, 3]) / 2
         for ball in range(len(centers)):
-            if kinds[ball] != kinds[balls[i]]:
-                continue
             project_one(
                 lenses[k], reach[k], rig_rotation[k], rig_centers[k],
                 centers[ball], min_depth, pixel, by_point,

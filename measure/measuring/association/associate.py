@@ -20,6 +20,7 @@ from measure.measuring.association.points import Candidates, by_ball, meeting_po
 from measure.measuring.association.poses import (
     Stacked,
     Support,
+    explained,
     poses_from_pairs,
     poses_from_triples,
     support,
@@ -130,7 +131,7 @@ def _best(search: _Search, poses: RigidTransform) -> Association | None:
         finalists.sort(key=lambda item: _size_misfit(search, item[1]) / _MOST_MISFIT - item[0])
     best_score, best = finalists[0]
     for score, rival in finalists[1:]:
-        twin = _share_in_common(rival, best) > 0.5
+        twin = _share_in_common(search, rival, best) > 0.5
         least = search.settings.twin_score if twin else search.settings.rival_score
         if score >= least * best_score and not (twin and _sizes_decide(search, best, rival)):
             return Association(None, reason=_ambiguous(best, rival))
@@ -159,11 +160,14 @@ def _size_misfit(search: _Search, found: Association) -> float:
     return total
 
 
-def _share_in_common(rival: Association, best: Association) -> float:
-    """How much of what a rival rests on is explained by the best pose as well."""
-    explained = {(d.camera, *d.center_px) for d in best.detections}
-    common = sum((d.camera, *d.center_px) in explained for d in rival.detections)
-    return common / len(rival.detections)
+def _share_in_common(search: _Search, rival: Association, best: Association) -> float:
+    """How much of what a rival rests on lies on the best pose's balls as well."""
+    assert best.world_from_body is not None
+    names = [camera.name for camera in search.cameras]
+    seen_by = np.array([names.index(d.camera) for d in rival.detections])
+    pixels = np.stack([d.center_px for d in rival.detections])
+    own = explained(best.world_from_body, search.body, search.cameras, seen_by, pixels)
+    return float(np.mean(own))
 
 
 def _different(search: _Search, poses: RigidTransform, rough: Support, order: Floats) -> list[int]:

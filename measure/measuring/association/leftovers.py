@@ -15,13 +15,11 @@ import numpy as np
 
 from measure.arrays import Bools, Floats, Ints
 from measure.geometry import RigidTransform
-from measure.measuring.association.agreement import fitting_ranges, on_balls
+from measure.measuring.association.agreement import fitting_ranges
 from measure.measuring.association.points import BallPoints, Candidates, meeting_points
-from measure.model import Body, Camera, Rig
-from measure.model.camera import MIN_DEPTH_MM
+from measure.measuring.association.poses import explained
+from measure.model import Body, Camera
 
-_OWN_RADII = 0.8
-"""Candidates within this many radii of the body's own ball belong to it: a reflection, a double."""
 _SIZE_RATIO = 1.15
 """How far the outline of a ball that is really there misleads about its distance, as a factor."""
 _RANGE_SD, _RANGE_SIGMAS, _STEPS = 0.03, 2.5, 9
@@ -108,20 +106,12 @@ def _unexplained(
     candidates: Sequence[Candidates],
 ) -> list[Candidates]:
     """Candidates of every ball that do not lie on a ball of the body found."""
-    rig, colors = Rig.of(cameras), [ball.color for ball in body.balls]
-    own = on_balls(
-        world_from_body.apply(body.centers),
-        body.radii,
-        np.array([colors.index(color) for color in colors]),
-        rig.lenses,
-        rig.reach,
-        rig.rotation,
-        rig.centers,
-        np.repeat(np.arange(len(colors)), [len(some) for some in candidates]),
+    own = explained(
+        world_from_body,
+        body,
+        cameras,
         np.concatenate([some.cameras for some in candidates]),
         np.concatenate([some.pixels for some in candidates]),
-        _OWN_RADII,
-        MIN_DEPTH_MM,
     )
     ends = np.cumsum([len(some) for some in candidates]).tolist()
     return [

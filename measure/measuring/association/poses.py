@@ -9,9 +9,14 @@ from itertools import combinations
 
 import numpy as np
 
-from measure.arrays import Floats, Ints
+from measure.arrays import Bools, Floats, Ints
 from measure.geometry import RigidTransform
-from measure.measuring.association.agreement import agreeing, fitting_pairs, fitting_triples
+from measure.measuring.association.agreement import (
+    agreeing,
+    fitting_pairs,
+    fitting_triples,
+    on_balls,
+)
 from measure.measuring.association.points import BallPoints, Candidates
 from measure.measuring.association.triangles import align_triangles
 from measure.model import Body, Camera, Rig
@@ -21,6 +26,10 @@ _MOST_POSES = 400
 _SLACK_MM = 1.0
 _LINE_RATIO = 0.05
 _ANGLES = 90
+_OWN_RADII = 0.8
+"""Candidates within this many radii of one of the body's balls belong to it, whatever their colour:
+a reflection, a double, a pink side of a magenta ball. Two balls are not in one place, and where one
+hides another, other cameras see both."""
 
 
 def poses_from_triples(body: Body, points: Sequence[BallPoints], sigmas: float) -> RigidTransform:
@@ -122,6 +131,37 @@ def support(
             range_ratio,
             MIN_DEPTH_MM,
         )
+    )
+
+
+def explained(
+    world_from_body: RigidTransform,
+    body: Body,
+    cameras: Sequence[Camera],
+    seen_by: Ints,
+    pixels: Floats,
+) -> Bools:
+    """Which of n candidates (n,) lie on some ball of the body in its pose.
+
+    Args:
+        world_from_body: the pose.
+        body: the body.
+        cameras: all cameras.
+        seen_by: (n,) index of the candidates' cameras.
+        pixels: (n, 2).
+    """
+    rig = Rig.of(cameras)
+    return on_balls(
+        world_from_body.apply(body.centers),
+        body.radii,
+        rig.lenses,
+        rig.reach,
+        rig.rotation,
+        rig.centers,
+        seen_by,
+        pixels,
+        _OWN_RADII,
+        MIN_DEPTH_MM,
     )
 
 
