@@ -24,8 +24,11 @@ from measure_plugins._edges.contours import Contours
 _LOOKS = 15
 _TURNS = 4
 """With the sums over the points at hand a turn costs a fifth of a look at the points."""
-_LEAST_STEP = 0.05
-"""In standard deviations by the outlines' own scatter. Steps shrink to less than half each time."""
+_LEAST_STEP = 0.1
+"""In standard deviations by the outlines' own scatter: what is left then is a third of that."""
+_FURTHER = 1.4
+"""Weights, and scatter, are those of the step before, and hold each step back: after the first one,
+which is far from all that, each leads on by two thirds of what is left to go."""
 _SETTLED_MM, _SETTLED_RAD = 2e-2, 3e-4
 """Steps below which a fit that ran out of looks still counts as settled."""
 _SCATTER_SETTLED = 0.1
@@ -119,6 +122,8 @@ def fit_contours(
         solved, standard = _settle(contours, now)
         if not solved:
             break
+        if look > 0:
+            now.step[:] *= _FURTHER
         rotation, translation = rotation_of(now.step[3:6]) @ rotation, translation + now.step[:3]
         offsets = offsets + now.step[6:]
         if standard < _LEAST_STEP:
