@@ -7,10 +7,12 @@ import numpy as np
 from measure.arrays import Floats
 from measure.compiling import compiled
 from measure.geometry.covariance_kernels import inverse_2x2
+from measure.geometry.linear_kernels import cholesky, invert_factored
 from measure.geometry.rotation_kernels import times, turned
 from measure.model.rig_kernels import project_one
 
 _SINGULAR = 1e-9
+"""Of equations, relative to the best determined unknown."""
 
 
 @compiled
@@ -91,6 +93,7 @@ def velocity_share(
     """
     normal, moved = np.zeros((6, 6)), np.zeros((6, 12))
     pixel, by_point, slopes = np.empty(2), np.empty((2, 3)), np.empty((2, 6))
+    variance = common_px**2 * np.eye(2)
     for i in range(len(lenses)):
         arm, lead = times(rotation, points_body[i]), lead_s[i]
         swung = np.cross(velocity[3:], arm)
@@ -103,12 +106,36 @@ def velocity_share(
         slopes[:, :3] = by_point
         for u in range(2):
             slopes[u, 3:] = np.cross(arm, by_point[u])
-        weight = inverse_2x2(noise[i] + common_px**2 * np.eye(2))
-        share = slopes.T @ weight @ slopes
-        normal += share
-        moved[:, :6] += lead * share
-        moved[:, 6:] += lead * lead / 2 * share
-    # One ball alone leaves a turn open: its pose is the prediction's, whatever the velocity.
-    lever = np.linalg.lstsq(normal, moved, _SINGULAR)[0]
+        weight = inverse_2x2(noise[i] + variance)
+        for a in range(6):
+            right = weight[0, 0] * slopes[0, a] + weight[1, 0] * slopes[1, a]
+            down = weight[0, 1] * slopes[0, a] + weight[1, 1] * slopes[1, a]
+            for b in range(6):
+                share = right * slopes[0, b] + down * slopes[1, b]
+                normal[a, b] += share
+                moved[a, b] += lead * share
+                moved[a, 6 + b] += lead * lead / 2 * share
+    lever = levers(normal, moved)
     swing, bend = lever[:, :6].copy(), lever[:, 6:].copy()
     return swing @ velocity_covariance @ swing.T + bend @ acceleration_square @ bend.T
+
+
+@compiled
+def levers(normal: Floats, moved: Floats) -> Floats:
+    """What normal equations (6, 6) make of their right sides (6, 12); the least that they may.
+
+    One ball alone leaves a turn open: its pose is the prediction's, whatever the velocity.
+    """
+    size, factor, scaled = np.empty(6), np.empty((6, 6)), np.empty((6, 6))
+    for a in range(6):
+        size[a] = np.sqrt(normal[a, a])
+    for a in range(6):
+        for b in range(6):
+            scaled[a, b] = normal[a, b] / (size[a] * size[b])
+    if not cholesky(scaled, factor) or np.min(np.diag(factor)) < np.sqrt(_SINGULAR):
+        return np.linalg.lstsq(normal, moved, _SINGULAR)[0].astype(np.float64)
+    invert_factored(factor, scaled)
+    for a in range(6):
+        for b in range(6):
+            scaled[a, b] /= size[a] * size[b]
+    return scaled @ moved

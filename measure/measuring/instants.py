@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -83,7 +82,7 @@ class Seen:
             return {}
         moved = np.zeros((len(s), 6))
         if prior is not None and self.instants != (pose.time_s,):
-            moved[:] = replace(prior, time_s=pose.time_s).moved(s.lead_s + self.time_s)
+            moved[:] = prior.moved(s.lead_s + (self.time_s - pose.time_s + prior.time_s))
         off = s.pixels - self._pixels(pose.world_from_body, moved)
         return {(d.ball, d.camera): row for d, row in zip(self.detections, off, strict=True)}
 

@@ -279,7 +279,8 @@ def _differ(one: Motion, other: Motion | None, times_s: Sequence[float]) -> bool
     """Whether two motions carry pictures of these times to places that differ at all."""
     if other is None:
         return True
-    change = one.moved(times_s) - other.moved(times_s) + other.moved(one.time_s)
+    others = other.moved([*times_s, one.time_s])
+    change = one.moved(times_s) - others[:-1] + others[-1]
     return bool(np.max(np.abs(change) * _ARM_MM) > _SAME_MM)
 
 
