@@ -28,10 +28,8 @@ from measure.model import (
     Pose,
 )
 
-_ROUNDS = 2
-"""The first poses rest on predicted velocities; a spline through them is not yet the best one."""
 _SAME_MM = 5e-3
-"""Motions that carry pictures to places no further apart are the same: a second spline often is."""
+"""Motions that carry pictures to places no further apart are the same."""
 _ARM_MM = np.array([1.0, 1.0, 1.0, 40.0, 40.0, 40.0])
 
 
@@ -82,7 +80,7 @@ class Pipeline:
                 drafts = looked_back(looked, lambda waiting: self._back(waiting, pool))
             else:
                 drafts = (one.draft for one in looked)
-            for _ in range(_ROUNDS if self.stages.neighbours else 0):
+            if self.stages.neighbours:
                 drafts = map(self._again, with_neighbours(drafts))
             for draft in drafts:
                 yield draft.measurement
