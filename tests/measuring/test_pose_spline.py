@@ -173,6 +173,36 @@ def test_a_shaking_body_seen_by_cameras_out_of_step():
     assert np.mean(inside) >= 0.9
 
 
+def moving(hertz, reach_mm, reach_rad):
+    """Waves of so many hertz, mm and rad along and about every axis."""
+
+    def path(time_s):
+        waves = np.sin(2 * np.pi * hertz * time_s + np.array([0.0, 1.5, 3.2]))
+        return RigidTransform.from_rotvec(reach_rad * waves[::-1], TARGET + reach_mm * waves)
+
+    return path
+
+
+@pytest.mark.parametrize(
+    ("hertz", "reach_mm", "reach_rad", "doubted"),
+    [(6.0, 3.0, 0.04, 3), (5.0, 3.0, 0.08, 3), (5.0, 6.0, 0.08, 16), (2.0, 30.0, 0.16, 16)],
+    ids=["shaken", "rattled", "beaten", "waved by hand"],
+)
+def test_a_body_that_moves_more_wildly_than_is_set_is_followed(hertz, reach_mm, reach_rad, doubted):
+    """To 650 mm/s and 6 m/s^2 where 1.5 are set: lost until that is known, and no more."""
+    path = moving(hertz, reach_mm, reach_rad)
+    scene = RAVEN, lambda t: [(RAVEN, path(t))], CAMERAS, 100
+    measured, _, _ = run(*scene, phases=PHASES, neighbours=True, sd_px=0.03)
+    found = [m for m in measured if m.pose is not None]
+    assert len(measured) - len(found) <= 4
+    assert sum(m.status is Status.FLAGGED for m in found) <= doubted
+    off = [m.pose.world_from_body.difference(path(m.pose.time_s)) for m in found]
+    inside = [
+        d @ np.linalg.solve(m.pose.covariance, d) < 12.6 for d, m in zip(off, found, strict=True)
+    ]
+    assert np.mean(inside) >= 0.9
+
+
 @pytest.mark.parametrize(("hertz", "reach_mm"), [(0.5, 12.0), (1.0, 9.0), (3.0, 6.0), (5.0, 3.0)])
 def test_prediction_alone_knows_what_a_bent_path_costs(hertz, reach_mm):
     """No spline: pictures of one frame set are brought together by a constant velocity."""

@@ -19,6 +19,7 @@ _GOOD_CANDIDATE = 0.5
 _MOST_CAMERAS = 0.5
 _SIGMAS = 2.0
 _CAN_MOVE = 0.9999
+_MANY = 2
 _ELSEWHERE = (Reason.INCONSISTENT, Reason.JUMPED)
 
 
@@ -101,6 +102,30 @@ def strangers(
     return tuple(out)
 
 
+def said_of_strangers(names: Sequence[str]) -> tuple[str, ...]:
+    """A line for each of the cameras that `strangers` names."""
+    return tuple(
+        f"camera {name} sees balls, but none where the others do: check its calibration"
+        for name in names
+    )
+
+
+def hasty(views: Sequence[BallView], times_s: Sequence[float]) -> tuple[str, ...]:
+    """A line if pictures of different times contradict each other about a body just found.
+
+    Its velocity is not known yet, but for what is usual. Where two sightings or more lie elsewhere,
+    the others may have been brought together wrongly as well.
+
+    Args:
+        views: of one frame set.
+        times_s: of its pictures.
+    """
+    elsewhere = sum(v.reason in _ELSEWHERE and v.detection is not None for v in views)
+    if elsewhere < _MANY or len(set(times_s)) < 2:
+        return ()
+    return (f"just found, and {elsewhere} sightings lie elsewhere: it may move too fast to tell",)
+
+
 def jumped(
     lost: MotionState | None, found: MotionState, acceleration_sd: Floats
 ) -> tuple[str, ...]:
@@ -121,6 +146,28 @@ def jumped(
     moved = np.linalg.norm(found.world_from_body.translation - lost.world_from_body.translation)
     text = f"found {moved:.0f} mm from where it was {found.time_s - lost.time_s:.2f} s before"
     return (f"{text}, further than it can have moved: this may be another body",)
+
+
+def unconfirmed(views: Sequence[BallView], body: Body, confirmed: set[str]) -> tuple[str, ...]:
+    """Balls that no two cameras have seen since the body was found.
+
+    Three balls fit a body whose fourth is somewhere else, or its mirror image, equally well.
+
+    Args:
+        views: of one frame set.
+        body: the body.
+        confirmed: names of balls that were seen before; those seen now are added.
+    """
+    if len(body.balls) <= 3:
+        return ()
+    for ball in body.names:
+        if sum(view.ball == ball and view.effective for view in views) >= 2:
+            confirmed.add(ball)
+    return tuple(
+        f"ball {ball} has not been seen where the body file puts it: hidden, or a wrong file?"
+        for ball in body.names
+        if ball not in confirmed
+    )
 
 
 def lost_sight(pose: Pose, body: Body) -> bool:

@@ -19,6 +19,7 @@ from measure.measuring.tracking.motion_kernels import (
     Accelerations,
     Course,
     moved_on,
+    possible,
     updated,
 )
 from measure.model import Motion, Pose
@@ -27,6 +28,10 @@ _STEADY_S = 0.3
 """How far back accelerations count: a second or two of shaking has many phases in it."""
 _SETTLED = 2
 """Measured poses after which changes of the velocity are the body's, not the filter's start."""
+_WILD, _A_MOMENT_S = 4.0, 0.5
+"""A body that was lost a moment ago moves faster than it was taken to, or it was not lost."""
+_KNOWN = 6
+"""The same, after which four of them were seen."""
 
 
 def steady(velocity: Floats) -> Course:
@@ -70,11 +75,42 @@ class MotionState:
         covariance: Floats,
         time_s: float,
         speed_sd: Floats,
+        acceleration_sd: Floats | None = None,
     ) -> MotionState:
-        """A body just found: its velocity is zero give or take `speed_sd` (6,)."""
+        """A body just found.
+
+        Args:
+            world_from_body: the pose.
+            covariance: (6, 6) of the pose.
+            time_s: the instant.
+            speed_sd: (6,) its velocity is zero give or take that, mm/s and rad/s.
+            acceleration_sd: (6,) to reckon with until some are seen, mm/s^2 and rad/s^2; None for
+                what is set.
+        """
         full = np.zeros((12, 12))
         full[:6, :6], full[6:, 6:] = covariance, np.diag(speed_sd**2)
-        return cls(world_from_body, steady(np.zeros(6)), time_s, full)
+        so_far = _none_seen()
+        if acceleration_sd is not None:
+            so_far = so_far._replace(square=np.diag(acceleration_sd**2))
+        return cls(world_from_body, steady(np.zeros(6)), time_s, full, so_far)
+
+    @property
+    def new(self) -> bool:
+        """Whether the velocity rests on pictures of the instant alone at which it was found."""
+        return self.measured < _SETTLED
+
+    @property
+    def known(self) -> bool:
+        """Whether accelerations enough were seen to tell how strong they are."""
+        return self.measured >= _KNOWN
+
+    def possible(self, acceleration_sd: Floats) -> Floats:
+        """Standard deviations (6,) of the acceleration to reckon with, mm/s^2 and rad/s^2.
+
+        Args:
+            acceleration_sd: (6,) what is set; a body that has shown more may do so again.
+        """
+        return possible(self.accelerations.square, acceleration_sd)
 
     def at(self, time_s: float, acceleration_sd: Floats) -> MotionState:
         """The prediction for another instant.
@@ -153,3 +189,27 @@ class MotionState:
             velocity_covariance=known,
             acceleration_square=self.accelerations.square,
         )
+
+
+def just_found(
+    world_from_body: RigidTransform,
+    covariance: Floats,
+    time_s: float,
+    speed_sd: Floats,
+    acceleration_sd: Floats,
+    lost: MotionState | None,
+) -> MotionState:
+    """The motion of a body just found.
+
+    Args:
+        world_from_body: the pose.
+        covariance: (6, 6) of the pose.
+        time_s: the instant.
+        speed_sd: (6,) of a velocity of which nothing is known, mm/s and rad/s.
+        acceleration_sd: (6,) what is set, mm/s^2 and rad/s^2.
+        lost: the motion when the body was last seen; None if it never was.
+    """
+    if lost is None or abs(time_s - lost.time_s) > _A_MOMENT_S:
+        return MotionState.begin(world_from_body, covariance, time_s, speed_sd)
+    wild = _WILD * speed_sd, _WILD * acceleration_sd
+    return MotionState.begin(world_from_body, covariance, time_s, *wild)

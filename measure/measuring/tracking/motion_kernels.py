@@ -15,6 +15,8 @@ _BEFOREHAND = 0.5
 """That accelerations last counts so much beforehand, in those seen: few of them tell little."""
 _LEAST_USUAL = 1 / 64
 """A body that rested may accelerate at an eighth of what is set, lest its start be missed."""
+_MOST = 16
+"""A body that is shaken may accelerate at four times what is set: more is a mistake."""
 
 
 class Course(NamedTuple):
@@ -175,11 +177,20 @@ def _going_on(so_far: Accelerations) -> Floats:
 
 @compiled
 def _usual(square: Floats, variance: Floats) -> Floats:
-    """Variances (6,) of the acceleration that a body has shown, within what is set."""
+    """Variances (6,) of the acceleration that a body has shown."""
     out = variance.copy()
     for i in range(6):
         if square[i, i] > 0:
-            out[i] = min(variance[i], max(square[i, i], _LEAST_USUAL * variance[i]))
+            out[i] = min(max(square[i, i], _LEAST_USUAL * variance[i]), _MOST * variance[i])
+    return out
+
+
+@compiled
+def possible(square: Floats, sd: Floats) -> Floats:
+    """Standard deviations (6,) of the acceleration to reckon with: see `MotionState.possible`."""
+    out = np.empty(6)
+    for i in range(6):
+        out[i] = np.sqrt(min(max(square[i, i], sd[i] * sd[i]), _MOST * sd[i] * sd[i]))
     return out
 
 

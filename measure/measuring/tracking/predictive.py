@@ -21,9 +21,12 @@ from measure.measuring.association import Association, AssociationSettings, asso
 from measure.measuring.tracking.consistency import inconsistencies, unbacked
 from measure.measuring.tracking.doubts import (
     contradictions,
+    hasty,
     jumped,
     lost_sight,
+    said_of_strangers,
     strangers,
+    unconfirmed,
     weaknesses,
 )
 from measure.measuring.tracking.gates import (
@@ -34,7 +37,7 @@ from measure.measuring.tracking.gates import (
     Sighted,
     judge_sightings,
 )
-from measure.measuring.tracking.motion_filter import MotionState, per_axis
+from measure.measuring.tracking.motion_filter import MotionState, just_found, per_axis
 from measure.measuring.tracking.predictive_settings import PredictiveConfig
 from measure.measuring.tracking.tracker import Verdict
 from measure.measuring.tracking.warm_up import warm_up
@@ -74,12 +77,15 @@ class PredictiveTracker:
         self._cameras = tuple(cameras)
         self._keys = [(camera.name, ball) for camera in cameras for ball in body.names]
         self._acceleration = per_axis(config.acceleration_mm_s2, config.turning_rad_s2)
+        self._speed = per_axis(config.speed_mm_s, config.turning_rad_s)
+        self._possible = self._acceleration
         self._state: MotionState | None = None
         self._windows: Windows | None = None
         self._found: Association | None = None
         self._strangers: tuple[str, ...] = ()
         self._confirmed: set[str] = set()
         self._doubts: tuple[str, ...] = ()
+        self._refound: tuple[MotionState | None, MotionState] | None = None
         self._last_seen: MotionState | None = None
         self._waiting: dict[tuple[str, str], int] = {}
         self._misses = 0
@@ -100,8 +106,9 @@ class PredictiveTracker:
         if self._state is None or not frame_set.images:
             return dict.fromkeys(frame_set.images, ())
         times_s = {name: image.time_s for name, image in frame_set.images.items()}
+        self._possible = self._state.possible(self._acceleration)
         self._windows = predict_windows(
-            self._state, times_s, self._acceleration, self._body, self._cameras
+            self._state, times_s, self._possible, self._body, self._cameras
         )
         c = self.config
         return self._windows.expectations(c.reach_sigmas, c.reach_floor_px, c.size_slack)
@@ -130,11 +137,11 @@ class PredictiveTracker:
         """
         if self._state is None:
             return None
-        return self._state.at(time_s, self._acceleration).motion(self._faster)
+        return self._state.at(time_s, self._possible).motion(self._faster)
 
     def conclude(
         self,
-        frame_set: FrameSet,  # noqa: ARG002
+        frame_set: FrameSet,
         views: Sequence[BallView],
         fixes: Sequence[Fix],
         pose: Pose | None,
@@ -150,7 +157,10 @@ class PredictiveTracker:
             pose, fixes, views, self._body, c.distance_tolerance_mm, c.max_rms_px
         )
         weak = weaknesses(pose, views, c.max_sd_mm) + self._still_strange(views) + self._doubts
-        weak += self._unconfirmed(views) + inconsistencies(
+        weak += self._jumped() + unconfirmed(views, self._body, self._confirmed)
+        if self._state is not None and self._state.new:
+            weak += hasty(views, [image.time_s for image in frame_set.images.values()])
+        weak += inconsistencies(
             pose, views, fixes, residuals_px, self._body, c.own_px, c.confidence
         )
         weak += unbacked(pose, views, self._body, self._cameras)
@@ -174,11 +184,12 @@ class PredictiveTracker:
         if found.world_from_body is not None:
             assert found.covariance is not None
             time_s = float(np.mean([d.time_s for d in found.detections]))
-            speed = per_axis(self.config.speed_mm_s, self.config.turning_rad_s)
-            self._state = MotionState.begin(found.world_from_body, found.covariance, time_s, speed)
+            here = found.world_from_body, found.covariance, time_s
+            self._state = just_found(*here, self._speed, self._acceleration, self._last_seen)
+            self._refound = self._last_seen, self._state
             self._strangers = strangers(found, self._body, present, detections)
             self._confirmed = set()
-            self._doubts = found.doubts + jumped(self._last_seen, self._state, self._acceleration)
+            self._doubts = found.doubts
         chosen = {(d.camera, d.ball): d for d in found.detections}
         return tuple(
             self._searched(frame_set, camera.name, ball, chosen, detections)
@@ -244,7 +255,7 @@ class PredictiveTracker:
             windows.balls,
             self._state.covariance,
             self._state.time_s,
-            self._acceleration**2,
+            self._possible**2,
             c.model_px,
             chi_square_quantile(c.confidence, 2),
         )
@@ -267,26 +278,17 @@ class PredictiveTracker:
             return ()
         back = {view.camera for view in views if view.effective}
         self._strangers = tuple(name for name in self._strangers if name not in back)
-        return tuple(
-            f"camera {name} sees balls, but none where the others do: check its calibration"
-            for name in self._strangers
-        )
+        return said_of_strangers(self._strangers)
 
-    def _unconfirmed(self, views: Sequence[BallView]) -> tuple[str, ...]:
-        """Balls that no two cameras have seen since the body was found.
-
-        Three balls fit a body whose fourth is somewhere else, or its mirror image, equally well.
-        """
-        if len(self._body.balls) <= 3:
+    def _jumped(self) -> tuple[str, ...]:
+        """Whether it was found too far from where it was lost, by what it has shown since."""
+        if self._refound is None:
             return ()
-        for ball in self._body.names:
-            if sum(view.ball == ball and view.effective for view in views) >= 2:
-                self._confirmed.add(ball)
-        return tuple(
-            f"ball {ball} has not been seen where the body file puts it: hidden, or a wrong file?"
-            for ball in self._body.names
-            if ball not in self._confirmed
-        )
+        known = self._state is not None and self._state.known
+        doubts = jumped(*self._refound, self._possible if known else self._acceleration)
+        if not doubts:
+            self._refound = None
+        return doubts
 
     def _missed(self) -> None:
         """A body just found that contradicts itself is not followed at all."""
