@@ -19,7 +19,8 @@ def warm_up(body: Body, cameras: Sequence[Camera]) -> None:
     """Follow a body that stays where it is, seen where it is expected."""
     still, one = RigidTransform.identity(), np.ones(6)
     state = MotionState.begin(still, np.eye(6), 0.0, one)
-    windows = predict_windows(state, {c.name: 0.0 for c in cameras}, one, body, cameras)
+    times_s = {camera.name: 0.0 for camera in cameras}
+    windows = predict_windows(state, times_s, state.possible(one), body, cameras)
     windows.expectations(1.0, 1.0, 0.1)
     balls, n = windows.balls, len(windows.keys)
     noise, now = np.tile(np.eye(2), (n, 1, 1)), np.zeros(n)
