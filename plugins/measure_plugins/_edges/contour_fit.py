@@ -26,9 +26,9 @@ _TURNS = 4
 """With the sums over the points at hand a turn costs a fifth of a look at the points."""
 _LEAST_STEP = 0.1
 """In standard deviations by the outlines' own scatter: what is left then is a third of that."""
-_FURTHER = 1.4
-"""Weights, and scatter, are those of the step before, and hold each step back: after the first one,
-which is far from all that, each leads on by two thirds of what is left to go."""
+_SHRINKING, _FURTHER = 0.5, 1.4
+"""Weights and scatter are those of the step before, and hold steps back: one that is less than half
+as long as the one before leads on by some two thirds of what is left to go, and is lengthened."""
 _SETTLED_MM, _SETTLED_RAD = 2e-2, 3e-4
 """Steps below which a fit that ran out of looks still counts as settled."""
 _SCATTER_SETTLED = 0.1
@@ -113,6 +113,7 @@ def fit_contours(
     start_rotation, start_translation, gone = rotation, translation, np.zeros(6)
     offsets = np.zeros(len(contours.rotations))
     now, solved = _begin(len(contours.view_of), len(offsets), prior_information), False
+    before = 0.0
     for look in range(_LOOKS):
         collect(contours, rotation, translation, offsets, now.shifts, now.moments)
         if look > 0:
@@ -122,8 +123,9 @@ def fit_contours(
         solved, standard = _settle(contours, now)
         if not solved:
             break
-        if look > 0:
+        if standard < _SHRINKING * before:
             now.step[:] *= _FURTHER
+        before = standard
         rotation, translation = rotation_of(now.step[3:6]) @ rotation, translation + now.step[:3]
         offsets = offsets + now.step[6:]
         if standard < _LEAST_STEP:

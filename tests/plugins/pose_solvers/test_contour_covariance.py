@@ -95,8 +95,11 @@ def test_uncertain_cameras_widen_the_covariance():
         errors.append(pose.world_from_body.difference(POSE))
         covariances.append(np.diag(pose.covariance))
     ratio = np.sqrt(np.mean(covariances, axis=0) / np.mean(np.square(errors), axis=0))
-    # Cameras that are off also make the outlines scatter: part of it is counted twice.
-    assert np.all((ratio > 0.9) & (ratio < 2.5))
+    # Cameras that are off also make the outlines scatter: part of it is counted twice. They shift
+    # all their balls alike, which turns next to nothing; the scatter takes each ball for its own.
+    assert np.all(ratio > 0.9)
+    assert np.all(ratio[:3] < 2)
+    assert np.all(ratio[3:] < 5)
 
 
 def test_uncertain_lenses_widen_the_covariance_by_what_they_do_to_the_pose():
