@@ -84,6 +84,37 @@ def invert_factored(factor: Floats, out: Floats) -> None:
 
 
 @compiled
+def invert_scaled(matrix: Floats, out: Floats) -> float:
+    """Fill the inverse (k, k) of a normal matrix whose unknowns have units of their own.
+
+    Args:
+        matrix: (k, k), of which the lower half counts; changed.
+        out: (k, k) filled; zero if the equations leave an unknown open.
+
+    Returns:
+        By how much the other unknowns inflate the variance of the one that they inflate most;
+        infinite if the equations leave one open.
+    """
+    k = len(matrix)
+    size, factor, inflation = np.empty(k), np.empty((k, k)), 0.0
+    out[:] = 0.0
+    for a in range(k):
+        size[a] = np.sqrt(matrix[a, a])
+        if not 0 < size[a] < np.inf:
+            return np.inf
+        for b in range(a + 1):
+            matrix[a, b] /= size[a] * size[b]
+    if not cholesky(matrix, factor):
+        return np.inf
+    invert_factored(factor, out)
+    for a in range(k):
+        inflation = max(inflation, out[a, a])
+        for b in range(k):
+            out[a, b] /= size[a] * size[b]
+    return inflation
+
+
+@compiled
 def inverse(matrix: Floats) -> Floats:
     """The inverse of a symmetric positive matrix (k, k), not a number if it is none."""
     factor, out = np.empty(matrix.shape), np.full(matrix.shape, np.nan)

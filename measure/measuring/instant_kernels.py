@@ -7,7 +7,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.compiling import compiled
 from measure.geometry.covariance_kernels import inverse_2x2
-from measure.geometry.linear_kernels import cholesky, invert_factored
+from measure.geometry.linear_kernels import invert_scaled
 from measure.geometry.rotation_kernels import times, turned
 from measure.model.rig_kernels import project_one
 
@@ -126,16 +126,7 @@ def levers(normal: Floats, moved: Floats) -> Floats:
 
     One ball alone leaves a turn open: its pose is the prediction's, whatever the velocity.
     """
-    size, factor, scaled = np.empty(6), np.empty((6, 6)), np.empty((6, 6))
-    for a in range(6):
-        size[a] = np.sqrt(normal[a, a])
-    for a in range(6):
-        for b in range(6):
-            scaled[a, b] = normal[a, b] / (size[a] * size[b])
-    if not cholesky(scaled, factor) or np.min(np.diag(factor)) < np.sqrt(_SINGULAR):
-        return np.linalg.lstsq(normal, moved, _SINGULAR)[0].astype(np.float64)
-    invert_factored(factor, scaled)
-    for a in range(6):
-        for b in range(6):
-            scaled[a, b] /= size[a] * size[b]
-    return scaled @ moved
+    inverse = np.empty((6, 6))
+    if invert_scaled(normal.copy(), inverse) < 1 / _SINGULAR:
+        return inverse @ moved
+    return np.linalg.lstsq(normal, moved, _SINGULAR)[0].astype(np.float64)
