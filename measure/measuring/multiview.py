@@ -95,22 +95,34 @@ class Views:
 
     def camera_noise(self, point: Floats) -> Floats:
         """What uncertain cameras add to the pixels' covariances (n, 2, 2)."""
-        from measure.measuring.point_kernels import camera_noise
-
-        rig = self.rig
-        return camera_noise(
-            rig.lenses,
-            rig.reach,
-            rig.rotation,
-            rig.centers,
-            point + self.shifts,
-            rig.covariances,
-            MIN_DEPTH_MM,
-        )
+        return calibration_noise(self.rig, point + self.shifts)
 
     def total_noise(self, point: Floats) -> Floats:
         """The pixels' covariances (n, 2, 2), calibration included."""
         return self.noise + self.camera_noise(point)
+
+
+def calibration_noise(rig: Rig, points: Floats) -> Floats:
+    """What uncertain cameras add to the covariances (n, 2, 2) of the pixels of points, px^2.
+
+    Args:
+        rig: n cameras.
+        points: (n, 3) in mm, one for each camera, or one point (3,) for all.
+    """
+    from measure.measuring.point_kernels import camera_noise
+
+    if not rig.uncertain:
+        return np.zeros((len(rig), 2, 2))
+    places = np.broadcast_to(points, rig.centers.shape)
+    return camera_noise(
+        rig.lenses,
+        rig.reach,
+        rig.rotation,
+        rig.centers,
+        np.ascontiguousarray(places),
+        rig.covariances,
+        MIN_DEPTH_MM,
+    )
 
 
 def fit_point(views: Views, extra_px: float = 0.0) -> PointFit:

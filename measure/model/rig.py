@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -41,6 +41,11 @@ class Rig:
 
     def __len__(self) -> int:
         return len(self.names)
+
+    @cached_property
+    def uncertain(self) -> bool:
+        """Whether anything about the cameras is stated to be uncertain."""
+        return bool(np.any(self.covariances))
 
     @property
     def focal_px(self) -> Floats:

@@ -13,9 +13,10 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from measure.arrays import Floats
-from measure.geometry import chi_square_quantile
+from measure.geometry import chi_square_quantile, squared_mahalanobis
 from measure.measuring.body_kernels import distances_from_body
-from measure.model import BallView, Body, Camera, Fix, Pose
+from measure.measuring.multiview import calibration_noise
+from measure.model import BallView, Body, Camera, Fix, Pose, Rig
 from measure.model.observations import Reason, stacked_fixes
 
 _DISBELIEVED = (Reason.JUMPED, Reason.INCONSISTENT, Reason.RECOVERING)
@@ -30,6 +31,7 @@ def inconsistencies(
     fixes: Sequence[Fix],
     residuals_px: Mapping[tuple[str, str], Floats],
     body: Body,
+    cameras: Sequence[Camera],
     own_px: float,
     confidence: float,
 ) -> tuple[str, ...]:
@@ -41,6 +43,7 @@ def inconsistencies(
         fixes: the balls' centres.
         residuals_px: (2,) of every believed sighting, by (ball, camera).
         body: as its file says.
+        cameras: all of them.
         own_px: standard deviation of what a sighting is off by besides its noise.
         confidence: what is less likely than this is doubted.
     """
@@ -51,7 +54,13 @@ def inconsistencies(
     }
     found = tuple(_disbelieved(views))
     found += tuple(_balls_aside(pose, fixes, variances, body, own_px, confidence))
-    found += tuple(_cameras_aside(residuals_px, variances, own_px, confidence))
+    place, known = pose.world_from_body.translation, {camera.name: camera for camera in cameras}
+    found += tuple(
+        f"camera {name} sees all balls {math.hypot(*aside):.1f} px aside: "
+        "was it moved, or is its clock off?"
+        for name, aside, variance in _cameras_aside(residuals_px, variances, own_px, confidence)
+        if _beyond_calibration(aside, variance, known[name], place, confidence)
+    )
     if len(variances) < _LEAST_SIGHTINGS:
         found += (f"only {len(variances)} sightings of balls: little would show a mistake",)
     return found
@@ -150,8 +159,8 @@ def _cameras_aside(
     variances: Mapping[tuple[str, str], float],
     own_px: float,
     confidence: float,
-) -> Iterable[str]:
-    """Cameras that see all balls aside in the same way."""
+) -> Iterable[tuple[str, tuple[float, float], float]]:
+    """Cameras that see all balls aside in the same way: by how much, and its variance per axis."""
     gate = chi_square_quantile(confidence, 2)
     sums = {name: (0, 0.0, 0.0, 0.0) for _, name in residuals_px}
     for key, off_px in residuals_px.items():
@@ -160,11 +169,14 @@ def _cameras_aside(
             count, total, x, y = sums[key[1]]
             sums[key[1]] = count + 1, total + weight, x + weight * u, y + weight * v
     for camera, (count, total, x, y) in sums.items():
-        if count < _MANY:
-            continue
-        aside = math.hypot(x, y) / total
-        if aside**2 * total > gate:
-            yield (
-                f"camera {camera} sees all balls {aside:.1f} px aside: "
-                "was it moved, or is its clock off?"
-            )
+        if count >= _MANY and x * x + y * y > gate * total:
+            yield camera, (x / total, y / total), 1 / total
+
+
+def _beyond_calibration(
+    aside: tuple[float, float], variance: float, camera: Camera, point: Floats, confidence: float
+) -> bool:
+    """Whether a camera sees things about a point further aside than its calibration makes it."""
+    noise = calibration_noise(Rig.of((camera,)), point)[0]
+    square = squared_mahalanobis(np.array(aside), noise + variance * np.eye(2))
+    return bool(square > chi_square_quantile(confidence, 2))

@@ -34,7 +34,6 @@ from measure.measuring.tracking.gates import (
     CONTRADICTS,
     JUMPED,
     MISCOLORED,
-    Sighted,
     judge_sightings,
 )
 from measure.measuring.tracking.motion_filter import MotionState, just_found, per_axis
@@ -53,7 +52,7 @@ from measure.model import (
     Motion,
     Pose,
 )
-from measure.model.observations import Reason, State, stacked_detections
+from measure.model.observations import Reason, State
 
 _LEFT_OUT = np.repeat([0.02, 0.0005], 3)
 """In mm and rad: errors of a pose that its covariance does not tell, for the filter."""
@@ -161,7 +160,7 @@ class PredictiveTracker:
         if self._state is not None and self._state.new:
             weak += hasty(views, [image.time_s for image in frame_set.images.values()])
         weak += inconsistencies(
-            pose, views, fixes, residuals_px, self._body, c.own_px, c.confidence
+            pose, views, fixes, residuals_px, self._body, self._cameras, c.own_px, c.confidence
         )
         weak += unbacked(pose, views, self._body, self._cameras)
         flags = tuple(dict.fromkeys((*pose.flags, *wrong, *weak)))
@@ -246,11 +245,7 @@ class PredictiveTracker:
         assert self._state is not None
         c = self.config
         judged, change, covariance = judge_sightings(
-            Sighted(
-                *stacked_detections(tuple(seen)),
-                np.array([d.time_s for d in seen]),
-                np.array([not d.color_match < c.min_color_match for d in seen]),
-            ),
+            windows.sighted(rows, seen, c.min_color_match),
             np.array(rows),
             windows.balls,
             self._state.covariance,

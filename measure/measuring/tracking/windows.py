@@ -8,14 +8,17 @@ from functools import lru_cache
 import numpy as np
 
 from measure.arrays import Floats
+from measure.measuring.multiview import calibration_noise
+from measure.measuring.tracking.gates import Sighted
 from measure.measuring.tracking.motion_filter import MotionState
 from measure.measuring.tracking.prediction_kernels import (
     Predicted,
     predict_balls,
     search_sizes,
 )
-from measure.model import Body, Camera, Expectation, Rig
+from measure.model import Body, Camera, Detection, Expectation, Rig
 from measure.model.camera import MIN_DEPTH_MM
+from measure.model.observations import stacked_detections
 from measure.records import record
 
 _DECIMALS = 7
@@ -33,10 +36,13 @@ class Windows:
     Attributes:
         keys: (camera, ball) of each.
         balls: the predictions, in the same order.
+        calibration_px2: (n, 2, 2) covariances of what the cameras, by their calibration, are off
+            by there.
     """
 
     keys: tuple[tuple[str, str], ...]
     balls: Predicted
+    calibration_px2: Floats
 
     def expectations(
         self, sigmas: float, floor_px: float, size_slack: float
@@ -54,6 +60,24 @@ class Windows:
         for (camera, ball), pixel, place, (low, high, apart, around) in rows:
             out[camera].append(Expectation(ball, pixel, (low, high), apart, around, 1.0, place))
         return out
+
+    def sighted(
+        self, rows: Sequence[int], detections: Sequence[Detection], min_color_match: float
+    ) -> Sighted:
+        """Detections as gates want them: they err by what their cameras are off by as well.
+
+        Args:
+            rows: which of the predictions each of them belongs to.
+            detections: n of them.
+            min_color_match: those that match less have the wrong colour.
+        """
+        pixels, noise = stacked_detections(tuple(detections))
+        return Sighted(
+            pixels,
+            noise + self.calibration_px2[rows],
+            np.array([d.time_s for d in detections]),
+            np.array([not d.color_match < min_color_match for d in detections]),
+        )
 
 
 def predict_windows(
@@ -90,7 +114,8 @@ def predict_windows(
         _readouts(present),
         MIN_DEPTH_MM,
     )
-    return Windows(_keys(present, body), balls)
+    noise = calibration_noise(rig, state.world_from_body.translation)
+    return Windows(_keys(present, body), balls, np.repeat(noise, len(body.balls), axis=0))
 
 
 @lru_cache(maxsize=64)

@@ -12,6 +12,7 @@ from measure.geometry.rotation_kernels import times
 from measure.measuring.point_kernels import by_lens
 from measure.model.lens import bend
 from measure_plugins._edges.contour_fit import ContourFit, fit_contours
+from measure_plugins._edges.contour_views import unseen
 from measure_plugins._edges.contours import Contours
 
 _LEAST_COMMON_PX = 0.06
@@ -56,6 +57,7 @@ def solve_contours(
     balls: int,
     lenses: Floats,
     covariances: Floats,
+    aside_px2: Floats,
     widening: float,
     points_body: Floats,
     fixed: Floats,
@@ -71,11 +73,12 @@ def solve_contours(
         balls: how many there are.
         lenses: (c, 13) lens rows.
         covariances: (c, 18, 18) of the cameras' poses and intrinsics; zero where unknown.
+        aside_px2: (c, 2, 2) covariances of what cameras that are off by that shift alike; likewise.
         widening: of the covariance, for a scatter that is itself estimated.
         points_body: (f, 3) balls that were located otherwise.
         fixed: (f, 3) where those are in the world, mm.
     """
-    fit = fit_contours(contours, rotation, translation, prior_information)
+    fit = fit_contours(contours, rotation, translation, prior_information, unseen(aside_px2))
     known = fit.covariance * widening
     if fit.solved:
         known += of_light(contours, fit, ball_of, balls, lenses)

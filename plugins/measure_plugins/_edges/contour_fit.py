@@ -8,7 +8,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled, folded
-from measure.geometry.linear_kernels import cholesky, invert_factored
+from measure.geometry.linear_kernels import invert_scaled
 from measure.geometry.rotation_kernels import rotation_of, rotvec_of
 from measure_plugins._edges.contour_moments import COLUMNS, collect
 from measure_plugins._edges.contour_reactions import by_camera, by_shift, by_step
@@ -19,6 +19,7 @@ from measure_plugins._edges.contour_scatter import (
     update_scatter,
 )
 from measure_plugins._edges.contour_terms import OWN, Terms, eliminate, empty_terms, own_unknowns
+from measure_plugins._edges.contour_views import Aside, set_aside, take_back, update_aside
 from measure_plugins._edges.contours import Contours
 
 _LOOKS = 15
@@ -82,6 +83,7 @@ class _Balance(NamedTuple):
         shifts: (k, 3) the own unknowns.
         variances: (k, 3) of those, as taken for `terms`.
         scatter: what those follow from, estimated anew.
+        aside: what the views' own unknowns may be, and are.
     """
 
     moments: Floats
@@ -93,11 +95,16 @@ class _Balance(NamedTuple):
     shifts: Floats
     variances: Floats
     scatter: Scatter
+    aside: Aside
 
 
 @folded
 def fit_contours(
-    contours: Contours, rotation: Floats, translation: Floats, prior_information: Floats
+    contours: Contours,
+    rotation: Floats,
+    translation: Floats,
+    prior_information: Floats,
+    aside: Aside,
 ) -> ContourFit:
     """Fit the pose; Gauss-Newton with Tukey weights on points and random shifts of ball-views.
 
@@ -109,10 +116,11 @@ def fit_contours(
         rotation: (3, 3) of the world_from_body to start from, right to a few mm and degrees.
         translation: (3,) of the same.
         prior_information: (6, 6) of the start, for what the outlines leave open; zero for none.
+        aside: what may shift the outlines of a view alike; its results are filled.
     """
     start_rotation, start_translation, gone = rotation, translation, np.zeros(6)
     offsets = np.zeros(len(contours.rotations))
-    now, solved = _begin(len(contours.view_of), len(offsets), prior_information), False
+    now, solved = _begin(len(contours.view_of), prior_information, aside), False
     before = 0.0
     for look in range(_LOOKS):
         collect(contours, rotation, translation, offsets, now.shifts, now.moments)
@@ -131,24 +139,28 @@ def fit_contours(
         if standard < _LEAST_STEP:
             break
     steps = by_step(contours, now.terms, now.covariance)
+    reactions = by_shift(contours, now.terms, now.variances, now.covariance)
+    covariance = now.covariance[:6, :6].copy()
+    take_back(contours.view_of, aside, reactions, covariance)
     return ContourFit(
         rotation,
         translation,
-        now.covariance[:6, :6].copy(),
+        covariance,
         offsets,
         now.shifts,
         np.sqrt(now.scatter.variance[1:]),
         steps,
         by_camera(contours, steps, rotation, translation),
-        by_shift(contours, now.terms, now.variances, now.covariance),
+        reactions,
         solved,
         _within(now.step, _SETTLED_MM, _SETTLED_RAD),
     )
 
 
 @compiled
-def _begin(k: int, c: int, prior_information: Floats) -> _Balance:
-    """Of k ball-views in c views."""
+def _begin(k: int, prior_information: Floats, aside: Aside) -> _Balance:
+    """Of k ball-views."""
+    c = len(aside.variance)
     known = np.zeros((6 + c, 6 + c))
     known[:6, :6] = prior_information
     for view in range(c):
@@ -163,6 +175,7 @@ def _begin(k: int, c: int, prior_information: Floats) -> _Balance:
         np.zeros((k, OWN)),
         np.zeros((k, OWN)),
         free_scatter(k),
+        aside,
     )
 
 
@@ -193,8 +206,9 @@ def _settle(contours: Contours, now: _Balance) -> tuple[bool, float]:
     for _ in range(_TURNS):
         own_variances(contours, now.scatter, now.variances)
         eliminate(now.moments, now.variances, now.terms)
+        set_aside(contours.view_of, now.variances, now.terms, now.aside)
         _add_up(contours, now, normal, right)
-        if not _invert(normal, now.covariance):
+        if not invert_scaled(normal, now.covariance) < _ILL_CONDITIONED:
             return False, np.inf
         square = 0.0
         for i in range(len(right)):
@@ -203,10 +217,13 @@ def _settle(contours: Contours, now: _Balance) -> tuple[bool, float]:
                 now.step[i] += now.covariance[i, j] * right[j]
             square += now.step[i] * right[i]
         own_unknowns(contours.view_of, now.terms, now.step, now.shifts)
+        update_aside(now.step, now.aside)
         before = now.scatter.variance[0]
         update_scatter(contours, now.terms, now.covariance, now.shifts, now.variances, now.scatter)
         if abs(now.scatter.variance[0] - before) <= _SCATTER_SETTLED * before:
             break
+    for k in range(len(now.shifts)):
+        now.shifts[k, :2] += now.aside.shift[contours.view_of[k]]
     return True, np.sqrt(square)
 
 
@@ -224,27 +241,3 @@ def _add_up(contours: Contours, now: _Balance, normal: Floats, right: Floats) ->
                 normal[i, j] += terms.normal[k, i, j]
         right[offset] += terms.right[k, 6]
         normal[offset, offset] += terms.normal[k, 6, 6]
-
-
-@compiled
-def _invert(normal: Floats, out: Floats) -> bool:
-    """Fill the inverse of a normal matrix, if the equations determine their unknowns."""
-    n = len(normal)
-    size, factor = np.empty(n), np.empty((n, n))
-    out[:] = 0.0
-    for i in range(n):
-        size[i] = np.sqrt(normal[i, i])
-        if not size[i] > 0:
-            return False
-        for j in range(i + 1):
-            normal[i, j] /= size[i] * size[j]
-    if not cholesky(normal, factor):
-        return False
-    invert_factored(factor, out)
-    solved = True
-    for i in range(n):
-        solved = solved and out[i, i] < _ILL_CONDITIONED
-        for j in range(n):
-            solved = solved and np.isfinite(out[i, j])
-            out[i, j] /= size[i] * size[j]
-    return bool(solved)

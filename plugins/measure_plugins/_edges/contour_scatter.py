@@ -77,7 +77,7 @@ def update_scatter(
     apart = np.empty(len(doubt))
     for k in range(len(doubt)):
         for a in range(OWN):
-            spread = terms.own_variance[k, a]
+            spread = terms.own[k, a, a]
             spread += _variance(terms.gain[k, a], covariance, 6 + contours.view_of[k])
             known = min(max(1 - spread / variances[k, a], 0.02), 1.0)
             if a < 2:

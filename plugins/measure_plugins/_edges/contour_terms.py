@@ -29,14 +29,14 @@ class Terms(NamedTuple):
         right: (k, 7) reduced right sides.
         offset: (k, 3) the own unknowns are `offset - gain @ shared`.
         gain: (k, 3, 7).
-        own_variance: (k, 3) of the own unknowns, given the shared ones.
+        own: (k, 3, 3) covariance of the own unknowns, given the shared ones.
     """
 
     normal: Floats
     right: Floats
     offset: Floats
     gain: Floats
-    own_variance: Floats
+    own: Floats
 
 
 @compiled
@@ -47,7 +47,7 @@ def empty_terms(k: int) -> Terms:
         np.zeros((k, SHARED)),
         np.zeros((k, OWN)),
         np.zeros((k, OWN, SHARED)),
-        np.zeros((k, OWN)),
+        np.zeros((k, OWN, OWN)),
     )
 
 
@@ -60,16 +60,15 @@ def eliminate(moments: Floats, variances: Floats, terms: Terms) -> None:
         variances: (k, 3) of the own unknowns, px^2.
         terms: filled.
     """
-    inverse = np.empty((OWN, OWN))
     for k in range(len(moments)):
-        m, gain = moments[k], terms.gain[k]
+        m, gain, inverse = moments[k], terms.gain[k], terms.own[k]
         _invert_own(m, variances[k], inverse)
         for a in range(OWN):
             x, y, z = inverse[a, 0], inverse[a, 1], inverse[a, 2]
             for j in range(SHARED):
                 gain[a, j] = x * m[_X, j] + y * m[_Y, j] + z * m[_RADIUS, j]
             offset = x * m[_X, _RESIDUAL] + y * m[_Y, _RESIDUAL] + z * m[_RADIUS, _RESIDUAL]
-            terms.offset[k, a], terms.own_variance[k, a] = offset, inverse[a, a]
+            terms.offset[k, a] = offset
         u, v, w = terms.offset[k]
         for i in range(SHARED):
             x, y, z = m[i, _X], m[i, _Y], m[i, _RADIUS]

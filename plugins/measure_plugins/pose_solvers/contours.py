@@ -21,6 +21,7 @@ from measure.arrays import Floats
 from measure.errors import ConfigError, DegenerateGeometryError
 from measure.geometry import RigidTransform, align_points
 from measure.host import PoseSolver, Settings, hookimpl, setting
+from measure.measuring.multiview import calibration_noise
 from measure.model import Camera, Detection, Fix, Intrinsics, Motion, Pose
 from measure.model.observations import stacked_fixes
 from measure_plugins.pose_solvers._outlines import Outlines, outlines_of
@@ -38,8 +39,8 @@ class ContoursConfig(Settings):
     min_points: int = setting(30, "Fewest outline points, over all views.", ge=10)
     max_shift_px: float = setting(
         1.5,
-        "A ball-view whose outline sits further off, and more than it may by its covariance, is "
-        "flagged.",
+        "A ball-view whose outline sits further off, and more than it may by its own and its "
+        "camera's covariance, is flagged.",
         unit="px",
         gt=0,
     )
@@ -122,6 +123,7 @@ class ContoursSolver(PoseSolver):
         rig, contours = named.rig, outlines.contours
         if prior is not None and outlines.instants != {time_s}:
             contours = contours._replace(motion=outlines.moved(prior, time_s))
+        aside_px2 = calibration_noise(rig, start.translation)
         fit = solve_contours(
             contours,
             rotation,
@@ -131,11 +133,12 @@ class ContoursSolver(PoseSolver):
             len(self.body.balls),
             rig.lenses,
             rig.covariances,
+            aside_px2,
             _small_sample(2 * len(named.balls) - 6),
             self.body.centers_of([fix.ball for fix in fixes]),
             stacked_fixes(tuple(fixes))[0],
         )
-        return self._pose(fit, outlines, time_s) if fit.solved else None
+        return self._pose(fit, outlines, aside_px2, time_s) if fit.solved else None
 
     def _start(
         self,
@@ -161,7 +164,7 @@ class ContoursSolver(PoseSolver):
         except DegenerateGeometryError:
             return None
 
-    def _pose(self, fit: Solution, outlines: Outlines, time_s: float) -> Pose:
+    def _pose(self, fit: Solution, outlines: Outlines, aside_px2: Floats, time_s: float) -> Pose:
         return Pose(
             time_s=time_s,
             world_from_body=RigidTransform(fit.rotation, fit.translation),
@@ -170,15 +173,15 @@ class ContoursSolver(PoseSolver):
             rms_px=fit.rms_px,
             cameras=outlines.named.seen_by,
             balls=outlines.named.shown,
-            flags=self._flags(fit, outlines),
+            flags=self._flags(fit, outlines, aside_px2),
         )
 
-    def _flags(self, fit: Solution, outlines: Outlines) -> tuple[str, ...]:
+    def _flags(self, fit: Solution, outlines: Outlines, aside_px2: Floats) -> tuple[str, ...]:
         flags = []
-        limit = self.config.max_shift_px
-        for seen, (right, down, _) in zip(outlines.detections, fit.shifts_px.tolist(), strict=True):
-            off = math.hypot(right, down)
-            if off > limit and _beyond(seen.covariance_px, right, down):
+        limit, shifts = self.config.max_shift_px, fit.shifts_px.tolist()
+        for k, (seen, (right, down, _)) in enumerate(zip(outlines.detections, shifts, strict=True)):
+            off, view = math.hypot(right, down), outlines.contours.view_of[k]
+            if off > limit and _beyond(seen.covariance_px + aside_px2[view], right, down):
                 flags.append(f"{seen.ball} in {seen.camera} sits {off:.1f} px off the fit")
         balls = len(outlines.named.shown)
         if balls < 3:
@@ -201,7 +204,7 @@ class ContoursSolver(PoseSolver):
 
 
 def _beyond(covariance: Floats, right: float, down: float) -> bool:
-    """Whether a shift in px is more than what a detection says of its own uncertainty."""
+    """Whether a shift in px is more than what a covariance (2, 2) says that it may be."""
     (xx, xy), (_, yy) = covariance.tolist()
     square = yy * right**2 - 2 * xy * right * down + xx * down**2
     return bool(square > _IMPLAUSIBLE * (xx * yy - xy**2))

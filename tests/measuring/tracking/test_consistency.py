@@ -68,6 +68,22 @@ def test_a_camera_that_stands_wrong_is_never_believed(count, degrees):
     assert all(m.status is not Status.OK for m in found)
 
 
+def test_a_camera_that_is_off_by_no_more_than_its_calibration_says_is_believed():
+    """By 1.7 px: .06 degrees and .5 mm."""
+    cameras = ring(4, pose_covariance=np.diag([0.3**2] * 3 + [0.0006**2] * 3))
+    off = turned(cameras, "cam1", 0.06)
+    shift = np.array([0.3, -0.3, 0.3])
+    off = {
+        **off,
+        "cam2": moved(off["cam2"], off["cam2"].world_from_camera.perturb([*shift, 0, 0, 0])),
+    }
+    found = measured(RAVEN, off, believed=cameras)
+    assert [m.status for m in found] == [Status.OK] * len(found)
+    assert all(v.state is State.EFFECTIVE for m in found for v in m.views)
+    further = measured(RAVEN, turned(cameras, "cam1", 0.5), believed=cameras)
+    assert all(m.status is not Status.OK for m in further)
+
+
 @pytest.mark.parametrize("count", [3, 4])
 @pytest.mark.parametrize(
     ("body", "ball", "offset_mm"),
@@ -102,7 +118,7 @@ def test_a_pose_of_few_sightings_is_flagged(count, flagged):
     one = measurement(0)
     believed = one.views[:count]
     residuals = {(view.ball, view.camera): np.zeros(2) for view in believed}
-    found = inconsistencies(one.pose, believed, (), residuals, BODY, EDGES_PX, 0.9999)
+    found = inconsistencies(one.pose, believed, (), residuals, BODY, (), EDGES_PX, 0.9999)
     assert bool(found) == flagged
     if flagged:
         assert found[0].startswith("only 4 sightings")
