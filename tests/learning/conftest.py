@@ -1,9 +1,17 @@
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from measure.host import Dataset
-from measure.learning import AssemblySettings, Split, simulated_dataset, split_by_trajectory
+from measure.learning import (
+    AssemblySettings,
+    Split,
+    files,
+    simulated_dataset,
+    split_by_trajectory,
+)
 
 
 @pytest.fixture(scope="session")
@@ -18,3 +26,10 @@ def small() -> Dataset:
 @pytest.fixture(scope="session")
 def split(small: Dataset) -> Split:
     return split_by_trajectory(small, seed=1)
+
+
+@pytest.fixture(scope="module")
+def data(small: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("data") / "data.parquet"
+    files.write_dataset(path, small, [], "the small simulated data set")
+    return path

@@ -1,35 +1,20 @@
-"""dataset, train, ablate, sweep and estimate, as typed."""
+"""dataset, train, ablate and estimate, as typed."""
 
 from __future__ import annotations
 
 import json
-import os
 import re
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from measure.cli import main
-from measure.errors import EstimatorError
 from measure.host import Dataset
 from measure.host.onnx_model import OnnxModel
 from measure.learning import files
-from measure.learning.study import read_space
-from tests.dask_cluster import Cluster, wait_for
 
 pytest.importorskip("torch", reason="training needs the extra 'train'")
-
-
-@pytest.fixture(scope="module")
-def data(small: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("data") / "data.parquet"
-    files.write_dataset(path, small, [], "the small simulated data set")
-    return path
 
 
 def test_train_estimate_and_ablate(
@@ -212,103 +197,3 @@ def _other_robot(small: Dataset, tmp_path: Path) -> Path:
     schema = replace(small.schema, robot="raven2-right")
     files.write_dataset(path, replace(small, schema=schema), [], "another robot")
     return path
-
-
-SPACE = """
-[penalty]
-low = 1e-6
-high = 1e-1
-log = true
-[features]
-choices = ["pose", "play"]
-"""
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "reason"),
-    [
-        ("high = 1e-1", "high = 1e-9", r"space.toml:2: 'penalty': low \(1e-06\) must not be above"),
-        ("low = 1e-6", "low = 0", r"space.toml:2: 'penalty': low is 0: log needs more than 0"),
-        (
-            "low = 1e-6",
-            "low = nan",
-            r"space.toml:3: 'penalty.low': input should be a finite number",
-        ),
-        ("low = 1e-6", "", r"space.toml:2: 'penalty': give choices, or low and high"),
-        ("log = true", "integer = true", "must be whole numbers"),
-        (
-            '["pose", "play"]',
-            "[]",
-            r"space.toml:7: 'features.choices': list should have at least 1",
-        ),
-    ],
-)
-def test_a_search_space_that_makes_no_sense(
-    old: str, new: str, reason: str, tmp_path: Path
-) -> None:
-    space = tmp_path / "space.toml"
-    space.write_text(SPACE.replace(old, new))
-    with pytest.raises(EstimatorError, match=reason):
-        read_space(space)
-
-
-@pytest.mark.slow
-def test_a_killed_worker_loses_no_trial(data: Path, tmp_path: Path) -> None:
-    pytest.importorskip("optuna", reason="a sweep needs the extra 'sweep'")
-    space, journal = tmp_path / "space.toml", tmp_path / "journal.log"
-    space.write_text(SPACE)
-    words = [sys.executable, "-m", "measure.cli", "sweep", str(data), str(space)]
-    words += ["--journal", str(journal), "--estimator", "ridge", "--trials", "8", "--json"]
-    with (tmp_path / "out.json").open("w") as out:
-        one = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        two = subprocess.Popen(words, stdout=out, stderr=subprocess.DEVNULL)
-        deadline = time.monotonic() + 60
-        while not (journal.exists() and journal.stat().st_size > 2000):
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
-        os.kill(one.pid, signal.SIGKILL)
-        one.wait()
-        assert two.wait(timeout=120) == 0
-    state = json.loads((tmp_path / "out.json").read_text())
-    assert state["finished"] >= 8
-    assert state["running"] == 0
-    scores = [score for score, _ in state["best"]]
-    assert len(scores) >= 8
-    assert scores == sorted(scores)
-    assert all(0 < score < 100 for score in scores)
-
-
-@pytest.mark.slow
-def test_a_killed_dask_worker_loses_no_trial(data: Path, tmp_path: Path) -> None:
-    pytest.importorskip("optuna", reason="a sweep needs the extra 'sweep'")
-    pytest.importorskip("distributed", reason="a scheduler needs the extra 'cluster'")
-    space, journal = tmp_path / "space.toml", tmp_path / "journal.log"
-    space.write_text(SPACE)
-    with Cluster(tmp_path) as cluster:
-        words = [sys.executable, "-m", "measure.cli", "sweep", str(data), str(space)]
-        words += ["--journal", str(journal), "--estimator", "ridge", "--trials", "12", "--json"]
-        words += ["--scheduler", cluster.address]
-        with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as runner:
-            wait_for(lambda: journal.exists() and '"op_code":6' in journal.read_text(), runner)
-            cluster.workers[0].send_signal(signal.SIGKILL)
-            printed, _ = runner.communicate(timeout=240)
-            assert runner.returncode == 0
-        assert cluster.workers[0].poll() == -signal.SIGKILL
-        assert cluster.workers[1].poll() is None
-    state = json.loads(printed)
-    assert (state["finished"], state["failed"], state["running"]) == (12, 0, 0)
-    assert all(0 < score < 100 for score, _ in state["best"])
-
-
-def test_a_scheduler_that_is_not_there_is_named(
-    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pytest.importorskip("optuna", reason="a sweep needs the extra 'sweep'")
-    pytest.importorskip("distributed", reason="a scheduler needs the extra 'cluster'")
-    monkeypatch.setattr("measure.host.cluster._CONNECT_S", 0.3)
-    space = tmp_path / "space.toml"
-    space.write_text(SPACE)
-    words = ["sweep", str(data), str(space), "--journal", str(tmp_path / "journal.log")]
-    words += ["--estimator", "ridge", "--scheduler", "tcp://127.0.0.1:9"]
-    assert main(words) == 2
-    assert "--scheduler tcp://127.0.0.1:9: no scheduler answers there" in capsys.readouterr().err

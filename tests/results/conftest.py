@@ -22,7 +22,7 @@ from measure.model import (
     Pose,
 )
 from measure.model.observations import Reason, State
-from measure.results import Provenance
+from measure.results import Provenance, RunWriter, read_run
 
 BODY = Body(
     "triangle",
@@ -118,3 +118,33 @@ def write_truth(path: Path, end_s: float, rate_hz: float = 240.0) -> Path:
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     return tmp_path / "run"
+
+
+def open_writer(folder: Path, **options: bool) -> RunWriter:
+    return RunWriter(folder, made_from(), BODY, CAMERAS, **options)
+
+
+def go_on(folder: Path, count: int) -> int:
+    """Resume and finish with `count` frame sets in all; returns where it went on."""
+    with open_writer(folder, resume=True) as writer:
+        start = writer.next_index
+        for i in range(start, count):
+            writer.append(measurement(i))
+        writer.finish()
+    return start
+
+
+def frames_of(folder: Path) -> list[int]:
+    return read_run(folder).poses["index"].to_pylist()
+
+
+def check_whole(folder: Path, count: int) -> None:
+    """Every table and poses.csv hold every frame set once."""
+    run = read_run(folder)
+    assert run.finished
+    assert frames_of(folder) == list(range(count))
+    assert np.bincount(run.detections["index"].to_numpy()).tolist() == [9] * count
+    assert np.bincount(run.balls["index"].to_numpy()).tolist() == [3] * count
+    rows = (folder / "poses.csv").read_text().splitlines()[1:]
+    assert [int(row.split(",")[0]) for row in rows] == list(range(count))
+    assert not list(folder.glob("*.arrows"))

@@ -2,24 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import pytest
 
-from measure.errors import CalibrationError, MeasureError, SessionError
+from measure.errors import SessionError
 from measure.session import open_session
 from tests.session.conftest import Recording, jpeg
+from tests.session.mistakes import BODY_OR_CALIBRATION, Break, Case, remove, replace
 from tests.session.videos import write_video
-
-Break = Callable[[Recording], object]
-
-
-def _remove(name: str) -> Break:
-    return lambda r: (r.path / name).unlink()
-
-
-def _replace(file: str, old: str, new: str) -> Break:
-    return lambda r: r.replace(file, old, new)
 
 
 def _write(name: str, data: bytes) -> Break:
@@ -36,15 +25,15 @@ def _video(recording: Recording, rows: int) -> None:
     recording.stamp("cam1", [0.1 * k for k in range(rows)])
 
 
-NAN = float("nan")
-CASES: dict[str, tuple[Break, type[MeasureError], list[str]]] = {
+CASES: dict[str, Case] = {
+    **BODY_OR_CALIBRATION,
     "no session file": (
-        _remove("session.toml"),
+        remove("session.toml"),
         SessionError,
         ["is not a session: it has no session.toml"],
     ),
     "broken TOML": (
-        _replace("session.toml", 'name = "small"', 'name = "small'),
+        replace("session.toml", 'name = "small"', 'name = "small'),
         SessionError,
         ["session.toml:2: not valid TOML"],
     ),
@@ -54,141 +43,27 @@ CASES: dict[str, tuple[Break, type[MeasureError], list[str]]] = {
         ["session.toml:2: not valid TOML"],
     ),
     "unknown key": (
-        _replace("session.toml", "images =", "image ="),
+        replace("session.toml", "images =", "image ="),
         SessionError,
         ["session.toml:8: unknown key 'cameras[0].image'; did you mean images?"],
     ),
-    "wrong type": (
-        _replace("body.toml", "radius_mm = 20.0", 'radius_mm = "big"'),
-        SessionError,
-        ["body.toml:7: 'balls[0].radius_mm'", "got 'big'"],
-    ),
-    "diameters for radii": (
-        _replace("body.toml", "radius_mm = 20.0", "radius_mm = 40.0"),
-        SessionError,
-        [
-            "body.toml",
-            "'green' and 'yellow' are 53.7 mm apart and overlap",
-            "60.0 mm; are these dia",
-        ],
-    ),
-    "two balls in one place": (
-        _replace("body.toml", "[0.0, 38.0, 0.0]", "[38.0, 0.0, 0.0]"),
-        SessionError,
-        ["body.toml", "'green' and 'yellow' are 0.0 mm apart"],
-    ),
-    "a body in metres": (
-        lambda r: [
-            r.replace("body.toml", "radius_mm = 20.0", "radius_mm = 0.02") for _ in range(3)
-        ],
-        SessionError,
-        ["body.toml", "the largest radius is 0.02 mm: this looks like metres: write mm"],
-    ),
-    "a ball a thousand kilometres away": (
-        _replace("body.toml", "[0.0, 38.0, 0.0]", "[0.0, 1e9, 0.0]"),
-        SessionError,
-        ["body.toml:", "center_mm[1]': input should be less than or equal to 1000000, got"],
-    ),
-    "unknown colour": (
-        _replace("body.toml", 'color = "red"', 'color = "rod"'),
-        SessionError,
-        ["body.toml:17: 'balls[2].color", "'rod' is not a colour known by name"],
-    ),
-    "missing body": (
-        lambda r: (r.path / "body.toml").rename(r.path / "bodyy.toml"),
-        SessionError,
-        ["body.toml: no such file; did you mean bodyy.toml?"],
-    ),
-    "collinear balls": (
-        _replace("body.toml", "[0.0, 38.0, 0.0]", "[0.0, 0.1, 0.0]"),
-        SessionError,
-        ["body.toml: body 'triangle': the balls lie on one line"],
-    ),
-    "two balls of one name": (
-        _replace("body.toml", 'name = "red"', 'name = "green"'),
-        SessionError,
-        ["two balls are called 'green'"],
-    ),
-    "missing calibration": (
-        _remove("calibration.toml"),
-        CalibrationError,
-        ["calibration.toml: no such file; ", " holds body.toml, cam0,"],
-    ),
-    "camera without calibration": (
-        _replace("calibration.toml", 'name = "cam1"', 'name = "other"'),
-        CalibrationError,
-        ["camera 'cam1' of", "has no calibration in", "there is one of cam0, other, cam2"],
-    ),
-    "camera calibrated twice": (
-        _replace("calibration.toml", 'name = "cam1"', 'name = "cam0"'),
-        CalibrationError,
-        ["camera 'cam0' is there 2 times"],
-    ),
-    "calibration of another size": (
-        _replace("calibration.toml", "size_wh = [64, 48]", "size_wh = [640, 480]"),
-        CalibrationError,
-        ["camera 'cam0': the images", "are 64x48 px", "calibrates 640x480 px"],
-    ),
-    "calibration in metres": (
-        lambda r: [
-            r.replace("calibration.toml", f"[{200.0 * i}, 0.0, 500.0]", f"[{0.2 * i}, 0.0, 0.5]")
-            for i in range(3)
-        ],
-        CalibrationError,
-        ["calibration.toml: the cameras stand within 0.4 mm", "metres"],
-    ),
-    "cameras a thousand kilometres apart": (
-        _replace("calibration.toml", "[200.0, 0.0, 500.0]", "[1e9, 0.0, 500.0]"),
-        CalibrationError,
-        ["calibration.toml: the cameras stand up to 1e+09 mm apart"],
-    ),
-    "calibration is not a rotation": (
-        _replace("calibration.toml", "[0.0, 1.0, 0.0, 0.0]", "[0.0, 1.0, 0.5, 0.0]"),
-        CalibrationError,
-        ["calibration.toml:6: 'cameras[0].quat_wxyz': not a rotation", "length is 1.118"],
-    ),
-    "calibration is not finite": (
-        _replace("calibration.toml", "[0.0, 0.0, 500.0]", "[0.0, nan, 500.0]"),
-        CalibrationError,
-        ["calibration.toml:7: 'cameras[0].translation_mm", "finite"],
-    ),
-    "impossible camera matrix": (
-        _replace("calibration.toml", "[[70.0,", "[[-70.0,"),
-        CalibrationError,
-        ["calibration.toml:4: 'cameras[0].matrix': not a camera matrix"],
-    ),
-    "focal length of no lens": (
-        _replace("calibration.toml", "[[70.0,", "[[1e30,"),
-        CalibrationError,
-        ["calibration.toml: camera 'cam0': no lens sees pictures of 64x48 px"],
-    ),
-    "skew of no lens": (
-        _replace("calibration.toml", "[[70.0, 0.0,", "[[70.0, 1e30,"),
-        CalibrationError,
-        ["calibration.toml: camera 'cam0': no lens sees"],
-    ),
-    "distortion of no lens": (
-        _replace("calibration.toml", "distortion = [", "distortion = [-1e3, 1e5, 0.0, 0.0"),
-        CalibrationError,
-        ["calibration.toml: camera 'cam0': no lens sees"],
-    ),
     "no name for pictures": (
-        _replace("session.toml", "cam1/*.jpg", ""),
+        replace("session.toml", "cam1/*.jpg", ""),
         SessionError,
         ["session.toml:13: 'cameras[1].images': string should have at least 1 character, got ''"],
     ),
     "no name for stamps": (
-        _replace("session.toml", '"cam1.csv"', '""'),
+        replace("session.toml", '"cam1.csv"', '""'),
         SessionError,
         ["'cameras[1].timestamps': string should have at least 1 character"],
     ),
     "control character in a file name": (
-        _replace("session.toml", '"body.toml"', '"body\\u0000.toml"'),
+        replace("session.toml", '"body.toml"', '"body\\u0000.toml"'),
         SessionError,
         ["'session.body': 'body\\x00.toml' holds a control character"],
     ),
     "control character in a ball's name": (
-        _replace("body.toml", '"yellow"', '"yel\\nlow"'),
+        replace("body.toml", '"yellow"', '"yel\\nlow"'),
         SessionError,
         ["'balls[1].name': 'yel\\nlow' holds a control character"],
     ),
@@ -200,27 +75,27 @@ CASES: dict[str, tuple[Break, type[MeasureError], list[str]]] = {
         ["at least two cameras, the session has 1"],
     ),
     "two cameras of one name": (
-        _replace("session.toml", 'name = "cam1"', 'name = "cam0"'),
+        replace("session.toml", 'name = "cam1"', 'name = "cam0"'),
         SessionError,
         ["two cameras are called 'cam0'"],
     ),
     "no source": (
-        _replace("session.toml", 'images = "cam1/*.jpg"\n', ""),
+        replace("session.toml", 'images = "cam1/*.jpg"\n', ""),
         SessionError,
         ["camera 'cam1' needs either images or video"],
     ),
     "no stamps": (
-        _replace("session.toml", 'timestamps = "cam1.csv"\n', ""),
+        replace("session.toml", 'timestamps = "cam1.csv"\n', ""),
         SessionError,
         ["camera 'cam1': images carry no time"],
     ),
     "missing image folder": (
-        _replace("session.toml", "cam1/*.jpg", "cam9/*.jpg"),
+        replace("session.toml", "cam1/*.jpg", "cam9/*.jpg"),
         SessionError,
         ["camera 'cam1'", "cam9: no such file", "cam1"],
     ),
     "no image fits": (
-        _replace("session.toml", "cam1/*.jpg", "cam1/*.png"),
+        replace("session.toml", "cam1/*.jpg", "cam1/*.png"),
         SessionError,
         ["camera 'cam1': no image fits", "the folder has 6 files: try *.jpg"],
     ),
@@ -240,12 +115,12 @@ CASES: dict[str, tuple[Break, type[MeasureError], list[str]]] = {
         ["000000.jpg: not a picture"],
     ),
     "missing stamps file": (
-        _remove("cam1.csv"),
+        remove("cam1.csv"),
         SessionError,
         ["cam1.csv: no such file; did you mean"],
     ),
     "wrong header": (
-        _replace("cam1.csv", "frame,time_s", "frame,time_ms"),
+        replace("cam1.csv", "frame,time_s", "frame,time_ms"),
         SessionError,
         ["camera 'cam1': ", "cam1.csv:1: the header lacks time_s"],
     ),
@@ -260,7 +135,7 @@ CASES: dict[str, tuple[Break, type[MeasureError], list[str]]] = {
         ["cam1.csv:4: time_s is 'now', not a number"],
     ),
     "NaN stamp": (
-        _stamp("cam1", [0.0, 0.1, NAN, 0.3, 0.4, 0.5]),
+        _stamp("cam1", [0.0, 0.1, float("nan"), 0.3, 0.4, 0.5]),
         SessionError,
         ["camera 'cam1': ", "cam1.csv:4: frame 2 has the time nan"],
     ),
@@ -315,7 +190,7 @@ CASES: dict[str, tuple[Break, type[MeasureError], list[str]]] = {
         ["cam1.csv:2: frame 0 has the time 1.7e+18 s: are these milli-, micro- or nanoseconds?"],
     ),
     "missing truth": (
-        _replace("session.toml", 'name = "small"', 'name = "small"\ntruth = "truth.csv"'),
+        replace("session.toml", 'name = "small"', 'name = "small"\ntruth = "truth.csv"'),
         SessionError,
         ["truth.csv: no such file"],
     ),

@@ -1,0 +1,125 @@
+"""Full disks, struck wherever it hurts: nothing written before is lost."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from measure.errors import RunError
+from measure.results import RunWriter, read_run
+from tests.results.conftest import (
+    BODY,
+    CAMERAS,
+    check_whole,
+    frames_of,
+    go_on,
+    made_from,
+    measurement,
+    open_writer,
+)
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path):
+    """A real file system of 320 kB."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=320k", "tmpfs", str(place)],
+        capture_output=True,
+        check=False,
+    )
+    if mounted.returncode:
+        pytest.skip("may not mount a tmpfs here")
+    yield place
+    subprocess.run(["umount", "--lazy", str(place)], check=True)
+
+
+def _fill(writer: RunWriter, done: list[int]) -> None:
+    with writer:
+        for i in range(5000):
+            writer.append(measurement(i))
+            writer._flush_all()
+            done.append(i)
+
+
+class _Flushing(RunWriter):
+    """Writes everything at once, so that the test knows what must be there."""
+
+    def _flush_all(self) -> None:
+        from measure.results.journal import writing
+
+        with writing(self._folder):
+            self._flush()
+
+
+def test_a_full_disk_loses_nothing_written_before(small_disk: Path) -> None:
+    folder = small_disk / "run"
+    done: list[int] = []
+    with pytest.raises(RunError) as caught:
+        _fill(_Flushing(folder, made_from(), BODY, CAMERAS), done)
+    assert "the disk is full; everything measured before is kept" in str(caught.value)
+    assert "--resume" in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert len(done) > 3
+    assert frames_of(folder) == done
+    text = (folder / "poses.csv").read_text()
+    assert text.endswith("\n")
+    assert text.count("\n") in (len(done) + 1, len(done) + 2)
+
+
+class _FullAfter:
+    """A file that takes so many bytes, then has no space; half of a write may still go in."""
+
+    def __init__(self, inner, room: list[int]) -> None:
+        self.inner, self.room = inner, room
+
+    def write(self, data: bytes) -> int:
+        if self.room[0] <= 0:
+            raise OSError(28, os.strerror(28))
+        fits = data[: self.room[0]]
+        self.room[0] -= len(fits)
+        return self.inner.write(fits)
+
+    def __getattr__(self, name: str):
+        return getattr(self.inner, name)
+
+
+@pytest.mark.parametrize("room", [0, 500, 5_000, 20_001, 50_123])
+def test_a_full_disk_wherever_it_strikes(folder: Path, room: int) -> None:
+    writer = _Flushing(folder, made_from(), BODY, CAMERAS)
+    left = [room]
+    for file in (*(journal._file for journal in writer._journals.values()), writer._csv):
+        file._file = _FullAfter(file._file, left)
+    done: list[int] = []
+    with pytest.raises(RunError, match="the disk is full"):
+        _fill(writer, done)
+    assert frames_of(folder) == done
+    assert go_on(folder, len(done) + 3) == len(done)
+    check_whole(folder, len(done) + 3)
+
+
+def test_a_disk_full_at_the_very_end_keeps_the_journals(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import pyarrow.parquet as pq
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, os.strerror(28))
+
+    def write() -> None:
+        with open_writer(folder) as writer:
+            for i in range(4):
+                writer.append(measurement(i))
+            monkeypatch.setattr(pq, "write_table", full)
+            writer.finish()
+
+    with pytest.raises(RunError, match="the disk is full"):
+        write()
+    monkeypatch.undo()
+    assert not read_run(folder).finished
+    assert go_on(folder, 4) == 4
+    check_whole(folder, 4)
