@@ -13,7 +13,7 @@ from measure.measuring.instants import Seen
 from measure.measuring.measurement import Draft
 from measure.measuring.pose_spline import REACH, motion_at, with_neighbours
 from measure.model import Pose
-from tests.scenes import RAVEN, TARGET, ring
+from tests.scenes import RAVEN, TARGET, moved, ring
 from tests.tracking_rig import run
 
 TURN = 2 * np.pi * 3.0
@@ -185,8 +185,14 @@ def moving(hertz, reach_mm, reach_rad):
 
 @pytest.mark.parametrize(
     ("hertz", "reach_mm", "reach_rad", "doubted"),
-    [(6.0, 3.0, 0.04, 3), (5.0, 3.0, 0.08, 3), (5.0, 6.0, 0.08, 16), (2.0, 30.0, 0.16, 16)],
-    ids=["shaken", "rattled", "beaten", "waved by hand"],
+    [
+        (6.0, 3.0, 0.04, 3),
+        (5.0, 3.0, 0.08, 3),
+        (5.0, 6.0, 0.08, 3),
+        (3.0, 20.0, 0.05, 12),
+        (2.0, 30.0, 0.16, 3),
+    ],
+    ids=["shaken", "rattled", "beaten", "swung", "waved by hand"],
 )
 def test_a_body_that_moves_more_wildly_than_is_set_is_followed(hertz, reach_mm, reach_rad, doubted):
     """To 650 mm/s and 6 m/s^2 where 1.5 are set: lost until that is known, and no more."""
@@ -194,13 +200,23 @@ def test_a_body_that_moves_more_wildly_than_is_set_is_followed(hertz, reach_mm, 
     scene = RAVEN, lambda t: [(RAVEN, path(t))], CAMERAS, 100
     measured, _, _ = run(*scene, phases=PHASES, neighbours=True, sd_px=0.03)
     found = [m for m in measured if m.pose is not None]
-    assert len(measured) - len(found) <= 4
+    assert len(measured) - len(found) <= 5
     assert sum(m.status is Status.FLAGGED for m in found) <= doubted
     off = [m.pose.world_from_body.difference(path(m.pose.time_s)) for m in found]
     inside = [
         d @ np.linalg.solve(m.pose.covariance, d) < 12.6 for d, m in zip(off, found, strict=True)
     ]
     assert np.mean(inside) >= 0.9
+
+
+def test_a_camera_that_was_moved_is_not_hidden_by_a_body_that_moves_wildly():
+    """What motion explains of one camera it does not explain while cameras contradict others."""
+    path, turn = moving(3.0, 20.0, 0.05), np.radians([0.0, 0.2, 0.0])
+    there = CAMERAS["cam1"].world_from_camera
+    knocked = moved(CAMERAS["cam1"], there.perturb([0, 0, 0, *there.rotate(turn)]))
+    scene = RAVEN, lambda t: [(RAVEN, path(t))], {**CAMERAS, "cam1": knocked}, 100
+    measured, _, _ = run(*scene, phases=PHASES, neighbours=True, sd_px=0.03, believed=CAMERAS)
+    assert sum(m.status is Status.OK for m in measured) <= 3
 
 
 @pytest.mark.parametrize(("hertz", "reach_mm"), [(0.5, 12.0), (1.0, 9.0), (3.0, 6.0), (5.0, 3.0)])

@@ -1,22 +1,20 @@
 """What the sightings of one frame set, taken together, say against the pose fitted to them.
 
-A fit leaves out what it does not believe, and gives way to what is wrong with all of a camera or
-all of a ball: its residuals stay small. What then stands out is sightings left out in number, and
-errors that several sightings have in common.
+A fit leaves out what it does not believe, and gives way to what is wrong with all of a ball: its
+residuals stay small. What then stands out is sightings left out in number, and balls that rays
+alone put elsewhere. For what is wrong with all of a camera see `aside`.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
 from measure.arrays import Floats
-from measure.geometry import chi_square_quantile, squared_mahalanobis
+from measure.geometry import chi_square_quantile
 from measure.measuring.body_kernels import distances_from_body
-from measure.measuring.multiview import calibration_noise
-from measure.model import BallView, Body, Camera, Fix, Pose, Rig
+from measure.model import BallView, Body, Camera, Fix, Pose
 from measure.model.observations import Reason, stacked_fixes
 
 _DISBELIEVED = (Reason.JUMPED, Reason.INCONSISTENT, Reason.RECOVERING)
@@ -29,9 +27,7 @@ def inconsistencies(
     pose: Pose,
     views: Sequence[BallView],
     fixes: Sequence[Fix],
-    residuals_px: Mapping[tuple[str, str], Floats],
     body: Body,
-    cameras: Sequence[Camera],
     own_px: float,
     confidence: float,
 ) -> tuple[str, ...]:
@@ -41,9 +37,7 @@ def inconsistencies(
         pose: the pose.
         views: what was seen, and what of it is believed.
         fixes: the balls' centres.
-        residuals_px: (2,) of every believed sighting, by (ball, camera).
         body: as its file says.
-        cameras: all of them.
         own_px: standard deviation of what a sighting is off by besides its noise.
         confidence: what is less likely than this is doubted.
     """
@@ -54,13 +48,6 @@ def inconsistencies(
     }
     found = tuple(_disbelieved(views))
     found += tuple(_balls_aside(pose, fixes, variances, body, own_px, confidence))
-    place, known = pose.world_from_body.translation, {camera.name: camera for camera in cameras}
-    found += tuple(
-        f"camera {name} sees all balls {math.hypot(*aside):.1f} px aside: "
-        "was it moved, or is its clock off?"
-        for name, aside, variance in _cameras_aside(residuals_px, variances, own_px, confidence)
-        if _beyond_calibration(aside, variance, known[name], place, confidence)
-    )
     if len(variances) < _LEAST_SIGHTINGS:
         found += (f"only {len(variances)} sightings of balls: little would show a mistake",)
     return found
@@ -152,31 +139,3 @@ def _widening(fix: Fix, variances: Mapping[tuple[str, str], float], own_px: floa
     """By how much a fix's covariance grows with what its sightings are off by besides noise."""
     own = [variances[fix.ball, name] for name in fix.cameras if (fix.ball, name) in variances]
     return 1 + own_px**2 * sum(1 / v for v in own) / len(own) if own else 1.0
-
-
-def _cameras_aside(
-    residuals_px: Mapping[tuple[str, str], Floats],
-    variances: Mapping[tuple[str, str], float],
-    own_px: float,
-    confidence: float,
-) -> Iterable[tuple[str, tuple[float, float], float]]:
-    """Cameras that see all balls aside in the same way: by how much, and its variance per axis."""
-    gate = chi_square_quantile(confidence, 2)
-    sums = {name: (0, 0.0, 0.0, 0.0) for _, name in residuals_px}
-    for key, off_px in residuals_px.items():
-        if key in variances:
-            weight, (u, v) = 1 / (variances[key] + own_px**2), off_px.tolist()
-            count, total, x, y = sums[key[1]]
-            sums[key[1]] = count + 1, total + weight, x + weight * u, y + weight * v
-    for camera, (count, total, x, y) in sums.items():
-        if count >= _MANY and x * x + y * y > gate * total:
-            yield camera, (x / total, y / total), 1 / total
-
-
-def _beyond_calibration(
-    aside: tuple[float, float], variance: float, camera: Camera, point: Floats, confidence: float
-) -> bool:
-    """Whether a camera sees things about a point further aside than its calibration makes it."""
-    noise = calibration_noise(Rig.of((camera,)), point)[0]
-    square = squared_mahalanobis(np.array(aside), noise + variance * np.eye(2))
-    return bool(square > chi_square_quantile(confidence, 2))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -18,6 +19,7 @@ from measure.geometry import chi_square_quantile
 from measure.host.settings import Settings
 from measure.measuring import association
 from measure.measuring.association import Association, AssociationSettings, associate
+from measure.measuring.tracking.aside import CamerasAside
 from measure.measuring.tracking.consistency import inconsistencies, unbacked
 from measure.measuring.tracking.doubts import (
     contradictions,
@@ -78,6 +80,7 @@ class PredictiveTracker:
         self._acceleration = per_axis(config.acceleration_mm_s2, config.turning_rad_s2)
         self._speed = per_axis(config.speed_mm_s, config.turning_rad_s)
         self._possible = self._acceleration
+        self._aside = CamerasAside(body, cameras, config.own_px, config.confidence)
         self._state: MotionState | None = None
         self._windows: Windows | None = None
         self._found: Association | None = None
@@ -159,9 +162,9 @@ class PredictiveTracker:
         weak += self._jumped() + unconfirmed(views, self._body, self._confirmed)
         if self._state is not None and self._state.new:
             weak += hasty(views, [image.time_s for image in frame_set.images.values()])
-        weak += inconsistencies(
-            pose, views, fixes, residuals_px, self._body, self._cameras, c.own_px, c.confidence
-        )
+        weak += inconsistencies(pose, views, fixes, self._body, c.own_px, c.confidence)
+        motion = partial(self.motion, pose.time_s)
+        weak += self._aside.doubts(pose, views, residuals_px, motion)
         weak += unbacked(pose, views, self._body, self._cameras)
         flags = tuple(dict.fromkeys((*pose.flags, *wrong, *weak)))
         if wrong:

@@ -117,8 +117,7 @@ def test_one_sighting_that_is_wrong_for_once_is_left_out_without_a_word():
 def test_a_pose_of_few_sightings_is_flagged(count, flagged):
     one = measurement(0)
     believed = one.views[:count]
-    residuals = {(view.ball, view.camera): np.zeros(2) for view in believed}
-    found = inconsistencies(one.pose, believed, (), residuals, BODY, (), EDGES_PX, 0.9999)
+    found = inconsistencies(one.pose, believed, (), BODY, EDGES_PX, 0.9999)
     assert bool(found) == flagged
     if flagged:
         assert found[0].startswith("only 4 sightings")
