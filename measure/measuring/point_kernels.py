@@ -56,9 +56,9 @@ def by_cameras(
     """Jacobians (n, 2, 18) of pixels by poses and intrinsics; zero where nothing is uncertain."""
     out = np.zeros((len(seen), 2, 18))
     for i in range(len(seen)):
-        if covariances[i, 0, 0] > 0:
+        if _uncertain(covariances[i, :6]):
             out[i, :, :6] = by_pose[i]
-        if covariances[i, 6, 6] > 0:
+        if _uncertain(covariances[i, 6:]):
             x, y = ideal(rotation[i], centers[i], seen[i])
             by_lens(x, y, lenses[i], out[i, :, 6:])
     return out
@@ -109,7 +109,7 @@ def camera_noise(
 ) -> Floats:
     """What uncertain cameras add to the covariances (n, 2, 2) of the pixels of points (n, 3)."""
     out = np.zeros((len(seen), 2, 2))
-    if not _any_uncertain(covariances):
+    if not np.any(covariances):
         return out
     _, _, by_pose = sensitivities(lenses, reach, rotation, centers, seen, min_depth)
     by_camera = by_cameras(lenses, rotation, centers, seen, by_pose, covariances)
@@ -119,9 +119,10 @@ def camera_noise(
 
 
 @compiled
-def _any_uncertain(covariances: Floats) -> bool:
-    """Whether `by_cameras` has anything to tell of any camera."""
-    for i in range(len(covariances)):
-        if covariances[i, 0, 0] > 0 or covariances[i, 6, 6] > 0:
-            return True
+def _uncertain(rows: Floats) -> bool:
+    """Whether some rows of a covariance hold anything: one unknown alone may be uncertain."""
+    for row in rows:
+        for value in row:
+            if value != 0:
+                return True
     return False

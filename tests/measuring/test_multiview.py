@@ -56,6 +56,14 @@ def test_a_calibrations_uncertainty_is_propagated_by_the_cameras_own_jacobians()
         np.testing.assert_allclose(views.camera_noise(TARGET)[i], propagate(both, joint))
 
 
+@pytest.mark.parametrize("axis", [0, 3, 5])
+def test_cameras_of_which_one_thing_alone_is_uncertain_are_uncertain(axis):
+    """A covariance of turns alone begins with zeros."""
+    cameras = ring(pose_covariance=np.diag(np.eye(6)[axis] * 1e-6))
+    noise = Views.of(_seen(cameras), cameras).camera_noise(TARGET)
+    assert np.all(np.trace(noise, axis1=1, axis2=2) > 1e-9)
+
+
 def test_a_fit_weighs_as_it_says():
     cameras = {name: _uncertain(camera) for name, camera in ring().items()}
     seen = [

@@ -11,8 +11,9 @@ from measure.arrays import Floats
 from measure.geometry import chi_square_quantile
 from measure.measuring.association import Association
 from measure.measuring.body_checks import layout_flags
+from measure.measuring.multiview import calibration_noise
 from measure.measuring.tracking.motion_filter import MotionState
-from measure.model import BallView, Body, Camera, Detection, Fix, Pose
+from measure.model import BallView, Body, Camera, Detection, Fix, Pose, Rig
 from measure.model.observations import Reason, stacked_fixes
 
 _GOOD_CANDIDATE = 0.5
@@ -28,6 +29,7 @@ def contradictions(
     fixes: Sequence[Fix],
     views: Sequence[BallView],
     body: Body,
+    cameras: Sequence[Camera],
     tolerance_mm: float,
     max_rms_px: float,
 ) -> tuple[str, ...]:
@@ -38,8 +40,10 @@ def contradictions(
         fixes: the balls' centres.
         views: what was seen and believed.
         body: as its file says.
+        cameras: all of them.
         tolerance_mm: error of a distance between balls that is not worth a word.
-        max_rms_px: largest reprojection error that is not, beyond the detections' own noise.
+        max_rms_px: largest reprojection error that is not, beyond what detections and calibrations
+            say that they are off by.
     """
     found: tuple[str, ...] = ()
     if len(fixes) >= 2:
@@ -49,7 +53,9 @@ def contradictions(
             *stacked_fixes(tuple(fixes)),
             tolerance_mm,
         )
-    if pose.rms_px > max_rms_px and pose.rms_px > math.hypot(max_rms_px, _SIGMAS * _noise(views)):
+    if pose.rms_px > max_rms_px and pose.rms_px > math.hypot(
+        max_rms_px, _SIGMAS * _noise(views, cameras, pose)
+    ):
         found += (f"reprojection errors of {pose.rms_px:.1f} px",)
     at_odds = cameras_at_odds(views)
     used = {view.camera for view in views if view.effective} if at_odds else set()
@@ -58,9 +64,17 @@ def contradictions(
     return found
 
 
-def _noise(views: Sequence[BallView]) -> float:
-    """RMS standard deviation of the believed sightings, both axes together, px."""
-    noise = [2 * v.detection.variance_px2 for v in views if v.effective and v.detection]
+def _noise(views: Sequence[BallView], cameras: Sequence[Camera], pose: Pose) -> float:
+    """RMS of what the believed sightings are off by, by what is said of them, both axes, px."""
+    off = np.trace(
+        calibration_noise(Rig.of(cameras), pose.world_from_body.translation), axis1=1, axis2=2
+    )
+    by_camera = dict(zip([camera.name for camera in cameras], off.tolist(), strict=True))
+    noise = [
+        2 * v.detection.variance_px2 + by_camera[v.camera]
+        for v in views
+        if v.effective and v.detection
+    ]
     return math.sqrt(sum(noise) / max(len(noise), 1))
 
 

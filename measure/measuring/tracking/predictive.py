@@ -156,7 +156,7 @@ class PredictiveTracker:
             return Verdict(None, reason or "too few balls agree with the prediction")
         c = self.config
         wrong = contradictions(
-            pose, fixes, views, self._body, c.distance_tolerance_mm, c.max_rms_px
+            pose, fixes, views, self._body, self._cameras, c.distance_tolerance_mm, c.max_rms_px
         )
         weak = weaknesses(pose, views, c.max_sd_mm) + self._still_strange(views) + self._doubts
         weak += self._jumped() + unconfirmed(views, self._body, self._confirmed)

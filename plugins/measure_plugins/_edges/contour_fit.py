@@ -29,7 +29,8 @@ _LEAST_STEP = 0.1
 """In standard deviations by the outlines' own scatter: what is left then is a third of that."""
 _SHRINKING, _FURTHER = 0.5, 1.4
 """Weights and scatter are those of the step before, and hold steps back: one that is less than half
-as long as the one before leads on by some two thirds of what is left to go, and is lengthened."""
+as long as the one before leads on by some two thirds of what is left to go, and is lengthened. Not
+where cameras are uncertain: their shifts follow the step, and points are weighed about those."""
 _SETTLED_MM, _SETTLED_RAD = 2e-2, 3e-4
 """Steps below which a fit that ran out of looks still counts as settled."""
 _SCATTER_SETTLED = 0.1
@@ -121,7 +122,7 @@ def fit_contours(
     start_rotation, start_translation, gone = rotation, translation, np.zeros(6)
     offsets = np.zeros(len(contours.rotations))
     now, solved = _begin(len(contours.view_of), prior_information, aside), False
-    before = 0.0
+    before, exact = 0.0, not np.any(aside.variance)
     for look in range(_LOOKS):
         collect(contours, rotation, translation, offsets, now.shifts, now.moments)
         if look > 0:
@@ -131,7 +132,7 @@ def fit_contours(
         solved, standard = _settle(contours, now)
         if not solved:
             break
-        if standard < _SHRINKING * before:
+        if exact and standard < _SHRINKING * before:
             now.step[:] *= _FURTHER
         before = standard
         rotation, translation = rotation_of(now.step[3:6]) @ rotation, translation + now.step[:3]
