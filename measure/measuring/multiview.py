@@ -105,6 +105,8 @@ class Views:
 def calibration_noise(rig: Rig, points: Floats) -> Floats:
     """What uncertain cameras add to the covariances (n, 2, 2) of the pixels of points, px^2.
 
+    Zero for points without an image: of a body that a camera shows in part, its middle.
+
     Args:
         rig: n cameras.
         points: (n, 3) in mm, one for each camera, or one point (3,) for all.
@@ -114,7 +116,7 @@ def calibration_noise(rig: Rig, points: Floats) -> Floats:
     if not rig.uncertain:
         return np.zeros((len(rig), 2, 2))
     places = np.broadcast_to(points, rig.centers.shape)
-    return camera_noise(
+    noise = camera_noise(
         rig.lenses,
         rig.reach,
         rig.rotation,
@@ -123,6 +125,7 @@ def calibration_noise(rig: Rig, points: Floats) -> Floats:
         rig.covariances,
         MIN_DEPTH_MM,
     )
+    return np.nan_to_num(noise, nan=0.0)
 
 
 def fit_point(views: Views, extra_px: float = 0.0) -> PointFit:

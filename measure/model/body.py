@@ -69,6 +69,11 @@ class Body:
         return np.stack([ball.center_mm for ball in self.balls])
 
     @cached_property
+    def middle(self) -> Floats:
+        """Mean of the balls' centres (3,), mm; the origin may lie anywhere."""
+        return np.mean(self.centers, axis=0)
+
+    @cached_property
     def radii(self) -> Floats:
         """Ball radii (k,) in mm."""
         return np.array([ball.radius_mm for ball in self.balls])

@@ -92,7 +92,7 @@ def _explained(
 
     Pictures are brought together by a constant velocity, which is uncertain, and changes.
     """
-    arm = pose.world_from_body.rotate(np.mean(body.centers, axis=0))
+    arm = pose.world_from_body.rotate(body.middle)
     place, rig = pose.world_from_body.translation + arm, Rig.of((camera,))
     noise = calibration_noise(rig, place)[0]
     if motion is None or motion.velocity_covariance is None:

@@ -54,7 +54,7 @@ def contradictions(
             tolerance_mm,
         )
     if pose.rms_px > max_rms_px and pose.rms_px > math.hypot(
-        max_rms_px, _SIGMAS * _noise(views, cameras, pose)
+        max_rms_px, _SIGMAS * _noise(views, cameras, pose.world_from_body.apply(body.middle))
     ):
         found += (f"reprojection errors of {pose.rms_px:.1f} px",)
     at_odds = cameras_at_odds(views)
@@ -64,11 +64,9 @@ def contradictions(
     return found
 
 
-def _noise(views: Sequence[BallView], cameras: Sequence[Camera], pose: Pose) -> float:
-    """RMS of what the believed sightings are off by, by what is said of them, both axes, px."""
-    off = np.trace(
-        calibration_noise(Rig.of(cameras), pose.world_from_body.translation), axis1=1, axis2=2
-    )
+def _noise(views: Sequence[BallView], cameras: Sequence[Camera], place: Floats) -> float:
+    """RMS of what believed sightings at about a place are off by, as stated, both axes, px."""
+    off = np.trace(calibration_noise(Rig.of(cameras), place), axis1=1, axis2=2)
     by_camera = dict(zip([camera.name for camera in cameras], off.tolist(), strict=True))
     noise = [
         2 * v.detection.variance_px2 + by_camera[v.camera]

@@ -114,7 +114,7 @@ def predict_windows(
         _readouts(present),
         MIN_DEPTH_MM,
     )
-    noise = calibration_noise(rig, state.world_from_body.translation)
+    noise = calibration_noise(rig, state.world_from_body.apply(body.middle))
     return Windows(_keys(present, body), balls, np.repeat(noise, len(body.balls), axis=0))
 
 

@@ -123,7 +123,7 @@ class ContoursSolver(PoseSolver):
         rig, contours = named.rig, outlines.contours
         if prior is not None and outlines.instants != {time_s}:
             contours = contours._replace(motion=outlines.moved(prior, time_s))
-        aside_px2 = calibration_noise(rig, start.translation)
+        aside_px2 = calibration_noise(rig, start.apply(self.body.middle))
         fit = solve_contours(
             contours,
             rotation,

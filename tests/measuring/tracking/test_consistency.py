@@ -84,6 +84,18 @@ def test_a_camera_that_is_off_by_no_more_than_its_calibration_says_is_believed()
     assert all(m.status is not Status.OK for m in further)
 
 
+def test_balls_far_from_their_bodys_origin_are_seen_by_uncertain_cameras_too():
+    """A tool's origin may lie behind a camera, where nothing has an image."""
+    cameras = ring(4, pose_covariance=np.diag([0.1**2] * 3 + [0.0002**2] * 3))
+    far = cameras["cam0"].center * 1.5 - TARGET
+    balls = [replace(b, center_mm=b.center_mm - far) for b in RAVEN.balls]
+    tool = Body("tool", tuple(balls))
+    world = lambda t: [(tool, RigidTransform(np.eye(3), TARGET + far + [20 * t, 0, 0]))]
+    found = run(tool, world, cameras, 20, bias=edges)[0]
+    assert [m.status for m in found] == [Status.OK] * len(found)
+    assert all(v.state is State.EFFECTIVE for m in found for v in m.views)
+
+
 @pytest.mark.parametrize("count", [3, 4])
 @pytest.mark.parametrize(
     ("body", "ball", "offset_mm"),
