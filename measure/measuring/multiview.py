@@ -105,7 +105,7 @@ class Views:
 def calibration_noise(rig: Rig, points: Floats) -> Floats:
     """What uncertain cameras add to the covariances (n, 2, 2) of the pixels of points, px^2.
 
-    Zero for points without an image: of a body that a camera shows in part, its middle.
+    Zero for points without an image: a camera may show a ball of a body, and not its middle.
 
     Args:
         rig: n cameras.
