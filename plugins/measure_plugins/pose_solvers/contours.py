@@ -111,8 +111,7 @@ class ContoursSolver(PoseSolver):
         start = self._start(fixes, outlines, time_s, prior)
         if start is None:
             return None
-        known = np.zeros((6, 6))
-        named = outlines.named
+        known, named = np.zeros((6, 6)), outlines.named
         if len(named.shown) < 3:
             if prior is None or prior.covariance is None:
                 return None

@@ -224,8 +224,7 @@ def _mean_errors(scene, appearance):
                 np.zeros((8, 0)),
             ),
         )
-        edges = corrected_edges(found, BELIEVED)
-        center = pose.apply(ball.center_mm)
+        edges, center = corrected_edges(found, BELIEVED), pose.apply(ball.center_mm)
         limb = around @ frame[:2] @ camera.camera_from_world.rotation
         lit = np.full(72, -1.0)
         for light in scene.lighting.lights:
