@@ -44,6 +44,29 @@ _CALL_GIVEN = """from parts.given import {name}, doubled
 print(doubled({name}(1.5)), sum(doubled.stats.cache_hits.values()))
 """
 
+_TWICE = """from measure.compiling import compiled
+
+@compiled
+def halved(x):
+    return x[0] / 2
+"""
+_CALL_TWICE = """import numba
+import numpy as np
+from parts.twice import halved
+
+@numba.njit
+def both(x, y):
+    return halved(x), halved(y)
+
+x, y = np.full(2, 3), np.full(2, 5.0)
+print(*{halved})
+"""
+_WAYS = "(halved(x), halved(y))", "both(x, y)"
+_LEVEL = """import numba
+import measure.compiling
+print(int(numba.config.OPT))
+"""
+
 _LENGTHS = """import numba
 import numpy as np
 
@@ -114,6 +137,29 @@ def test_code_kept_for_a_type_that_is_gone_is_compiled_anew(package: Path) -> No
         call = _CALL_GIVEN.format(name=name)
         assert _printed(call, package.parent) == [3.0, 0], name
         assert _printed(call, package.parent) == [3.0, 1], name
+
+
+def test_code_for_other_types_is_not_taken(package: Path) -> None:
+    """Two processes that compile at once may each give their code the first file's name."""
+    (package / "twice.py").write_text(_TWICE, "utf-8")
+    directly, within = (_CALL_TWICE.replace("{halved}", way) for way in _WAYS)
+    assert _printed(directly, package.parent) == [1.5, 2.5]
+    one, other = sorted((package.parent / "cache").rglob("*.nbc"))
+    code = one.read_bytes()
+    one.write_bytes(other.read_bytes())
+    other.write_bytes(code)
+    for call in (within, directly):
+        assert _printed(call, package.parent) == [1.5, 2.5]
+
+
+@pytest.mark.parametrize(("asked", "level"), [(None, 2), ("1", 1)])
+def test_optimisation_stops_at_the_second_level_unless_asked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, asked: str | None, level: int
+) -> None:
+    monkeypatch.delenv("NUMBA_OPT", raising=False)
+    if asked is not None:
+        monkeypatch.setenv("NUMBA_OPT", asked)
+    assert _printed(_LEVEL, tmp_path) == [level]
 
 
 def test_loops_are_not_unrolled(tmp_path: Path) -> None:

@@ -85,4 +85,6 @@ class _SecondProcess(event.Listener):  # type: ignore[misc]
 
 def _compile() -> None:
     """What the second process does."""
-    build_pipeline(*pickle.load(sys.stdin.buffer)).warm_up_what_follows()
+    pipeline = build_pipeline(*pickle.load(sys.stdin.buffer))
+    pipeline.warm_up_what_follows()
+    pipeline.warm_up_detectors(last_first=True)

@@ -7,7 +7,7 @@ alike; a class need not live in this project, only keep this contract (`measure.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar
 
 from measure.host.settings import Settings
@@ -43,6 +43,18 @@ class Detector(Plugin):
         self.config = config
         self.body = body
         self.camera = camera
+
+    def warm_up(self) -> None:
+        """As every plugin does; part by part, if it is made of parts."""
+        for part in self.warm_up_parts():
+            part()
+
+    def warm_up_parts(self) -> Sequence[Callable[[], object]]:
+        """What is slow in parts that may be done in any order.
+
+        What they compile into a cache on disk, a second process compiles from the other end.
+        """
+        return ()
 
     @abstractmethod
     def detect(self, image: Image, expected: Sequence[Expectation]) -> list[Detection]:

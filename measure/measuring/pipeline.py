@@ -51,10 +51,11 @@ class Pipeline:
         self.warm_up_detectors()
         self.warm_up_what_follows()
 
-    def warm_up_detectors(self) -> None:
-        """One of them: those of all cameras share what is slow."""
-        for detector in list(self.stages.detectors.values())[:1]:
-            detector.warm_up()
+    def warm_up_detectors(self, last_first: bool = False) -> None:
+        """One of them: those of all cameras share what is slow; if asked to, from its last part."""
+        one = next(iter(self.stages.detectors.values()))
+        for part in reversed(one.warm_up_parts()) if last_first else (one.warm_up,):
+            part()
 
     def warm_up_what_follows(self) -> None:
         """Tracking, triangulation, poses and motion."""

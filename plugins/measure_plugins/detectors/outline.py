@@ -8,7 +8,7 @@ ellipse's bias. The edge points travel on with the detection, for a joint fit of
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -59,19 +59,23 @@ class OutlineDetector(Detector):
         self._bits = {ball.name: 1 << self._colors.index(ball.color) for ball in body.balls}
         self._balls = KnownBalls(c, body, camera, self._bits, self._table)
 
-    def warm_up(self) -> None:
-        """Compile the hot loops (seconds, once per machine), by measuring a drawn disc."""
+    def warm_up_parts(self) -> Sequence[Callable[[], object]]:
+        """Hot loops to compile (seconds, once per machine), by measuring a drawn disc."""
         from measure_plugins import _acquisition
         from measure_plugins._edges.warm_up import drawn_disc
 
-        _acquisition.warm_up()
         image, expected = drawn_disc(self.body, self.camera)
-        self._measure(image, expected)
-        self._measure(image, [replace(one, center_camera=None) for one in expected])
-        self._searched(image, ())
+        unsized = [replace(one, center_camera=None) for one in expected]
         cones, view = self._balls.cones(expected), self._view(image)
-        self._balls.gains_about(view, expected, cones, self._appearance)
-        self._learner.warm_up(image.pixels, _cones(cones)[0], self._appearance)
+        pixels, cone, now = image.pixels, _cones(cones)[0], self._appearance
+        return (
+            lambda: self._measure(image, expected),
+            lambda: self._measure(image, unsized),
+            lambda: self._balls.gains_about(view, expected, cones, now),
+            lambda: self._learner.warm_up(pixels, cone, now),
+            lambda: self._searched(image, ()),
+            _acquisition.warm_up,
+        )
 
     @property
     def wants_rehearsal(self) -> bool:
