@@ -5,6 +5,7 @@ They show the session of `measure demo`: the viewer under a virtual screen, the 
 
 from __future__ import annotations
 
+import ctypes
 import os
 import shutil
 import subprocess
@@ -41,15 +42,26 @@ def _measure(*words: str) -> None:
     subprocess.run([sys.executable, "-m", "measure.cli", *words], check=True)
 
 
+def _park_pointer() -> None:
+    """Into the screen's corner: from its middle, it would point at what the window shows there."""
+    x11 = ctypes.CDLL("libX11.so.6")
+    x11.XOpenDisplay.restype = ctypes.c_void_p
+    x11.XDefaultRootWindow.restype = ctypes.c_ulong
+    display = ctypes.c_void_p(x11.XOpenDisplay(SCREEN.encode()))
+    root = ctypes.c_ulong(x11.XDefaultRootWindow(display))
+    x11.XWarpPointer(display, ctypes.c_ulong(0), root, 0, 0, 0, 0, 0, 0)
+    x11.XCloseDisplay(display)
+
+
 def _viewer(recording: Path, picture: Path) -> Path:
     """The native viewer, drawn by the processor on a screen that is not there."""
     drivers = sorted(Path("/usr/share/vulkan/icd.d").glob("lvp_icd*.json"))
     size = f"{WIDTH}x{HEIGHT}"
-    # The pointer rests in the middle of the screen: a large one keeps it off the window.
     screen_size = f"{3 * WIDTH}x{3 * HEIGHT}x24"
-    with subprocess.Popen(["Xvfb", SCREEN, "-screen", "0", screen_size]) as screen:
+    with subprocess.Popen(["Xvfb", SCREEN, "-noreset", "-screen", "0", screen_size]) as screen:
         time.sleep(1.0)
         try:
+            _park_pointer()
             subprocess.run(
                 [
                     viewer_program(),

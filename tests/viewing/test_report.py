@@ -50,7 +50,7 @@ def test_a_good_run_says_how_well_the_position_is_known(tmp_path):
 
 def test_a_report_names_the_recording_and_the_day(tmp_path):
     page = run_report(_run(tmp_path / "run", 5))
-    assert "<title>Run run of s</title>" in page
+    assert "<title>Run of s</title>" in page
     assert re.search(r"\d{4}-\d\d-\d\d \d\d:\d\d UTC", page)
     assert "<title>Run s</title>" in run_report(_run(tmp_path / "s", 5))
     named = replace(PROVENANCE, session_name="white room")

@@ -43,11 +43,12 @@ def run_report(run: Run, errors: Floats | None = None) -> str:
 
 
 def _title(run: Run) -> str:
-    """Names the run, and the recording where that is called something else."""
+    """Names the run, unless it is called just that, and a recording that is called otherwise."""
     name = run.path.resolve().name
     session = run.provenance.get("session", {})
     recording = session.get("name") or Path(session.get("path", "")).name
-    return f"Run {name}" if recording in ("", name) else f"Run {name} of {recording}"
+    title = "Run" if name == "run" else f"Run {name}"
+    return title if recording in ("", name) else f"{title} of {recording}"
 
 
 def write_report(run: Run, path: Path, errors: Floats | None = None) -> None:
