@@ -57,6 +57,7 @@ def _viewer(recording: Path, picture: Path) -> Path:
     """The native viewer, drawn by the processor on a screen that is not there."""
     drivers = sorted(Path("/usr/share/vulkan/icd.d").glob("lvp_icd*.json"))
     size = f"{WIDTH}x{HEIGHT}"
+    # So large that the window leaves its corner free.
     screen_size = f"{3 * WIDTH}x{3 * HEIGHT}x24"
     with subprocess.Popen(["Xvfb", SCREEN, "-noreset", "-screen", "0", screen_size]) as screen:
         time.sleep(1.0)

@@ -18,7 +18,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 # time to compile, fill the cache with code, and are a twentieth slower. Numba has no option for it.
 for _option in ("-unroll-runtime=false", "-force-vector-interleave=1"):
     llvm.set_option("measure", _option)
-# The third level finds nothing in them that the second has not, and takes a sixth more time.
+# The third level finds nothing in them that the second has not, and takes a fifth more time.
 if "NUMBA_OPT" not in os.environ:
     numba.config.OPT = type(numba.config.OPT)(2)
 
@@ -43,7 +43,7 @@ def _kept_on_disk(function: F, **options: str) -> F:
 
 
 def _tie(kernel: object, stamp: str) -> None:
-    """Let a kernel's machine code on disk hold only as long as the stamp stays the same.
+    """Let a kernel's machine code on disk hold only for its types, and as long as the stamp stays.
 
     Numba has no public way to say so. Its version is what it compares first: files of another one
     it does not read on, and they may name types that are gone. Where compilation is switched off,

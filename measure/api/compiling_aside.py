@@ -1,4 +1,4 @@
-"""A second process that compiles, into the cache on disk, what follows detection."""
+"""A second process that compiles into the cache on disk: what follows detection, then its end."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ def what_follows_aside(
 ) -> Iterator[None]:
     """Have a pipeline's later stages compiled while detectors are, if those have to be.
 
-    In the end what another process compiled only has to be loaded.
+    Then it comes towards this process from detectors' last parts. In the end what another process
+    compiled only has to be loaded.
     """
     aside, at_once = _SecondProcess((profile, registry, body, cameras)), True
     try:

@@ -53,9 +53,9 @@ class Pipeline:
 
     def warm_up_detectors(self, last_first: bool = False) -> None:
         """One of them: those of all cameras share what is slow; if asked to, from its last part."""
-        one = next(iter(self.stages.detectors.values()))
-        for part in reversed(one.warm_up_parts()) if last_first else (one.warm_up,):
-            part()
+        for one in list(self.stages.detectors.values())[:1]:
+            for part in reversed(one.warm_up_parts()) if last_first else (one.warm_up,):
+                part()
 
     def warm_up_what_follows(self) -> None:
         """Tracking, triangulation, poses and motion."""
