@@ -36,7 +36,7 @@ def main() -> None:
     for made, words in commands(given):
         if not (given.folder / made).exists():
             print(f"measure {words}", flush=True)
-            command = [sys.executable, "-m", "measure.cli", *shlex.split(words)]
+            command = [sys.executable, "-m", "measure", *shlex.split(words)]
             subprocess.run(command, cwd=given.folder, check=True)
     for line in errors(given.folder):
         print(line)

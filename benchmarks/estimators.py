@@ -131,7 +131,7 @@ def _trained(row: Row, folder: Path) -> dict[str, Any]:
 def _measure(words: list[str], folder: Path) -> float:
     """Run a command of `measure` in a folder; the CPU time it took, in s."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    subprocess.run([sys.executable, "-m", "measure.cli", *words], cwd=folder, check=True)
+    subprocess.run([sys.executable, "-m", "measure", *words], cwd=folder, check=True)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 

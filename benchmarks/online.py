@@ -62,7 +62,7 @@ def update_line(path: Path, states: Floats) -> str:
 
 def round_trip_lines(path: Path, states: Floats, seconds: float) -> list[str]:
     """A robot that sends 1000 states a second to `measure estimate`."""
-    words = [sys.executable, "-m", "measure.cli", "estimate", str(path), "--port", "0", "--json"]
+    words = [sys.executable, "-m", "measure", "estimate", str(path), "--port", "0", "--json"]
     words += ["--seconds", f"{seconds + 3.0:g}"]
     with subprocess.Popen(
         words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True

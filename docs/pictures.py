@@ -39,7 +39,7 @@ def main() -> None:
 
 
 def _measure(*words: str) -> None:
-    subprocess.run([sys.executable, "-m", "measure.cli", *words], check=True)
+    subprocess.run([sys.executable, "-m", "measure", *words], check=True)
 
 
 def _park_pointer() -> None:

@@ -130,7 +130,7 @@ def test_a_killed_dask_worker_loses_no_recording(sessions, one_by_one, tmp_path)
             [
                 sys.executable,
                 "-m",
-                "measure.cli",
+                "measure",
                 "run",
                 *sessions,
                 "-o",

@@ -63,7 +63,7 @@ def test_a_killed_worker_loses_no_trial(data: Path, tmp_path: Path) -> None:
     pytest.importorskip("optuna", reason="a sweep needs the extra 'sweep'")
     space, journal = tmp_path / "space.toml", tmp_path / "journal.log"
     space.write_text(SPACE)
-    words = [sys.executable, "-m", "measure.cli", "sweep", str(data), str(space)]
+    words = [sys.executable, "-m", "measure", "sweep", str(data), str(space)]
     words += ["--journal", str(journal), "--estimator", "ridge", "--trials", "8", "--json"]
     with (tmp_path / "out.json").open("w") as out:
         one = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
@@ -91,7 +91,7 @@ def test_a_killed_dask_worker_loses_no_trial(data: Path, tmp_path: Path) -> None
     space, journal = tmp_path / "space.toml", tmp_path / "journal.log"
     space.write_text(SPACE)
     with Cluster(tmp_path) as cluster:
-        words = [sys.executable, "-m", "measure.cli", "sweep", str(data), str(space)]
+        words = [sys.executable, "-m", "measure", "sweep", str(data), str(space)]
         words += ["--journal", str(journal), "--estimator", "ridge", "--trials", "12", "--json"]
         words += ["--scheduler", cluster.address]
         with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as runner:

@@ -98,7 +98,7 @@ def test_a_figure_that_cannot_be_drawn_is_noticed(run: Path, page: Chromium, tmp
 @contextlib.contextmanager
 def _served(run: Path) -> Iterator[str]:
     """The address that `measure view --web` prints, while it runs."""
-    command = [sys.executable, "-m", "measure.cli", "view", "--web", str(run)]
+    command = [sys.executable, "-m", "measure", "view", "--web", str(run)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
         assert process.stdout is not None
         try:

@@ -1,4 +1,4 @@
-"""`python -m measure.cli` is `measure`."""
+"""`python -m measure` is `measure`."""
 
 from __future__ import annotations
 
