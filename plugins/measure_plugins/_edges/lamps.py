@@ -70,43 +70,54 @@ def lamp_light(diffuse: Floats, kept_out: float, around: Floats, lamps: Floats) 
         around: (n, 2) cosine and sine around the axis.
         lamps: (k, 4) seen from the ball.
     """
-    m, n, lanes = len(diffuse), len(around), whole_vectors(len(around), SINGLES)
-    out, total = np.zeros((m if len(lamps) > 0 else 0, n)), np.empty(lanes, np.float32)
-    sideways = np.zeros((len(lamps), lanes), np.float32)
-    for k in range(len(lamps)):
-        x, y, _, power = lamps[k]
-        for i in range(n):
-            sideways[k, i] = power * (around[i, 0] * x + around[i, 1] * y)
+    n, out = len(around), np.zeros((len(diffuse) if len(lamps) > 0 else 0, len(around)))
+    rows = 0
     for j in range(len(out)):
-        even, aside = diffuse[j, UNIFORM], np.float32(diffuse[j, ASIDE])
+        if diffuse[j, UNIFORM] > _NOTHING:
+            rows = j + 1
+    # Places of all steps in a row: a lamp's loop over them is long enough to be quick.
+    lanes = whole_vectors(rows * n, SINGLES)
+    ahead, right = np.zeros(lanes, np.float32), np.zeros(lanes, np.float32)
+    down, total = np.zeros(lanes, np.float32), np.zeros(lanes, np.float32)
+    for j in range(rows):
+        even = diffuse[j, UNIFORM]
         if even > _NOTHING:
-            total[:] = _NONE
-            for k in range(len(lamps)):
-                facing = np.float32(-lamps[k, 3] * lamps[k, 2] * diffuse[j, FACING])
-                per_full = np.float32(1 / (lamps[k, 3] * even))
-                _add_light(facing, aside, per_full, np.float32(kept_out), sideways[k], total)
+            facing, aside = diffuse[j, FACING] / even, diffuse[j, ASIDE] / even
             for i in range(n):
-                out[j, i] = total[i]
+                ahead[j * n + i] = -facing
+                right[j * n + i] = aside * around[i, 0]
+                down[j * n + i] = aside * around[i, 1]
+    for k in range(len(lamps)):
+        _add_light(lamps[k], kept_out, right, down, ahead, total)
+    for j in range(rows):
+        for i in range(n):
+            out[j, i] = diffuse[j, UNIFORM] * total[j * n + i]
     return out
 
 
 @inlined
 def _add_light(
-    facing: np.float32,
-    aside: np.float32,
-    per_full: np.float32,
-    kept_out: np.float32,
-    sideways: Singles,
-    out: Singles,
+    lamp: Floats, kept_out: float, right: Singles, down: Singles, ahead: Singles, out: Singles
 ) -> None:
-    """Add one lamp's light at one step of all rays (k,)."""
+    """Add the light of a lamp (4,) to the sum (k,) of shares of what each place sends out.
+
+    Args:
+        lamp: seen from the ball.
+        kept_out: see `radial.Radial`.
+        right: (k,) how much of light along the first axis about the ball's a place sends out.
+        down: (k,) the same of light along the second.
+        ahead: (k,) the same of light from behind the ball, along its axis.
+        out: changed.
+    """
+    x, y, z = np.float32(lamp[0]), np.float32(lamp[1]), np.float32(lamp[2])
+    power, kept = np.float32(lamp[3]), np.float32(lamp[3] * kept_out)
     for i in range(len(out)):
-        light = facing + aside * sideways[i]
+        light = x * right[i] + y * down[i] + z * ahead[i]
         light = light if light > _NONE else _NONE
-        slant = _ONE - light * per_full
+        slant = _ONE - light
         slant = slant if slant > _NONE else _NONE
         square = slant * slant
-        out[i] += light * (_ONE - kept_out * square * square * slant)
+        out[i] += light * (power - kept * (square * square * slant))
 
 
 @compiled

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from measure.arrays import Floats
+from measure.arrays import Floats, stacked
 from measure.compiling import compiled
 
 STEPS = np.arange(-16.5, 6.51, 1.0)
@@ -28,8 +28,11 @@ REFRACTIVE_INDEX = 1.5
 BLUR_PX = 1.0
 """A webcam's optics, pixel, colour mosaic and interpolation together, until it is learnt."""
 _FINE = np.arange(-24.0, 12.01, 0.25)
+_INSIDE = (_FINE < 0).astype(np.float64)
+_WIDTHS = np.diff(DEFLECTIONS)
 _GREY_RANGE = (-13.0, 0.6)
-_GREY_STIFFNESS = 0.02
+_GREY_USED = np.abs(STEPS - np.mean(_GREY_RANGE))[:, None] <= np.ptp(_GREY_RANGE) / 2
+_GREY_STIFFNESS, _FIRM = 0.02, 1e3
 _SLANTING = 0.3
 """Cosine at which Schlick's formula is fitted to a surface."""
 FADE_RAD = np.radians(40)
@@ -88,8 +91,12 @@ def _sizes(radius_px: float, half_angle: float, blur_px: float) -> tuple[int, in
 @lru_cache(maxsize=256)
 def _packed(sizes: tuple[tuple[int, int, int], ...], index: float, mirrors: bool) -> Floats:
     """Balls keep their sizes from picture to picture, nearly always all of them."""
-    rows = [_radial(*one, index, mirrors) for one in sizes]
-    return np.stack([np.concatenate([table.ravel() for table in row]) for row in rows])
+    return stacked([_row(*one, index, mirrors) for one in sizes])
+
+
+@lru_cache(maxsize=1024)
+def _row(radius4: int, angle200: int, blur20: int, index: float, mirrors: bool) -> Floats:
+    return np.concatenate([t.ravel() for t in _radial(radius4, angle200, blur20, index, mirrors)])
 
 
 @compiled
@@ -112,26 +119,30 @@ def unpacked(row: Floats) -> Radial:
 def _radial(radius4: int, angle200: int, blur20: int, index: float, mirrors: bool) -> Radial:
     half_angle = max(angle200, 1) / 200
     tilt, cosine = _surface(half_angle, half_angle / (radius4 / 4))
-    inside = (_FINE < 0).astype(np.float64)
-    mirrored = fresnel(cosine, index) * inside
-    own = (inside - mirrored)[:, None] * _lobes(tilt)
+    mirrored = fresnel(cosine, index) * _INSIDE
     deflection = 2 * np.arcsin(np.clip(cosine, 0, 1))
-    knots = np.eye(len(DEFLECTIONS))
-    hats = np.stack([np.interp(deflection, DEFLECTIONS, row) for row in knots], axis=1)
-    blur = _blur(STEPS, _FINE, blur20 / 20)
-    grey = blur @ (hats * mirrored[:, None])
+    shown = np.concatenate(
+        [
+            (_INSIDE - mirrored) * _lobes(tilt),
+            mirrored * _hats(deflection),
+            [mirrored * np.clip(1 - deflection / FADE_RAD, 0, 1), 1 - _INSIDE],
+        ]
+    )
+    blurred = _blur(blur20) @ shown.T
+    grey = np.ascontiguousarray(blurred[:, _LOBES:-2])
     solve, tie = _grey_solver(grey)
     return Radial(
-        diffuse=blur @ own,
+        diffuse=np.ascontiguousarray(blurred[:, :_LOBES]),
         grey=grey,
-        nearby=mirrors * blur @ (mirrored * np.clip(1 - deflection / FADE_RAD, 0, 1)),
-        outside=blur @ (1 - inside),
+        nearby=mirrors * blurred[:, -2],
+        outside=np.ascontiguousarray(blurred[:, -1]),
         kept_out=_kept_out(index),
         solve_grey=solve,
         tie_grey=tie,
     )
 
 
+@lru_cache(maxsize=64)
 def _kept_out(index: float) -> Floats:
     """See `Radial`: 0 of paint without a boundary, 1 of clear plastic."""
     straight, slanting = fresnel(np.array([1.0, _SLANTING]), index)
@@ -140,11 +151,12 @@ def _kept_out(index: float) -> Floats:
 
 def fresnel(cosine: Floats, index: float) -> Floats:
     """Share of unpolarised light reflected at incidence of this cosine; 0 for an index of 1."""
+    if index == 1:
+        return np.zeros_like(cosine)
     transmitted = np.sqrt(1 - (1 - cosine**2) / index**2)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        across = (cosine - index * transmitted) / (cosine + index * transmitted)
-        along = (index * cosine - transmitted) / (index * cosine + transmitted)
-    return np.nan_to_num((across**2 + along**2) / 2)
+    across = (cosine - index * transmitted) / (cosine + index * transmitted)
+    along = (index * cosine - transmitted) / (index * cosine + transmitted)
+    return np.asarray(0.5 * (across**2 + along**2))
 
 
 def _surface(half_angle: float, rad_per_px: float) -> tuple[Floats, Floats]:
@@ -155,23 +167,42 @@ def _surface(half_angle: float, rad_per_px: float) -> tuple[Floats, Floats]:
 
 
 def _lobes(tilt: Floats) -> Floats:
-    """Radial factors (n, 6) of the quadratic polynomials of the normal."""
+    """Radial factors (6, n) of the quadratic polynomials of the normal."""
     s, c = np.sin(tilt), np.cos(tilt)
-    return np.stack([np.ones_like(s), c, 3 * c * c - 1, s, s * c, s * s], axis=1)
+    return np.array([np.ones_like(s), c, 3 * c * c - 1, s, s * c, s * s])
 
 
-def _blur(at: Floats, fine: Floats, sigma: float) -> Floats:
-    kernel = np.exp(-0.5 * ((at[:, None] - fine[None, :]) / sigma) ** 2)
+def _hats(deflection: Floats) -> Floats:
+    """How much (k, n) directions turned by `deflection` (n,) belong to each of `DEFLECTIONS`."""
+    last = len(DEFLECTIONS) - 2
+    lower = np.minimum(np.searchsorted(DEFLECTIONS, deflection, side="right") - 1, last)
+    start, width = DEFLECTIONS[lower], _WIDTHS[lower]
+    share = np.minimum((deflection - start) / width, 1.0)
+    out, each = np.zeros((len(DEFLECTIONS), len(deflection))), np.arange(len(deflection))
+    out[lower, each], out[lower + 1, each] = 1 - share, share
+    return out
+
+
+@lru_cache(maxsize=64)
+def _blur(blur20: int) -> Floats:
+    """From the fine ray to `STEPS` (m, f)."""
+    kernel = np.exp(-0.5 * ((STEPS[:, None] - _FINE[None, :]) / (blur20 / 20)) ** 2)
     return np.asarray(kernel / kernel.sum(axis=1, keepdims=True))
 
 
 def _grey_solver(grey: Floats) -> tuple[Floats, Floats]:
     """Ridge regression of the reflected light, smooth in angle, tied to what is outside."""
-    used = np.abs(STEPS - np.mean(_GREY_RANGE)) <= np.ptp(_GREY_RANGE) / 2
-    design = grey * used[:, None]
-    bend = np.diff(np.eye(grey.shape[1]), 2, axis=0)
-    firm = 1e3
-    normal = design.T @ design + _GREY_STIFFNESS * bend.T @ bend + 1e-6 * np.eye(grey.shape[1])
-    normal[0, 0] += firm
-    inverse = np.linalg.inv(normal)
-    return np.ascontiguousarray(inverse @ design.T), np.ascontiguousarray(firm * inverse[:, 0])
+    design = grey * _GREY_USED
+    inverse = np.linalg.inv(design.T @ design + _GREY_PRIOR)
+    return np.ascontiguousarray(inverse @ design.T), np.ascontiguousarray(_FIRM * inverse[:, 0])
+
+
+def _grey_prior() -> Floats:
+    """What the regression adds to the normal matrix (k, k)."""
+    bend = np.diff(np.eye(len(DEFLECTIONS)), 2, axis=0)
+    out = _GREY_STIFFNESS * bend.T @ bend + 1e-6 * np.eye(len(DEFLECTIONS))
+    out[0, 0] += _FIRM
+    return np.asarray(out)
+
+
+_GREY_PRIOR = _grey_prior()
