@@ -24,7 +24,8 @@ from measure.measuring.tracking import TRACKERS
 ROOT = Path(__file__).resolve().parents[1]
 HEAD = """# Command line
 
-The help of every command. Written by `python docs/regenerate.py`.
+The help of every command; where `measure` is not on the path, `python -m measure` is the same.
+Written by `python docs/regenerate.py`.
 
 Exit codes: 0 done; 2 a mistake, which one line on stderr explains; 1 a defect of ours, with its
 traceback; 130 interrupted; 141 whoever read the output went away.

@@ -40,14 +40,18 @@ def aligned_residuals(
     """
     rays = np.flatnonzero(free == FREE)
     left, slopes = _off(seen, predicted, rays, compared, step_px)
+    sums, where, moved = _sums(left, slopes), around[rays], np.empty(left.shape)
     if len(weights) > 0:
-        return left - slopes * _shifts(left, slopes, around[rays], weights), weights
-    robust, moved = np.ones(len(rays)), left
+        _move(left, slopes, _shifts(sums, where, weights), moved)
+        return moved, weights
+    robust, power = np.ones(len(rays)), np.empty(len(rays))
     for _ in range(_ROUNDS):
-        moved = left - slopes * _shifts(left, slopes, around[rays], robust)
-        power = np.empty(len(rays))
+        _move(left, slopes, _shifts(sums, where, robust), moved)
         for i in range(len(rays)):
-            power[i] = np.mean(moved[i] ** 2)
+            total = 0.0
+            for j in range(left.shape[1]):
+                total += moved[i, j] * moved[i, j]
+            power[i] = total / left.shape[1]
         typical = _TYPICAL * median(power.copy(), len(power)) + 1e-9
         robust = 1 / (1 + power / typical) ** 2
     return moved, robust
@@ -71,19 +75,43 @@ def _off(
 
 
 @compiled
-def _shifts(left: Floats, slopes: Floats, around: Floats, weights: Floats) -> Floats:
-    """How far (k, 1), in px, the outline is off along each ray: a shift of it, and growth."""
-    normal, right, design = 1e-9 * np.eye(3), np.zeros(3), np.ones(3)
+def _sums(left: Floats, slopes: Floats) -> Floats:
+    """Sums (2, k) along each ray of the slopes' squares, and of slopes times what is left."""
+    out = np.zeros((2, len(left)))
     for i in range(len(left)):
-        design[:2] = around[i]
-        square = weights[i] * np.sum(slopes[i] * slopes[i])
-        toward = weights[i] * np.sum(slopes[i] * left[i])
+        for j in range(left.shape[1]):
+            out[0, i] += slopes[i, j] * slopes[i, j]
+            out[1, i] += slopes[i, j] * left[i, j]
+    return out
+
+
+@compiled
+def _shifts(sums: Floats, around: Floats, weights: Floats) -> Floats:
+    """How far (k,), in px, the outline is off along each ray: a shift of it, and growth.
+
+    Args:
+        sums: (2, k) see `_sums`.
+        around: (k, 2) cosine and sine around the axis.
+        weights: (k,) of the rays.
+    """
+    normal, right, design = 1e-9 * np.eye(3), np.zeros(3), np.ones(3)
+    for i in range(len(around)):
+        design[0], design[1] = around[i, 0], around[i, 1]
+        square, toward = weights[i] * sums[0, i], weights[i] * sums[1, i]
         for a in range(3):
             right[a] += design[a] * toward
             for b in range(3):
                 normal[a, b] += design[a] * design[b] * square
     x, y, growth = np.linalg.solve(normal, right)
-    out = np.empty((len(left), 1))
-    for i in range(len(left)):
-        out[i, 0] = x * around[i, 0] + y * around[i, 1] + growth
+    out = np.empty(len(around))
+    for i in range(len(around)):
+        out[i] = x * around[i, 0] + y * around[i, 1] + growth
     return out
+
+
+@compiled
+def _move(left: Floats, slopes: Floats, shifts: Floats, out: Floats) -> None:
+    """Fill what is left (k, m) when the outline has moved by shifts (k,)."""
+    for i in range(len(left)):
+        for j in range(left.shape[1]):
+            out[i, j] = left[i, j] - slopes[i, j] * shifts[i]

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from measure.arrays import Floats, Singles
+from measure.arrays import Floats, Ints, Singles
 from measure.compiling import compiled, inlined
 from measure.geometry.linear_kernels import cholesky, solve_factored
 from measure_plugins._edges.selection import nearly_kth
@@ -137,7 +137,7 @@ def fit_lamp_light(
     Returns:
         Factors of even light, of that along the axis, of that along the other two, and of `lit`.
     """
-    clear = np.nonzero(free == 0)[0][:: max(len(free) // _FITTED_RAYS, 1)]
+    clear = some_clear(free)
     factors, angles = _factors(diffuse[:used:2]), around[clear]
     seen, bright = every_second(amounts, used, clear), every_second(lit, used, clear)
     coefficients, right = np.zeros(_COLUMNS), np.empty(_COLUMNS)
@@ -152,6 +152,16 @@ def fit_lamp_light(
             off = _typically_off(seen, bright, factors, angles, coefficients)
             per_limit = 1 / (5 * 1.4826 * off + 5e-4)
     return coefficients
+
+
+@compiled
+def some_clear(free: Floats) -> Ints:
+    """Of the rays with a clear way, those to which light is fitted (k,).
+
+    Args:
+        free: (n,) 0 for rays with a clear way.
+    """
+    return np.nonzero(free == 0)[0][:: max(len(free) // _FITTED_RAYS, 1)]
 
 
 @compiled

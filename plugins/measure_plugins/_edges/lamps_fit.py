@@ -31,6 +31,7 @@ from measure_plugins._edges.lamps import (
     lamp_light,
     no_lamps,
     seen_from,
+    some_clear,
 )
 from measure_plugins._edges.prediction import split_light
 from measure_plugins._edges.radial import STEPS, Radial
@@ -228,7 +229,7 @@ def _shaded(
     frame: Floats,
     lamps: Floats,
 ) -> tuple[Floats, Floats]:
-    """What each lamp would give at a ball's clear pixels, and what light from all round would.
+    """What lamps would give at some of a ball's clear pixels, and what light from all round would.
 
     Returns:
         That (p, k + 6), see `_from_all_round`; and the amounts (p,) seen there.
@@ -236,7 +237,7 @@ def _shaded(
     light, background = sampled_light(pixels, table, points, normals, free)
     inside = int(np.searchsorted(STEPS, _LAST_PX, side="right"))
     _, amounts, _, _ = split_light(light, free, background, STEPS, tables, inside)
-    used, clear = np.arange(0, inside, _EVERY), np.nonzero(free == 0)[0]
+    used, clear = np.arange(0, inside, _EVERY), some_clear(free)
     rows, angles = tables.diffuse[used], around[clear]
     out = np.empty((len(used), len(clear), len(lamps) + _ALL_ROUND))
     for k in range(len(lamps)):
