@@ -20,6 +20,8 @@ from measure.session.streams import Stream
 from measure.session.timestamps import read_stamps
 from measure.session.video_stream import open_video_stream
 
+_FILE = "session.toml, the file that names each camera's video or folder of pictures"
+
 
 def open_session(
     path: Path | str,
@@ -85,11 +87,13 @@ def session_truth(path: Path | str) -> Path | None:
 def _session_file(path: Path) -> Path:
     if not path.exists():
         raise SessionError(missing_message(path))
+    if path.is_file() and path.suffix != ".toml":
+        raise SessionError(f"{path} is not a session: that is a folder with a {_FILE}")
     if not path.is_dir():
         return path
     file = path / "session.toml"
     if not file.exists():
-        raise SessionError(f"{path} is not a session: it has no session.toml")
+        raise SessionError(f"{path} is not a session: it has no {_FILE}")
     return file
 
 

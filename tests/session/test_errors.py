@@ -30,7 +30,7 @@ CASES: dict[str, Case] = {
     "no session file": (
         remove("session.toml"),
         SessionError,
-        ["is not a session: it has no session.toml"],
+        ["is not a session: it has no session.toml, the file that names each camera's video"],
     ),
     "broken TOML": (
         replace("session.toml", 'name = "small"', 'name = "small'),

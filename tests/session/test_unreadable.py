@@ -10,11 +10,21 @@ import pytest
 from measure.errors import SessionError
 from measure.session import open_session
 from tests.session.conftest import Recording, jpeg
+from tests.session.videos import write_video
 
 
 def test_a_missing_folder_is_named_with_near_names(recording: Recording) -> None:
     with pytest.raises(SessionError, match="did you mean rec"):
         open_session(recording.path.with_name("recc"))
+
+
+def test_a_video_in_place_of_a_session_is_told_what_is_wanted(recording: Recording) -> None:
+    video = recording.path.parent / "cam1.mp4"
+    write_video(video, "libx264", frames=2)
+    with pytest.raises(SessionError, match=r"cam1\.mp4 is not a session: .* a session\.toml, "):
+        open_session(video)
+    with open_session(recording.path / "session.toml") as session:
+        assert session.name == "small"
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
