@@ -24,6 +24,11 @@ from measure_plugins.detectors._outline_settings import (
     OutlineConfig,
 )
 from measure_plugins.detectors._rough_circles import radii_about
+from measure_plugins.detectors._wide_windows import (
+    better_of,
+    lost_in_wide_windows,
+    moved_to_circles,
+)
 
 if TYPE_CHECKING:
     from measure_plugins._edges.balls import Measured
@@ -167,9 +172,33 @@ class OutlineDetector(Detector):
             return []
         view, cones = self._view(image), self._balls.cones(expected)
         found = self._measure_at(image, view, expected, cones)
+        if lost := lost_in_wide_windows(expected, found):
+            return self._found_by_color(image, view, expected, found, lost)
         if not self._learn_gains(view, expected, cones, found):
             return found
         return self._measure_at(image, view, expected, cones)
+
+    def _found_by_color(
+        self,
+        image: Image,
+        view: View,
+        expected: Sequence[Expectation],
+        found: Sequence[Detection],
+        lost: Sequence[Expectation],
+    ) -> list[Detection]:
+        """What was found, and of `lost` balls what is where their colours show circles."""
+        from measure_plugins._acquisition import find_circles
+
+        circles = find_circles(view.pixels, self._colors, self._acquisition)
+        of_color = dict(zip(self._colors, circles, strict=True))
+        colors = {ball.name: ball.color for ball in self.body.balls}
+        shown = {e.ball: of_color[colors[e.ball]] for e in lost}
+        moved = {e.ball: e for e in moved_to_circles(lost, shown, self.camera)}
+        if not moved:
+            return list(found)
+        everywhere = [moved.get(e.ball, e) for e in expected]
+        cones = self._balls.cones(everywhere)
+        return better_of(found, self._measure_at(image, view, everywhere, cones), moved)
 
     def _learn_gains(
         self,

@@ -1,0 +1,92 @@
+"""Windows wider than the balls they are for: what is to be measured there is told by colour first.
+
+Looks outward and inward from a predicted outline tell nothing of a ball that lies beside it. A body
+that was just found and moves, or is seen a few times a second, may lie anywhere in such a window.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.model import Camera, Detection, Expectation
+from measure.model.lens import bearing
+
+_CONVINCING = 2 / 3
+"""An outline that agrees with so much of the prediction need not be looked for elsewhere."""
+_ROUGHLY_PX = 4.0
+"""By how much the circle that a colour shows may be off, and larger or smaller than the ball."""
+_REACH_SIGMAS = 3.5
+"""Windows reach about so many standard deviations of the prediction."""
+
+
+def lost_in_wide_windows(
+    expected: Sequence[Expectation], found: Sequence[Detection]
+) -> tuple[Expectation, ...]:
+    """Balls that were not, or hardly, found in a window that reaches further than their radius."""
+    sure = {d.ball for d in found if d.score >= _CONVINCING}
+    return tuple(
+        e
+        for e in expected
+        if e.ball not in sure and e.center_camera is not None and e.reach_px > np.mean(e.radius_px)
+    )
+
+
+def moved_to_circles(
+    lost: Sequence[Expectation], circles: Mapping[str, Floats], camera: Camera
+) -> list[Expectation]:
+    """What to expect of those lost balls of whose colour a circle lies in their window.
+
+    One circle is one ball: the likeliest pairs count, by how far a circle lies from where the ball
+    is expected, and by how much of a circle it is.
+
+    Args:
+        lost: balls expected somewhere in wide windows.
+        circles: (k, 5) by name of the ball, see `find_circles`.
+        camera: the camera.
+    """
+    pairs = [
+        (likelihood, i, (x, y))
+        for i, e in enumerate(lost)
+        for x, y, radius, seen, filled in circles[e.ball].tolist()
+        if (likelihood := seen * filled * _nearness(e, x, y, radius)) > 0
+    ]
+    places: dict[int, tuple[float, float]] = {}
+    for _, i, place in sorted(pairs, reverse=True):
+        if i not in places and place not in places.values():
+            places[i] = place
+    return [_moved(lost[i], np.array(place), camera) for i, place in sorted(places.items())]
+
+
+def _nearness(expected: Expectation, x: float, y: float, radius: float) -> float:
+    """How likely a ball is to show a circle there, 1 at best; 0 outside its window."""
+    low, high = expected.radius_px
+    away_px = math.hypot(x - expected.center_px[0], y - expected.center_px[1])
+    if away_px > expected.reach_px or not low - _ROUGHLY_PX <= radius <= high + _ROUGHLY_PX:
+        return 0.0
+    return math.exp(-((_REACH_SIGMAS * away_px / expected.reach_px) ** 2) / 2)
+
+
+def better_of(
+    found: Sequence[Detection], again: Sequence[Detection], lost: Collection[str]
+) -> list[Detection]:
+    """Of what was found twice of `lost` balls the better."""
+    best = {d.ball: d for d in found}
+    for d in again:
+        if d.ball in lost and (d.ball not in best or d.score > best[d.ball].score):
+            best[d.ball] = d
+    return list(best.values())
+
+
+def _moved(expected: Expectation, center_px: Floats, camera: Camera) -> Expectation:
+    """The same ball, as far away, in another place of the picture."""
+    assert expected.center_camera is not None
+    distance = float(np.linalg.norm(expected.center_camera))
+    axis = bearing(center_px, camera.intrinsics.row)
+    return replace(
+        expected, center_px=center_px, reach_px=_ROUGHLY_PX, center_camera=distance * axis
+    )
