@@ -25,6 +25,7 @@ from measure.measuring.checks import (
     Finding,
     Level,
     Misfit,
+    OverexposedCount,
     RepeatCount,
     Surveyed,
     camera_misfits,
@@ -114,16 +115,18 @@ def check(
         chosen = _spread_pairs(total, samples)
         warm_pipeline(profile, registry, session.body, session.cameras)
         surveys, located, repeats, colorless = [], [], RepeatCount(), ColorlessCount()
+        overexposed = OverexposedCount()
         step = _steps(report, len(chosen) + min(clock_samples, total))
         for frame_set, seen in _search(session, chosen, registry, profile):
             surveys.append(survey_frame_set(seen, session.body, session.cameras, frame_set.time_s))
             repeats.look(frame_set)
             colorless.look(frame_set)
+            overexposed.look(frame_set, surveys[-1].agreeing)
             located.append(locate_in_candidates(seen, session.body, session.cameras))
             step()
         clocks = _clocks(session, surveys, registry, profile, clock_samples, repeats, step)
-        useless = _stalls(session, repeats) + colorless.findings()
-        return _concluded(session, total, surveys, located, clocks, useless)
+        pictures = _stalls(session, repeats) + colorless.findings() + overexposed.findings()
+        return _concluded(session, total, surveys, located, clocks, pictures)
 
 
 def _steps(report: Report | None, total: int) -> Callable[[], None]:
@@ -203,9 +206,9 @@ def _concluded(
     surveys: Sequence[Surveyed],
     located: Sequence[Located],
     clocks: tuple[CameraClock, ...],
-    useless: list[Finding],
+    pictures: list[Finding],
 ) -> SessionCheck:
-    findings = useless + [Finding(Level.NOTE, "frames", note) for note in session.notes]
+    findings = pictures + [Finding(Level.NOTE, "frames", note) for note in session.notes]
     for stream in session.streams.values():
         findings += stamp_findings(stream.name, stream.times_s, stream.frames)
     misfits = camera_misfits(with_velocities(surveys), session.body, session.cameras)

@@ -11,6 +11,7 @@ from measure.geometry import RigidTransform
 from measure.measuring.checks import (
     ColorlessCount,
     Level,
+    OverexposedCount,
     camera_misfits,
     coverage_findings,
     expected_accuracy,
@@ -20,7 +21,7 @@ from measure.measuring.checks import (
     with_velocities,
 )
 from measure.measuring.pose_fit import Sightings, fit_pose
-from measure.model import FrameSet, Image
+from measure.model import Detection, FrameSet, Image
 from tests.scenes import RAVEN, TARGET, moved, ring, see
 
 CAMERAS = ring()
@@ -196,6 +197,38 @@ def test_grey_pictures_are_told_by_camera():
     (finding,) = count.findings()
     assert finding.level is Level.WRONG
     assert "cam1: 2 of 2 pictures are grey" in finding.text
+
+
+def _ball(camera, center, radius):
+    return Detection("red", camera, 0.0, np.array(center), radius, np.eye(2))
+
+
+def test_overexposed_balls_are_told_by_camera():
+    """Not those with a highlight, nor a lamp beside them; one at the border counts by its part."""
+    pictures = {name: np.full((120, 160, 3), 40, np.uint8) for name in ("full", "lit", "border")}
+    for name, where in (("full", (80, 60)), ("lit", (80, 60)), ("border", (0, 60))):
+        cv2.circle(pictures[name], where, 20, (30, 30, 200), -1)
+    cv2.ellipse(pictures["full"], (80, 60), (20, 20), 0, 180, 260, (30, 30, 255), -1)
+    cv2.circle(pictures["lit"], (72, 52), 4, (255, 255, 255), -1)
+    cv2.circle(pictures["lit"], (130, 60), 25, (255, 255, 255), -1)
+    cv2.circle(pictures["border"], (0, 60), 12, (30, 30, 255), -1)
+    balls = [_ball("full", (80.0, 60), 20.0), _ball("lit", (80.0, 60), 20.0)]
+    balls.append(_ball("border", (0.0, 60), 20.0))
+    count = OverexposedCount()
+    for _ in range(3):
+        count.look(_frame_set(pictures), balls)
+    full, border = count.findings()
+    assert full.level is Level.WEAK
+    assert "full: balls are overexposed (red in 3 of 3 pictures)" in full.text
+    assert border.text.startswith("border: ")
+
+
+def test_a_ball_that_is_overexposed_now_and_then_is_not_worth_a_line():
+    dark, bright = (np.full((120, 160, 3), value, np.uint8) for value in (90, 255))
+    count, ball = OverexposedCount(), _ball("cam0", (80.0, 60), 20.0)
+    for picture in (dark, bright, dark):
+        count.look(_frame_set({"cam0": picture}), [ball])
+    assert count.findings() == []
 
 
 def test_too_short_a_recording_is_weak():

@@ -9,6 +9,7 @@ from measure.measuring.checks.coverage import (
 )
 from measure.measuring.checks.finding import Finding, Level
 from measure.measuring.checks.moved import Misfit, camera_misfits, misfit_findings
+from measure.measuring.checks.overexposed import OverexposedCount
 from measure.measuring.checks.repeated import RepeatCount, repeat_findings
 from measure.measuring.checks.stamps import stamp_findings
 from measure.measuring.checks.survey import Surveyed, survey_frame_set, with_velocities
@@ -19,6 +20,7 @@ __all__ = [
     "Finding",
     "Level",
     "Misfit",
+    "OverexposedCount",
     "RepeatCount",
     "Surveyed",
     "camera_misfits",

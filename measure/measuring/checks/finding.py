@@ -20,7 +20,7 @@ class Finding:
 
     Attributes:
         level: WRONG spoils results; WEAK costs accuracy; NOTE is worth knowing.
-        topic: "clock", "frames", "body", "calibration", "coverage", "balls", "camera".
+        topic: "balls", "body", "calibration", "clock", "colour", "coverage", "exposure", "frames".
         text: what, where, how much, and what to do.
     """
 
