@@ -8,6 +8,7 @@ import numpy as np
 
 from measure.arrays import Bytes, Floats, Reals, Singles
 from measure.compiling import compiled, folded
+from measure_plugins._edges.clipped import HIGHLIGHT_PX, in_highlights
 from measure_plugins._edges.crossing import crossings, levels, project, uncertainty
 from measure_plugins._edges.neighbours import TOGETHER, middle_angles, together
 from measure_plugins._edges.prediction import FIT_LAST_PX, Ambient, predict_light
@@ -140,7 +141,7 @@ def find_twice(
     outside = levels(values, LATER_STEPS, OUTSIDE_PX)
     model_inside = levels(predicted, LATER_STEPS, window)
     model_outside = levels(predicted, LATER_STEPS, OUTSIDE_PX)
-    n = len(points)
+    n, lit = len(points), in_highlights(inside, free)
     at, sd, contrasts = np.empty((2, n)), np.empty((2, n)), np.empty((2, n))
     biases = np.empty((2, n // TOGETHER))
     for k in range(2):
@@ -148,6 +149,8 @@ def find_twice(
         x, contrasts[k] = project(values, inside, outside, without_grey)
         seen, slope = crossings(x, LATER_STEPS, SEARCH_PX)
         at[k], sd[k] = seen, uncertainty(x, LATER_STEPS, seen, slope, window)
+        for i in range(n):
+            sd[k, i] += HIGHLIGHT_PX * lit[i]
         y, _ = project(predicted, model_inside, model_outside, without_grey)
         biases[k], _ = crossings(y, LATER_STEPS, SEARCH_PX)
     return FoundTwice(at, sd, contrasts, biases, within, background)

@@ -7,8 +7,12 @@ import pytest
 
 from measure.simulation import scene_catalogue
 from measure_plugins._edges.appearance import GLOSSY
-from measure_plugins._edges.clipped import clipped
+from measure_plugins._edges.clipped import HIGHLIGHT_PX, clipped, in_highlights
+from measure_plugins._edges.rays import FREE, HIDDEN
+from measure_plugins.detectors.outline import OutlineConfig, OutlineDetector
+from tests.plugins.detectors.drawing import draw, expect, image_of, to_picture
 from tests.plugins.edges.lessons import lessons
+from tests.scenes import RAVEN, ring
 
 STEPS = np.arange(-7.0, 4.5, 0.5)
 
@@ -74,3 +78,51 @@ def test_where_nothing_else_is_seen_something_is_learnt_all_the_same():
     drowned = lessons(scene_catalogue()["still"], "cam1", overexposed_limb(1.0))[1]
     assert np.isfinite(drowned.bends).all()
     assert 0.5 <= drowned.blur_px <= 2.0
+
+
+def insides(ball, n=12):
+    """Picture values (3, n) inside an outline, white on the first three rays."""
+    values = np.repeat(np.array([ball], np.float32).T / 255, n, axis=1)
+    values[:, :3] = 0.97
+    return values, np.full(n, float(FREE))
+
+
+def test_rays_that_begin_in_a_white_highlight_are_told():
+    values, free = insides((40, 40, 200))
+    assert in_highlights(values, free).tolist() == [True] * 3 + [False] * 9
+    values[0, :3] = 0.9  # bright, and of some colour
+    assert not in_highlights(values, free).any()
+
+
+def test_what_is_white_on_a_white_ball_is_its_own_light():
+    values, free = insides((190, 200, 205))
+    assert not in_highlights(values, free).any()
+    assert not in_highlights(values, np.full(12, float(HIDDEN))).any()
+
+
+def test_hidden_rays_do_not_tell_how_white_a_ball_is():
+    values, free = insides((40, 40, 200))
+    values[:, 5:], free[5:] = 0.8, HIDDEN  # a white ball in front
+    free[:2] = HIDDEN
+    assert in_highlights(values, free).tolist() == [True] * 3 + [False] * 9
+
+
+def test_edges_beside_a_highlight_near_the_rim_are_told_less_sure():
+    camera, center = ring()["cam0"], np.array([10.0, 8.0, 420.0])
+    light = draw(camera, [center], [20.0], [(30, 30, 130)], background=(110, 110, 110))
+    middle = camera.intrinsics.project(center[None])[0]
+    v, u = np.mgrid[: light.shape[0], : light.shape[1]] - middle[::-1, None, None]
+    radius = camera.intrinsics.focal_px * 20 / np.sqrt(center @ center - 400)
+    rim = (np.hypot(u, v) < radius - 2) & (np.hypot(u, v) > radius - 8) & (np.abs(v) < -u)
+    light[rim] = 1.0
+    expected = [expect(camera, "red", center, 20.0)]
+    expected += [
+        expect(camera, ball, np.array([90.0, 8, 420]), 20.0) for ball in ("green", "yellow")
+    ]
+    detector = OutlineDetector(OutlineConfig(learn=False), RAVEN, camera)
+    found = {d.ball: d for d in detector.detect(image_of(camera, to_picture(light)), expected)}
+    x, y = (found["red"].outline_px - middle).T
+    beside, opposite = np.abs(y) < -0.7 * x, np.abs(y) < 0.7 * x
+    assert beside.any()
+    assert found["red"].outline_sd_px[beside].min() >= HIGHLIGHT_PX
+    assert np.median(found["red"].outline_sd_px[opposite]) < HIGHLIGHT_PX
