@@ -14,8 +14,7 @@ from measure_plugins.detectors import outline
 
 
 def seen_every(folder, step):
-    """Errors in mm of a rendered session of which every so many frame sets are left, and the
-    share of its sightings that are believed."""
+    """Errors in mm where every so many frame sets are left, and the share of sightings believed."""
     truth, errors, believed = read_trajectory(session_truth(folder)), [], []
     with open_session(folder) as session:
         pipeline = build_pipeline(

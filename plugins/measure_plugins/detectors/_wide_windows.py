@@ -7,7 +7,7 @@ that was just found and moves, or is seen a few times a second, may lie anywhere
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -32,7 +32,7 @@ def lost_in_wide_windows(
     return tuple(
         e
         for e in expected
-        if e.ball not in sure and e.center_camera is not None and e.reach_px > np.mean(e.radius_px)
+        if e.ball not in sure and e.center_camera is not None and e.reach_px > sum(e.radius_px) / 2
     )
 
 
@@ -72,12 +72,12 @@ def _nearness(expected: Expectation, x: float, y: float, radius: float) -> float
 
 
 def better_of(
-    found: Sequence[Detection], again: Sequence[Detection], lost: Collection[str]
+    found: Sequence[Detection], again: Sequence[Detection], lost: Sequence[Expectation]
 ) -> list[Detection]:
     """Of what was found twice of `lost` balls the better."""
-    best = {d.ball: d for d in found}
+    best, names = {d.ball: d for d in found}, {e.ball for e in lost}
     for d in again:
-        if d.ball in lost and (d.ball not in best or d.score > best[d.ball].score):
+        if d.ball in names and (d.ball not in best or d.score > best[d.ball].score):
             best[d.ball] = d
     return list(best.values())
 

@@ -113,16 +113,14 @@ class OutlineDetector(Detector):
 
     def _searched(self, image: Image, known: Collection[str]) -> list[Detection]:
         """All that may be balls that are not `known`; what one ball may be, any of its colour."""
-        from measure_plugins._acquisition import find_circles
         from measure_plugins._edges.balls import measure_circles
 
         c, view = self.config, self._view(image)
-        circles = find_circles(view.pixels, self._colors, self._acquisition)
         alike: dict[BallColor, list[str]] = {color: [] for color in self._colors}
         for ball in self.body.balls:
             if ball.name not in known:
                 alike[ball.color].append(ball.name)
-        kinds = [(alike[color], some) for color, some in zip(self._colors, circles, strict=True)]
+        kinds = [(alike[color], some) for color, some in self._circles(view).items()]
         names = [names for names, some in kinds if names for _ in range(len(some))]
         rough = np.concatenate([some for names, some in kinds if names])
         found = measure_circles(
@@ -142,6 +140,13 @@ class OutlineDetector(Detector):
             for ball in names[i]
         )
         return [detection for detection in each if detection is not None]
+
+    def _circles(self, view: View) -> dict[BallColor, Floats]:
+        """Circles (k, 5) of each of the body's colours in a whole picture, see `find_circles`."""
+        from measure_plugins._acquisition import find_circles
+
+        circles = find_circles(view.pixels, self._colors, self._acquisition)
+        return dict(zip(self._colors, circles, strict=True))
 
     def _learnt(
         self, image: Image, expected: Sequence[Expectation], found: Sequence[Detection]
@@ -172,33 +177,24 @@ class OutlineDetector(Detector):
             return []
         view, cones = self._view(image), self._balls.cones(expected)
         found = self._measure_at(image, view, expected, cones)
-        if lost := lost_in_wide_windows(expected, found):
-            return self._found_by_color(image, view, expected, found, lost)
+        lost = lost_in_wide_windows(expected, found)
+        if moved := self._moved_by_color(view, expected, lost):
+            expected, cones = moved, self._balls.cones(moved)
+            found = better_of(found, self._measure_at(image, view, expected, cones), lost)
         if not self._learn_gains(view, expected, cones, found):
             return found
         return self._measure_at(image, view, expected, cones)
 
-    def _found_by_color(
-        self,
-        image: Image,
-        view: View,
-        expected: Sequence[Expectation],
-        found: Sequence[Detection],
-        lost: Sequence[Expectation],
-    ) -> list[Detection]:
-        """What was found, and of `lost` balls what is where their colours show circles."""
-        from measure_plugins._acquisition import find_circles
-
-        circles = find_circles(view.pixels, self._colors, self._acquisition)
-        of_color = dict(zip(self._colors, circles, strict=True))
-        colors = {ball.name: ball.color for ball in self.body.balls}
-        shown = {e.ball: of_color[colors[e.ball]] for e in lost}
+    def _moved_by_color(
+        self, view: View, expected: Sequence[Expectation], lost: Sequence[Expectation]
+    ) -> list[Expectation]:
+        """What is expected, `lost` balls where circles show them in their windows; or nothing."""
+        if not lost:
+            return []
+        circles = self._circles(view)
+        shown = {e.ball: circles[self.body.balls[self.body.index(e.ball)].color] for e in lost}
         moved = {e.ball: e for e in moved_to_circles(lost, shown, self.camera)}
-        if not moved:
-            return list(found)
-        everywhere = [moved.get(e.ball, e) for e in expected]
-        cones = self._balls.cones(everywhere)
-        return better_of(found, self._measure_at(image, view, everywhere, cones), moved)
+        return [moved.get(e.ball, e) for e in expected] if moved else []
 
     def _learn_gains(
         self,
