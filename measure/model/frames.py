@@ -8,6 +8,9 @@ from threading import Lock
 
 from measure.arrays import Bytes
 
+FULL = 250
+"""Picture values from here on may be clipped: JPEG moves them by some levels."""
+
 
 @dataclass(frozen=True, eq=False)
 class Image:

@@ -10,9 +10,8 @@ import numpy as np
 from measure.arrays import Bools, Bytes
 from measure.measuring.checks.finding import Finding, Level
 from measure.model import Detection, FrameSet
+from measure.model.frames import FULL
 
-_FULL = 250
-"""Picture values from here on may be clipped: JPEG moves them by some levels."""
 _MUCH = 0.1
 """Share of a ball: highlights of lamps and windows have less."""
 _OFTEN = 0.5
@@ -29,7 +28,7 @@ class OverexposedCount:
         """Look at the balls that were found in a frame set."""
         for ball in balls:
             key = ball.camera, ball.ball
-            full = _full(np.asarray(frame_set.images[ball.camera].pixels), ball)
+            full = _full(frame_set.images[ball.camera].pixels, ball)
             self._seen[key] = self._seen.get(key, 0) + 1
             self._full[key] = self._full.get(key, 0) + (full.size > 0 and full.mean() > _MUCH)
 
@@ -59,4 +58,4 @@ def _full(pixels: Bytes, ball: Detection) -> Bools:
     part = pixels[top : math.ceil(y + r) + 1, left : math.ceil(x + r) + 1]
     rows, columns = np.ogrid[: part.shape[0], : part.shape[1]]
     inside = (rows + top - y) ** 2 + (columns + left - x) ** 2 < r**2
-    return np.asarray(part.max(axis=2) >= _FULL)[inside]
+    return np.asarray(part.max(axis=2) >= FULL)[inside]

@@ -10,11 +10,10 @@ import numpy as np
 
 from measure.arrays import Bools, Bytes, Floats, Reals
 from measure.compiling import compiled
+from measure.model.frames import FULL
 from measure_plugins._edges.rays import FREE
 from measure_plugins._edges.selection import median
 
-_FULL = 250
-"""Picture values from here on may be clipped: JPEG moves them by some levels."""
 _WHITE, _PALE = 0.93, 0.6
 """Picture values, from 0 to 1, of a highlight that is full or nearly so, in all colours; and of
 balls that are about as white themselves."""
@@ -35,7 +34,7 @@ def clipped(pixels: Bytes, points: Floats, normals: Floats, steps: Floats) -> Bo
     at = np.rint(points + steps[:, None, None] * normals).astype(np.intp)
     height, width = pixels.shape[:2]
     column, row = np.clip(at[..., 0], 0, width - 1), np.clip(at[..., 1], 0, height - 1)
-    return np.asarray(np.any(pixels[row, column] >= _FULL, axis=(0, 2)))
+    return np.asarray(np.any(pixels[row, column] >= FULL, axis=(0, 2)))
 
 
 @compiled

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from measure.geometry import tangent_cone
 from measure.simulation import scene_catalogue
 from measure_plugins._edges.appearance import GLOSSY
 from measure_plugins._edges.clipped import HIGHLIGHT_PX, clipped, in_highlights
@@ -78,6 +79,27 @@ def test_where_nothing_else_is_seen_something_is_learnt_all_the_same():
     drowned = lessons(scene_catalogue()["still"], "cam1", overexposed_limb(1.0))[1]
     assert np.isfinite(drowned.bends).all()
     assert 0.5 <= drowned.blur_px <= 2.0
+
+
+def edges_px(exposure):
+    """How far outside the true outline the edges of a pale ball are found, on average."""
+    camera, center = ring()["cam0"], np.array([10.0, 8.0, 420.0])
+    light = draw(camera, [center], [20.0], [(230, 230, 230)], background=(20, 20, 20))
+    expected = [expect(camera, "red", center, 20.0)]
+    expected += [
+        expect(camera, ball, np.array([90.0, 8, 420]), 20.0) for ball in ("green", "yellow")
+    ]
+    detector = OutlineDetector(OutlineConfig(learn=False, min_color_match=0.0), RAVEN, camera)
+    (found,) = detector.detect(image_of(camera, to_picture(exposure * light)), expected)
+    away = tangent_cone(center, 20.0).residuals(camera.intrinsics.unproject(found.outline_px))
+    return camera.intrinsics.focal_px * np.mean(away)
+
+
+def test_an_overexposed_ball_shows_half_a_pixel_larger():
+    """As `measure check` says; this one is twice as bright as a picture can be."""
+    well = edges_px(1.0)
+    assert edges_px(1.2) - well == pytest.approx(0.0, abs=0.05)
+    assert edges_px(2.5) - well == pytest.approx(0.5, abs=0.1)
 
 
 def insides(ball, n=12):
