@@ -120,6 +120,9 @@ def _print_outcomes(outcomes: Sequence[Outcome], out: Path, json: bool) -> int:
             ("session", "frame sets", "ok", "flagged", "lost", "skipped", "sd mm", "failed"),
             [_row(outcome) for outcome in outcomes],
         )
+        for outcome in outcomes:
+            for note in outcome.summary.notes if outcome.summary is not None else ():
+                console.print_text(f"note on {outcome.session.name}: {note}")
         console.print_text(f"written to {out}")
     for outcome in outcomes:
         if outcome.defect:

@@ -15,25 +15,38 @@ _SIGMAS = 4.0
 _SHARED_SIGMAS = 2.5
 """Radii that are off all alike are told sooner than one that is: standard deviations of radii are a
 bound on how far outside or inside the outlines edges lie, not scatter."""
-_TOLERANCE_MM = 0.5
 _FLAT_MM = 1.0
 _SAME_MM = 1.0
 
 
 @dataclass(frozen=True)
 class Compared:
-    """One length of the body: as measured, and as the file says."""
+    """One length of the body: as measured, and as the file says.
+
+    Attributes:
+        what: the ball whose radius it is, or the two whose distance.
+        measured_mm: over all frames.
+        sd_mm: its standard deviation.
+        file_mm: what the body file says.
+        frames: in how many it was measured.
+        tolerance_mm: a difference that does not matter, beyond the uncertainty.
+    """
 
     what: tuple[str, ...]
     measured_mm: float
     sd_mm: float
     file_mm: float
     frames: int
+    tolerance_mm: float = 0.5
 
     @property
     def agrees(self) -> bool:
         """Whether the difference is explained by the uncertainty, or too small to matter."""
-        return abs(self.measured_mm - self.file_mm) <= _SIGMAS * self.sd_mm + _TOLERANCE_MM
+        return self.may_be(self.file_mm)
+
+    def may_be(self, length_mm: float) -> bool:
+        """Whether the length may be this one."""
+        return abs(self.measured_mm - length_mm) <= _SIGMAS * self.sd_mm + self.tolerance_mm
 
 
 def layout_findings(distances: Sequence[Compared], body: Body) -> list[str]:
@@ -55,8 +68,8 @@ def layout_findings(distances: Sequence[Compared], body: Body) -> list[str]:
 
 def _said(d: Compared) -> str:
     return (
-        f"{d.measured_mm:.1f} +- {d.sd_mm:.2f} mm between {d.what[0]} and {d.what[1]}, "
-        f"the file says {d.file_mm:.1f} mm"
+        f"{d.measured_mm:.2f} +- {d.sd_mm:.2f} mm between {d.what[0]} and {d.what[1]}, "
+        f"the body file says {d.file_mm:.2f} mm"
     )
 
 
@@ -71,11 +84,7 @@ def _swap(distances: Sequence[Compared], body: Body) -> str | None:
     )
     for way in ways[1:]:
         new = dict(zip(names, way, strict=True))
-        if all(
-            abs(d.measured_mm - length[frozenset((new[d.what[0]], new[d.what[1]]))])
-            <= _SIGMAS * d.sd_mm + _TOLERANCE_MM
-            for d in distances
-        ):
+        if all(d.may_be(length[frozenset((new[d.what[0]], new[d.what[1]]))]) for d in distances):
             moved = [name for name in names if new[name] != name]
             return (
                 f"the colours of {', '.join(moved[:-1])} and {moved[-1]} are exchanged "
@@ -89,19 +98,15 @@ def _scale(distances: Sequence[Compared], body: Body) -> str | None:
     weights = np.array([(d.file_mm / max(d.sd_mm, 0.05)) ** 2 for d in distances])
     ratios = np.array([d.measured_mm / d.file_mm for d in distances])
     factor = float(np.average(ratios, weights=weights))
-    fits = all(
-        abs(d.measured_mm - factor * d.file_mm) <= _SIGMAS * d.sd_mm + _TOLERANCE_MM
-        for d in distances
-    )
-    if not fits:
+    if not all(d.may_be(factor * d.file_mm) for d in distances):
         return None
     first = distances[0]
     arm = float(np.linalg.norm(body.centers[0]))
     return (
         f"the balls are {factor:.3f} times as far apart as the body file says "
-        f"({first.what[0]} to {first.what[1]}: {first.measured_mm:.1f} +- {first.sd_mm:.2f} mm "
-        f"instead of {first.file_mm:.1f} mm; {body.names[0]} then lies {factor * arm:.1f} mm "
-        f"from the origin, not {arm:.1f} mm)"
+        f"({first.what[0]} to {first.what[1]}: {first.measured_mm:.2f} +- {first.sd_mm:.2f} mm "
+        f"instead of {first.file_mm:.2f} mm; {body.names[0]} then lies {factor * arm:.2f} mm "
+        f"from the origin, not {arm:.2f} mm)"
     )
 
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import pyarrow as pa
 
 from measure.arrays import Floats
-from measure.results.run import Run
+from measure.measuring.body_findings import Compared, layout_findings
+from measure.model import Body
 
 SURE = 3.0
 """A difference of more standard errors than this is no chance."""
@@ -23,11 +26,14 @@ class BallDistance:
         balls: their names.
         nominal_mm: by the body file.
         measured_mm: (n,) in every frame set; NaN where one of them has no fix.
+        sd_mm: (n,) standard deviations by the fixes' covariances, which hold what all frame sets
+            err by alike; NaN likewise.
     """
 
     balls: tuple[str, str]
     nominal_mm: float
     measured_mm: Floats
+    sd_mm: Floats
 
     @property
     def count(self) -> int:
@@ -52,21 +58,59 @@ class BallDistance:
         return float(np.nanstd(self.measured_mm) / np.sqrt(self.count))
 
     @property
+    def uncertainty_mm(self) -> float:
+        """Standard deviation of the mean with what all frame sets err by alike; NaN if not told."""
+        told = self.sd_mm[np.isfinite(self.sd_mm)]
+        return float(np.hypot(np.median(told), self.standard_error_mm)) if len(told) else np.nan
+
+    @property
     def significant(self) -> bool:
         """Whether the difference is more than chance."""
         return self.count >= LEAST_SETS and abs(self.off_mm) > SURE * self.standard_error_mm
 
 
-def ball_distances(run: Run) -> list[BallDistance]:
-    """Every pair of balls of the run's body."""
-    at = {name: np.full((run.poses.num_rows, 3), np.nan) for name in run.body.names}
-    place = np.column_stack([run.balls[name].to_numpy() for name in ("x_mm", "y_mm", "z_mm")])
-    rows = {index: row for row, index in enumerate(run.poses["index"].to_pylist())}
-    for ball, index, center in zip(
-        run.balls["ball"].to_pylist(), run.balls["index"].to_pylist(), place, strict=True
+def ball_distances(body: Body, balls: pa.Table, poses: pa.Table) -> list[BallDistance]:
+    """Every pair of the body's balls, from the tables of a run."""
+    rows = {index: row for row, index in enumerate(poses["index"].to_pylist())}
+    at = {name: np.full((len(rows), 3), np.nan) for name in body.names}
+    spread = {name: np.full((len(rows), 3, 3), np.nan) for name in body.names}
+    place = np.column_stack([balls[name].to_numpy() for name in ("x_mm", "y_mm", "z_mm")])
+    covariances = np.array(balls["covariance_mm2"].to_pylist()).reshape(-1, 3, 3)
+    for ball, index, center, covariance in zip(
+        balls["ball"].to_pylist(), balls["index"].to_pylist(), place, covariances, strict=True
     ):
-        at[ball][rows[index]] = center
+        at[ball][rows[index]], spread[ball][rows[index]] = center, covariance
     return [
-        BallDistance(pair, nominal, np.linalg.norm(at[pair[0]] - at[pair[1]], axis=1))
-        for pair, nominal in run.body.distances().items()
+        BallDistance((a, b), nominal, *_lengths(at[b] - at[a], spread[a] + spread[b]))
+        for (a, b), nominal in body.distances().items()
     ]
+
+
+def _lengths(apart: Floats, covariances: Floats) -> tuple[Floats, Floats]:
+    """Lengths (n,) of differences (n, 3), and their standard deviations by (n, 3, 3)."""
+    lengths = np.linalg.norm(apart, axis=1)
+    along = apart / lengths[:, None]
+    return lengths, np.sqrt(np.einsum("ni,nij,nj->n", along, covariances, along))
+
+
+def contradictions(body: Body, distances: Sequence[BallDistance]) -> tuple[str, ...]:
+    """What distances, measured better than the body file states them, say against it; a line each.
+
+    Rays alone make them, so it may as well be the calibration that is not of the size it states.
+    """
+    known = [
+        Compared(
+            what=one.balls,
+            measured_mm=one.mean_mm,
+            sd_mm=one.uncertainty_mm,
+            file_mm=one.nominal_mm,
+            frames=one.count,
+            tolerance_mm=0.0,
+        )
+        for one in distances
+        if one.count >= LEAST_SETS and np.isfinite(one.uncertainty_mm)
+    ]
+    return tuple(
+        f"{finding}; the body file or the calibration is off, and poses with it"
+        for finding in layout_findings(known, body)
+    )

@@ -48,7 +48,7 @@ class Run:
     def summary(self) -> Summary:
         """The run in a few numbers."""
         notes = self.provenance.get("session", {}).get("notes", ())
-        return summarise(self.detections, self.poses, notes)
+        return summarise(self.body, self.detections, self.balls, self.poses, notes)
 
     @property
     def times_s(self) -> Floats:

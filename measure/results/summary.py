@@ -14,6 +14,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from measure.model import Body
+from measure.results.distances import ball_distances, contradictions
+
 _NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(\.\d+)?(e[-+]?\d+)?(?![\w.]*\w)")
 """A number that stands alone: not part of a name such as cam0."""
 
@@ -35,8 +38,8 @@ class Summary:
         effective: share of frame sets in which a camera saw a ball effectively, by "ball@camera".
         suspended: how often each reason suspended a view.
         reasons: how often each reason, its numbers left out, kept a frame set from being "ok".
-        notes: what the session left to be known: missing pictures and the like; and cameras that
-            took part in no pose.
+        notes: what the session left to be known: missing pictures and the like; cameras that
+            took part in no pose; and what the balls' distances say against the body file.
     """
 
     frame_sets: int
@@ -77,7 +80,9 @@ class Summary:
         }
 
 
-def summarise(detections: pa.Table, poses: pa.Table, notes: Sequence[str] = ()) -> Summary:
+def summarise(
+    body: Body, detections: pa.Table, balls: pa.Table, poses: pa.Table, notes: Sequence[str] = ()
+) -> Summary:
     """Count and average the tables of a run."""
     statuses = Counter(poses["status"].to_pylist())
     doubts = Counter(
@@ -106,7 +111,11 @@ def summarise(detections: pa.Table, poses: pa.Table, notes: Sequence[str] = ()) 
         effective=dict(sorted(effective.items())),
         suspended=dict(Counter(suspended["reason"].to_pylist()).most_common()),
         reasons=dict(doubts.most_common()),
-        notes=(*notes, *_idle(suspended, {row["camera"] for row in used})),
+        notes=(
+            *notes,
+            *_idle(suspended, {row["camera"] for row in used}),
+            *contradictions(body, ball_distances(body, balls, poses)),
+        ),
     )
 
 

@@ -57,7 +57,7 @@ class RunWriter:
     ) -> None:
         self._folder = folder
         self._clock = clock
-        self._notes = provenance.notes
+        self._body, self._notes = body, provenance.notes
         with writing(folder):
             earlier = _prepare(folder, provenance, resume, overwrite)
             if not earlier:
@@ -120,7 +120,7 @@ class RunWriter:
             self._files.close()
             self._finished = True
             tables = {name: read_table(self._folder, name, s) for name, s in SCHEMAS.items()}
-            summary = summarise(tables["detections"], tables["poses"], self._notes)
+            summary = summarise(self._body, **tables, notes=self._notes)
             text = json.dumps(summary.values(), indent=2, allow_nan=False, ensure_ascii=False)
             (self._folder / "summary.json").write_text(text + "\n", "utf-8")
             for name, table in tables.items():

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from measure.api import load_profile, measure_session
+from measure.api import RunOptions, load_profile, measure_session, run
 from measure.cli.app import main
 from measure.host import Registry
 from measure.measuring import Measurement, Status
@@ -131,7 +131,7 @@ def test_check_tells_a_body_of_another_size(scene, rendered, tmp_path, capsys):
     assert number(r"the balls are ([\d.]+) times as far apart", said) == pytest.approx(
         38 / 33, abs=4e-3
     )
-    assert number(r"([\d.]+) mm from the origin, not 33.0 mm", said) == pytest.approx(38, abs=0.15)
+    assert number(r"([\d.]+) mm from the origin, not 33.00 mm", said) == pytest.approx(38, abs=0.15)
 
 
 def number(pattern: str, said: str) -> float:
@@ -160,6 +160,23 @@ def test_wrong_radii_are_flagged(scene, rendered, share, tmp_path):
     flags = [m.pose.flags for m in measured(tmp_path / "s") if m.pose is not None]
     said = [any("the radii in the body file" in flag for flag in some) for some in flags]
     assert np.mean(said) > 0.7
+
+
+@pytest.mark.parametrize(("share", "told"), [(1.0, False), (1.006, True), (0.994, True)])
+def test_focal_lengths_all_off_alike_are_told(scene, share, told, tmp_path):
+    """Poses then fit a little worse, the body seems nearer, and no camera contradicts another."""
+    folder = write_session(scene, np.arange(6) / 30, tmp_path / "session")
+    zoom = np.array([[share, share, 1], [share, share, 1], [1, 1, 1]])
+    given = [
+        replace(c, intrinsics=replace(c.intrinsics, matrix=c.intrinsics.matrix * zoom))
+        for c in scene.cameras
+    ]
+    write_calibration(tmp_path / "c.toml", Calibration(tuple(given)))
+    options = RunOptions(calibration=tmp_path / "c.toml", recording=False)
+    profile, registry = load_profile("precise"), Registry.discover()
+    notes = run(folder, tmp_path / "run", profile, registry, options).notes
+    factors = [number(r"the balls are ([\d.]+) times as far apart", note) for note in notes]
+    assert factors == ([pytest.approx(1 / share, abs=2e-3)] if told else [])
 
 
 def mirrored(body: Body) -> Body:

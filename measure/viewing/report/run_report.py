@@ -193,7 +193,7 @@ def _states(run: Run) -> tuple[Ints, list[str], list[str]]:
 
 def _add_distances(page: Page, run: Run) -> None:
     """The body measured with itself: its balls' distances against the body file."""
-    found = ball_distances(run)
+    found = ball_distances(run.body, run.balls, run.poses)
     names = ["-".join(one.balls) for one in found]
     rows = [
         (name, one.nominal_mm, one.mean_mm, one.off_mm, one.standard_error_mm, one.count)

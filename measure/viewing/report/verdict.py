@@ -110,7 +110,7 @@ def _not_counted(run: Run, widest_mm: float) -> str:
     words = ""
     if all(camera.pose_covariance is None for camera in run.cameras):
         words = " The calibration is taken as exact: its file states no uncertainty."
-    off = [abs(d.off_mm) for d in ball_distances(run) if d.significant]
+    off = [abs(d.off_mm) for d in ball_distances(run.body, run.balls, run.poses) if d.significant]
     worst = max(off, default=0.0)
     if worst > _MATTERS * widest_mm:
         words += (

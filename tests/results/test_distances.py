@@ -1,0 +1,66 @@
+"""What the balls' distances over a run say against the body file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from measure.results import RunWriter, read_run
+from measure.results.distances import ball_distances
+from tests.results.conftest import BODY, CAMERAS, made_from, measurement
+
+SD_MM = 0.04
+
+
+def notes(folder, stated, noise_mm=0.0, sets=8):
+    """Of a run in which BODY's balls are located where they are, but `stated` is the body file."""
+    rng = np.random.default_rng(2)
+    covariance = np.diag([SD_MM**2] * 3 + [1e-6] * 3)
+    with RunWriter(folder, made_from(), stated, CAMERAS) as writer:
+        for index in range(sets):
+            found = measurement(index, covariance=covariance)
+            fixes = [replace(f, center=f.center + rng.normal(0, noise_mm, 3)) for f in found.fixes]
+            writer.append(replace(found, fixes=tuple(fixes)))
+        summary = writer.finish()
+    assert read_run(folder).summary == summary
+    return summary.notes
+
+
+def resized(share, *names):
+    """BODY with some balls, or all, further from the origin."""
+    balls = [
+        replace(b, center_mm=b.center_mm * (share if b.name in names or not names else 1.0))
+        for b in BODY.balls
+    ]
+    return replace(BODY, balls=tuple(balls))
+
+
+def test_nothing_is_said_of_the_right_body(folder):
+    assert notes(folder, BODY, noise_mm=SD_MM) == ()
+
+
+def test_a_body_a_hundredth_smaller_than_its_file_says_is_told(folder):
+    (note,) = notes(folder, resized(1.01), noise_mm=SD_MM)
+    assert "the balls are 0.990 times as far apart as the body file says" in note
+    assert "the body file or the calibration is off, and poses with it" in note
+
+
+def test_a_ball_that_sits_elsewhere_is_told(folder):
+    (note,) = notes(folder, resized(1.015, "yellow"), noise_mm=SD_MM)
+    assert "ball yellow is not where the body file says" in note
+
+
+@pytest.mark.parametrize("change", ["less than it could tell", "too few frame sets"])
+def test_what_may_be_chance_is_not_told(folder, change):
+    few = change == "too few frame sets"
+    assert notes(folder, resized(1.01 if few else 1.002), sets=4 if few else 8) == ()
+
+
+def test_uncertainty_holds_what_all_frame_sets_err_by_alike(folder):
+    notes(folder, BODY)
+    run = read_run(folder)
+    for distance in ball_distances(run.body, run.balls, run.poses):
+        assert distance.standard_error_mm < 1e-9
+        assert distance.uncertainty_mm == pytest.approx(np.sqrt(2) * SD_MM)
