@@ -12,10 +12,8 @@ from measure.arrays import Floats
 from measure.measuring.body_findings import Compared, layout_findings
 from measure.model import Body
 
-SURE = 3.0
-"""A difference of more standard errors than this is no chance."""
 LEAST_SETS = 5
-"""Of fewer frame sets the standard error is not known well enough to say so."""
+"""Of fewer frame sets the scatter is not known well enough."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,22 +49,13 @@ class BallDistance:
         return self.mean_mm - self.nominal_mm
 
     @property
-    def standard_error_mm(self) -> float:
-        """Of the mean."""
-        if not self.count:
-            return np.nan
-        return float(np.nanstd(self.measured_mm) / np.sqrt(self.count))
-
-    @property
     def uncertainty_mm(self) -> float:
         """Standard deviation of the mean with what all frame sets err by alike; NaN if not told."""
         told = self.sd_mm[np.isfinite(self.sd_mm)]
-        return float(np.hypot(np.median(told), self.standard_error_mm)) if len(told) else np.nan
-
-    @property
-    def significant(self) -> bool:
-        """Whether the difference is more than chance."""
-        return self.count >= LEAST_SETS and abs(self.off_mm) > SURE * self.standard_error_mm
+        if not len(told):
+            return np.nan
+        standard_error = np.nanstd(self.measured_mm) / np.sqrt(self.count)
+        return float(np.hypot(np.median(told), standard_error))
 
 
 def ball_distances(body: Body, balls: pa.Table, poses: pa.Table) -> list[BallDistance]:

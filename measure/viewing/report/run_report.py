@@ -196,7 +196,7 @@ def _add_distances(page: Page, run: Run) -> None:
     found = ball_distances(run.body, run.balls, run.poses)
     names = ["-".join(one.balls) for one in found]
     rows = [
-        (name, one.nominal_mm, one.mean_mm, one.off_mm, one.standard_error_mm, one.count)
+        (name, one.nominal_mm, one.mean_mm, one.off_mm, one.uncertainty_mm, one.count)
         for name, one in zip(names, found, strict=True)
     ]
     curves = {
@@ -204,9 +204,9 @@ def _add_distances(page: Page, run: Run) -> None:
     }
     page.table(
         "Ball distances",
-        "Measured against the body file; a difference far above its standard error means that the "
-        "file, the calibration or the detector is off by that much.",
-        ("balls", "nominal mm", "measured mm", "difference mm", "standard error mm", "frame sets"),
+        "By rays alone, and by the body file; a difference far above its uncertainty means "
+        "that the file or the calibration is off by that much.",
+        ("balls", "nominal mm", "measured mm", "difference mm", "uncertainty mm", "frame sets"),
         rows,
     )
     if run.balls.num_rows:

@@ -9,15 +9,13 @@ import numpy as np
 from measure.arrays import Bools, Floats
 from measure.geometry.chi_square import chi_square_quantile
 from measure.results import Run
-from measure.results.distances import ball_distances
+from measure.results.distances import ball_distances, contradictions
 from measure.results.statistics import consistency
 
 SUB_MM = 1.0
 """A position known worse than this (95 %, mm) makes the verdict doubtful."""
 MOST = 0.5
 """Fewer believed poses than this share of the frame sets, and the run is bad."""
-_MATTERS = 0.1
-"""A systematic difference below this share of the claimed uncertainty is not worth a word."""
 _TOO_SURE = 0.8
 """With fewer errors than this inside their 95 % regions the uncertainty is not to be believed."""
 
@@ -39,10 +37,12 @@ def verdict(run: Run, errors: Floats | None) -> tuple[str, str]:
     parts = [f"Position known to {_digits(widest)} mm (95 %)", _who_carries(run)]
     parts += _what_is_missing(run)
     tone, against = _against_truth(run, errors)
+    missized = contradictions(run.body, ball_distances(run.body, run.balls, run.poses))
     tone = "doubtful" if summary.ok < summary.frame_sets or not run.finished else tone
-    tone = "doubtful" if widest > SUB_MM else tone
+    tone = "doubtful" if widest > SUB_MM or missized else tone
     tone = "bad" if believed.sum() < MOST * summary.frame_sets else tone
-    return tone, ", ".join(parts) + "." + against + _not_counted(run, widest)
+    words = [", ".join(parts) + "." + against, *_not_counted(run)]
+    return tone, " ".join([*words, *(f"{line[0].upper()}{line[1:]}." for line in missized)])
 
 
 def _believed(run: Run) -> Bools:
@@ -105,19 +105,11 @@ def _against_truth(run: Run, errors: Floats | None) -> tuple[str, str]:
     )
 
 
-def _not_counted(run: Run, widest_mm: float) -> str:
-    """What all frame sets may err by alike, which no scatter shows."""
-    words = ""
-    if all(camera.pose_covariance is None for camera in run.cameras):
-        words = " The calibration is taken as exact: its file states no uncertainty."
-    off = [abs(d.off_mm) for d in ball_distances(run.body, run.balls, run.poses) if d.significant]
-    worst = max(off, default=0.0)
-    if worst > _MATTERS * widest_mm:
-        words += (
-            f" The balls' distances differ from the body file's by up to {_digits(worst)} mm: what "
-            "all frame sets err by alike is not part of the 95 %."
-        )
-    return words
+def _not_counted(run: Run) -> list[str]:
+    """What the uncertainty does not hold."""
+    if any(camera.pose_covariance is not None for camera in run.cameras):
+        return []
+    return ["The calibration is taken as exact: its file states no uncertainty."]
 
 
 def _sets(count: int) -> str:
