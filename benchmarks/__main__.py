@@ -6,9 +6,7 @@ import argparse
 import platform
 import tempfile
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from itertools import pairwise
-from multiprocessing import get_context
 from pathlib import Path
 
 import cv2
@@ -27,6 +25,7 @@ from benchmarks.recordings import (
     rendered_scenes,
 )
 from benchmarks.tables import FIGURES, Rows, markdown, measured_rows, typical
+from measure.processes import processes
 from measure.results import versions
 
 WORDS = """# Benchmarks
@@ -146,7 +145,7 @@ def _measured(given: argparse.Namespace, folder: Path) -> dict[str, Rows]:
     methods = [
         given.methods or (DEFAULT if name.startswith(tuple(APART)) else "") for name in paths
     ]
-    with ProcessPoolExecutor(given.jobs, get_context("spawn")) as pool:
+    with processes(given.jobs) as pool:
         rows = list(pool.map(measured_rows, paths, paths.values(), methods))
     return dict(zip(paths, rows, strict=True))
 

@@ -7,11 +7,10 @@ import traceback
 import uuid
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
 from pathlib import Path
 
 from measure.api.run import RunOptions, run
@@ -21,6 +20,7 @@ from measure.errors import ConfigError, MeasureError
 from measure.host import Registry
 from measure.host.cluster import connected
 from measure.measuring import Profile
+from measure.processes import processes
 from measure.results import Summary
 from measure.session import open_session
 
@@ -197,7 +197,7 @@ def _in_processes(
 ) -> Iterator[tuple[_Job, Outcome | None]]:
     """Each job with its outcome, or None if its process was killed."""
     count = max(1, min(workers or usable_cores(), len(jobs)))
-    with ProcessPoolExecutor(count, mp_context=get_context("spawn")) as pool:
+    with processes(count) as pool:
         waiting: dict[Future[Outcome], _Job] = {pool.submit(_measure, job): job for job in jobs}
         for future in as_completed(waiting):
             try:

@@ -1,0 +1,29 @@
+"""Processes beside this one, for work that holds the interpreter."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from concurrent.futures import ProcessPoolExecutor
+from threading import Thread
+
+
+def processes(count: int | None = None) -> ProcessPoolExecutor:
+    """A pool of new processes, as many as there are cores by default.
+
+    They end when this process does, even if it is killed: a pool's own would wait for work for ever
+    and keep their memory.
+    """
+    context = multiprocessing.get_context("spawn")
+    return ProcessPoolExecutor(count, context, initializer=_end_with_parent)
+
+
+def _end_with_parent() -> None:
+    Thread(target=_wait_for_parent, name="end with parent", daemon=True).start()
+
+
+def _wait_for_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
