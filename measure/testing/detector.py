@@ -102,6 +102,13 @@ class DetectorConformance(PluginConformance):
         assert_same(detector.detect(self.picture(), self.expectations()), first, "second answer")
         assert_same(self.build().detect(self.picture(), self.expectations()), first, "new instance")
 
+    def test_warming_up_changes_no_answer(self) -> None:
+        """What was shown to it before the first picture must not be taken for one."""
+        warm, fresh = self.build(), self.build()
+        warm.warm_up()
+        first = fresh.detect(self.picture(), self.expectations())
+        assert_same(warm.detect(self.picture(), self.expectations()), first, "once warmed up")
+
     def test_it_changes_nothing_it_is_given(self) -> None:
         """Other cameras' threads and the viewer use the same pixels."""
         image, expected = self.picture(), self.expectations()

@@ -132,6 +132,20 @@ class Everywhere(_plugin("detector", "hough")):  # type: ignore[misc]
         ]
 
 
+class Impressed(_plugin("detector", "hough")):  # type: ignore[misc]
+    """Finds the balls a pixel aside once it has been warmed up."""
+
+    name = "impressed"
+    aside_px = 0.0
+
+    def warm_up(self):
+        self.aside_px = 1.0
+
+    def detect(self, image, expected):
+        found = super().detect(image, expected)
+        return [replace(d, center_px=d.center_px + self.aside_px) for d in found]
+
+
 @pytest.mark.parametrize(
     ("kind", "plugin", "caught"),
     [
@@ -172,6 +186,7 @@ class Everywhere(_plugin("detector", "hough")):  # type: ignore[misc]
                 "test_balls_are_found_in_the_whole_frame",
             },
         ),
+        ("detector", Impressed, {"test_warming_up_changes_no_answer"}),
     ],
 )
 def test_a_broken_promise_is_noticed(kind, plugin, caught):

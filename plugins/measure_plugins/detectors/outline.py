@@ -65,20 +65,24 @@ class OutlineDetector(Detector):
         self._balls = KnownBalls(c, body, camera, self._bits, self._table)
 
     def warm_up_parts(self) -> Sequence[Callable[[], object]]:
-        """Hot loops to compile (seconds, once per machine), by measuring a drawn disc."""
+        """Hot loops to compile (seconds, once per machine), by measuring a drawn disc.
+
+        A detector of its own measures it: what a disc teaches is not so of a ball.
+        """
         from measure_plugins import _acquisition
         from measure_plugins._edges.warm_up import drawn_disc
 
+        own = OutlineDetector(self.config, self.body, self.camera)
         image, expected = drawn_disc(self.body, self.camera)
         unsized = [replace(one, center_camera=None) for one in expected]
-        cones, view = self._balls.cones(expected), self._view(image)
-        pixels, cone, now = image.pixels, _cones(cones)[0], self._appearance
+        cones, view = own._balls.cones(expected), own._view(image)
+        pixels, cone, now = image.pixels, _cones(cones)[0], own._appearance
         return (
-            lambda: self._measure(image, expected),
-            lambda: self._measure(image, unsized),
-            lambda: self._balls.gains_about(view, expected, cones, now),
-            lambda: self._learner.warm_up(pixels, cone, now),
-            lambda: self._searched(image, ()),
+            lambda: own._measure(image, expected),
+            lambda: own._measure(image, unsized),
+            lambda: own._balls.gains_about(view, expected, cones, now),
+            lambda: own._learner.warm_up(pixels, cone, now),
+            lambda: own._searched(image, ()),
             _acquisition.warm_up,
         )
 

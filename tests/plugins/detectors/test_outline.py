@@ -210,6 +210,20 @@ def test_warm_up_compiles_every_hot_loop(camera):
         assert fresh.detect(image, everything_expected(camera, "red", center))
 
 
+def test_warming_up_leaves_no_trace(camera):
+    """The disc it draws is white, as a ball may be."""
+    white = FOUR.balls[0]
+    warm, fresh = (OutlineDetector(OutlineConfig(), FOUR, camera) for _ in range(2))
+    warm.warm_up()
+    for azimuth in (0.0, 5.0, 10.0):
+        center = at_angle(3.0, azimuth)
+        pixels = to_picture(draw(camera, [center], [white.radius_mm], [(210, 215, 205)]))
+        expected = [expect(camera, white.name, center, white.radius_mm, shift=(1, -1, 0.5))]
+        one, other = (d.detect(image_of(camera, pixels), expected) for d in (warm, fresh))
+        assert len(one) == len(other) >= 1
+        assert np.array_equal(one[0].outline_px, other[0].outline_px)
+
+
 @pytest.mark.parametrize("sized", [True, False])
 def test_balls_measured_together_are_what_each_is_alone(camera, sized):
     """Of any size and in any order; a ball that is not there is left out, not its neighbour."""
