@@ -60,15 +60,15 @@ class BallDistance:
 
 def ball_distances(body: Body, balls: pa.Table, poses: pa.Table) -> list[BallDistance]:
     """Every pair of the body's balls, from the tables of a run."""
-    rows = {index: row for row, index in enumerate(poses["index"].to_pylist())}
-    at = {name: np.full((len(rows), 3), np.nan) for name in body.names}
-    spread = {name: np.full((len(rows), 3, 3), np.nan) for name in body.names}
+    at = {name: np.full((poses.num_rows, 3), np.nan) for name in body.names}
+    spread = {name: np.full((poses.num_rows, 3, 3), np.nan) for name in body.names}
+    names = balls["ball"].to_numpy()
+    rows = np.searchsorted(poses["index"].to_numpy(), balls["index"].to_numpy())
     place = np.column_stack([balls[name].to_numpy() for name in ("x_mm", "y_mm", "z_mm")])
-    covariances = np.array(balls["covariance_mm2"].to_pylist()).reshape(-1, 3, 3)
-    for ball, index, center, covariance in zip(
-        balls["ball"].to_pylist(), balls["index"].to_pylist(), place, covariances, strict=True
-    ):
-        at[ball][rows[index]], spread[ball][rows[index]] = center, covariance
+    covariances = balls["covariance_mm2"].combine_chunks().flatten().to_numpy().reshape(-1, 3, 3)
+    for name in body.names:
+        its = names == name
+        at[name][rows[its]], spread[name][rows[its]] = place[its], covariances[its]
     return [
         BallDistance((a, b), nominal, *_lengths(at[b] - at[a], spread[a] + spread[b]))
         for (a, b), nominal in body.distances().items()
