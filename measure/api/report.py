@@ -17,7 +17,8 @@ def report(run_path: Path, out: Path | None = None, truth: Path | None = None) -
         Where it was written.
 
     Raises:
-        RunError: the folder is no run, or the truth given cannot be read.
+        RunError: the folder is no run, the truth given cannot be read, or the file is there and no
+            page.
     """
     from measure.api.evaluate import truth_of
     from measure.errors import RunError
@@ -30,5 +31,7 @@ def report(run_path: Path, out: Path | None = None, truth: Path | None = None) -
     truth = truth or truth_of(run)
     errors = None if truth is None else pose_errors(run, read_trajectory(truth, RunError))
     path = out or run_path / "report.html"
+    if path.exists() and path.suffix.lower() not in (".html", ".htm"):
+        raise RunError(f"{path} is there already and is no report: give a new file, or a .html")
     write_report(run, path, errors)
     return path

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -11,6 +12,7 @@ from cyclopts import Parameter
 from measure.cli import console
 from measure.cli.console import JsonFlag
 from measure.cli.injected import InjectedRegistry
+from measure.errors import ConfigError
 
 if TYPE_CHECKING:
     from measure.api import RefineResult
@@ -47,6 +49,8 @@ def refine(
     from measure.session import write_calibration
 
     check_writable(output)
+    if not (math.isfinite(body_tolerance_mm) and body_tolerance_mm >= 0):
+        raise ConfigError(f"--body-tolerance-mm {body_tolerance_mm:g}: must be 0 or more")
     settings = RefineSettings(body_tolerance_mm)
     with console.progress("measuring") as progress:
         result = run(session, registry, profile, settings, calibration, progress)

@@ -136,6 +136,8 @@ class RunWriter:
 
 def _prepare(folder: Path, provenance: Provenance, resume: bool, overwrite: bool) -> bool:
     """Make the folder ready; True if an earlier run in it goes on."""
+    if resume and overwrite:
+        raise RunError("--resume goes on with a run, --overwrite throws it away: give one of them")
     if folder.exists() and not folder.is_dir():
         raise RunError(f"{folder} is a file: choose a new folder with --out")
     folder.mkdir(parents=True, exist_ok=True)

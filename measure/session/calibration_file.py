@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field, FiniteFloat, field_validator, model_validator
 
+from measure.arrays import Floats
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
 from measure.model import Camera, Intrinsics
@@ -54,6 +55,12 @@ class Calibration:
         )
 
 
+def is_camera_matrix(matrix: Floats) -> bool:
+    """Whether (3, 3) is [[fx, skew, cx], [0, fy, cy], [0, 0, 1]]."""
+    lower = np.abs([matrix[1, 0], matrix[2, 0], matrix[2, 1], matrix[2, 2] - 1]).max()
+    return bool(np.isfinite(matrix).all() and matrix[0, 0] > 0 < matrix[1, 1] and lower < 1e-9)
+
+
 class CameraModel(FileModel):
     """One `[[cameras]]` table; the pose is world_from_camera."""
 
@@ -72,9 +79,7 @@ class CameraModel(FileModel):
     @field_validator("matrix")
     @classmethod
     def _is_camera_matrix(cls, value: tuple[Triple, ...]) -> tuple[Triple, ...]:
-        matrix = np.array(value)
-        lower = np.abs([matrix[1, 0], matrix[2, 0], matrix[2, 1], matrix[2, 2] - 1]).max()
-        if not (matrix[0, 0] > 0 and matrix[1, 1] > 0 and lower < 1e-9):
+        if not is_camera_matrix(np.array(value)):
             raise ValueError("not a camera matrix [[fx, skew, cx], [0, fy, cy], [0, 0, 1]]")
         return value
 

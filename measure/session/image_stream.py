@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -71,8 +72,9 @@ def open_image_stream(
 ) -> ImageStream:
     """The files that fit `pattern` in `folder`, matched with their stamps.
 
-    The number in a file's name is its frame number. Where names carry no number of their own, files
-    and rows are matched in order and must be equally many.
+    The last number in a file's name is its frame number; if that does not tell the files apart (the
+    camera's comes last), one that does and that the stamps know. Where names carry no such number,
+    files and rows are matched in order, 2 before 10, and must be equally many.
 
     Raises:
         SessionError: no file fits, a file is empty, or files and rows do not belong together.
@@ -82,7 +84,7 @@ def open_image_stream(
     for file in files:
         if file.stat().st_size == 0:
             raise SessionError(f"camera '{name}': {file}: the file is empty (0 bytes)")
-    numbers = [_number(file) for file in files]
+    numbers = _numbers(files, stamps)
     if None in numbers or len(set(numbers)) != len(files):
         if len(files) != len(stamps.frames):
             odd = next((f.name for f, n in zip(files, numbers, strict=True) if n is None), "")
@@ -100,7 +102,7 @@ def open_image_stream(
 
 
 def _find(name: str, folder: Path, pattern: str) -> list[Path]:
-    files = sorted(matching_files(folder, pattern))
+    files = sorted(matching_files(folder, pattern), key=_in_order)
     if files:
         return files
     place = (folder / pattern).parent
@@ -121,9 +123,22 @@ def _find(name: str, folder: Path, pattern: str) -> list[Path]:
     )
 
 
-def _number(file: Path) -> int | None:
-    found = re.findall(r"\d+", file.stem)
-    return int(found[-1]) if found else None
+def _in_order(file: Path) -> list[str | int]:
+    """What to sort by, so that 2 comes before 10."""
+    return [int(part) if part.isdecimal() else part for part in re.split(r"([0-9]+)", str(file))]
+
+
+def _numbers(files: Sequence[Path], stamps: Stamps) -> list[int | None]:
+    """The frame number of each file, as its name says; else its last number, if it has any."""
+    found = [[int(number) for number in re.findall(r"[0-9]+", file.stem)] for file in files]
+    last = [numbers[-1] if numbers else None for numbers in found]
+    if len(set(last)) == len(last) or len(set(map(len, found))) > 1:
+        return last
+    known = set(stamps.frames.tolist())
+    for numbers in reversed(list(zip(*found, strict=True))):
+        if len(set(numbers)) == len(numbers) and known.issuperset(numbers):
+            return list(numbers)
+    return last
 
 
 def _refuse_unstamped(

@@ -12,7 +12,7 @@ from measure.arrays import Floats
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
 from measure.model import Camera, Intrinsics
-from measure.session.calibration_file import Calibration
+from measure.session.calibration_file import Calibration, is_camera_matrix
 from measure.session.interchange_toml import (
     MM_PER,
     Unit,
@@ -55,6 +55,12 @@ def read_opencv(path: Path, text: str, unit: Unit | None) -> Calibration:
             raise CalibrationError(
                 f"{path}: camera '{name}' has intrinsics but no pose (R and T, camera from world); "
                 "locate it with measure calibrate"
+            )
+        shaped = rotation.size == 3 or rotation.shape == (3, 3)
+        if not shaped or not np.isfinite([*rotation.flat, *translation.flat]).all():
+            raise CalibrationError(
+                f"{path}: camera '{name}': its pose is no 3x3 matrix R, or vector of 3, and a T of "
+                "3, all finite numbers"
             )
         try:
             pose = RigidTransform(rotation_matrix(rotation), scale * translation.reshape(3))
@@ -133,6 +139,12 @@ def _intrinsics(node: Any, path: Path, name: str) -> Intrinsics:
     width, height = node.getNode("image_width"), node.getNode("image_height")
     if matrix is None or matrix.shape != (3, 3):
         raise CalibrationError(f"{path}: camera '{name}' has no 3x3 camera_matrix")
+    if not is_camera_matrix(matrix):
+        raise CalibrationError(
+            f"{path}: camera '{name}': not a camera matrix [[fx, skew, cx], [0, fy, cy], [0, 0, 1]]"
+        )
+    if distortion is not None and not np.isfinite(distortion).all():
+        raise CalibrationError(f"{path}: camera '{name}': distortion coefficients must be finite")
     if width.empty() or height.empty():
         raise CalibrationError(
             f"{path}: camera '{name}' has no image_width and image_height, "

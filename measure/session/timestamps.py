@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -87,8 +88,9 @@ def read_number_table(
             and line.
     """
     text = read_text(path, error)
-    reader = csv.reader(text.splitlines())
-    header = [name.strip() for name in next(reader, [])]
+    numbered = _numbered_rows(text, f"{prefix}{path}", error)
+    _, first = next(numbered, (1, []))
+    header = [name.strip() for name in first]
     if missing := [name for name in needed if name not in header]:
         raise error(
             f"{prefix}{path}:1: the header lacks {', '.join(missing)}; "
@@ -96,15 +98,29 @@ def read_number_table(
         )
     where = [header.index(name) for name in needed]
     rows, lines = [], []
-    for row in reader:
+    for line, row in numbered:
         if any(cell.strip() for cell in row):
-            place = f"{prefix}{path}:{reader.line_num}"
+            place = f"{prefix}{path}:{line}"
             rows.append(_numbers(row, where, needed, place, error, empty_is_nan))
-            lines.append(reader.line_num)
+            lines.append(line)
     if not rows:
         raise error(f"{prefix}{path}: has a header but no rows")
     values = np.array(rows, dtype=np.float64)
     return NumberTable({name: values[:, i] for i, name in enumerate(needed)}, lines)
+
+
+def _numbered_rows(
+    text: str, place: str, error: type[MeasureError]
+) -> Iterator[tuple[int, list[str]]]:
+    """Rows with the numbers of the lines they end in."""
+    reader = csv.reader(text.splitlines())
+    try:
+        for row in reader:
+            yield reader.line_num, row
+    except csv.Error as problem:
+        raise error(
+            f"{place}:{reader.line_num}: {problem}: is a quotation mark not closed?"
+        ) from None
 
 
 def _numbers(

@@ -251,6 +251,32 @@ def test_a_torn_run(recording: Recording, capsys, name: str, kept: int | None, s
     assert said in _complaint(capsys, *_run(recording, "--resume"))
 
 
+def test_nothing_is_overwritten_by_a_slip(recording: Recording, capsys) -> None:
+    assert main([*_run(recording)]) == 0
+    capsys.readouterr()
+    run = recording.path.with_name("run")
+    before = (run / "poses.csv").read_bytes()
+    both = _complaint(capsys, *_run(recording, "--resume", "--overwrite"))
+    assert "--resume goes on with a run, --overwrite throws it away" in both
+    said = _complaint(capsys, "report", run, "-o", run / "poses.csv")
+    assert "poses.csv is there already and is no report" in said
+    assert (run / "poses.csv").read_bytes() == before
+
+
+def test_an_open_quotation_mark_in_a_long_file(recording: Recording, capsys) -> None:
+    rows = "".join(f"{k},{0.001 * k}\n" for k in range(20000))
+    (recording.path / "cam1.csv").write_text('"frame,time_s\n' + rows)
+    assert "is a quotation mark not closed?" in _complaint(capsys, *_run(recording))
+
+
+@pytest.mark.parametrize("tolerance", ["-1", "nan", "inf"])
+def test_a_tolerance_that_is_none(recording: Recording, tmp_path: Path, capsys, tolerance) -> None:
+    out = tmp_path / "c.toml"
+    words = ("refine", recording.path, "-o", out, f"--body-tolerance-mm={tolerance}")
+    assert "--body-tolerance-mm" in _complaint(capsys, *words)
+    assert not out.exists()
+
+
 def test_a_view_of_what_is_no_recording(tmp_path: Path, capsys) -> None:
     (tmp_path / "notes.txt").write_text("hello")
     assert "no recording of a run" in _complaint(capsys, "view", tmp_path / "notes.txt")

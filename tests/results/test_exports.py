@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import builtins
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pytest
 from scipy.spatial.transform import Rotation
 
 from measure.errors import ConfigError, RunError
 from measure.results import Run, RunWriter, read_run
 from measure.results.exports import FORMATS, export_run
+from measure.results.exports.mcap import _topics
 from tests.results.conftest import BODY, CAMERAS, made_from, measurement, true_pose
 
 LOST = (3, 4)
@@ -145,6 +148,33 @@ def test_what_cannot_be_exported_is_explained(run: Run, tmp_path: Path) -> None:
     export_run(run, "tum", tmp_path / "x.tum", overwrite=True)
     with pytest.raises(RunError, match="cannot be written"):
         export_run(run, "tum", tmp_path / "none" / "x.tum")
+
+
+@pytest.mark.parametrize(("file_format", "module"), [("c3d", "ezc3d"), ("mcap", "rosbags")])
+def test_what_was_not_written_is_not_said_to_be(run, tmp_path, file_format, module) -> None:
+    """Their libraries say nothing of it."""
+    pytest.importorskip(module)
+    (tmp_path / "folder").mkdir()
+    for path in (tmp_path / "none" / "x", tmp_path / "folder"):
+        with pytest.raises(RunError, match="cannot be written"):
+            export_run(run, file_format, path, overwrite=True)
+    assert not list((tmp_path / "folder").iterdir())
+    if file_format == "c3d" and Path("/dev/full").exists():
+        with pytest.raises(RunError, match=r"cannot be written: (No space left|nothing of)"):
+            export_run(run, file_format, Path("/dev/full"), overwrite=True)
+
+
+def test_times_that_ros_does_not_know_are_refused(run, tmp_path) -> None:
+    pytest.importorskip("rosbags")
+    early = run.poses.set_column(1, "time_s", pa.array(run.times_s - 1.0))
+    with pytest.raises(RunError, match=r"ROS knows no time -1 s.*time_offset_s"):
+        export_run(replace(run, poses=early), "mcap", tmp_path / "x.mcap")
+
+
+def test_balls_have_topics_of_their_own() -> None:
+    topics = _topics(["ball 1", "ball-1", "红", "绿", "red"])
+    assert len(set(topics.values())) == 5
+    assert topics["red"] == "/balls/red"
 
 
 def test_a_run_without_a_pose_is_refused(folder: Path, tmp_path: Path) -> None:

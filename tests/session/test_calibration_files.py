@@ -248,6 +248,28 @@ def test_a_broken_opencv_file(tmp_path: Path, text: str) -> None:
         read_calibration(tmp_path / "c.yml")
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("T", np.array([[1.0], [np.nan], [0.0]]), "its pose is no 3x3 matrix R"),
+        ("R", np.full((3, 3), np.nan), "its pose is no 3x3 matrix R"),
+        ("R", np.eye(2), "its pose is no 3x3 matrix R"),
+        ("R", np.eye(4), "its pose is no 3x3 matrix R"),
+        ("camera_matrix", np.diag([70.0, 70.0, 0.0]), "not a camera matrix"),
+        ("camera_matrix", np.diag([np.nan, 70.0, 1.0]), "not a camera matrix"),
+        ("distortion_coefficients", np.full((5, 1), np.nan), "must be finite"),
+    ],
+)
+def test_an_opencv_file_with_wrong_numbers(tmp_path: Path, name: str, value, said: str) -> None:
+    right = {"camera_matrix": np.diag([70.0, 70.0, 1.0]), "R": np.eye(3), "T": np.zeros((3, 1))}
+    out = cv2.FileStorage(str(tmp_path / "c.yml"), cv2.FILE_STORAGE_WRITE)
+    for key, number in {"image_width": 64, "image_height": 48, **right, name: value}.items():
+        out.write(key, number)
+    out.release()
+    with pytest.raises(CalibrationError, match=rf"c\.yml: camera 'c'.*{said}"):
+        read_calibration(tmp_path / "c.yml")
+
+
 def test_a_session_may_name_a_foreign_calibration(tmp_path: Path) -> None:
     from measure.session import open_session
     from tests.session.conftest import write_recording

@@ -130,6 +130,30 @@ def test_names_without_numbers_are_matched_in_order(recording: Recording) -> Non
         open_session(recording.path)
 
 
+@pytest.mark.parametrize(
+    "name", ["f{}_cam1.jpg", "{}-1280x720.jpg", "1_{}_1.jpg", "cam1 ({}) 1.jpg"]
+)
+def test_the_number_that_tells_files_apart_is_the_frame(tmp_path: Path, name: str) -> None:
+    """The camera's comes last, and 10 is not before 2."""
+    recording = write_recording(tmp_path / "rec", frames=12)
+    for k in range(12):
+        (recording.path / f"cam1/{k:06d}.jpg").rename(recording.path / "cam1" / name.format(k))
+    with open_session(recording.path) as session:
+        images = list(map(session.streams["cam1"].read, range(12)))
+    assert [image.frame for image in images] == list(range(12))
+    assert [round(image.pixels.mean() / 20) for image in images] == list(range(12))
+
+
+def test_files_matched_in_order_are_counted_as_people_count(tmp_path: Path) -> None:
+    recording = write_recording(tmp_path / "rec", frames=12)
+    for k in range(12):
+        (recording.path / f"cam1/{k:06d}.jpg").rename(recording.path / f"cam1/f{k}_cam1.jpg")
+    recording.stamp("cam1", [0.1 * k for k in range(12)], [100 + k for k in range(12)])
+    with open_session(recording.path) as session:
+        images = list(map(session.streams["cam1"].read, range(12)))
+    assert [round(image.pixels.mean() / 20) for image in images] == list(range(12))
+
+
 def test_an_offset_moves_a_clock(recording: Recording) -> None:
     recording.stamp("cam1", [7.0 + 0.1 * k for k in range(6)])
     line = 'timestamps = "cam1.csv"\n'

@@ -36,4 +36,8 @@ def write(run: Run, path: Path) -> None:
     analog["UNITS"]["value"] = ["s", ""]
     channels = np.stack([markers.times_s - markers.times_s[0], np.arange(count)])
     file["data"]["analogs"] = channels[None]
+    # ezc3d says nothing of a file that it could not write.
+    path.write_bytes(b"")
     file.write(str(path))
+    if not path.stat().st_size:
+        raise OSError(f"nothing of {8 * homogeneous.size} bytes was written: is the disk full?")

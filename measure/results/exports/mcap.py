@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import shutil
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from measure.arrays import Floats
+from measure.errors import RunError
 from measure.results.columns import numbers, texts
 from measure.results.run import Run
 
@@ -18,6 +19,7 @@ POSE_TOPIC, BALL_TOPIC, TF_TOPIC = "/body/pose", "/balls", "/tf"
 _POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 _POINT = "geometry_msgs/msg/PointStamped"
 _TF = "tf2_msgs/msg/TFMessage"
+_END_S = 2**31
 _METRES = np.array([1e-3] * 3 + [1.0] * 3)
 
 
@@ -36,7 +38,7 @@ def write(run: Run, path: Path) -> None:
             out = _Topics(writer, store)
             _write_poses(run, out)
             _write_balls(run, out)
-        shutil.move(str(next(bag.glob("*.mcap"))), path)
+        next(bag.glob("*.mcap")).replace(path)
 
 
 class _Topics:
@@ -84,9 +86,10 @@ def _write_balls(run: Run, out: _Topics) -> None:
     table = run.balls
     centers = numbers(table, "x_mm", "y_mm", "z_mm") / 1000
     times, names = numbers(table, "time_s"), texts(table, "ball")
+    topics = _topics(run.body.names)
     for time_s, name, center in zip(times.tolist(), names.tolist(), centers, strict=True):
         point = out.message(_POINT, header=out.header(time_s), point=_point(out, center))
-        out.send(f"{BALL_TOPIC}/{_topic_name(name)}", _POINT, time_s, point)
+        out.send(topics[name], _POINT, time_s, point)
 
 
 def _transform(out: _Topics, time_s: float, position: Floats, turn: Any) -> Any:
@@ -114,6 +117,15 @@ def _rotation(out: _Topics, quat_wxyz: Floats) -> Any:
     return out.message("geometry_msgs/msg/Quaternion", **parts)
 
 
+def _topics(balls: Sequence[str]) -> dict[str, str]:
+    """A topic for each ball; with the ball's number where ROS allows too little of its name."""
+    words = [_topic_name(name) for name in balls]
+    return {
+        name: f"{BALL_TOPIC}/{word}" + (f"_{number}" if words.count(word) > 1 else "")
+        for number, (name, word) in enumerate(zip(balls, words, strict=True))
+    }
+
+
 def _topic_name(name: str) -> str:
     """A ball's name as ROS allows it in a topic."""
     word = "".join(c if c.isalnum() and c.isascii() else "_" for c in name)
@@ -121,4 +133,9 @@ def _topic_name(name: str) -> str:
 
 
 def _nanoseconds(time_s: float) -> int:
+    if not 0 <= time_s < _END_S:
+        raise RunError(
+            f"ROS knows no time {time_s:g} s, only those from 0 to {_END_S}: shift the session's "
+            "clocks with time_offset_s, or export another format"
+        )
     return round(time_s * 1e9)
