@@ -107,12 +107,17 @@ def join(parts: Sequence[Dataset]) -> Dataset:
     """One data set of several of the same robot; trajectory names must differ.
 
     Raises:
-        EstimatorError: they are of several robots, or share a trajectory name.
+        EstimatorError: they are of several robots, have other features, or share a trajectory name.
     """
     robots = {part.schema.robot for part in parts}
     if len(robots) > 1:
         raise EstimatorError(
             f"data of several robots cannot be joined: {', '.join(sorted(robots))}"
+        )
+    if any(part.schema.names != parts[0].schema.names for part in parts):
+        raise EstimatorError(
+            f"data of robot '{parts[0].schema.robot}' with other features, or in another order, "
+            "cannot be joined: make all of them with one description of the robot"
         )
     names = tuple(name for part in parts for name in part.names)
     if len(set(names)) < len(names):

@@ -147,3 +147,8 @@ def same_robot(first: Dataset, other: Dataset) -> None:
             f"training data are of robot '{first.schema.robot}', validation data of "
             f"'{other.schema.robot}'"
         )
+    if first.schema.names != other.schema.names:
+        raise EstimatorError(
+            "validation data have other features than the training data, or in another order: "
+            "make both with one description of the robot"
+        )

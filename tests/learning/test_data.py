@@ -22,8 +22,10 @@ from measure.learning import (
     split_by_trajectory,
 )
 from measure.learning.simulated import recording
+from measure.learning.training import same_robot
 from measure.robots import RobotLog, psm_schema
 from measure.robots.simulator import simulate
+from measure_plugins.estimators._checkpoint import Checkpoint, fingerprint
 
 
 @pytest.fixture(scope="module")
@@ -257,6 +259,27 @@ def test_files_that_are_no_data_sets(small: Dataset, tmp_path: Path) -> None:
         files.read_dataset(tmp_path / "metres.parquet")
     with pytest.raises(EstimatorError, match="several robots"):
         join([small, replace(small, schema=replace(small.schema, robot="other"))])
+    turned = replace(small.schema, features=small.schema.features[::-1])
+    other = replace(small, schema=turned, names=tuple(f"{name}'" for name in small.names))
+    with pytest.raises(EstimatorError, match="with other features, or in another order"):
+        join([small, other])
+    with pytest.raises(EstimatorError, match="validation data have other features"):
+        same_robot(small, other)
+
+
+def test_a_fit_is_not_resumed_with_other_data(small: Dataset, tmp_path: Path) -> None:
+    """Nor with another split of the same: what it was tested on would have been learnt from."""
+    pytest.importorskip("torch")
+    split, other = split_by_trajectory(small, seed=3), split_by_trajectory(small, seed=4)
+    relabelled = replace(split.train, errors_mm=-split.train.errors_mm)
+    Checkpoint(tmp_path, "net", fingerprint(split.train, split.validation)).store(now=True, net=7)
+    for train, validation, found in (
+        (split.train, split.validation, {"net": 7}),
+        (relabelled, split.validation, None),
+        (split.train, other.validation, None),
+        (other.train, other.validation, None),
+    ):
+        assert Checkpoint(tmp_path, "net", fingerprint(train, validation)).load() == found
 
 
 def test_a_split_shares_no_trajectory(small: Dataset) -> None:

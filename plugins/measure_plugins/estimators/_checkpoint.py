@@ -2,17 +2,33 @@
 
 from __future__ import annotations
 
+import hashlib
 import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from measure.host import Dataset
+
 EVERY_S = 10.0  # between two writes
+
+
+def fingerprint(*parts: Dataset) -> str:
+    """Changes when any state, time, label, weight or trajectory of the data does."""
+    found = hashlib.sha256()
+    for part in parts:
+        found.update(repr((part.schema.names, part.names)).encode())
+        arrays = (part.states, part.times_s, part.trajectory, part.errors_mm, part.covariances)
+        for array in (*arrays, part.usable):
+            found.update(np.ascontiguousarray(array).tobytes())
+    return found.hexdigest()
 
 
 class Checkpoint:
     """One net's training state in a folder; without a folder it does nothing.
 
-    A file of another seed or other settings (`key`) is ignored.
+    A file of other data, another seed or other settings (`key`) is ignored.
     """
 
     def __init__(self, folder: Path | None, name: str, key: Any) -> None:

@@ -13,7 +13,7 @@ from measure.host import Dataset, Epoch, Estimator, Report, Settings, hookimpl, 
 from measure.host.onnx_estimator import Core, OnnxEstimator, Scaling
 from measure.host.onnx_graph import Graph, Value
 from measure_plugins.estimators import _nets
-from measure_plugins.estimators._checkpoint import Checkpoint
+from measure_plugins.estimators._checkpoint import Checkpoint, fingerprint
 from measure_plugins.estimators._inputs import telling_features, watched_features
 from measure_plugins.estimators._kinematics import tip_change
 from measure_plugins.estimators._lesson import Lesson, Outputs, make_lesson
@@ -69,7 +69,7 @@ class StreamEstimator(OnnxEstimator):
         """Scale, play, then train every net in turn."""
         torch_or_explain()
         c = self.config
-        self._data_schema = data.schema
+        self._data_schema, self._learnt_from = data.schema, fingerprint(data, validation)
         self._columns = telling_features(data)
         self._scaling = Scaling.of(data.states[:, self._columns])
         self._moving = self._moving_inputs()
@@ -94,7 +94,6 @@ class StreamEstimator(OnnxEstimator):
         return self._resumed(
             "perceptrons",
             seed,
-            lesson,
             lambda: train_perceptrons(lesson, sizes, c.perceptrons, how, seed, note),
         )
 
@@ -107,13 +106,13 @@ class StreamEstimator(OnnxEstimator):
             fit = partial(
                 train_gru, lesson, c.gru_units, outputs, c.window, how, seed + 1 + index, note
             )
-            found.append(self._resumed(f"gru_{index}", seed, lesson, fit))
+            found.append(self._resumed(f"gru_{index}", seed, fit))
         return _nets.stack_grus(found)
 
-    def _resumed(self, name: str, seed: int, lesson: Lesson, fit: Callable[[], N]) -> N:
+    def _resumed(self, name: str, seed: int, fit: Callable[[], N]) -> N:
         """A net from an interrupted fit of the same data and settings, or freshly trained."""
-        fingerprint = (seed, self.config.model_dump(mode="json"), float(lesson.inputs.sum()))
-        saved = Checkpoint(self.checkpoint, name, fingerprint)
+        key = seed, self.config.model_dump(mode="json"), self._learnt_from
+        saved = Checkpoint(self.checkpoint, name, key)
         if found := saved.load():
             net: N = found["net"]
             return net
