@@ -27,13 +27,13 @@ def estimate_file(
     """Correct recorded states; write `run, i, t_s, ex, ey, ez, sd_mm, unfamiliar` if `out`.
 
     Raises:
-        EstimatorError: the model or the states do not fit, or `out` is the file of the states.
+        EstimatorError: the model or the states do not fit, or `out` is one of their files.
     """
     from measure import learning
     from measure.host import OnnxModel
 
-    if out is not None and is_one_of(out, [states]):
-        raise EstimatorError(f"{out}: holds the states themselves: choose another --output")
+    if out is not None and is_one_of(out, [states, model_path]):
+        raise EstimatorError(f"{out}: is one of the files to be read: choose another --output")
     model = OnnxModel.load(model_path)
     table = learning.read_states(states, model)
     corrected = learning.correct(table, model, zeroing)

@@ -43,7 +43,7 @@ def make_dataset(
 
     schema = find_schema(robot)
     facts: list[TrajectoryFacts] = []
-    if is_one_of(out, (*runs, *logs)):
+    if is_one_of(out, (*runs, *logs, Path(robot))):
         raise EstimatorError(f"{out}: is one of the files to be read: choose another --out")
     if logs:
         data, facts = _paired(runs, logs, schema, settings, topic)

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from measure.errors import ConfigError
+from measure.api.outputs import is_one_of
+from measure.errors import ConfigError, EstimatorError
 
 if TYPE_CHECKING:
     from measure.host import Registry, Report
@@ -58,6 +59,13 @@ def train(
     from measure import learning
     from measure.viewing.report.estimator_report import write_estimator_report
 
+    card_path = out.with_suffix(".card.json")
+    read = [*data, *([options.validation] if options.validation else [])]
+    if is_one_of(card_path, [path.with_suffix(".card.json") for path in read]):
+        raise EstimatorError(
+            f"--out {out}: its card would replace {card_path}, the card of the data: give the "
+            "model another name"
+        )
     trained = learning.train(
         registry.estimator(options.estimator, dict(options.settings or {})),
         _split(data, options),
@@ -67,7 +75,7 @@ def train(
         resume=options.resume,
         notes=options.notes,
     )
-    card = json.loads(out.with_suffix(".card.json").read_text())
+    card = json.loads(card_path.read_text())
     write_estimator_report(trained, card, out.with_suffix(".report.html"))
     return trained
 

@@ -82,7 +82,7 @@ def test_what_is_read_is_not_written_over(folder: Path, capsys: pytest.CaptureFi
     model, run = folder / "model.onnx", folder / "left.csv"
     for out in (log, again):
         line = _refused(capsys, "estimate", model, "--input", log, "--output", out)
-        assert "holds the states themselves" in line
+        assert "is one of the files to be read" in line
         made = _refused(capsys, "dataset", run, "--robot-log", log, "--out", out)
         assert "is one of the files to be read" in made
     assert log.read_bytes() == before
@@ -103,6 +103,19 @@ def test_where_nobody_can_listen(
         capsys, "estimate", folder / "model.onnx", "--host", host, "--port", port, "--seconds", "1"
     )
     assert f"cannot listen on udp://{host}:{port}" in line
+
+
+def test_neither_a_model_nor_a_card_is_written_over(folder: Path, capsys) -> None:
+    """Nor is the card of a data set by the card of the model that is trained on it."""
+    data, model, card = (folder / name for name in ("data.parquet", "model.onnx", "data.card.json"))
+    before = model.read_bytes(), card.read_bytes()
+    line = _refused(
+        capsys, "estimate", model, "--input", folder / "left.parquet", "--output", model
+    )
+    assert "is one of the files to be read" in line
+    line = _refused(capsys, "train", data, "-o", folder / "data.onnx", "--estimator", "offset")
+    assert "data.card.json, the card of the data: give the model another name" in line
+    assert (model.read_bytes(), card.read_bytes()) == before
 
 
 def test_a_port_that_is_taken(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
