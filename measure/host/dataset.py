@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -60,6 +61,20 @@ class Dataset:
     def reported_mm(self) -> Floats:
         """Reported positions (n, 3)."""
         return self.schema.position_mm(self.states)
+
+    def digest(self) -> str:
+        """A short fingerprint: changes when a state, time, label, weight or trajectory does."""
+        sha = hashlib.sha256(repr((self.schema.names, self.names)).encode())
+        for array in (
+            self.states.astype(np.float32),  # as files hold them
+            self.times_s,
+            self.trajectory,
+            self.errors_mm,
+            self.covariances,
+            self.usable,
+        ):
+            sha.update(np.ascontiguousarray(array).tobytes())
+        return sha.hexdigest()[:16]
 
     def runs(self) -> Iterator[tuple[str, slice]]:
         """Each trajectory's name and rows."""

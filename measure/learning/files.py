@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -25,14 +24,6 @@ _ERRORS = ("ex_mm", "ey_mm", "ez_mm")
 _LABELS = ("ex", "ey", "ez")
 _UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 _COVARIANCE = tuple(f"cov_{'xyz'[i]}{'xyz'[j]}_mm2" for i, j in _UPPER)
-
-
-def digest(data: Dataset) -> str:
-    """A short fingerprint of states and labels."""
-    sha = hashlib.sha256()
-    for array in (data.states.astype(np.float32), data.errors_mm, data.usable, data.trajectory):
-        sha.update(np.ascontiguousarray(array).tobytes())
-    return sha.hexdigest()[:16]
 
 
 def write_dataset(path: Path, data: Dataset, facts: Sequence[TrajectoryFacts], source: str) -> None:
@@ -59,7 +50,7 @@ def write_dataset(path: Path, data: Dataset, facts: Sequence[TrajectoryFacts], s
     card = {
         "source": source,
         "robot": data.schema.robot,
-        "digest": digest(data),
+        "digest": data.digest(),
         "rows": len(data),
         "usable": int(data.usable.sum()),
         "features": [[feature.name, feature.unit] for feature in data.schema.features],

@@ -16,7 +16,6 @@ from typing import Any
 from measure.errors import EstimatorError
 from measure.host import Dataset, Epoch, Estimates, Estimator, OnnxModel, Report
 from measure.learning.card import write_card
-from measure.learning.files import digest
 from measure.learning.scores import Evaluation, evaluate
 from measure.learning.splits import Split
 
@@ -103,7 +102,7 @@ def _provenance(estimator: Estimator, split: Split, seed: int) -> dict[str, Any]
         "python": platform.python_version(),
         "data": {
             part: {
-                "digest": digest(data),
+                "digest": data.digest(),
                 "rows": len(data),
                 "usable": int(data.usable.sum()),
                 "trajectories": list(data.present()),

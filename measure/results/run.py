@@ -14,6 +14,7 @@ from measure.arrays import Bools, Floats
 from measure.errors import RunError
 from measure.geometry import RigidTransform
 from measure.model import Body, Camera
+from measure.results.distances import BallDistance, ball_distances, contradictions
 from measure.results.provenance import read_provenance
 from measure.results.stored import PLACE, read_tables
 from measure.results.summary import Summary, summarise
@@ -48,7 +49,17 @@ class Run:
     def summary(self) -> Summary:
         """The run in a few numbers."""
         notes = self.provenance.get("session", {}).get("notes", ())
-        return summarise(self.body, self.detections, self.balls, self.poses, notes)
+        return summarise(self.detections, self.poses, notes, self.contradictions)
+
+    @cached_property
+    def distances(self) -> list[BallDistance]:
+        """Of every pair of balls, over the run."""
+        return ball_distances(self.body, self.balls, self.poses)
+
+    @property
+    def contradictions(self) -> tuple[str, ...]:
+        """What they say against the body file, a line each."""
+        return contradictions(self.body, self.distances)
 
     @property
     def times_s(self) -> Floats:

@@ -14,9 +14,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from measure.model import Body
-from measure.results.distances import ball_distances, contradictions
-
 _NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(\.\d+)?(e[-+]?\d+)?(?![\w.]*\w)")
 """A number that stands alone: not part of a name such as cam0."""
 
@@ -81,9 +78,19 @@ class Summary:
 
 
 def summarise(
-    body: Body, detections: pa.Table, balls: pa.Table, poses: pa.Table, notes: Sequence[str] = ()
+    detections: pa.Table,
+    poses: pa.Table,
+    notes: Sequence[str] = (),
+    contradictions: Sequence[str] = (),
 ) -> Summary:
-    """Count and average the tables of a run."""
+    """Count and average the tables of a run.
+
+    Args:
+        detections: a row per frame set, camera and ball.
+        poses: a row per frame set.
+        notes: what the session left to be known.
+        contradictions: what the balls' distances say against the body file.
+    """
     statuses = Counter(poses["status"].to_pylist())
     doubts = Counter(
         kind for text in poses["reason"].to_pylist() if text for kind in sorted(_kinds(text))
@@ -114,7 +121,7 @@ def summarise(
         notes=(
             *notes,
             *_idle(suspended, {row["camera"] for row in used}),
-            *contradictions(body, ball_distances(body, balls, poses)),
+            *contradictions,
         ),
     )
 

@@ -15,6 +15,7 @@ import pyarrow as pa
 from measure.errors import RunError
 from measure.measuring import Measurement
 from measure.model import Body, Camera
+from measure.results.distances import ball_distances, contradictions
 from measure.results.journal import GrowingFile, Journal, finish, read_table, writing
 from measure.results.provenance import Provenance, read_provenance
 from measure.results.stored import read_tables
@@ -120,7 +121,9 @@ class RunWriter:
             self._files.close()
             self._finished = True
             tables = {name: read_table(self._folder, name, s) for name, s in SCHEMAS.items()}
-            summary = summarise(self._body, **tables, notes=self._notes)
+            distances = ball_distances(self._body, tables["balls"], tables["poses"])
+            against = contradictions(self._body, distances)
+            summary = summarise(tables["detections"], tables["poses"], self._notes, against)
             text = json.dumps(summary.values(), indent=2, allow_nan=False, ensure_ascii=False)
             (self._folder / "summary.json").write_text(text + "\n", "utf-8")
             for name, table in tables.items():

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field, FiniteFloat, field_validator, model_validator
+from pydantic import AfterValidator, Field, FiniteFloat, field_validator, model_validator
 
 from measure.arrays import Floats
 from measure.errors import CalibrationError
@@ -19,6 +19,7 @@ from measure.session.toml_text import dump_toml
 
 Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Row = list[FiniteFloat]
+NO_CAMERA_MATRIX = "not a camera matrix [[fx, skew, cx], [0, fy, cy], [0, 0, 1]]"
 LONGEST_READOUT_S = 0.2
 UNIT_TOLERANCE = 1e-3
 """How far the length of a written quaternion may be from 1."""
@@ -61,12 +62,21 @@ def is_camera_matrix(matrix: Floats) -> bool:
     return bool(np.isfinite(matrix).all() and matrix[0, 0] > 0 < matrix[1, 1] and lower < 1e-9)
 
 
+def _camera_matrix(value: tuple[Triple, Triple, Triple]) -> tuple[Triple, Triple, Triple]:
+    if not is_camera_matrix(np.array(value)):
+        raise ValueError(NO_CAMERA_MATRIX)
+    return value
+
+
+CameraMatrix = Annotated[tuple[Triple, Triple, Triple], AfterValidator(_camera_matrix)]
+
+
 class CameraModel(FileModel):
     """One `[[cameras]]` table; the pose is world_from_camera."""
 
     name: Name
     size_wh: tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]]
-    matrix: tuple[Triple, Triple, Triple]
+    matrix: CameraMatrix
     distortion: Annotated[Row, Field(default_factory=list)]
     quat_wxyz: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
     translation_mm: Triple
@@ -75,13 +85,6 @@ class CameraModel(FileModel):
     intrinsics_covariance: list[Row] | None = None
     pose_intrinsics_covariance: list[Row] | None = None
     readout_s: Annotated[FiniteFloat, Field(ge=-LONGEST_READOUT_S, le=LONGEST_READOUT_S)] = 0.0
-
-    @field_validator("matrix")
-    @classmethod
-    def _is_camera_matrix(cls, value: tuple[Triple, ...]) -> tuple[Triple, ...]:
-        if not is_camera_matrix(np.array(value)):
-            raise ValueError("not a camera matrix [[fx, skew, cx], [0, fy, cy], [0, 0, 1]]")
-        return value
 
     @field_validator("distortion")
     @classmethod

@@ -12,7 +12,7 @@ from measure.arrays import Floats
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
 from measure.model import Camera, Intrinsics
-from measure.session.calibration_file import Calibration, is_camera_matrix
+from measure.session.calibration_file import NO_CAMERA_MATRIX, Calibration, is_camera_matrix
 from measure.session.interchange_toml import (
     MM_PER,
     Unit,
@@ -140,9 +140,7 @@ def _intrinsics(node: Any, path: Path, name: str) -> Intrinsics:
     if matrix is None or matrix.shape != (3, 3):
         raise CalibrationError(f"{path}: camera '{name}' has no 3x3 camera_matrix")
     if not is_camera_matrix(matrix):
-        raise CalibrationError(
-            f"{path}: camera '{name}': not a camera matrix [[fx, skew, cx], [0, fy, cy], [0, 0, 1]]"
-        )
+        raise CalibrationError(f"{path}: camera '{name}': {NO_CAMERA_MATRIX}")
     if distortion is not None and not np.isfinite(distortion).all():
         raise CalibrationError(f"{path}: camera '{name}': distortion coefficients must be finite")
     if width.empty() or height.empty():

@@ -14,7 +14,7 @@ from measure.arrays import Floats
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
 from measure.model import Camera, Intrinsics
-from measure.session.calibration_file import Calibration, Row, Triple
+from measure.session.calibration_file import Calibration, CameraMatrix, Row, Triple
 from measure.session.toml_errors import validation_message
 from measure.session.toml_text import dump_toml
 
@@ -31,7 +31,7 @@ class ForeignCamera(BaseModel):
     cam_id: int | str | None = None
     port: int | str | None = None
     size: tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]]
-    matrix: tuple[Triple, Triple, Triple]
+    matrix: CameraMatrix
     distortions: Row
     rotation: Triple | tuple[Triple, Triple, Triple]
     translation: Triple

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from measure.results import RunWriter, read_run
-from measure.results.distances import ball_distances
 from tests.results.conftest import BODY, CAMERAS, made_from, measurement
 
 SD_MM = 0.04
@@ -60,6 +59,5 @@ def test_what_may_be_chance_is_not_told(folder, change):
 
 def test_uncertainty_holds_what_all_frame_sets_err_by_alike(folder):
     notes(folder, BODY)
-    run = read_run(folder)
-    for distance in ball_distances(run.body, run.balls, run.poses):
+    for distance in read_run(folder).distances:
         assert distance.uncertainty_mm == pytest.approx(np.sqrt(2) * SD_MM)

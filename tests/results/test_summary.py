@@ -2,23 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import pyarrow as pa
 
-from measure.results.summary import Summary, summarise
-from measure.results.tables import SCHEMAS
-from tests.results.conftest import BODY
+from measure.results.summary import summarise
 
 SEEN = pa.table(
     {"ball": ["red"], "camera": ["cam0"], "state": ["effective"], "index": [0], "reason": [""]}
 )
-
-
-def summed(seen: pa.Table, poses: pa.Table, notes: Sequence[str] = ()) -> Summary:
-    """Of a run in which no ball has a fix."""
-    poses = poses.append_column("index", pa.array(range(poses.num_rows)))
-    return summarise(BODY, seen, SCHEMAS["balls"].empty_table(), poses, notes)
 
 
 def test_reasons_are_counted_without_their_numbers():
@@ -37,7 +27,7 @@ def test_reasons_are_counted_without_their_numbers():
             "rms_px": [1.0] * 4,
         }
     )
-    assert summed(SEEN, poses).reasons == {
+    assert summarise(SEEN, poses).reasons == {
         "poorly determined: … mm, … deg (… sd)": 2,
         "one camera only (cam3): its distance rests": 1,
         "one camera only (cam1): its distance rests": 1,
@@ -52,10 +42,10 @@ def _poses(*rows: tuple[str, float]) -> pa.Table:
 
 
 def test_poses_to_doubt_make_no_position_known():
-    some = summed(SEEN, _poses(("ok", 0.1), ("flagged", 5.0), ("flagged", 6.0)))
+    some = summarise(SEEN, _poses(("ok", 0.1), ("flagged", 5.0), ("flagged", 6.0)))
     assert "position known to 0.1 mm" in some.sentence()
     assert (some.position_sd_mm, some.rotation_sd_deg, some.rms_px) == (0.1, 0.1, 0.1)
-    none = summed(SEEN, _poses(("flagged", 0.1), ("flagged", 0.1)))
+    none = summarise(SEEN, _poses(("flagged", 0.1), ("flagged", 0.1)))
     assert none.sentence() == (
         "0 of 2 frame sets measured, 2 with a pose to doubt; no position is known"
     )
@@ -69,8 +59,8 @@ def test_a_camera_that_took_part_in_no_pose_is_named():
     columns = {"camera": cameras, "state": states, "reason": reasons}
     seen = pa.table({"ball": ["red"] * 4, "index": [0] * 4, **columns})
     poses = _poses(("ok", 0.1))
-    (note,) = summed(seen, poses).notes
+    (note,) = summarise(seen, poses).notes
     assert "camera cam1 took part in no pose (its balls: not found)" in note
-    assert summed(seen, poses, ["cam0 lost a picture"]).notes == ("cam0 lost a picture", note)
-    assert summed(SEEN, poses).notes == ()
-    assert summed(seen.slice(1), poses).notes == (), "nobody saw anything: not this camera's"
+    assert summarise(seen, poses, ["cam0 lost a picture"]).notes == ("cam0 lost a picture", note)
+    assert summarise(SEEN, poses).notes == ()
+    assert summarise(seen.slice(1), poses).notes == (), "nobody saw anything: not this camera's"

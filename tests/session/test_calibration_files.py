@@ -248,6 +248,20 @@ def test_a_broken_opencv_file(tmp_path: Path, text: str) -> None:
         read_calibration(tmp_path / "c.yml")
 
 
+@pytest.mark.parametrize("file_format", ["anipose", "caliscope"])
+def test_a_matrix_of_another_program_is_a_camera_matrix(tmp_path: Path, file_format) -> None:
+    from measure.session import open_session
+    from tests.session.conftest import write_recording
+
+    with open_session(write_recording(tmp_path / "rec").path) as session:
+        write_calibration(tmp_path / "c.toml", Calibration(session.cameras), file_format)
+    text = (tmp_path / "c.toml").read_text()
+    assert "0.0, 0.0, 1.0" in text
+    (tmp_path / "c.toml").write_text(text.replace("0.0, 0.0, 1.0", "0.0, 0.0, 2.0", 1))
+    with pytest.raises(CalibrationError, match=r"c\.toml.*not a camera matrix"):
+        read_calibration(tmp_path / "c.toml")
+
+
 @pytest.mark.parametrize(
     ("name", "value", "said"),
     [

@@ -13,7 +13,6 @@ from measure.arrays import Floats, Ints
 from measure.calibration import camera_rows
 from measure.results import Run, Summary
 from measure.results.accuracy import accuracy_map
-from measure.results.distances import ball_distances
 from measure.session import dump_toml
 from measure.viewing.report import figures, places, style
 from measure.viewing.report.page import Page
@@ -193,7 +192,7 @@ def _states(run: Run) -> tuple[Ints, list[str], list[str]]:
 
 def _add_distances(page: Page, run: Run) -> None:
     """The body measured with itself: its balls' distances against the body file."""
-    found = ball_distances(run.body, run.balls, run.poses)
+    found = run.distances
     names = ["-".join(one.balls) for one in found]
     rows = [
         (name, one.nominal_mm, one.mean_mm, one.off_mm, one.uncertainty_mm, one.count)

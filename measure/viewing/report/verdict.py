@@ -9,7 +9,6 @@ import numpy as np
 from measure.arrays import Bools, Floats
 from measure.geometry.chi_square import chi_square_quantile
 from measure.results import Run
-from measure.results.distances import ball_distances, contradictions
 from measure.results.statistics import consistency
 
 SUB_MM = 1.0
@@ -37,12 +36,12 @@ def verdict(run: Run, errors: Floats | None) -> tuple[str, str]:
     parts = [f"Position known to {_digits(widest)} mm (95 %)", _who_carries(run)]
     parts += _what_is_missing(run)
     tone, against = _against_truth(run, errors)
-    missized = contradictions(run.body, ball_distances(run.body, run.balls, run.poses))
     tone = "doubtful" if summary.ok < summary.frame_sets or not run.finished else tone
-    tone = "doubtful" if widest > SUB_MM or missized else tone
+    tone = "doubtful" if widest > SUB_MM or run.contradictions else tone
     tone = "bad" if believed.sum() < MOST * summary.frame_sets else tone
     words = [", ".join(parts) + "." + against, *_not_counted(run)]
-    return tone, " ".join([*words, *(f"{line[0].upper()}{line[1:]}." for line in missized)])
+    words += [f"{line[0].upper()}{line[1:]}." for line in run.contradictions]
+    return tone, " ".join(words)
 
 
 def _believed(run: Run) -> Bools:

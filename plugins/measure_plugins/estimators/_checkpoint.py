@@ -2,27 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
 import time
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from measure.host import Dataset
-
 EVERY_S = 10.0  # between two writes
-
-
-def fingerprint(*parts: Dataset) -> str:
-    """Changes when any state, time, label, weight or trajectory of the data does."""
-    found = hashlib.sha256()
-    for part in parts:
-        found.update(repr((part.schema.names, part.names)).encode())
-        arrays = (part.states, part.times_s, part.trajectory, part.errors_mm, part.covariances)
-        for array in (*arrays, part.usable):
-            found.update(np.ascontiguousarray(array).tobytes())
-    return found.hexdigest()
 
 
 class Checkpoint:

@@ -10,7 +10,7 @@ from measure.arrays import Floats
 from measure.host import Dataset, Epoch, Estimator, Report, Settings, hookimpl, setting
 from measure.host.onnx_estimator import Core, OnnxEstimator, Scaling
 from measure.host.onnx_graph import Graph, Value
-from measure_plugins.estimators._checkpoint import Checkpoint, fingerprint
+from measure_plugins.estimators._checkpoint import Checkpoint
 from measure_plugins.estimators._training import torch_or_explain
 
 
@@ -49,7 +49,7 @@ class MlpEstimator(OnnxEstimator):
         self._scaling = Scaling.of(data.states)
         other = _tensors(torch, validation, self._scaling)
         fit = _Fit(torch, _tensors(torch, data, self._scaling), c, seed)
-        key = seed, c.model_dump(mode="json"), fingerprint(data, validation)
+        key = seed, c.model_dump(mode="json"), data.digest(), validation.digest()
         saved = Checkpoint(self.checkpoint, "mlp", key)
         state = saved.load()
         if state is not None:

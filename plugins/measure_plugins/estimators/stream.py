@@ -13,7 +13,7 @@ from measure.host import Dataset, Epoch, Estimator, Report, Settings, hookimpl, 
 from measure.host.onnx_estimator import Core, OnnxEstimator, Scaling
 from measure.host.onnx_graph import Graph, Value
 from measure_plugins.estimators import _nets
-from measure_plugins.estimators._checkpoint import Checkpoint, fingerprint
+from measure_plugins.estimators._checkpoint import Checkpoint
 from measure_plugins.estimators._inputs import telling_features, watched_features
 from measure_plugins.estimators._kinematics import tip_change
 from measure_plugins.estimators._lesson import Lesson, Outputs, make_lesson
@@ -69,7 +69,8 @@ class StreamEstimator(OnnxEstimator):
         """Scale, play, then train every net in turn."""
         torch_or_explain()
         c = self.config
-        self._data_schema, self._learnt_from = data.schema, fingerprint(data, validation)
+        self._data_schema = data.schema
+        self._learnt_from = data.digest(), validation.digest()
         self._columns = telling_features(data)
         self._scaling = Scaling.of(data.states[:, self._columns])
         self._moving = self._moving_inputs()
