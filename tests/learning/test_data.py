@@ -25,7 +25,6 @@ from measure.learning.simulated import recording
 from measure.learning.training import same_robot
 from measure.robots import RobotLog, psm_schema
 from measure.robots.simulator import simulate
-from measure_plugins.estimators._checkpoint import Checkpoint
 
 
 @pytest.fixture(scope="module")
@@ -265,23 +264,6 @@ def test_files_that_are_no_data_sets(small: Dataset, tmp_path: Path) -> None:
         join([small, other])
     with pytest.raises(EstimatorError, match="validation data have other features"):
         same_robot(small, other)
-
-
-def test_a_fit_is_not_resumed_with_other_data(small: Dataset, tmp_path: Path) -> None:
-    """Nor with another split of the same: what it was tested on would have been learnt from."""
-    pytest.importorskip("torch")
-    split, other = split_by_trajectory(small, seed=3), split_by_trajectory(small, seed=4)
-    relabelled = replace(split.train, errors_mm=-split.train.errors_mm)
-    key = split.train.digest(), split.validation.digest()
-    Checkpoint(tmp_path, "net", key).store(now=True, net=7)
-    for train, validation, found in (
-        (split.train, split.validation, {"net": 7}),
-        (relabelled, split.validation, None),
-        (split.train, other.validation, None),
-        (other.train, other.validation, None),
-    ):
-        key = train.digest(), validation.digest()
-        assert Checkpoint(tmp_path, "net", key).load() == found
 
 
 def test_a_split_shares_no_trajectory(small: Dataset) -> None:

@@ -1,0 +1,42 @@
+"""Slips of the pen that would cost a result: one clear line, exit code 2, and nothing lost."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from measure.cli import main
+from tests.cli.test_bad_input import complaint, run_words
+from tests.session.conftest import Recording, write_recording
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Recording:
+    return write_recording(tmp_path / "rec")
+
+
+def test_nothing_is_overwritten_by_a_slip(recording: Recording, capsys) -> None:
+    assert main([*run_words(recording)]) == 0
+    capsys.readouterr()
+    run = recording.path.with_name("run")
+    before = (run / "poses.csv").read_bytes()
+    both = complaint(capsys, *run_words(recording, "--resume", "--overwrite"))
+    assert "--resume goes on with a run, --overwrite throws it away" in both
+    said = complaint(capsys, "report", run, "-o", run / "poses.csv")
+    assert "poses.csv is there already and is no report" in said
+    assert (run / "poses.csv").read_bytes() == before
+
+
+def test_an_open_quotation_mark_in_a_long_file(recording: Recording, capsys) -> None:
+    rows = "".join(f"{k},{0.001 * k}\n" for k in range(20000))
+    (recording.path / "cam1.csv").write_text('"frame,time_s\n' + rows)
+    assert "is a quotation mark not closed?" in complaint(capsys, *run_words(recording))
+
+
+@pytest.mark.parametrize("tolerance", ["-1", "nan", "inf"])
+def test_a_tolerance_that_is_none(recording: Recording, tmp_path: Path, capsys, tolerance) -> None:
+    out = tmp_path / "c.toml"
+    words = ("refine", recording.path, "-o", out, f"--body-tolerance-mm={tolerance}")
+    assert "--body-tolerance-mm" in complaint(capsys, *words)
+    assert not out.exists()
