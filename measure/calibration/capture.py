@@ -31,6 +31,8 @@ from measure.session import (
 
 _VIDEO_ENDINGS = {".mp4", ".mkv", ".avi", ".mov", ".webm", ".m4v"}
 _VIDEO_FRAMES = 80
+"""At least so many are looked at, every second, fourth, eighth ...: videos that are a little longer
+or shorter than each other have frames in common."""
 
 
 class CaptureTable(FileModel):
@@ -127,12 +129,28 @@ class CameraCapture:
         for file in files:
             yield file.name, read_picture(file)
 
+    def still(self, path: Path, lens: Intrinsics) -> Bytes:
+        """A picture (h, w, 3) BGR by which the camera is located.
+
+        Raises:
+            CalibrationError: it is of another size than the lens's pictures.
+            SessionError: it cannot be read.
+        """
+        bgr = read_picture(path)
+        width, height = lens.size_wh
+        if bgr.shape[:2] != (height, width):
+            raise CalibrationError(
+                f"camera {self.name}: {path} is {bgr.shape[1]}x{bgr.shape[0]} px, its lens is "
+                f"known for pictures of {width}x{height} px: give a picture as the camera took it"
+            )
+        return bgr
+
     def _video(self, path: Path) -> Iterator[tuple[str, Bytes]]:
         stream = open_video_stream(self.name, path)
         try:
-            picked = np.unique(np.linspace(0, len(stream) - 1, _VIDEO_FRAMES).astype(int))
-            for index in picked:
-                yield f"{path.name} frame {stream.frames[index]}", stream.read(int(index)).pixels
+            step = 2 ** max(0, (len(stream) // _VIDEO_FRAMES).bit_length() - 1)
+            for index in range(0, len(stream), step):
+                yield f"{path.name} frame {stream.frames[index]}", stream.read(index).pixels
         finally:
             stream.close()
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -21,6 +20,8 @@ from measure.model import Camera
 
 _HUBER_REACH = 4.0
 _MIN_COMMON = 3
+_ONE_INSTANT_PX = 3.0
+"""Cameras that miss common views by more than this did not take them together."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +35,7 @@ def fit_common_views(
 ) -> tuple[tuple[Camera, ...], Floats]:
     """Fit all cameras, lenses included, with the first camera as the world.
 
-    Pictures of one instant carry the same number in their names.
+    Pictures of one instant carry the same number in their names, or are frames of that number.
 
     Args:
         points: (k, 3) the board's corners, mm.
@@ -44,7 +45,8 @@ def fit_common_views(
         The cameras, and the board's corners in the world at all instants (n, 3) mm.
 
     Raises:
-        CalibrationError: a camera shares fewer than three views with those already placed.
+        CalibrationError: a camera shares fewer than three views with those already placed, or its
+            pictures contradict the others'.
     """
     views = {
         name: {_instant(v.source): v for v in lens.views.views} for name, lens in lenses.items()
@@ -59,12 +61,24 @@ def fit_common_views(
     solution = solve(problem.linearise, problem.step, start, Huber(_HUBER_REACH))
     poses = solution.state.world_from_board
     corners = np.einsum("fij,nj->fni", poses.rotation, points) + poses.translation[:, None]
-    return _answer(solution, sds, free), corners.reshape(-1, 3)
+    found = _answer(solution, sds, free)
+    _check_instants(found, lenses)
+    return found, corners.reshape(-1, 3)
+
+
+def _check_instants(cameras: tuple[Camera, ...], lenses: Mapping[str, LensCalibration]) -> None:
+    worst = max(cameras, key=lambda camera: camera.reprojection_rms_px or 0.0)
+    missed_px, alone_px = worst.reprojection_rms_px or 0.0, lenses[worst.name].fit.rms_px
+    if missed_px > alone_px + _ONE_INSTANT_PX:
+        raise CalibrationError(
+            f"camera {worst.name}: misses the common views by {missed_px:.1f} px, by itself by "
+            f"{alone_px:.1f} px: do pictures (video frames) of one number show one instant?"
+        )
 
 
 def _instant(source: str) -> int:
-    """The last number in a picture's name."""
-    numbers = re.findall(r"\d+", Path(source).stem)
+    """The last number in a picture's name, or that of a video's frame."""
+    numbers = re.findall(r"\d+", re.sub(r"\.\w+$", "", source))
     if not numbers:
         raise CalibrationError(f"{source}: common views need a number in the name of each picture")
     return int(numbers[-1])

@@ -14,7 +14,6 @@ from measure.calibration.starts import start_from_marks
 from measure.calibration.targets import MarkerField
 from measure.errors import CalibrationError
 from measure.model import Camera, Intrinsics
-from measure.session import read_picture
 
 
 def marks_of(
@@ -56,7 +55,7 @@ def _searched(
     capture: Capture,
 ) -> tuple[Camera, MarkSight | None, FoundMarkers | None]:
     assert camera.marker_image is not None
-    picture = read_picture(camera.marker_image)
+    picture = camera.still(camera.marker_image, start.intrinsics)
     try:
         finds = find_markers(picture, start, markers, capture.settings.marker_kind)
     except CalibrationError:

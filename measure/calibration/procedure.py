@@ -20,18 +20,17 @@ from measure.calibration.judgement import Finding
 from measure.calibration.markers import FoundMarkers
 from measure.calibration.marking import marks_of, sight_of
 from measure.calibration.paper import PaperFit, fit_rig_by_paper
-from measure.calibration.sights import MarkSight, Sights, Tolerances
+from measure.calibration.sights import BoardSight, MarkSight, Sights, Tolerances
 from measure.calibration.starts import (
     SeenBoard,
     board_sight,
     start_from_board,
 )
 from measure.calibration.targets import MarkerField
-from measure.calibration.tolerance import UNWITNESSED_COMMON_PX, fit_rig_with_boards
+from measure.calibration.tolerance import UNWITNESSED_COMMON_PX, fit_rig_with_boards, held_within
 from measure.calibration.views import ALL_VIEWS, MAX_VIEWS, find_views
 from measure.errors import CalibrationError
 from measure.model import Camera, Intrinsics
-from measure.session import read_picture
 
 Method = Literal["joint", "paper"]
 Report = Callable[[int, int | None], None]
@@ -136,7 +135,7 @@ def _locate_all(
     known: dict[str, Intrinsics],
 ) -> RigCalibration:
     board, markers = capture.board, capture.markers
-    seen = _boards_of(capture, lenses)
+    seen = _boards_of(capture, lenses, known)
     starts: list[Camera] = []
     marks: dict[str, MarkSight] = {}
     found: dict[str, FoundMarkers] = {}
@@ -157,7 +156,8 @@ def _locate_all(
     if board is not None:
         sights_of_boards = {name: board_sight(board, s) for name, s in seen.items()}
     disagreement = _disagreement(board, starts, seen, markers, marks)
-    sights = Sights(markers.points, sights_of_boards, marks, _stated_tolerances(capture))
+    tolerances = _stated_tolerances(capture, sights_of_boards)
+    sights = Sights(markers.points, sights_of_boards, marks, tolerances)
     base = RigCalibration(
         tuple(starts),
         method,
@@ -168,7 +168,7 @@ def _locate_all(
         cameras_before=tuple(starts),
         found=found,
         disagreement_mm=disagreement,
-        tolerances=sights.tolerances,
+        tolerances=tolerances,
     )
     return _by_paper(base, capture) if method == "paper" else _joint(base, capture)
 
@@ -190,7 +190,9 @@ def _disagreement(
     }
 
 
-def _boards_of(capture: Capture, lenses: dict[str, LensCalibration]) -> dict[str, SeenBoard]:
+def _boards_of(
+    capture: Capture, lenses: dict[str, LensCalibration], known: dict[str, Intrinsics]
+) -> dict[str, SeenBoard]:
     """The boards of known pose, by camera, with the corner rule that suits the camera."""
     seen = {}
     for camera in capture.cameras:
@@ -198,7 +200,7 @@ def _boards_of(capture: Capture, lenses: dict[str, LensCalibration]) -> dict[str
             rule: CornerRule = "pattern"
             if camera.name in lenses:
                 rule = lenses[camera.name].corner_rule
-            seen[camera.name] = _see_board(camera, capture.board, rule)
+            seen[camera.name] = _see_board(camera, known[camera.name], capture.board, rule)
     return seen
 
 
@@ -215,20 +217,20 @@ def _joint(base: RigCalibration, capture: Capture) -> RigCalibration:
     return replace(base, cameras=fit.cameras, fit=fit, tolerances=tolerances, sights=sights)
 
 
-def _stated_tolerances(capture: Capture) -> Tolerances:
+def _stated_tolerances(capture: Capture, boards: dict[str, BoardSight]) -> Tolerances:
     settings = capture.settings
+    stated = settings.board_tolerance_mm, settings.board_tolerance_deg
     return Tolerances(
-        capture.markers.tolerance_mm,
-        settings.board_tolerance_mm or 0.0,
-        settings.board_tolerance_deg or 0.0,
-        UNWITNESSED_COMMON_PX,
+        capture.markers.tolerance_mm, *held_within(boards, *stated), UNWITNESSED_COMMON_PX
     )
 
 
-def _see_board(camera: CameraCapture, board: Board, rule: CornerRule) -> SeenBoard:
+def _see_board(
+    camera: CameraCapture, lens: Intrinsics, board: Board, rule: CornerRule
+) -> SeenBoard:
     assert camera.board_image is not None
     assert camera.world_from_board is not None
-    bgr = read_picture(camera.board_image)
+    bgr = camera.still(camera.board_image, lens)
     gray = np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY), np.uint8)
     corners = board.find(gray, camera.board_image.name)
     if corners is None:

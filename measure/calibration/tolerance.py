@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from measure.calibration.extrinsics import RigFit, fit_rig
-from measure.calibration.sights import Sights, Tolerances
+from measure.calibration.sights import BoardSight, Sights, Tolerances
 from measure.model import Camera
 
 _BOARD_MM = (0.005, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
@@ -31,9 +32,8 @@ def fit_rig_with_boards(
 
     Restricted maximum likelihood (Patterson and Thompson 1971) over a fixed list of board
     tolerances, where none is stated, and over one of common offsets of found marks, where there are
-    any. The turn that goes with a board's shift is the one that shifts its rim as much. Without at
-    least two cameras that see both there is nothing to learn from: the stated poses are taken as
-    exact and the offset as it stands.
+    any. Without at least two cameras that see both there is nothing to learn from: the stated poses
+    are taken as exact and the offset as it stands.
 
     Raises:
         CalibrationError: the sights leave a camera's pose undetermined.
@@ -41,9 +41,10 @@ def fit_rig_with_boards(
     both = [n for n in sights.boards if n in sights.marks and len(sights.marks[n].ids) >= 3]
     if len(both) < _MIN_WITNESSES:
         return fit_rig(start, sights, mark_sd_px=mark_sd_px), sights.tolerances
-    boards = [_held_within(sights, mm) for mm in _BOARD_MM]
-    if boards_stated:
-        boards = [sights.tolerances]
+    boards = [sights.tolerances]
+    if not boards_stated:
+        held = [held_within(sights.boards, mm) for mm in _BOARD_MM]
+        boards = [replace(boards[0], board_mm=mm, board_deg=deg) for mm, deg in held]
     best = _likeliest(start, sights, boards, mark_sd_px)
     if any(marks.searched for marks in sights.marks.values()):
         offsets = [replace(best[1], common_px=px) for px in _COMMON_PX]
@@ -54,11 +55,23 @@ def fit_rig_with_boards(
     return best
 
 
-def _held_within(sights: Sights, board_mm: float) -> Tolerances:
-    offsets = [b.points - b.points.mean(axis=0) for b in sights.boards.values()]
-    rim = float(np.sqrt(np.mean(np.concatenate(offsets) ** 2) * 3))
-    turn = float(np.rad2deg(board_mm / rim))
-    return replace(sights.tolerances, board_mm=board_mm, board_deg=turn)
+def held_within(
+    boards: Mapping[str, BoardSight], shift_mm: float | None, turn_deg: float | None = None
+) -> tuple[float, float]:
+    """How far boards may be shifted (mm) and turned (degrees) from where they are stated to be.
+
+    Where only one of the two is stated, the other moves a board's rim as much; where neither is,
+    the boards are exact.
+    """
+    if not boards:
+        return 0.0, 0.0
+    offsets = [b.points - b.points.mean(axis=0) for b in boards.values()]
+    rim_mm = float(np.sqrt(np.mean(np.concatenate(offsets) ** 2) * 3))
+    if shift_mm is None:
+        shift_mm = rim_mm * float(np.deg2rad(turn_deg or 0.0))
+    if turn_deg is None:
+        turn_deg = float(np.rad2deg(shift_mm / rim_mm))
+    return shift_mm, turn_deg
 
 
 def _likeliest(

@@ -1,0 +1,88 @@
+"""Captures that contradict themselves, and what a capture states of its boards."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from measure.api import calibrate
+from measure.calibration.sights import BoardSight
+from measure.calibration.tolerance import held_within
+from measure.errors import CalibrationError
+from measure.geometry import RigidTransform
+from tests.calibration.altered import AlteredCapture
+from tests.calibration.rigs import BOARD
+
+
+@pytest.fixture
+def altered(shared: Path, tmp_path: Path) -> Callable[..., AlteredCapture]:
+    source = shared / "renders/E_calibration"
+    return lambda *cameras: AlteredCapture(source, tmp_path / "capture", cameras)
+
+
+@pytest.mark.parametrize("picture", ["cam0_board.jpg", "cam0_markers.jpg"])
+def test_a_picture_of_another_size_than_the_lens_is_refused(altered, picture: str) -> None:
+    capture = altered("cam0")
+    capture.without_hand_marks()
+    capture.change_picture(picture, lambda bgr: bgr[40:])
+    said = rf"camera cam0: .*{picture} is 1280x680 px, .* pictures of 1280x720 px"
+    with pytest.raises(CalibrationError, match=said):
+        calibrate(capture.folder)
+
+
+SIGHTS = {"cam0": BoardSight(BOARD.points, np.zeros((54, 2)), RigidTransform.identity())}
+
+
+def test_of_a_boards_tolerances_the_one_not_stated_moves_its_rim_as_much() -> None:
+    shift_mm, turn_deg = held_within(SIGHTS, 0.3)
+    assert shift_mm == 0.3
+    assert 0.1 < turn_deg < 0.5  # the rim of 200 x 125 mm
+    again = held_within(SIGHTS, None, turn_deg)
+    assert again == pytest.approx((0.3, turn_deg))
+    assert held_within(SIGHTS, 0.3, 1.0) == (0.3, 1.0)
+    assert held_within(SIGHTS, None) == (0.0, 0.0)
+    assert held_within({}, 0.3) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("stated", ["board_tolerance_mm = 0.2", "board_tolerance_deg = 0.15"])
+def test_a_capture_that_states_one_tolerance_has_both(altered, stated: str) -> None:
+    capture = altered("cam0", "cam2")
+    capture.substitute("capture.toml", r"\[capture\]\n", f"[capture]\n{stated}\n")
+    tolerances = calibrate(capture.folder).rig.tolerances
+    assert tolerances.board_mm == pytest.approx(0.2, rel=0.5)
+    assert tolerances.board_deg == pytest.approx(0.15, rel=0.5)
+
+
+def stereo_videos(source: Path, folder: Path, behind: int) -> Path:
+    """A capture of the stereo pair's pictures as videos, the right one's frames later ones."""
+    (folder / "board.toml").write_text(
+        'kind = "chessboard"\ninner_corners = [9, 6]\nsquare_mm = 25.0\n'
+    )
+    text = '[capture]\nname = "stereo"\nboard = "board.toml"\ncommon_views = true\n'
+    for name, shift in (("left", 0), ("right", behind)):
+        files = sorted(source.glob(f"{name}*.jpg"))
+        pictures = [cv2.imread(str(file)) for file in files[shift:] + files[:shift]]
+        code, size = cv2.VideoWriter.fourcc(*"MJPG"), pictures[0].shape[1::-1]
+        video = cv2.VideoWriter(str(folder / f"{name}1.avi"), code, 10, size)
+        for picture in pictures:
+            video.write(picture)
+        video.release()
+        text += f'[[cameras]]\nname = "{name}"\nintrinsics = "{name}1.avi"\n'
+    (folder / "capture.toml").write_text(text)
+    return folder
+
+
+def test_common_views_of_videos(shared: Path, tmp_path: Path) -> None:
+    folder = stereo_videos(shared / "data/opencv_stereo", tmp_path, 0)
+    left, right = calibrate(folder).calibration.cameras
+    assert np.linalg.norm(right.center - left.center) == pytest.approx(83.2, rel=2e-3)
+
+
+def test_common_views_that_were_not_taken_together(shared: Path, tmp_path: Path) -> None:
+    folder = stereo_videos(shared / "data/opencv_stereo", tmp_path, 1)
+    with pytest.raises(CalibrationError, match="of one number show one instant"):
+        calibrate(folder)
