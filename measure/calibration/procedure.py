@@ -169,8 +169,15 @@ def _locate_all(
         found=found,
         disagreement_mm=disagreement,
         tolerances=tolerances,
+        around=_corners(sights_of_boards),
     )
     return _by_paper(base, capture) if method == "paper" else _joint(base, capture)
+
+
+def _corners(boards: dict[str, BoardSight]) -> Floats:
+    """The seen corners of all boards where they are stated to be, (n, 3) mm."""
+    places = [board.world_from_board.apply(board.points) for board in boards.values()]
+    return np.concatenate(places) if places else np.zeros((0, 3))
 
 
 def _disagreement(

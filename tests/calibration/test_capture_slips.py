@@ -14,6 +14,7 @@ from measure.calibration.sights import BoardSight
 from measure.calibration.tolerance import held_within
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
+from measure.session import read_calibration
 from tests.calibration.altered import AlteredCapture
 from tests.calibration.rigs import BOARD
 
@@ -32,6 +33,16 @@ def test_a_picture_of_another_size_than_the_lens_is_refused(altered, picture: st
     said = rf"camera cam0: .*{picture} is 1280x680 px, .* pictures of 1280x720 px"
     with pytest.raises(CalibrationError, match=said):
         calibrate(capture.folder)
+
+
+def test_one_camera_is_located_by_a_board_alone(altered) -> None:
+    capture = altered("cam0")
+    capture.without_markers()
+    result = calibrate(capture.folder)
+    assert np.all(np.abs(result.verdict.workspace.center - [0, 0, 280]) < 60)
+    assert np.all(result.verdict.position_sd_mm < 0.1)
+    true = read_calibration(capture.source / "truth_calibration.toml").camera("cam0")
+    assert np.linalg.norm(result.calibration.cameras[0].center - true.center) < 0.4
 
 
 SIGHTS = {"cam0": BoardSight(BOARD.points, np.zeros((54, 2)), RigidTransform.identity())}
