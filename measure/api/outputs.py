@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterable
 from pathlib import Path
 
-from measure.errors import ConfigError
+from measure.errors import CalibrationError, ConfigError
 
 
 def is_one_of(out: Path, read: Iterable[Path]) -> bool:
@@ -27,3 +27,32 @@ def check_writable(out: Path) -> None:
         raise ConfigError(f"{out}: cannot be written: there is no folder {folder}")
     if not os.access(out if out.exists() else folder, os.W_OK):
         raise ConfigError(f"{out}: cannot be written: permission denied")
+
+
+def check_calibration_writable(out: Path) -> None:
+    """Refuse a file for a calibration as `check_writable` does, or that is there and is none.
+
+    Raises:
+        ConfigError: as said.
+    """
+    from measure.session import read_calibration
+
+    check_writable(out)
+    if out.exists() and out.stat().st_size:
+        try:
+            read_calibration(out)
+        except CalibrationError:
+            raise ConfigError(
+                f"{out} is there already and is no calibration: give a new file"
+            ) from None
+
+
+def check_page_writable(page: Path) -> None:
+    """Refuse a file for a report as `check_writable` does, or that is there and is no page.
+
+    Raises:
+        ConfigError: as said.
+    """
+    check_writable(page)
+    if page.exists() and page.suffix.lower() not in (".html", ".htm"):
+        raise ConfigError(f"{page} is there already and is no report: give a new file, or a .html")

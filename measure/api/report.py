@@ -17,10 +17,11 @@ def report(run_path: Path, out: Path | None = None, truth: Path | None = None) -
         Where it was written.
 
     Raises:
-        RunError: the folder is no run, the truth given cannot be read, or the file is there and no
-            page.
+        RunError: the folder is no run, or the truth given cannot be read.
+        ConfigError: the file cannot be written, or is there and no page.
     """
     from measure.api.evaluate import truth_of
+    from measure.api.outputs import check_page_writable
     from measure.errors import RunError
     from measure.results import read_run
     from measure.results.evaluation import pose_errors
@@ -31,7 +32,6 @@ def report(run_path: Path, out: Path | None = None, truth: Path | None = None) -
     truth = truth or truth_of(run)
     errors = None if truth is None else pose_errors(run, read_trajectory(truth, RunError))
     path = out or run_path / "report.html"
-    if path.exists() and path.suffix.lower() not in (".html", ".htm"):
-        raise RunError(f"{path} is there already and is no report: give a new file, or a .html")
+    check_page_writable(path)
     write_report(run, path, errors)
     return path

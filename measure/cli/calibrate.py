@@ -35,16 +35,20 @@ def calibrate(
         report: HTML report to write; beside the output, ending in .html, if omitted.
     """
     from measure.api import calibrate as run
-    from measure.api.outputs import check_writable
+    from measure.api.outputs import check_calibration_writable, check_page_writable
     from measure.calibration import camera_rows, judgement_lines
+    from measure.errors import ConfigError
     from measure.session import write_calibration
     from measure.viewing.report.calibration_report import write_calibration_report
 
-    check_writable(output)
+    page = output.with_suffix(".html") if report is None else report
+    check_calibration_writable(output)
+    check_page_writable(page)
+    if page.resolve() == output.resolve():
+        raise ConfigError(f"{page}: calibration and report need a file each")
     with console.progress("calibrating", "cameras") as progress:
         result = run(capture, method, body, progress)
     write_calibration(output, result.calibration, file_format)
-    page = output.with_suffix(".html") if report is None else report
     write_calibration_report(capture.name or str(capture), result.rig, result.verdict, page)
     if json:
         console.print_json({"output": output, **result.calibration.provenance})

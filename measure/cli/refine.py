@@ -44,11 +44,11 @@ def refine(
         file_format: of the output; only "triball" holds covariances and notes.
     """
     from measure.api import refine as run
-    from measure.api.outputs import check_writable
+    from measure.api.outputs import check_calibration_writable
     from measure.calibration import RefineSettings
     from measure.session import write_calibration
 
-    check_writable(output)
+    check_calibration_writable(output)
     if not (math.isfinite(body_tolerance_mm) and body_tolerance_mm >= 0):
         raise ConfigError(f"--body-tolerance-mm {body_tolerance_mm:g}: must be 0 or more")
     settings = RefineSettings(body_tolerance_mm)

@@ -40,3 +40,24 @@ def test_a_tolerance_that_is_none(recording: Recording, tmp_path: Path, capsys, 
     words = ("refine", recording.path, "-o", out, f"--body-tolerance-mm={tolerance}")
     assert "--body-tolerance-mm" in complaint(capsys, *words)
     assert not out.exists()
+
+
+@pytest.mark.parametrize("command", ["calibrate", "refine"])
+def test_calibrations_replace_calibrations_only(recording: Recording, capsys, command: str) -> None:
+    session = recording.path / "session.toml"
+    before = session.read_bytes()
+    said = complaint(capsys, command, recording.path, "-o", session)
+    assert "session.toml is there already and is no calibration" in said
+    assert session.read_bytes() == before
+
+
+def test_a_calibrations_report_has_a_file_of_its_own(recording: Recording, capsys) -> None:
+    out, rows = recording.path / "c.html", recording.path / "cam0.csv"
+    words = ("calibrate", recording.path, "-o", out)
+    assert "need a file each" in complaint(capsys, *words)
+    assert "cam0.csv is there already and is no report" in complaint(
+        capsys, *words, "--report", rows
+    )
+    assert "there is no folder" in complaint(
+        capsys, *words, "--report", recording.path / "no/r.html"
+    )
