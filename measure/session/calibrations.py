@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import tomllib
 from pathlib import Path
 from typing import Literal
@@ -29,6 +30,8 @@ from measure.session.interchange_toml import (
     write_anipose,
     write_caliscope,
 )
+
+_log = logging.getLogger(__name__)
 
 Format = Literal["triball", "anipose", "caliscope", "opencv"]
 
@@ -78,13 +81,22 @@ def read_intrinsics(path: Path | str) -> dict[str, Intrinsics]:
 def write_calibration(
     path: Path | str, calibration: Calibration, file_format: Format = "triball"
 ) -> None:
-    """Write a calibration; only our own format holds covariances and provenance.
+    """Write a calibration; only our own format holds covariances, shutters and provenance.
 
     Args:
         path: the file; for "opencv" its ending chooses YAML, XML or JSON.
         calibration: what to write.
         file_format: "triball", "anipose" (mm), "caliscope" (m) or "opencv" (mm).
     """
+    rolling = [camera.name for camera in calibration.cameras if camera.readout_s]
+    if rolling and file_format != "triball":
+        _log.warning(
+            "%s: a file for %s cannot hold the rolling shutter (readout_s) of %s: measured with "
+            "it, moving balls will be off",
+            path,
+            file_format,
+            ", ".join(rolling),
+        )
     writers = {
         "triball": write_own_calibration,
         "anipose": write_anipose,

@@ -14,9 +14,9 @@ from measure.geometry import RigidTransform
 from measure.model import Camera, Intrinsics
 from measure.session.calibration_file import NO_CAMERA_MATRIX, Calibration, is_camera_matrix
 from measure.session.interchange_toml import (
-    MM_PER,
     Unit,
     distortion8,
+    mm_per,
     opencv_distortion,
     rotation_matrix,
 )
@@ -45,8 +45,7 @@ def read_opencv(path: Path, text: str, unit: Unit | None) -> Calibration:
         CalibrationError: not such a file, or a camera without matrix, image size or pose.
     """
     storage = _parse(path, text)
-    stated = storage.getNode("unit").string()
-    scale = MM_PER[unit or (stated if stated in MM_PER else "mm")]
+    scale = mm_per(path, storage.getNode("unit").string(), unit)
     cameras = []
     for node, name in _camera_nodes(storage, path):
         rotation = _first(node, _ROTATION_NAMES)
@@ -118,6 +117,8 @@ def _camera_nodes(storage: Any, path: Path) -> list[tuple[Any, str]]:
     nodes = storage.getNode("cameras")
     if nodes.isSeq():
         found = [nodes.at(i) for i in range(nodes.size())]
+        if not all(node.isMap() for node in found):
+            raise CalibrationError(f"{path}: cameras must be maps with a camera_matrix each")
         return [(n, n.getNode("camera_name").string() or f"cam{i}") for i, n in enumerate(found)]
     if _first(storage, _MATRIX_NAMES) is None:
         known = ", ".join(storage.root().keys()) or "nothing"
@@ -126,10 +127,14 @@ def _camera_nodes(storage: Any, path: Path) -> list[tuple[Any, str]]:
 
 
 def _first(node: Any, names: tuple[str, ...]) -> Floats | None:
+    """The first of these matrices that is there; NaN if its numbers do not fit its shape."""
     for name in names:
         found = node.getNode(name)
         if not found.empty() and found.isMap():
-            return np.asarray(found.mat(), dtype=np.float64)
+            try:
+                return np.asarray(found.mat(), dtype=np.float64)
+            except cv2.error:
+                return np.full((1, 1), np.nan)
     return None
 
 

@@ -69,8 +69,9 @@ def read_foreign_toml(
         CalibrationError: a table cannot be used, or the lens model is not supported.
     """
     caliscope = isinstance(values.get("cameras"), Mapping)
-    stated = values.get("metadata", {}).get("unit")
-    unit = unit or ("m" if caliscope else stated if stated in MM_PER else "mm")
+    metadata = values.get("metadata")
+    stated = metadata.get("unit") if isinstance(metadata, Mapping) and not caliscope else None
+    mm_per_unit = mm_per(path, stated, unit or ("m" if caliscope else None))
     cameras = []
     for keys, table in _camera_tables(values):
         if table.get("ignore"):
@@ -87,11 +88,31 @@ def read_foreign_toml(
         number = given.cam_id if given.cam_id is not None else given.port
         name = given.name or (keys[-1] if number is None else f"cam_{number}")
         try:
-            cameras.append(given.camera(name, MM_PER[unit]))
+            cameras.append(given.camera(name, mm_per_unit))
         except CalibrationError as problem:
             raise CalibrationError(f"{path}: camera {keys[-1]}: {problem}") from None
     program = "caliscope" if caliscope else "aniposelib"
-    return Calibration(tuple(cameras), {"format": program, "unit": unit})
+    return Calibration(tuple(cameras), {"format": program, "mm_per_unit": mm_per_unit})
+
+
+def mm_per(path: Path, stated: object, given: Unit | None) -> float:
+    """Millimetres in the unit of a file's translations.
+
+    Args:
+        path: for messages.
+        stated: the file's own word for it, None or "" where there is none: mm.
+        given: goes before it.
+
+    Raises:
+        CalibrationError: the file's word is no unit that we know.
+    """
+    unit = given or stated or "mm"
+    if not isinstance(unit, str) or unit not in MM_PER:
+        raise CalibrationError(
+            f"{path}: unit {unit!r}: it may be mm, cm or m; calibration_unit in [session] goes "
+            "before it"
+        )
+    return MM_PER[unit]
 
 
 def write_anipose(path: Path, calibration: Calibration) -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
 from measure.model import Camera, Intrinsics
-from measure.session import Calibration, read_calibration, read_intrinsics, write_calibration
+from measure.session import Calibration, read_calibration, write_calibration
 
 POINTS = np.array([[10.0, 20, 30], [-50, 40, 10], [0, 0, 0], [60, -30, -20]])
 
@@ -217,82 +217,3 @@ def test_impossible_values_are_named(tmp_path: Path, field: str, value: str, wor
         read_calibration(path)
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_a_real_opencv_file(shared: Path) -> None:
-    path = shared / "data/opencv_stereo/left_intrinsics.yml"
-    lens = read_intrinsics(path)["left_intrinsics"]
-    assert lens.size_wh == (640, 480)
-    assert lens.focal_px == pytest.approx(535.91573396163199)
-    assert lens.distortion[:5] == pytest.approx(
-        [-0.26637260909660682, -0.038588898922304653, 0.0017831947, -0.00028122100, 0.2383915308]
-    )
-    with pytest.raises(CalibrationError, match="'left_intrinsics' has intrinsics but no pose"):
-        read_calibration(path)
-
-
-def test_an_opencv_file_of_something_else(shared: Path) -> None:
-    with pytest.raises(CalibrationError, match=r"stereo_calib\.xml: no camera_matrix in it"):
-        read_calibration(shared / "data/opencv_stereo/stereo_calib.xml")
-
-
-def test_a_caliscope_project_file_is_no_calibration(shared: Path) -> None:
-    with pytest.raises(CalibrationError, match=r"config\.toml"):
-        read_calibration(shared / "data/caliscope_4cam/prerecorded_intrinsic/config.toml")
-
-
-@pytest.mark.parametrize("text", ["%YAML:1.0\n---\nx: [", "<?xml version='1.0'?><a>", "{", "{}"])
-def test_a_broken_opencv_file(tmp_path: Path, text: str) -> None:
-    (tmp_path / "c.yml").write_text(text)
-    with pytest.raises(CalibrationError, match=r"c\.yml: "):
-        read_calibration(tmp_path / "c.yml")
-
-
-@pytest.mark.parametrize("file_format", ["anipose", "caliscope"])
-def test_a_matrix_of_another_program_is_a_camera_matrix(tmp_path: Path, file_format) -> None:
-    from measure.session import open_session
-    from tests.session.conftest import write_recording
-
-    with open_session(write_recording(tmp_path / "rec").path) as session:
-        write_calibration(tmp_path / "c.toml", Calibration(session.cameras), file_format)
-    text = (tmp_path / "c.toml").read_text()
-    assert "0.0, 0.0, 1.0" in text
-    (tmp_path / "c.toml").write_text(text.replace("0.0, 0.0, 1.0", "0.0, 0.0, 2.0", 1))
-    with pytest.raises(CalibrationError, match=r"c\.toml.*not a camera matrix"):
-        read_calibration(tmp_path / "c.toml")
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "said"),
-    [
-        ("T", np.array([[1.0], [np.nan], [0.0]]), "its pose is no 3x3 matrix R"),
-        ("R", np.full((3, 3), np.nan), "its pose is no 3x3 matrix R"),
-        ("R", np.eye(2), "its pose is no 3x3 matrix R"),
-        ("R", np.eye(4), "its pose is no 3x3 matrix R"),
-        ("camera_matrix", np.diag([70.0, 70.0, 0.0]), "not a camera matrix"),
-        ("camera_matrix", np.diag([np.nan, 70.0, 1.0]), "not a camera matrix"),
-        ("distortion_coefficients", np.full((5, 1), np.nan), "must be finite"),
-    ],
-)
-def test_an_opencv_file_with_wrong_numbers(tmp_path: Path, name: str, value, said: str) -> None:
-    right = {"camera_matrix": np.diag([70.0, 70.0, 1.0]), "R": np.eye(3), "T": np.zeros((3, 1))}
-    out = cv2.FileStorage(str(tmp_path / "c.yml"), cv2.FILE_STORAGE_WRITE)
-    for key, number in {"image_width": 64, "image_height": 48, **right, name: value}.items():
-        out.write(key, number)
-    out.release()
-    with pytest.raises(CalibrationError, match=rf"c\.yml: camera 'c'.*{said}"):
-        read_calibration(tmp_path / "c.yml")
-
-
-def test_a_session_may_name_a_foreign_calibration(tmp_path: Path) -> None:
-    from measure.session import open_session
-    from tests.session.conftest import write_recording
-
-    recording = write_recording(tmp_path / "rec")
-    with open_session(recording.path) as session:
-        own = session.cameras
-    write_calibration(recording.path / "array.toml", Calibration(own), "caliscope")
-    recording.replace("session.toml", '"calibration.toml"', '"array.toml"')
-    with open_session(recording.path) as session:
-        for old, new in zip(own, session.cameras, strict=True):
-            assert np.abs(old.world_from_camera.difference(new.world_from_camera)).max() < 1e-9
