@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from xml.sax.saxutils import escape
 
@@ -15,6 +15,7 @@ _PAPERS_MM = {
     "A1": (594.0, 841.0),
 }
 _POINTS_PER_MM = 72 / 25.4
+_FONT = "Helvetica"
 BAR_MM = 100.0
 MARGIN_MM = 8.0
 FOOTER_MM = 16.0
@@ -106,10 +107,20 @@ def lay_out(
     top = MARGIN_MM + (page[1] - wanted[1]) / 2
     moved = [_moved(shape, left, top) for shape in shapes]
     footer = scale_bar(MARGIN_MM, page[1] - FOOTER_MM / 2)
-    title = f"{text}. Print at 100 %: the bar must measure {BAR_MM:.0f} mm; measure a square too."
-    footer.append(Label(MARGIN_MM + BAR_MM + 6, page[1] - FOOTER_MM / 2 + 1, title, 2.6))
+    hint = f"Print at 100 %: the bar must measure {BAR_MM:.0f} mm; measure the drawing too."
+    at, line = MARGIN_MM + BAR_MM + 6, page[1] - FOOTER_MM / 2
+    footer += [_fitted(Label(at, line - 2, text, 2.6), page[0] - MARGIN_MM)]
+    footer += [_fitted(Label(at, line + 2, hint, 2.6), page[0] - MARGIN_MM)]
     origin = (origin_mm[0] + left, origin_mm[1] + top)
     return Sheet(page, paper, origin, (*moved, *footer))
+
+
+def _fitted(label: Label, right: float) -> Label:
+    """The label, smaller if it would reach past `right`."""
+    from reportlab.pdfbase.pdfmetrics import stringWidth
+
+    width = stringWidth(label.text, _FONT, label.height)
+    return replace(label, height=label.height * min(1.0, (right - label.x) / max(width, 1e-9)))
 
 
 def scale_bar(x: float, y: float) -> list[Shape]:
@@ -172,7 +183,7 @@ def _svg_shape(shape: Shape) -> str:
             f'y2="{shape.y2:.4f}" stroke="black" stroke-width="{shape.width:g}"/>'
         )
     return (
-        f'<text x="{shape.x:.3f}" y="{shape.y:.3f}" font-family="Helvetica,Arial,sans-serif" '
+        f'<text x="{shape.x:.3f}" y="{shape.y:.3f}" font-family="{_FONT},Arial,sans-serif" '
         f'font-size="{shape.height:g}">{escape(shape.text)}</text>'
     )
 
@@ -201,6 +212,7 @@ def _write_pdf(sheet: Sheet, path: Path) -> None:
             canvas.line(shape.x1, height - shape.y1, shape.x2, height - shape.y2)
         else:
             canvas.setFillGray(0.0)
-            canvas.setFont("Helvetica", shape.height)
-            canvas.drawString(shape.x, height - shape.y, shape.text)
+            text = shape.text.encode("cp1252", "replace").decode("cp1252")  # what the font holds
+            canvas.setFont(_FONT, shape.height)
+            canvas.drawString(shape.x, height - shape.y, text)
     canvas.save()

@@ -12,9 +12,11 @@ from measure.calibration.drawing import Box, Disc, Label, Line, Shape, Sheet, la
 from measure.calibration.targets import (
     CharucoFile,
     ChessboardFile,
+    MarkerField,
     MarkerFieldFile,
     kind_of,
     read_board,
+    read_markers,
 )
 from measure.errors import CalibrationError, ConfigError
 from measure.model import Body
@@ -38,7 +40,8 @@ def target_sheet(path: Path) -> Sheet:
         assert isinstance(board, Charuco)
         return charuco_sheet(board, load_toml(path, CharucoFile, CalibrationError).name)
     if kind == "markers":
-        return marker_sheet(load_toml(path, MarkerFieldFile, CalibrationError))
+        given = load_toml(path, MarkerFieldFile, CalibrationError)
+        return marker_sheet(read_markers(path), given.name, given.dot_mm)
     if kind == "body":
         return body_sheet(read_body(path))
     raise ConfigError(
@@ -100,24 +103,28 @@ def _marker(board: Charuco, number: int, left: float, top: float) -> list[Shape]
     return shapes
 
 
-def marker_sheet(field: MarkerFieldFile) -> Sheet:
+def marker_sheet(field: MarkerField, name: str, dot_mm: float) -> Sheet:
     """Where the posts stand, from above: a cross and a dot of true size at each place, x right."""
-    points = np.array([row.position_mm for row in field.markers])
-    low = points.min(axis=0) - 15
-    high = points.max(axis=0) + 15
+    low = field.points.min(axis=0) - 15
+    high = field.points.max(axis=0) + 15
     size = (float(high[0] - low[0]), float(high[1] - low[1]))
     origin = (float(-low[0]), float(high[1]))
-    shapes: list[Shape] = _cross(*origin, 10.0)
-    shapes.append(Label(origin[0] + 2, origin[1] - 2, "world origin: x right, y up"))
+    shapes: list[Shape] = []
+    if 0 <= origin[0] <= size[0] and 0 <= origin[1] <= size[1]:
+        shapes += _cross(*origin, 10.0)
+        shapes.append(Label(origin[0] + 2, origin[1] - 2, "world origin: x right, y up"))
+    else:
+        x, y, _ = field.points[0]
+        text = f"x right, y up; {field.names[0]} stands at x = {x:g}, y = {y:g} mm"
+        shapes.append(Label(2, 4, text, 2.2))
     labels: dict[tuple[float, float], list[str]] = {}
-    for row in field.markers:
-        x, y, z = row.position_mm
-        labels.setdefault((origin[0] + x, origin[1] - y), []).append(f"{row.name} z={z:g}")
+    for marker, (x, y, z) in zip(field.names, field.points.tolist(), strict=True):
+        labels.setdefault((origin[0] + x, origin[1] - y), []).append(f"{marker} z={z:g}")
     for (x, y), texts in labels.items():
         shapes += _cross(x, y, _CROSS_MM)
-        shapes.append(Disc(x, y, field.dot_mm / 2))
+        shapes.append(Disc(x, y, dot_mm / 2))
         shapes.append(Label(x - 12, y + 8, ", ".join(texts), 2.2))
-    return lay_out(shapes, size, origin, field.name)
+    return lay_out(shapes, size, origin, name)
 
 
 def body_sheet(body: Body) -> Sheet:

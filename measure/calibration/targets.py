@@ -67,8 +67,16 @@ class CharucoFile(FileModel):
 
     @model_validator(mode="after")
     def _fits(self) -> CharucoFile:
-        if self.marker_mm >= self.square_mm:
+        if np.float32(self.marker_mm) >= np.float32(self.square_mm):  # as OpenCV takes them
             raise ValueError("marker_mm must be smaller than square_mm")
+        columns, rows = self.inner_corners
+        needed = (columns + 1) * (rows + 1) // 2
+        held = len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary)).bytesList)
+        if needed > held:
+            raise ValueError(
+                f"the board needs {needed} markers, {self.dictionary} holds {held}: take a larger "
+                "dictionary"
+            )
         return self
 
     def board(self) -> Board:

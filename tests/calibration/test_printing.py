@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -109,6 +110,56 @@ def test_the_papers_body_is_drawn_and_true(tmp_path: Path) -> None:
     circles = [e for e in ET.parse(path).getroot().iter() if e.tag.endswith("circle")]
     assert [float(c.get("r", 0)) for c in circles] == [20, 20, 20]
     assert float(circles[0].get("cx", 0)) == pytest.approx(sheet.origin_mm[0] + 38)
+
+
+@pytest.mark.parametrize("name", ["raven_three_ball.toml", "raven_markers_16.toml", "long.toml"])
+def test_no_text_leaves_the_page(tmp_path: Path, name: str) -> None:
+    text = (TARGETS / "raven_three_ball.toml").read_text()
+    (tmp_path / "long.toml").write_text(text.replace('name = "raven', f'name = "{60 * "long "}', 1))
+    file = tmp_path / name if name == "long.toml" else TARGETS / name
+    sheet, path = draw_target(file, tmp_path / "target.pdf")
+    with pypdfium2.PdfDocument(path) as document:
+        page = document[0].get_textpage()
+        boxes = np.array([page.get_charbox(n) for n in range(page.count_chars())])
+        page.close()
+    assert len(boxes) > 100
+    assert boxes.min() > 0
+    assert np.all(boxes.max(axis=0)[2:] < np.array(sheet.size_mm) * 72 / 25.4)
+
+
+def test_a_marker_field_far_from_the_origin_says_where_it_is(tmp_path: Path) -> None:
+    text = (TARGETS / "raven_markers_16.toml").read_text()
+    far = tmp_path / "far.toml"
+    far.write_text(text.replace("[127.0, ", "[627.0, ").replace("[-127.0, ", "[373.0, "))
+    far.write_text(far.read_text().replace("[0.0, ", "[500.0, "))
+    _, path = draw_target(far, tmp_path / "far.svg")
+    assert "x right, y up; m00 stands at x = 627, y = 127 mm" in path.read_text()
+    assert "world origin" not in path.read_text()
+
+
+def test_markers_of_one_name_are_not_drawn(tmp_path: Path) -> None:
+    text = (TARGETS / "raven_markers_16.toml").read_text()
+    (tmp_path / "twice.toml").write_text(text.replace('"m01"', '"m00"'))
+    with pytest.raises(CalibrationError, match="marker 'm00' is there 2 times"):
+        draw_target(tmp_path / "twice.toml", tmp_path / "twice.svg")
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "said"),
+    [
+        (
+            r"inner_corners = .*",
+            "inner_corners = [20, 20]",
+            "the board needs 220 markers, .* holds",
+        ),
+        (r"marker_mm = .*", "marker_mm = 26.9999999999", "marker_mm must be smaller"),
+    ],
+)
+def test_charuco_boards_that_opencv_cannot_make(tmp_path, right, wrong, said) -> None:
+    text = (TARGETS / "charuco_8x5_27.toml").read_text()
+    (tmp_path / "board.toml").write_text(re.sub(right, wrong, text))
+    with pytest.raises(CalibrationError, match=said):
+        read_board(tmp_path / "board.toml")
 
 
 def test_other_endings_are_refused(tmp_path: Path) -> None:
