@@ -5,13 +5,17 @@ from measure.host.discovery import Broken, Distribution, Loaded, discover
 from measure.host.estimator import Correction, Epoch, Estimator, Report
 from measure.host.hooks import ENTRY_POINT_GROUP, hookimpl
 from measure.host.interfaces import Detector, Plugin, PoseSolver, Triangulator
+from measure.host.onnx_estimator import Core, OnnxEstimator, Scaling
+from measure.host.onnx_graph import Graph, Value
 from measure.host.onnx_model import Estimates, OnnxModel
+from measure.host.onnx_seal import seal
 from measure.host.registry import Registry
 from measure.host.settings import Setting, Settings, describe_settings, setting
 
 __all__ = [
     "ENTRY_POINT_GROUP",
     "Broken",
+    "Core",
     "Correction",
     "Dataset",
     "Detector",
@@ -19,17 +23,22 @@ __all__ = [
     "Epoch",
     "Estimates",
     "Estimator",
+    "Graph",
     "Loaded",
+    "OnnxEstimator",
     "OnnxModel",
     "Plugin",
     "PoseSolver",
     "Registry",
     "Report",
+    "Scaling",
     "Setting",
     "Settings",
     "Triangulator",
+    "Value",
     "describe_settings",
     "discover",
     "hookimpl",
+    "seal",
     "setting",
 ]

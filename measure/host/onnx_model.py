@@ -3,7 +3,13 @@
 The contract of the file. Inputs: `features` (N, F) a raw state; `memory` (N, S), zeros after a
 reset; `tick` (N, 1), one if slow memory shall advance. Outputs: `error_mm` (N, 3), `covariance`
 (N, 9), `strangeness` (N, 1), above one if unlike training; `memory_out` (N, S). Metadata, as JSON:
-`measure` (format, estimator, robot, features, period_s, memory) and `card`; last a checksum.
+`measure` and `card`; last a checksum, as `measure.host.seal` appends it. `measure` holds:
+
+- `format`: 1; `estimator`: its name; `settings`: as they were;
+- `robot`: its name; `features`: [name, unit] of each, in order;
+- `position_mm`: a matrix (F, 3): a state times it is the reported position;
+- `period_s`: of the states learnt from; `memory`: S, at least 1; `memoryless`: whether the memory
+  may be left at zeros.
 """
 
 from __future__ import annotations
@@ -23,6 +29,10 @@ from measure.host.onnx_seal import is_intact
 from measure.robots import StateSchema
 
 FORMAT = 1
+_FACTS = {
+    *("estimator", "settings", "robot", "features", "position_mm"),
+    *("period_s", "memory", "memoryless"),
+}
 _OUTPUTS = ("error_mm", "covariance", "strangeness", "memory_out")
 _TICKS = (np.zeros((1, 1), dtype=np.float32), np.ones((1, 1), dtype=np.float32))
 
@@ -70,6 +80,8 @@ class OnnxModel:
                 f"{where}: of format {self.facts.get('format')}, this version reads {FORMAT}: "
                 "train it again"
             )
+        if missing := sorted(_FACTS - self.facts.keys()):
+            raise EstimatorError(f"{where}: its metadata `measure` lacks {', '.join(missing)}")
         self.where = where
         self.features = tuple(name for name, _ in self.facts["features"])
         self.robot = str(self.facts["robot"])

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from measure.host import Dataset
-from measure.host.onnx_graph import Graph
+from measure.host import Dataset, Graph
 from measure.robots import psm_schema
 from measure_plugins.estimators import _nets, _training, mlp
 from measure_plugins.estimators._kinematics import TorchTip, tip_change

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 HERE = Path(__file__).parent
-STRANGERS = ("blob", "broken", "clashing", "wrong_hook")
+STRANGERS = ("blob", "linear", "broken", "clashing", "wrong_hook")
 collect_ignore = list(STRANGERS)
 
 

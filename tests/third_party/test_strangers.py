@@ -31,7 +31,8 @@ def test_a_stranger_is_listed_beside_the_built_ins(environment: Environment):
     assert blob["kind"] == "detector"
     assert blob["distribution"] == {"name": "acme-blob", "version": "0.3.1"}
     assert blob["summary"] == "Patches of a ball's colour by connected components."
-    assert {p["distribution"]["name"] for p in plugins} == {"acme-blob", "triball"}
+    owners = {p["distribution"]["name"] for p in plugins}
+    assert owners == {"acme-blob", "acme-linear", "triball"}
 
 
 def test_its_settings_are_shown(environment: Environment):
@@ -58,10 +59,11 @@ def test_a_clash_is_reported_naming_both(environment: Environment):
     )
 
 
-def test_the_stranger_passes_the_conformance_kit_in_its_own_tests(environment: Environment):
+@pytest.mark.parametrize("name", ["blob", "linear"])
+def test_a_stranger_passes_the_conformance_kit_in_its_own_tests(environment: Environment, name):
     done = environment.run(
         *(environment.program("python"), "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests"),
-        cwd=HERE / "blob",
+        cwd=HERE / name,
     )
     assert done.returncode == 0, done.stdout
     assert " passed" in done.stdout
@@ -95,6 +97,20 @@ def test_the_stranger_measures_a_recording(environment: Environment, session, tm
         off = np.linalg.norm(position - example().world_from_body.translation)
         assert off < 3, f"{off:.2f} mm off"
     assert "acme-blob" in (tmp_path / "run" / "run.toml").read_text()
+
+
+def test_a_strangers_estimator_learns_and_its_model_runs_without_it(
+    environment: Environment, tmp_path
+):
+    data, model, out = (str(tmp_path / n) for n in ("sim.parquet", "m.onnx", "out.parquet"))
+    for words in (
+        ("dataset", "--simulate-min", "2", "--seed", "3", "--out", data),
+        ("train", data, "--estimator", "linear", "--out", model),
+        ("estimate", model, "--input", data, "--output", out, "--disable", "linear"),
+    ):
+        done = environment.measure(*words, *WITHOUT_CLASH)
+        assert done.returncode == 0, done.stderr
+    assert Path(out).exists()
 
 
 @pytest.mark.parametrize(

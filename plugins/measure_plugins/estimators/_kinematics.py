@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from measure.host.onnx_graph import Graph, Value
+from measure.host import Graph, Value
 from measure.robots import SerialChain, StateSchema
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from measure.arrays import Floats
-from measure.host.onnx_graph import Graph, Value
+from measure.host import Graph, Value
 
 GAIN = 3.0  # brings differences between steps to the size of the other inputs
 

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from measure.arrays import Floats
-from measure.host import Dataset
-from measure.host.onnx_graph import Graph, Value
+from measure.host import Dataset, Graph, Value
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,18 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.geometry import align_points
-from measure.host import Dataset, Estimator, Report, Settings, hookimpl, setting
-from measure.host.onnx_estimator import Core, OnnxEstimator
-from measure.host.onnx_graph import Graph, Value
+from measure.host import (
+    Core,
+    Dataset,
+    Estimator,
+    Graph,
+    OnnxEstimator,
+    Report,
+    Settings,
+    Value,
+    hookimpl,
+    setting,
+)
 from measure_plugins.estimators._inputs import telling_features, watched_features
 
 

@@ -5,9 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from measure.arrays import Floats
-from measure.host import Dataset, Estimator, Report, Settings, hookimpl, setting
-from measure.host.onnx_estimator import Core, OnnxEstimator, Scaling
-from measure.host.onnx_graph import Graph, Value
+from measure.host import (
+    Core,
+    Dataset,
+    Estimator,
+    Graph,
+    OnnxEstimator,
+    Report,
+    Scaling,
+    Settings,
+    Value,
+    hookimpl,
+    setting,
+)
 from measure_plugins.estimators._inputs import watched_features
 from measure_plugins.estimators._window import Window
 

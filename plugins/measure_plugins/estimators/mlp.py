@@ -7,9 +7,20 @@ from typing import Any, Literal
 import numpy as np
 
 from measure.arrays import Floats
-from measure.host import Dataset, Epoch, Estimator, Report, Settings, hookimpl, setting
-from measure.host.onnx_estimator import Core, OnnxEstimator, Scaling
-from measure.host.onnx_graph import Graph, Value
+from measure.host import (
+    Core,
+    Dataset,
+    Epoch,
+    Estimator,
+    Graph,
+    OnnxEstimator,
+    Report,
+    Scaling,
+    Settings,
+    Value,
+    hookimpl,
+    setting,
+)
 from measure_plugins.estimators._checkpoint import Checkpoint
 from measure_plugins.estimators._training import torch_or_explain
 

@@ -4,9 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from measure.host import Dataset, Estimator, Report, Settings, hookimpl
-from measure.host.onnx_estimator import Core, OnnxEstimator
-from measure.host.onnx_graph import Graph, Value
+from measure.host import (
+    Core,
+    Dataset,
+    Estimator,
+    Graph,
+    OnnxEstimator,
+    Report,
+    Settings,
+    Value,
+    hookimpl,
+)
 from measure_plugins.estimators._inputs import watched_features
 
 

@@ -7,9 +7,19 @@ from typing import Literal
 import numpy as np
 
 from measure.arrays import Floats
-from measure.host import Dataset, Estimator, Report, Settings, hookimpl, setting
-from measure.host.onnx_estimator import Core, OnnxEstimator, Scaling
-from measure.host.onnx_graph import Graph, Value
+from measure.host import (
+    Core,
+    Dataset,
+    Estimator,
+    Graph,
+    OnnxEstimator,
+    Report,
+    Scaling,
+    Settings,
+    Value,
+    hookimpl,
+    setting,
+)
 from measure_plugins.estimators._inputs import telling_features, watched_features
 from measure_plugins.estimators._play import PlayBank
 from measure_plugins.estimators._window import Window

@@ -15,9 +15,18 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.errors import EstimatorError
-from measure.host import Dataset, Estimator, Report, Settings, hookimpl, setting
-from measure.host.onnx_estimator import Core, OnnxEstimator
-from measure.host.onnx_graph import Graph, Value
+from measure.host import (
+    Core,
+    Dataset,
+    Estimator,
+    Graph,
+    OnnxEstimator,
+    Report,
+    Settings,
+    Value,
+    hookimpl,
+    setting,
+)
 from measure_plugins.estimators._inputs import watched_features
 from measure_plugins.estimators._kinematics import tip_change
 from measure_plugins.estimators._play import PlayBank
