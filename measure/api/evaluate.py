@@ -38,11 +38,10 @@ def evaluate(
         opened,
         read_trajectory(path, RunError),
         cameras,
-        None if marks is None else read_marks(marks),
+        None if marks is None else read_marks(marks, opened),
     )
 
 
 def truth_of(run: Run) -> Path | None:
     """The truth of the session a run was made from, None if there is none."""
-    session = Path(run.provenance.get("session", {}).get("path", ""))
-    return session_truth(session) if session.is_dir() else None
+    return None if run.session is None else session_truth(run.session)

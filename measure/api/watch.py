@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from measure.errors import ConfigError
+
+if TYPE_CHECKING:
+    from measure.results import Run
 
 
 def spawn_viewer() -> str:
@@ -50,7 +54,7 @@ def robot_recording(
     from measure.viewing.robot_recording import write_robot_recording
 
     measured = read_run(run)
-    log = log or _log_of(str(measured.provenance.get("session", {}).get("path", "")))
+    log = log or _log_of(measured)
     if log is None:
         raise ConfigError(f"the session of {run} names no robot log: give it with --robot-log")
     estimator = None if model is None else OnnxModel.load(model)
@@ -62,11 +66,11 @@ def robot_recording(
     return path
 
 
-def _log_of(session: str) -> Path | None:
-    """The robot log that a session names, if the session is still there."""
+def _log_of(run: Run) -> Path | None:
+    """The robot log that a run's session names, if the session is still there."""
     from measure.session import open_session
 
-    if not Path(session).is_dir():
+    if run.session is None:
         return None
-    with open_session(Path(session)) as opened:
+    with open_session(run.session) as opened:
         return opened.robot_log

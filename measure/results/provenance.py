@@ -23,7 +23,7 @@ class Provenance:
     """What a run is made from.
 
     Attributes:
-        session: its absolute path.
+        session: absolute path of the file that describes it.
         session_digest: SHA-256 of its description, clocks and the names and sizes of its pictures.
         calibration: path of the calibration used.
         calibration_digest: SHA-256 of that file.

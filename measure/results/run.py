@@ -57,6 +57,12 @@ class Run:
         return ball_distances(self.body, self.balls, self.poses)
 
     @property
+    def session(self) -> Path | None:
+        """The session measured: its file, or the folder of `session.toml`; None if it is gone."""
+        path = self.provenance.get("session", {}).get("path")
+        return Path(path) if path and Path(path).exists() else None
+
+    @property
     def contradictions(self) -> tuple[str, ...]:
         """What they say against the body file, a line each."""
         return contradictions(self.body, self.distances)

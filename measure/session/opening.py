@@ -60,7 +60,7 @@ def open_session(
         raise
     return Session(
         name=given.session.name or folder.resolve().name,
-        path=folder,
+        path=file,
         body=measured,
         cameras=cameras,
         streams=streams,

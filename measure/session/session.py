@@ -24,7 +24,7 @@ class Session:
 
     Attributes:
         name: as the file says, else the folder's name.
-        path: the folder.
+        path: the file that describes it.
         body: what is measured.
         cameras: calibrated, in the order of the session.
         streams: by camera name, in the same order.

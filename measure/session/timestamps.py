@@ -67,10 +67,17 @@ def read_stamps(path: Path, camera: str) -> Stamps:
 
 @dataclass(frozen=True, eq=False)
 class NumberTable:
-    """Columns of numbers by name, each (n,), and the line of the file each row stands on."""
+    """A CSV file's rows.
+
+    Attributes:
+        columns: of numbers by name, each (n,).
+        lines: of the file on which each row stands.
+        words: columns of text by name.
+    """
 
     columns: dict[str, Floats]
     lines: list[int]
+    words: dict[str, list[str]]
 
 
 def read_number_table(
@@ -80,8 +87,11 @@ def read_number_table(
     error: type[MeasureError] = SessionError,
     *,
     empty_is_nan: bool = False,
+    words: tuple[str, ...] = (),
 ) -> NumberTable:
     """Read the columns `needed` of a CSV file with a header line; others are passed over.
+
+    Those called `words` hold text.
 
     Raises:
         error: a column is missing, or a value is no number; the message starts with `prefix`, file
@@ -91,22 +101,25 @@ def read_number_table(
     numbered = _numbered_rows(text, f"{prefix}{path}", error)
     _, first = next(numbered, (1, []))
     header = [name.strip() for name in first]
-    if missing := [name for name in needed if name not in header]:
+    if missing := [name for name in (*words, *needed) if name not in header]:
         raise error(
-            f"{prefix}{path}:1: the header lacks {', '.join(missing)}; "
-            f"it must hold {','.join(needed)}, it holds {','.join(header)[:80] or 'nothing'}"
+            f"{prefix}{path}:1: the header lacks {', '.join(missing)}; it must hold "
+            f"{','.join((*words, *needed))}, it holds {','.join(header)[:80] or 'nothing'}"
         )
     where = [header.index(name) for name in needed]
-    rows, lines = [], []
+    rows, lines = [], list[int]()
+    texts: dict[str, list[str]] = {name: [] for name in words}
     for line, row in numbered:
         if any(cell.strip() for cell in row):
             place = f"{prefix}{path}:{line}"
             rows.append(_numbers(row, where, needed, place, error, empty_is_nan))
             lines.append(line)
+            for name in words:
+                texts[name].append(_cell(row, header.index(name)))
     if not rows:
         raise error(f"{prefix}{path}: has a header but no rows")
     values = np.array(rows, dtype=np.float64)
-    return NumberTable({name: values[:, i] for i, name in enumerate(needed)}, lines)
+    return NumberTable({name: values[:, i] for i, name in enumerate(needed)}, lines, texts)
 
 
 def _numbered_rows(
@@ -133,9 +146,13 @@ def _numbers(
 ) -> list[float]:
     out = []
     for index, name in zip(where, needed, strict=True):
-        cell = row[index].strip() if index < len(row) else ""
+        cell = _cell(row, index)
         try:
             out.append(float("nan") if empty_is_nan and not cell else float(cell))
         except ValueError:
             raise error(f"{place}: {name} is {cell!r}, not a number") from None
     return out
+
+
+def _cell(row: list[str], index: int) -> str:
+    return row[index].strip() if index < len(row) else ""

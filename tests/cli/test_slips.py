@@ -8,6 +8,7 @@ import pytest
 
 from measure.cli import main
 from tests.cli.test_bad_input import complaint, run_words
+from tests.results.conftest import write_truth
 from tests.session.conftest import Recording, write_recording
 
 
@@ -26,6 +27,27 @@ def test_nothing_is_overwritten_by_a_slip(recording: Recording, capsys) -> None:
     said = complaint(capsys, "report", run, "-o", run / "poses.csv")
     assert "poses.csv is there already and is no report" in said
     assert (run / "poses.csv").read_bytes() == before
+
+
+def test_a_run_is_compared_with_the_truth_of_the_session_file_it_measured(
+    recording: Recording, tmp_path: Path, capsys
+) -> None:
+    words = run_words(recording)
+    session = recording.path / "session.toml"
+    write_truth(recording.path / "truth.csv", 1.0)
+    write_truth(recording.path / "later.csv", 1.0, start_s=900.0)
+    text = session.read_text()
+    session.write_text(text.replace("[session]", '[session]\ntruth = "later.csv"'))
+    second = recording.path / "second.toml"
+    second.write_text(text.replace("[session]", '[session]\ntruth = "truth.csv"'))
+    run = str(recording.path.with_name("run"))
+    assert main(["run", str(second), *words[2:]]) == 0
+    assert main(["evaluate", run]) == 0
+    assert main(["report", run]) == 0
+    capsys.readouterr()
+    assert main(["run", *words[1:], "--overwrite"]) == 0
+    capsys.readouterr()
+    assert "later.csv runs from 900.000" in complaint(capsys, "evaluate", run)
 
 
 def test_an_open_quotation_mark_in_a_long_file(recording: Recording, capsys) -> None:

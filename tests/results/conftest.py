@@ -105,11 +105,11 @@ def made_from(**settings: object) -> Provenance:
     )
 
 
-def write_truth(path: Path, end_s: float, rate_hz: float = 240.0) -> Path:
+def write_truth(path: Path, end_s: float, rate_hz: float = 240.0, start_s: float = 0.0) -> Path:
     lines = ["time_s,x_mm,y_mm,z_mm,qw,qx,qy,qz"]
     for k in range(int(end_s * rate_hz) + 2):
         pose = true_pose(k / rate_hz)
-        numbers = [k / rate_hz, *pose.translation, *pose.quat_wxyz]
+        numbers = [start_s + k / rate_hz, *pose.translation, *pose.quat_wxyz]
         lines.append(",".join(f"{v:.12f}" for v in numbers))
     path.write_text("\n".join(lines) + "\n")
     return path

@@ -195,8 +195,10 @@ def test_detection_against_marks_by_hand(tmp_path: Path) -> None:
             u, v = view.detection.center_px + np.array([0.3, 0.4])
             lines.append(f"{view.camera},{i},{view.ball},{u:.9f},{v:.9f}")
     (tmp_path / "marks.csv").write_text("\n".join(lines) + "\n")
-    marks = read_marks(tmp_path / "marks.csv")
-    alone = _evaluate(tmp_path, measurement, marks=marks).detection
+    run = _run(tmp_path / "run", measurement)
+    truth = read_trajectory(write_truth(tmp_path / "truth.csv", COUNT * PERIOD_S))
+    marks = read_marks(tmp_path / "marks.csv", run)
+    alone = evaluate(run, truth, marks=marks).detection
     assert alone is not None
     assert alone.pixels is not None
     assert alone.pixels.count == 54
@@ -206,7 +208,36 @@ def test_detection_against_marks_by_hand(tmp_path: Path) -> None:
     assert 0.05 < alone.ball.rms_3d_mm < 0.35
     (tmp_path / "bad.csv").write_text("camera,frame,u_px,v_px\ncam0,1,2,3\n")
     with pytest.raises(RunError, match=r"bad\.csv:1: the header lacks ball"):
-        read_marks(tmp_path / "bad.csv")
+        read_marks(tmp_path / "bad.csv", run)
+
+
+@pytest.mark.parametrize(
+    ("row", "said"),
+    [
+        ("cam9,1,green,2,3", "no camera of .* is called 'cam9'; there is cam0, cam1, cam2"),
+        ("cam0,1,grean,2,3", "no ball of .* is called 'grean'; there is green, yellow, red"),
+        ("cam0,5,green,2,3", "has no frame 5 of cam0"),
+        ("cam0,0.5,green,2,3", "has no frame 0.5 of cam0"),
+        ("cam0,nan,green,2,3", "has no frame nan of cam0"),
+        ("cam0,1,green,nan,3", r"the mark is at \(nan, 3\) px"),
+        ("cam0,1,green,2,inf", r"the mark is at \(2, inf\) px"),
+        ("cam0,0,green,2,4", "frame 0 of cam0 marks 'green' twice"),
+    ],
+)
+def test_marks_of_what_is_not_in_the_run_are_refused(tmp_path: Path, row: str, said: str) -> None:
+    run = _run(tmp_path / "run", measurement, count=2)
+    path = tmp_path / "marks.csv"
+    path.write_text("camera,frame,ball,u_px,v_px\n, ,,,\ncam0,0,green,2,3\n" + row)
+    with pytest.raises(RunError, match=rf"marks\.csv:4: .*{said}"):
+        read_marks(path, run)
+    path.write_text("camera,frame,ball,u_px,v_px\n, ,,,\ncam0,0,green,2,3\n")
+    assert list(read_marks(path, run)) == [("cam0", 0, "green")]
+
+
+def test_a_frame_that_may_have_been_skipped_may_be_marked(tmp_path: Path) -> None:
+    run = _run(tmp_path / "run", lambda i: measurement(i, lost=i > 1), count=4)
+    (tmp_path / "marks.csv").write_text("camera,frame,ball,u_px,v_px\ncam0,3,green,2,3\n")
+    assert read_marks(tmp_path / "marks.csv", run)
 
 
 def _change(path: Path, column: Callable[[list[float]], list[float]]) -> None:
