@@ -120,23 +120,29 @@ def build_pipeline(
 
     Raises:
         PluginError: a plugin that is unknown, broken or ambiguous, or refuses the body.
-        ConfigError: settings that do not fit.
+        ConfigError: settings that do not fit, or a solver of outlines with a detector of none.
     """
     settings = profile.settings
     tracker = find_tracker(profile.tracking)
     tracking = read_settings(
         tracker.Config, settings.get("tracking", {}), f"tracking '{profile.tracking}'"
     )
+    detectors = {
+        camera.name: registry.detector(profile.detector, settings.get("detector", {}), body, camera)
+        for camera in cameras
+    }
+    solver = registry.solver(profile.solver, settings.get("solver", {}), body)
+    if solver.fits_outlines and not all(one.measures_outlines for one in detectors.values()):
+        others = " or ".join(name for name in registry.names("solver") if name != profile.solver)
+        raise ConfigError(
+            f"solver '{profile.solver}' fits outlines, and detector '{profile.detector}' measures "
+            f"none: take another solver with it (--solver {others})"
+        )
     stages = Stages(
-        detectors={
-            camera.name: registry.detector(
-                profile.detector, settings.get("detector", {}), body, camera
-            )
-            for camera in cameras
-        },
+        detectors=detectors,
         tracker=tracker(tracking, body, cameras),
         triangulator=registry.triangulator(profile.triangulator, settings.get("triangulator", {})),
-        solver=registry.solver(profile.solver, settings.get("solver", {}), body),
+        solver=solver,
         own_times=profile.own_times,
         neighbours=profile.neighbours,
         look_again=profile.look_again,

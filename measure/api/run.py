@@ -11,7 +11,7 @@ from types import TracebackType
 from typing import Any, Self, get_args
 
 from measure.api.measuring import measure_session
-from measure.api.profiles import find_tracker
+from measure.api.profiles import build_pipeline, find_tracker
 from measure.errors import ConfigError, MeasureError, RunError
 from measure.host import Registry
 from measure.host.settings import read_settings
@@ -90,6 +90,8 @@ def run(
     with ExitStack() as stack:
         session = stack.enter_context(open_session(session_path, options.calibration, options.body))
         total = len(session.pair().times_s)
+        # What does not fit together is refused before a folder is made, or an earlier run lost.
+        build_pipeline(profile, registry, session.body, session.cameras)
         made_from = provenance(session, profile, registry)
         writer = stack.enter_context(
             RunWriter(

@@ -35,9 +35,11 @@ class Detector(Plugin):
     Attributes:
         out_of_order: whether it may be shown earlier pictures again. One that keeps no state may;
             one that does must know them by their times. Unless it is set, time runs on.
+        measures_outlines: whether its detections hold outlines (`Detection.outline_px`).
     """
 
     out_of_order: ClassVar[bool] = False
+    measures_outlines: ClassVar[bool] = False
 
     def __init__(self, config: Settings, body: Body, camera: Camera) -> None:
         self.config = config
@@ -136,7 +138,13 @@ class Triangulator(Plugin):
 
 
 class PoseSolver(Plugin):
-    """Turns what was seen of all balls into the body's pose."""
+    """Turns what was seen of all balls into the body's pose.
+
+    Attributes:
+        fits_outlines: whether it finds none without detections that hold outlines.
+    """
+
+    fits_outlines: ClassVar[bool] = False
 
     def __init__(self, config: Settings, body: Body) -> None:
         self.config = config

@@ -139,6 +139,8 @@ class DetectorConformance(PluginConformance):
             assert detection.camera == self.camera, f"camera {detection.camera!r}"
             assert detection.time_s == scene.time_s, "the time is not the image's"
             _check_numbers(detection)
+            if detection.outline_px is not None:
+                assert self.plugin.measures_outlines, "outlines, but measures_outlines is not set"
 
 
 def _check_numbers(detection: Detection) -> None:

@@ -50,6 +50,26 @@ def test_a_run_is_compared_with_the_truth_of_the_session_file_it_measured(
     assert "later.csv runs from 900.000" in complaint(capsys, "evaluate", run)
 
 
+@pytest.mark.parametrize(
+    ("color", "words", "said"),
+    [
+        ("red", ("--solver", "contours"), "'hough' measures none: take another solver with it ("),
+        ("green", (), "are two balls of one colour"),
+    ],
+)
+def test_what_does_not_fit_together_costs_no_run(
+    recording: Recording, capsys, color: str, words: tuple[str, ...], said: str
+) -> None:
+    run = recording.path.with_name("run")
+    recording.replace("body.toml", 'color = "red"', f'color = "{color}"')
+    assert said in complaint(capsys, *run_words(recording, *words))
+    assert not run.exists()
+    run.mkdir()
+    (run / "run.toml").write_text("an earlier run")
+    complaint(capsys, *run_words(recording, *words, "--overwrite"))
+    assert (run / "run.toml").read_text() == "an earlier run"
+
+
 def test_an_open_quotation_mark_in_a_long_file(recording: Recording, capsys) -> None:
     rows = "".join(f"{k},{0.001 * k}\n" for k in range(20000))
     (recording.path / "cam1.csv").write_text('"frame,time_s\n' + rows)

@@ -42,7 +42,7 @@ class OutlineDetector(Detector):
     """Sub-pixel outlines near their predictions; without one, the whole frame is searched."""
 
     name = "outline"
-    out_of_order = True
+    out_of_order = measures_outlines = True
     Config = OutlineConfig
     config: OutlineConfig
 

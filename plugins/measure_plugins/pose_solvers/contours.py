@@ -63,6 +63,7 @@ class ContoursSolver(PoseSolver):
     """Joint fit of the pose to all outlines."""
 
     name = "contours"
+    fits_outlines = True
     Config = ContoursConfig
     config: ContoursConfig
 
