@@ -9,7 +9,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.errors import MeasureError
-from measure.measuring import instants, pose_spline
+from measure.measuring import asking, instants, pose_spline
 from measure.measuring.instants import Seen
 from measure.measuring.looking_back import Looked, looked_back
 from measure.measuring.measurement import Draft, Measurement, Status
@@ -179,9 +179,8 @@ class Pipeline:
         self, frame_set: FrameSet, expected: Mapping[str, Sequence[Expectation]], pool: SideBySide
     ) -> dict[str, list[Detection]]:
         def detect(name: str) -> list[Detection]:
-            found = self.stages.detectors[name].detect(
-                frame_set.images[name], expected.get(name, ())
-            )
+            detector, image = self.stages.detectors[name], frame_set.images[name]
+            found = asking.detections(detector, image, expected.get(name, ()), self._body)
             return self._at_their_rows(found) if self.stages.own_times else found
 
         return pool.map(detect, frame_set.images)
@@ -210,8 +209,8 @@ class Pipeline:
         used: Sequence[Detection] = seen.detections
         if motion is not None and self.stages.own_times:
             used = seen.carried(motion)
-        fixes = self.stages.triangulator.triangulate_all(used, self._cameras)
-        fixes.sort(key=lambda fix: self._body.index(fix.ball))
+        asked = self.stages.triangulator
+        fixes = asking.fixes(asked, used, self._cameras, self._body, seen.time_s)
         return tuple(
             [f if f.time_s == seen.time_s else replace(f, time_s=seen.time_s) for f in fixes]
         )
@@ -219,7 +218,8 @@ class Pipeline:
     def _solve(self, seen: Seen, fixes: Sequence[Fix], prior: Motion | None) -> Pose | None:
         if not seen.detections:
             return None
-        pose = self.stages.solver.solve(fixes, seen.detections, self._cameras, seen.time_s, prior)
+        asked, cameras = self.stages.solver, self._cameras
+        pose = asking.pose(asked, fixes, seen.detections, cameras, seen.time_s, prior)
         if pose is None or prior is None or not self.stages.own_times:
             return pose
         share = seen.velocity_share(pose, prior)
