@@ -5,7 +5,9 @@ from __future__ import annotations
 import difflib
 import inspect
 import re
+import sys
 from collections.abc import Collection, Iterable, Iterator
+from contextlib import redirect_stdout
 from dataclasses import dataclass
 from importlib import metadata
 
@@ -13,7 +15,7 @@ import pluggy
 
 from measure.errors import PluginError
 from measure.host import hooks
-from measure.host.interfaces import Plugin
+from measure.host.interfaces import NAME, Plugin
 from measure.host.settings import Settings
 
 
@@ -68,7 +70,9 @@ def discover(disabled: Collection[str] = ()) -> list[Loaded | Broken]:
         if names & left_out.keys():
             continue
         try:
-            found += _load(manager, distribution, entry_point)
+            # What is printed meanwhile is no result of the command's.
+            with redirect_stdout(sys.stderr):
+                found += _load(manager, distribution, entry_point)
         except (Exception, SystemExit) as error:
             reason = " ".join(f"{type(error).__name__}: {error}".split())
             found.append(Broken(entry_point.name, distribution, reason))
@@ -151,5 +155,9 @@ def _check_class(kind: hooks.Kind, plugin: object) -> None:
         raise TypeError(f"{plugin.__name__} lacks {', '.join(missing)}")
     if not isinstance(getattr(plugin, "name", None), str) or not plugin.name:
         raise TypeError(f"{plugin.__name__} has no name")
+    if not NAME.fullmatch(plugin.name):
+        raise TypeError(
+            f"{plugin.__name__} is called {plugin.name!r}: lower case, words joined by -"
+        )
     if not (inspect.isclass(plugin.Config) and issubclass(plugin.Config, Settings)):
         raise TypeError(f"{plugin.__name__}.Config is not a subclass of measure.host.Settings")

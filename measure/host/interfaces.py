@@ -6,12 +6,16 @@ alike; a class need not live in this project, only keep this contract (`measure.
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from typing import ClassVar
 
 from measure.host.settings import Settings
 from measure.model import Body, Camera, Detection, Expectation, Fix, Image, Motion, Pose
+
+NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
+"""What a plugin may be called: lower case, words joined by "-"."""
 
 
 class Plugin(ABC):

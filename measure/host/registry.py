@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import redirect_stdout
 from typing import Any, cast
 
 from measure.errors import MeasureError, PluginError
@@ -99,7 +101,8 @@ class Registry:
         config = read_settings(loaded.plugin.Config, settings, f"{kind} '{name}'")
         plugin: Any = loaded.plugin
         try:
-            return cast("Plugin", plugin(config, **context))
+            with redirect_stdout(sys.stderr):
+                return cast("Plugin", plugin(config, **context))
         except MeasureError:
             raise
         except Exception as error:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import dataclasses
 import inspect
-import re
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
@@ -14,6 +13,7 @@ from pydantic import ValidationError
 
 from measure.arrays import Floats
 from measure.host import Plugin, Settings, describe_settings
+from measure.host.interfaces import NAME
 
 UNITS = {"", "px", "mm", "m", "deg", "rad", "s", "ms", "Hz", "%", "votes", "px²", "mm²"}
 """Units a setting may have; anything else is more likely a slip than a need."""
@@ -38,7 +38,7 @@ class PluginConformance:
     def test_its_name_can_be_typed(self) -> None:
         """Lower case, words joined by "-"."""
         name = self.plugin.name
-        assert re.fullmatch(r"[a-z][a-z0-9]*(-[a-z0-9]+)*", name), f"bad name: {name!r}"
+        assert NAME.fullmatch(name), f"bad name: {name!r}"
 
     def test_it_says_what_it_does(self) -> None:
         """The docstring's first line is a sentence: `measure plugins list` shows it."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from measure.errors import PluginError
-from measure.host import Broken, Detector, Loaded, discover
+from measure.host import Broken, Detector, Loaded, Registry, discover
 from tests.strangers import detector_source, strangers, the_broken
 
 
@@ -82,6 +82,11 @@ BROKEN = {
     ),
     "no name": (detector_source().replace('name = "blob"', "pass"), "Blob has no name"),
     "name is no text": (detector_source().replace('"blob"', "7"), "Blob has no name"),
+    "name of two words": (
+        detector_source("big blob"),
+        "Blob is called 'big blob': lower case, words",
+    ),
+    "name in capitals": (detector_source("BLOB"), "Blob is called 'BLOB': lower case"),
     "settings of another family": (
         detector_source().replace('name = "blob"', 'name = "blob"; Config = dict'),
         "Blob.Config is not a subclass of measure.host.Settings",
@@ -106,6 +111,14 @@ def test_a_broken_stranger_stops_nobody_else(install, source, reason):
     found = strangers()
     assert {item.name for item in found if isinstance(item, Loaded)} == {"first", "last"}
     assert [item.name for item in found if isinstance(item, Broken)] == ["acme"]
+
+
+def test_what_a_plugin_prints_is_no_result(install, capsys):
+    talking = detector_source().replace("return [Blob]", "print('offered')\n    return [Blob]")
+    built = "name = 'blob'\n    def __init__(self, *_, **given): print('built')"
+    install("acme", "print('imported')\n" + talking.replace('name = "blob"', built))
+    Registry.discover(disabled=["triball"]).detector("blob", {}, None, None)
+    assert capsys.readouterr() == ("", "imported\noffered\nbuilt\n")
 
 
 def test_only_some_kinds_broken_is_broken_altogether(install):
