@@ -124,11 +124,18 @@ def read_table(folder: Path, name: str, schema: pa.Schema) -> pa.Table:
         if stream.exists():
             return _whole_batches(stream, schema)
         if finished.exists():
+            _refuse_missing(schema, pq.read_schema(finished))
             return pq.read_table(finished, schema=schema)
     except (pa.ArrowException, OSError) as error:
         where = stream if stream.exists() else finished
         raise RunError(f"{where}: cannot be read ({error}): {MEND}") from error
     raise RunError(f"{folder} is torn: it has no {name}.parquet: {MEND}")
+
+
+def _refuse_missing(wanted: pa.Schema, there: pa.Schema) -> None:
+    """Columns that are not there would be read as empty ones."""
+    if missing := [name for name in wanted.names if name not in there.names]:
+        raise pa.ArrowKeyError(f"no column {', '.join(missing)}")
 
 
 def _whole_batches(path: Path, schema: pa.Schema) -> pa.Table:

@@ -12,7 +12,10 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from pydantic import BaseModel, ValidationError, field_validator
+
 from measure.errors import RunError
+from measure.host.settings import explain_validation
 from measure.results.journal import MEND
 
 _LIBRARIES = ("triball", "numpy", "scipy", "opencv-python-headless", "numba", "av")
@@ -83,12 +86,48 @@ def read_provenance(file: Path) -> dict[str, Any]:
     """The values of a run's `run.toml`.
 
     Raises:
-        RunError: it is torn.
+        RunError: it is torn, or holds what no run writes.
     """
     try:
-        return tomllib.loads(file.read_text("utf-8"))
+        values = tomllib.loads(file.read_text("utf-8"))
+        _RunFile.model_validate(values)
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise RunError(f"{file}: cannot be read ({error}): {MEND}") from error
+    except ValidationError as error:
+        raise RunError(f"{file}: {explain_validation(error, _RunFile)}: {MEND}") from error
+    return values
+
+
+class _RunTable(BaseModel):
+    started: str = ""
+
+    @field_validator("started")
+    @classmethod
+    def _is_a_time(cls, value: str) -> str:
+        if value:
+            datetime.fromisoformat(value)
+        return value
+
+
+class _SessionTable(BaseModel):
+    name: str = ""
+    path: str = ""
+    notes: list[str] = []
+
+
+class _CalibrationTable(BaseModel):
+    path: str = ""
+
+
+class _RunFile(BaseModel):
+    """What of a `run.toml` is used again."""
+
+    run: _RunTable = _RunTable()
+    session: _SessionTable = _SessionTable()
+    calibration: _CalibrationTable = _CalibrationTable()
+    body: dict[str, Any] = {}
+    profile: dict[str, Any] = {}
+    plugins: dict[str, Any] = {}
 
 
 def _flat(values: Mapping[str, Any], name: str) -> dict[str, Any]:

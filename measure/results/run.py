@@ -102,12 +102,14 @@ def read_run(folder: Path) -> Run:
         what = "no such folder" if not folder.exists() else "it has no run.toml"
         raise RunError(f"{folder} is no run: {what}; `measure run` makes one")
     provenance = read_provenance(file)
-    tables = read_tables(folder)
+    body = read_body(folder / "body.toml")
+    cameras = read_calibration(folder / "calibration.toml").cameras
+    tables = read_tables(folder, body, cameras)
     return Run(
         path=folder,
         provenance=provenance,
-        body=read_body(folder / "body.toml"),
-        cameras=read_calibration(folder / "calibration.toml").cameras,
+        body=body,
+        cameras=cameras,
         detections=tables["detections"],
         balls=tables["balls"],
         poses=tables["poses"],

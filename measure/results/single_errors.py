@@ -56,18 +56,22 @@ class SingleErrors:
 
 def effective_detections(run: Run) -> tuple[Sightings, Floats]:
     """The detections a run used, and when (n,) each was seen."""
-    table = run.detections
-    pixels = numbers(table, "u_px", "v_px")
-    used = (texts(table, "state") == "effective") & np.isfinite(pixels).all(axis=1)
+    table, used = run.detections, _effective(run)
     return (
         Sightings(
             integers(table, "index")[used],
             texts(table, "ball")[used],
             texts(table, "camera")[used],
-            pixels[used],
+            numbers(table, "u_px", "v_px")[used],
         ),
         numbers(table, "time_s")[used],
     )
+
+
+def _effective(run: Run) -> Bools:
+    """Which rows of the detections (n,) a run used."""
+    places = numbers(run.detections, "u_px", "v_px")
+    return (texts(run.detections, "state") == "effective") & np.isfinite(places).all(axis=1)
 
 
 def detection_errors_by_truth(
@@ -124,11 +128,9 @@ def detection_errors_by_marks(run: Run, marks: Marks) -> SingleErrors:
         run: whose detections.
         marks: (2,) px by camera, camera's frame number and ball.
     """
-    table = run.detections
-    numbers_of = integers(table, "frame")
-    used = (texts(table, "state") == "effective") & np.isfinite(numbers(table, "u_px"))
+    frames = integers(run.detections, "frame")[_effective(run)]
     seen, _ = effective_detections(run)
-    keys = zip(seen.camera.tolist(), numbers_of[used].tolist(), seen.ball.tolist(), strict=True)
+    keys = zip(seen.camera.tolist(), frames.tolist(), seen.ball.tolist(), strict=True)
     found = [marks.get(key) for key in keys]
     marked = np.array([mark is not None for mark in found], dtype=bool)
     seen = _select(seen, marked)

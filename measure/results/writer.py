@@ -65,7 +65,7 @@ class RunWriter:
                 (folder / "run.toml").write_text(dump_toml(provenance.values()), "utf-8")
                 write_body(folder / "body.toml", body)
                 write_calibration(folder / "calibration.toml", Calibration(tuple(cameras)))
-            kept = read_tables(folder) if earlier else {}
+            kept = read_tables(folder, body, cameras) if earlier else {}
             self._journals = {
                 name: Journal(folder / f"{name}.arrows", schema, kept.get(name))
                 for name, schema in SCHEMAS.items()

@@ -232,6 +232,7 @@ def test_evaluation_of_what_is_no_run_or_no_truth(recording: Recording, tmp_path
     [
         ("run.toml", 300, "run.toml: cannot be read (Unterminated"),
         ("poses.parquet", 3000, "poses.parquet: cannot be read ("),
+        ("poses.parquet", 0, "poses.parquet: cannot be read ("),
         ("poses.parquet", None, "is torn: it has no poses.parquet"),
     ],
 )

@@ -234,6 +234,15 @@ def test_marks_of_what_is_not_in_the_run_are_refused(tmp_path: Path, row: str, s
     assert list(read_marks(path, run)) == [("cam0", 0, "green")]
 
 
+def test_half_a_detection_is_compared_with_no_mark(tmp_path: Path) -> None:
+    run = _run(tmp_path / "run", lambda i: measurement(i, pixel_error=np.array([0, np.nan])), 2)
+    truth = read_trajectory(write_truth(tmp_path / "truth.csv", 2 * PERIOD_S))
+    (tmp_path / "marks.csv").write_text("camera,frame,ball,u_px,v_px\ncam0,1,green,2,3\n")
+    found = evaluate(run, truth, marks=read_marks(tmp_path / "marks.csv", run)).detection
+    assert found is not None
+    assert found.pixels is None
+
+
 def test_a_frame_that_may_have_been_skipped_may_be_marked(tmp_path: Path) -> None:
     run = _run(tmp_path / "run", lambda i: measurement(i, lost=i > 1), count=4)
     (tmp_path / "marks.csv").write_text("camera,frame,ball,u_px,v_px\ncam0,3,green,2,3\n")

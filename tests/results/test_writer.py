@@ -163,21 +163,29 @@ def test_resume_says_what_would_change_the_numbers(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("column", "value", "message"),
+    ("name", "column", "value", "message"),
     [
-        ("index", 7, "frame sets are missing or out of order"),
-        ("time_s", None, "frame set 1 has no time, or half a pose"),
-        ("qw", None, "frame set 1 has no time, or half a pose"),
-        ("qw", 7.0, "frame set 1 has no time, or half a pose"),
-        ("covariance", None, "a pose has no covariance"),
+        ("poses", "index", 7, "frame sets are missing or out of order"),
+        ("poses", "time_s", None, "frame set 1 has no time, or half a pose"),
+        ("poses", "qw", None, "frame set 1 has no time, or half a pose"),
+        ("poses", "qw", 7.0, "frame set 1 has no time, or half a pose"),
+        ("poses", "covariance", None, "a pose has no covariance"),
+        ("poses", "covariance", [float("nan")] * 36, "a pose has no covariance"),
+        ("balls", "ball", "blue", r"ball 'blue' is not in body.toml \(green, yellow, red\)"),
+        ("balls", "x_mm", float("nan"), "a ball has no time or place"),
+        ("balls", "covariance_mm2", None, "a ball has no covariance"),
+        ("balls", "covariance_mm2", [None] * 9, "a ball has no covariance"),
+        ("detections", "index", -1, "frame sets count from 0"),
+        ("detections", "ball", None, "ball None is not in body.toml"),
+        ("detections", "camera", "cam9", r"camera 'cam9' is not in calibration.toml \(cam0, cam1"),
     ],
 )
-def test_poses_that_a_run_never_writes(
-    folder: Path, column: str, value: float | None, message: str
+def test_rows_that_a_run_never_writes(
+    folder: Path, name: str, column: str, value: object, message: str
 ) -> None:
     go_on(folder, 4)
     assert len(read_run(folder).poses) == 4
-    path = folder / "poses.parquet"
+    path = folder / f"{name}.parquet"
     table = pq.read_table(path)
     cells = table[column].to_pylist()
     cells[1] = value
@@ -185,5 +193,30 @@ def test_poses_that_a_run_never_writes(
     pq.write_table(
         table.set_column(field, column, pa.array(cells, table.schema.field(field).type)), path
     )
-    with pytest.raises(RunError, match=f"{folder}: the poses are damaged: {message}"):
+    with pytest.raises(RunError, match=f"{folder}: the {name} are damaged: {message}"):
+        read_run(folder)
+
+
+def test_a_column_by_another_name_is_not_taken_for_an_empty_one(folder: Path) -> None:
+    go_on(folder, 4)
+    path = folder / "detections.parquet"
+    table = pq.read_table(path)
+    pq.write_table(table.rename_columns({"u_px": "u", "v_px": "v"}), path)
+    with pytest.raises(RunError, match=r"detections.parquet: cannot be read .*column u_px, v_px"):
+        read_run(folder)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("session = 3", "'session': input should be a valid dictionary"),
+        ("[session]\nnotes = 3", "'session.notes': input should be a valid list, got 3"),
+        ("[session]\npath = 3", "'session.path': input should be a valid string, got 3"),
+        ("[run]\nstarted = 'noon'", "'run.started': value error, Invalid isoformat string"),
+    ],
+)
+def test_a_run_file_that_a_run_never_writes(folder: Path, text: str, message: str) -> None:
+    go_on(folder, 1)
+    (folder / "run.toml").write_text(text)
+    with pytest.raises(RunError, match=rf"run.toml: {message}"):
         read_run(folder)
