@@ -26,7 +26,7 @@ def refine(
     output: Annotated[Path, Parameter(name=("--output", "-o"))],
     profile: str = "precise",
     calibration: Path | None = None,
-    body_tolerance_mm: float = 0.05,
+    body_tolerance_mm: float | None = None,
     file_format: Annotated[
         Literal["triball", "anipose", "caliscope", "opencv"], Parameter(name="--format")
     ] = "triball",
@@ -40,7 +40,8 @@ def refine(
         output: the calibration to write.
         profile: how to measure the session, by name or TOML file.
         calibration: first calibration, if not the session's own.
-        body_tolerance_mm: how exactly the balls sit on the body (standard deviation); 0 is exact.
+        body_tolerance_mm: how exactly the balls sit on the body (standard deviation); 0 is exact;
+            what the body file states, or 0.05, if omitted.
         file_format: of the output; only "triball" holds covariances and notes.
     """
     from measure.api import refine as run
@@ -49,9 +50,10 @@ def refine(
     from measure.session import write_calibration
 
     check_calibration_writable(output)
-    if not (math.isfinite(body_tolerance_mm) and body_tolerance_mm >= 0):
-        raise ConfigError(f"--body-tolerance-mm {body_tolerance_mm:g}: must be 0 or more")
-    settings = RefineSettings(body_tolerance_mm)
+    given = body_tolerance_mm
+    if given is not None and not 0 <= given < math.inf:
+        raise ConfigError(f"--body-tolerance-mm {given:g}: must be 0 or more")
+    settings = RefineSettings(given)
     with console.progress("measuring") as progress:
         result = run(session, registry, profile, settings, calibration, progress)
     write_calibration(output, result.calibration, file_format)

@@ -29,12 +29,14 @@ def layout_flags(
         balls: names of the n balls, in the order of `centers`.
         centers: (n, 3) in mm, in one frame.
         covariances: (n, 3, 3) of `centers`.
-        tolerance_mm: how far a distance may be off beyond four of its standard deviations.
+        tolerance_mm: how far a distance may be off beyond four of its standard deviations, that of
+            the balls' places on the body included.
     """
     from measure.measuring.body_kernels import pair_distances
 
     points_body = body.centers_of(balls)
-    pairs = pair_distances(points_body, centers, covariances).tolist()
+    own = body.tolerance_mm**2 * np.eye(3)
+    pairs = pair_distances(points_body, centers, covariances + own).tolist()
     flags = [
         f"balls {one} and {other} are {measured:.1f} mm apart, the body says {expected:.1f} mm"
         for (one, other), (measured, expected, sd) in zip(

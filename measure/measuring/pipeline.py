@@ -10,6 +10,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import MeasureError
 from measure.measuring import asking, instants, pose_spline
+from measure.measuring.body_tolerance import with_tolerance
 from measure.measuring.instants import Seen
 from measure.measuring.looking_back import Looked, looked_back
 from measure.measuring.measurement import Draft, Measurement, Status
@@ -17,16 +18,7 @@ from measure.measuring.pose_spline import motion_at, with_neighbours
 from measure.measuring.repeats import Repeats
 from measure.measuring.side_by_side import SideBySide
 from measure.measuring.stages import Stages
-from measure.model import (
-    Body,
-    Camera,
-    Detection,
-    Expectation,
-    Fix,
-    FrameSet,
-    Motion,
-    Pose,
-)
+from measure.model import Body, Camera, Detection, Expectation, Fix, FrameSet, Motion, Pose
 
 _SAME_MM = 5e-3
 """Motions that carry pictures to places no further apart are the same."""
@@ -84,7 +76,7 @@ class Pipeline:
             if self.stages.neighbours:
                 drafts = map(self._again, with_neighbours(drafts))
             for draft in drafts:
-                yield draft.measurement
+                yield with_tolerance(draft.measurement, self._body)
         if broken:
             raise broken[0]
 

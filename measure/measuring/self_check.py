@@ -130,7 +130,8 @@ def _distance(frames: Sequence[Located], body: Body, a: str, b: str) -> Compared
     lengths = np.array([np.linalg.norm(f.centers[a] - f.centers[b]) for f in both])
     told = np.sqrt(np.median([f.variances[a] + f.variances[b] for f in both]))
     file_mm = float(np.linalg.norm(body.centers[body.index(a)] - body.centers[body.index(b)]))
-    median, sd = _robust_mean(lengths, float(told))
+    median, scatter = _robust_mean(lengths, float(told))
+    sd = float(np.hypot(scatter, body.distance_sd_mm))
     return Compared((a, b), median, sd, file_mm, len(both))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -39,19 +40,27 @@ class Ball:
 class Body:
     """At least three balls, each with a name of its own, not on one line.
 
+    Attributes:
+        name: of the body.
+        balls: where they should be.
+        tolerance_mm: standard deviation of each coordinate of where they are; 0 is exact.
+
     Raises:
         DegenerateGeometryError: fewer than three balls, or collinear ones.
-        ValueError: two balls have one name.
+        ValueError: two balls have one name, or the tolerance is none.
     """
 
     name: str
     balls: tuple[Ball, ...]
+    tolerance_mm: float = 0.0
 
     def __post_init__(self) -> None:
         if len(self.balls) < 3:
             raise DegenerateGeometryError(
                 f"body '{self.name}' has {len(self.balls)} balls: a pose needs at least 3"
             )
+        if not 0 <= self.tolerance_mm < np.inf:
+            raise ValueError(f"body '{self.name}': tolerance_mm must be 0 or more")
         if twice := {name for name in self.names if self.names.count(name) > 1}:
             names = " and ".join(f"'{name}'" for name in sorted(twice))
             raise ValueError(f"body '{self.name}': more than one ball is called {names}")
@@ -77,6 +86,11 @@ class Body:
     def radii(self) -> Floats:
         """Ball radii (k,) in mm."""
         return np.array([ball.radius_mm for ball in self.balls])
+
+    @cached_property
+    def distance_sd_mm(self) -> float:
+        """Standard deviation of the distance between two balls, by the tolerance."""
+        return math.sqrt(2) * self.tolerance_mm
 
     @cached_property
     def reach_mm(self) -> float:

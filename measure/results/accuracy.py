@@ -9,6 +9,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.calibration import body_pose_sd
 from measure.geometry import RigidTransform
+from measure.measuring.body_tolerance import tolerance_sd
 from measure.measuring.checks import expected_sd
 from measure.results.run import Run
 
@@ -84,11 +85,12 @@ def reported_noise_px(run: Run) -> float:
 
 
 def _parts(pose: RigidTransform, run: Run) -> tuple[float, float]:
-    """SD of the position in mm for each px of noise, and from the calibration; NaN if unseen."""
+    """SD of the position in mm by a px of noise, and by calibration and body; NaN if unseen."""
     points = pose.apply(run.body.centers)
     cameras = tuple(c for c in run.cameras if c.intrinsics.contains(c.project(points)).any())
     per_px, _ = expected_sd(pose, run.body, cameras, 1.0)
     if not np.isfinite(per_px):
         return float("nan"), float("nan")
     from_cameras, _ = body_pose_sd(cameras, run.body, [pose])
-    return per_px, float(from_cameras[0])
+    from_body, _ = tolerance_sd(run.body, pose)
+    return per_px, float(np.hypot(from_cameras[0], from_body))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -91,7 +92,7 @@ def contradictions(body: Body, distances: Sequence[BallDistance]) -> tuple[str, 
         Compared(
             what=one.balls,
             measured_mm=one.mean_mm,
-            sd_mm=one.uncertainty_mm,
+            sd_mm=math.hypot(one.uncertainty_mm, body.distance_sd_mm),
             file_mm=one.nominal_mm,
             frames=one.count,
             tolerance_mm=0.0,

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 import cv2
 import numpy as np
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import Field, FiniteFloat, ValidationInfo, field_validator, model_validator
 
 from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError, SessionError
@@ -24,6 +24,7 @@ Triple = tuple[Level, Level, Level]
 
 _LEAST_RADIUS_MM = 0.5
 """Smaller balls show no outline to a webcam: sizes are then rather metres."""
+_MOST_TOLERANCE_MM = 10.0
 _TOUCHING = 0.9
 """Share of the radii's sum by which balls that touch are apart at least, carelessly measured."""
 
@@ -101,6 +102,7 @@ class BodyModel(FileModel):
     """A body file, or the `[body]` table of a session."""
 
     name: str = "body"
+    tolerance_mm: Annotated[FiniteFloat, Field(ge=0, le=_MOST_TOLERANCE_MM)] = 0.0
     balls: list[BallModel]
 
     @model_validator(mode="after")
@@ -135,7 +137,8 @@ class BodyModel(FileModel):
             SessionError: the balls do not determine a pose, or a picture of samples cannot be used.
         """
         try:
-            return Body(self.name, tuple(_ball(ball, source.parent) for ball in self.balls))
+            balls = tuple(_ball(ball, source.parent) for ball in self.balls)
+            return Body(self.name, balls, self.tolerance_mm)
         except DegenerateGeometryError as problem:
             raise SessionError(f"{source}: {problem}") from None
 
@@ -160,7 +163,8 @@ def write_body(path: Path | str, body: Body) -> None:
         }
         for ball in body.balls
     ]
-    Path(path).write_text(dump_toml({"name": body.name, "balls": balls}), encoding="utf-8")
+    values = {"name": body.name, "tolerance_mm": body.tolerance_mm or None, "balls": balls}
+    Path(path).write_text(dump_toml(values), encoding="utf-8")
 
 
 def _ball(given: BallModel, folder: Path) -> Ball:

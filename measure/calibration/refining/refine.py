@@ -32,6 +32,7 @@ _FREE_ROUNDS = 12
 _SETTLED_MM = 1e-3
 _START_PX = 5.0
 """Cameras start free: misses that are first taken for the balls' own would stay with them."""
+_USUAL_TOLERANCE_MM = 0.05
 _COUNT = 4.0
 """How many observations what is usual counts for, against what a recording shows."""
 
@@ -41,7 +42,8 @@ class RefineSettings:
     """What may change, and how far (standard deviations).
 
     Attributes:
-        body_tolerance_mm: of each coordinate of a ball's centre in the body; 0 keeps the body.
+        body_tolerance_mm: of each coordinate of a ball's centre in the body; 0 keeps the body. If
+            None, what the body states, or what is usual.
         position_tolerance_mm: where cameras usually stand elsewhere than a calibration without
             a joint covariance says, by axis; how far these ones do is learnt.
         image_tolerance_px: by how much such a calibration usually misses.
@@ -49,7 +51,7 @@ class RefineSettings:
         least_sd_px: no ball centre is believed better than this.
     """
 
-    body_tolerance_mm: float = 0.05
+    body_tolerance_mm: float | None = None
     position_tolerance_mm: float = 0.5
     image_tolerance_px: float = 0.1
     constant_px: float = 0.15
@@ -119,9 +121,12 @@ def refine_rig(
     """
     settings = settings or RefineSettings()
     _check_seen(cameras, recording)
-    layout = Layout.of(cameras, len(body.balls), settings.body_tolerance_mm == 0, clocks_are_exact)
+    tolerance_mm = settings.body_tolerance_mm
+    if tolerance_mm is None:
+        tolerance_mm = body.tolerance_mm or _USUAL_TOLERANCE_MM
+    layout = Layout.of(cameras, len(body.balls), tolerance_mm == 0, clocks_are_exact)
     prior = _prior(cameras, layout, body, recording, joint_covariance)
-    problem = Problem(layout, body, settings.body_tolerance_mm, recording)
+    problem = Problem(layout, body, tolerance_mm, recording)
     return _settled(problem, prior, problem.start(cameras), settings, caution)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform
+from measure.measuring.body_tolerance import tolerance_sd
 from measure.measuring.checks.finding import Finding, Level
 from measure.measuring.checks.moved import Misfit
 from measure.measuring.checks.survey import Surveyed
@@ -123,7 +124,8 @@ def expected_accuracy(
     rows = []
     for offset in np.stack(np.meshgrid(_GRID, _GRID, _GRID), axis=-1).reshape(-1, 3):
         pose = RigidTransform(middle.rotation, middle.translation + reach_mm * offset)
-        rows.append([*pose.translation, *expected_sd(pose, body, cameras, noise_px)])
+        by_noise = expected_sd(pose, body, cameras, noise_px)
+        rows.append([*pose.translation, *np.hypot(by_noise, tolerance_sd(body, pose))])
     return np.array(rows)
 
 

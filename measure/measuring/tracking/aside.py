@@ -88,16 +88,17 @@ def _shared(
 def _explained(
     camera: Camera, pose: Pose, body: Body, time_s: float, motion: Motion | None
 ) -> Floats:
-    """Covariance (2, 2) of a shift that calibration and motion leave open, px^2.
+    """Covariance (2, 2) of a shift that calibration, body and motion leave open, px^2.
 
     Pictures are brought together by a constant velocity, which is uncertain, and changes.
     """
     arm = pose.world_from_body.rotate(body.middle)
     place, rig = pose.world_from_body.translation + arm, Rig.of((camera,))
-    noise = calibration_noise(rig, place)[0]
+    by_place = rig.project(place)[1][0]
+    noise = calibration_noise(rig, place)[0] + body.tolerance_mm**2 * by_place @ by_place.T
     if motion is None or motion.velocity_covariance is None:
         return noise
-    by_place, lead_s = rig.project(place)[1][0], time_s - pose.time_s
+    lead_s = time_s - pose.time_s
     by_pose = np.hstack([by_place, np.cross(arm, by_place)])
     left_out = lead_s**2 * motion.velocity_covariance
     if motion.acceleration_square is not None:

@@ -121,11 +121,13 @@ def _balls_aside(
     if not fixes:
         return
     gate, placed = chi_square_quantile(confidence, 3), pose.world_from_body
+    centers, covariances = stacked_fixes(tuple(fixes))
     distances = distances_from_body(
         np.ascontiguousarray(placed.rotation),
         np.ascontiguousarray(placed.translation),
         body.centers_of([fix.ball for fix in fixes]),
-        *stacked_fixes(tuple(fixes)),
+        centers,
+        covariances + body.tolerance_mm**2 * np.eye(3),
     )
     for fix, (distance, gone_mm) in zip(fixes, distances.tolist(), strict=True):
         if distance > gate and distance > gate * _widening(fix, variances, own_px):

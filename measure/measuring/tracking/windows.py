@@ -36,13 +36,13 @@ class Windows:
     Attributes:
         keys: (camera, ball) of each.
         balls: the predictions, in the same order.
-        calibration_px2: (n, 2, 2) covariances of what the cameras, by their calibration, are off
-            by there.
+        stated_px2: (n, 2, 2) covariances of what the cameras, by their calibration, and the balls,
+            by the body's tolerance, are off by there.
     """
 
     keys: tuple[tuple[str, str], ...]
     balls: Predicted
-    calibration_px2: Floats
+    stated_px2: Floats
 
     def expectations(
         self, sigmas: float, floor_px: float, size_slack: float
@@ -64,7 +64,7 @@ class Windows:
     def sighted(
         self, rows: Sequence[int], detections: Sequence[Detection], min_color_match: float
     ) -> Sighted:
-        """Detections as gates want them: they err by what their cameras are off by as well.
+        """Detections as gates want them: they err by what cameras and balls are off by as well.
 
         Args:
             rows: which of the predictions each of them belongs to.
@@ -74,7 +74,7 @@ class Windows:
         pixels, noise = stacked_detections(tuple(detections))
         return Sighted(
             pixels,
-            noise + self.calibration_px2[rows],
+            noise + self.stated_px2[rows],
             np.array([d.time_s for d in detections]),
             np.array([not d.color_match < min_color_match for d in detections]),
         )
@@ -115,7 +115,11 @@ def predict_windows(
         MIN_DEPTH_MM,
     )
     noise = calibration_noise(rig, state.world_from_body.apply(body.middle))
-    return Windows(_keys(present, body), balls, np.repeat(noise, len(body.balls), axis=0))
+    stated = np.repeat(noise, len(body.balls), axis=0)
+    if body.tolerance_mm:
+        px_per_mm = balls.radii_px / np.tile(body.radii, len(present))
+        stated += (body.tolerance_mm * px_per_mm)[:, None, None] ** 2 * np.eye(2)
+    return Windows(_keys(present, body), balls, stated)
 
 
 @lru_cache(maxsize=64)

@@ -40,7 +40,7 @@ class ContoursConfig(Settings):
     max_shift_px: float = setting(
         1.5,
         "A ball-view whose outline sits further off, and more than it may by its own and its "
-        "camera's covariance, is flagged.",
+        "camera's covariance and the body's tolerance, is flagged.",
         unit="px",
         gt=0,
     )
@@ -181,7 +181,12 @@ class ContoursSolver(PoseSolver):
         limit, shifts = self.config.max_shift_px, fit.shifts_px.tolist()
         for k, (seen, (right, down, _)) in enumerate(zip(outlines.detections, shifts, strict=True)):
             off, view = math.hypot(right, down), outlines.contours.view_of[k]
-            if off > limit and _beyond(seen.covariance_px + aside_px2[view], right, down):
+            if off <= limit:
+                continue
+            px_per_mm = seen.radius_px / self.body.radii[self.body.index(seen.ball)]
+            own_px = self.body.tolerance_mm * px_per_mm
+            stated = seen.covariance_px + aside_px2[view] + own_px**2 * np.eye(2)
+            if _beyond(stated, right, down):
                 flags.append(f"{seen.ball} in {seen.camera} sits {off:.1f} px off the fit")
         balls = len(outlines.named.shown)
         if balls < 3:
