@@ -35,8 +35,8 @@ def layout_flags(
     from measure.measuring.body_kernels import pair_distances
 
     points_body = body.centers_of(balls)
-    own = body.tolerance_mm**2 * np.eye(3)
-    pairs = pair_distances(points_body, centers, covariances + own).tolist()
+    told = covariances + body.center_covariance
+    pairs = pair_distances(points_body, centers, told).tolist()
     flags = [
         f"balls {one} and {other} are {measured:.1f} mm apart, the body says {expected:.1f} mm"
         for (one, other), (measured, expected, sd) in zip(

@@ -88,6 +88,11 @@ class Body:
         return np.array([ball.radius_mm for ball in self.balls])
 
     @cached_property
+    def center_covariance(self) -> Floats:
+        """Covariance (3, 3) in mm^2 of a ball's centre in the body frame, by the tolerance."""
+        return self.tolerance_mm**2 * np.eye(3)
+
+    @cached_property
     def distance_sd_mm(self) -> float:
         """Standard deviation of the distance between two balls, by the tolerance."""
         return math.sqrt(2) * self.tolerance_mm

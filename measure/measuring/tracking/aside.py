@@ -95,7 +95,7 @@ def _explained(
     arm = pose.world_from_body.rotate(body.middle)
     place, rig = pose.world_from_body.translation + arm, Rig.of((camera,))
     by_place = rig.project(place)[1][0]
-    noise = calibration_noise(rig, place)[0] + body.tolerance_mm**2 * by_place @ by_place.T
+    noise = calibration_noise(rig, place)[0] + propagate(by_place, body.center_covariance)
     if motion is None or motion.velocity_covariance is None:
         return noise
     lead_s = time_s - pose.time_s

@@ -127,7 +127,7 @@ def _balls_aside(
         np.ascontiguousarray(placed.translation),
         body.centers_of([fix.ball for fix in fixes]),
         centers,
-        covariances + body.tolerance_mm**2 * np.eye(3),
+        covariances + body.center_covariance,
     )
     for fix, (distance, gone_mm) in zip(fixes, distances.tolist(), strict=True):
         if distance > gate and distance > gate * _widening(fix, variances, own_px):
