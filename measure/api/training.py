@@ -86,7 +86,7 @@ def _split(data: Sequence[Path], options: TrainOptions) -> Split:
     whole = learning.join([learning.files.read_dataset(path) for path in data])
     if options.validation is not None:
         other = learning.files.read_dataset(options.validation)
-        learning.same_robot(whole, other)
+        learning.same_robot([whole, other])
         return learning.Split(whole, other, other)
     cut = learning.split_by_rows if options.split_rows else learning.split_by_trajectory
     return cut(

@@ -2,10 +2,11 @@
 
 from measure.learning import files, sweeping
 from measure.learning.ablation import Importance, ablate, field_groups, single_fields
-from measure.learning.assemble import AssemblySettings, PoseTrack, TrajectoryFacts, assemble, join
+from measure.learning.assemble import AssemblySettings, PoseTrack, TrajectoryFacts, assemble
 from measure.learning.clock import ClockOffset, estimate_offset
 from measure.learning.exercise import Exercise, exercise
 from measure.learning.guard import Counters, DriftMonitor, GuardedModel, Refusal
+from measure.learning.joining import join, same_robot
 from measure.learning.offline import (
     Corrected,
     StateTable,
@@ -20,7 +21,7 @@ from measure.learning.server import DEFAULT_ADDRESS, EstimateClient, EstimateSer
 from measure.learning.simulated import PAPER_MINUTES, PAPER_PAIRS, simulated_dataset
 from measure.learning.splits import Split, split_by_rows, split_by_trajectory
 from measure.learning.study import SweepState
-from measure.learning.training import Trained, same_robot, train
+from measure.learning.training import Trained, train
 from measure.learning.zeroing import Zeroing, fit_zeroing
 
 __all__ = [

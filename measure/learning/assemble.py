@@ -12,6 +12,7 @@ from measure.errors import EstimatorError
 from measure.host import Dataset
 from measure.learning.agreement import check_frames, check_units
 from measure.learning.clock import ClockOffset, estimate_offset
+from measure.learning.joining import join
 from measure.robots import RobotLog
 
 _LARGEST_OFFSET_S = 3600.0
@@ -101,39 +102,6 @@ def assemble(
         parts.append(part)
         facts.append(fact)
     return join(parts), facts
-
-
-def join(parts: Sequence[Dataset]) -> Dataset:
-    """One data set of several of the same robot; trajectory names must differ.
-
-    Raises:
-        EstimatorError: they are of several robots, have other features, or share a trajectory name.
-    """
-    robots = {part.schema.robot for part in parts}
-    if len(robots) > 1:
-        raise EstimatorError(
-            f"data of several robots cannot be joined: {', '.join(sorted(robots))}"
-        )
-    if any(part.schema.names != parts[0].schema.names for part in parts):
-        raise EstimatorError(
-            f"data of robot '{parts[0].schema.robot}' with other features, or in another order, "
-            "cannot be joined: make all of them with one description of the robot"
-        )
-    names = tuple(name for part in parts for name in part.names)
-    if len(set(names)) < len(names):
-        twice = next(name for name in names if names.count(name) > 1)
-        raise EstimatorError(f"two recordings are called '{twice}': rename one")
-    shifts = np.cumsum([0, *(len(part.names) for part in parts[:-1])])
-    return Dataset(
-        parts[0].schema,
-        np.concatenate([part.states for part in parts]),
-        np.concatenate([part.times_s for part in parts]),
-        np.concatenate([part.trajectory + s for part, s in zip(parts, shifts, strict=True)]),
-        names,
-        np.concatenate([part.errors_mm for part in parts]),
-        np.concatenate([part.covariances for part in parts]),
-        np.concatenate([part.usable for part in parts]),
-    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -133,21 +133,3 @@ def revision() -> str:
     except (OSError, subprocess.SubprocessError):
         return "released"
     return found.stdout.strip()
-
-
-def same_robot(first: Dataset, other: Dataset) -> None:
-    """Refuse to mix robots.
-
-    Raises:
-        EstimatorError: they differ.
-    """
-    if first.schema.robot != other.schema.robot:
-        raise EstimatorError(
-            f"training data are of robot '{first.schema.robot}', validation data of "
-            f"'{other.schema.robot}'"
-        )
-    if first.schema.names != other.schema.names:
-        raise EstimatorError(
-            "validation data have other features than the training data, or in another order: "
-            "make both with one description of the robot"
-        )

@@ -18,11 +18,11 @@ from measure.learning import (
     estimate_offset,
     files,
     join,
+    same_robot,
     split_by_rows,
     split_by_trajectory,
 )
 from measure.learning.simulated import recording
-from measure.learning.training import same_robot
 from measure.robots import RobotLog, psm_schema
 from measure.robots.simulator import simulate
 
@@ -256,14 +256,14 @@ def test_files_that_are_no_data_sets(small: Dataset, tmp_path: Path) -> None:
         files.read_labelled(tmp_path / "metres.parquet", schema)
     with pytest.raises(EstimatorError, match="make one with `measure dataset`"):
         files.read_dataset(tmp_path / "metres.parquet")
-    with pytest.raises(EstimatorError, match="several robots"):
-        join([small, replace(small, schema=replace(small.schema, robot="other"))])
+    stranger = replace(small, schema=replace(small.schema, robot="other"))
     turned = replace(small.schema, features=small.schema.features[::-1])
     other = replace(small, schema=turned, names=tuple(f"{name}'" for name in small.names))
-    with pytest.raises(EstimatorError, match="with other features, or in another order"):
-        join([small, other])
-    with pytest.raises(EstimatorError, match="validation data have other features"):
-        same_robot(small, other)
+    for use in (join, same_robot):
+        with pytest.raises(EstimatorError, match="several robots"):
+            use([small, stranger])
+        with pytest.raises(EstimatorError, match="with other features, or in another order"):
+            use([small, other])
 
 
 def test_a_split_shares_no_trajectory(small: Dataset) -> None:
