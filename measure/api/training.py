@@ -145,20 +145,37 @@ def ablate(
     *,
     single: bool,
     remove: bool,
-    split_seed: int,
+    split_seed: int | None,
     registry: Registry,
     report: Report,
 ) -> tuple[float, list[Importance]]:
-    """Rank a model's inputs by what their loss costs on the test trajectories."""
+    """Rank a model's inputs by what their loss costs on the test trajectories.
+
+    Args:
+        data: what the model was trained on.
+        model_path: the model.
+        single: every feature on its own instead of the robot's groups.
+        remove: also fit without each.
+        split_seed: split the data anew instead of as in training.
+        registry: of the estimators.
+        report: progress.
+
+    Raises:
+        EstimatorError: the data are another robot's, or not those the model was trained on.
+    """
     from measure import learning
     from measure.host import OnnxModel
 
     model = OnnxModel.load(model_path)
-    split = learning.split_by_trajectory(learning.files.read_dataset(data), seed=split_seed)
-    model.check(split.test.schema)
+    whole = learning.files.read_dataset(data)
+    model.check(whole.schema)
+    if split_seed is None:
+        split = learning.split_as_trained(whole, model)
+    else:
+        split = learning.split_by_trajectory(whole, seed=split_seed)
     groups = (learning.single_fields if single else learning.field_groups)(split.test)
     refit = None
     if remove:
         name, settings = str(model.facts["estimator"]), dict(model.facts["settings"])
         refit = lambda: registry.estimator(name, settings)  # noqa: E731
-    return learning.ablate(model, split, groups, refit=refit, seed=split_seed, report=report)
+    return learning.ablate(model, split, groups, refit=refit, seed=split_seed or 0, report=report)

@@ -16,21 +16,21 @@ def ablate(
     *,
     single: bool = False,
     remove: bool = False,
-    split_seed: int = 0,
+    split_seed: int | None = None,
     json: JsonFlag = False,
     registry: InjectedRegistry,
 ) -> None:
     """Find out which inputs an estimator needs.
 
-    Every group of features is shuffled among the test rows; with `--remove` the estimator is also
-    fitted again without it.
+    Every group of features is shuffled among the rows of the model's own test trajectories; with
+    `--remove` the estimator is also fitted again without it.
 
     Args:
         data: the data set the model was trained on.
         model: the model.
         single: every feature on its own instead of the robot's groups.
         remove: also fit without each.
-        split_seed: as in training, so that the test trajectories are unseen.
+        split_seed: split the data anew instead of as in training, if they are others.
     """
     from measure import api
 
@@ -43,6 +43,11 @@ def ablate(
             split_seed=split_seed,
             registry=registry,
             report=shares(report),
+        )
+    if split_seed is not None:
+        console.note(
+            f"split by --split-seed {split_seed}, not as in training: what the model learnt from "
+            "may be among the test trajectories"
         )
     if json:
         console.print_json({"rms_mm": base, "inputs": found})

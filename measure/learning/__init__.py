@@ -19,7 +19,7 @@ from measure.learning.packets import AnswerPacket, StatePacket
 from measure.learning.scores import Evaluation, Score, evaluate
 from measure.learning.server import DEFAULT_ADDRESS, EstimateClient, EstimateServer
 from measure.learning.simulated import PAPER_MINUTES, PAPER_PAIRS, simulated_dataset
-from measure.learning.splits import Split, split_by_rows, split_by_trajectory
+from measure.learning.splits import Split, split_as_trained, split_by_rows, split_by_trajectory
 from measure.learning.study import SweepState
 from measure.learning.training import Trained, train
 from measure.learning.zeroing import Zeroing, fit_zeroing
@@ -65,6 +65,7 @@ __all__ = [
     "same_robot",
     "simulated_dataset",
     "single_fields",
+    "split_as_trained",
     "split_by_rows",
     "split_by_trajectory",
     "sweeping",

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from measure.errors import EstimatorError
-from measure.host import Dataset
+from measure.host import Dataset, OnnxModel
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +46,26 @@ def split_by_trajectory(
             part.append(order.pop())
         chosen.append(part)
     return Split(data.select(order), data.select(chosen[1]), data.select(chosen[0]))
+
+
+def split_as_trained(data: Dataset, model: OnnxModel) -> Split:
+    """The split that a model was trained with: the trajectories that its card names.
+
+    Raises:
+        EstimatorError: the data lack some of them, or hold them cut otherwise.
+    """
+    parts = []
+    for what in ("training", "validation", "test"):
+        facts = model.card.get("data", {}).get(what, {"trajectories": (), "rows": None})
+        part = data.select([name for name in data.names if name in facts["trajectories"]])
+        if len(part) != facts["rows"]:
+            raise EstimatorError(
+                f"{model.where}: the {what} trajectories that its card names are not in these "
+                "data, or cut otherwise: give the data set it was trained on, or a --split-seed to "
+                "split these anew"
+            )
+        parts.append(part)
+    return Split(*parts)
 
 
 def split_by_rows(

@@ -68,6 +68,23 @@ def test_inputs_are_ranked_by_shuffling_and_by_leaving_them_out(
     assert all(item["removed_mm"] is None for item in single.values())
 
 
+def test_inputs_are_ranked_on_the_models_own_test_trajectories(
+    data: Path, small: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What it was trained on used to be among them, if it was not split by default."""
+    model, other = tmp_path / "model.onnx", tmp_path / "other.parquet"
+    words = ["train", str(data), "-o", str(model), "--estimator", "offset", "--json"]
+    assert main([*words, "--split-seed", "3", "--test-share", "0.3"]) == 0
+    tested = json.loads(capsys.readouterr().out)["test"]["after"]["rms_mm"]
+    assert main(["ablate", str(data), str(model), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["rms_mm"] == pytest.approx(tested, rel=1e-9)
+    files.write_dataset(other, small.rows(np.arange(len(small)) % 2 == 0), [], "every second row")
+    assert main(["ablate", str(other), str(model)]) == 2
+    assert "give the data set it was trained on, or a --split-seed" in capsys.readouterr().err
+    assert main(["ablate", str(other), str(model), "--split-seed", "0"]) == 0
+    assert "may be among the test trajectories" in capsys.readouterr().err
+
+
 def test_mistakes_are_explained(
     data: Path, small: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
