@@ -52,7 +52,7 @@ def update_line(path: Path, states: Floats) -> str:
     spent = np.empty(len(packets))
     for index, packet in enumerate(packets):
         begun = time.perf_counter()
-        server.answer(packet)
+        server.answer(packet, server.address)
         spent[index] = time.perf_counter() - begun
     server.close()
     p50, p99 = 1e6 * np.percentile(spent, (50, 99))

@@ -80,7 +80,7 @@ def _serve(
     from measure import api
 
     def line(server: Any) -> None:
-        console.note(_counted(server.guarded.counters.values()))
+        console.note(_counted(server.counters.values()))
 
     def started(server: Any) -> None:
         console.note("listening on udp://{}:{}".format(*server.address))
@@ -89,7 +89,7 @@ def _serve(
         model, address, zeroing=zeroing, seconds=seconds, started=started, tell=line
     )
     latency = served.latency_us()
-    counts = served.guarded.counters.values()
+    counts = served.counters.values()
     ending = f"one update: median {latency['p50_us']:.0f} us, 99 % {latency['p99_us']:.0f} us"
     _conclude({**counts, **latency}, json, ending)
 

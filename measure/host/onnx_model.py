@@ -14,6 +14,7 @@ reset; `tick` (N, 1), one if slow memory shall advance. Outputs: `error_mm` (N, 
 
 from __future__ import annotations
 
+import copy
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -119,6 +120,12 @@ class OnnxModel:
                 f"{self.where}: expects {len(self.features)} features, the data have "
                 f"{len(schema.names)}; missing: {lacks}"
             )
+
+    def another(self) -> OnnxModel:
+        """The same network with a history of its own, which begins here."""
+        twin = copy.copy(self)
+        twin.reset()
+        return twin
 
     def reset(self) -> None:
         """Forget all history."""

@@ -14,6 +14,11 @@ from measure.arrays import Floats
 from measure.host import Correction, OnnxModel
 from measure.learning.zeroing import Zeroing
 
+_REORDERED = 100
+"""A network that changes the order of packets brings none of them later than so many others."""
+_LARGEST_LEAP = 1_000_000
+"""So many packets in a row are not lost: a quarter of an hour at 1 kHz."""
+
 
 class Refusal(StrEnum):
     """Why a state got no correction."""
@@ -33,28 +38,39 @@ class Counters:
         corrected: states that got a correction.
         unfamiliar: of these, flagged as unlike training.
         lost: sequence numbers that never came.
+        unsent: answers that nobody could be sent.
         refused: by reason.
     """
 
     corrected: int = 0
     unfamiliar: int = 0
     lost: int = 0
+    unsent: int = 0
     refused: Counter[Refusal] = field(default_factory=Counter)
+
+    def refuse(self, reason: Refusal) -> Refusal:
+        """Count a refusal."""
+        self.refused[reason] += 1
+        return reason
 
     def values(self) -> dict[str, int]:
         """Plain names and numbers."""
-        out = {"corrected": self.corrected, "unfamiliar": self.unfamiliar, "lost": self.lost}
+        names = ("corrected", "unfamiliar", "lost", "unsent")
+        out = {name: getattr(self, name) for name in names}
         return out | {reason.value: self.refused[reason] for reason in Refusal}
 
 
 class GuardedModel:
     """A model that answers good states and refuses, and counts, all others."""
 
-    def __init__(self, model: OnnxModel, zeroing: Zeroing | None = None) -> None:
+    def __init__(
+        self, model: OnnxModel, zeroing: Zeroing | None = None, counters: Counters | None = None
+    ) -> None:
         self.model = model
-        self.counters = Counters()
+        self.counters = Counters() if counters is None else counters
         self.zeroing = zeroing
         self._last_sequence: int | None = None
+        self._stray_sequence: int | None = None
         self._last_time_s = -np.inf
 
     def update(
@@ -66,14 +82,14 @@ class GuardedModel:
             state: the features.
             time_s: its stamp, which must grow; NaN where stamps are not recorded.
             sequence: its number, which must grow by one; jumps count as losses. Zero begins a
-                new trajectory: the robot's program was started again.
+                new trajectory, the robot's program was started again; so do two numbers that
+                follow each other, but not the last one.
         """
-        if sequence == 0:
+        if sequence is not None and self._begins_anew(sequence):
             self.reset()
         reason = self._judge(state, time_s, sequence)
         if reason is not None:
-            self.counters.refused[reason] += 1
-            return reason
+            return self.counters.refuse(reason)
         if sequence is not None:
             if self._last_sequence is not None:
                 self.counters.lost += sequence - self._last_sequence - 1
@@ -90,15 +106,20 @@ class GuardedModel:
             correction.unfamiliar,
         )
 
-    def refuse(self, reason: Refusal) -> Refusal:
-        """Count a refusal that was decided elsewhere."""
-        self.counters.refused[reason] += 1
-        return reason
-
     def reset(self) -> None:
         """A new trajectory begins; counters go on."""
         self.model.reset()
-        self._last_sequence, self._last_time_s = None, -np.inf
+        self._last_sequence = self._stray_sequence = None
+        self._last_time_s = -np.inf
+
+    def _begins_anew(self, sequence: int) -> bool:
+        """One number far from the last is a slip, two in a row are not (RFC 3550, A.1)."""
+        if sequence == 0:
+            return True
+        last, stray = self._last_sequence, self._stray_sequence
+        near = last is None or -_REORDERED <= sequence - last <= _LARGEST_LEAP
+        self._stray_sequence = None if near else sequence
+        return not near and stray is not None and 0 < sequence - stray <= _REORDERED
 
     def _judge(self, state: Floats, time_s: float, sequence: int | None) -> Refusal | None:
         if len(state) != len(self.model.features):
@@ -106,7 +127,7 @@ class GuardedModel:
         if not np.isfinite(state).all():
             return Refusal.NOT_A_NUMBER
         last = self._last_sequence
-        if sequence is not None and last is not None and sequence <= last:
+        if sequence is not None and last is not None and not 0 < sequence - last <= _LARGEST_LEAP:
             return Refusal.REPEATED
         if time_s <= self._last_time_s:
             return Refusal.STALE

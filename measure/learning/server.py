@@ -13,15 +13,19 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.host import OnnxModel
-from measure.learning.guard import GuardedModel, Refusal
+from measure.learning.guard import Counters, GuardedModel, Refusal
 from measure.learning.packets import LARGEST, AnswerPacket, StatePacket
 from measure.learning.zeroing import Zeroing
 
 DEFAULT_ADDRESS = ("127.0.0.1", 47_118)
+_MOST_SENDERS = 16
+"""Whose histories are kept; of more, that of the one silent for longest is forgotten."""
 
 
 class EstimateServer:
     """Answers every datagram with one datagram; what is refused is counted and said so.
+
+    Every sender, an address and a port, has a history of its own.
 
     Loopback unless another address is given: the packets are neither encrypted nor signed.
     """
@@ -32,7 +36,9 @@ class EstimateServer:
         address: tuple[str, int] = DEFAULT_ADDRESS,
         zeroing: Zeroing | None = None,
     ) -> None:
-        self.guarded = GuardedModel(model, zeroing)
+        self.counters = Counters()
+        self._model, self._zeroing = model, zeroing
+        self._histories: dict[tuple[str, int], GuardedModel] = {}  # the sender heard last is last
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4 << 20)
         try:
@@ -76,29 +82,45 @@ class EstimateServer:
             except TimeoutError:
                 data = b""
             if data:
-                self._socket.sendto(self.answer(data), sender)
+                self._send(self.answer(data, sender), sender)
             now = time.monotonic()
             if tell is not None and now - told >= tell_every_s:
                 told = now
                 tell(self)
 
-    def answer(self, data: bytes) -> bytes:
+    def answer(self, data: bytes, sender: tuple[str, int]) -> bytes:
         """The datagram that goes back for one that came in; how long it takes is kept."""
         begun = time.perf_counter()
-        packed = self._judged(data).pack()
+        packed = self._judged(data, sender).pack()
         self._durations[self._answered % len(self._durations)] = time.perf_counter() - begun
         self._answered += 1
         return packed
 
-    def _judged(self, data: bytes) -> AnswerPacket:
+    def _send(self, packed: bytes, sender: tuple[str, int]) -> None:
+        try:
+            self._socket.sendto(packed, sender)
+        except OSError:  # a sender's port may be 0, its network down: the others still listen
+            self.counters.unsent += 1
+
+    def _judged(self, data: bytes, sender: tuple[str, int]) -> AnswerPacket:
         packet = StatePacket.unpack(data)
         if packet is None:
-            return AnswerPacket(0, float("nan"), self.guarded.refuse(Refusal.MALFORMED))
+            return AnswerPacket(0, float("nan"), self.counters.refuse(Refusal.MALFORMED))
         if not math.isfinite(packet.time_s):
-            reason = self.guarded.refuse(Refusal.NOT_A_NUMBER)
+            reason = self.counters.refuse(Refusal.NOT_A_NUMBER)
             return AnswerPacket(packet.sequence, packet.time_s, reason)
-        answer = self.guarded.update(packet.state, packet.time_s, packet.sequence)
+        answer = self._guarded(sender).update(packet.state, packet.time_s, packet.sequence)
         return AnswerPacket(packet.sequence, packet.time_s, answer)
+
+    def _guarded(self, sender: tuple[str, int]) -> GuardedModel:
+        """The model with this sender's history."""
+        guarded = self._histories.pop(sender, None)
+        if guarded is None:
+            guarded = GuardedModel(self._model.another(), self._zeroing, self.counters)
+        self._histories[sender] = guarded
+        if len(self._histories) > _MOST_SENDERS:
+            del self._histories[next(iter(self._histories))]
+        return guarded
 
     def latency_us(self) -> dict[str, float]:
         """Median and 99th percentile of one update in this process, over the last 65 536."""
@@ -123,12 +145,12 @@ class EstimateClient:
         self._sequence = -1
 
     def ask(self, state: Floats, time_s: float) -> AnswerPacket | None:
-        """Send the next state and wait for its answer; None if it did not come in time."""
+        """Send the next state and wait for its own answer; None if that did not come in time."""
         self._sequence += 1
         self.send(StatePacket(self._sequence, time_s, state).pack())
         while True:
             answer = self.receive()
-            if answer is None or answer.sequence in (0, self._sequence):
+            if answer is None or answer.sequence == self._sequence:
                 return answer
 
     def send(self, data: bytes) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
@@ -75,6 +76,32 @@ def test_a_program_that_was_started_again_begins_anew(guarded: GuardedModel, spl
     assert guarded.counters.lost == 0
 
 
+@pytest.mark.parametrize("stray", [2**60, 3_000_000])
+def test_a_wild_sequence_number_blocks_no_others(
+    guarded: GuardedModel, split: Split, stray: int
+) -> None:
+    """It used to refuse all that followed, and to count a quintillion as lost."""
+    states = split.test.states
+    for i in range(5):
+        assert isinstance(guarded.update(states[i], float(i), 1000 + i), Correction)
+    assert guarded.update(states[5], 5.0, stray) is Refusal.REPEATED
+    assert isinstance(guarded.update(states[5], 5.0, 1005), Correction)
+    assert guarded.counters.lost == 0
+
+
+def test_a_program_that_counts_from_elsewhere_is_heard_again(
+    guarded: GuardedModel, split: Split
+) -> None:
+    states = split.test.states
+    assert isinstance(guarded.update(states[0], 100.0, 2**60), Correction)
+    assert guarded.update(states[0], 0.0, 7) is Refusal.REPEATED
+    again = [guarded.update(states[i], float(i), 7 + i) for i in range(1, 4)]
+    fresh = guarded.model.another()
+    for i, answer in enumerate(again, 1):
+        assert isinstance(answer, Correction)
+        np.testing.assert_array_equal(answer.error_mm, fresh.update(states[i], float(i)).error_mm)
+
+
 def test_a_refused_state_leaves_no_trace(guarded: GuardedModel, split: Split) -> None:
     states = split.test.states
     first = [guarded.update(states[i], float(i)) for i in range(5)]
@@ -136,8 +163,49 @@ def test_answers_over_udp(server: EstimateServer, model_path: Path, split: Split
     assert nan_stamp is not None
     assert nan_stamp.answer is Refusal.NOT_A_NUMBER
     client.close()
-    assert server.guarded.counters.corrected == 30
+    assert server.counters.corrected == 30
     assert server.latency_us()["p50_us"] > 0
+
+
+def test_senders_do_not_share_a_history(model_path: Path, split: Split) -> None:
+    """A second one that began with zero used to reset the first one's; of many, old ones go."""
+    states, model = split.test.states, OnnxModel.load(model_path)
+    server = EstimateServer(model, ("127.0.0.1", 0))
+    alone = model.another()
+    for i in range(20):
+        wanted = alone.update(states[i], float(i)).error_mm
+        for port in (1, 2, 100 + i):
+            packet = StatePacket(i if port < 100 else 0, float(i), states[i]).pack()
+            got = AnswerPacket.unpack(server.answer(packet, ("127.0.0.1", port))).answer
+            assert isinstance(got, Correction)
+            if port < 100:
+                np.testing.assert_allclose(got.error_mm, wanted, atol=1e-4)
+    assert server.counters.values()["corrected"] == 60
+    assert len(server._histories) == 16
+    server.close()
+
+
+def test_an_answer_that_cannot_be_sent_ends_nothing(model_path: Path) -> None:
+    server = EstimateServer(OnnxModel.load(model_path), ("127.0.0.1", 0))
+    server._send(server.answer(b"garbage", ("127.0.0.1", 0)), ("127.0.0.1", 0))
+    assert server.counters.values()["unsent"] == 1
+    server.close()
+
+
+def test_a_late_answer_is_not_taken_for_that_to_the_next_state() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as slow:
+        slow.bind(("127.0.0.1", 0))
+        client = EstimateClient(slow.getsockname(), timeout_s=0.05)
+        assert client.ask(np.zeros(3), 0.0) is None
+        _, sender = slow.recvfrom(1000)
+        slow.sendto(AnswerPacket(0, 0.0, Refusal.NOT_A_NUMBER).pack(), sender)
+        assert client.ask(np.zeros(3), 1.0) is None
+        slow.sendto(AnswerPacket(1, 1.0, Refusal.NOT_A_NUMBER).pack(), sender)
+        slow.sendto(AnswerPacket(2, 2.0, Refusal.STALE).pack(), sender)
+        answer = client.ask(np.zeros(3), 2.0)
+        client.close()
+    assert answer is not None
+    assert answer.answer is Refusal.STALE
 
 
 def test_a_hundred_hertz_lose_nothing(server: EstimateServer, split: Split) -> None:
@@ -145,7 +213,7 @@ def test_a_hundred_hertz_lose_nothing(server: EstimateServer, split: Split) -> N
     result = exercise(client, split.test.states[:50], 1.0, rate_hz=100.0)
     client.close()
     assert result.answered == result.sent == 100
-    assert server.guarded.counters.lost == 0
+    assert server.counters.lost == 0
 
 
 def test_offline_is_online(model_path: Path, split: Split, tmp_path: Path) -> None:
