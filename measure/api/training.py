@@ -129,11 +129,19 @@ def sweep(
     scheduler: str | None,
     report: Report,
 ) -> SweepState:
-    """Help a sweep along until it has enough trials."""
-    from measure.learning import sweeping
+    """Help a sweep along until it has enough trials.
+
+    Raises:
+        ConfigError: no trials are wanted.
+        EstimatorError: data or a journal that cannot be used, or trials that fail.
+    """
+    from measure.learning import files, sweeping
     from measure.learning.study import read_space
 
-    job = sweeping.SweepJob(str(data.resolve()), estimator, dict(settings), seed)
+    if trials < 1:
+        raise ConfigError(f"--trials {trials}: expected a positive number")
+    digest = files.read_dataset(data).digest()
+    job = sweeping.SweepJob(str(data.resolve()), estimator, dict(settings), seed, digest)
     return sweeping.sweep(
         job, read_space(space), journal, trials, scheduler=scheduler, report=report
     )

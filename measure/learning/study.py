@@ -93,7 +93,7 @@ def open_study(journal: Path, identity: str) -> Any:
     """The study in a journal, which is started if absent.
 
     Raises:
-        EstimatorError: an extra is missing, or the journal is of another sweep.
+        EstimatorError: an extra is missing, or the journal is damaged or of another sweep.
     """
     try:
         import optuna
@@ -105,28 +105,61 @@ def open_study(journal: Path, identity: str) -> Any:
         ) from None
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     journal.parent.mkdir(parents=True, exist_ok=True)
-    storage = JournalStorage(
-        JournalFileBackend(str(journal), lock_obj=JournalFileOpenLock(str(journal)))
-    )
-    study = optuna.create_study(
-        study_name="sweep",
-        storage=storage,
-        load_if_exists=True,
-        sampler=optuna.samplers.TPESampler(constant_liar=True),
-    )
+    lock = JournalFileOpenLock(str(journal))
+    lock.acquire()
+    try:
+        _check_lines(journal)
+    finally:
+        lock.release()
+    try:
+        study = optuna.create_study(
+            study_name="sweep",
+            storage=JournalStorage(JournalFileBackend(str(journal), lock_obj=lock)),
+            load_if_exists=True,
+            sampler=optuna.samplers.TPESampler(constant_liar=True),
+        )
+    except (AssertionError, LookupError, TypeError, ValueError) as error:
+        raise EstimatorError(f"{journal}: damaged ({error!r}): use another file") from None
     written = study.user_attrs.get("job")
     if written is None:
         study.set_user_attr("job", identity)
     elif written != identity:
-        raise EstimatorError(f"{journal}: belongs to another sweep ({written}): use another file")
+        raise EstimatorError(
+            f"{journal}: belongs to another sweep, or the data have changed since ({written} then, "
+            f"{identity} now): use another file"
+        )
     return study
 
 
+def _check_lines(journal: Path) -> None:
+    """Refuse a file that is no journal, or whose last line is torn: optuna would append to it."""
+    if not journal.exists():
+        return
+    for number, line in enumerate(journal.read_bytes().splitlines(keepends=True), 1):
+        try:
+            good = line.endswith(b"\n") and "op_code" in json.loads(line)
+        except (TypeError, ValueError):
+            good = False
+        if not good:
+            raise EstimatorError(
+                f"{journal}:{number}: damaged, or not a sweep's journal: use another file"
+            )
+
+
 def ask(study: Any, space: Mapping[str, Range]) -> tuple[Any, dict[str, Any]]:
-    """The next trial, marked as this process's, and its settings."""
+    """The next trial, marked as this process's, and its settings.
+
+    Raises:
+        EstimatorError: the journal's trials had other choices.
+    """
     trial = study.ask()
     trial.set_user_attr("worker", f"{os.uname().nodename}:{os.getpid()}")
-    return trial, _suggest(trial, space)
+    try:
+        return trial, _suggest(trial, space)
+    except ValueError as error:
+        raise EstimatorError(
+            f"the space does not go with the journal's trials ({error}): use another journal"
+        ) from None
 
 
 def _suggest(trial: Any, space: Mapping[str, Range]) -> dict[str, Any]:
@@ -166,6 +199,12 @@ def fail(study: Any, trial: Any, reason: str) -> None:
 
     trial.set_user_attr("error", reason[:300])
     study.tell(trial, state=optuna.trial.TrialState.FAIL)
+
+
+def failures(study: Any) -> list[str]:
+    """Why trials failed, in order; those that were given back are not among them."""
+    trials = study.get_trials(deepcopy=False)
+    return [trial.user_attrs["error"] for trial in trials if "error" in trial.user_attrs]
 
 
 def requeue_dead(study: Any) -> None:

@@ -20,6 +20,7 @@ from measure.learning.study import (
     SweepState,
     ask,
     fail,
+    failures,
     finish,
     open_study,
     queued,
@@ -37,19 +38,32 @@ class SweepJob:
         estimator: its name.
         settings: fixed for all trials.
         seed: of split and fit.
+        digest: of the data.
     """
 
     data: str
     estimator: str
     settings: Mapping[str, Any]
     seed: int
+    digest: str
+
+    @property
+    def identity(self) -> str:
+        """What all trials of a sweep have in common, wherever the data lie."""
+        return json.dumps([self.estimator, dict(self.settings), self.seed, self.digest])
 
 
 def run_trial(job: SweepJob, settings: Mapping[str, Any]) -> float:
-    """Fit with some settings; RMS in mm on the validation trajectories."""
+    """Fit with some settings; RMS in mm on the validation trajectories.
+
+    Raises:
+        EstimatorError: the data have changed, or the estimator cannot be judged.
+    """
     from measure.host.estimator import quiet
 
     data = read_dataset(Path(job.data))
+    if data.digest() != job.digest:
+        raise EstimatorError(f"{job.data}: has changed since the sweep began: use another journal")
     split = split_by_trajectory(data, seed=job.seed)
     registry = Registry.discover()
     estimator = registry.estimator(job.estimator, {**job.settings, **settings})
@@ -86,15 +100,21 @@ def sweep(
         report: progress.
 
     Raises:
-        EstimatorError: an extra is missing, or the journal is of another sweep.
+        EstimatorError: an extra is missing, the journal is damaged or of another sweep, or as many
+            trials failed as were wanted.
     """
-    study = open_study(journal, json.dumps([job.data, job.estimator, dict(job.settings), job.seed]))
+    study = open_study(journal, job.identity)
     while True:
         requeue_dead(study)
         state = sweep_state(study)
         report(min(1.0, state.finished / trials), f"{state.finished} of {trials} trials")
         if state.finished >= trials:
             return state
+        if len(failed := failures(study)) >= trials:
+            raise EstimatorError(
+                f"{len(failed)} trials failed and {state.finished} finished; the last failure: "
+                f"{failed[-1]}: mend the space and use another journal, or want more trials"
+            )
         if state.finished + state.running >= trials and not queued(study):
             time.sleep(0.5)
             continue

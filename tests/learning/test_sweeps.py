@@ -8,12 +8,15 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from measure.cli import main
 from measure.errors import EstimatorError
+from measure.host import Dataset
+from measure.learning import files
 from measure.learning.study import read_space
 from tests.dask_cluster import Cluster, wait_for
 
@@ -56,6 +59,68 @@ def test_a_search_space_that_makes_no_sense(
     space.write_text(SPACE.replace(old, new))
     with pytest.raises(EstimatorError, match=reason):
         read_space(space)
+
+
+@pytest.fixture
+def words(data: Path, tmp_path: Path) -> list[str]:
+    """A sweep of two trials."""
+    pytest.importorskip("optuna", reason="a sweep needs the extra 'sweep'")
+    space = tmp_path / "space.toml"
+    space.write_text(SPACE)
+    words = ["sweep", str(data), str(space), "--journal", str(tmp_path / "journal.log")]
+    return [*words, "--estimator", "ridge", "--trials", "2"]
+
+
+def test_a_sweep_goes_on_with_the_same_data_only(
+    small: Dataset, tmp_path: Path, words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    words[1] = str(tmp_path / "own.parquet")
+    files.write_dataset(Path(words[1]), small, [], "the small simulated data set")
+    assert main(words) == 0
+    capsys.readouterr()
+    assert main([*words[:-1], "3", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["finished"] == 3
+    Path(words[2]).write_text(SPACE.replace('"pose", "play"', '"play", "pose", "window"'))
+    assert main([*words[:-1], "4"]) == 2
+    assert "the space does not go with the journal's trials" in capsys.readouterr().err
+    files.write_dataset(Path(words[1]), replace(small, errors_mm=-small.errors_mm), [], "others")
+    assert main(words) == 2
+    assert "or the data have changed since" in capsys.readouterr().err
+
+
+def test_a_sweep_whose_trials_all_fail_ends(
+    words: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It used to go on for ever."""
+
+    def fails(*_: object) -> float:
+        raise ValueError("the fit failed")
+
+    monkeypatch.setattr("measure.learning.sweeping.run_trial", fails)
+    assert main(words) == 2
+    told = capsys.readouterr().err
+    assert "2 trials failed and 0 finished; the last failure: the fit failed" in told
+    assert main([*words[:-1], "0"]) == 2
+    assert "--trials 0: expected a positive number" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        ('penalty = "none"\n', "journal.log:1: damaged, or not a sweep's journal"),
+        ('{"op_code":0', "journal.log:1: damaged, or not a sweep's journal"),
+        ("1\n", "journal.log:1: damaged, or not a sweep's journal"),
+        ('{"op_code":99,"worker_id":"a"}\n', "journal.log: damaged"),
+    ],
+)
+def test_a_file_that_is_no_journal_is_left_alone(
+    content: str, reason: str, words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    journal = Path(words[4])
+    journal.write_text(content)
+    assert main(words) == 2
+    assert reason in capsys.readouterr().err
+    assert journal.read_text() == content
 
 
 @pytest.mark.slow
