@@ -106,6 +106,12 @@ def _conclude(
     ]
     if rows:
         console.print_table((*_COLUMNS, "clock offset_s", "SD_s"), rows)
+    for fact in facts:
+        if fact.bad_states:
+            console.note(
+                f"{fact.name}: states of the robot's log that are left out, as they are not all "
+                f"numbers: {fact.bad_states}"
+            )
     console.print_text(
         f"{int(data.usable.sum())} labels in {len(data.present())} trajectories written to {out}"
     )

@@ -7,6 +7,8 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import EstimatorError
 
+_MOVES_MM = 1.0
+"""Positions that spread less do not tell their unit."""
 _STANDS_STILL = 1e-4
 """A tip that spreads less than this share of the measured one is not the same."""
 _LEAST_ROWS, _LEAST_SPREAD_MM = 20, 10.0
@@ -19,13 +21,15 @@ _LARGEST_TURN_DEG, _LARGEST_SHIFT_MM = 20.0, 100.0
 
 
 def check_units(name: str, measured_mm: Floats, reported_mm: Floats) -> None:
-    """Refuse positions (n, 3) and (m, 3) of one motion that are not both in mm.
+    """Refuse positions (n, 3) of the same instants that are not both in mm.
 
     Raises:
         EstimatorError: what they look like.
     """
     spread = np.linalg.norm(measured_mm.std(axis=0))
     expected = np.linalg.norm(reported_mm.std(axis=0))
+    if max(spread, expected) < _MOVES_MM:
+        return
     ratio = spread / max(float(expected), 1e-12)
     for factor, what in ((1e-3, "metres"), (1e-1, "centimetres"), (1e3, "micrometres")):
         if 0.3 < ratio / factor < 3.0:

@@ -62,6 +62,8 @@ class AssemblySettings:
             value = getattr(self, name)
             if not (value >= 0 and np.isfinite(value)):
                 raise EstimatorError(f"{name} is {value:g}: expected a number that is not negative")
+        if self.clock_offset_s is not None and not np.isfinite(self.clock_offset_s):
+            raise EstimatorError(f"clock_offset_s is {self.clock_offset_s:g}: expected a number")
         if self.largest_offset_s > _LARGEST_OFFSET_S:
             raise EstimatorError(
                 f"largest_offset_s is {self.largest_offset_s:g}: the search goes up to "
@@ -80,6 +82,7 @@ class TrajectoryFacts:
     no_state: int
     outliers: int
     uncertain: int
+    bad_states: int
     duration_s: float
     clock: ClockOffset | None = field(default=None)
 
@@ -89,9 +92,11 @@ def assemble(
 ) -> tuple[Dataset, list[TrajectoryFacts]]:
     """Pair every measured pose with the robot's state of that instant.
 
+    States of a log that are not all numbers count as not recorded.
+
     Raises:
         EstimatorError: no recordings, clocks that do not match, positions in other units than mm
-            or in another frame than the robot's.
+            or in another frame than the robot's, a log without numbers.
     """
     settings = settings or AssemblySettings()
     if not pairs:
@@ -127,21 +132,24 @@ class _Marks:
 def _one(
     track: PoseTrack, log: RobotLog, settings: AssemblySettings
 ) -> tuple[Dataset, TrajectoryFacts]:
-    clock = _clock(track, log, settings)
+    told = _of_numbers(track.name, log)
+    clock = _clock(track, told, settings)
     offset = clock.offset_s if clock else settings.clock_offset_s or 0.0
-    times, row_of_pose = _row_times(track.times_s + offset, log, settings.history_hz)
-    states, near = _interpolate(log, times, settings.longest_gap_s)
-    errors = np.full((len(times), 3), np.nan)
+    times, row_of_pose = _row_times(track.times_s + offset, told, settings.history_hz)
+    states, near = _interpolate(told, times, settings.longest_gap_s)
+    positions = np.full((len(times), 3), np.nan)
     covariances = np.tile(np.eye(3), (len(times), 1, 1))
-    errors[row_of_pose] = track.positions_mm - log.schema.position_mm(states)[row_of_pose]
+    positions[row_of_pose] = track.positions_mm
     covariances[row_of_pose] = np.where(np.isfinite(track.covariances), track.covariances, 1.0)
+    reported = log.schema.position_mm(states)
+    errors = positions - reported
+    measured = np.asarray(np.isfinite(errors).all(axis=1))
+    _check_common(track, told, offset, positions[measured & near], reported[measured & near])
     outlier = np.zeros(len(times), dtype=bool)
     outlier[row_of_pose] = _outliers(errors[row_of_pose], settings.outlier_sds)
-    measured = np.isfinite(errors).all(axis=1)
     sd = np.sqrt(np.trace(covariances, axis1=1, axis2=2))
     marks = _Marks(measured, near, outlier, measured & (sd > settings.largest_sd_mm))
-    told = log.schema.position_mm(states)[marks.usable]
-    check_frames(track.name, errors[marks.usable] + told, told)
+    check_frames(track.name, positions[marks.usable], reported[marks.usable])
     kept = marks.kept
     trajectory, names = _cut(track.name, times[kept], settings.cut_s)
     part = Dataset(
@@ -154,32 +162,56 @@ def _one(
         covariances[kept],
         marks.usable[kept],
     )
-    return part, _facts(track, marks, float(times[-1] - times[0]), clock)
+    during = (log.times_s >= times[0]) & (log.times_s <= times[-1])
+    bad = int((~np.isfinite(log.states[during]).all(axis=1)).sum())
+    return part, _facts(track, marks, bad, float(times[-1] - times[0]), clock)
+
+
+def _of_numbers(name: str, log: RobotLog) -> RobotLog:
+    """The log without the states that are not all numbers."""
+    bad = ~np.isfinite(log.states)
+    good = ~bad.any(axis=1)
+    if good.sum() < 2:
+        worst = int(bad.sum(axis=0).argmax())
+        raise EstimatorError(
+            f"{name}: the robot's log has {int(good.sum())} states that are all numbers; feature "
+            f"'{log.schema.names[worst]}' is none in {int(bad[:, worst].sum())} of {len(bad)}"
+        )
+    return RobotLog(log.schema, log.times_s[good], log.states[good])
 
 
 def _clock(track: PoseTrack, log: RobotLog, settings: AssemblySettings) -> ClockOffset | None:
-    """The offset as the motion tells it, or None if it was given; checks the units first."""
+    """The offset as the motion tells it, or None if it was given."""
     seen = np.isfinite(track.positions_mm).all(axis=1)
     if seen.sum() < 10:
         raise EstimatorError(f"{track.name}: only {int(seen.sum())} poses were measured")
-    reported = log.schema.position_mm(log.states)
-    told = np.isfinite(reported).all(axis=1)
-    if told.sum() < 2:
-        raise EstimatorError(f"{track.name}: the robot's log holds no positions that are numbers")
-    check_units(track.name, track.positions_mm[seen], reported[told])
     if settings.clock_offset_s is not None:
         return None
     return estimate_offset(
         track.times_s[seen],
         track.positions_mm[seen],
-        log.times_s[told],
-        reported[told],
+        log.times_s,
+        log.schema.position_mm(log.states),
         largest_s=settings.largest_offset_s,
     )
 
 
+def _check_common(
+    track: PoseTrack, log: RobotLog, offset_s: float, measured_mm: Floats, reported_mm: Floats
+) -> None:
+    """Refuse positions (n, 3) of the same instants if there are none, or not in one unit."""
+    if not len(measured_mm):
+        first, last = track.times_s[[0, -1]] + offset_s
+        raise EstimatorError(
+            f"{track.name}: no pose has a state: on the robot's clock, at an offset of "
+            f"{offset_s:g} s, the poses run from {first:.1f} to {last:.1f} s and the log from "
+            f"{log.times_s[0]:.1f} to {log.times_s[-1]:.1f} s"
+        )
+    check_units(track.name, measured_mm, reported_mm)
+
+
 def _facts(
-    track: PoseTrack, marks: _Marks, duration_s: float, clock: ClockOffset | None
+    track: PoseTrack, marks: _Marks, bad_states: int, duration_s: float, clock: ClockOffset | None
 ) -> TrajectoryFacts:
     seen = np.isfinite(track.positions_mm).all(axis=1)
     return TrajectoryFacts(
@@ -190,6 +222,7 @@ def _facts(
         int((marks.measured & ~marks.near).sum()),
         int(marks.outlier.sum()),
         int(marks.uncertain.sum()),
+        bad_states,
         duration_s,
         clock,
     )

@@ -132,7 +132,7 @@ def read_labelled(path: Path, schema: StateSchema, *, label_sd_mm: float = 0.1) 
 
 
 def _checked(path: Path, data: Dataset) -> Dataset:
-    """The same data set, if it has rows and what may be learnt from is numbers."""
+    """The same data set, if it has rows, in time order, and what may be learnt from is numbers."""
     if not len(data):
         raise EstimatorError(f"{path}: holds no rows")
     for what, good in (
@@ -143,6 +143,14 @@ def _checked(path: Path, data: Dataset) -> Dataset:
         if not good.all():
             row = int(np.argmin(good)) + 1
             raise EstimatorError(f"{path}: row {row} has a {what} that is no finite number")
+    backwards = (np.diff(data.times_s) < 0) & (np.diff(data.trajectory) == 0)
+    if backwards.any():
+        row = int(np.argmax(backwards)) + 2
+        name = data.names[data.trajectory[row - 1]]
+        raise EstimatorError(
+            f"{path}: time runs backwards at row {row}, in trajectory '{name}': sort its rows, or "
+            "split it there"
+        )
     return data
 
 
@@ -158,8 +166,9 @@ def has_labels(path: Path) -> bool:
 def read_poses(path: Path) -> PoseTrack:
     """Measured positions of a run folder, or of a `.csv` or `.parquet` file of positions.
 
-    Of a run, poses that were flagged as doubtful count as not measured. A file needs `time_s`,
-    `x_mm`, `y_mm`, `z_mm`, and may give `position_sd_mm` (3-D), else 0.1 mm per axis is assumed.
+    A file needs `time_s`, `x_mm`, `y_mm`, `z_mm`, and may give `position_sd_mm` (3-D), else 0.1 mm
+    per axis is assumed. Poses whose `status`, which runs have and files may have, is not "ok" count
+    as not measured.
 
     Raises:
         EstimatorError: there is no such file, or columns are missing.
@@ -179,7 +188,10 @@ def read_poses(path: Path) -> PoseTrack:
     if not np.isfinite(columns[:, 0]).all():
         row = int(np.argmin(np.isfinite(columns[:, 0]))) + 1
         raise EstimatorError(f"{path}: row {row} has no time")
-    return _ordered(path.stem, columns[:, 0], columns[:, 1:], covariances)
+    positions = columns[:, 1:]
+    if "status" in table:
+        positions = _believed(positions, table.labels("status"))
+    return _ordered(path.stem, columns[:, 0], positions, covariances)
 
 
 def _run_poses(path: Path) -> PoseTrack:
@@ -188,9 +200,13 @@ def _run_poses(path: Path) -> PoseTrack:
     positions, covariances = np.full((count, 3), np.nan), np.tile(np.eye(3), (count, 1, 1))
     positions[run.has_pose] = run.world_from_body.translation
     covariances[run.has_pose] = run.covariances[:, :3, :3]
-    sure = np.array(run.poses["status"].to_pylist()) == "ok"
-    positions[~sure] = np.nan
+    positions = _believed(positions, run.poses["status"].to_pylist())
     return _ordered(path.name, run.times_s, positions, covariances)
+
+
+def _believed(positions: Floats, statuses: Sequence[str]) -> Floats:
+    sure = np.array(statuses) == "ok"
+    return np.where(sure[:, None], positions, np.nan)
 
 
 def _ordered(name: str, times: Floats, positions: Floats, covariances: Floats) -> PoseTrack:
