@@ -38,3 +38,7 @@ class DegenerateGeometryError(MeasureError):
 
 class EstimatorError(MeasureError):
     """A data set, model or state stream an estimator cannot work with."""
+
+
+class DivergedError(EstimatorError):
+    """A fit whose numbers grew beyond all bounds: other settings may do."""

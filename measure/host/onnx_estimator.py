@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from measure.arrays import Floats
-from measure.errors import EstimatorError
+from measure.errors import DivergedError, EstimatorError
 from measure.host.dataset import Dataset
 from measure.host.estimator import Correction, Estimator, Report
 from measure.host.onnx_graph import Graph, Value
@@ -20,6 +20,7 @@ from measure.host.settings import Settings
 from measure.robots import StateSchema
 
 _ROOM = 1.5  # how far beyond training a state may lie before it counts as unfamiliar
+_ABSURD_MM = 1e6  # no estimator corrects a robot by a kilometre
 _CLIP = 8.0  # scaled features are held within this many SDs: a wild input gives no wild output
 
 
@@ -95,7 +96,12 @@ class OnnxEstimator(Estimator):
         return range(data.states.shape[1])
 
     def fit(self, data: Dataset, validation: Dataset, *, seed: int, report: Report) -> None:
-        """Learn, then judge covariance and familiarity on the validation trajectories."""
+        """Learn, then judge covariance and familiarity on the validation trajectories.
+
+        Raises:
+            EstimatorError: the data cannot be learnt from.
+            DivergedError: what was learnt is no numbers, or absurd ones.
+        """
         _check_data(data, validation)
         self._schema = data.schema
         steps = np.concatenate([np.diff(data.times_s[rows]) for _, rows in data.runs()])
@@ -169,7 +175,13 @@ class OnnxEstimator(Estimator):
     def _calibrate(self, validation: Dataset) -> None:
         from scipy.optimize import nnls  # slow to load
 
-        estimates = OnnxModel(self._build({}, judging=True)).predict(validation)
+        with np.errstate(over="ignore"):  # what is too large for float32 is found here
+            estimates = OnnxModel(self._build({}, judging=True)).predict(validation)
+        if not (np.abs(estimates.errors_mm) < _ABSURD_MM).all():
+            raise DivergedError(
+                f"the fit of estimator '{self.name}' diverged, its corrections are no numbers or "
+                "of kilometres: choose other settings, such as a lower learning rate"
+            )
         used = validation.usable
         residual = (validation.errors_mm - estimates.errors_mm)[used]
         noise = validation.covariances[used].mean(axis=0)

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, RootModel, model_validator
 
-from measure.errors import EstimatorError
+from measure.errors import DivergedError, EstimatorError
 from measure.session import load_toml
 
 _LEAST_PATIENCE_S = 600.0
@@ -182,9 +182,7 @@ def finish(study: Any, trial: Any, work: Callable[[], float]) -> None:
     """Do a trial's work and tell its score; settings that cannot be fitted fail."""
     try:
         value = work()
-    except EstimatorError:
-        raise
-    except (ArithmeticError, ValueError, RuntimeError) as error:
+    except (DivergedError, ArithmeticError, ValueError, RuntimeError) as error:
         fail(study, trial, str(error))
         return
     if np.isfinite(value):

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from measure.errors import EstimatorError
+from measure.errors import DivergedError, EstimatorError
 from measure.host import Estimator, OnnxModel, Registry
 from measure.host.estimator import quiet
 from measure.learning import Score, Split, evaluate
@@ -112,6 +112,15 @@ def test_the_clock_of_the_memory_is_that_of_training(
             if step == 0:
                 fast.append(last.error_mm)
     np.testing.assert_allclose(slow, fast, atol=1e-4)
+
+
+def test_a_fit_that_diverges_is_refused(split: Split) -> None:
+    """It used to be a model of NaN."""
+    for rate in (1e10, 1e30):
+        settings = {"layers": (4,), "epochs": 1, "batch": 64, "learning_rate": rate}
+        estimator = Registry.discover().estimator("mlp", settings)
+        with pytest.raises(DivergedError, match="of estimator 'mlp' diverged"):
+            estimator.fit(split.train, split.validation, seed=0, report=quiet)
 
 
 def test_bad_data_and_files_are_refused(

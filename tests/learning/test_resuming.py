@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from measure.errors import EstimatorError
 from measure.host import Dataset
 from measure.learning import split_by_trajectory
 from measure_plugins.estimators._checkpoint import Checkpoint
@@ -27,3 +28,14 @@ def test_a_fit_is_not_resumed_with_other_data(small: Dataset, tmp_path: Path) ->
     ):
         key = train.digest(), validation.digest()
         assert Checkpoint(tmp_path, "net", key).load() == found
+
+
+def test_a_damaged_checkpoint_is_named(tmp_path: Path) -> None:
+    pytest.importorskip("torch")
+    checkpoint = Checkpoint(tmp_path, "net", 1)
+    checkpoint.store(now=True, net=7)
+    content = (tmp_path / "net.pt").read_bytes()
+    for damaged in (b"", b"junk", content[: len(content) // 2]):
+        (tmp_path / "net.pt").write_bytes(damaged)
+        with pytest.raises(EstimatorError, match=r"net.pt: damaged .* train again without"):
+            checkpoint.load()

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from measure.cli import main
-from measure.errors import EstimatorError
+from measure.errors import DivergedError, EstimatorError
 from measure.host import Dataset
 from measure.learning import files
 from measure.learning.study import read_space
@@ -88,13 +88,17 @@ def test_a_sweep_goes_on_with_the_same_data_only(
     assert "or the data have changed since" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("kind", [ValueError, DivergedError])
 def test_a_sweep_whose_trials_all_fail_ends(
-    words: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    kind: type[Exception],
+    words: list[str],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """It used to go on for ever."""
 
     def fails(*_: object) -> float:
-        raise ValueError("the fit failed")
+        raise kind("the fit failed")
 
     monkeypatch.setattr("measure.learning.sweeping.run_trial", fails)
     assert main(words) == 2

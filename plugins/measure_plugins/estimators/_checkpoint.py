@@ -6,6 +6,8 @@ import time
 from pathlib import Path
 from typing import Any
 
+from measure.errors import EstimatorError
+
 EVERY_S = 10.0  # between two writes
 
 
@@ -21,12 +23,22 @@ class Checkpoint:
         self._stored_s = time.monotonic()
 
     def load(self) -> dict[str, Any] | None:
-        """What was stored last, if it belongs to this fit."""
+        """What was stored last, if it belongs to this fit.
+
+        Raises:
+            EstimatorError: it is damaged.
+        """
         import torch
 
         if self._path is None or not self._path.exists():
             return None
-        found: dict[str, Any] = torch.load(self._path, weights_only=False)
+        try:
+            found: dict[str, Any] = torch.load(self._path, weights_only=False)
+        except Exception as error:  # torch raises many kinds; all mean the file
+            reason = (str(error).splitlines() or [type(error).__name__])[0]
+            raise EstimatorError(
+                f"{self._path}: damaged ({reason}): train again without --resume"
+            ) from None
         return found if found.pop("key", None) == self._key else None
 
     def store(self, *, now: bool = False, **state: Any) -> None:

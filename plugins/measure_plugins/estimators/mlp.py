@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, Literal
 
 import numpy as np
+from pydantic import field_validator
 
 from measure.arrays import Floats
 from measure.host import (
@@ -43,6 +44,13 @@ class MlpSettings(Settings):
     batch: int = setting(1024, "rows of a batch", ge=2)
     l1: float = setting(2e-4, "L1 penalty on the weights; the paper's is 5e-6", ge=0)
     loss: Literal["mse", "mae"] = setting("mse", "squared or absolute error")
+
+    @field_validator("layers")
+    @classmethod
+    def _layers_have_units(cls, layers: tuple[int, ...]) -> tuple[int, ...]:
+        if min(layers, default=1) < 1:
+            raise ValueError("a layer needs at least one unit")
+        return layers
 
 
 class MlpEstimator(OnnxEstimator):
