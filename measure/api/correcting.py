@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from measure.api.outputs import is_one_of
+from measure.api.outputs import check_writable, is_one_of
 from measure.errors import EstimatorError
 
 if TYPE_CHECKING:
@@ -22,24 +22,46 @@ def rezero(model_path: Path, stretch: Path) -> tuple[Zeroing, DriftMonitor]:
 
 
 def estimate_file(
-    model_path: Path, states: Path, out: Path | None, zeroing: Zeroing | None = None
+    model_path: Path,
+    states: Path,
+    out: Path | None,
+    zeroing: Zeroing | None = None,
+    *,
+    stretch: Path | None = None,
 ) -> Corrected:
     """Correct recorded states; write `run, i, t_s, ex, ey, ez, sd_mm, unfamiliar` if `out`.
 
+    Args:
+        model_path: the model.
+        states: the recording.
+        out: `.parquet` or `.csv`.
+        zeroing: what a restart left.
+        stretch: the data set that was found from.
+
     Raises:
-        EstimatorError: the model or the states do not fit, or `out` is one of their files.
+        EstimatorError: the model or the states do not fit, or `out` is one of their files, or is
+            called otherwise.
+        ConfigError: `out` cannot be written.
     """
     from measure import learning
     from measure.host import OnnxModel
 
-    if out is not None and is_one_of(out, [states, model_path]):
-        raise EstimatorError(f"{out}: is one of the files to be read: choose another --output")
+    if out is not None:
+        _check_output(out, [states, model_path, *([stretch] if stretch else [])])
     model = OnnxModel.load(model_path)
     table = learning.read_states(states, model)
     corrected = learning.correct(table, model, zeroing)
     if out is not None:
         learning.write_corrected(out, table, corrected)
     return corrected
+
+
+def _check_output(out: Path, read: Sequence[Path]) -> None:
+    if is_one_of(out, read):
+        raise EstimatorError(f"{out}: is one of the files to be read: choose another --output")
+    if out.suffix not in (".parquet", ".csv"):
+        raise EstimatorError(f"{out}: the name of a file of errors must end with .parquet or .csv")
+    check_writable(out, folder_is_made=True)
 
 
 def estimate_online(

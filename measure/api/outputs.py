@@ -14,8 +14,12 @@ def is_one_of(out: Path, read: Iterable[Path]) -> bool:
     return out.exists() and any(file.exists() and out.samefile(file) for file in read)
 
 
-def check_writable(out: Path) -> None:
+def check_writable(out: Path, *, folder_is_made: bool = False) -> None:
     """Refuse a file that cannot be written, before long work is done for it.
+
+    Args:
+        out: the file.
+        folder_is_made: whether its folder will be made if it is not there.
 
     Raises:
         ConfigError: it is a folder, its folder is not there, or it must not be written.
@@ -23,6 +27,8 @@ def check_writable(out: Path) -> None:
     folder = out.parent
     if out.is_dir():
         raise ConfigError(f"{out}: is a folder; give the file to write")
+    if folder_is_made:
+        folder = next(there for there in out.absolute().parents if there.exists())
     if not folder.is_dir():
         raise ConfigError(f"{out}: cannot be written: there is no folder {folder}")
     if not os.access(out if out.exists() else folder, os.W_OK):

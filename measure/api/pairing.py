@@ -7,7 +7,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from measure.api.outputs import is_one_of
+from measure.api.outputs import check_writable, is_one_of
+from measure.api.seeds import check_seeds
 from measure.errors import ConfigError, EstimatorError
 
 if TYPE_CHECKING:
@@ -37,10 +38,12 @@ def make_dataset(
 
     Raises:
         EstimatorError: files that do not fit; the message says which.
+        ConfigError: `out` cannot be written.
     """
     from measure.learning import files
     from measure.robots import find_schema
 
+    _check_out(out)
     schema = find_schema(robot)
     facts: list[TrajectoryFacts] = []
     if is_one_of(out, (*runs, *logs, Path(robot))):
@@ -51,6 +54,12 @@ def make_dataset(
         data = _labelled(runs, schema)
     files.write_dataset(out, data, facts, ", ".join(map(str, [*runs, *logs])))
     return data, facts
+
+
+def _check_out(out: Path) -> None:
+    if out.suffix != ".parquet":
+        raise EstimatorError(f"{out}: a data set's file name must end with .parquet")
+    check_writable(out, folder_is_made=True)
 
 
 def _paired(
@@ -98,11 +107,15 @@ def simulate_dataset(
     """A data set of the simulated RAVEN-II, written to `out`; pairs at the paper's rate if omitted.
 
     Raises:
-        ConfigError: a length or a count that makes no data.
+        ConfigError: a length, a count, a seed or a wear that makes no data, or `out` cannot be
+            written.
+        EstimatorError: the name of `out` is not a data set's.
     """
     from measure.learning import PAPER_MINUTES, PAPER_PAIRS, files, simulated_dataset
     from measure.robots.simulator import Cables
 
+    _check_out(out)
+    check_seeds(seed=seed)
     rate = PAPER_PAIRS / PAPER_MINUTES
     count = (pairs or round(rate * minutes)) if 0 < minutes < math.inf else 0
     if not (count > 0 and restarts > 0):
@@ -136,7 +149,7 @@ def simulate_recording(
     """Render the simulated RAVEN-II with its balls into a session folder, with its log.
 
     Raises:
-        ConfigError: a length or a rate that makes no recording.
+        ConfigError: a length, a rate, an offset, a seed or a wear that makes no recording.
     """
     from measure.learning.rendering import render_recording
     from measure.robots.simulator import Cables
@@ -146,6 +159,9 @@ def simulate_recording(
             f"--seconds {seconds:g} --frame-hz {frame_hz:g}: expected two positive numbers that "
             "make at least one frame set"
         )
+    if not math.isfinite(clock_offset_s):
+        raise ConfigError(f"--clock-offset-s {clock_offset_s:g}: expected a number")
+    check_seeds(seed=seed)
     render_recording(
         folder,
         seconds=seconds,

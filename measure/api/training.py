@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from measure.api.outputs import is_one_of
+from measure.api.outputs import check_writable, is_one_of
+from measure.api.seeds import check_seeds
 from measure.errors import ConfigError, EstimatorError
 
 if TYPE_CHECKING:
@@ -52,13 +53,15 @@ def train(
 
     Raises:
         EstimatorError: data that cannot be learnt from.
-        PluginError, ConfigError: the estimator or its settings.
+        PluginError, ConfigError: the estimator or its settings, a seed, or `out`.
     """
     import json
 
     from measure import learning
     from measure.viewing.report.estimator_report import write_estimator_report
 
+    check_seeds(split_seed=options.split_seed, seed=options.seed)
+    check_writable(out, folder_is_made=True)
     card_path = out.with_suffix(".card.json")
     read = [*data, *([options.validation] if options.validation else [])]
     if is_one_of(card_path, [path.with_suffix(".card.json") for path in read]):
@@ -132,7 +135,7 @@ def sweep(
     """Help a sweep along until it has enough trials.
 
     Raises:
-        ConfigError: no trials are wanted.
+        ConfigError: no trials are wanted, a seed or journal that cannot be used.
         EstimatorError: data or a journal that cannot be used, or trials that fail.
     """
     from measure.learning import files, sweeping
@@ -140,6 +143,8 @@ def sweep(
 
     if trials < 1:
         raise ConfigError(f"--trials {trials}: expected a positive number")
+    check_seeds(split_seed=seed)
+    check_writable(journal, folder_is_made=True)
     digest = files.read_dataset(data).digest()
     job = sweeping.SweepJob(str(data.resolve()), estimator, dict(settings), seed, digest)
     return sweeping.sweep(
@@ -170,10 +175,12 @@ def ablate(
 
     Raises:
         EstimatorError: the data are another robot's, or not those the model was trained on.
+        ConfigError: a seed that cannot be used.
     """
     from measure import learning
     from measure.host import OnnxModel
 
+    check_seeds(split_seed=split_seed or 0)
     model = OnnxModel.load(model_path)
     whole = learning.files.read_dataset(data)
     model.check(whole.schema)

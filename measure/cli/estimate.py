@@ -51,7 +51,7 @@ def estimate(
     path = api.shipped_model() if str(model) == "shipped" else model
     zeroing = None if rezero is None else _zeroing(path, rezero)
     if input_ is not None:
-        counts = api.estimate_file(path, input_, output, zeroing).counts
+        counts = api.estimate_file(path, input_, output, zeroing, stretch=rezero).counts
         _conclude(counts, json, f"written to {output}")
     else:
         _serve(path, (host, port), zeroing, seconds, json)

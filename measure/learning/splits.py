@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,8 +28,9 @@ def split_by_trajectory(
     training and the other into the test, which then measures memory, not prediction.
 
     Raises:
-        EstimatorError: fewer than three trajectories with labels.
+        EstimatorError: fewer than three trajectories with labels, or shares that leave nothing.
     """
+    _check_shares(test, validation)
     counts = {name: int(data.usable[rows].sum()) for name, rows in data.runs()}
     names = [name for name, count in counts.items() if count]
     if len(names) < 3:
@@ -75,9 +76,11 @@ def split_by_rows(
 
     Every part keeps all trajectories' rows (history stays whole); they differ in what is usable.
     Trajectories are renamed, or fitting would refuse such a split.
-    """
-    from dataclasses import replace
 
+    Raises:
+        EstimatorError: shares that leave nothing.
+    """
+    _check_shares(test, validation)
     dice = np.random.default_rng(seed).random(len(data))
     masks = (dice >= test + validation, (dice >= test) & (dice < test + validation), dice < test)
     parts = [
@@ -89,3 +92,11 @@ def split_by_rows(
         for mask, what in zip(masks, ("training", "validation", "test"), strict=True)
     ]
     return Split(*parts)
+
+
+def _check_shares(test: float, validation: float) -> None:
+    if not (test > 0 and validation > 0 and test + validation < 1):
+        raise EstimatorError(
+            f"a test share of {test:g} and a validation share of {validation:g}: expected two "
+            "above 0 that leave something to train on"
+        )

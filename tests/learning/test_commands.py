@@ -151,7 +151,7 @@ def _written(small: Dataset, folder: Path) -> dict[str, str]:
     from measure.robots import RobotLog, read_log, write_log
     from measure.robots.simulator import simulate
 
-    run = simulate(8.0, 5, log_hz=50.0)
+    run = simulate(12.0, 5, log_hz=50.0)
     names = ("log.csv", "lacking.csv", "poses.csv", "metres.csv", "good.onnx", "other.onnx")
     at = {name: folder / name for name in names}
     write_log(at["log.csv"], RobotLog(small.schema, run.times_s + 1.5, run.states))
@@ -176,9 +176,10 @@ def test_files_that_do_not_fit_are_refused(
 ) -> None:
     """Each is one line that names the trouble, and exit code 2."""
     at, out = _written(small, tmp_path), str(tmp_path / "out.csv")
+    made = str(tmp_path / "made.parquet")
     cases = [
         (
-            ["dataset", at["poses.csv"], "--robot-log", at["lacking.csv"], "-o", out],
+            ["dataset", at["poses.csv"], "--robot-log", at["lacking.csv"], "-o", made],
             "lacking.csv: lacks 2 of 119 columns: tau_0, jpos_1",
         ),
         (
@@ -186,7 +187,7 @@ def test_files_that_do_not_fit_are_refused(
             "lacks 2 of 118 columns: tau_0, jpos_1",
         ),
         (
-            ["dataset", at["metres.csv"], "--robot-log", at["log.csv"], "-o", out],
+            ["dataset", at["metres.csv"], "--robot-log", at["log.csv"], "-o", made],
             "the measured positions look like metres",
         ),
         (

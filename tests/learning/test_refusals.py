@@ -138,6 +138,12 @@ def test_a_port_that_is_taken(folder: Path, capsys: pytest.CaptureFixture[str]) 
         ("dataset", "--simulate-min", "5", "--restarts", "0", "--out", "x.parquet"),
         ("dataset", "run", "--robot-log", "log", "--cut-s", "-5", "--out", "x.parquet"),
         ("dataset", "run", "--robot-log", "log", "--history-hz", "nan", "--out", "x.parquet"),
+        ("dataset", "run", "--robot-log", "log", "--clock-offset-s", "inf", "--out", "x.parquet"),
+        ("dataset", "--simulate-min", "5", "--seed", "-1", "--out", "x.parquet"),
+        ("dataset", "--simulate-min", "5", "--wear", "0", "--out", "x.parquet"),
+        ("simulate", "x", "--seed", "-1"),
+        ("simulate", "x", "--clock-offset-s", "nan"),
+        ("simulate", "x", "--wear", "nan"),
     ],
 )
 def test_numbers_that_make_no_data(
@@ -146,6 +152,58 @@ def test_numbers_that_make_no_data(
     monkeypatch.chdir(tmp_path)
     assert "expected" in _refused(capsys, *words)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (("--split-seed", "-1"), "--split-seed -1: expected a number from 0 to"),
+        (("--seed", str(2**32)), "--seed 4294967296: expected a number from 0 to"),
+        (("--test-share", "nan"), "a test share of nan"),
+        (("--validation-share", "5"), "a validation share of 5: expected two above 0"),
+        (("--split-rows", "--test-share", "0.95"), "that leave something to train on"),
+        (("--estimator", "mlp", "--set", "layers=[0]"), "a layer needs at least one unit"),
+    ],
+)
+def test_numbers_that_nothing_is_learnt_with(
+    folder: Path, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], reason: str
+) -> None:
+    given = words if "--estimator" in words else ("--estimator", "offset", *words)
+    out = folder / "none.onnx"
+    assert reason in _refused(capsys, "train", folder / "data.parquet", "-o", out, *given)
+    assert not out.exists()
+
+
+def test_outputs_that_cannot_be_written(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Folders, and names that say another format than would be written, used to cost the work."""
+    data, log, model = (folder / name for name in ("data.parquet", "left.csv", "model.onnx"))
+    space = folder / "space.toml"
+    space.write_text("[penalty]\nlow = 1\nhigh = 2\n")
+    for suffix in ("onnx", "parquet", "log"):
+        (folder / f"taken.{suffix}").mkdir()
+    estimate = ("estimate", model, "--input", log, "--output")
+    for words, reason in (
+        (("train", data, "-o", folder / "taken.onnx"), "is a folder"),
+        (("dataset", log, "--robot-log", log, "-o", folder / "taken.parquet"), "is a folder"),
+        (("sweep", data, space, "--journal", folder / "taken.log"), "is a folder"),
+        ((*estimate, folder / "taken.parquet"), "is a folder"),
+        ((*estimate, log / "x.csv"), "there is no folder"),
+        ((*estimate, folder / "x.txt"), "must end with .parquet or .csv"),
+        (("dataset", log, "--robot-log", log, "-o", folder / "x.csv"), "must end with .parquet"),
+        (("dataset", "--simulate-min", 1, "-o", folder / "x.csv"), "must end with .parquet"),
+    ):
+        assert reason in _refused(capsys, *words)
+
+
+def test_the_measured_minute_is_not_written_over(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data, log = folder / "data.parquet", folder / "left.csv"
+    before = data.read_bytes()
+    words = ["estimate", str(folder / "model.onnx"), "--rezero", str(data), "--input", str(log)]
+    assert main([*words, "--output", str(data)]) == 2
+    assert "is one of the files to be read" in capsys.readouterr().err
+    assert data.read_bytes() == before
 
 
 def test_another_robots_files(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from measure.arrays import Floats
+from measure.errors import ConfigError
 from measure.robots import raven_schema
 from measure.robots.simulator import Cables, SimulatedRun, simulate
 
@@ -66,5 +67,5 @@ def test_the_wrist_shows_backlash() -> None:
 
 
 def test_impossible_wear_is_refused() -> None:
-    with pytest.raises(ValueError, match="wear"):
+    with pytest.raises(ConfigError, match="wear 0: expected a factor"):
         Cables(wear=0.0)

@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from measure.arrays import Floats
+from measure.errors import ConfigError
 
 STEP_S = 1e-3  # [S] controller period
 
@@ -103,7 +104,9 @@ class Cables:
 
     def __post_init__(self) -> None:
         if not 0.1 <= self.wear <= 3.0:
-            raise ValueError(f"wear is a factor on slack and friction, 0.1 to 3, got {self.wear}")
+            raise ConfigError(
+                f"wear {self.wear:g}: expected a factor on slack and friction, 0.1 to 3"
+            )
 
     def packed(self) -> Floats:
         """(8, 7) for the integrator: k, stiffening, load, backlash, friction, bristle, I, c."""
