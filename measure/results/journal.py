@@ -146,7 +146,9 @@ def _whole_batches(path: Path, schema: pa.Schema) -> pa.Table:
                 batches.append(batch)  # noqa: PERF402 - what was read before a torn end counts
         except (pa.ArrowException, OSError, EOFError):
             pass
-    return pa.Table.from_batches(batches, schema)
+    table = pa.Table.from_batches(batches, batches[0].schema if batches else schema)
+    _refuse_missing(schema, table.schema)
+    return table.select(schema.names).cast(schema)
 
 
 def finish(folder: Path, name: str, table: pa.Table) -> None:

@@ -14,6 +14,8 @@ from measure.measuring import Measurement
 from measure.model import BallView
 
 _F, _I, _S = pa.float64(), pa.int32(), pa.string()
+_FRAME = pa.int64()
+"""Pictures may be numbered by the microseconds since 1970."""
 _WORDS = pa.list_(pa.string())
 
 SCHEMAS = {
@@ -22,7 +24,7 @@ SCHEMAS = {
             ("index", _I),
             ("camera", _S),
             ("ball", _S),
-            ("frame", _I),
+            ("frame", _FRAME),
             ("time_s", _F),
             ("state", _S),
             ("reason", _S),

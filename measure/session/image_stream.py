@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -168,6 +168,6 @@ def _count_message(name: str, source: str, count: int, path: Path, stamps: Stamp
     )
 
 
-def _some(numbers: object) -> str:
-    values = [str(n) for n in np.asarray(numbers)]
+def _some(numbers: Iterable[object]) -> str:
+    values = [str(n) for n in numbers]
     return ", ".join(values[:4]) + (f", ... {values[-1]}" if len(values) > 4 else "")

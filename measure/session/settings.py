@@ -9,6 +9,7 @@ from pydantic import Field, FiniteFloat, model_validator
 from measure.session.body_file import BodyModel
 from measure.session.files import FileModel, Name
 from measure.session.interchange_toml import Unit
+from measure.session.timestamps import LATEST_S
 
 
 class SessionTable(FileModel):
@@ -29,7 +30,7 @@ class CameraTable(FileModel):
     images: Name | None = None
     video: Name | None = None
     timestamps: Name | None = None
-    time_offset_s: FiniteFloat = 0.0
+    time_offset_s: Annotated[FiniteFloat, Field(ge=-LATEST_S, le=LATEST_S)] = 0.0
 
     @model_validator(mode="after")
     def _one_source(self) -> CameraTable:

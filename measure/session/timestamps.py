@@ -13,8 +13,10 @@ from measure.arrays import Floats, Ints
 from measure.errors import MeasureError, SessionError
 from measure.session.files import read_text
 
-_LATEST_S = 1e11
+LATEST_S = 1e11
 """No recording is later, seconds after 1970."""
+_MOST_FRAMES = 2.0**53
+"""Greater numbers are read as their neighbours."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +47,12 @@ def read_stamps(path: Path, camera: str) -> Stamps:
             f"{where}:{table.lines[i]}: frame {frames[i]:g} has the time {times[i]:g}; "
             "both must be numbers, the frame a whole one"
         )
-    for i in np.flatnonzero(np.abs(times) > _LATEST_S):
+    for i in np.flatnonzero(np.abs(frames) > _MOST_FRAMES):
+        raise SessionError(
+            f"{where}:{table.lines[i]}: frame {frames[i]:.0f}: numbers beyond {_MOST_FRAMES:.0f} "
+            "cannot be told apart; number the frames, and their pictures, from 0"
+        )
+    for i in np.flatnonzero(np.abs(times) > LATEST_S):
         raise SessionError(
             f"{where}:{table.lines[i]}: frame {frames[i]:g} has the time {times[i]:.6g} s: are "
             "these milli-, micro- or nanoseconds? time_s holds seconds"

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 
 import numpy as np
+import pyarrow as pa
 import pytest
 from measurements import BODY, CAMERAS, measurement
 
 from measure.errors import RunError
 from measure.results import Provenance, RunWriter, read_run
+from measure.results.tables import SCHEMAS
 
 PROVENANCE = Provenance(
     session="/data/session",
@@ -70,6 +73,28 @@ def test_a_run_that_was_broken_off_and_resumed_holds_what_an_unbroken_one_does(t
         resumed = getattr(read_run(folder), name).to_pylist()
         assert str(resumed) == str(getattr(read_run(tmp_path / "whole"), name).to_pylist())
     assert (folder / "poses.csv").read_text() == (tmp_path / "whole/poses.csv").read_text()
+
+
+def test_frames_numbered_by_microseconds_are_kept_whether_finished_or_not(tmp_path):
+    frames = dict.fromkeys(("cam0", "cam1"), 1_700_000_000_123_456)
+    with RunWriter(tmp_path / "run", PROVENANCE, BODY, CAMERAS) as writer:
+        writer.append(replace(measurement(0), frames=frames))
+        writer._flush()
+        assert set(read_run(tmp_path / "run").detections["frame"].to_pylist()) == {*frames.values()}
+        writer.finish()
+    assert set(read_run(tmp_path / "run").detections["frame"].to_pylist()) == {*frames.values()}
+
+
+def test_an_unfinished_run_of_an_earlier_version_can_be_read(tmp_path):
+    with RunWriter(tmp_path / "run", PROVENANCE, BODY, CAMERAS) as writer:
+        writer.append(measurement(0))
+    stream = tmp_path / "run/detections.arrows"
+    with stream.open("rb") as file:
+        table = pa.ipc.open_stream(file).read_all()
+    table = table.set_column(3, "frame", table["frame"].cast(pa.int32()))
+    with pa.ipc.new_stream(stream, table.schema) as out:
+        out.write_table(table)
+    assert read_run(tmp_path / "run").detections.schema == SCHEMAS["detections"]
 
 
 def test_a_run_is_never_overwritten_unasked(tmp_path):

@@ -119,6 +119,27 @@ CASES: dict[str, Case] = {
         SessionError,
         ["cam1.csv: no such file; did you mean"],
     ),
+    "frames numbered by nanoseconds": (
+        _stamp("cam1", [0.0, 0.1], [1700000000000000000, 1700000000000000001]),
+        SessionError,
+        [
+            "camera 'cam1': ",
+            "cam1.csv:2: frame 1700000000000000000: numbers beyond 900719925474099",
+        ],
+    ),
+    "pictures numbered by nanoseconds": (
+        lambda r: [
+            (r.path / f"cam1/00000{k}.jpg").rename(r.path / f"cam1/{2**63 - 3 + k}.jpg")
+            for k in range(6)
+        ],
+        SessionError,
+        ["(9223372036854775805, 9223372036854775806, ", "are not the frame numbers of"],
+    ),
+    "an offset beyond all times": (
+        replace("session.toml", '"cam1.csv"', '"cam1.csv"\ntime_offset_s = -1e18'),
+        SessionError,
+        ["session.toml:15: 'cameras[1].time_offset_s': input should be greater than or equal to"],
+    ),
     "wrong header": (
         replace("cam1.csv", "frame,time_s", "frame,time_ms"),
         SessionError,
