@@ -8,6 +8,7 @@ import os
 import sys
 from collections.abc import Sequence
 from importlib import metadata
+from io import TextIOWrapper
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -41,6 +42,7 @@ def main(tokens: Sequence[str] | None = None) -> int:
     # Adjusting cameras takes many products too small to share: threads of the linear algebra cost
     # a fifth more CPU time and gain none. It has to be said before NumPy is loaded.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    _let_streams_take_anything()
     try:
         code = _dispatch(sys.argv[1:] if tokens is None else list(tokens))
         sys.stdout.flush()
@@ -50,6 +52,11 @@ def main(tokens: Sequence[str] | None = None) -> int:
         # Whoever read our output has gone (`measure ... | head`): nobody is left to complain to.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return PIPE_CLOSED
+    except UnicodeEncodeError as error:
+        if error.reason != "surrogates not allowed":
+            raise
+        near = error.object[max(error.start - 40, 0) : error.end + 40]
+        return _mistake(f"{near}: a name that is not in UTF-8 cannot be written down: rename it")
     except OSError as error:
         if not (error.errno in _MACHINE_FAULTS or _is_of_a_users_path(error)):
             raise
@@ -59,6 +66,21 @@ def main(tokens: Sequence[str] | None = None) -> int:
         print("measure: interrupted", file=sys.stderr)
         return INTERRUPTED
     return code
+
+
+def _let_streams_take_anything() -> None:
+    """Write escapes for letters that stdout or stderr do not know, and nowhere if they are closed.
+
+    A closed one would be `None`, and its number go to the next file that is opened: libraries that
+    write there themselves would write into that.
+    """
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            # Open until the process ends.
+            setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115
+        stream = getattr(sys, name)
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
 
 
 def _is_of_a_users_path(error: OSError) -> bool:

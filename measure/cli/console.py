@@ -28,7 +28,8 @@ _PIPE_WIDTH = 120
 
 def print_json(value: Any) -> None:
     """Print one JSON object; arrays become lists, NaN becomes null, dataclasses objects."""
-    print(json_library.dumps(_plain(value), allow_nan=False, ensure_ascii=False, indent=2))
+    ascii_only = str(sys.stdout.encoding).lower() != "utf-8"
+    print(json_library.dumps(_plain(value), allow_nan=False, ensure_ascii=ascii_only, indent=2))
 
 
 def print_text(text: str) -> None:

@@ -124,8 +124,9 @@ def read_table(folder: Path, name: str, schema: pa.Schema) -> pa.Table:
         if stream.exists():
             return _whole_batches(stream, schema)
         if finished.exists():
-            _refuse_missing(schema, pq.read_schema(finished))
-            return pq.read_table(finished, schema=schema)
+            with finished.open("rb") as file:
+                _refuse_missing(schema, pq.read_schema(file))
+                return pq.read_table(file, schema=schema)
     except (pa.ArrowException, OSError) as error:
         where = stream if stream.exists() else finished
         raise RunError(f"{where}: cannot be read ({error}): {MEND}") from error
@@ -159,7 +160,8 @@ def finish(folder: Path, name: str, table: pa.Table) -> None:
     """
     fresh = folder / f"{name}.parquet.new"
     try:
-        pq.write_table(table, fresh, compression="zstd")
+        with fresh.open("wb") as out:
+            pq.write_table(table, out, compression="zstd")
     except OSError:
         fresh.unlink(missing_ok=True)
         raise

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import importlib
+import io
 import json
 import os
 import subprocess
@@ -13,7 +14,7 @@ from pathlib import Path
 import pytest
 from cyclopts import App
 
-from measure.cli import build_app, main
+from measure.cli import build_app, console, main
 from measure.cli.commands import GROUPS
 from measure.errors import SessionError
 
@@ -176,6 +177,34 @@ def test_a_closed_pipe_is_quiet():
     )
     assert done.stderr == ""
     assert done.returncode in (0, 141)
+
+
+@pytest.mark.parametrize("closed", [">&-", ">&- 2>&-"])
+def test_closed_streams_are_no_error(closed):
+    command = f"{sys.executable} -m measure --version {closed}"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_letters_that_a_stream_does_not_know_are_escaped(monkeypatch):
+    def say() -> None:
+        console.print_text("2 px²")
+        console.print_table(("µ",), [("°",)])
+        console.print_json({"unit": "px²"})
+
+    _register(monkeypatch, say)
+    out = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
+    monkeypatch.setattr(sys, "stdout", out)
+    assert main(["try"]) == 0
+    text, _, rest = out.buffer.getvalue().decode("ascii").partition("{")
+    assert r"2 px\xb2" in text
+    assert json.loads("{" + rest) == {"unit": "px²"}
+
+
+def test_a_name_that_is_no_text_is_a_mistake(monkeypatch, tmp_path, capsys):
+    _register(monkeypatch, lambda: (tmp_path / "run.toml").write_text("s\udcff", "utf-8"))
+    assert main(["try"]) == 2
+    assert r"s\udcff: a name that is not in UTF-8 cannot be" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("command", [c for commands in GROUPS.values() for c in commands])

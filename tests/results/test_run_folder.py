@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -83,6 +84,12 @@ def test_frames_numbered_by_microseconds_are_kept_whether_finished_or_not(tmp_pa
         assert set(read_run(tmp_path / "run").detections["frame"].to_pylist()) == {*frames.values()}
         writer.finish()
     assert set(read_run(tmp_path / "run").detections["frame"].to_pylist()) == {*frames.values()}
+
+
+def test_a_folder_whose_name_is_no_text_can_be_written_and_read(tmp_path):
+    folder = tmp_path / os.fsdecode(b"r\xff")
+    _write(folder, 2)
+    assert read_run(folder).poses.num_rows == 2
 
 
 def test_an_unfinished_run_of_an_earlier_version_can_be_read(tmp_path):
