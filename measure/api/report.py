@@ -17,7 +17,7 @@ def report(run_path: Path, out: Path | None = None, truth: Path | None = None) -
         Where it was written.
 
     Raises:
-        RunError: the folder is no run, or the truth given cannot be read.
+        RunError: the folder is no run, or the truth cannot be read or is not the run's.
         ConfigError: the file cannot be written, or is there and no page.
     """
     from measure.api.evaluate import truth_of
@@ -29,7 +29,7 @@ def report(run_path: Path, out: Path | None = None, truth: Path | None = None) -
     from measure.viewing.report.run_report import write_report
 
     run = read_run(run_path)
-    truth = truth or truth_of(run)
+    truth = (truth or truth_of(run)) if run.poses.num_rows else None
     errors = None if truth is None else pose_errors(run, read_trajectory(truth, RunError))
     path = out or run_path / "report.html"
     check_page_writable(path)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import errno
 import os
+import re
 import sys
 from collections.abc import Sequence
 from importlib import metadata
@@ -31,6 +32,9 @@ _MACHINE_FAULTS = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.
 """Errors of the operating system that are never ours: full or read-only disks, permissions."""
 _PATH_FAULTS = {errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ENAMETOOLONG}
 """Those that are the user's where the path is: a folder for a file, or none to write it to."""
+
+_CLAUSE_END = r"(?:;|\. )(?![^(]*\))"
+"""A semicolon or full stop, but not one in brackets."""
 
 
 def main(tokens: Sequence[str] | None = None) -> int:
@@ -182,7 +186,7 @@ def _what_to_give(error: MissingArgumentError) -> str:
     names = f"{first} (or {', '.join(others)})" if others else first
     known = error.app.assemble_argument_collection(parse_docstring=True)
     told = [one.parameter.help or "" for one in known if first in one.names]
-    meaning = "".join(told).partition(";")[0].partition(". ")[0].rstrip(".")
+    meaning = re.split(_CLAUSE_END, "".join(told))[0].rstrip(".")
     return f"{names}: {meaning}." if meaning else f"{names}."
 
 

@@ -167,11 +167,15 @@ def pose_errors(run: Run, truth: Trajectory) -> Floats:
     """Measured against true poses of all frame sets (n, 6) in the `perturb` chart.
 
     NaN where a frame set has no pose or lies outside the truth's time.
+
+    Raises:
+        RunError: the truth is of another time or in another unit.
     """
-    here = truth.covers(run.times_s) & run.has_pose
+    here = _covered(run, truth) & run.has_pose
     errors = np.full((len(here), 6), np.nan)
     if here.any():
         measured, true = _pairs(run, truth, here)
+        _refuse_other_unit(run, truth, measured.translation, true.translation)
         errors[here] = measured.difference(true)
     return errors
 

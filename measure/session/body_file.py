@@ -25,6 +25,7 @@ Triple = tuple[Level, Level, Level]
 _LEAST_RADIUS_MM = 0.5
 """Smaller balls show no outline to a webcam: sizes are then rather metres."""
 _MOST_TOLERANCE_MM = 10.0
+_LAST_HUE = 179
 _TOUCHING = 0.9
 """Share of the radii's sum by which balls that touch are apart at least, carelessly measured."""
 
@@ -34,6 +35,16 @@ class RangeModel(FileModel):
 
     low: Triple
     high: Triple
+
+    def refuse_empty(self, space: str) -> None:
+        """Refuse bounds between which no colour is."""
+        low, high = list(self.low), list(self.high)
+        if space == "hsv" and low[0] > _LAST_HUE:
+            raise ValueError(f"{space}: hues run from 0 to {_LAST_HUE}, low is {low}")
+        # A hue alone may run from high to low: across red.
+        first = 1 if space == "hsv" else 0
+        if any(a > b for a, b in zip(low[first:], high[first:], strict=True)):
+            raise ValueError(f"{space}: no colour lies between low {low} and high {high}")
 
     def range(self, space: Literal["hsv", "lab"]) -> ColorRange:
         """As a range of the model; in HSV a hue from high to low runs across red."""
@@ -65,6 +76,19 @@ class ColorModel(FileModel):
             raise ValueError(f"samples_bgr needs at least 3 samples, got {len(self.samples_bgr)}")
         return self
 
+    @model_validator(mode="after")
+    def _holds_a_color(self) -> ColorModel:
+        if self.hsv == [] or self.lab == []:
+            raise ValueError("holds no range: give {hsv = {low = [...], high = [...]}}")
+        for space in ("hsv", "lab"):
+            for box in self._boxes(space):
+                box.refuse_empty(space)
+        return self
+
+    def _boxes(self, space: str) -> list[RangeModel]:
+        given: RangeModel | list[RangeModel] | None = getattr(self, space)
+        return given if isinstance(given, list) else [given] if given is not None else []
+
     def color(self, folder: Path) -> BallColor:
         """As the model's colour; pictures are looked for relative to `folder`."""
         if self.samples_bgr is not None:
@@ -72,10 +96,7 @@ class ColorModel(FileModel):
         if self.samples is not None:
             return BallColor.from_samples(_crop_samples(self.samples, folder))
         space: Literal["hsv", "lab"] = "hsv" if self.hsv is not None else "lab"
-        boxes = self.hsv if self.hsv is not None else self.lab
-        assert boxes is not None
-        boxes = boxes if isinstance(boxes, list) else [boxes]
-        return BallColor("range", tuple(box.range(space) for box in boxes))
+        return BallColor("range", tuple(box.range(space) for box in self._boxes(space)))
 
 
 class BallModel(FileModel):

@@ -112,6 +112,10 @@ def test_the_integer_a_command_returns_is_the_exit_code(monkeypatch):
         (["run", "S", "-o"], "run needs --out (or -o): the run's folder, made if it is not there."),
         (["refine", "S"], "refine needs --output (or -o): the calibration to write."),
         (["evaluate"], "evaluate needs RUN: "),
+        (
+            ["export", "R"],
+            "(evo; metres), trc (OpenSim markers), c3d (markers) or mcap (ROS 2; metr",
+        ),
         (["plugins", "show", "a", "b"], "'b'"),
     ],
 )

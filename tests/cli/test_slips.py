@@ -47,7 +47,8 @@ def test_a_run_is_compared_with_the_truth_of_the_session_file_it_measured(
     capsys.readouterr()
     assert main(["run", *words[1:], "--overwrite"]) == 0
     capsys.readouterr()
-    assert "later.csv runs from 900.000" in complaint(capsys, "evaluate", run)
+    for command in ("evaluate", "report"):
+        assert "later.csv runs from 900.000" in complaint(capsys, command, run)
 
 
 @pytest.mark.parametrize(

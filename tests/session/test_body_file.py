@@ -64,6 +64,16 @@ def test_samples_from_a_picture(tmp_path: Path) -> None:
         ("{hsv = {low = [0,0,0], high = [9,9,9]}, samples_bgr = [[1,2,3]]}", "not samples_bgr and"),
         ("{samples_bgr = [[1, 2, 3]]}", "at least 3 samples"),
         ("{hsv = {low = [0, 0, 0], high = [300, 9, 9]}}", "less than or equal to 255"),
+        ("{hsv = []}", "'balls[0].color': holds no range: give {hsv = "),
+        (
+            "{hsv = {low = [168, 200, 0], high = [8, 90, 255]}}",
+            "hsv: no colour lies between low [168, 200, 0] and high [8, 90, 255]",
+        ),
+        ("{lab = [{low = [9, 0, 0], high = [8, 9, 9]}]}", "lab: no colour lies between low [9, 0"),
+        (
+            "{hsv = {low = [200, 0, 0], high = [255, 9, 9]}}",
+            "hsv: hues run from 0 to 179, low is [",
+        ),
         ("{hvs = 3}", "unknown key"),
         ("3", "color"),
     ],
