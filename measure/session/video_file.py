@@ -60,13 +60,13 @@ def index_video(path: Path, where: str) -> VideoIndex:
     with _open(path, where) as container:
         stream = _video_of(container, path, where)
         packets = list(_packets(container, stream, path, where))
-        _refuse_truncated(container, stream, packets, f"{where}{path}")
+        name = container.format.name
+        counted = any(kind in name for kind in _COUNTED_CONTAINERS)
+        _refuse_truncated(container, stream, packets, counted, f"{where}{path}")
         packets = [packet for packet in packets if not packet[3]]
         if not packets:
             raise SessionError(f"{where}{path}: the video has no frames")
-        name = container.format.name
         timeless = any(kind in name.split(",") for kind in _RAW_CONTAINERS)
-        counted = any(kind in name for kind in _COUNTED_CONTAINERS)
         times = [dts if counted else pts for pts, dts, _, _ in packets]
         if timeless or None in times:
             raise SessionError(
@@ -226,11 +226,17 @@ def _packets(
         ) from None
 
 
-def _refuse_truncated(container: Any, stream: Any, packets: list[Any], source: str) -> None:
-    promised = int(stream.frames or 0)
-    if promised > len(packets) > 0:
-        there = f"{len(packets)} of {promised} frames are there"
-        raise SessionError(f"{source}: the video is cut off: {there}{_REMEDY}")
+def _refuse_truncated(
+    container: Any, stream: Any, packets: list[Any], counted: bool, source: str
+) -> None:
+    promised, there = int(stream.frames or 0), len(packets)
+    if counted and packets:
+        # A frame that the camera dropped stands there empty, and counts.
+        there = max(packet[1] or 0 for packet in packets) + 1
+    if promised > there > 0:
+        raise SessionError(
+            f"{source}: the video is cut off: {there} of {promised} frames are there{_REMEDY}"
+        )
     # Matroska promises no number of frames, but a duration; with sound it may be the sound's.
     stamps = [packet[0] for packet in packets if packet[0] is not None]
     if promised or not container.duration or not stamps or len(container.streams) > 1:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from fractions import Fraction
 from pathlib import Path
 
 import av
@@ -87,6 +88,23 @@ def test_a_cut_video_is_refused_by_name(
     assert "\n" not in message
     assert any(word in message for word in ("empty", "cut off", "no frames"))
     assert ("to use the rest" in message) == ("the video is cut off: " in message)
+
+
+def test_a_frame_that_was_dropped_leaves_its_time_empty(tmp_path: Path) -> None:
+    path, there = tmp_path / "cam.avi", [0, 1, 3, 4]
+    with av.open(str(path), "w") as out:
+        stream = out.add_stream("mjpeg", rate=30)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuvj420p"
+        for k in there:
+            pixels = np.full((48, 64, 3), level(k), np.uint8)
+            frame = av.VideoFrame.from_ndarray(pixels, format="bgr24")
+            frame.pts, frame.time_base = k, Fraction(1, 30)
+            out.mux(stream.encode(frame))
+        out.mux(stream.encode(None))
+    video = open_video_stream("cam", path)
+    assert video.times_s == pytest.approx(np.array(there) / 30)
+    for position, k in enumerate(there):
+        assert abs(video.read(position).pixels.mean() - level(k)) < 4
 
 
 def test_damage_within_a_video_names_the_frame(tmp_path: Path) -> None:
