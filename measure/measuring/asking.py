@@ -6,7 +6,7 @@ Answers are looked at once, where they come in, and no closer than costs nothing
 from __future__ import annotations
 
 import traceback
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from math import isfinite
 from pathlib import Path
 
@@ -14,6 +14,20 @@ from measure.arrays import Floats
 from measure.errors import MeasureError, PluginError
 from measure.host import Detector, Plugin, PoseSolver, Triangulator
 from measure.model import Body, Camera, Detection, Expectation, Fix, Image, Motion, Pose
+
+
+def warm_up(kind: str, plugin: Plugin, part: Callable[[], object] | None = None) -> None:
+    """Let a plugin of a kind get ready, or a part of it.
+
+    Raises:
+        PluginError: it fails.
+    """
+    try:
+        (part or plugin.warm_up)()
+    except MeasureError:
+        raise
+    except Exception as error:
+        raise _explained(kind, plugin, "warming up", error) from error
 
 
 def detections(

@@ -47,13 +47,13 @@ class Pipeline:
         """One of them: those of all cameras share what is slow; if asked to, from its last part."""
         for one in list(self.stages.detectors.values())[:1]:
             for part in reversed(one.warm_up_parts()) if last_first else (one.warm_up,):
-                part()
+                asking.warm_up("detector", one, part)
 
     def warm_up_what_follows(self) -> None:
         """Tracking, triangulation, poses and motion."""
         self.stages.tracker.warm_up()
-        self.stages.triangulator.warm_up()
-        self.stages.solver.warm_up()
+        asking.warm_up("triangulator", self.stages.triangulator)
+        asking.warm_up("solver", self.stages.solver)
         for camera in list(self._cameras.values())[:1]:
             instants.warm_up(self._body, camera)
         if self.stages.neighbours:

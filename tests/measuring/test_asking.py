@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from measure.errors import PluginError
 from measure.geometry import RigidTransform
-from measure_plugins.pose_solvers.kabsch import KabschSolver
-from measure_plugins.triangulators.reprojection import ReprojectionTriangulator
+from measure.measuring import Pipeline, Stages
+from measure_plugins.pose_solvers.kabsch import KabschConfig, KabschSolver
+from measure_plugins.triangulators.reprojection import (
+    ReprojectionConfig,
+    ReprojectionTriangulator,
+)
 from tests.tracking_rig import Oracle, run
 
 NAN = np.array([np.nan, 0.0, 0.0])
@@ -76,3 +81,16 @@ def test_who_is_wrong_is_named(paper_body, rig, monkeypatch, plugin, method, spo
         run(paper_body, lambda time_s: world, {camera.name: camera for camera in rig}, count=1)
     assert "\n" not in str(caught.value)
     assert caught.value.__cause__ is not None
+
+
+@pytest.mark.parametrize("plugin", [Oracle, ReprojectionTriangulator, KabschSolver])
+def test_who_cannot_get_ready_is_named(paper_body, rig, monkeypatch, plugin):
+    detectors = {rig[0].name: Oracle(paper_body, rig[0], None)}
+    tracker = SimpleNamespace(warm_up=lambda: None)
+    triangulator = ReprojectionTriangulator(ReprojectionConfig())
+    solver = KabschSolver(KabschConfig(), paper_body)
+    stages = Stages(detectors, tracker, triangulator, solver, False, False, False)
+    pipeline = Pipeline(paper_body, rig, stages)
+    monkeypatch.setattr(plugin, "warm_up", lambda self: 1 / 0)
+    with pytest.raises(PluginError, match=rf"'{plugin.name}' fails \(warming up\): ZeroDivision"):
+        pipeline.warm_up()
