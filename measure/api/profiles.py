@@ -132,7 +132,7 @@ def build_pipeline(
         for camera in cameras
     }
     solver = registry.solver(profile.solver, settings.get("solver", {}), body)
-    if solver.fits_outlines and not all(one.measures_outlines for one in detectors.values()):
+    if solver.fits_outlines and any(d.measures_outlines is False for d in detectors.values()):
         others = " or ".join(name for name in registry.names("solver") if name != profile.solver)
         raise ConfigError(
             f"solver '{profile.solver}' fits outlines, and detector '{profile.detector}' measures "

@@ -39,11 +39,12 @@ class Detector(Plugin):
     Attributes:
         out_of_order: whether it may be shown earlier pictures again. One that keeps no state may;
             one that does must know them by their times. Unless it is set, time runs on.
-        measures_outlines: whether its detections hold outlines (`Detection.outline_px`).
+        measures_outlines: whether its detections hold outlines (`Detection.outline_px`); None if it
+            does not say: its first pictures tell.
     """
 
     out_of_order: ClassVar[bool] = False
-    measures_outlines: ClassVar[bool] = False
+    measures_outlines: ClassVar[bool | None] = None
 
     def __init__(self, config: Settings, body: Body, camera: Camera) -> None:
         self.config = config

@@ -140,7 +140,7 @@ class DetectorConformance(PluginConformance):
             assert detection.time_s == scene.time_s, "the time is not the image's"
             _check_numbers(detection)
             if detection.outline_px is not None:
-                assert self.plugin.measures_outlines, "outlines, but measures_outlines is not set"
+                assert self.plugin.measures_outlines is not False, "it says it measures no outlines"
 
 
 def _check_numbers(detection: Detection) -> None:
