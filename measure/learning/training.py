@@ -15,6 +15,7 @@ from typing import Any
 
 from measure.errors import EstimatorError
 from measure.host import Dataset, Epoch, Estimates, Estimator, OnnxModel, Report
+from measure.host.failures import named
 from measure.learning.card import write_card
 from measure.learning.scores import Evaluation, evaluate
 from measure.learning.splits import Split
@@ -62,6 +63,7 @@ def train(
 
     Raises:
         EstimatorError: the data cannot be learnt from, or `out` has no suffix `.onnx`.
+        PluginError: the estimator fails.
     """
     if out.suffix != ".onnx":
         raise EstimatorError(f"{out}: a model's file name must end with .onnx")
@@ -70,7 +72,8 @@ def train(
     if not resume:
         shutil.rmtree(checkpoint, ignore_errors=True)
     estimator.checkpoint = checkpoint
-    estimator.fit(split.train, split.validation, seed=seed, report=report)
+    with named("estimator", estimator, "fitting"):
+        estimator.fit(split.train, split.validation, seed=seed, report=report)
     trained = _save(estimator, split, out, _provenance(estimator, split, seed) | dict(notes or {}))
     shutil.rmtree(checkpoint, ignore_errors=True)
     return trained
@@ -78,7 +81,8 @@ def train(
 
 def _save(estimator: Estimator, split: Split, out: Path, card: dict[str, Any]) -> Trained:
     """Write the network, judge the written file on the test part, add the scores to its card."""
-    estimator.save(out, card)
+    with named("estimator", estimator, "saving"):
+        estimator.save(out, card)
     estimates = OnnxModel.load(out).predict(split.test)
     evaluation = evaluate(split.test, estimates)
     card |= {"scores": evaluation.to_dict()}

@@ -5,14 +5,13 @@ Answers are looked at once, where they come in, and no closer than costs nothing
 
 from __future__ import annotations
 
-import traceback
 from collections.abc import Callable, Mapping, Sequence
 from math import isfinite
-from pathlib import Path
 
 from measure.arrays import Floats
 from measure.errors import MeasureError, PluginError
 from measure.host import Detector, Plugin, PoseSolver, Triangulator
+from measure.host.failures import failure, named
 from measure.model import Body, Camera, Detection, Expectation, Fix, Image, Motion, Pose
 
 
@@ -22,12 +21,8 @@ def warm_up(kind: str, plugin: Plugin, part: Callable[[], object] | None = None)
     Raises:
         PluginError: it fails.
     """
-    try:
+    with named(kind, plugin, "warming up"):
         (part or plugin.warm_up)()
-    except MeasureError:
-        raise
-    except Exception as error:
-        raise _explained(kind, plugin, "warming up", error) from error
 
 
 def detections(
@@ -128,8 +123,4 @@ def _explained(kind: str, plugin: Plugin, place: str, error: Exception) -> Plugi
     """What a plugin did, in one line."""
     if isinstance(error, _NonsenseError):
         return PluginError(f"{kind} '{plugin.name}' answers nonsense ({place}): {error}")
-    last = traceback.extract_tb(error.__traceback__)[-1]
-    return PluginError(
-        f"{kind} '{plugin.name}' fails ({place}): {type(error).__name__}: {error} "
-        f"({Path(last.filename).name}, line {last.lineno})"
-    )
+    return failure(kind, plugin, place, error)
