@@ -104,7 +104,8 @@ def test_the_truth_is_quoted_and_a_run_too_sure_of_itself_is_found_out(tmp_path)
 def test_what_all_frame_sets_err_by_alike_is_said(tmp_path):
     tone, sentence = verdict(_run(tmp_path / "run", 20), None)
     assert "The calibration is taken as exact: its file states no uncertainty." in sentence
-    assert "body file" not in sentence
+    assert "Balls are taken to sit where the body file says: it states no tolerance_mm." in sentence
+    assert "the body file says 76" not in sentence
     assert tone == "good"
     known = [replace(c, pose_covariance=np.diag([1e-5] * 3 + [1e-10] * 3)) for c in CAMERAS]
 

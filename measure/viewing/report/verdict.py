@@ -106,9 +106,12 @@ def _against_truth(run: Run, errors: Floats | None) -> tuple[str, str]:
 
 def _not_counted(run: Run) -> list[str]:
     """What the uncertainty does not hold."""
-    if any(camera.pose_covariance is not None for camera in run.cameras):
-        return []
-    return ["The calibration is taken as exact: its file states no uncertainty."]
+    out = []
+    if all(camera.pose_covariance is None for camera in run.cameras):
+        out.append("The calibration is taken as exact: its file states no uncertainty.")
+    if not run.body.tolerance_mm:
+        out.append("Balls are taken to sit where the body file says: it states no tolerance_mm.")
+    return out
 
 
 def _sets(count: int) -> str:
