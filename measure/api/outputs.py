@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from measure.errors import CalibrationError, ConfigError
+from measure.errors import ConfigError, MeasureError
 
 
 def is_one_of(out: Path, read: Iterable[Path]) -> bool:
     """Whether to write `out` is to write over one of the files that are read."""
     return out.exists() and any(file.exists() and out.samefile(file) for file in read)
+
+
+def check_apart(*outs: Path) -> None:
+    """Refuse to write several things into one file.
+
+    Raises:
+        ConfigError: two of the files are the same.
+    """
+    for index, out in enumerate(outs):
+        if out.resolve() in {other.resolve() for other in outs[:index]}:
+            raise ConfigError(f"{out}: would be written twice: what is written needs a file each")
 
 
 def check_writable(out: Path, *, folder_is_made: bool = False) -> None:
@@ -35,22 +46,23 @@ def check_writable(out: Path, *, folder_is_made: bool = False) -> None:
         raise ConfigError(f"{out}: cannot be written: permission denied")
 
 
-def check_calibration_writable(out: Path) -> None:
-    """Refuse a file for a calibration as `check_writable` does, or that is there and is none.
+def check_replaceable(out: Path, read: Callable[[Path], object], what: str) -> None:
+    """Refuse a file as `check_writable` does, or one that is there and holds something else.
+
+    Args:
+        out: the file.
+        read: reads files of its kind, and refuses others.
+        what: the kind's name.
 
     Raises:
         ConfigError: as said.
     """
-    from measure.session import read_calibration
-
     check_writable(out)
     if out.exists() and out.stat().st_size:
         try:
-            read_calibration(out)
-        except CalibrationError:
-            raise ConfigError(
-                f"{out} is there already and is no calibration: give a new file"
-            ) from None
+            read(out)
+        except MeasureError:
+            raise ConfigError(f"{out} is there already and is no {what}: give a new file") from None
 
 
 def check_page_writable(page: Path) -> None:

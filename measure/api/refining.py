@@ -17,6 +17,7 @@ from measure.session import Calibration, clock_values, read_calibration
 if TYPE_CHECKING:
     from measure.calibration import RefinedRig, RefineSettings
     from measure.measuring import Measurement, Profile
+    from measure.model import Body
     from measure.session import Session
 
 _log = logging.getLogger(__name__)
@@ -38,11 +39,13 @@ class RefineResult:
     Attributes:
         calibration: the refined cameras.
         rig: residuals, clocks, ball centres, verdict.
+        body: with its balls where the recording puts them, within the tolerance.
         notes: reasons to doubt it, in words.
     """
 
     calibration: Calibration
     rig: RefinedRig
+    body: Body
     notes: tuple[str, ...] = ()
 
 
@@ -85,7 +88,8 @@ def refine(
         clocks = clock_values(opened.clock_digest, _shifts(rig, opened.clock_shifts_s))
     notes = rig.verdict.notes + (() if rig.refinement.world_held else (LOOSE_WORLD,))
     values = _provenance(str(session), rig) | clocks | {"notes": list(notes)}
-    return RefineResult(Calibration(rig.refinement.cameras, values), rig, notes)
+    refined = given[1].with_centers(rig.refinement.centers)
+    return RefineResult(Calibration(rig.refinement.cameras, values), rig, refined, notes)
 
 
 def _lenient(profile: Profile) -> Profile:

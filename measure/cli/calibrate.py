@@ -35,17 +35,15 @@ def calibrate(
         report: HTML report to write; beside the output, ending in .html, if omitted.
     """
     from measure.api import calibrate as run
-    from measure.api.outputs import check_calibration_writable, check_page_writable
+    from measure.api.outputs import check_apart, check_page_writable, check_replaceable
     from measure.calibration import camera_rows, judgement_lines
-    from measure.errors import ConfigError
-    from measure.session import write_calibration
+    from measure.session import read_calibration, write_calibration
     from measure.viewing.report.calibration_report import write_calibration_report
 
     page = output.with_suffix(".html") if report is None else report
-    check_calibration_writable(output)
+    check_replaceable(output, read_calibration, "calibration")
     check_page_writable(page)
-    if page.resolve() == output.resolve():
-        raise ConfigError(f"{page}: calibration and report need a file each")
+    check_apart(output, page)
     with console.progress("calibrating", "cameras") as progress:
         result = run(capture, method, body, progress)
     write_calibration(output, result.calibration, file_format)

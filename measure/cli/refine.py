@@ -26,6 +26,7 @@ def refine(
     output: Annotated[Path, Parameter(name=("--output", "-o"))],
     profile: str = "precise",
     calibration: Path | None = None,
+    body_output: Path | None = None,
     body_tolerance_mm: float | None = None,
     file_format: Annotated[
         Literal["triball", "anipose", "caliscope", "opencv"], Parameter(name="--format")
@@ -40,16 +41,20 @@ def refine(
         output: the calibration to write.
         profile: how to measure the session, by name or TOML file.
         calibration: first calibration, if not the session's own.
+        body_output: body file to write, with the balls where the recording puts them.
         body_tolerance_mm: how exactly the balls sit on the body (standard deviation); 0 is exact;
             what the body file states, or 0.05, if omitted.
         file_format: of the output; only "triball" holds covariances and notes.
     """
     from measure.api import refine as run
-    from measure.api.outputs import check_calibration_writable
+    from measure.api.outputs import check_apart, check_replaceable
     from measure.calibration import RefineSettings
-    from measure.session import write_calibration
+    from measure.session import read_body, read_calibration, write_body, write_calibration
 
-    check_calibration_writable(output)
+    check_replaceable(output, read_calibration, "calibration")
+    if body_output is not None:
+        check_replaceable(body_output, read_body, "body")
+        check_apart(output, body_output)
     given = body_tolerance_mm
     if given is not None and not 0 <= given < math.inf:
         raise ConfigError(f"--body-tolerance-mm {given:g}: must be 0 or more")
@@ -57,11 +62,13 @@ def refine(
     with console.progress("measuring") as progress:
         result = run(session, registry, profile, settings, calibration, progress)
     write_calibration(output, result.calibration, file_format)
+    if body_output is not None:
+        write_body(body_output, result.body)
     if json:
         console.print_json({"output": output, **result.calibration.provenance})
         return
     _print(result)
-    console.print_text(f"wrote {output}")
+    console.print_text(f"wrote {output}" + (f" and {body_output}" if body_output else ""))
 
 
 def _print(result: RefineResult) -> None:

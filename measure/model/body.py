@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -71,6 +71,11 @@ class Body:
                 f"(extents {spread[0]:.1f} and {spread[1]:.2f} mm), "
                 "so a turn about it cannot be seen; move one ball off the line"
             )
+
+    def with_centers(self, centers: Floats) -> Body:
+        """The same balls at (k, 3) mm."""
+        moved = zip(self.balls, centers, strict=True)
+        return replace(self, balls=tuple(replace(ball, center_mm=at) for ball, at in moved))
 
     @cached_property
     def centers(self) -> Floats:

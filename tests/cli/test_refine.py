@@ -13,7 +13,7 @@ from measure.calibration import body_cost
 from measure.cli import main
 from measure.geometry import RigidTransform, align_points
 from measure.model import Camera
-from measure.session import Calibration, read_calibration, write_body, write_calibration
+from measure.session import Calibration, read_body, read_calibration, write_body, write_calibration
 from measure.simulation import scene_catalogue, write_session
 from tests.measuring.test_clocks import CAMERAS, moving, recorded, still
 from tests.scenes import RAVEN
@@ -84,6 +84,24 @@ def test_it_writes_what_it_found_and_says_so(session, tmp_path, monkeypatch, cap
     assert turn_errors_deg(found.cameras, true) < 0.5 * turn_errors_deg(first, true)
     assert found.provenance["clocks_applied"] is False
     assert all(camera.pose_covariance is not None for camera in found.cameras)
+
+
+def test_the_body_is_written_as_it_was_learnt(session, tmp_path, monkeypatch) -> None:
+    seen(monkeypatch, moving, 60)
+    shifts = np.array([[0.3, -0.2, 0.1], [-0.2, 0.3, 0.2], [0.1, 0.1, -0.3]])
+    stated = replace(RAVEN.with_centers(RAVEN.centers + shifts), tolerance_mm=0.25)
+    write_body(session / "body.toml", stated)
+    out, body = tmp_path / "refined.toml", tmp_path / "learnt.toml"
+    words = ["refine", str(session), "-o", str(out), "--body-output", str(body)]
+    assert main(words) == 0
+    found = read_body(body)
+    assert found.tolerance_mm == 0.25
+    before, after = (
+        [b.distances()[pair] - mm for pair, mm in RAVEN.distances().items()]
+        for b in (stated, found)
+    )
+    assert np.max(np.abs(after)) < 0.06 < 0.3 < np.max(np.abs(before))
+    assert main([*words[:-1], str(out)]) == 2  # a calibration is no body
 
 
 def test_json_tells_the_same(session, tmp_path, monkeypatch, capsys) -> None:

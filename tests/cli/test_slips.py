@@ -97,7 +97,7 @@ def test_calibrations_replace_calibrations_only(recording: Recording, capsys, co
 def test_a_calibrations_report_has_a_file_of_its_own(recording: Recording, capsys) -> None:
     out, rows = recording.path / "c.html", recording.path / "cam0.csv"
     words = ("calibrate", recording.path, "-o", out)
-    assert "need a file each" in complaint(capsys, *words)
+    assert "needs a file each" in complaint(capsys, *words)
     assert "cam0.csv is there already and is no report" in complaint(
         capsys, *words, "--report", rows
     )
