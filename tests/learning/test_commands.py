@@ -13,6 +13,7 @@ from measure.cli import main
 from measure.host import Dataset
 from measure.host.onnx_model import OnnxModel
 from measure.learning import files
+from measure_plugins.estimators.offset import OffsetEstimator
 
 pytest.importorskip("torch", reason="training needs the extra 'train'")
 
@@ -215,3 +216,16 @@ def _other_robot(small: Dataset, tmp_path: Path) -> Path:
     schema = replace(small.schema, robot="raven2-right")
     files.write_dataset(path, replace(small, schema=schema), [], "another robot")
     return path
+
+
+@pytest.mark.parametrize(("method", "doing"), [("learn", "fitting"), ("save", "saving")])
+def test_an_estimator_that_fails_is_named(data, tmp_path, monkeypatch, capsys, method, doing):
+    def fail(*_: object, **__: object) -> None:
+        raise ValueError("no licence")
+
+    monkeypatch.setattr(OffsetEstimator, method, fail)
+    words = ["train", str(data), "-o", str(tmp_path / "model.onnx")]
+    assert main([*words, "--estimator", "offset"]) == 2
+    said = capsys.readouterr().err
+    assert f"estimator 'offset' fails ({doing}): ValueError: no licence" in said
+    assert "Traceback" not in said

@@ -17,7 +17,6 @@ from measure.host import Correction, Dataset
 from measure.learning import AnswerPacket, EstimateClient, Refusal, StatePacket, files
 from measure.robots import RobotLog, raven_schema, write_log
 from measure.robots.simulator import simulate
-from measure_plugins.estimators.offset import OffsetEstimator
 
 pytest.importorskip("onnx", reason="fitting needs the extra 'train'")
 
@@ -291,16 +290,3 @@ def _asked(client: EstimateClient, data: bytes) -> AnswerPacket:
     answer = client.receive()
     assert answer is not None
     return answer
-
-
-@pytest.mark.parametrize(("method", "doing"), [("learn", "fitting"), ("save", "saving")])
-def test_an_estimator_that_fails_is_named(folder, tmp_path, monkeypatch, capsys, method, doing):
-    def fail(*_: object, **__: object) -> None:
-        raise ValueError("no licence")
-
-    monkeypatch.setattr(OffsetEstimator, method, fail)
-    words = ["train", str(folder / "data.parquet"), "-o", str(tmp_path / "model.onnx")]
-    assert main([*words, "--estimator", "offset"]) == 2
-    said = capsys.readouterr().err
-    assert f"estimator 'offset' fails ({doing}): ValueError: no licence" in said
-    assert "Traceback" not in said
