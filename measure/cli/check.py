@@ -83,7 +83,7 @@ def _print(found: SessionCheck) -> None:
     if found.accuracy is not None and np.any(np.isfinite(found.accuracy[:, 3])):
         position, turn = found.accuracy[:, 3], found.accuracy[:, 4]
         console.print_text(
-            "noise allows, within 40 mm of where the body was, "
+            "to be expected within 40 mm of where the body was: "
             f"{np.nanmin(position):.3f} to {np.nanmax(position):.3f} mm "
             f"and {np.nanmin(turn):.3f} to {np.nanmax(turn):.3f} deg (one standard deviation)"
         )
