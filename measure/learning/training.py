@@ -63,7 +63,7 @@ def train(
 
     Raises:
         EstimatorError: the data cannot be learnt from, or `out` has no suffix `.onnx`.
-        PluginError: the estimator fails.
+        PluginError: the estimator cannot be saved.
     """
     if out.suffix != ".onnx":
         raise EstimatorError(f"{out}: a model's file name must end with .onnx")
@@ -72,8 +72,7 @@ def train(
     if not resume:
         shutil.rmtree(checkpoint, ignore_errors=True)
     estimator.checkpoint = checkpoint
-    with named("estimator", estimator, "fitting"):
-        estimator.fit(split.train, split.validation, seed=seed, report=report)
+    estimator.fit(split.train, split.validation, seed=seed, report=report)
     trained = _save(estimator, split, out, _provenance(estimator, split, seed) | dict(notes or {}))
     shutil.rmtree(checkpoint, ignore_errors=True)
     return trained
