@@ -117,6 +117,8 @@ def provenance(session: Session, profile: Profile, registry: Registry) -> Proven
     """Everything a run of this session with this profile is made from."""
     body = session.body
     described = [f"{ball!r}" for ball in body.balls]
+    if body.tolerance_mm:
+        described.append(f"{body.tolerance_mm!r}")
     plugins = {}
     for stage in ("detector", "triangulator", "solver"):
         loaded = registry.find(stage, getattr(profile, stage))

@@ -104,3 +104,11 @@ def test_a_calibrations_report_has_a_file_of_its_own(recording: Recording, capsy
     assert "there is no folder" in complaint(
         capsys, *words, "--report", recording.path / "no/r.html"
     )
+
+
+def test_a_run_does_not_go_on_with_another_tolerance(recording: Recording, capsys) -> None:
+    body = recording.path / "body.toml"
+    assert main([*run_words(recording)]) == 0
+    capsys.readouterr()
+    body.write_text("tolerance_mm = 0.2\n" + body.read_text())
+    assert "body" in complaint(capsys, *run_words(recording, "--resume"))
