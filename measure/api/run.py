@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self, get_args
+from typing import Any, get_args
 
 from measure.api.measuring import measure_session
 from measure.api.profiles import build_pipeline, find_tracker
-from measure.errors import ConfigError, MeasureError, RunError
+from measure.api.run_log import RunLog
+from measure.errors import ConfigError, MeasureError
 from measure.host import Registry
 from measure.host.settings import read_settings
 from measure.measuring import Profile
 from measure.measuring.profile import Stage
 from measure.results import Provenance, RunWriter, Summary, digest
 from measure.session import Session, Trajectory, open_session, read_trajectory
-
-RESERVED_BYTES = 32_000_000
-"""The recording is not written to a disk with less room: more than it holds back at a time."""
 
 Report = Callable[[int, int | None], None]
 """Told how many frame sets are done, and of how many."""
@@ -100,7 +96,7 @@ def run(
         )
         measured = measure_session(session, profile, registry, start=writer.next_index)
         log = (
-            stack.enter_context(_Recording(session, out, options, writer.next_index))
+            stack.enter_context(_log(session, out, options, writer.next_index))
             if (options.recording or options.viewer) and writer.next_index < total
             else None
         )
@@ -150,66 +146,22 @@ def resolved(profile: Profile, registry: Registry) -> Mapping[str, Any]:
     return profile.model_dump(exclude={"settings"}) | {"settings": settings}
 
 
-class _Recording:
-    """`run.rrd`, with the error against truth where the session has one; its further parts."""
+def _log(session: Session, out: Path, options: RunOptions, start: int) -> RunLog:
+    """The recording of a run of this session, its truth and its videos in it."""
+    from measure.viewing.videos import passed_videos
 
-    def __init__(self, session: Session, out: Path, options: RunOptions, start: int) -> None:
-        from measure.viewing.recording import RunRecording
-        from measure.viewing.stream import open_recording
-        from measure.viewing.videos import passed_videos
-
-        # A run that goes on must not overwrite what was recorded before.
-        name = f"run-{start:06d}.rrd" if start else "run.rrd"
-        self._path = out / name if options.recording else None
-        self._need_room()
-        run_id = digest([(out / "run.toml").read_bytes()])
-        stream = open_recording(session.name, session.cameras, self._path, options.viewer, run_id)
-        videos = passed_videos(session) if options.image_every else {}
-        self._log = RunRecording(
-            stream,
-            session.body,
-            session.cameras,
-            options.image_every,
-            videos,
-            _truth(session),
-            live=options.viewer is not None,
-        )
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        try:
-            self._log.close()
-        except RuntimeError as problem:
-            # Rerun's writer thread died, most often of a full disk. If the tables met it too, their
-            # message is the one to read; if not, they are complete without the recording.
-            if kind is None:
-                raise RunError(
-                    f"{self._path or 'the live recording'} could not be written whole ({problem}); "
-                    "the tables of the run are complete"
-                ) from None
-
-    def _need_room(self) -> None:
-        """Stop while the tables still fit: Rerun's writer may hang when its disk is full."""
-        if self._path is None:
-            return
-        free = shutil.disk_usage(self._path.parent).free
-        if free < RESERVED_BYTES:
-            raise RunError(
-                f"{self._path}: the disk is full but for {free // 1000} kB; everything measured "
-                "before is kept: free some space and go on with --resume, or leave the recording "
-                "out with --no-recording"
-            )
-
-    def add(self, measurement: Any, frame_set: Any) -> None:
-        self._need_room()
-        self._log.add(measurement, frame_set)
+    return RunLog(
+        session.name,
+        session.body,
+        session.cameras,
+        out,
+        recording=options.recording,
+        viewer=options.viewer,
+        image_every=options.image_every,
+        start=start,
+        truth=_truth(session),
+        videos=passed_videos(session) if options.image_every else {},
+    )
 
 
 def _truth(session: Session) -> Trajectory | None:

@@ -1,0 +1,106 @@
+"""`run.rrd`, written while a run is measured, and what is sent to a viewer meanwhile."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+from measure.errors import RunError
+from measure.measuring import Measurement
+from measure.model import Body, Camera, FrameSet
+from measure.results import digest
+from measure.session import Trajectory
+
+if TYPE_CHECKING:
+    from measure.viewing.videos import PassedVideo
+
+RESERVED_BYTES = 32_000_000
+"""The recording is not written to a disk with less room: more than it holds back at a time."""
+
+
+class RunLog:
+    """The recording of a run, with the error against truth where there is one; its further parts.
+
+    Args:
+        name: shown in the viewer.
+        body: what is measured.
+        cameras: calibrated.
+        out: the run's folder, with its `run.toml`.
+        recording: whether to write the file.
+        viewer: address of a running viewer to send to; None for none.
+        image_every: pictures of every n-th frame set go in; 0 for none.
+        start: index of the first frame set: a run that goes on writes a further part.
+        truth: the true poses, where they are known.
+        videos: by camera, recorded videos that go in as they are.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        body: Body,
+        cameras: Sequence[Camera],
+        out: Path,
+        *,
+        recording: bool,
+        viewer: str | None,
+        image_every: int,
+        start: int = 0,
+        truth: Trajectory | None = None,
+        videos: Mapping[str, PassedVideo] | None = None,
+    ) -> None:
+        from measure.viewing.recording import RunRecording
+        from measure.viewing.stream import open_recording
+
+        # A run that goes on must not overwrite what was recorded before.
+        file = f"run-{start:06d}.rrd" if start else "run.rrd"
+        self._path = out / file if recording else None
+        self._need_room()
+        run_id = digest([(out / "run.toml").read_bytes()])
+        stream = open_recording(name, cameras, self._path, viewer, run_id)
+        self._log = RunRecording(
+            stream, body, cameras, image_every, videos, truth, live=viewer is not None
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        try:
+            self._log.close()
+        except RuntimeError as problem:
+            # Rerun's writer thread died, most often of a full disk. If the tables met it too, their
+            # message is the one to read; if not, they are complete without the recording.
+            if kind is None:
+                raise RunError(
+                    f"{self._path or 'the live recording'} could not be written whole ({problem}); "
+                    "the tables of the run are complete"
+                ) from None
+
+    def _need_room(self) -> None:
+        """Stop while the tables still fit: Rerun's writer may hang when its disk is full."""
+        if self._path is None:
+            return
+        free = shutil.disk_usage(self._path.parent).free
+        if free < RESERVED_BYTES:
+            raise RunError(
+                f"{self._path}: the disk is full but for {free // 1000} kB; everything measured "
+                "before is kept: free some space and go on with --resume, or leave the recording "
+                "out with --no-recording"
+            )
+
+    def add(self, measurement: Measurement, frame_set: FrameSet) -> None:
+        """Log a measurement, and the pictures it was made from if it is their turn.
+
+        Raises:
+            RunError: the disk is full.
+        """
+        self._need_room()
+        self._log.add(measurement, frame_set)
