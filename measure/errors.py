@@ -20,6 +20,10 @@ class SessionError(MeasureError):
     """A recording (its files, images, videos, clocks or body) that cannot be used as it is."""
 
 
+class CaptureError(MeasureError):
+    """A camera that cannot be reached, breaks off, or delivers what cannot be used."""
+
+
 class CalibrationError(MeasureError):
     """Cameras whose calibration is missing, does not fit, or cannot be computed."""
 

@@ -15,21 +15,37 @@ from measure.api.correcting import (
 from measure.api.demo import Demo, demo, render_demo
 from measure.api.evaluate import evaluate
 from measure.api.export import export
+from measure.api.live import LiveEnd, LiveState, live
+from measure.api.live_outputs import LiveOptions
 from measure.api.many import Outcome, run_many
 from measure.api.measuring import measure_session
 from measure.api.pairing import make_dataset, simulate_dataset, simulate_recording
 from measure.api.profiles import build_pipeline, choose, load_profile, profile_names
+from measure.api.recording import (
+    Asked,
+    Recorded,
+    camera_names,
+    parse_receiver,
+    parse_size,
+    record,
+)
 from measure.api.refining import RefineResult, refine
 from measure.api.report import report
 from measure.api.run import RunOptions, parse_images, run
 from measure.api.training import TrainOptions, ablate, parse_settings, sweep, train
 from measure.api.watch import robot_recording, spawn_viewer
+from measure.capture import parse_cameras
 from measure.results.evaluation_table import evaluation_tables
 
 __all__ = [
+    "Asked",
     "CalibrationResult",
     "Demo",
+    "LiveEnd",
+    "LiveOptions",
+    "LiveState",
     "Outcome",
+    "Recorded",
     "RefineResult",
     "RunOptions",
     "SessionCheck",
@@ -37,6 +53,7 @@ __all__ = [
     "ablate",
     "build_pipeline",
     "calibrate",
+    "camera_names",
     "check",
     "choose",
     "correct_simulated_robot",
@@ -47,12 +64,17 @@ __all__ = [
     "evaluate",
     "evaluation_tables",
     "export",
+    "live",
     "load_profile",
     "make_dataset",
     "measure_session",
+    "parse_cameras",
     "parse_images",
+    "parse_receiver",
     "parse_settings",
+    "parse_size",
     "profile_names",
+    "record",
     "refine",
     "render_demo",
     "report",

@@ -16,6 +16,7 @@ from measure.host import Registry
 from measure.host.settings import read_settings
 from measure.measuring import Profile
 from measure.measuring.profile import Stage
+from measure.model import Body
 from measure.results import Provenance, RunWriter, Summary, digest
 from measure.session import Session, Trajectory, open_session, read_trajectory
 
@@ -111,25 +112,34 @@ def run(
 
 def provenance(session: Session, profile: Profile, registry: Registry) -> Provenance:
     """Everything a run of this session with this profile is made from."""
-    body = session.body
-    described = [f"{ball!r}" for ball in body.balls]
-    if body.tolerance_mm:
-        described.append(f"{body.tolerance_mm!r}")
-    plugins = {}
-    for stage in ("detector", "triangulator", "solver"):
-        loaded = registry.find(stage, getattr(profile, stage))
-        plugins[stage] = f"{loaded.name} of {loaded.distribution}"
     return Provenance(
         session=str(session.path.resolve()),
         session_digest=session.digest(),
         calibration=str(session.calibration_path.resolve()),
         calibration_digest=digest([session.calibration_path.read_bytes()]),
-        body_digest=digest([text.encode() for text in described]),
+        body_digest=body_digest(session.body),
         profile=resolved(profile, registry),
-        plugins=plugins,
+        plugins=plugins_of(profile, registry),
         notes=session.notes,
         session_name=session.name,
     )
+
+
+def body_digest(body: Body) -> str:
+    """A fingerprint of all that a body file says of balls and where they are."""
+    described = [f"{ball!r}" for ball in body.balls]
+    if body.tolerance_mm:
+        described.append(f"{body.tolerance_mm!r}")
+    return digest([text.encode() for text in described])
+
+
+def plugins_of(profile: Profile, registry: Registry) -> dict[str, str]:
+    """By stage, which plugin of which distribution a profile's names stand for."""
+    loaded = {
+        stage: registry.find(stage, getattr(profile, stage))
+        for stage in ("detector", "triangulator", "solver")
+    }
+    return {stage: f"{one.name} of {one.distribution}" for stage, one in loaded.items()}
 
 
 def resolved(profile: Profile, registry: Registry) -> Mapping[str, Any]:

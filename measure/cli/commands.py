@@ -32,12 +32,14 @@ GROUPS: dict[str, tuple[Command, ...]] = {
     ),
     "Set up": (
         Command("target", "Draw a printable board, marker field or body."),
+        Command("record", "Record cameras into a session."),
         Command("calibrate", "Calibrate cameras from pictures of boards and markers."),
         Command("refine", "Refine a calibration from the moving balls themselves."),
         Command("check", "Say what is wrong or weak in a session before it is measured."),
     ),
     "Measure": (
         Command("run", "Measure a recorded session."),
+        Command("live", "Measure cameras while they deliver."),
         Command("view", "Show a run in the viewer."),
         Command("report", "Write a run's report as one HTML file."),
         Command("evaluate", "Compare a run with the truth."),

@@ -4,12 +4,14 @@ from measure.results.evaluation import Evaluation, evaluate
 from measure.results.marks import Marks, read_marks
 from measure.results.provenance import Provenance, digest, versions
 from measure.results.run import Run, read_run
+from measure.results.sending import PoseSender
 from measure.results.summary import Summary
 from measure.results.writer import RunWriter
 
 __all__ = [
     "Evaluation",
     "Marks",
+    "PoseSender",
     "Provenance",
     "Run",
     "RunWriter",

@@ -7,7 +7,7 @@ from measure.session.clock_shifts import clock_values
 from measure.session.files import FileModel, Length, Name, Position, load_toml, matching_files
 from measure.session.opening import open_session, session_truth
 from measure.session.pairing import Pairing, pair_nearest
-from measure.session.pictures import decode_picture, read_picture
+from measure.session.pictures import decode_picture, is_complete_jpeg, read_picture
 from measure.session.session import Session
 from measure.session.streams import Stream
 from measure.session.toml_text import dump_toml
@@ -28,6 +28,7 @@ __all__ = [
     "clock_values",
     "decode_picture",
     "dump_toml",
+    "is_complete_jpeg",
     "load_toml",
     "matching_files",
     "open_session",

@@ -44,8 +44,10 @@ def read_bytes(path: Path, where: str = "") -> bytes:
     return data
 
 
-def _complete(data: bytes) -> bool:
-    """Whether a JPEG has an end; most have it at the very end, which is quicker to see."""
+def is_complete_jpeg(data: bytes) -> bool:
+    """Whether it is a JPEG that has an end; most have it at the very end, quicker to see."""
+    if not data.startswith(JPEG_START):
+        return False
     return data.endswith(_JPEG_END) or data.rfind(_JPEG_END) > data.rfind(_JPEG_SCAN)
 
 
@@ -56,7 +58,7 @@ def decode_picture(data: bytes, where: str) -> Bytes:
         SessionError: truncated or not a picture; the message starts with `where`.
     """
     # OpenCV fills the rest of a truncated JPEG with grey and says nothing.
-    if data.startswith(JPEG_START) and not _complete(data):
+    if data.startswith(JPEG_START) and not is_complete_jpeg(data):
         raise SessionError(
             f"{where}: truncated JPEG ({len(data)} bytes, no end marker); "
             "remove the file, and its frame counts as missing"

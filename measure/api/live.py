@@ -1,0 +1,228 @@
+"""Measuring cameras while they deliver."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Event
+
+import numpy as np
+
+from measure.api.live_outputs import LiveOptions, LiveOutputs
+from measure.api.profiles import build_pipeline
+from measure.api.recording import (
+    calibrated_cameras,
+    check_seconds,
+    recorder,
+    sizes_of,
+    sources_of,
+)
+from measure.api.run import body_digest, plugins_of, resolved
+from measure.api.stopping import until_stopped
+from measure.api.warming_up import warm_pipeline
+from measure.capture import CameraAddress, CameraCount, Cameras, Gathering, check_new
+from measure.errors import ConfigError
+from measure.host import Registry
+from measure.measuring import Measurement, Pipeline, Profile, rehearsal
+from measure.model import Body, Camera, FrameSet
+from measure.results import Provenance, Summary, digest
+from measure.session import read_body
+
+_RECENT = 30
+"""Frame sets that the pace and the age of poses are told from."""
+
+
+@dataclass(frozen=True)
+class LiveState:
+    """How it goes.
+
+    Attributes:
+        latest: the last measurement.
+        frame_sets: how many there are so far.
+        rate_hz: of late; NaN at first.
+        age_s: from the middle of a frame set's pictures to its pose being there, median of late.
+        overtaken: pictures a camera that were left out for newer ones.
+        unreadable: pictures that could not be decoded.
+        cameras: what has come of each.
+    """
+
+    latest: Measurement
+    frame_sets: int
+    rate_hz: float
+    age_s: float
+    overtaken: int
+    unreadable: int
+    cameras: Mapping[str, CameraCount]
+
+
+@dataclass(frozen=True)
+class LiveEnd:
+    """A live measurement that has ended.
+
+    Attributes:
+        summary: of the run.
+        state: how it was going at the end; None if there was no frame set.
+    """
+
+    summary: Summary
+    state: LiveState | None
+
+
+def live(
+    cameras: Sequence[CameraAddress],
+    out: Path,
+    calibration: Path,
+    body: Path,
+    profile: Profile,
+    registry: Registry,
+    options: LiveOptions | None = None,
+    tell: Callable[[LiveState], None] | None = None,
+) -> LiveEnd:
+    """Measure cameras while they deliver, until the time is over or the process is told to stop.
+
+    Poses come from what has been seen until then, by prediction: later pictures are not waited for,
+    as they are of a recording. Where measuring is slower than the cameras, frame sets are left out.
+
+    Args:
+        cameras: where their pictures come from; at least two.
+        out: the run's folder.
+        calibration: the cameras' calibration.
+        body: the body's file.
+        profile: the stages and their settings.
+        registry: where the plugins come from.
+        options: what else is to be done with pictures and poses.
+        tell: called after every frame set.
+
+    Raises:
+        MeasureError: whatever is wrong with cameras, calibration, body, plugins or settings; what
+            was measured before it was met is kept.
+    """
+    options = options or LiveOptions()
+    check_seconds(options.seconds)
+    if len(cameras) < 2:
+        raise ConfigError(f"a measurement needs at least two cameras, got {len(cameras)}")
+    calibrated, measured = calibrated_cameras(cameras, calibration), read_body(body)
+    profile = profile.model_copy(update={"neighbours": False})
+    sources = sources_of(cameras, calibrated, options.asked)
+    if options.record is not None:
+        check_new(options.record)
+    pipeline = warm_pipeline(profile, registry, measured, calibrated)
+    made_from = _provenance(options.record, calibration, measured, profile, registry)
+    gathering = Gathering([camera.name for camera in calibrated])
+    with ExitStack() as stack:
+        stop = stack.enter_context(until_stopped())
+        rig = stack.enter_context(Cameras(sources, sizes_of(calibrated)))
+        outputs = stack.enter_context(LiveOutputs(out, made_from, measured, calibrated, options))
+        sinks = [gathering.add]
+        if options.record is not None:
+            kept = recorder(options.record, sources, measured, calibrated)
+            sinks.append(stack.enter_context(kept).add)
+        rig.begin(sinks)
+        frame_sets = _FrameSets(gathering, rig, stop, options.seconds)
+        _rehearse(pipeline, measured, calibrated, profile, registry, frame_sets())
+        state, watch = None, _Watch(gathering, rig)
+        for frame_set, one in _measured(pipeline, frame_sets()):
+            outputs.add(frame_set, one)
+            state = watch.state(one)
+            if tell is not None:
+                tell(state)
+        rig.check()
+        return LiveEnd(outputs.finish(), state)
+
+
+class _FrameSets:
+    """Frame sets as they come; asked once more, from then on."""
+
+    def __init__(
+        self, gathering: Gathering, rig: Cameras, stop: Event, seconds: float | None
+    ) -> None:
+        self._gathering, self._rig, self._stop = gathering, rig, stop
+        self._ends = math.inf if seconds is None else time.monotonic() + seconds
+
+    def __call__(self) -> Iterator[FrameSet]:
+        return self._gathering.frame_sets(self._over, self._rig.check)
+
+    def _over(self) -> bool:
+        if self._stop.is_set() or time.monotonic() >= self._ends:
+            self._rig.stop()
+        return self._rig.over
+
+
+class _Watch:
+    """Notes when measurements are there."""
+
+    def __init__(self, gathering: Gathering, rig: Cameras) -> None:
+        self._gathering, self._rig = gathering, rig
+        self._done: deque[float] = deque(maxlen=_RECENT)
+        self._ages: deque[float] = deque(maxlen=_RECENT)
+
+    def state(self, measured: Measurement) -> LiveState:
+        """How it goes, now that this is there."""
+        now = time.monotonic()
+        self._done.append(now)
+        self._ages.append(self._rig.clock_s() - measured.time_s)
+        span = self._done[-1] - self._done[0]
+        return LiveState(
+            measured,
+            measured.index + 1,
+            (len(self._done) - 1) / span if span > 0 else math.nan,
+            float(np.median(self._ages)),
+            self._gathering.overtaken,
+            self._gathering.unreadable,
+            self._rig.counts,
+        )
+
+
+def _measured(
+    pipeline: Pipeline, frame_sets: Iterable[FrameSet]
+) -> Iterator[tuple[FrameSet, Measurement]]:
+    """Each frame set with its measurement, one at a time: nothing is measured ahead."""
+    taken: deque[FrameSet] = deque()
+
+    def remember() -> Iterator[FrameSet]:
+        for frame_set in frame_sets:
+            taken.append(frame_set)
+            yield frame_set
+
+    for measured in pipeline.measure(remember()):
+        yield taken.popleft(), measured
+
+
+def _rehearse(
+    pipeline: Pipeline,
+    body: Body,
+    cameras: Sequence[Camera],
+    profile: Profile,
+    registry: Registry,
+    frame_sets: Iterable[FrameSet],
+) -> None:
+    """Let detectors learn what the cameras do to light from the first pictures."""
+    rehearsal.rehearse_if_wanted(
+        body,
+        cameras,
+        pipeline.stages.detectors,
+        lambda: build_pipeline(profile, registry, body, cameras).stages,
+        frame_sets,
+    )
+
+
+def _provenance(
+    record: Path | None, calibration: Path, body: Body, profile: Profile, registry: Registry
+) -> Provenance:
+    """What a live run is made from: pictures that are kept, or gone."""
+    return Provenance(
+        session="" if record is None else str((record / "session.toml").resolve()),
+        session_digest="",
+        calibration=str(calibration.resolve()),
+        calibration_digest=digest([calibration.read_bytes()]),
+        body_digest=body_digest(body),
+        profile=resolved(profile, registry),
+        plugins=plugins_of(profile, registry),
+        notes=("measured live",),
+        session_name="live" if record is None else record.resolve().name,
+    )

@@ -1,0 +1,181 @@
+"""Recording cameras into a session."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from measure.api.stopping import until_stopped
+from measure.capture import CameraAddress, CameraCount, Cameras, Recorder, check_new
+from measure.errors import ConfigError
+from measure.session import read_body, read_calibration
+
+if TYPE_CHECKING:
+    from measure.capture.sources import Source
+    from measure.model import Body, Camera
+
+_LOOK_S = 0.1
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What cameras of this machine are asked for.
+
+    Attributes:
+        size_wh: of the pictures; that of the calibration if None and there is one.
+        rate_hz: pictures a second; the camera's own if None.
+    """
+
+    size_wh: tuple[int, int] | None = None
+    rate_hz: float | None = None
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A recording that has ended.
+
+    Attributes:
+        session: its folder.
+        cameras: what came of each.
+    """
+
+    session: Path
+    cameras: Mapping[str, CameraCount]
+
+
+def record(
+    cameras: Sequence[CameraAddress],
+    out: Path,
+    *,
+    calibration: Path | None = None,
+    body: Path | None = None,
+    asked: Asked | None = None,
+    seconds: float | None = None,
+    tell: Callable[[Mapping[str, CameraCount]], None] | None = None,
+) -> Recorded:
+    """Record cameras into a session folder until the time is over, or the process is told to stop.
+
+    Args:
+        cameras: where their pictures come from.
+        out: the session's folder, new or empty.
+        calibration: copied into it; pictures of other sizes are refused. May be added later.
+        body: likewise copied; may be added later.
+        asked: what cameras of this machine are asked for.
+        seconds: how long; until told to stop if None.
+        tell: called ten times a second with what has come so far.
+
+    Raises:
+        CaptureError: a camera cannot be reached or is of another size than calibrated; the folder
+            cannot be written.
+        CalibrationError: the calibration is broken, or has not all the cameras.
+        SessionError: the body file is broken.
+        ConfigError: no camera, or a time that is none.
+    """
+    check_seconds(seconds)
+    check_new(out)
+    calibrated = calibrated_cameras(cameras, calibration)
+    measured = None if body is None else read_body(body)
+    sources = sources_of(cameras, calibrated, asked)
+    with (
+        until_stopped() as stop,
+        Cameras(sources, sizes_of(calibrated)) as rig,
+        recorder(out, sources, measured, calibrated) as recording,
+    ):
+        rig.begin([recording.add])
+        begun = time.monotonic()
+        while not rig.over and not stop.wait(_LOOK_S):
+            rig.check()
+            if tell is not None:
+                tell(rig.counts)
+            if seconds is not None and time.monotonic() - begun >= seconds:
+                break
+        rig.check()
+        rig.stop()
+    rig.check()
+    return Recorded(out, rig.counts)
+
+
+def recorder(
+    out: Path, sources: Mapping[str, Source], body: Body | None, cameras: Sequence[Camera]
+) -> Recorder:
+    """A session folder for what these sources deliver."""
+    addresses = {name: source.address for name, source in sources.items()}
+    return Recorder(out, addresses, body, cameras)
+
+
+def check_seconds(seconds: float | None) -> None:
+    """Refuse a time that is none.
+
+    Raises:
+        ConfigError: it is not above 0, or no number.
+    """
+    if seconds is not None and not (math.isfinite(seconds) and seconds > 0):
+        raise ConfigError(f"--seconds {seconds:g}: expected a time above 0")
+
+
+def calibrated_cameras(cameras: Sequence[CameraAddress], calibration: Path | None) -> list[Camera]:
+    """The calibrations of cameras, in their order; none without a file.
+
+    Raises:
+        ConfigError: there is no camera.
+        CalibrationError: the file is broken, or has not all of them.
+    """
+    if not cameras:
+        raise ConfigError("no camera: give at least one, as NAME=ADDRESS")
+    if calibration is None:
+        return []
+    known = read_calibration(calibration)
+    return [known.camera(one.name) for one in cameras]
+
+
+def sizes_of(cameras: Sequence[Camera]) -> dict[str, tuple[int, int]]:
+    """Size in px of the pictures of calibrated cameras, by name."""
+    sizes = {camera.name: camera.intrinsics.size_wh for camera in cameras}
+    return {name: (int(size[0]), int(size[1])) for name, size in sizes.items()}
+
+
+def sources_of(
+    cameras: Sequence[CameraAddress], calibrated: Sequence[Camera], asked: Asked | None
+) -> dict[str, Source]:
+    """What delivers each camera's pictures; nothing is opened yet."""
+    asked, sizes = asked or Asked(), sizes_of(calibrated)
+    return {
+        one.name: one.source(asked.size_wh or sizes.get(one.name), asked.rate_hz) for one in cameras
+    }
+
+
+def camera_names(calibration: Path) -> tuple[str, ...]:
+    """The cameras of a calibration, in its order.
+
+    Raises:
+        CalibrationError: it is broken.
+    """
+    return read_calibration(calibration).names
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """Read WIDTHxHEIGHT, px.
+
+    Raises:
+        ConfigError: anything else.
+    """
+    width, _, height = text.partition("x")
+    if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
+        raise ConfigError(f"--size {text}: expected WIDTHxHEIGHT, such as 1280x720")
+    return int(width), int(height)
+
+
+def parse_receiver(text: str) -> tuple[str, int]:
+    """Read HOST:PORT.
+
+    Raises:
+        ConfigError: anything else.
+    """
+    host, _, port = text.rpartition(":")
+    if not (host and port.isdecimal() and 0 < int(port) < 65_536):
+        raise ConfigError(f"--send {text}: expected HOST:PORT, such as 127.0.0.1:5005")
+    return host.strip("[]"), int(port)

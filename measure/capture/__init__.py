@@ -1,0 +1,16 @@
+"""Cameras that deliver pictures now: where they are, their clocks, recording, frame sets."""
+
+from measure.capture.addresses import CameraAddress, parse_cameras
+from measure.capture.cameras import CameraCount, Cameras
+from measure.capture.gathering import Gathering
+from measure.capture.recorder import Recorder, check_new
+
+__all__ = [
+    "CameraAddress",
+    "CameraCount",
+    "Cameras",
+    "Gathering",
+    "Recorder",
+    "check_new",
+    "parse_cameras",
+]

@@ -1,0 +1,95 @@
+"""Cameras as a user names them: NAME=ADDRESS."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from measure.capture.mjpeg_http import HttpSource
+from measure.capture.sources import Source
+from measure.capture.video_sources import FileSource, device_source, rtsp_source
+from measure.errors import CaptureError, ConfigError
+
+_SCHEMES = ("http", "https", "rtsp", "rtsps")
+
+
+@dataclass(frozen=True)
+class CameraAddress:
+    """Where a camera's pictures come from.
+
+    Attributes:
+        name: the camera's, as in the calibration.
+        address: http://... or https://... of a motion-JPEG stream, rtsp://..., the number or path
+            of a camera of this machine, or a video file.
+    """
+
+    name: str
+    address: str
+
+    def source(
+        self, size_wh: tuple[int, int] | None = None, rate_hz: float | None = None
+    ) -> Source:
+        """What delivers its pictures; nothing is opened yet.
+
+        Args:
+            size_wh: of the pictures to ask a camera of this machine for.
+            rate_hz: pictures a second, likewise.
+
+        Raises:
+            CaptureError: no such file or camera.
+        """
+        scheme = urlsplit(self.address).scheme
+        if scheme in ("http", "https"):
+            return HttpSource(self.address)
+        if scheme in ("rtsp", "rtsps"):
+            return rtsp_source(self.address)
+        if self.address.isdecimal() or self.address.startswith("/dev/"):
+            return device_source(self.address, size_wh, rate_hz)
+        if not Path(self.address).is_file():
+            raise CaptureError(
+                f"camera '{self.name}': {self.address} is no video file, no number of a camera "
+                f"and no address ({', '.join(f'{one}://' for one in _SCHEMES)})"
+            )
+        return FileSource(self.address)
+
+
+def parse_cameras(words: Iterable[str], names: Sequence[str] = ()) -> list[CameraAddress]:
+    """Read cameras as NAME=ADDRESS, or as addresses alone.
+
+    Args:
+        words: one a camera.
+        names: those of a calibration, which addresses alone get in this order; cam0, cam1, ...
+            without.
+
+    Raises:
+        ConfigError: a name is given twice or left empty, or some cameras have names and some not.
+    """
+    pairs = [_split(word) for word in words]
+    named = [name is not None for name, _ in pairs]
+    if any(named) and not all(named):
+        raise ConfigError("give every camera a name (NAME=ADDRESS), or none")
+    if not any(named):
+        if names and len(names) != len(pairs):
+            raise ConfigError(
+                f"{len(pairs)} cameras without names, and the calibration has {len(names)} "
+                f"({', '.join(names)}): say which they are, as {names[0]}=ADDRESS"
+            )
+        told = names or [f"cam{k}" for k in range(len(pairs))]
+        return [CameraAddress(n, address) for n, (_, address) in zip(told, pairs, strict=True)]
+    cameras = [CameraAddress(name or "", address) for name, address in pairs]
+    for one in cameras:
+        if not one.name or not one.address:
+            raise ConfigError(f"{one.name}={one.address}: expected NAME=ADDRESS")
+        if sum(other.name == one.name for other in cameras) > 1:
+            raise ConfigError(f"two cameras are called '{one.name}'")
+    return cameras
+
+
+def _split(word: str) -> tuple[str | None, str]:
+    """Name and address; an equals sign after a slash, colon or question mark is the address's."""
+    name, equals, address = word.partition("=")
+    if not equals or any(sign in name for sign in "/:?\\"):
+        return None, word
+    return name, address

@@ -1,0 +1,279 @@
+"""A rig's cameras, each read in a thread of its own."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+from measure.arrays import Bytes
+from measure.capture.device_clock import DeviceClock
+from measure.capture.sources import PATIENCE_S, Shot, Source
+from measure.capture.video_sources import FileSource
+from measure.errors import CaptureError, MeasureError
+from measure.model import Image
+from measure.session import decode_picture, is_complete_jpeg
+
+SETTLING_S = 1.0
+"""What a camera delivers in its first second is thrown away, see `Source.settles`."""
+_AGAIN_S = 1.0
+"""How long after a camera broke off it is tried again."""
+_FIRST_S = 15.0
+"""How long a rig's cameras are waited for."""
+_STEPS = 64
+"""Steps from picture to picture that a camera's evenness is told from."""
+
+
+@dataclass(frozen=True)
+class CameraCount:
+    """What came of a camera.
+
+    Attributes:
+        pictures: handed on, from `Cameras.begin` on.
+        first_s: time of the first of them; NaN without.
+        last_s: and of the last.
+        own_clock: whether its times are of its own clock, not those of arrival.
+        uneven_s: how much the steps from picture to picture vary, of late (a standard deviation by
+            their median distance from the median); NaN where that cannot be told.
+        breaks: how often it broke off and was connected anew.
+        refused: pictures that could not be used: out of order, or no pictures.
+        trouble: what it broke off with last; empty if it did not.
+        ended: whether it delivers no more: a file that is over.
+    """
+
+    pictures: int = 0
+    first_s: float = float("nan")
+    last_s: float = float("nan")
+    own_clock: bool = False
+    uneven_s: float = float("nan")
+    breaks: int = 0
+    refused: int = 0
+    trouble: str = ""
+    ended: bool = False
+
+    @property
+    def rate_hz(self) -> float:
+        """Pictures a second; NaN if there are not two."""
+        if self.pictures < 2 or not self.last_s > self.first_s:
+            return float("nan")
+        return (self.pictures - 1) / (self.last_s - self.first_s)
+
+
+class Cameras:
+    """Reads all cameras of a rig at once; use it in a `with` block.
+
+    Entering it waits until each has delivered; what they deliver from `begin` on is handed on, so
+    that all begin together. A camera that breaks off after that is connected anew, for as long as
+    it takes; the others go on.
+    """
+
+    def __init__(
+        self,
+        sources: Mapping[str, Source],
+        sizes_wh: Mapping[str, tuple[int, int]] | None = None,
+    ) -> None:
+        """Make one; nothing is opened yet.
+
+        Args:
+            sources: by the cameras' names.
+            sizes_wh: what their pictures must measure; whatever they do, where not given.
+        """
+        self._sizes = dict(sizes_wh or {})
+        self._sinks: tuple[Callable[[Image], None], ...] = ()
+        self._sources = dict(sources)
+        self._counts = dict.fromkeys(sources, CameraCount())
+        self._ready = {name: threading.Event() for name in sources}
+        self._go, self._stop = threading.Event(), threading.Event()
+        self._failed: list[BaseException] = []
+        self._since_1970 = time.time() - time.monotonic()
+        self._threads = [
+            threading.Thread(target=self._work, args=(name,), daemon=True, name=f"camera {name}")
+            for name in sources
+        ]
+
+    def __enter__(self) -> Self:
+        begun = time.monotonic()
+        for source in self._sources.values():
+            if isinstance(source, FileSource):
+                source.begun_s = begun
+        for thread in self._threads:
+            thread.start()
+        try:
+            self._wait_for_all(begun + _FIRST_S)
+        except BaseException:
+            self.stop()
+            raise
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.stop()
+        for thread in self._threads:
+            thread.join(PATIENCE_S)
+
+    def begin(self, sinks: Sequence[Callable[[Image], None]]) -> None:
+        """Hand every picture on from now on.
+
+        Args:
+            sinks: are called with it, each camera's in order, from that camera's thread.
+        """
+        self._sinks = tuple(sinks)
+        self._go.set()
+
+    @property
+    def counts(self) -> dict[str, CameraCount]:
+        """What came of each camera so far."""
+        return dict(self._counts)
+
+    @property
+    def over(self) -> bool:
+        """Whether none delivers any more."""
+        return self._stop.is_set() or all(one.ended for one in self._counts.values())
+
+    def clock_s(self) -> float:
+        """The time now, on the clock of the pictures."""
+        return time.monotonic() + self._since_1970
+
+    def stop(self) -> None:
+        """Let no camera deliver any more."""
+        self._stop.set()
+        self._go.set()
+
+    def check(self) -> None:
+        """Raise what went wrong in a camera's thread and cannot be waited out, if anything did."""
+        if self._failed:
+            raise self._failed[0]
+
+    def _wait_for_all(self, until_s: float) -> None:
+        for name, ready in self._ready.items():
+            while not ready.wait(0.05):
+                self.check()
+                if time.monotonic() > until_s:
+                    raise CaptureError(
+                        f"camera '{name}': {self._sources[name].address}: no picture in "
+                        f"{_FIRST_S:g} s"
+                    )
+        self.check()
+
+    def _work(self, name: str) -> None:
+        """One camera's thread."""
+        source = self._sources[name]
+        try:
+            while not self._stop.is_set():
+                try:
+                    self._read(name, source)
+                except CaptureError as problem:
+                    self._broke_off(name, problem)
+                else:
+                    if source.lasting and not self._stop.is_set():
+                        self._broke_off(name, CaptureError(f"{source.address}: the stream ended"))
+                if not source.lasting:
+                    break
+                self._stop.wait(_AGAIN_S)
+        except BaseException as problem:
+            self._failed.append(problem)
+        self._note(name, ended=True)
+
+    def _broke_off(self, name: str, problem: CaptureError) -> None:
+        """Go on after a while, unless it never worked.
+
+        Raises:
+            CaptureError: it never worked.
+        """
+        if not self._ready[name].is_set():
+            raise CaptureError(f"camera '{name}': {problem}") from None
+        self._note(name, breaks=self._counts[name].breaks + 1, trouble=str(problem))
+
+    def _read(self, name: str, source: Source) -> None:
+        """Hand on what a source delivers, until it ends or is to stop."""
+        clock, connected, last_s = DeviceClock(), time.monotonic(), self._counts[name].last_s
+        steps: deque[float] = deque(maxlen=_STEPS)
+        for shot in source.shots():
+            if self._stop.is_set():
+                return
+            time_s = clock.time_s(shot.arrived_s, shot.device_s) + self._since_1970
+            if not self._ready[name].is_set():
+                self._check_size(name, shot)
+            if source.settles and time.monotonic() - connected < SETTLING_S:
+                continue
+            self._ready[name].set()
+            if source.settles and not self._go.is_set():
+                continue
+            self._go.wait()
+            if self._stop.is_set():
+                return
+            if time_s <= last_s or not _is_whole(shot):
+                self._note(name, refused=self._counts[name].refused + 1)
+                continue
+            steps.append(time_s - last_s)
+            last_s = time_s
+            self._deliver(name, shot, time_s, _uneven_s(steps))
+
+    def _deliver(self, name: str, shot: Shot, time_s: float, uneven_s: float) -> None:
+        count = self._counts[name]
+        image = _image(name, count.pictures, time_s, shot)
+        for sink in self._sinks:
+            sink(image)
+        first_s = time_s if not count.pictures else count.first_s
+        self._note(
+            name,
+            pictures=count.pictures + 1,
+            first_s=first_s,
+            last_s=time_s,
+            own_clock=shot.device_s is not None or isinstance(self._sources[name], FileSource),
+            uneven_s=uneven_s,
+        )
+
+    def _note(self, name: str, **changed: object) -> None:
+        """Only a camera's own thread changes its count."""
+        self._counts[name] = replace(self._counts[name], **changed)  # type: ignore[arg-type]
+
+    def _check_size(self, name: str, shot: Shot) -> None:
+        """Refuse a camera whose pictures are not of the calibrated size.
+
+        Raises:
+            CaptureError: they are not.
+        """
+        try:
+            pixels = _pixels(shot, f"camera '{name}'")
+        except MeasureError:
+            return  # a first picture may be torn; the next one tells
+        size, wanted = (pixels.shape[1], pixels.shape[0]), self._sizes.get(name)
+        if wanted is not None and size != tuple(wanted):
+            raise CaptureError(
+                f"{self._sources[name].address}: its pictures are {size[0]}x{size[1]} px, and "
+                f"{wanted[0]}x{wanted[1]} px is what is calibrated: set the camera to that size, "
+                "or calibrate it at this one"
+            )
+
+
+def _uneven_s(steps: Sequence[float]) -> float:
+    known = np.array([step for step in steps if not math.isnan(step)])
+    return 1.5 * float(np.median(np.abs(known - np.median(known)))) if len(known) else math.nan
+
+
+def _image(name: str, frame: int, time_s: float, shot: Shot) -> Image:
+    where = f"camera '{name}', frame {frame}"
+    return Image(name, frame, time_s, lambda: _pixels(shot, where), shot.jpeg)
+
+
+def _pixels(shot: Shot, where: str) -> Bytes:
+    if shot.pixels is not None:
+        return np.ascontiguousarray(shot.pixels)
+    return decode_picture(shot.jpeg or b"", where)
+
+
+def _is_whole(shot: Shot) -> bool:
+    """Whether a picture is all there, as far as that can be told without decoding it."""
+    return shot.jpeg is None or is_complete_jpeg(shot.jpeg)

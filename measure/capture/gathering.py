@@ -1,0 +1,148 @@
+"""Frame sets from pictures as they come: none waits long for a camera that is late."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from measure.errors import MeasureError
+from measure.model import FrameSet, Image
+
+_PATIENCE_PERIODS = 1.5
+"""How long a picture waits for those of other cameras, in periods of the fastest camera."""
+_REACH_PERIODS = 0.75
+"""How far a set's pictures may be from its middle one. Half a period would do for cameras that run
+evenly: at just that distance, the least unevenness would take a camera out of every other set."""
+_FIRST_PERIOD_S = 0.1
+"""A period as long as nothing is known of it."""
+_KNOWN = 32
+"""Intervals of each camera that its period is told from."""
+_MOST_WAITING = 16
+"""Pictures of a camera that wait at a time, however slowly sets are taken."""
+_LOOK_S = 0.2
+
+
+class Gathering:
+    """Pictures of all cameras go in from their threads, frame sets come out in order of time.
+
+    A set is made as soon as every camera has delivered, or when its first picture has waited for
+    one and a half periods; pictures belong to it that are no further than three quarters of a
+    period from its middle one. What has been overtaken is left out: a set is the newest there is.
+
+    Attributes:
+        overtaken: how many pictures of the camera that lost most were left out for newer ones.
+        unreadable: how many pictures could not be decoded.
+    """
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self._waiting: dict[str, deque[tuple[float, Image]]] = {
+            name: deque(maxlen=_MOST_WAITING) for name in names
+        }
+        self._steps: dict[str, deque[float]] = {name: deque(maxlen=_KNOWN) for name in names}
+        self._last_s: dict[str, float] = {}
+        self._left = dict.fromkeys(names, 0)
+        self._changed = threading.Condition()
+        self.unreadable = 0
+
+    @property
+    def overtaken(self) -> int:
+        """See the class."""
+        return max(self._left.values())
+
+    def add(self, image: Image) -> None:
+        """Hand in a picture; each camera's in order."""
+        name = image.camera
+        with self._changed:
+            if name in self._last_s:
+                self._steps[name].append(image.time_s - self._last_s[name])
+            self._last_s[name] = image.time_s
+            self._left[name] += len(self._waiting[name]) == _MOST_WAITING
+            self._waiting[name].append((time.monotonic(), image))
+            self._changed.notify()
+
+    def frame_sets(
+        self, over: Callable[[], bool], check: Callable[[], None] = lambda: None
+    ) -> Iterator[FrameSet]:
+        """Yield frame sets, decoded, until `over` and none is left.
+
+        Args:
+            over: whether no camera delivers any more.
+            check: called now and then; what it raises ends this.
+        """
+        index = 0
+        with ThreadPoolExecutor(len(self._waiting), thread_name_prefix="decode") as pool:
+            while (taken := self._take(over)) is not None:
+                check()
+                images = [one for one in pool.map(_decoded, taken) if one is not None]
+                self.unreadable += len(taken) - len(images)
+                if images:
+                    middle = sum(image.time_s for image in images) / len(images)
+                    yield FrameSet(index, middle, {image.camera: image for image in images})
+                    index += 1
+
+    def _take(self, over: Callable[[], bool]) -> list[Image] | None:
+        """The pictures of the next set; None if there will be none, empty to look again."""
+        ended = over()
+        with self._changed:
+            if ended and not any(self._waiting.values()):
+                return None
+            if not self._is_ready(ended):
+                self._changed.wait(min(_LOOK_S, self._period_s()))
+                if not self._is_ready(ended):
+                    return []
+            return self._members()
+
+    def _is_ready(self, ended: bool) -> bool:
+        """Whether there are pictures to make a set of, and none worth waiting for."""
+        first = [waiting[0][0] for waiting in self._waiting.values() if waiting]
+        if not first:
+            return False
+        if ended or len(first) == len(self._waiting):
+            return True
+        return time.monotonic() - min(first) > _PATIENCE_PERIODS * self._period_s()
+
+    def _period_s(self) -> float:
+        """Of the fastest camera."""
+        known = [float(np.median(steps)) for steps in self._steps.values() if steps]
+        return min(known) if known else _FIRST_PERIOD_S
+
+    def _members(self) -> list[Image]:
+        """One picture a camera, about the newest instant that all have reached."""
+        period_s = self._period_s()
+        newest = [waiting[-1][1].time_s for waiting in self._waiting.values() if waiting]
+        late_s = max(newest) - _PATIENCE_PERIODS * period_s
+        reached = min(time_s for time_s in newest if time_s >= late_s)
+        for name, waiting in self._waiting.items():
+            while len(waiting) > 1 and _is_nearer(waiting[1][1], waiting[0][1], reached):
+                self._leave(name)
+        firsts = sorted(waiting[0][1].time_s for waiting in self._waiting.values() if waiting)
+        middle = firsts[(len(firsts) - 1) // 2]
+        reach_s, out = _REACH_PERIODS * period_s, []
+        for name, waiting in self._waiting.items():
+            if waiting and waiting[0][1].time_s < middle - reach_s:
+                self._leave(name)
+            if waiting and waiting[0][1].time_s <= middle + reach_s:
+                out.append(waiting.popleft()[1])
+        return out
+
+    def _leave(self, name: str) -> None:
+        self._waiting[name].popleft()
+        self._left[name] += 1
+
+
+def _is_nearer(one: Image, other: Image, instant_s: float) -> bool:
+    return abs(one.time_s - instant_s) < abs(other.time_s - instant_s)
+
+
+def _decoded(image: Image) -> Image | None:
+    """A picture whose pixels are there; None for one that cannot be read."""
+    try:
+        _ = image.pixels
+    except MeasureError:
+        return None
+    return image

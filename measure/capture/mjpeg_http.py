@@ -1,0 +1,166 @@
+"""Motion JPEG over HTTP, as web cameras and `mjpg-streamer` serve it: JPEGs, one after the other.
+
+The stream is read here, not by a video library: those invent times, and decode what can be kept as
+the camera made it. The format is that of RFC 2046 (multipart), as Netscape's server push used it.
+"""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import http.client
+import math
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from email.message import Message
+from typing import BinaryIO, cast
+from urllib.parse import unquote, urlsplit, urlunsplit
+
+from measure.capture.sources import PATIENCE_S, Shot, Source
+from measure.errors import CaptureError
+
+_LARGEST = 64 << 20
+"""Bytes; no picture is larger, nor a line that is none."""
+_MOST_HEADERS = 64
+_TIME_HEADERS = ("x-timestamp", "x-timestamp-sec")
+"""Seconds on the camera's clock; the first is mjpg-streamer's."""
+
+
+class HttpSource(Source):
+    """A stream of JPEGs in a `multipart/x-mixed-replace` answer."""
+
+    def __init__(self, address: str) -> None:
+        parts = urlsplit(address)
+        self._request = urllib.request.Request(_without_user(address))
+        if parts.username is not None:
+            pair = f"{unquote(parts.username)}:{unquote(parts.password or '')}"
+            token = base64.b64encode(pair.encode()).decode()
+            self._request.add_header("Authorization", f"Basic {token}")
+        super().__init__(_without_user(address))
+
+    def shots(self) -> Iterator[Shot]:
+        """Pictures as they come; times of the camera's own clock where it sends them."""
+        try:
+            with urllib.request.urlopen(self._request, timeout=PATIENCE_S) as answer:
+                yield from parts_of(_stream_of(answer, self.address), self.address)
+        except urllib.error.HTTPError as problem:
+            raise CaptureError(f"{self.address}: answers {problem.code} {problem.reason}") from None
+        except (OSError, http.client.HTTPException, ValueError) as problem:
+            reason = getattr(problem, "reason", None) or problem
+            told = getattr(reason, "strerror", None) or str(reason) or type(reason).__name__
+            raise CaptureError(f"{self.address}: {told}") from None
+
+
+def _without_user(address: str) -> str:
+    """An address without a name and password in it."""
+    parts = urlsplit(address)
+    host = parts.netloc.rpartition("@")[2]
+    return urlunsplit((parts.scheme, host, parts.path, parts.query, ""))
+
+
+def _stream_of(answer: http.client.HTTPResponse, address: str) -> BinaryIO:
+    """The body of an answer that is a stream of parts.
+
+    Raises:
+        CaptureError: it is something else.
+    """
+    kind = answer.headers.get_content_type()
+    if not kind.startswith("multipart/"):
+        raise CaptureError(
+            f"{address}: answers {kind}, not a stream of JPEGs (multipart/x-mixed-replace): give "
+            "the address of the camera's MJPEG stream"
+        )
+    return cast("BinaryIO", answer)
+
+
+def parts_of(stream: BinaryIO, address: str) -> Iterator[Shot]:
+    """The pictures of a multipart stream, until it ends between two of them.
+
+    Parts say how long they are, or end at the next boundary.
+
+    Args:
+        stream: from the answer's first byte on.
+        address: for messages.
+
+    Raises:
+        CaptureError: it is no such stream, or breaks off inside a picture.
+    """
+    boundary = _first_boundary(stream, address)
+    while boundary is not None:
+        headers = _headers(stream, address)
+        length = headers.get("content-length", "")
+        if length.isdecimal():
+            data, after = _exactly(stream, int(length), address), _next_boundary(stream, boundary)
+        else:
+            data, after = _until(stream, boundary, address)
+        yield Shot(time.monotonic(), _stamp(headers), data)
+        boundary = after
+
+
+def _first_boundary(stream: BinaryIO, address: str) -> bytes | None:
+    """The line before the first part; servers differ from what their header says of it."""
+    for _ in range(_MOST_HEADERS):
+        line = stream.readline(_LARGEST)
+        if not line:
+            return None
+        if line.startswith(b"--"):
+            return line.strip()
+    raise CaptureError(f"{address}: no part of a stream of JPEGs begins in what it sends")
+
+
+def _next_boundary(stream: BinaryIO, boundary: bytes) -> bytes | None:
+    """The same line after a part whose length was known; None where the stream ends."""
+    for line in iter(lambda: stream.readline(_LARGEST), b""):
+        if line.strip() == boundary:
+            return boundary
+        if line.strip() == boundary + b"--":
+            return None
+    return None
+
+
+def _headers(stream: BinaryIO, address: str) -> Message:
+    """What stands before a part's data."""
+    out = Message()
+    for _ in range(_MOST_HEADERS):
+        line = stream.readline(_LARGEST)
+        if not line.strip():
+            return out
+        name, _, value = line.decode("latin-1").partition(":")
+        out[name.strip()] = value.strip()
+    raise CaptureError(f"{address}: a part of the stream has no end of its headers")
+
+
+def _exactly(stream: BinaryIO, length: int, address: str) -> bytes:
+    if length > _LARGEST:
+        raise CaptureError(f"{address}: announces a picture of {length} bytes")
+    data = stream.read(length)
+    if len(data) < length:
+        raise CaptureError(f"{address}: the stream broke off inside a picture")
+    return data
+
+
+def _until(stream: BinaryIO, boundary: bytes, address: str) -> tuple[bytes, bytes | None]:
+    """A part's data up to the next boundary; and that, or None where the stream ends there."""
+    lines: list[bytes] = []
+    size = 0
+    for line in iter(lambda: stream.readline(_LARGEST), b""):
+        if line.strip() in (boundary, boundary + b"--"):
+            data = b"".join(lines).removesuffix(b"\n").removesuffix(b"\r")
+            return data, boundary if line.strip() == boundary else None
+        lines.append(line)
+        size += len(line)
+        if size > _LARGEST:
+            break
+    raise CaptureError(f"{address}: the stream broke off inside a picture")
+
+
+def _stamp(headers: Message) -> float | None:
+    """A part's time on the camera's clock, if it states one."""
+    for name in _TIME_HEADERS:
+        with contextlib.suppress(ValueError):
+            seconds = float(headers.get(name, ""))
+            if math.isfinite(seconds):
+                return seconds
+    return None

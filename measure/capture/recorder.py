@@ -1,0 +1,157 @@
+"""Writing pictures into a session folder as they come."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from threading import Lock
+from types import TracebackType
+from typing import Self, TextIO
+
+import cv2
+
+from measure.errors import CaptureError
+from measure.model import Body, Camera, Image
+from measure.session import Calibration, dump_toml, write_body, write_calibration
+
+_QUALITY = (cv2.IMWRITE_JPEG_QUALITY, 98)
+_FULL_COLOR = (cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
+
+
+class Recorder:
+    """A session folder that grows; use it in a `with` block.
+
+    Every picture is a file of its own, its stamp a line that is written at once: whatever ends the
+    recording, all pictures before that can be measured. JPEGs stay as the camera made them;
+    other pictures become JPEGs of high quality.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        addresses: Mapping[str, str],
+        body: Body | None = None,
+        cameras: Sequence[Camera] = (),
+    ) -> None:
+        """Make the folder and all that does not grow.
+
+        Args:
+            folder: new, or empty.
+            addresses: where the pictures come from, by camera.
+            body: what is measured, if it is known already.
+            cameras: calibrated, if they are already.
+
+        Raises:
+            CaptureError: the folder holds something, or cannot be written.
+        """
+        self._folder, self._lock = folder, Lock()
+        self._stamps: dict[str, TextIO] = {}
+        check_new(folder)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            if body is not None:
+                write_body(folder / "body.toml", body)
+            if cameras:
+                write_calibration(folder / "calibration.toml", Calibration(tuple(cameras)))
+            text = dump_toml(_session(folder, addresses, body is not None, bool(cameras)))
+            (folder / "session.toml").write_text(text, "utf-8")
+            for name in addresses:
+                (folder / name).mkdir()
+                self._stamps[name] = _new_stamps(folder / f"{name}.csv")
+        except OSError as problem:
+            self.close()
+            raise _cannot_write(folder, problem) from None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the files; pictures that come later are not written."""
+        with self._lock:
+            for file in self._stamps.values():
+                file.close()
+            self._stamps.clear()
+
+    def add(self, image: Image) -> None:
+        """Write a picture; each camera's in order, different cameras' from different threads.
+
+        Raises:
+            CaptureError: it cannot be written; all before it stays.
+        """
+        stamps = self._stamps.get(image.camera)
+        if stamps is None:
+            return
+        data = image.encoded or _encoded(image)
+        picture = self._folder / image.camera / f"{image.frame:06d}.jpg"
+        begun = picture.with_suffix(".part")
+        try:
+            begun.write_bytes(data)
+            # A stamp without a picture counts as a missing frame; pictures without a stamp, or half
+            # of one, could not be used.
+            stamps.write(f"{image.frame},{image.time_s:.9f}\n")
+            begun.rename(picture)
+        except OSError as problem:
+            raise _cannot_write(self._folder, problem) from None
+        except ValueError:
+            begun.unlink()  # closed meanwhile
+
+
+def check_new(folder: Path) -> None:
+    """Refuse a folder that holds something.
+
+    Raises:
+        CaptureError: it does, or cannot be looked into.
+    """
+    try:
+        taken = folder.exists() and (not folder.is_dir() or any(folder.iterdir()))
+    except OSError as problem:
+        raise _cannot_write(folder, problem) from None
+    if taken:
+        raise CaptureError(f"{folder}: is there already: give a new folder")
+
+
+def _new_stamps(path: Path) -> TextIO:
+    file = path.open("w", encoding="utf-8", buffering=1)
+    file.write("frame,time_s\n")
+    return file
+
+
+def _session(
+    folder: Path, addresses: Mapping[str, str], has_body: bool, calibrated: bool
+) -> dict[str, object]:
+    """What `session.toml` holds."""
+    sources = ", ".join(f"{name}: {address}" for name, address in addresses.items())
+    return {
+        "session": {
+            "name": folder.resolve().name,
+            "description": f"recorded from {sources}; times are those of arrival, see docs",
+            "body": "body.toml" if has_body else None,
+            "calibration": "calibration.toml" if calibrated else None,
+        },
+        "cameras": [
+            {"name": name, "images": f"{name}/*.jpg", "timestamps": f"{name}.csv"}
+            for name in addresses
+        ],
+    }
+
+
+def _encoded(image: Image) -> bytes:
+    done, data = cv2.imencode(".jpg", image.pixels, [*_QUALITY, *_FULL_COLOR])
+    if not done:
+        raise CaptureError(f"camera '{image.camera}': a picture cannot be written as JPEG")
+    return bytes(data)
+
+
+def _cannot_write(folder: Path, problem: OSError) -> CaptureError:
+    return CaptureError(
+        f"{problem.filename or folder}: cannot be written: {problem.strerror}; what was recorded "
+        "before stays"
+    )

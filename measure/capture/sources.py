@@ -1,0 +1,54 @@
+"""What delivers pictures: one address, one source."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+
+from measure.arrays import Bytes
+from measure.records import record
+
+PATIENCE_S = 5.0
+"""A camera that has said nothing for so long is taken to be gone."""
+
+
+@record
+class Shot:
+    """A picture as a camera delivered it: either as its JPEG or as its pixels.
+
+    Attributes:
+        arrived_s: when its last byte had arrived, on the clock of `time.monotonic`.
+        device_s: its stamp on the camera's own clock, whatever that starts from; None without.
+        jpeg: its bytes, as the camera compressed it; None if it did not.
+        pixels: BGR (h, w, 3), of a picture that is no JPEG.
+    """
+
+    arrived_s: float
+    device_s: float | None
+    jpeg: bytes | None
+    pixels: Bytes | None = None
+
+
+class Source(ABC):
+    """Pictures from one address.
+
+    Attributes:
+        address: as a user gave it, without a password.
+        lasting: whether it goes on for ever unless something breaks; a file ends.
+        settles: whether its first pictures are of no use: they come in bursts, their exposure and
+            the camera's clock are not settled.
+    """
+
+    lasting = True
+    settles = True
+
+    def __init__(self, address: str) -> None:
+        self.address = address
+
+    @abstractmethod
+    def shots(self) -> Iterator[Shot]:
+        """Connect, and yield pictures as they come, until the camera ends.
+
+        Raises:
+            CaptureError: it cannot be reached, breaks off, or is silent for `PATIENCE_S`.
+        """

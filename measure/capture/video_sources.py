@@ -1,0 +1,119 @@
+"""Cameras of this machine, RTSP cameras, and video files played as if they were cameras."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from measure.capture.sources import PATIENCE_S, Shot, Source
+from measure.errors import CaptureError
+
+if TYPE_CHECKING:
+    import av
+
+
+class AvSource(Source):
+    """What a video library opens: motion JPEG is kept as it comes, all else decoded."""
+
+    def __init__(self, address: str, opened: str, form: str | None = None, **options: str) -> None:
+        super().__init__(address)
+        self._opened, self._form, self._options = opened, form, options
+
+    def shots(self) -> Iterator[Shot]:
+        """Pictures as they come, with the times the device, or the stream, gives them."""
+        import av
+
+        try:
+            with av.open(
+                self._opened, format=self._form, options=self._options, timeout=PATIENCE_S
+            ) as container:
+                if not container.streams.video:
+                    raise CaptureError(f"{self.address}: shows no picture")
+                yield from self._timed(_pictures(container))
+        except (av.error.FFmpegError, OSError) as problem:
+            told = getattr(problem, "strerror", None) or str(problem)
+            raise CaptureError(f"{self.address}: {told}") from None
+
+    def _timed(self, pictures: Iterator[tuple[float | None, Any]]) -> Iterator[Shot]:
+        for device_s, shown in pictures:
+            now = time.monotonic()
+            if isinstance(shown, bytes):
+                yield Shot(now, device_s, shown)
+            else:
+                yield Shot(now, device_s, None, shown)
+
+
+class FileSource(AvSource):
+    """A video file at its own pace: all of a rig's files begin at one moment."""
+
+    lasting = settles = False
+
+    def __init__(self, address: str) -> None:
+        super().__init__(address, address)
+        self.begun_s: float | None = None
+
+    def _timed(self, pictures: Iterator[tuple[float | None, Any]]) -> Iterator[Shot]:
+        begun = self.begun_s if self.begun_s is not None else time.monotonic()
+        for shot in super()._timed(pictures):
+            if shot.device_s is None:
+                raise CaptureError(f"{self.address}: its pictures carry no times")
+            due = begun + shot.device_s
+            time.sleep(max(due - time.monotonic(), 0.0))
+            yield Shot(due, None, shot.jpeg, shot.pixels)
+
+
+def device_source(address: str, size_wh: tuple[int, int] | None, rate_hz: float | None) -> AvSource:
+    """A camera of this machine (Video4Linux), as motion JPEG if it can do that.
+
+    Args:
+        address: its number, or its path.
+        size_wh: of the pictures to ask for; the camera's own if None.
+        rate_hz: pictures a second to ask for; the camera's own if None.
+
+    Raises:
+        CaptureError: there is none.
+    """
+    if not sys.platform.startswith("linux"):
+        raise CaptureError(
+            f"camera {address}: cameras are opened by number on Linux only; elsewhere serve it "
+            "over HTTP or RTSP and give that address"
+        )
+    path = Path(f"/dev/video{address}" if address.isdecimal() else address)
+    if not path.exists():
+        there = sorted(str(one) for one in Path("/dev").glob("video*"))
+        raise CaptureError(f"there is no camera {path}; there is {', '.join(there) or 'none'}")
+    options = {"input_format": "mjpeg"}
+    if size_wh is not None:
+        options["video_size"] = f"{size_wh[0]}x{size_wh[1]}"
+    if rate_hz is not None:
+        options["framerate"] = f"{rate_hz:g}"
+    return AvSource(str(path), str(path), "v4l2", **options)
+
+
+def rtsp_source(address: str) -> AvSource:
+    """A network camera; by TCP, for pictures with gaps in them are of no use."""
+    from urllib.parse import urlsplit
+
+    shown = address.replace(f"{urlsplit(address).netloc.rpartition('@')[0]}@", "", 1)
+    return AvSource(shown, address, rtsp_transport="tcp", fflags="nobuffer")
+
+
+def _pictures(container: av.container.InputContainer) -> Iterator[tuple[float | None, Any]]:
+    """Time on the device's clock, and the JPEG or the BGR pixels, of each picture."""
+    stream = container.streams.video[0]
+    keeps = stream.codec_context.name == "mjpeg"
+    stream.codec_context.thread_count = 1  # several would hold as many pictures back
+    for packet in container.demux(stream):
+        if keeps:
+            if packet.size:
+                yield _seconds(packet), bytes(packet)
+            continue
+        for frame in packet.decode():
+            yield _seconds(frame), frame.to_ndarray(format="bgr24")
+
+
+def _seconds(of: Any) -> float | None:
+    return None if of.pts is None else float(of.pts * of.time_base)

@@ -1,0 +1,95 @@
+"""`measure record`: cameras into a session."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from measure.cli import console
+from measure.cli.console import JsonFlag
+
+if TYPE_CHECKING:
+    from measure.capture import CameraCount
+
+_UNEVEN_S = 2e-3
+"""Pictures whose times vary by more may be beside their places."""
+
+
+def record(
+    *cameras: str,
+    out: Annotated[Path, Parameter(name=("--out", "-o"))],
+    calibration: Path | None = None,
+    body: Path | None = None,
+    seconds: float | None = None,
+    size: str | None = None,
+    rate: float | None = None,
+    json: JsonFlag = False,
+) -> None:
+    """Record cameras into a session.
+
+    JPEGs are kept as the cameras make them, a file each, with the time at which each arrived.
+    Without `--seconds` it goes on until it is interrupted (Ctrl-C).
+
+    Args:
+        cameras: NAME=ADDRESS each: http://... of a motion-JPEG stream, rtsp://..., the number of a
+            camera of this machine (0 for /dev/video0), or a video file, played at its own pace.
+        out: the session's folder, new or empty.
+        calibration: the cameras' calibration, copied into the session; it may come later.
+        body: the body's file, likewise.
+        seconds: stop after this long.
+        size: WIDTHxHEIGHT to ask cameras of this machine for; that of the calibration if omitted.
+        rate: pictures a second to ask cameras of this machine for.
+    """
+    from measure import api
+
+    names = () if calibration is None else api.camera_names(calibration)
+    with console.progress("recording", "pictures") as report:
+        recorded = api.record(
+            api.parse_cameras(cameras, names),
+            out,
+            calibration=calibration,
+            body=body,
+            asked=api.Asked(None if size is None else api.parse_size(size), rate),
+            seconds=seconds,
+            tell=lambda counts: report(sum(c.pictures for c in counts.values()), None),
+        )
+    if json:
+        console.print_json(recorded)
+        return
+    print_cameras(recorded.cameras)
+    console.print_text(f"written to {out}; what is weak in it: measure check {out}")
+
+
+def print_cameras(cameras: Mapping[str, CameraCount]) -> None:
+    """What came of each camera, and what was amiss."""
+    console.print_table(
+        ("camera", "pictures", "per s", "times are", "uneven ms"),
+        [
+            (
+                name,
+                one.pictures,
+                _told(one.rate_hz),
+                "its own" if one.own_clock else "of arrival",
+                _told(1e3 * one.uneven_s),
+            )
+            for name, one in cameras.items()
+        ],
+    )
+    for name, one in cameras.items():
+        if one.breaks:
+            console.print_text(f"note: {name} broke off {one.breaks} times: {one.trouble}")
+        if not one.own_clock and one.uneven_s > _UNEVEN_S:
+            console.print_text(
+                f"note: {name} sends no times of its own, and its pictures arrive unevenly: a body "
+                f"that moves at 100 mm/s is seen {100 * one.uneven_s:.1f} mm beside where it was"
+            )
+        if one.refused:
+            console.print_text(f"note: {one.refused} pictures of {name} were torn or out of order")
+
+
+def _told(value: float) -> float | None:
+    return None if math.isnan(value) else value

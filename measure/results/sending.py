@@ -1,0 +1,73 @@
+"""Poses sent on as they are measured: one datagram each."""
+
+from __future__ import annotations
+
+import json
+import math
+import socket
+from types import TracebackType
+from typing import Any, Self
+
+from measure.errors import ConfigError
+from measure.measuring import Measurement
+from measure.results.tables import rows_of
+
+
+class PoseSender:
+    """Sends every measurement by UDP, as one JSON object; use it in a `with` block.
+
+    Its members are the columns of `poses.parquet`, and `frame` for `index` as in `poses.csv`; null
+    stands where there is no pose. Nobody need listen: what cannot be delivered is lost.
+    """
+
+    def __init__(self, address: tuple[str, int]) -> None:
+        """Make one.
+
+        Raises:
+            ConfigError: there is no such host.
+        """
+        try:
+            family, kind, protocol, _, found = socket.getaddrinfo(*address, type=socket.SOCK_DGRAM)[
+                0
+            ]
+        except (OSError, UnicodeError, OverflowError) as problem:
+            reason = getattr(problem, "strerror", None) or problem
+            raise ConfigError(f"cannot send to {address[0]}:{address[1]}: {reason}") from None
+        self._address = found
+        self._socket = socket.socket(family, kind, protocol)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._socket.close()
+
+    def send(self, measured: Measurement) -> None:
+        """Send one measurement."""
+        try:
+            self._socket.sendto(datagram(measured), self._address)
+        except OSError:
+            return  # nobody listens, or the network is down: the run itself goes on
+
+
+def datagram(measured: Measurement) -> bytes:
+    """A measurement as it is sent."""
+    row = rows_of(measured)["poses"][0]
+    values = {"frame": row.pop("index"), **{name: _plain(value) for name, value in row.items()}}
+    return json.dumps(values, allow_nan=False, separators=(",", ":")).encode()
+
+
+def _plain(value: Any) -> Any:
+    """What JSON knows; no digits that mean nothing."""
+    if isinstance(value, float):
+        return float(f"{value:.9f}") if math.isfinite(value) else None
+    if isinstance(value, tuple | list):
+        return [float(f"{one:.6g}") if isinstance(one, float) else one for one in value]
+    if hasattr(value, "tolist"):
+        return _plain(value.tolist())
+    return value
