@@ -182,7 +182,7 @@ class Cameras:
                     break
                 self._stop.wait(_AGAIN_S)
         except BaseException as problem:
-            self._failed.append(problem)
+            self._failed.append(problem)  # raised again by `check`
         self._note(name, ended=True)
 
     def _broke_off(self, name: str, problem: CaptureError) -> None:
@@ -223,8 +223,13 @@ class Cameras:
     def _deliver(self, name: str, shot: Shot, time_s: float, uneven_s: float) -> None:
         count = self._counts[name]
         image = _image(name, count.pictures, time_s, shot)
-        for sink in self._sinks:
-            sink(image)
+        try:
+            for sink in self._sinks:
+                sink(image)
+        except BaseException as problem:  # no camera's fault: none is of use without its sink
+            self._failed.append(problem)
+            self.stop()
+            return
         first_s = time_s if not count.pictures else count.first_s
         self._note(
             name,

@@ -24,15 +24,18 @@ _KNOWN = 32
 """Intervals of each camera that its period is told from."""
 _MOST_WAITING = 16
 """Pictures of a camera that wait at a time, however slowly sets are taken."""
+_GONE_STEPS = 4
+"""A camera silent for so many of its steps is not waited for."""
 _LOOK_S = 0.2
 
 
 class Gathering:
     """Pictures of all cameras go in from their threads, frame sets come out in order of time.
 
-    A set is made as soon as every camera has delivered, or when its first picture has waited for
-    one and a half periods; pictures belong to it that are no further than three quarters of a
-    period from its middle one. What has been overtaken is left out: a set is the newest there is.
+    A set is made as soon as every camera has delivered that should have, or when its first picture
+    has waited for one and a half periods; pictures belong to it that are no further than three
+    quarters of a period from its middle one. What has been overtaken is left out: a set is the
+    newest there is.
 
     Attributes:
         overtaken: how many pictures of the camera that lost most were left out for newer ones.
@@ -45,6 +48,7 @@ class Gathering:
         }
         self._steps: dict[str, deque[float]] = {name: deque(maxlen=_KNOWN) for name in names}
         self._last_s: dict[str, float] = {}
+        self._begun_s = 0.0
         self._left = dict.fromkeys(names, 0)
         self._changed = threading.Condition()
         self.unreadable = 0
@@ -58,6 +62,8 @@ class Gathering:
         """Hand in a picture; each camera's in order."""
         name = image.camera
         with self._changed:
+            if not self._last_s:
+                self._begun_s = image.time_s
             if name in self._last_s:
                 self._steps[name].append(image.time_s - self._last_s[name])
             self._last_s[name] = image.time_s
@@ -99,12 +105,23 @@ class Gathering:
 
     def _is_ready(self, ended: bool) -> bool:
         """Whether there are pictures to make a set of, and none worth waiting for."""
-        first = [waiting[0][0] for waiting in self._waiting.values() if waiting]
-        if not first:
+        firsts = [waiting[0] for waiting in self._waiting.values() if waiting]
+        if not firsts:
             return False
-        if ended or len(first) == len(self._waiting):
+        until_s = max(image.time_s for _, image in firsts) + _REACH_PERIODS * self._period_s()
+        if ended or not any(self._is_due(name, until_s) for name in self._waiting):
             return True
-        return time.monotonic() - min(first) > _PATIENCE_PERIODS * self._period_s()
+        since = min(put for put, _ in firsts)
+        return time.monotonic() - since > _PATIENCE_PERIODS * self._period_s()
+
+    def _is_due(self, name: str, until_s: float) -> bool:
+        """Whether a camera without a waiting picture should have taken one until then."""
+        if self._waiting[name]:
+            return False
+        steps = self._steps[name]
+        step_s = float(np.median(steps)) if steps else self._period_s()
+        last_s = self._last_s.get(name, self._begun_s - step_s)
+        return last_s + step_s <= until_s <= last_s + _GONE_STEPS * step_s
 
     def _period_s(self) -> float:
         """Of the fastest camera."""

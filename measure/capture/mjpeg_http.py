@@ -20,10 +20,12 @@ from urllib.parse import unquote, urlsplit, urlunsplit
 
 from measure.capture.sources import PATIENCE_S, Shot, Source
 from measure.errors import CaptureError
+from measure.session import is_complete_jpeg
 
 _LARGEST = 64 << 20
 """Bytes; no picture is larger, nor a line that is none."""
 _MOST_HEADERS = 64
+_JPEG_END = b"\xff\xd9"
 _TIME_HEADERS = ("x-timestamp", "x-timestamp-sec")
 """Seconds on the camera's clock; the first is mjpg-streamer's."""
 
@@ -46,6 +48,7 @@ class HttpSource(Source):
             with urllib.request.urlopen(self._request, timeout=PATIENCE_S) as answer:
                 yield from parts_of(_stream_of(answer, self.address), self.address)
         except urllib.error.HTTPError as problem:
+            problem.close()
             raise CaptureError(f"{self.address}: answers {problem.code} {problem.reason}") from None
         except (OSError, http.client.HTTPException, ValueError) as problem:
             reason = getattr(problem, "reason", None) or problem
@@ -92,11 +95,12 @@ def parts_of(stream: BinaryIO, address: str) -> Iterator[Shot]:
         headers = _headers(stream, address)
         length = headers.get("content-length", "")
         if length.isdecimal():
-            data, after = _exactly(stream, int(length), address), _next_boundary(stream, boundary)
+            data, line = _exactly(stream, int(length), address), b""
         else:
-            data, after = _until(stream, boundary, address)
+            data, line = _until(stream, boundary, address)
+        # Before the next line is waited for: it may come with the next picture only.
         yield Shot(time.monotonic(), _stamp(headers), data)
-        boundary = after
+        boundary = _next_boundary(stream, boundary, line)
 
 
 def _first_boundary(stream: BinaryIO, address: str) -> bytes | None:
@@ -110,14 +114,13 @@ def _first_boundary(stream: BinaryIO, address: str) -> bytes | None:
     raise CaptureError(f"{address}: no part of a stream of JPEGs begins in what it sends")
 
 
-def _next_boundary(stream: BinaryIO, boundary: bytes) -> bytes | None:
-    """The same line after a part whose length was known; None where the stream ends."""
-    for line in iter(lambda: stream.readline(_LARGEST), b""):
-        if line.strip() == boundary:
-            return boundary
-        if line.strip() == boundary + b"--":
+def _next_boundary(stream: BinaryIO, boundary: bytes, line: bytes) -> bytes | None:
+    """The same line after a part, of which `line` has been read; None where the stream ends."""
+    while line.strip() not in (boundary, boundary + b"--"):
+        line = stream.readline(_LARGEST)
+        if not line:
             return None
-    return None
+    return boundary if line.strip() == boundary else None
 
 
 def _headers(stream: BinaryIO, address: str) -> Message:
@@ -141,17 +144,17 @@ def _exactly(stream: BinaryIO, length: int, address: str) -> bytes:
     return data
 
 
-def _until(stream: BinaryIO, boundary: bytes, address: str) -> tuple[bytes, bytes | None]:
-    """A part's data up to the next boundary; and that, or None where the stream ends there."""
-    lines: list[bytes] = []
-    size = 0
+def _until(stream: BinaryIO, boundary: bytes, address: str) -> tuple[bytes, bytes]:
+    """A part's data up to its JPEG's end or the next boundary; and that line, if it was read."""
+    data = bytearray()
     for line in iter(lambda: stream.readline(_LARGEST), b""):
         if line.strip() in (boundary, boundary + b"--"):
-            data = b"".join(lines).removesuffix(b"\n").removesuffix(b"\r")
-            return data, boundary if line.strip() == boundary else None
-        lines.append(line)
-        size += len(line)
-        if size > _LARGEST:
+            return bytes(data).removesuffix(b"\n").removesuffix(b"\r"), line
+        data += line
+        end = line.rstrip(b"\r\n")
+        if end.endswith(_JPEG_END) and is_complete_jpeg(data):
+            return bytes(data[: len(data) - len(line) + len(end)]), b""
+        if len(data) > _LARGEST:
             break
     raise CaptureError(f"{address}: the stream broke off inside a picture")
 

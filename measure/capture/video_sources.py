@@ -5,11 +5,14 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from measure.arrays import Bytes
 from measure.capture.sources import PATIENCE_S, Shot, Source
-from measure.errors import CaptureError
+from measure.errors import CaptureError, SessionError
+from measure.session import open_video_stream
 
 if TYPE_CHECKING:
     import av
@@ -32,37 +35,36 @@ class AvSource(Source):
             ) as container:
                 if not container.streams.video:
                     raise CaptureError(f"{self.address}: shows no picture")
-                yield from self._timed(_pictures(container))
+                for device_s, jpeg, pixels in _pictures(container):
+                    yield Shot(time.monotonic(), device_s, jpeg, pixels)
         except (av.error.FFmpegError, OSError) as problem:
             told = getattr(problem, "strerror", None) or str(problem)
             raise CaptureError(f"{self.address}: {told}") from None
 
-    def _timed(self, pictures: Iterator[tuple[float | None, Any]]) -> Iterator[Shot]:
-        for device_s, shown in pictures:
-            now = time.monotonic()
-            if isinstance(shown, bytes):
-                yield Shot(now, device_s, shown)
-            else:
-                yield Shot(now, device_s, None, shown)
 
-
-class FileSource(AvSource):
+class FileSource(Source):
     """A video file at its own pace: all of a rig's files begin at one moment."""
 
     lasting = settles = False
 
     def __init__(self, address: str) -> None:
-        super().__init__(address, address)
+        super().__init__(address)
         self.begun_s: float | None = None
 
-    def _timed(self, pictures: Iterator[tuple[float | None, Any]]) -> Iterator[Shot]:
+    def shots(self) -> Iterator[Shot]:
+        """Its pictures, each when it is due."""
         begun = self.begun_s if self.begun_s is not None else time.monotonic()
-        for shot in super()._timed(pictures):
-            if shot.device_s is None:
-                raise CaptureError(f"{self.address}: its pictures carry no times")
-            due = begun + shot.device_s
-            time.sleep(max(due - time.monotonic(), 0.0))
-            yield Shot(due, None, shot.jpeg, shot.pixels)
+        try:
+            stream = open_video_stream("", Path(self.address))
+        except SessionError as problem:
+            raise CaptureError(str(problem).removeprefix("camera '': ")) from None
+        with closing(stream):
+            for index, time_s in enumerate(stream.times_s):
+                due = begun + float(time_s)
+                time.sleep(max(due - time.monotonic(), 0.0))
+                image = stream.read(index)
+                pixels = None if image.encoded is not None else image.pixels
+                yield Shot(due, None, image.encoded, pixels)
 
 
 def device_source(address: str, size_wh: tuple[int, int] | None, rate_hz: float | None) -> AvSource:
@@ -101,18 +103,19 @@ def rtsp_source(address: str) -> AvSource:
     return AvSource(shown, address, rtsp_transport="tcp", fflags="nobuffer")
 
 
-def _pictures(container: av.container.InputContainer) -> Iterator[tuple[float | None, Any]]:
+def _pictures(
+    container: av.container.InputContainer,
+) -> Iterator[tuple[float | None, bytes | None, Bytes | None]]:
     """Time on the device's clock, and the JPEG or the BGR pixels, of each picture."""
     stream = container.streams.video[0]
     keeps = stream.codec_context.name == "mjpeg"
     stream.codec_context.thread_count = 1  # several would hold as many pictures back
     for packet in container.demux(stream):
-        if keeps:
-            if packet.size:
-                yield _seconds(packet), bytes(packet)
-            continue
-        for frame in packet.decode():
-            yield _seconds(frame), frame.to_ndarray(format="bgr24")
+        if not keeps:
+            for frame in packet.decode():
+                yield _seconds(frame), None, frame.to_ndarray(format="bgr24")
+        elif packet.size:
+            yield _seconds(packet), bytes(packet), None
 
 
 def _seconds(of: Any) -> float | None:

@@ -102,7 +102,10 @@ def _body(given: SessionModel, file: Path, override: Path | str | None) -> Body:
         return read_body(override)
     if given.body is not None:
         return given.body.body(file)
-    assert given.session.body is not None
+    if given.session.body is None:
+        raise SessionError(
+            f'{file}: the session names no body; add body = "body.toml" to [session], or [body]'
+        )
     return read_body(file.parent / given.session.body)
 
 

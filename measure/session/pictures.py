@@ -44,7 +44,7 @@ def read_bytes(path: Path, where: str = "") -> bytes:
     return data
 
 
-def is_complete_jpeg(data: bytes) -> bool:
+def is_complete_jpeg(data: bytes | bytearray) -> bool:
     """Whether it is a JPEG that has an end; most have it at the very end, quicker to see."""
     if not data.startswith(JPEG_START):
         return False

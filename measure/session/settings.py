@@ -59,7 +59,7 @@ class SessionModel(FileModel):
 
     @model_validator(mode="after")
     def _fits_together(self) -> SessionModel:
-        if (self.body is None) == (self.session.body is None):
+        if self.body is not None and self.session.body is not None:
             raise ValueError('give the body once: body = "body.toml" in [session], or [body]')
         names = [camera.name for camera in self.cameras]
         for name in names:

@@ -222,6 +222,11 @@ CASES: dict[str, Case] = {
         SessionError,
         ["give the body once"],
     ),
+    "no body": (
+        replace("session.toml", 'body = "body.toml"\n', ""),
+        SessionError,
+        ["session.toml: the session names no body; add body = "],
+    ),
     "unknown key at the top": (
         lambda r: (r.path / "session.toml").write_text(
             (r.path / "session.toml").read_text() + "\n[robott]\nlog = 'x'\n"

@@ -1,0 +1,54 @@
+"""Cameras as users name them."""
+
+from __future__ import annotations
+
+import pytest
+
+from measure.capture import CameraAddress, parse_cameras
+from measure.capture.mjpeg_http import HttpSource
+from measure.capture.video_sources import AvSource, FileSource
+from measure.errors import CaptureError, ConfigError
+
+
+def test_names_and_addresses():
+    word = "left=http://10.0.0.2:8080/?action=stream"
+    assert parse_cameras([word]) == [CameraAddress("left", "http://10.0.0.2:8080/?action=stream")]
+
+
+def test_addresses_alone_are_named_in_order():
+    words = ["http://h/?action=stream", "/dev/video2", "3", "C:\\a=b.mp4"]
+    assert [c.name for c in parse_cameras(words)] == ["cam0", "cam1", "cam2", "cam3"]
+    assert [c.address for c in parse_cameras(words)] == words
+    assert [c.name for c in parse_cameras(words[:2], ["left", "right"])] == ["left", "right"]
+
+
+@pytest.mark.parametrize(
+    ("words", "names", "told"),
+    [
+        (["a=1", "2"], (), "every camera a name"),
+        (["a=1", "a=2"], (), "two cameras are called 'a'"),
+        (["=1"], (), "expected NAME=ADDRESS"),
+        (["a="], (), "expected NAME=ADDRESS"),
+        (["1", "2"], ("x", "y", "z"), "2 cameras without names, and the calibration has 3"),
+    ],
+)
+def test_what_cannot_be_told_apart_is_refused(words, names, told):
+    with pytest.raises(ConfigError, match=told):
+        parse_cameras(words, names)
+
+
+def test_an_address_says_what_kind_of_camera_it_is(tmp_path):
+    video = tmp_path / "a.mp4"
+    video.touch()
+    assert isinstance(CameraAddress("a", "https://h/stream").source(), HttpSource)
+    assert isinstance(CameraAddress("a", str(video)).source(), FileSource)
+    rtsp = CameraAddress("a", "rtsp://me:secret@10.0.0.3/live").source()
+    assert isinstance(rtsp, AvSource)
+    assert rtsp.address == "rtsp://10.0.0.3/live"
+
+
+def test_what_is_not_there_is_refused(tmp_path):
+    with pytest.raises(CaptureError, match=r"camera 'a': nothing\.mp4 is no video file"):
+        CameraAddress("a", "nothing.mp4").source()
+    with pytest.raises(CaptureError, match="there is no camera /dev/video97"):
+        CameraAddress("a", "97").source()

@@ -1,0 +1,111 @@
+"""A session folder that grows: whatever ends it, all before that can be measured."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from measure.capture import Recorder
+from measure.errors import CaptureError, SessionError
+from measure.model import Image
+from measure.session import open_session, write_body, write_calibration
+from measure.session.calibration_file import Calibration
+from tests.session.conftest import jpeg
+
+NAMES = ("cam0", "cam1")
+
+
+@pytest.fixture
+def cameras(rig):
+    return list(rig[:2])
+
+
+def pictures(count=3, size_wh=(1280, 720)):
+    data = jpeg(90, size_wh)
+    for k in range(count):
+        for name in NAMES:
+            yield Image(name, k, 1.7e9 + k / 30, lambda: None, data + bytes([k]))
+
+
+def recorded(folder, body, cameras, count=3):
+    with Recorder(folder, dict.fromkeys(NAMES, "http://x"), body, cameras) as recorder:
+        for image in pictures(count):
+            recorder.add(image)
+    return folder
+
+
+def test_it_is_a_session(tmp_path, paper_body, cameras):
+    folder = recorded(tmp_path / "new" / "session", paper_body, cameras)
+    with open_session(folder) as session:
+        assert session.name == "session"
+        assert session.notes == ()
+        assert list(session.streams) == list(NAMES)
+        for stream in session.streams.values():
+            np.testing.assert_allclose(stream.times_s, 1.7e9 + np.arange(3) / 30, atol=1e-6)
+    assert (folder / "cam1" / "000002.jpg").read_bytes() == next(
+        i.encoded for i in pictures() if (i.camera, i.frame) == ("cam1", 2)
+    )
+
+
+def test_it_can_be_measured_while_it_is_written(tmp_path, paper_body, cameras):
+    """As after a kill: nothing was closed."""
+    recorder = Recorder(tmp_path / "s", dict.fromkeys(NAMES, "x"), paper_body, cameras)
+    for image in pictures():
+        recorder.add(image)
+    with open_session(tmp_path / "s") as session:
+        assert [len(stream) for stream in session.streams.values()] == [3, 3]
+    recorder.close()
+
+
+def test_a_kill_between_stamp_and_picture_leaves_a_missing_frame(tmp_path, paper_body, cameras):
+    folder = recorded(tmp_path / "s", paper_body, cameras)
+    last = folder / "cam0" / "000002.jpg"
+    last.rename(last.with_suffix(".part"))
+    with open_session(folder) as session:
+        assert "cam0': 1 of 3 frames have no image" in session.notes[0]
+
+
+def test_body_and_calibration_may_come_later(tmp_path, paper_body, cameras):
+    folder = recorded(tmp_path / "s", None, ())
+    with pytest.raises(SessionError, match="names no body"):
+        open_session(folder)
+    write_body(tmp_path / "b.toml", paper_body)
+    write_calibration(tmp_path / "c.toml", Calibration(tuple(cameras)))
+    with open_session(folder, tmp_path / "c.toml", tmp_path / "b.toml") as session:
+        assert len(session.cameras) == 2
+
+
+def test_what_is_no_jpeg_becomes_one_that_hardly_differs(tmp_path, rng):
+    smooth = np.kron(rng.integers(0, 255, (6, 8, 3)), np.ones((20, 20, 1))).astype(np.uint8)
+    with Recorder(tmp_path / "s", {"cam0": "rtsp://x"}) as recorder:
+        recorder.add(Image("cam0", 0, 0.0, lambda: smooth))
+    from measure.session import read_picture
+
+    off = read_picture(tmp_path / "s" / "cam0" / "000000.jpg").astype(float) - smooth
+    assert np.sqrt(np.mean(off**2)) < 1.5
+
+
+def test_pictures_that_come_after_the_end_leave_nothing(tmp_path, paper_body, cameras):
+    folder = tmp_path / "s"
+    recorder = Recorder(folder, dict.fromkeys(NAMES, "x"), paper_body, cameras)
+    recorder.close()
+    for image in pictures():
+        recorder.add(image)
+    assert list((folder / "cam0").iterdir()) == []
+
+
+def test_a_folder_that_holds_something_is_not_touched(tmp_path):
+    (tmp_path / "mine.txt").write_text("mine")
+    with pytest.raises(CaptureError, match="is there already: give a new folder"):
+        Recorder(tmp_path, {"cam0": "x"})
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
+
+
+def test_a_folder_that_vanishes_is_told_in_one_line(tmp_path):
+    import shutil
+
+    recorder = Recorder(tmp_path / "s", dict.fromkeys(NAMES, "x"))
+    shutil.rmtree(tmp_path / "s" / "cam0")
+    with pytest.raises(CaptureError, match="cannot be written: No such file"):
+        recorder.add(next(pictures()))
+    recorder.close()

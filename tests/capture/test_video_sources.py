@@ -1,0 +1,73 @@
+"""Video files played as cameras, and what is no video."""
+
+from __future__ import annotations
+
+import time
+from itertools import pairwise
+
+import av
+import numpy as np
+import pytest
+
+from measure.capture import CameraAddress, Cameras
+from measure.capture.video_sources import FileSource, rtsp_source
+from measure.errors import CaptureError
+
+SIZE = (64, 48)
+
+
+def video(path, codec="libx264", count=20, rate=50, form="yuv420p"):
+    """A video whose frames grow brighter."""
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream(codec, rate=rate)
+        stream.width, stream.height, stream.pix_fmt = *SIZE, form
+        for k in range(count):
+            frame = av.VideoFrame.from_ndarray(
+                np.full((SIZE[1], SIZE[0], 3), 20 + 10 * k, np.uint8), format="bgr24"
+            )
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "codec", "form"), [("a.mp4", "libx264", "yuv420p"), ("a.avi", "mjpeg", "yuvj420p")]
+)
+def test_a_file_plays_at_its_own_pace(tmp_path, name, codec, form):
+    path, seen = video(tmp_path / name, codec, form=form), []
+    begun = time.monotonic()
+    with Cameras({"a": CameraAddress("a", str(path)).source()}, {"a": SIZE}) as rig:
+        rig.begin([seen.append])
+        while not rig.over:
+            time.sleep(0.01)
+        rig.check()
+        assert rig.counts["a"].breaks == 0
+    assert 0.35 < time.monotonic() - begun < 5.0
+    assert len(seen) == 20
+    steps = np.diff([image.time_s for image in seen])
+    np.testing.assert_allclose(steps, 0.02, atol=1e-5)
+    assert all((image.encoded is not None) == (codec == "mjpeg") for image in seen)
+    levels = [image.pixels.mean() for image in seen]
+    assert all(b > a + 5 for a, b in pairwise(levels))
+
+
+def test_files_of_one_rig_begin_at_one_moment(tmp_path):
+    paths = {name: video(tmp_path / f"{name}.mp4") for name in "ab"}
+    seen = []
+    with Cameras({n: FileSource(str(p)) for n, p in paths.items()}) as rig:
+        rig.begin([seen.append])
+        while not rig.over:
+            time.sleep(0.01)
+    first = {image.camera: image.time_s for image in seen if image.frame == 0}
+    assert first["a"] == first["b"]
+
+
+def test_what_is_no_video_is_told(tmp_path):
+    (tmp_path / "a.mp4").write_bytes(b"no video at all" * 100)
+    with pytest.raises(CaptureError, match=r"a\.mp4"):
+        next(FileSource(str(tmp_path / "a.mp4")).shots())
+
+
+def test_an_rtsp_camera_that_is_not_there_is_told_without_its_password():
+    with pytest.raises(CaptureError, match=r"^rtsp://127\.0\.0\.1:1/x: Connection refused"):
+        next(rtsp_source("rtsp://me:secret@127.0.0.1:1/x").shots())
