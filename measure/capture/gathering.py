@@ -74,13 +74,15 @@ class Gathering:
     def frame_sets(
         self, over: Callable[[], bool], check: Callable[[], None] = lambda: None
     ) -> Iterator[FrameSet]:
-        """Yield frame sets, decoded, until `over` and none is left.
+        """Yield frame sets, decoded, until `over` and none is left; what was left out counts anew.
 
         Args:
             over: whether no camera delivers any more.
             check: called now and then; what it raises ends this.
         """
-        index = 0
+        index = self.unreadable = 0
+        with self._changed:
+            self._left = dict.fromkeys(self._left, 0)
         with ThreadPoolExecutor(len(self._waiting), thread_name_prefix="decode") as pool:
             while (taken := self._take(over)) is not None:
                 check()

@@ -90,6 +90,8 @@ def test_who_is_slower_than_the_cameras_gets_the_newest():
     sets = list(gathering.frame_sets(lambda: True))
     assert [{n: i.frame for n, i in s.images.items()} for s in sets] == [{"a": 11, "b": 11}]
     assert gathering.overtaken == 11
+    assert list(gathering.frame_sets(lambda: True)) == []
+    assert gathering.overtaken == 0
 
 
 def test_nothing_piles_up_while_nobody_looks():

@@ -1,0 +1,237 @@
+"""Cameras measured while they deliver, over real HTTP on loopback, against exact truth."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from measure.api import run as measure_run
+from measure.api.profiles import load_profile
+from measure.cli import main
+from measure.host import Registry
+from measure.results import read_run
+from measure.session import read_trajectory
+from measure.simulation import write_session
+from measure.simulation.catalogue import webcam_scene
+from tests.camera_server import ServedCamera, serving
+
+PERIOD_S = 0.1
+"""A busy machine may take its time."""
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory):
+    """Twelve frame sets of rendered balls that move by a millimetre or two from one to the next."""
+    folder = tmp_path_factory.mktemp("live") / "session"
+    return write_session(webcam_scene(), np.arange(12) / 30, folder)
+
+
+def served(session, **manners):
+    """The session's cameras, in step."""
+    return {
+        f"cam{k}": ServedCamera(
+            [file.read_bytes() for file in sorted((session / f"cam{k}").glob("*.jpg"))],
+            PERIOD_S,
+            stamps=True,
+            **manners,
+        )
+        for k in range(4)
+    }
+
+
+def words(command, session, addresses, out, *more):
+    """A command line; the body and the calibration are the session's."""
+    files = ["--calibration", session / "calibration.toml", "--body", session / "body.toml"]
+    cameras = [f"{name}={address}" for name, address in addresses.items()]
+    return [str(word) for word in (command, *cameras, "-o", out, *files, *more)]
+
+
+def errors_mm(poses, cameras, session):
+    """Distance of poses, rows of a table, from where the body was in the pictures of their time."""
+    truth = read_trajectory(session / "truth.csv")
+    taken, which = np.array(sorted(set(cameras["cam0"].taken_s))).T
+    out = []
+    for time_s, x, y, z in poses:
+        nearest = np.argmin(np.abs(taken - time_s))
+        assert abs(taken[nearest] - time_s) < PERIOD_S / 2
+        there = truth.at([which[nearest] / 30]).translation[0]
+        out.append(np.linalg.norm([x, y, z] - there))
+    return np.array(out)
+
+
+def rows(run):
+    """Time and place of every frame set of a run with a pose."""
+    with (run / "poses.csv").open() as file:
+        found = [row for row in csv.DictReader(file) if row["x_mm"]]
+    return [[float(row[c]) for c in ("time_s", "x_mm", "y_mm", "z_mm")] for row in found]
+
+
+class Receiver:
+    """Whoever listens to poses."""
+
+    def __init__(self, stack):
+        self.received = []
+        self._socket = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+        self._socket.bind(("127.0.0.1", 0))
+        self._socket.settimeout(0.1)
+        self._over = threading.Event()
+        thread = threading.Thread(target=self._listen)
+        thread.start()
+        stack.callback(thread.join)
+        stack.callback(self._over.set)
+
+    @property
+    def port(self):
+        return self._socket.getsockname()[1]
+
+    def _listen(self):
+        while not self._over.is_set():
+            try:
+                self.received.append(json.loads(self._socket.recv(65_536)))
+            except TimeoutError:
+                continue
+
+
+@pytest.mark.slow
+def test_poses_are_there_while_the_cameras_deliver(session, tmp_path, capsys):
+    """And they are sent on, recorded with their pictures, and right."""
+    cameras, run, kept = served(session), tmp_path / "run", tmp_path / "kept"
+    with ExitStack() as stack:
+        receiver = Receiver(stack)
+        addresses = stack.enter_context(serving(cameras))
+        more = ("--seconds", "9", "--send", f"127.0.0.1:{receiver.port}", "--record", kept)
+        assert main([*words("live", session, addresses, run, *more), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["frame_sets"] >= 15
+    assert told["ok"] >= told["frame_sets"] - 4
+    assert told["age_s"] < 5 * PERIOD_S
+    poses = rows(run)
+    errors = errors_mm(poses, cameras, session)
+    assert np.sqrt(np.mean(errors**2)) < 0.06
+    assert len(receiver.received) == told["frame_sets"]
+    for sent, (time_s, *place) in zip(receiver.received, poses, strict=True):
+        assert sent["time_s"] == pytest.approx(time_s, abs=1e-6)
+        assert [sent[axis] for axis in ("x_mm", "y_mm", "z_mm")] == pytest.approx(place, abs=1e-6)
+        assert np.reshape(sent["covariance"], (6, 6)).diagonal().min() > 0
+    live = read_run(run)
+    assert live.finished
+    assert live.session == kept / "session.toml"
+    assert not live.provenance["profile"]["neighbours"]
+    assert main(["report", str(run)]) == 0
+    assert (run / "run.rrd").stat().st_size > 10_000
+    again = measure_run(kept, tmp_path / "again", load_profile("precise"), Registry.discover())
+    assert again.ok > 0.9 * again.frame_sets
+    recorded = errors_mm(rows(tmp_path / "again"), cameras, session)
+    assert np.sqrt(np.mean(recorded**2)) < 0.06
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_ends_it_as_it_should_end(session, tmp_path, number):
+    out = tmp_path / "run"
+    with serving(served(session)) as addresses:
+        command = words("live", session, addresses, out, "--no-recording", "--images", "none")
+        process = subprocess.Popen(
+            [sys.executable, "-m", "measure", *command],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            cwd=Path(__file__).parents[2],
+            env={**os.environ, "PYTHONUNBUFFERED": "1"},
+        )
+        try:
+            for line in process.stderr:
+                if "known after" in line:
+                    break
+            process.send_signal(number)
+            printed, _ = process.communicate(timeout=60)
+        finally:
+            process.kill()
+            process.wait()
+    assert process.returncode == 0
+    assert "frame sets measured" in printed
+    assert read_run(out).finished
+
+
+@pytest.mark.slow
+def test_a_camera_beside_its_place_is_flagged(session, tmp_path, capsys):
+    """Two cameras' addresses exchanged: nothing of it is believed."""
+    cameras = served(session)
+    with serving(cameras) as addresses:
+        addresses["cam0"], addresses["cam1"] = addresses["cam1"], addresses["cam0"]
+        out = tmp_path / "run"
+        assert main([*words("live", session, addresses, out, "--seconds", "8"), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["frame_sets"] > 5
+    wrong = read_run(out)
+    believed = [row for row in wrong.poses.to_pylist() if row["status"] == "ok"]
+    assert believed == []
+
+
+def test_recording_keeps_every_byte_and_its_time(session, tmp_path, capsys):
+    cameras, out = served(session), tmp_path / "kept"
+    with serving(cameras) as addresses:
+        assert main([*words("record", session, addresses, out, "--seconds", "2"), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    for name, camera in cameras.items():
+        stamps = np.loadtxt(out / f"{name}.csv", delimiter=",", skiprows=1)
+        files = sorted((out / name).iterdir())
+        assert told["cameras"][name]["pictures"] == len(files) == len(stamps) >= 15
+        taken, which = np.array(camera.taken_s).T
+        for file, (_, time_s) in zip(files, stamps, strict=True):
+            nearest = np.argmin(np.abs(taken - time_s))
+            assert abs(taken[nearest] - time_s) < 0.03
+            assert file.read_bytes() == camera.pictures[int(which[nearest])]
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (
+            {"cam1": "http://127.0.0.1:1/x"},
+            "camera 'cam1': http://127.0.0.1:1/x: Connection refused",
+        ),
+        ({"cam9": "http://127.0.0.1:1/x"}, "no calibration of camera 'cam9'"),
+        ({"cam0": "nothing.mp4"}, "camera 'cam0': nothing.mp4 is no video file"),
+    ],
+)
+def test_what_cannot_be_recorded_is_told_in_a_line_and_leaves_nothing(
+    session, tmp_path, capsys, change, told
+):
+    out = tmp_path / "kept"
+    with serving(served(session)) as addresses:
+        assert main(words("record", session, {**addresses, **change}, out)) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert told in line
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        (("--seconds", "0"), "--seconds 0: expected a time above 0"),
+        (("--size", "big"), "--size big: expected WIDTHxHEIGHT"),
+    ],
+)
+def test_settings_that_are_none(session, tmp_path, capsys, more, told):
+    command = words("record", session, {"cam0": "http://127.0.0.1:1/"}, tmp_path / "s", *more)
+    assert main(command) == 2
+    assert told in capsys.readouterr().err
+
+
+def test_an_address_to_send_to_that_is_none(session, tmp_path, capsys):
+    addresses = dict.fromkeys(("cam0", "cam1"), "http://127.0.0.1:1/")
+    command = words("live", session, addresses, tmp_path / "r", "--send", "nowhere")
+    assert main(command) == 2
+    assert "--send nowhere: expected HOST:PORT" in capsys.readouterr().err
