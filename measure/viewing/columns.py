@@ -12,6 +12,7 @@ import rerun as rr
 from measure.arrays import Bools, Floats
 from measure.measuring import Measurement
 from measure.viewing import entities
+from measure.viewing.timeline import time_column
 
 
 class Columns:
@@ -40,7 +41,7 @@ class Columns:
     def _on_timelines(self, rows: Bools) -> list[rr.TimeColumn]:
         return [
             rr.TimeColumn(entities.TIMELINE_FRAME, sequence=self._frames[rows]),
-            rr.TimeColumn(entities.TIMELINE_TIME, duration=self.times_s[rows]),
+            time_column(self.times_s[rows]),
         ]
 
 

@@ -18,6 +18,7 @@ from measure.viewing.columns import Columns
 from measure.viewing.pictures import send_views
 from measure.viewing.rig import log_rig
 from measure.viewing.scene import send_balls, send_poses
+from measure.viewing.timeline import set_time
 from measure.viewing.traces import send_errors, send_traces
 from measure.viewing.videos import PassedVideo
 
@@ -132,7 +133,7 @@ class RunRecording:
 
     def _set_time(self, measured: Measurement) -> None:
         self._stream.set_time(entities.TIMELINE_FRAME, sequence=measured.index)
-        self._stream.set_time(entities.TIMELINE_TIME, duration=measured.time_s)
+        set_time(self._stream, measured.time_s)
 
     def _log_images(self, measured: Measurement, frame_set: FrameSet) -> None:
         self._set_time(measured)

@@ -13,6 +13,7 @@ from measure.learning.traces import RobotTraces
 from measure.viewing import entities
 from measure.viewing.blueprint import LEGEND, framed, plot, up_to_cursor
 from measure.viewing.rig import log_lines
+from measure.viewing.timeline import time_column
 
 KINDS = {"reported": (207, 75, 75), "measured": (61, 139, 212), "corrected": (79, 163, 90)}
 
@@ -32,7 +33,7 @@ def write_robot_recording(path: Path, name: str, frames: Floats, traces: RobotTr
     _log_styles(stream)
     index = [
         rr.TimeColumn(entities.TIMELINE_FRAME, sequence=frames),
-        rr.TimeColumn(entities.TIMELINE_TIME, duration=traces.times_s),
+        time_column(traces.times_s),
     ]
     for kind in KINDS:
         places: Floats = getattr(traces, f"{kind}_mm")

@@ -161,3 +161,20 @@ def test_ten_thousand_frame_sets_are_all_there(tmp_path):
     said = column(stored[entities.STATUS], "TextLog:text")
     assert said == {0: ["ok"], 4000: ["lost: nothing seen"], 4100: ["ok"]}
     assert path.stat().st_size < 20_000_000
+
+
+@pytest.mark.parametrize(("begins_s", "kind"), [(0.0, "duration"), (1.7e9, "timestamp")])
+def test_times_since_1970_are_shown_as_dates(tmp_path, begins_s, kind):
+    """Of what is logged by the column, and of what is logged when it happens."""
+    path = tmp_path / "run.rrd"
+    with RunRecording(open_recording("test", CAMERAS, path), BODY, CAMERAS, 0) as run:
+        for index in range(4):
+            one = measurement(index)
+            run.add(replace(one, time_s=begins_s + one.time_s))
+    stored = read_recording(path)
+    for entity in (entities.BODY, entities.STATUS):
+        for batch in stored[entity]:
+            if entities.TIMELINE_TIME in batch.schema.names:
+                times = batch.column(batch.schema.names.index(entities.TIMELINE_TIME))
+                assert str(times.type).startswith(kind)
+                assert times.cast("int64")[0].as_py() == pytest.approx(begins_s * 1e9, abs=1e3)
