@@ -14,7 +14,7 @@ from threading import Event
 import numpy as np
 
 from measure.api.live_outputs import LiveOptions, LiveOutputs
-from measure.api.profiles import build_pipeline
+from measure.api.profiles import RUN_FILE, build_pipeline
 from measure.api.recording import (
     calibrated_cameras,
     check_seconds,
@@ -26,7 +26,7 @@ from measure.api.run import body_digest, plugins_of, resolved
 from measure.api.stopping import until_stopped
 from measure.api.warming_up import warm_pipeline
 from measure.capture import CameraAddress, CameraCount, Cameras, Gathering, check_new
-from measure.errors import ConfigError
+from measure.errors import ConfigError, RunError
 from measure.host import Registry
 from measure.measuring import Measurement, Pipeline, Profile, rehearsal
 from measure.model import Body, Camera, FrameSet
@@ -111,6 +111,8 @@ def live(
     sources = sources_of(cameras, calibrated, options.asked)
     if options.record is not None:
         check_new(options.record)
+    if (out / RUN_FILE).exists() and not options.overwrite:
+        raise RunError(f"{out} holds a run already: --overwrite throws it away")
     pipeline = warm_pipeline(profile, registry, measured, calibrated)
     made_from = _provenance(options.record, calibration, measured, profile, registry)
     gathering = Gathering([camera.name for camera in calibrated])

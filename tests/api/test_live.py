@@ -230,6 +230,13 @@ def test_settings_that_are_none(session, tmp_path, capsys, more, told):
     assert told in capsys.readouterr().err
 
 
+def test_an_earlier_run_is_thrown_away_only_if_asked(session, tmp_path, capsys):
+    (tmp_path / "run.toml").touch()
+    addresses = dict.fromkeys(("cam0", "cam1"), "http://127.0.0.1:1/")
+    assert main(words("live", session, addresses, tmp_path)) == 2
+    assert "holds a run already: --overwrite throws it away" in capsys.readouterr().err
+
+
 def test_an_address_to_send_to_that_is_none(session, tmp_path, capsys):
     addresses = dict.fromkeys(("cam0", "cam1"), "http://127.0.0.1:1/")
     command = words("live", session, addresses, tmp_path / "r", "--send", "nowhere")
