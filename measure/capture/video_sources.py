@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import closing
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,18 +21,30 @@ if TYPE_CHECKING:
 class AvSource(Source):
     """What a video library opens: motion JPEG is kept as it comes, all else decoded."""
 
-    def __init__(self, address: str, opened: str, form: str | None = None, **options: str) -> None:
+    def __init__(
+        self,
+        address: str,
+        opened: str,
+        options: Sequence[Mapping[str, str]],
+        form: str | None = None,
+    ) -> None:
+        """Make one; nothing is opened yet.
+
+        Args:
+            address: for messages.
+            opened: as the library takes it.
+            options: of the library; the first that it can open the address with.
+            form: what kind of address it is, where the library cannot tell.
+        """
         super().__init__(address)
-        self._opened, self._form, self._options = opened, form, options
+        self._opened, self._form, self._options = opened, form, tuple(options)
 
     def shots(self) -> Iterator[Shot]:
         """Pictures as they come, with the times the device, or the stream, gives them."""
         import av
 
         try:
-            with av.open(
-                self._opened, format=self._form, options=self._options, timeout=PATIENCE_S
-            ) as container:
+            with self._container() as container:
                 if not container.streams.video:
                     raise CaptureError(f"{self.address}: shows no picture")
                 for device_s, jpeg, pixels in _pictures(container):
@@ -40,6 +52,20 @@ class AvSource(Source):
         except (av.error.FFmpegError, OSError) as problem:
             told = getattr(problem, "strerror", None) or str(problem)
             raise CaptureError(f"{self.address}: {told}") from None
+
+    def _container(self) -> av.container.InputContainer:
+        import av
+
+        *firsts, last = self._options
+        for options in firsts:
+            with suppress(av.error.ArgumentError):
+                return self._open(options)
+        return self._open(last)
+
+    def _open(self, options: Mapping[str, str]) -> av.container.InputContainer:
+        import av
+
+        return av.open(self._opened, format=self._form, options=dict(options), timeout=PATIENCE_S)
 
 
 class FileSource(Source):
@@ -87,12 +113,13 @@ def device_source(address: str, size_wh: tuple[int, int] | None, rate_hz: float 
     if not path.exists():
         there = sorted(str(one) for one in Path("/dev").glob("video*"))
         raise CaptureError(f"there is no camera {path}; there is {', '.join(there) or 'none'}")
-    options = {"input_format": "mjpeg"}
+    options = {}
     if size_wh is not None:
         options["video_size"] = f"{size_wh[0]}x{size_wh[1]}"
     if rate_hz is not None:
         options["framerate"] = f"{rate_hz:g}"
-    return AvSource(str(path), str(path), "v4l2", **options)
+    ways = [{**options, "input_format": "mjpeg"}, options]
+    return AvSource(str(path), str(path), ways, "v4l2")
 
 
 def rtsp_source(address: str) -> AvSource:
@@ -100,7 +127,7 @@ def rtsp_source(address: str) -> AvSource:
     from urllib.parse import urlsplit
 
     shown = address.replace(f"{urlsplit(address).netloc.rpartition('@')[0]}@", "", 1)
-    return AvSource(shown, address, rtsp_transport="tcp", fflags="nobuffer")
+    return AvSource(shown, address, [{"rtsp_transport": "tcp", "fflags": "nobuffer"}])
 
 
 def _pictures(

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from measure.capture import CameraAddress, Cameras
-from measure.capture.video_sources import FileSource, rtsp_source
+from measure.capture.video_sources import FileSource, device_source, rtsp_source
 from measure.errors import CaptureError
 
 SIZE = (64, 48)
@@ -71,3 +71,25 @@ def test_what_is_no_video_is_told(tmp_path):
 def test_an_rtsp_camera_that_is_not_there_is_told_without_its_password():
     with pytest.raises(CaptureError, match=r"^rtsp://127\.0\.0\.1:1/x: Connection refused"):
         next(rtsp_source("rtsp://me:secret@127.0.0.1:1/x").shots())
+
+
+@pytest.mark.parametrize("knows_mjpeg", [True, False])
+def test_a_device_is_asked_for_motion_jpeg_first(tmp_path, monkeypatch, knows_mjpeg):
+    """No device is at hand: this is what one is asked, not what it answers."""
+    path = tmp_path / "video0"
+    path.touch()
+    really, asked = av.open, []
+    shown = video(tmp_path / "a.mp4", count=3)
+
+    def opened(name, **how):
+        asked.append((name, how["format"], how["options"]))
+        if "input_format" in how["options"] and not knows_mjpeg:
+            raise av.error.ArgumentError(22, "Invalid argument")
+        return really(str(shown))
+
+    monkeypatch.setattr(av, "open", opened)
+    seen = list(device_source(str(path), (1280, 720), 30.0).shots())
+    assert len(seen) == 3
+    plain = {"video_size": "1280x720", "framerate": "30"}
+    first = (str(path), "v4l2", {**plain, "input_format": "mjpeg"})
+    assert asked == [first] if knows_mjpeg else [first, (str(path), "v4l2", plain)]
