@@ -42,7 +42,9 @@ class Gathering:
         unreadable: how many pictures could not be decoded.
     """
 
-    def __init__(self, names: Sequence[str]) -> None:
+    def __init__(self, names: Sequence[str], clock: Callable[[], float] = time.monotonic) -> None:
+        """Make one for cameras of these names; `clock` tells, in s, how long pictures wait."""
+        self._clock = clock
         self._waiting: dict[str, deque[tuple[float, Image]]] = {
             name: deque(maxlen=_MOST_WAITING) for name in names
         }
@@ -68,7 +70,7 @@ class Gathering:
                 self._steps[name].append(image.time_s - self._last_s[name])
             self._last_s[name] = image.time_s
             self._left[name] += len(self._waiting[name]) == _MOST_WAITING
-            self._waiting[name].append((time.monotonic(), image))
+            self._waiting[name].append((self._clock(), image))
             self._changed.notify()
 
     def frame_sets(
@@ -84,8 +86,15 @@ class Gathering:
         with self._changed:
             self._left = dict.fromkeys(self._left, 0)
         with ThreadPoolExecutor(len(self._waiting), thread_name_prefix="decode") as pool:
-            while (taken := self._take(over)) is not None:
+            while True:
                 check()
+                ended = over()
+                taken = self.take(ended)
+                if not taken:
+                    if ended:
+                        return
+                    self._wait()
+                    continue
                 images = [one for one in pool.map(_decoded, taken) if one is not None]
                 self.unreadable += len(taken) - len(images)
                 if images:
@@ -93,17 +102,20 @@ class Gathering:
                     yield FrameSet(index, middle, {image.camera: image for image in images})
                     index += 1
 
-    def _take(self, over: Callable[[], bool]) -> list[Image] | None:
-        """The pictures of the next set; None if there will be none, empty to look again."""
-        ended = over()
+    def take(self, ended: bool = False) -> list[Image]:
+        """The pictures of the next set; none as long as it is not ready.
+
+        Args:
+            ended: whether there will be no others, so that none is waited for.
+        """
         with self._changed:
-            if ended and not any(self._waiting.values()):
-                return None
-            if not self._is_ready(ended):
-                self._changed.wait(min(_LOOK_S, self._period_s()))
-                if not self._is_ready(ended):
-                    return []
-            return self._members()
+            return self._members() if self._is_ready(ended) else []
+
+    def _wait(self) -> None:
+        """Wait for a picture, but not so long that one waits for another in vain."""
+        with self._changed:
+            if not self._is_ready(ended=False):
+                self._changed.wait(min(_LOOK_S, self._period_s() / 2))
 
     def _is_ready(self, ended: bool) -> bool:
         """Whether there are pictures to make a set of, and none worth waiting for."""
@@ -114,7 +126,7 @@ class Gathering:
         if ended or not any(self._is_due(name, until_s) for name in self._waiting):
             return True
         since = min(put for put, _ in firsts)
-        return time.monotonic() - since > _PATIENCE_PERIODS * self._period_s()
+        return self._clock() - since > _PATIENCE_PERIODS * self._period_s()
 
     def _is_due(self, name: str, until_s: float) -> bool:
         """Whether a camera without a waiting picture should have taken one until then."""
