@@ -48,14 +48,23 @@ def main(tokens: Sequence[str] | None = None) -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     _let_streams_take_anything()
     try:
-        code = _dispatch(sys.argv[1:] if tokens is None else list(tokens))
+        return _explained(sys.argv[1:] if tokens is None else list(tokens))
+    except BrokenPipeError:
+        return _nobody_listens()
+    except SystemExit as end:
+        # How rich, which prints tables and help, takes a broken pipe.
+        if not isinstance(end.__context__, BrokenPipeError):
+            raise
+        return _nobody_listens()
+
+
+def _explained(tokens: list[str]) -> int:
+    """Run one command; what a user can mend is said in one line."""
+    try:
+        code = _dispatch(tokens)
         sys.stdout.flush()
     except MeasureError as error:
         return _mistake(str(error))
-    except BrokenPipeError:
-        # Whoever read our output has gone (`measure ... | head`): nobody is left to complain to.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return PIPE_CLOSED
     except UnicodeEncodeError as error:
         if error.reason != "surrogates not allowed":
             raise
@@ -70,6 +79,19 @@ def main(tokens: Sequence[str] | None = None) -> int:
         print("measure: interrupted", file=sys.stderr)
         return INTERRUPTED
     return code
+
+
+def _nobody_listens() -> int:
+    """Whoever read our output has gone (`measure ... | head`): say no more.
+
+    What could not be written would be tried again when python ends, and fail with noise.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except BrokenPipeError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+    return PIPE_CLOSED
 
 
 def _let_streams_take_anything() -> None:
