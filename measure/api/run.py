@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any, get_args
 
 from measure.api.measuring import measure_session
-from measure.api.profiles import build_pipeline, find_tracker
+from measure.api.profiles import find_tracker
 from measure.api.run_log import RunLog
 from measure.errors import ConfigError, MeasureError
 from measure.host import Registry
@@ -87,21 +88,21 @@ def run(
     with ExitStack() as stack:
         session = stack.enter_context(open_session(session_path, options.calibration, options.body))
         total = len(session.pair().times_s)
-        # What does not fit together is refused before a folder is made, or an earlier run lost.
-        build_pipeline(profile, registry, session.body, session.cameras)
         made_from = provenance(session, profile, registry)
-        writer = stack.enter_context(
-            RunWriter(
-                out, made_from, session.body, session.cameras, options.resume, options.overwrite
-            )
+        writer = RunWriter(
+            out, made_from, session.body, session.cameras, options.resume, options.overwrite
         )
         measured = measure_session(session, profile, registry, start=writer.next_index)
+        # Stages that do not fit together or fail at the very first picture are met here: before a
+        # folder is made, or an earlier run lost.
+        first = list(islice(measured, 1))
+        stack.enter_context(writer)
         log = (
             stack.enter_context(_log(session, out, options, writer.next_index))
             if (options.recording or options.viewer) and writer.next_index < total
             else None
         )
-        for frame_set, measurement in measured:
+        for frame_set, measurement in chain(first, measured):
             writer.append(measurement)
             if log is not None:
                 log.add(measurement, frame_set)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -32,6 +34,9 @@ _OWN_FILES = ("run.toml", "poses.csv", "summary.json", "run.rrd", "report.html",
 class RunWriter:
     """A run folder being written; use it as a context manager.
 
+    Whatever cannot be is refused when it is built. Entering it begins the run: only then are files
+    written, and those of an earlier run thrown away.
+
     Args:
         folder: new, empty, or (with `resume` or `overwrite`) an earlier run.
         provenance: what the run is made from.
@@ -56,30 +61,30 @@ class RunWriter:
         overwrite: bool = False,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._folder = folder
+        self._folder, self._provenance = folder, provenance
+        self._body, self._cameras = body, tuple(cameras)
         self._clock = clock
-        self._body, self._notes = body, provenance.notes
         with writing(folder):
-            earlier = _prepare(folder, provenance, resume, overwrite)
-            if not earlier:
-                (folder / "run.toml").write_text(dump_toml(provenance.values()), "utf-8")
-                write_body(folder / "body.toml", body)
-                write_calibration(folder / "calibration.toml", Calibration(tuple(cameras)))
-            kept = read_tables(folder, body, cameras) if earlier else {}
-            self._journals = {
-                name: Journal(folder / f"{name}.arrows", schema, kept.get(name))
-                for name, schema in SCHEMAS.items()
-            }
-            self._csv = _open_csv(folder / "poses.csv", kept.get("poses"))
+            _refuse(folder, resume, overwrite)
+            going_on = resume and _can_go_on(folder, provenance)
+            self._kept = read_tables(folder, body, cameras) if going_on else {}
+        self.next_index = self._kept["poses"].num_rows if going_on else 0
         self._files = ExitStack()
-        self._files.callback(self._csv.close)
-        for journal in self._journals.values():
-            self._files.callback(journal.close)
-        self.next_index = kept["poses"].num_rows if earlier else 0
-        self._flushed_s = clock()
         self._finished = False
 
     def __enter__(self) -> Self:
+        with writing(self._folder):
+            if not self._kept:
+                self._begin()
+            self._journals = {
+                name: Journal(self._folder / f"{name}.arrows", schema, self._kept.get(name))
+                for name, schema in SCHEMAS.items()
+            }
+            self._csv = _open_csv(self._folder / "poses.csv", self._kept.get("poses"))
+        self._files.callback(self._csv.close)
+        for journal in self._journals.values():
+            self._files.callback(journal.close)
+        self._flushed_s = self._clock()
         return self
 
     def __exit__(
@@ -123,12 +128,22 @@ class RunWriter:
             tables = {name: read_table(self._folder, name, s) for name, s in SCHEMAS.items()}
             distances = ball_distances(self._body, tables["balls"], tables["poses"])
             against = contradictions(self._body, distances)
-            summary = summarise(tables["detections"], tables["poses"], self._notes, against)
+            notes = self._provenance.notes
+            summary = summarise(tables["detections"], tables["poses"], notes, against)
             text = json.dumps(summary.values(), indent=2, allow_nan=False, ensure_ascii=False)
             (self._folder / "summary.json").write_text(text + "\n", "utf-8")
             for name, table in tables.items():
                 finish(self._folder, name, table)
         return summary
+
+    def _begin(self) -> None:
+        """Throw an earlier run away, and write what stands beside the tables."""
+        self._folder.mkdir(parents=True, exist_ok=True)
+        _clear(self._folder)
+        text = dump_toml(self._provenance.values())
+        (self._folder / "run.toml").write_text(text, "utf-8")
+        write_body(self._folder / "body.toml", self._body)
+        write_calibration(self._folder / "calibration.toml", Calibration(self._cameras))
 
     def _flush(self) -> None:
         # In this order a pose's row never stands without the rows it was made from.
@@ -137,34 +152,45 @@ class RunWriter:
         self._flushed_s = self._clock()
 
 
-def _prepare(folder: Path, provenance: Provenance, resume: bool, overwrite: bool) -> bool:
-    """Make the folder ready; True if an earlier run in it goes on."""
+def _refuse(folder: Path, resume: bool, overwrite: bool) -> None:
+    """Refuse a folder in which no run can be written, or not without losing one."""
     if resume and overwrite:
         raise RunError("--resume goes on with a run, --overwrite throws it away: give one of them")
     if folder.exists() and not folder.is_dir():
         raise RunError(f"{folder} is a file: choose a new folder with --out")
-    folder.mkdir(parents=True, exist_ok=True)
-    if not any(folder.iterdir()):
-        return False
+    there = next(place for place in (folder, *folder.absolute().parents) if place.exists())
+    if not (there.is_dir() and os.access(there, os.W_OK | os.X_OK)):
+        number = errno.EACCES if there.is_dir() else errno.ENOTDIR
+        raise OSError(number, os.strerror(number))
+    if not folder.exists() or not any(folder.iterdir()):
+        return
     if not (folder / "run.toml").exists():
         raise RunError(f"{folder} holds files but no run: choose a new folder with --out")
-    if overwrite:
-        for name in (*_OWN_FILES, "calibration.toml"):
-            (folder / name).unlink(missing_ok=True)
-        for part in folder.glob("run-*.rrd"):
-            part.unlink()
-        for name in SCHEMAS:
-            (folder / f"{name}.parquet").unlink(missing_ok=True)
-            (folder / f"{name}.arrows").unlink(missing_ok=True)
-        return False
-    if not resume:
+    if not (resume or overwrite):
         raise RunError(f"{folder} holds a run already: --resume goes on, --overwrite starts anew")
+
+
+def _can_go_on(folder: Path, provenance: Provenance) -> bool:
+    """Whether there is a run to go on with; one of something else is refused."""
+    if not (folder / "run.toml").exists():
+        return False
     if changed := provenance.differences(read_provenance(folder / "run.toml")):
         raise RunError(
             f"{folder} cannot be resumed: its run was made with other {', '.join(changed)}; "
             "--overwrite starts anew"
         )
     return True
+
+
+def _clear(folder: Path) -> None:
+    """Remove the files of an earlier run and no others."""
+    for name in (*_OWN_FILES, "calibration.toml"):
+        (folder / name).unlink(missing_ok=True)
+    for part in folder.glob("run-*.rrd"):
+        part.unlink()
+    for name in SCHEMAS:
+        (folder / f"{name}.parquet").unlink(missing_ok=True)
+        (folder / f"{name}.arrows").unlink(missing_ok=True)
 
 
 def _open_csv(path: Path, kept: pa.Table | None) -> GrowingFile:

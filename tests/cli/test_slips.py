@@ -71,6 +71,25 @@ def test_what_does_not_fit_together_costs_no_run(
     assert (run / "run.toml").read_text() == "an earlier run"
 
 
+def test_stages_that_fail_at_once_cost_no_run(
+    recording: Recording, monkeypatch: pytest.MonkeyPatch, capsys
+) -> None:
+    """Neither an earlier one, nor the next one a word more."""
+    run = recording.path.with_name("run")
+    with monkeypatch.context() as patched:
+        patched.setattr("measure_plugins.detectors.hough.HoughDetector.detect", lambda *_: 1 / 0)
+        said = complaint(capsys, *run_words(recording))
+        assert "detector 'hough' fails (camera" in said
+    assert not run.exists()
+    assert main([*run_words(recording)]) == 0
+    before = (run / "poses.parquet").read_bytes()
+    capsys.readouterr()
+    with monkeypatch.context() as patched:
+        patched.setattr("measure_plugins.detectors.hough.HoughDetector.detect", lambda *_: 1 / 0)
+        complaint(capsys, *run_words(recording, "--overwrite"))
+    assert (run / "poses.parquet").read_bytes() == before
+
+
 def test_an_open_quotation_mark_in_a_long_file(recording: Recording, capsys) -> None:
     rows = "".join(f"{k},{0.001 * k}\n" for k in range(20000))
     (recording.path / "cam1.csv").write_text('"frame,time_s\n' + rows)

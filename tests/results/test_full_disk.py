@@ -90,10 +90,15 @@ class _FullAfter:
 
 @pytest.mark.parametrize("room", [0, 500, 5_000, 20_001, 50_123])
 def test_a_full_disk_wherever_it_strikes(folder: Path, room: int) -> None:
-    writer = _Flushing(folder, made_from(), BODY, CAMERAS)
-    left = [room]
-    for file in (*(journal._file for journal in writer._journals.values()), writer._csv):
-        file._file = _FullAfter(file._file, left)
+    class OnSmallDisk(_Flushing):
+        def __enter__(self):
+            super().__enter__()
+            left = [room]
+            for file in (*(journal._file for journal in self._journals.values()), self._csv):
+                file._file = _FullAfter(file._file, left)
+            return self
+
+    writer = OnSmallDisk(folder, made_from(), BODY, CAMERAS)
     done: list[int] = []
     with pytest.raises(RunError, match="the disk is full"):
         _fill(writer, done)

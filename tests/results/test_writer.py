@@ -41,7 +41,7 @@ _KILLED = """
     from pathlib import Path
     from measure.results import RunWriter
     from tests.results.conftest import BODY, CAMERAS, made_from, measurement
-    writer = RunWriter(Path(sys.argv[1]), made_from(), BODY, CAMERAS)
+    writer = RunWriter(Path(sys.argv[1]), made_from(), BODY, CAMERAS).__enter__()
     started = time.monotonic()
     late = None
     for i in range(10_000):
@@ -220,3 +220,22 @@ def test_a_run_file_that_a_run_never_writes(folder: Path, text: str, message: st
     (folder / "run.toml").write_text(text)
     with pytest.raises(RunError, match=rf"run.toml: {message}"):
         read_run(folder)
+
+
+def test_nothing_is_touched_before_the_run_begins(folder: Path) -> None:
+    open_writer(folder)
+    assert not folder.exists()
+    with open_writer(folder) as writer:
+        writer.append(measurement(0))
+        writer.finish()
+    open_writer(folder, overwrite=True)
+    check_whole(folder, 1)
+
+
+def test_a_folder_that_may_not_be_written_is_refused_at_once(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before hot loops are compiled, and the first picture is measured."""
+    monkeypatch.setattr("os.access", lambda *_: False)
+    with pytest.raises(RunError, match=r"cannot write \(Permission denied\); nothing was begun"):
+        open_writer(folder)
