@@ -160,8 +160,37 @@ def test_what_was_not_written_is_not_said_to_be(run, tmp_path, file_format, modu
             export_run(run, file_format, path, overwrite=True)
     assert not list((tmp_path / "folder").iterdir())
     if file_format == "c3d" and Path("/dev/full").exists():
-        with pytest.raises(RunError, match=r"cannot be written: (No space left|nothing of)"):
+        with pytest.raises(RunError, match="cannot be written: No space left"):
             export_run(run, file_format, Path("/dev/full"), overwrite=True)
+
+
+def test_a_c3d_that_was_cut_is_not_said_to_be_whole(run, tmp_path, monkeypatch) -> None:
+    ezc3d = pytest.importorskip("ezc3d")
+    real = ezc3d.c3d.write
+
+    def cut(self, path: str) -> None:
+        real(self, path)
+        Path(path).write_bytes(Path(path).read_bytes()[:600])
+
+    monkeypatch.setattr(ezc3d.c3d, "write", cut)
+    with pytest.raises(RunError, match="is the disk full"):
+        export_run(run, "c3d", tmp_path / "x.c3d")
+    assert not (tmp_path / "x.c3d").exists()
+
+
+@pytest.mark.parametrize("file_format", FORMATS)
+def test_a_folder_whose_name_is_no_text(run: Run, tmp_path: Path, file_format: str) -> None:
+    pytest.importorskip({"c3d": "ezc3d", "mcap": "rosbags"}.get(file_format, "numpy"))
+    folder = tmp_path / "s\udcff"
+    try:
+        folder.mkdir()
+    except OSError:
+        pytest.skip("this file system knows no such names")
+    plain = export_run(run, file_format, tmp_path / "x").read_bytes()
+    if file_format == "mcap":  # which holds the moment it was written
+        assert len(export_run(run, file_format, folder / "x").read_bytes()) == len(plain)
+    else:
+        assert export_run(run, file_format, folder / "x").read_bytes() == plain
 
 
 def test_times_that_ros_does_not_know_are_refused(run, tmp_path) -> None:

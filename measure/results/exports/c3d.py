@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -36,8 +38,12 @@ def write(run: Run, path: Path) -> None:
     analog["UNITS"]["value"] = ["s", ""]
     channels = np.stack([markers.times_s - markers.times_s[0], np.arange(count)])
     file["data"]["analogs"] = channels[None]
-    # ezc3d says nothing of a file that it could not write.
-    path.write_bytes(b"")
-    file.write(str(path))
-    if not path.stat().st_size:
-        raise OSError(f"nothing of {8 * homogeneous.size} bytes was written: is the disk full?")
+    # ezc3d says nothing of a file that it could not write, and knows UTF-8 names only: it writes
+    # where it can, and what it wrote is copied.
+    with tempfile.TemporaryDirectory() as scratch:
+        whole = Path(scratch) / "run.c3d"
+        file.write(str(whole))
+        least = 4 * (homogeneous.size + channels.size)
+        if not whole.exists() or whole.stat().st_size < least:
+            raise OSError(f"{scratch} did not take its {least} bytes: is the disk full?")
+        shutil.copyfile(whole, path)
