@@ -14,6 +14,7 @@ import numpy as np
 
 from measure.arrays import Bytes, Floats
 from measure.errors import SessionError
+from measure.session.avi_chunks import count_frames
 from measure.session.files import missing_message
 
 _COUNTED_CONTAINERS = ("avi",)
@@ -62,7 +63,7 @@ def index_video(path: Path, where: str) -> VideoIndex:
         packets = list(_packets(container, stream, path, where))
         name = container.format.name
         counted = any(kind in name for kind in _COUNTED_CONTAINERS)
-        _refuse_truncated(container, stream, packets, counted, f"{where}{path}")
+        _refuse_truncated(container, stream, packets, counted, path, where)
         packets = [packet for packet in packets if not packet[3]]
         if not packets:
             raise SessionError(f"{where}{path}: the video has no frames")
@@ -227,12 +228,13 @@ def _packets(
 
 
 def _refuse_truncated(
-    container: Any, stream: Any, packets: list[Any], counted: bool, source: str
+    container: Any, stream: Any, packets: list[Any], counted: bool, path: Path, where: str
 ) -> None:
+    source = f"{where}{path}"
     promised, there = int(stream.frames or 0), len(packets)
-    if counted and packets:
+    if counted and promised > there:
         # A frame that the camera dropped stands there empty, and counts.
-        there = max(packet[1] or 0 for packet in packets) + 1
+        there = count_frames(path, stream.index)
     if promised > there > 0:
         raise SessionError(
             f"{source}: the video is cut off: {there} of {promised} frames are there{_REMEDY}"

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import struct
 from fractions import Fraction
 from pathlib import Path
 
@@ -90,8 +91,7 @@ def test_a_cut_video_is_refused_by_name(
     assert ("to use the rest" in message) == ("the video is cut off: " in message)
 
 
-def test_a_frame_that_was_dropped_leaves_its_time_empty(tmp_path: Path) -> None:
-    path, there = tmp_path / "cam.avi", [0, 1, 3, 4]
+def _write_avi(path: Path, there: list[int]) -> None:
     with av.open(str(path), "w") as out:
         stream = out.add_stream("mjpeg", rate=30)
         stream.width, stream.height, stream.pix_fmt = 64, 48, "yuvj420p"
@@ -101,10 +101,43 @@ def test_a_frame_that_was_dropped_leaves_its_time_empty(tmp_path: Path) -> None:
             frame.pts, frame.time_base = k, Fraction(1, 30)
             out.mux(stream.encode(frame))
         out.mux(stream.encode(None))
+
+
+def _drop_last(path: Path, count: int) -> None:
+    """Make the last frames' chunks empty, as a camera writes frames that it dropped."""
+    data = path.read_bytes()
+    chunks, index = data.split(b"idx1")
+    pieces = chunks.split(b"00dc")
+    chunks = b"00dc".join(pieces[:-count]) + b"00dc\0\0\0\0" * count
+    entries = index[4 : 4 - 16 * count + int.from_bytes(index[:4], "little")]
+    empty = b"00dc" + struct.pack("<III", 0, len(chunks) - chunks.index(b"movi") - 8, 0)
+    index = b"idx1" + struct.pack("<I", len(entries) + 16 * count) + entries + empty * count
+    start = chunks.index(b"movi")
+    chunks = chunks[: start - 4] + struct.pack("<I", len(chunks) - start) + chunks[start:]
+    path.write_bytes(b"RIFF" + struct.pack("<I", len(chunks + index) - 8) + (chunks + index)[8:])
+
+
+@pytest.mark.parametrize(("written", "dropped"), [([0, 1, 3, 4], 0), ([0, 1, 3, 4, 5, 6], 2)])
+def test_a_frame_that_was_dropped_leaves_its_time_empty(tmp_path, written, dropped) -> None:
+    path, there = tmp_path / "cam.avi", [0, 1, 3, 4]
+    _write_avi(path, written)
+    if dropped:
+        _drop_last(path, dropped)
     video = open_video_stream("cam", path)
     assert video.times_s == pytest.approx(np.array(there) / 30)
     for position, k in enumerate(there):
         assert abs(video.read(position).pixels.mean() - level(k)) < 4
+
+
+def test_a_cut_video_with_dropped_frames_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "cam.avi"
+    _write_avi(path, [0, 1, 3, 4, 5, 6, 7])
+    _drop_last(path, 2)
+    data = path.read_bytes()
+    for missing, there in ((4, 7), (8, 7), (16, 6)):
+        path.write_bytes(data[: data.index(b"idx1") - missing])
+        with pytest.raises(SessionError, match=f"the video is cut off: {there} of 8 frames"):
+            open_video_stream("cam", path)
 
 
 def test_damage_within_a_video_names_the_frame(tmp_path: Path) -> None:
