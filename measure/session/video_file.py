@@ -16,6 +16,7 @@ from measure.arrays import Bytes, Floats
 from measure.errors import SessionError
 from measure.session.avi_chunks import count_frames
 from measure.session.files import missing_message
+from measure.session.matroska import missing_bytes
 
 _COUNTED_CONTAINERS = ("avi",)
 """These store no presentation time: the n-th picture shown gets the n-th time."""
@@ -239,14 +240,24 @@ def _refuse_truncated(
         raise SessionError(
             f"{source}: the video is cut off: {there} of {promised} frames are there{_REMEDY}"
         )
-    # Matroska promises no number of frames, but a duration; with sound it may be the sound's.
-    stamps = [packet[0] for packet in packets if packet[0] is not None]
-    if promised or not container.duration or not stamps or len(container.streams) > 1:
-        return
-    start, end = (float(stamp * stream.time_base) for stamp in (min(stamps), max(stamps)))
-    step = (end - start) / (len(stamps) - 1) if len(stamps) > 1 else 0.1
-    missing = container.duration / 1e6 - end - step
-    if missing > 0.75 * step + 0.002:
+    if not promised and (missing := _missing_s(container, stream, packets)):
         raise SessionError(
             f"{source}: the video is cut off: its last {missing:.2f} s are missing{_REMEDY}"
         )
+    # Frames are stored in the order in which they decode: the last ones need not be the latest.
+    if "matroska" in container.format.name and (short := missing_bytes(path)):
+        raise SessionError(
+            f"{source}: the video is cut off: its last {short} bytes are missing{_REMEDY}"
+        )
+
+
+def _missing_s(container: Any, stream: Any, packets: list[Any]) -> float:
+    """What the end lacks of the duration that a container promises without a number of frames."""
+    stamps = [packet[0] for packet in packets if packet[0] is not None]
+    # With sound the duration may be the sound's.
+    if not container.duration or not stamps or len(container.streams) > 1:
+        return 0.0
+    start, end = (float(stamp * stream.time_base) for stamp in (min(stamps), max(stamps)))
+    step = (end - start) / (len(stamps) - 1) if len(stamps) > 1 else 0.1
+    missing = container.duration / 1e6 - end - step
+    return missing if missing > 0.75 * step + 0.002 else 0.0

@@ -91,6 +91,26 @@ def test_a_cut_video_is_refused_by_name(
     assert ("to use the rest" in message) == ("the video is cut off: " in message)
 
 
+@pytest.mark.parametrize("missing", [1, 60, 75, 90])
+def test_a_cut_that_costs_only_frames_before_the_last_is_refused(tmp_path, missing) -> None:
+    """Such as are shown before one that is stored before them."""
+    path = tmp_path / "left.mkv"
+    write_video(path, "libx264", options={"bf": "3", "g": "12"})
+    data = path.read_bytes()
+    path.write_bytes(data[:-missing])
+    with pytest.raises(SessionError, match=r"the video is cut off: its last .* are missing"):
+        open_video_stream("left", path)
+    path.write_bytes(data + b"more")
+    assert len(open_video_stream("left", path)) == 24
+
+
+def test_a_recording_of_unknown_size_is_taken_as_it_is(tmp_path: Path) -> None:
+    """As a recorder leaves it that is stopped by force, or writes to a pipe."""
+    path = tmp_path / "left.mkv"
+    write_video(path, "libx264", options={"bf": "3", "g": "12"}, container={"live": "1"})
+    assert len(open_video_stream("left", path)) == 24
+
+
 def _write_avi(path: Path, there: list[int]) -> None:
     with av.open(str(path), "w") as out:
         stream = out.add_stream("mjpeg", rate=30)
