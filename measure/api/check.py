@@ -30,6 +30,7 @@ from measure.measuring.checks import (
     Surveyed,
     camera_misfits,
     coverage_findings,
+    damage_findings,
     expected_accuracy,
     misfit_findings,
     repeat_findings,
@@ -39,7 +40,7 @@ from measure.measuring.checks import (
 )
 from measure.measuring.clocks import CameraClock, estimate_clocks
 from measure.measuring.self_check import BodyCheck, Located, check_body, locate_in_candidates
-from measure.session import Session, open_session
+from measure.session import Session, damaged_frames, holds_jpeg, open_session
 
 if TYPE_CHECKING:
     from measure.model import Detection, FrameSet
@@ -116,7 +117,9 @@ def check(
         warm_pipeline(profile, registry, session.body, session.cameras)
         surveys, located, repeats, colorless = [], [], RepeatCount(), ColorlessCount()
         overexposed = OverexposedCount()
-        step = _steps(report, len(chosen) + min(clock_samples, total))
+        jpeg = [stream for stream in session.streams.values() if holds_jpeg(stream)]
+        longest = max(map(len, jpeg), default=0)
+        step = _steps(report, len(chosen) + min(clock_samples, total) + longest)
         for frame_set, seen in _search(session, chosen, registry, profile):
             surveys.append(survey_frame_set(seen, session.body, session.cameras, frame_set.time_s))
             repeats.look(frame_set)
@@ -126,6 +129,8 @@ def check(
             step()
         clocks = _clocks(session, surveys, registry, profile, clock_samples, repeats, step)
         pictures = _stalls(session, repeats) + colorless.findings() + overexposed.findings()
+        for name, frames in damaged_frames(jpeg, step).items():
+            pictures += damage_findings(name, frames, len(session.streams[name]))
         return _concluded(session, total, surveys, located, clocks, pictures)
 
 

@@ -30,9 +30,9 @@ def check(
 ) -> None:
     """Say what is wrong or weak in a session before it is measured.
 
-    Looks for dropped frames, pictures that come twice, uneven stamps, clocks that differ, a
-    shutter that rolls, a body file that does not match, cameras that were moved or are calibrated
-    badly, balls that are seldom seen; and says how accurate the set-up can be.
+    Looks for dropped frames, pictures that come twice or are damaged, uneven stamps, clocks that
+    differ, a shutter that rolls, a body file that does not match, cameras that were moved or are
+    calibrated badly, balls that are seldom seen; and says how accurate the set-up can be.
 
     Args:
         session: the session's folder; it is only read.

@@ -4,6 +4,7 @@ from measure.session.body_file import read_body, write_body
 from measure.session.calibration_file import Calibration
 from measure.session.calibrations import read_calibration, read_intrinsics, write_calibration
 from measure.session.clock_shifts import clock_values
+from measure.session.damage import damaged_frames, holds_jpeg
 from measure.session.files import FileModel, Length, Name, Position, load_toml, matching_files
 from measure.session.opening import open_session, session_truth
 from measure.session.pairing import Pairing, pair_nearest
@@ -26,8 +27,10 @@ __all__ = [
     "Trajectory",
     "VideoStream",
     "clock_values",
+    "damaged_frames",
     "decode_picture",
     "dump_toml",
+    "holds_jpeg",
     "is_complete_jpeg",
     "load_toml",
     "matching_files",

@@ -12,7 +12,7 @@ from measure.errors import SessionError
 from measure.session.files import missing_message
 
 JPEG_START = b"\xff\xd8"
-_JPEG_SCAN, _JPEG_END = b"\xff\xda", b"\xff\xd9"
+JPEG_SCAN, JPEG_END = b"\xff\xda", b"\xff\xd9"
 
 
 def read_picture(path: Path | str) -> Bytes:
@@ -48,7 +48,7 @@ def is_complete_jpeg(data: bytes | bytearray) -> bool:
     """Whether it is a JPEG that has an end; most have it at the very end, quicker to see."""
     if not data.startswith(JPEG_START):
         return False
-    return data.endswith(_JPEG_END) or data.rfind(_JPEG_END) > data.rfind(_JPEG_SCAN)
+    return data.endswith(JPEG_END) or data.rfind(JPEG_END) > data.rfind(JPEG_SCAN)
 
 
 def decode_picture(data: bytes, where: str) -> Bytes:

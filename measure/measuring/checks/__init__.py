@@ -7,6 +7,7 @@ from measure.measuring.checks.coverage import (
     expected_accuracy,
     expected_sd,
 )
+from measure.measuring.checks.damaged import damage_findings
 from measure.measuring.checks.finding import Finding, Level
 from measure.measuring.checks.moved import Misfit, camera_misfits, misfit_findings
 from measure.measuring.checks.overexposed import OverexposedCount
@@ -25,6 +26,7 @@ __all__ = [
     "Surveyed",
     "camera_misfits",
     "coverage_findings",
+    "damage_findings",
     "expected_accuracy",
     "expected_sd",
     "misfit_findings",

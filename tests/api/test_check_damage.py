@@ -1,0 +1,54 @@
+"""`measure check` names pictures that are damaged and decode all the same."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from measure.cli.app import main
+from tests.session.conftest import write_recording
+from tests.session.videos import write_video
+
+
+def _rough(seed: int) -> bytes:
+    pixels = np.random.default_rng(seed).integers(0, 255, (48, 64, 3), np.uint8)
+    return cv2.imencode(".jpg", pixels)[1].tobytes()
+
+
+def _damaged(data: bytes) -> bytes:
+    return data[: len(data) // 2] + data[len(data) // 2 + 400 :]
+
+
+@pytest.fixture
+def said(capsys):
+    def check(path: Path) -> list[str]:
+        given = ("--samples", "2", "--clock-samples", "0", "--json")
+        assert main(["check", str(path), *given]) == 0
+        found = json.loads(capsys.readouterr().out)["findings"]
+        return [f["text"] for f in found if "damaged" in f["text"] and f["level"] == "wrong"]
+
+    return check
+
+
+def test_damaged_pictures_are_named_wherever_they_are(tmp_path, said) -> None:
+    recording = write_recording(tmp_path / "rec", frames=8)
+    for k in range(8):
+        (recording.path / "cam1" / f"{k:06d}.jpg").write_bytes(_rough(k))
+    assert said(recording.path) == []
+    for k in (3, 5):
+        (recording.path / "cam1" / f"{k:06d}.jpg").write_bytes(_damaged(_rough(k)))
+    (line,) = said(recording.path)
+    assert line.startswith("cam1: 2 of 8 pictures are damaged (frames 3, 5): ")
+
+
+def test_videos_of_other_codecs_are_passed_over(tmp_path, said) -> None:
+    """What they hold is checked as it is decoded."""
+    recording = write_recording(tmp_path / "rec", frames=8)
+    for camera, codec in (("cam1", "libx264"), ("cam2", "mjpeg")):
+        write_video(recording.path / f"{camera}.mp4", codec, frames=8)
+        recording.replace("session.toml", f'images = "{camera}/*.jpg"', f'video = "{camera}.mp4"')
+    assert said(recording.path) == []
