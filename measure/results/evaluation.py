@@ -12,7 +12,7 @@ from measure.errors import DegenerateGeometryError, RunError
 from measure.geometry import RigidTransform, align_points
 from measure.model import Camera
 from measure.results.columns import integers, matrices, numbers, texts
-from measure.results.marks import Marks
+from measure.results.marks import Marks, passed_over
 from measure.results.run import Run
 from measure.results.single_errors import (
     SingleErrors,
@@ -146,7 +146,7 @@ def evaluate(
         if marks is not None
         else detection_errors_by_truth(run, truth, cameras or run.cameras),
         localisation=localisation_errors_by_truth(run, truth, cameras) if cameras else None,
-        notes=_notes(run, body, missing, marks is None and cameras is None),
+        notes=_notes(run, body, missing, marks, cameras is None),
     )
 
 
@@ -249,7 +249,11 @@ def _checked_cameras(run: Run, cameras: Sequence[Camera] | None) -> Sequence[Cam
 
 
 def _notes(
-    run: Run, body: PositionErrors | None, missing: int, cameras_unknown: bool
+    run: Run,
+    body: PositionErrors | None,
+    missing: int,
+    marks: Marks | None,
+    cameras_unknown: bool,
 ) -> tuple[str, ...]:
     notes = []
     if missing:
@@ -261,7 +265,11 @@ def _notes(
             f"half of the poses are more than {body.median_3d_mm:.0f} mm off: is this the truth of "
             "this session?"
         )
-    if cameras_unknown:
+    if marks is not None and (over := passed_over(run, marks)):
+        notes.append(
+            f"{over} of {len(marks)} marks are of frames that the run has not: passed over"
+        )
+    if marks is None and cameras_unknown:
         notes.append("detection alone: the run's own cameras are taken as exact")
     if not run.finished:
         notes.append("the run is not finished")

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from measure.model import Camera
 from measure.results import Evaluation, Run, RunWriter, evaluate, read_marks, read_run
 from measure.session import read_trajectory
 from tests.results.conftest import BODY, CAMERAS, PERIOD_S, made_from, measurement, write_truth
+from tests.session.conftest import write_recording
 
 COUNT = 60
 
@@ -247,6 +249,42 @@ def test_a_frame_that_may_have_been_skipped_may_be_marked(tmp_path: Path) -> Non
     run = _run(tmp_path / "run", lambda i: measurement(i, lost=i > 1), count=4)
     (tmp_path / "marks.csv").write_text("camera,frame,ball,u_px,v_px\ncam0,3,green,2,3\n")
     assert read_marks(tmp_path / "marks.csv", run)
+
+
+@pytest.fixture
+def stopped(tmp_path: Path) -> Run:
+    """A run of a recording with six frames, of which it measured two."""
+    recording = write_recording(tmp_path / "rec", frames=6)
+    made = replace(made_from(), session=str(recording.path / "session.toml"))
+    with RunWriter(tmp_path / "run", made, BODY, CAMERAS) as writer:
+        writer.append(measurement(0))
+        writer.append(measurement(1))
+    return read_run(tmp_path / "run")
+
+
+def test_frames_beyond_the_end_of_a_stopped_run_may_be_marked(stopped: Run, tmp_path: Path) -> None:
+    path = tmp_path / "marks.csv"
+    rows = [f"cam{c},{f},green,2,3" for c in (0, 1) for f in (0, 1, 5)]
+    path.write_text("\n".join(["camera,frame,ball,u_px,v_px", *rows]))
+    marks = read_marks(path, stopped)
+    truth = read_trajectory(write_truth(tmp_path / "truth.csv", 2 * PERIOD_S))
+    found = evaluate(stopped, truth, marks=marks)
+    assert "2 of 6 marks are of frames that the run has not: passed over" in found.notes
+    assert found.detection is not None
+    assert found.detection.pixels is not None
+    assert found.detection.pixels.count == 4
+    path.write_text("camera,frame,ball,u_px,v_px\ncam0,6,green,2,3\n")
+    with pytest.raises(RunError, match="has no frame 6 of cam0"):
+        read_marks(path, stopped)
+    (tmp_path / "rec" / "session.toml").unlink()
+    assert len(read_marks(path, read_run(stopped.path))) == 1, "nobody can tell any more"
+
+
+def test_no_frame_beyond_the_end_of_a_whole_run_may_be_marked(stopped: Run, tmp_path) -> None:
+    (tmp_path / "marks.csv").write_text("camera,frame,ball,u_px,v_px\ncam0,5,green,2,3\n")
+    assert read_marks(tmp_path / "marks.csv", stopped)
+    with pytest.raises(RunError, match="has no frame 5 of cam0"):
+        read_marks(tmp_path / "marks.csv", replace(stopped, finished=True))
 
 
 def _change(path: Path, column: Callable[[list[float]], list[float]]) -> None:
