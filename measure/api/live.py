@@ -23,6 +23,7 @@ from measure.api.recording import (
     sources_of,
 )
 from measure.api.run import body_digest, plugins_of, resolved
+from measure.api.run_log import check_viewer
 from measure.api.stopping import until_stopped
 from measure.api.warming_up import warm_pipeline
 from measure.capture import CameraAddress, CameraCount, Cameras, Gathering, check_new
@@ -113,6 +114,8 @@ def live(
         check_new(options.record)
     if (out / RUN_FILE).exists() and not options.overwrite:
         raise RunError(f"{out} holds a run already: --overwrite throws it away")
+    if options.viewer:
+        check_viewer(options.viewer)
     pipeline = warm_pipeline(profile, registry, measured, calibrated)
     made_from = _provenance(options.record, calibration, measured, profile, registry)
     gathering = Gathering([camera.name for camera in calibrated])

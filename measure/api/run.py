@@ -11,7 +11,7 @@ from typing import Any, get_args
 
 from measure.api.measuring import measure_session
 from measure.api.profiles import find_tracker
-from measure.api.run_log import RunLog
+from measure.api.run_log import RunLog, check_viewer
 from measure.errors import ConfigError, MeasureError
 from measure.host import Registry
 from measure.host.settings import read_settings
@@ -88,6 +88,8 @@ def run(
     with ExitStack() as stack:
         session = stack.enter_context(open_session(session_path, options.calibration, options.body))
         total = len(session.pair().times_s)
+        if options.viewer:
+            check_viewer(options.viewer)
         made_from = provenance(session, profile, registry)
         writer = RunWriter(
             out, made_from, session.body, session.cameras, options.resume, options.overwrite

@@ -21,6 +21,17 @@ RESERVED_BYTES = 32_000_000
 """The recording is not written to a disk with less room: more than it holds back at a time."""
 
 
+def check_viewer(address: str) -> None:
+    """Refuse an address where no viewer listens, before anything is measured.
+
+    Raises:
+        ConfigError: none does.
+    """
+    from measure.viewing.stream import check_listening
+
+    check_listening(address)
+
+
 class RunLog:
     """The recording of a run, with the error against truth where there is one; its further parts.
 

@@ -39,7 +39,7 @@ def open_recording(
     """
     stream = rr.RecordingStream("triball", recording_id=part_of)
     if address is not None:
-        _check_listening(address)
+        check_listening(address)
     sinks: list[rr.FileSink | rr.GrpcSink] = [rr.FileSink(path)] if path else []
     sinks += [rr.GrpcSink(address)] if address else []
     stream.set_sinks(*sinks, default_blueprint=run_blueprint(cameras))
@@ -47,19 +47,34 @@ def open_recording(
     return stream
 
 
-def _check_listening(address: str) -> None:
-    """Rerun itself would drop everything it cannot send, and only log that."""
-    parts = urlsplit(address)
-    if not parts.scheme.startswith("rerun") or parts.hostname is None:
-        raise ConfigError(
-            f"'{address}' is no viewer's address: expected rerun+http://127.0.0.1:9876/proxy"
-        )
+def check_listening(address: str) -> None:
+    """Refuse an address where no viewer is.
+
+    Rerun itself would drop everything it cannot send, and only log that.
+
+    Raises:
+        ConfigError: as said.
+    """
+    host, port = _host_and_port(address)
     deadline = time.monotonic() + CONNECT_WITHIN_S
     while True:
         try:
-            socket.create_connection((parts.hostname, parts.port or 9876), timeout=1.0).close()
+            socket.create_connection((host, port), timeout=1.0).close()
             return
         except OSError as error:
             if time.monotonic() > deadline:
                 raise ConfigError(f"no viewer listens at {address}: {error.strerror}") from error
             time.sleep(0.1)
+
+
+def _host_and_port(address: str) -> tuple[str, int]:
+    try:
+        parts = urlsplit(address)
+        host, port = parts.hostname, parts.port or 9876
+    except ValueError:
+        host = None
+    if host is None or not parts.scheme.startswith("rerun"):
+        raise ConfigError(
+            f"'{address}' is no viewer's address: expected rerun+http://127.0.0.1:9876/proxy"
+        )
+    return host, port

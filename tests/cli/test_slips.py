@@ -90,6 +90,15 @@ def test_stages_that_fail_at_once_cost_no_run(
     assert (run / "poses.parquet").read_bytes() == before
 
 
+def test_a_viewer_that_is_not_there_costs_no_run(
+    recording: Recording, monkeypatch: pytest.MonkeyPatch, capsys
+) -> None:
+    monkeypatch.setattr("measure.viewing.stream.CONNECT_WITHIN_S", 0.0)
+    words = run_words(recording, "--connect", "rerun+http://127.0.0.1:1/proxy")
+    assert "no viewer listens at rerun+http://127.0.0.1:1/proxy" in complaint(capsys, *words)
+    assert not recording.path.with_name("run").exists()
+
+
 def test_an_open_quotation_mark_in_a_long_file(recording: Recording, capsys) -> None:
     rows = "".join(f"{k},{0.001 * k}\n" for k in range(20000))
     (recording.path / "cam1.csv").write_text('"frame,time_s\n' + rows)

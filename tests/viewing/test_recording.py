@@ -130,7 +130,12 @@ def test_size_without_images(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     ("address", "said"),
-    [("localhost:9876", "is no viewer's address"), ("rerun+http://127.0.0.1:1/proxy", "no viewer")],
+    [
+        ("localhost:9876", "is no viewer's address"),
+        ("rerun+http://h:99999", "is no viewer's address"),
+        ("rerun+http://[h", "is no viewer's address"),
+        ("rerun+http://127.0.0.1:1/proxy", "no viewer"),
+    ],
 )
 def test_a_viewer_that_does_not_listen_is_said_not_silently_skipped(address, said, monkeypatch):
     monkeypatch.setattr(stream, "CONNECT_WITHIN_S", 0.0)
