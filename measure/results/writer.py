@@ -182,15 +182,17 @@ def _can_go_on(folder: Path, provenance: Provenance) -> bool:
     return True
 
 
+def own_files(folder: Path) -> list[Path]:
+    """The files that are a run's own: those that are there, and those that may be."""
+    names = [*_OWN_FILES, "calibration.toml"]
+    names += [f"{table}.{kind}" for table in SCHEMAS for kind in ("parquet", "arrows")]
+    return [*(folder / name for name in names), *folder.glob("run-*.rrd")]
+
+
 def _clear(folder: Path) -> None:
     """Remove the files of an earlier run and no others."""
-    for name in (*_OWN_FILES, "calibration.toml"):
-        (folder / name).unlink(missing_ok=True)
-    for part in folder.glob("run-*.rrd"):
-        part.unlink()
-    for name in SCHEMAS:
-        (folder / f"{name}.parquet").unlink(missing_ok=True)
-        (folder / f"{name}.arrows").unlink(missing_ok=True)
+    for file in own_files(folder):
+        file.unlink(missing_ok=True)
 
 
 def _open_csv(path: Path, kept: pa.Table | None) -> GrowingFile:

@@ -193,6 +193,15 @@ def test_a_folder_whose_name_is_no_text(run: Run, tmp_path: Path, file_format: s
         assert export_run(run, file_format, folder / "x").read_bytes() == plain
 
 
+@pytest.mark.parametrize("name", ["poses.csv", "run.toml", "poses.parquet", "x/../body.toml"])
+def test_a_runs_own_files_are_not_replaced(run: Run, name: str) -> None:
+    (run.path / "x").mkdir(exist_ok=True)
+    before = (run.path / name).read_bytes()
+    with pytest.raises(RunError, match="is a file of the run itself"):
+        export_run(run, "csv", run.path / name, overwrite=True)
+    assert (run.path / name).read_bytes() == before
+
+
 def test_times_that_ros_does_not_know_are_refused(run, tmp_path) -> None:
     pytest.importorskip("rosbags")
     early = run.poses.set_column(1, "time_s", pa.array(run.times_s - 1.0))

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from measure.errors import ConfigError, RunError
 from measure.results.run import Run
+from measure.results.writer import own_files
 
 
 @dataclass(frozen=True)
@@ -46,12 +47,15 @@ def export_run(run: Run, file_format: str, path: Path, overwrite: bool = False) 
 
     Raises:
         ConfigError: no such format, or its library is not installed.
-        RunError: the file is there already, cannot be written, or the run holds no pose.
+        RunError: the file is there already or one of the run's own, cannot be written, or the run
+            holds no pose.
     """
     if file_format not in FORMATS:
         near = difflib.get_close_matches(file_format, FORMATS, n=1)
         hint = f"did you mean {near[0]}?" if near else f"there is {', '.join(FORMATS)}"
         raise ConfigError(f"no export format is called '{file_format}'; {hint}")
+    if path.exists() and any(own.exists() and path.samefile(own) for own in own_files(run.path)):
+        raise RunError(f"{path} is a file of the run itself: give another with --out")
     if path.exists() and not overwrite:
         raise RunError(f"{path} is there already; --overwrite replaces it")
     if not run.has_pose.any():
