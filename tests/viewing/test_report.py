@@ -20,7 +20,7 @@ from measure.measuring import Status
 from measure.results import Provenance, RunWriter, read_run
 from measure.results.accuracy import accuracy_map
 from measure.session import read_body
-from measure.viewing.report.run_report import run_report
+from measure.viewing.report.run_report import run_report, write_report
 from measure.viewing.report.verdict import verdict
 
 PROVENANCE = Provenance("/data/s", "a", "calibration.toml", "b", "c", {"name": "precise"}, {})
@@ -56,6 +56,16 @@ def test_a_report_names_the_recording_and_the_day(tmp_path):
     named = replace(PROVENANCE, session_name="white room")
     page = run_report(_run(tmp_path / "other", 5, provenance=named))
     assert "<title>Run other of white room</title>" in page
+
+
+def test_a_run_in_a_folder_whose_name_is_no_text_has_a_report(tmp_path):
+    folder = tmp_path / "s\udcff"
+    try:
+        run = _run(folder, 5)
+    except OSError:
+        pytest.skip("this file system knows no such names")
+    write_report(run, folder / "report.html")
+    assert r"<title>Run s\udcff of s</title>" in (folder / "report.html").read_text("utf-8")
 
 
 def test_missing_poses_make_the_verdict_doubtful(tmp_path):

@@ -52,7 +52,8 @@ def _title(run: Run) -> str:
 
 def write_report(run: Run, path: Path, errors: Floats | None = None) -> None:
     """Write the report to a file."""
-    path.write_text(run_report(run, errors), encoding="utf-8")
+    # A folder may have a name that is no text.
+    path.write_text(run_report(run, errors), encoding="utf-8", errors="backslashreplace")
 
 
 def _facts(run: Run) -> Iterator[tuple[str, str]]:
