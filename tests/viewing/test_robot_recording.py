@@ -11,6 +11,7 @@ from measurements import BODY, CAMERAS, measurement
 from rerun.chunk import RrdReader
 
 from measure import api
+from measure.api.watch import _nearest
 from measure.cli import main
 from measure.errors import ConfigError
 from measure.geometry import RigidTransform
@@ -44,6 +45,17 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
             writer.append(replace(one, time_s=time_s, pose=pose))
         writer.finish()
     return folder
+
+
+def test_the_frame_set_nearest_to_a_state_is_found_whatever_their_number() -> None:
+    random = np.random.default_rng(3)
+    times, at = np.sort(random.uniform(0, 10, 50)), random.uniform(-1, 11, 300)
+    at[0], at[1] = (times[3] + times[4]) / 2, times[7]
+    naive = np.abs(times[None, :] - at[:, None]).argmin(axis=1)
+    assert np.array_equal(times[_nearest(times, at)], times[naive])
+    assert _nearest(times[:1], at).tolist() == [0] * 300
+    # All differences between these would take 160 GB.
+    assert _nearest(np.arange(20_000.0), np.arange(1_000_000.0) / 50).max() == 19_999
 
 
 @pytest.fixture(scope="module")
