@@ -214,6 +214,7 @@ def _concluded(
     pictures: list[Finding],
 ) -> SessionCheck:
     findings = pictures + [Finding(Level.NOTE, "frames", note) for note in session.notes]
+    findings += [Finding(Level.WRONG, "clock", text) for text in session.clock_notes()]
     for stream in session.streams.values():
         findings += stamp_findings(stream.name, stream.times_s, stream.frames)
     misfits = camera_misfits(with_velocities(surveys), session.body, session.cameras)

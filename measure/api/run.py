@@ -123,7 +123,7 @@ def provenance(session: Session, profile: Profile, registry: Registry) -> Proven
         body_digest=body_digest(session.body),
         profile=resolved(profile, registry),
         plugins=plugins_of(profile, registry),
-        notes=session.notes,
+        notes=(*session.notes, *session.clock_notes()),
         session_name=session.name,
     )
 

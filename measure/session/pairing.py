@@ -63,6 +63,28 @@ def pair_nearest(
     return Pairing(positions, _mean_times(times_s, positions), reference, float(tolerance_s))
 
 
+def seldom_paired(names: Sequence[str], counts: Sequence[int], pairing: Pairing) -> list[str]:
+    """A line for every camera of which most pictures are left over while most sets lack one.
+
+    A fast camera leaves pictures over and a slow one lacks them; both at once say that its clock
+    runs otherwise.
+
+    Args:
+        names: of the cameras.
+        counts: how many pictures each has.
+        pairing: of them.
+    """
+    sets = len(pairing.times_s)
+    used = (pairing.positions >= 0).sum(axis=0).tolist()
+    return [
+        f"camera {name}: {count - here} of {count} pictures belong to no frame set, and "
+        f"{sets - here} of {sets} frame sets have none of it: do its stamps hold seconds, on the "
+        "clock of the others?"
+        for name, count, here in zip(names, counts, used, strict=True)
+        if here < count / 2 and here < sets / 2
+    ]
+
+
 def _instants(times_s: Sequence[Floats], reference: int, period: float) -> tuple[Floats, Bools]:
     """The reference's stamps and, where it has none, those next to other cameras' images."""
     own = times_s[reference]

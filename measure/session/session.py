@@ -13,7 +13,7 @@ import numpy as np
 
 from measure.errors import SessionError
 from measure.model import Body, Camera, FrameSet
-from measure.session.pairing import Pairing, pair_nearest
+from measure.session.pairing import Pairing, pair_nearest, seldom_paired
 from measure.session.prefetch import DEFAULT_PREFETCH, stream_frame_sets
 from measure.session.streams import Stream
 
@@ -92,6 +92,11 @@ class Session:
             tolerance_s,
             None if reference is None else names.index(reference),
         )
+
+    def clock_notes(self) -> tuple[str, ...]:
+        """What pairing says against the clock of a camera, a line each."""
+        counts = [len(stream) for stream in self.streams.values()]
+        return tuple(seldom_paired(list(self.streams), counts, self.pair()))
 
     def frame_sets(
         self,

@@ -5,6 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from measure.session import pair_nearest
+from measure.session.pairing import seldom_paired
 
 PERIOD = 1 / 30
 
@@ -95,3 +96,21 @@ def test_two_pairs_of_cameras_with_an_age_between_them() -> None:
     filled = pair_nearest([hole, _clock(0.0, 9), _clock(0.002, 9), hole])
     assert filled.positions[3:9, 0].tolist() == [-1] * 6
     assert filled.positions[3:9, 1:3].tolist() == [[i, i] for i in range(3, 9)]
+
+
+def test_a_camera_whose_clock_runs_otherwise_is_named() -> None:
+    """Its stamps are minutes: most of its pictures have no partner, most sets no picture of it."""
+    clocks = {"a": _clock(0.0), "b": _clock(0.01), "c": _clock(0.0, period=PERIOD / 60)}
+    (line,) = _seldom(clocks)
+    assert line.startswith("camera c: 29 of 30 pictures belong to no frame set, and 29 of 30 frame")
+
+
+def test_fast_slow_and_late_cameras_are_not_accused() -> None:
+    assert _seldom({"a": _clock(0.0), "b": _clock(0.01), "c": _clock(0.0, 120, PERIOD / 4)}) == []
+    assert _seldom({"a": _clock(0.0), "b": _clock(0.01), "c": _clock(0.0, 8, 4 * PERIOD)}) == []
+    assert _seldom({"a": _clock(0.0), "b": _clock(0.01), "c": _clock(0.8, 6)}) == []
+
+
+def _seldom(clocks: dict[str, np.ndarray]) -> list[str]:
+    counts = [len(clock) for clock in clocks.values()]
+    return seldom_paired(list(clocks), counts, pair_nearest(list(clocks.values())))
