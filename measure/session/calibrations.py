@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -38,6 +39,9 @@ Format = Literal["triball", "anipose", "caliscope", "opencv"]
 _FOCAL_SIZES = 0.05, 200.0
 """Least and largest focal length of what may be a lens, in sizes of its picture."""
 _MIDDLE, _SAME_PX = (0.25, 0.5, 0.75), 0.01
+_BENT, _NEAR = 3.0, 0.01
+"""No lens moves what the middle half of the picture shows so many times in or out; next to the
+principal point, within this share of the picture, anything goes."""
 _FURTHEST_MM = 1e6
 METRES_SPREAD_MM = 3.0
 """Cameras all within this many "mm" of the first were surely written in metres."""
@@ -129,7 +133,8 @@ def check_calibration(calibration: Calibration, source: str) -> None:
     if len(names) < 2:
         return
     centers = np.stack([camera.center for camera in calibration.cameras])
-    spread = float(np.linalg.norm(centers - centers[0], axis=1).max())
+    with np.errstate(over="ignore"):
+        spread = float(np.linalg.norm(centers - centers[0], axis=1).max())
     if spread < METRES_SPREAD_MM:
         raise CalibrationError(
             f"{source}: the cameras stand within {spread:.3g} mm of each other: the translations "
@@ -147,9 +152,16 @@ def _is_a_lens(lens: Intrinsics) -> bool:
     if not _FOCAL_SIZES[0] <= lens.focal_px / max(lens.size_wh) <= _FOCAL_SIZES[1]:
         return False
     pixels = np.array([(u, v) for u in _MIDDLE for v in _MIDDLE]) * lens.size_wh
+    straight = replace(lens, distortion=np.zeros(8))
     with np.errstate(all="ignore"):
-        back = lens.project(lens.unproject(pixels))
-    return bool(np.all(np.abs(back - pixels) < _SAME_PX))
+        rays = lens.unproject(pixels)
+        moved = np.abs(lens.project(rays) - pixels)
+        seen, ideal = (
+            np.linalg.norm(places - lens.matrix[:2, 2], axis=1) + _NEAR * max(lens.size_wh)
+            for places in (pixels, straight.project(rays))
+        )
+        bent = np.maximum(seen / ideal, ideal / seen)
+    return bool(np.all(moved < _SAME_PX) and np.all(bent < _BENT))
 
 
 def _toml(text: str) -> dict[str, object] | None:

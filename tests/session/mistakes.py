@@ -130,6 +130,11 @@ BODY_OR_CALIBRATION: dict[str, Case] = {
         CalibrationError,
         ["calibration.toml: camera 'cam0': no lens sees"],
     ),
+    "distortion of no lens that has an inverse": (
+        replace("calibration.toml", "distortion = [", "distortion = [1e5, 0.0, 0.0, 0.0"),
+        CalibrationError,
+        ["calibration.toml: camera 'cam0': no lens sees"],
+    ),
     "distortion of no lens": (
         replace("calibration.toml", "distortion = [", "distortion = [-1e3, 1e5, 0.0, 0.0"),
         CalibrationError,
