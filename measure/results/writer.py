@@ -63,7 +63,7 @@ class RunWriter:
     ) -> None:
         self._folder, self._provenance = folder, provenance
         self._body, self._cameras = body, tuple(cameras)
-        self._clock = clock
+        self._overwrite, self._clock = overwrite, clock
         with writing(folder):
             _refuse(folder, resume, overwrite)
             going_on = resume and _can_go_on(folder, provenance)
@@ -138,6 +138,8 @@ class RunWriter:
 
     def _begin(self) -> None:
         """Throw an earlier run away, and write what stands beside the tables."""
+        # Another process may have begun one since.
+        _refuse(self._folder, resume=False, overwrite=self._overwrite)
         self._folder.mkdir(parents=True, exist_ok=True)
         _clear(self._folder)
         text = dump_toml(self._provenance.values())

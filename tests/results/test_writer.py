@@ -239,3 +239,15 @@ def test_a_folder_that_may_not_be_written_is_refused_at_once(
     monkeypatch.setattr("os.access", lambda *_: False)
     with pytest.raises(RunError, match=r"cannot write \(Permission denied\); nothing was begun"):
         open_writer(folder)
+
+
+@pytest.mark.parametrize("options", [{}, {"resume": True}])
+def test_a_run_that_another_process_has_begun_since_is_left_alone(folder: Path, options) -> None:
+    late = open_writer(folder, **options)
+    with open_writer(folder) as first:
+        first.append(measurement(0))
+        with pytest.raises(RunError, match="holds a run already"):
+            late.__enter__()
+        first.append(measurement(1))
+        first.finish()
+    check_whole(folder, 2)
