@@ -8,9 +8,10 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
+from ipaddress import IPv4Address
 from pathlib import Path
 
-from measure.errors import RunError
+from measure.errors import ConfigError, RunError
 
 LOOPBACK = "127.0.0.1"
 _MAGIC = b"RRF"
@@ -50,6 +51,7 @@ def open_viewer(recordings: Sequence[Path], web: bool = False, bind: str = LOOPB
 
     Raises:
         RunError: a file is missing or no recording, or the viewer's program is missing.
+        ConfigError: `bind` is no address of this machine.
     """
     for path in recordings:
         _refuse_what_is_no_recording(path)
@@ -87,12 +89,23 @@ def viewer_program() -> str:
 
 
 def _free_ports(bind: str, count: int) -> list[int]:
-    """Ports that nothing listens on; held together so that they differ."""
+    """Ports that nothing listens on; held together so that they differ.
+
+    Raises:
+        ConfigError: `bind` is no address of this machine.
+    """
+    try:
+        # The viewer takes no names, and we look for ports of IPv4.
+        IPv4Address(bind)
+    except ValueError:
+        raise ConfigError(f"--bind {bind}: expected an address such as {LOOPBACK}") from None
     sockets = [socket.socket(socket.AF_INET, socket.SOCK_STREAM) for _ in range(count)]
     try:
         for each in sockets:
             each.bind((bind, 0))
         return [int(each.getsockname()[1]) for each in sockets]
+    except OSError as error:
+        raise ConfigError(f"--bind {bind}: nothing can listen there ({error.strerror})") from None
     finally:
         for each in sockets:
             each.close()
