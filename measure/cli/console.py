@@ -33,8 +33,8 @@ def print_json(value: Any) -> None:
 
 
 def print_text(text: str) -> None:
-    """Print plain text, never wrapped, coloured or re-interpreted."""
-    print(text)
+    """Print plain text at once, never wrapped, coloured or re-interpreted."""
+    print(text, flush=True)
 
 
 def print_table(columns: Sequence[str], rows: Iterable[Sequence[object]], title: str = "") -> None:

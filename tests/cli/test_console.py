@@ -112,6 +112,14 @@ def test_what_json_does_not_know_is_refused():
         console.print_json({"x": object()})
 
 
+def test_text_is_there_at_once_also_in_a_pipe(monkeypatch):
+    """As the address of a viewer that goes on until it is ended."""
+    pipe = io.BytesIO()
+    monkeypatch.setattr("sys.stdout", io.TextIOWrapper(pipe))
+    console.print_text("http://127.0.0.1")
+    assert pipe.getvalue() == b"http://127.0.0.1\n"
+
+
 def test_tables_align_numbers_and_leave_gaps_empty(capsys):
     console.print_table(
         ("name", "x_mm", "count"), [("a[b]", 0.123456, 3), ("b", None, 12)], title="T"
