@@ -101,8 +101,8 @@ def read_number_table(
     Those called `words` hold text.
 
     Raises:
-        error: a column is missing, or a value is no number; the message starts with `prefix`, file
-            and line.
+        error: a column is missing, a value is no number, or a row has more cells than the header;
+            the message starts with `prefix`, file and line.
     """
     text = read_text(path, error)
     numbered = _numbered_rows(text, f"{prefix}{path}", error)
@@ -119,6 +119,11 @@ def read_number_table(
     for line, row in numbered:
         if any(cell.strip() for cell in row):
             place = f"{prefix}{path}:{line}"
+            if any(cell.strip() for cell in row[len(header) :]):
+                raise error(
+                    f"{place}: {len(row)} cells under {len(header)} headings: are decimal commas "
+                    "among them? Write points, and a heading for every column"
+                )
             rows.append(_numbers(row, where, needed, place, error, empty_is_nan))
             lines.append(line)
             for name in words:

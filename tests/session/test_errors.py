@@ -155,6 +155,11 @@ CASES: dict[str, Case] = {
         SessionError,
         ["cam1.csv:4: time_s is 'now', not a number"],
     ),
+    "decimal commas": (
+        _write("cam1.csv", b"frame,time_s\n0,0\n1,1,5\n2,3\n3,4,5\n4,6\n5,7,5\n"),
+        SessionError,
+        ["cam1.csv:3: 3 cells under 2 headings: are decimal commas among them?"],
+    ),
     "NaN stamp": (
         _stamp("cam1", [0.0, 0.1, float("nan"), 0.3, 0.4, 0.5]),
         SessionError,

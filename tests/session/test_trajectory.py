@@ -107,6 +107,7 @@ def test_tum_is_in_metres_and_ends_with_w(tmp_path: Path) -> None:
         (["0,1,2,3,1,0,0,0", "0,1,2,3,1,0,0,0"], "p.csv:3: time does not increase"),
         (["0,1,2,3,1,0,0,0", "1,nan,2,3,1,0,0,0"], "p.csv:3: a value is missing or not finite"),
         (["0,1,2,3,1,1,0,0"], "p.csv:2: not a rotation: the quaternion's length is 1.414"),
+        (["0,1,2,3,1,0,0,0,0"], "p.csv:2: 9 cells under 8 headings"),
         (["0,1,2,x,1,0,0,0"], "p.csv:2: z_mm is 'x', not a number"),
     ],
 )
@@ -123,3 +124,9 @@ def test_another_table_is_no_trajectory(tmp_path: Path) -> None:
     (tmp_path / "t.txt").write_text("0 1 2 3 4 5 6 7\n0 1 2\n")
     with pytest.raises(SessionError, match=r"t\.txt:2: a TUM line has eight numbers"):
         read_trajectory(tmp_path / "t.txt")
+
+
+def test_empty_cells_beyond_the_header_do_no_harm(tmp_path: Path) -> None:
+    """As spreadsheets write them."""
+    path = _csv(tmp_path / "p.csv", ["0,1,2,3,1,0,0,0,,", "1,1,2,3,1,0,0,0, "])
+    assert len(read_trajectory(path).times_s) == 2
