@@ -30,8 +30,8 @@ from measure.results.statistics import (
 )
 from measure.session import Trajectory
 
-FAR_MM = 30.0
-"""A median error beyond this asks whether the truth is of this session."""
+FAR_MM, FAR_DEG = 30.0, 20.0
+"""Median errors beyond these ask whether the truth is of this session, and in our conventions."""
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,10 @@ def evaluate(
         if marks is not None
         else detection_errors_by_truth(run, truth, cameras or run.cameras),
         localisation=localisation_errors_by_truth(run, truth, cameras) if cameras else None,
-        notes=_notes(run, body, missing, marks, cameras is None),
+        notes=(
+            *_notes(run, body, missing, marks, cameras is None),
+            *_turned(errors[:, 3:]),
+        ),
     )
 
 
@@ -246,6 +249,17 @@ def _checked_cameras(run: Run, cameras: Sequence[Camera] | None) -> Sequence[Cam
                 f"the true cameras lack '{camera.name}' of {run.path}; there is {', '.join(names)}"
             )
     return cameras
+
+
+def _turned(rotvecs: Floats) -> tuple[str, ...]:
+    """A line if half of the rotations (n, 3) in rad are far off."""
+    angle = float(np.rad2deg(np.median(np.linalg.norm(rotvecs, axis=1)))) if len(rotvecs) else 0.0
+    if angle <= FAR_DEG:
+        return ()
+    doubt = (
+        "does the truth give world_from_body, and its quaternions in the order of their headings?"
+    )
+    return (f"half of the rotations are more than {angle:.0f} deg off: {doubt}",)
 
 
 def _notes(

@@ -287,6 +287,15 @@ def test_no_frame_beyond_the_end_of_a_whole_run_may_be_marked(stopped: Run, tmp_
         read_marks(tmp_path / "marks.csv", replace(stopped, finished=True))
 
 
+def test_quaternions_in_another_order_are_doubted(tmp_path: Path) -> None:
+    run = _run(tmp_path / "run", measurement)
+    path = write_truth(tmp_path / "truth.csv", COUNT * PERIOD_S)
+    assert not [n for n in evaluate(run, read_trajectory(path)).notes if "rotations" in n]
+    _change(path, lambda row: [*row[:4], *row[5:], row[4]])
+    (note,) = [n for n in evaluate(run, read_trajectory(path)).notes if "rotations" in n]
+    assert "quaternions in the order of their headings" in note
+
+
 def _change(path: Path, column: Callable[[list[float]], list[float]]) -> None:
     head, *rows = path.read_text().splitlines()
     changed = [column([float(v) for v in row.split(",")]) for row in rows]
