@@ -258,20 +258,6 @@ def test_a_view_of_what_is_no_recording(tmp_path: Path, capsys) -> None:
     assert "no such recording" in complaint(capsys, "view", tmp_path / "none")
 
 
-@pytest.mark.parametrize(
-    ("address", "said"),
-    [
-        ("192.0.2.1", "--bind 192.0.2.1: nothing can listen there"),
-        ("localhost", "--bind localhost: expected an address such as 127.0.0.1"),
-        ("::1", "--bind ::1: expected an address"),
-        ("", "--bind : expected an address"),
-    ],
-)
-def test_an_address_where_no_viewer_can_listen(tmp_path, capsys, address: str, said: str) -> None:
-    (tmp_path / "run.rrd").write_bytes(b"RRF2")
-    assert said in complaint(capsys, "view", tmp_path, "--web", "--bind", address)
-
-
 def test_a_viewer_that_finds_no_screen_is_an_error(recording: Recording, capfd, monkeypatch):
     assert main([*run_words(recording)]) == 0
     capfd.readouterr()

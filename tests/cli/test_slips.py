@@ -140,3 +140,17 @@ def test_a_run_does_not_go_on_with_another_tolerance(recording: Recording, capsy
     capsys.readouterr()
     body.write_text("tolerance_mm = 0.2\n" + body.read_text())
     assert "body" in complaint(capsys, *run_words(recording, "--resume"))
+
+
+@pytest.mark.parametrize(
+    ("address", "said"),
+    [
+        ("192.0.2.1", "--bind 192.0.2.1: nothing can listen there"),
+        ("localhost", "--bind localhost: expected an address such as 127.0.0.1"),
+        ("::1", "--bind ::1: expected an address"),
+        ("", "--bind : expected an address"),
+    ],
+)
+def test_an_address_where_no_viewer_can_listen(tmp_path, capsys, address: str, said: str) -> None:
+    (tmp_path / "run.rrd").write_bytes(b"RRF2")
+    assert said in complaint(capsys, "view", tmp_path, "--web", "--bind", address)
