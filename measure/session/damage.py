@@ -20,7 +20,8 @@ def is_damaged(jpeg: bytes) -> bool:
     decode at all is not judged.
     """
     scan = jpeg.rfind(JPEG_SCAN)
-    if not is_complete_jpeg(jpeg) or _STRAY_MARKER.search(jpeg, scan + 2, jpeg.find(JPEG_END, scan)):
+    end = jpeg.find(JPEG_END, scan)
+    if not is_complete_jpeg(jpeg) or _STRAY_MARKER.search(jpeg, scan + 2, end):
         return True
     return not _decodes(jpeg, {"err_detect": "explode"}) and _decodes(jpeg, {})
 
