@@ -32,6 +32,10 @@ class PluginError(MeasureError):
     """A plugin that is unknown, broken, ambiguous or breaks its contract."""
 
 
+class FitError(PluginError):
+    """An estimator that fails while it learns: with other settings it may not."""
+
+
 class RunError(MeasureError):
     """A run folder that cannot be written, read, resumed or evaluated."""
 

@@ -83,6 +83,17 @@ def discover(disabled: Collection[str] = ()) -> list[Loaded | Broken]:
     return [item for item in found if _canonical(item.name) not in left_out]
 
 
+def origin(plugin: type[Plugin]) -> Distribution | None:
+    """The distribution that a plugin's package belongs to; None if that is not plain."""
+    package = plugin.__module__.partition(".")[0]
+    owners = {
+        distribution
+        for distribution, entry_point in _entry_points()
+        if re.split(r"[.:]", entry_point.value.strip(), maxsplit=1)[0] == package
+    }
+    return owners.pop() if len(owners) == 1 else None
+
+
 def suggestion(name: str, known: Collection[str], what: str) -> str:
     """Half a sentence for who mistyped `name`: near names, or all there are."""
     if near := difflib.get_close_matches(name, known, n=3):

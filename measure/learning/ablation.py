@@ -9,6 +9,7 @@ import numpy as np
 
 from measure.host import Dataset, Estimator, OnnxModel, Report
 from measure.host.estimator import quiet
+from measure.learning.fitting import fit
 from measure.learning.scores import Score
 from measure.learning.splits import Split
 
@@ -96,7 +97,7 @@ def _removed(estimator: Estimator, split: Split, columns: Sequence[int], seed: i
         states[:, columns] = middle
         return replace(data, states=states)
 
-    estimator.fit(without(split.train), without(split.validation), seed=seed, report=quiet)
+    fit(estimator, without(split.train), without(split.validation), seed=seed, report=quiet)
     return _rms(estimator.model, without(split.test))  # type: ignore[attr-defined]
 
 

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, RootModel, model_validator
 
-from measure.errors import DivergedError, EstimatorError
+from measure.errors import DivergedError, EstimatorError, FitError
 from measure.session import load_toml
 
 _LEAST_PATIENCE_S = 600.0
@@ -182,7 +182,7 @@ def finish(study: Any, trial: Any, work: Callable[[], float]) -> None:
     """Do a trial's work and tell its score; settings that cannot be fitted fail."""
     try:
         value = work()
-    except (DivergedError, ArithmeticError, ValueError, RuntimeError) as error:
+    except (DivergedError, FitError, ArithmeticError, ValueError, RuntimeError) as error:
         fail(study, trial, str(error))
         return
     if np.isfinite(value):
@@ -195,7 +195,7 @@ def fail(study: Any, trial: Any, reason: str) -> None:
     """Close a trial without a score; it is not tried again."""
     import optuna
 
-    trial.set_user_attr("error", reason[:300])
+    trial.set_user_attr("error", reason[:1000])
     study.tell(trial, state=optuna.trial.TrialState.FAIL)
 
 

@@ -13,6 +13,7 @@ from measure.errors import EstimatorError
 from measure.host import Registry, Report
 from measure.host.cluster import connected
 from measure.learning.files import read_dataset
+from measure.learning.fitting import fit
 from measure.learning.scores import Score
 from measure.learning.splits import split_by_trajectory
 from measure.learning.study import (
@@ -58,6 +59,7 @@ def run_trial(job: SweepJob, settings: Mapping[str, Any]) -> float:
 
     Raises:
         EstimatorError: the data have changed, or the estimator cannot be judged.
+        FitError: the estimator fails.
     """
     from measure.host.estimator import quiet
 
@@ -67,7 +69,7 @@ def run_trial(job: SweepJob, settings: Mapping[str, Any]) -> float:
     split = split_by_trajectory(data, seed=job.seed)
     registry = Registry.discover()
     estimator = registry.estimator(job.estimator, {**job.settings, **settings})
-    estimator.fit(split.train, split.validation, seed=job.seed, report=quiet)
+    fit(estimator, split.train, split.validation, seed=job.seed, report=quiet)
     model = getattr(estimator, "model", None)
     if model is None:
         raise EstimatorError(f"estimator '{job.estimator}' cannot be judged: it has no model")

@@ -17,6 +17,7 @@ from measure.errors import EstimatorError
 from measure.host import Dataset, Epoch, Estimates, Estimator, OnnxModel, Report
 from measure.host.failures import named
 from measure.learning.card import write_card
+from measure.learning.fitting import fit
 from measure.learning.scores import Evaluation, evaluate
 from measure.learning.splits import Split
 
@@ -63,7 +64,7 @@ def train(
 
     Raises:
         EstimatorError: the data cannot be learnt from, or `out` has no suffix `.onnx`.
-        PluginError: the estimator cannot be saved.
+        PluginError: the estimator fails.
     """
     if out.suffix != ".onnx":
         raise EstimatorError(f"{out}: a model's file name must end with .onnx")
@@ -72,7 +73,7 @@ def train(
     if not resume:
         shutil.rmtree(checkpoint, ignore_errors=True)
     estimator.checkpoint = checkpoint
-    estimator.fit(split.train, split.validation, seed=seed, report=report)
+    fit(estimator, split.train, split.validation, seed=seed, report=report)
     trained = _save(estimator, split, out, _provenance(estimator, split, seed) | dict(notes or {}))
     shutil.rmtree(checkpoint, ignore_errors=True)
     return trained
@@ -80,17 +81,21 @@ def train(
 
 def _save(estimator: Estimator, split: Split, out: Path, card: dict[str, Any]) -> Trained:
     """Write the network, judge the written file on the test part, add the scores to its card."""
-    with named("estimator", estimator, "saving"):
-        estimator.save(out, card)
+    _write(estimator, out, card)
     estimates = OnnxModel.load(out).predict(split.test)
     evaluation = evaluate(split.test, estimates)
     card |= {"scores": evaluation.to_dict()}
-    estimator.save(out, card)  # the same network, now with its scores inside
+    _write(estimator, out, card)  # the same network, now with its scores inside
     features = [[feature.name, feature.unit] for feature in split.train.schema.features]
     full = card | {"features": features, "curve": [asdict(line) for line in estimator.curve]}
     out.with_suffix(".card.json").write_text(json.dumps(full, indent=1) + "\n")
     write_card(out.with_suffix(".card.md"), full)
     return Trained(out, evaluation, estimator.curve, split.test, estimates)
+
+
+def _write(estimator: Estimator, out: Path, card: dict[str, Any]) -> None:
+    with named("estimator", estimator, "saving"):
+        estimator.save(out, card)
 
 
 def _provenance(estimator: Estimator, split: Split, seed: int) -> dict[str, Any]:

@@ -13,7 +13,6 @@ from measure.cli import main
 from measure.host import Dataset
 from measure.host.onnx_model import OnnxModel
 from measure.learning import files
-from measure_plugins.estimators.offset import OffsetEstimator
 
 pytest.importorskip("torch", reason="training needs the extra 'train'")
 
@@ -216,15 +215,3 @@ def _other_robot(small: Dataset, tmp_path: Path) -> Path:
     schema = replace(small.schema, robot="raven2-right")
     files.write_dataset(path, replace(small, schema=schema), [], "another robot")
     return path
-
-
-def test_an_estimator_that_cannot_be_saved_is_named(data, tmp_path, monkeypatch, capsys):
-    def fail(*_: object, **__: object) -> None:
-        raise ValueError("no licence")
-
-    monkeypatch.setattr(OffsetEstimator, "save", fail)
-    words = ["train", str(data), "-o", str(tmp_path / "model.onnx")]
-    assert main([*words, "--estimator", "offset"]) == 2
-    said = capsys.readouterr().err
-    assert "estimator 'offset' fails (saving): ValueError: no licence" in said
-    assert "Traceback" not in said

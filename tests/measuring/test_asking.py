@@ -50,12 +50,17 @@ def _fail(found):
             ReprojectionTriangulator,
             "triangulate_all",
             _fail,
-            r"^triangulator 'reprojection' fails \(at 0.0+ s\): .* \(test_asking.py, line \d",
+            r"^triangulator .reprojection. of triball .* fails \(at 0.0+ s\): .* \(test_asking.py",
         ),
         (ReprojectionTriangulator, "triangulate_all", lambda found: None, "fails .*: TypeError"),
         (ReprojectionTriangulator, "triangulate_all", _each(center=NAN), "nonsense .*: .nan, 0"),
         (ReprojectionTriangulator, "triangulate_all", _each(ball="blue"), "KeyError: 'blue'"),
-        (KabschSolver, "solve", _fail, r"^solver 'kabsch' fails \(at 0.000000 s\): ValueError: no"),
+        (
+            KabschSolver,
+            "solve",
+            _fail,
+            r"^solver 'kabsch' of triball .* fails \(at 0.0+ s\): ValueE",
+        ),
         (KabschSolver, "solve", lambda found: "here", "answers nonsense .*: no Pose but 'here'"),
         (
             KabschSolver,
@@ -92,5 +97,5 @@ def test_who_cannot_get_ready_is_named(paper_body, rig, monkeypatch, plugin):
     stages = Stages(detectors, tracker, triangulator, solver, False, False, False)
     pipeline = Pipeline(paper_body, rig, stages)
     monkeypatch.setattr(plugin, "warm_up", lambda self: 1 / 0)
-    with pytest.raises(PluginError, match=rf"'{plugin.name}' fails \(warming up\): ZeroDivision"):
+    with pytest.raises(PluginError, match=rf"'{plugin.name}'.* fails \(warming up\): ZeroDivision"):
         pipeline.warm_up()
