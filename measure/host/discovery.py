@@ -109,15 +109,23 @@ def _canonical(name: str) -> str:
 def _entry_points() -> Iterator[tuple[Distribution, metadata.EntryPoint]]:
     seen: set[str] = set()
     for installed in metadata.distributions():
-        # The remains of an interrupted installation have no name. A name found again further down
-        # the path is shadowed: the first one is the one that is imported.
-        name = str(installed.metadata["Name"] or "") if installed.metadata else ""
+        # A name found again further down the path is shadowed: the first one is imported.
+        name = _name(installed)
         if not name or _canonical(name) in seen:
             continue
         seen.add(_canonical(name))
         for entry_point in installed.entry_points:
             if entry_point.group == hooks.ENTRY_POINT_GROUP:
                 yield Distribution(name, installed.version), entry_point
+
+
+def _name(installed: metadata.Distribution) -> str:
+    """The name of a distribution; the remains of an interrupted installation have none."""
+    try:
+        found = installed.metadata  # None, or an error once anybody has loaded importlib_metadata
+    except FileNotFoundError:
+        return ""
+    return str(found["Name"] or "") if found else ""
 
 
 def _load(

@@ -136,7 +136,10 @@ def test_a_missing_object_is_broken(install, tmp_path):
     assert "nothing_of_this_name" in the_broken().error
 
 
-def test_remains_of_an_installation_are_passed_over(install, tmp_path):
+@pytest.mark.parametrize("first", ["importlib.metadata", "importlib_metadata"])
+def test_remains_of_an_installation_are_passed_over(install, tmp_path, first):
+    """Also once the library of that name is loaded, as optuna does: it finds them otherwise."""
+    pytest.importorskip(first)
     install("acme", detector_source())
     install("rest", detector_source("rest", "Rest"))
     next(tmp_path.glob("site-1/*.dist-info/METADATA")).unlink()
