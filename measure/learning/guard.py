@@ -18,6 +18,10 @@ _REORDERED = 100
 """A network that changes the order of packets brings none of them later than so many others."""
 _LARGEST_LEAP = 1_000_000
 """So many packets in a row are not lost: a quarter of an hour at 1 kHz."""
+_JITTER_S = 1.0
+"""Stamps that go back by no more are refused one by one: they soon grow beyond the last again."""
+_LONGEST_PAUSE_S = 1000.0
+"""A stamp further ahead of the last one is not believed by itself."""
 
 
 class Refusal(StrEnum):
@@ -28,6 +32,7 @@ class Refusal(StrEnum):
     NOT_A_NUMBER = "a feature is not a number"
     REPEATED = "sequence number repeated or out of order"
     STALE = "stamp not after the last one"
+    LEAP = "stamp far ahead of the last one"
 
 
 @dataclass
@@ -71,7 +76,7 @@ class GuardedModel:
         self.zeroing = zeroing
         self._last_sequence: int | None = None
         self._stray_sequence: int | None = None
-        self._last_time_s = -np.inf
+        self._last_time_s = self._stray_time_s = np.nan
 
     def update(
         self, state: Floats, time_s: float, sequence: int | None = None
@@ -80,7 +85,8 @@ class GuardedModel:
 
         Args:
             state: the features.
-            time_s: its stamp, which must grow; NaN where stamps are not recorded.
+            time_s: its stamp, which must grow; NaN where stamps are not recorded. Two that follow
+                each other, but not the last one, begin a new trajectory: a clock was set.
             sequence: its number, which must grow by one; jumps count as losses. Zero begins a
                 new trajectory, the robot's program was started again; so do two numbers that
                 follow each other, but not the last one.
@@ -88,13 +94,15 @@ class GuardedModel:
         if sequence is not None and self._begins_anew(sequence):
             self.reset()
         reason = self._judge(state, time_s, sequence)
-        if reason is not None:
+        if reason in (Refusal.STALE, Refusal.LEAP) and self._clock_was_set(time_s):
+            self.reset()
+        elif reason is not None:
             return self.counters.refuse(reason)
         if sequence is not None:
             if self._last_sequence is not None:
                 self.counters.lost += sequence - self._last_sequence - 1
             self._last_sequence = sequence
-        self._last_time_s = time_s
+        self._last_time_s, self._stray_time_s = time_s, np.nan
         correction = self.model.update(state, time_s)
         self.counters.corrected += 1
         self.counters.unfamiliar += correction.unfamiliar
@@ -110,7 +118,7 @@ class GuardedModel:
         """A new trajectory begins; counters go on."""
         self.model.reset()
         self._last_sequence = self._stray_sequence = None
-        self._last_time_s = -np.inf
+        self._last_time_s = self._stray_time_s = np.nan
 
     def _begins_anew(self, sequence: int) -> bool:
         """One number far from the last is a slip, two in a row are not (RFC 3550, A.1)."""
@@ -121,16 +129,25 @@ class GuardedModel:
         self._stray_sequence = None if near else sequence
         return not near and stray is not None and 0 < sequence - stray <= _REORDERED
 
+    def _clock_was_set(self, time_s: float) -> bool:
+        """The same for stamps."""
+        stray = self._stray_time_s
+        far = not -_JITTER_S <= time_s - self._last_time_s <= _LONGEST_PAUSE_S
+        self._stray_time_s = time_s if far else np.nan
+        return bool(far and 0 < time_s - stray <= _LONGEST_PAUSE_S)
+
     def _judge(self, state: Floats, time_s: float, sequence: int | None) -> Refusal | None:
         if len(state) != len(self.model.features):
             return Refusal.FEATURE_COUNT
-        if not np.isfinite(state).all():
+        if np.isinf(time_s) or not np.isfinite(state).all():
             return Refusal.NOT_A_NUMBER
         last = self._last_sequence
         if sequence is not None and last is not None and not 0 < sequence - last <= _LARGEST_LEAP:
             return Refusal.REPEATED
         if time_s <= self._last_time_s:
             return Refusal.STALE
+        if time_s - self._last_time_s > _LONGEST_PAUSE_S:
+            return Refusal.LEAP
         return None
 
 

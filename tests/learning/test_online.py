@@ -61,7 +61,7 @@ def test_bad_states_are_refused_and_counted(guarded: GuardedModel, split: Split)
     counts = guarded.counters.values()
     assert counts["corrected"] == 2
     assert counts["lost"] == 3
-    assert [counts[reason.value] for reason in Refusal] == [0, 1, 1, 1, 1]
+    assert [counts[reason.value] for reason in Refusal] == [0, 1, 1, 1, 1, 0]
 
 
 def test_a_program_that_was_started_again_begins_anew(guarded: GuardedModel, split: Split) -> None:
@@ -100,6 +100,51 @@ def test_a_program_that_counts_from_elsewhere_is_heard_again(
     for i, answer in enumerate(again, 1):
         assert isinstance(answer, Correction)
         np.testing.assert_array_equal(answer.error_mm, fresh.update(states[i], float(i)).error_mm)
+
+
+def test_one_odd_stamp_silences_nobody(
+    server: EstimateServer, model_path: Path, split: Split
+) -> None:
+    """A huge one used to refuse all that followed, for ever."""
+    states, good = split.test.states, np.arange(0.0, 10.0, 0.5)
+    alone = OnnxModel.load(model_path)
+    wanted = [alone.update(states[i], time_s) for i, time_s in enumerate(good)][-1]
+    for odd_s in (1e300, 1e9, -1e300, -60.0, 905.0, 35.0):
+        client = EstimateClient(server.address, timeout_s=5.0)
+        answers = [client.ask(states[i], time_s) for i, time_s in enumerate(good[:10])]
+        answers.append(client.ask(states[10], odd_s))
+        answers += [client.ask(states[i], good[i]) for i in range(10, 20)]
+        client.close()
+        assert sum(a is None or isinstance(a.answer, Refusal) for a in answers) == 1
+        last = answers[-1]
+        assert last is not None
+        assert isinstance(last.answer, Correction)
+        if not 5.0 < odd_s < 1000.0:  # as if it had never come; a pause is believed
+            np.testing.assert_allclose(last.answer.error_mm, wanted.error_mm, atol=1e-4)
+
+
+def test_a_first_stamp_that_is_odd_silences_nobody(guarded: GuardedModel, split: Split) -> None:
+    state = split.test.states[0]
+    assert guarded.update(state, np.inf, 0) is Refusal.NOT_A_NUMBER
+    assert isinstance(guarded.update(state, 1e300, 0), Correction)
+    answers = [guarded.update(state, 0.1 * i, i) for i in range(1, 5)]
+    assert [isinstance(answer, Correction) for answer in answers] == [False, True, True, True]
+
+
+def test_a_clock_that_was_set_begins_anew(guarded: GuardedModel, split: Split) -> None:
+    """Two odd stamps that do not follow each other are no clock."""
+    states = split.test.states
+    for start in (0.0, 1e6, 500.0):
+        answers = [guarded.update(states[i], start + i) for i in range(4)]
+        assert [isinstance(a, Refusal) for a in answers] == [start > 0, False, False, False]
+    fresh = guarded.model.another()
+    wanted = [fresh.update(states[i], 500.0 + i) for i in range(1, 4)][-1]
+    assert isinstance(answers[-1], Correction)
+    np.testing.assert_array_equal(answers[-1].error_mm, wanted.error_mm)
+    assert guarded.update(states[0], 1e300) is Refusal.LEAP
+    assert guarded.update(states[0], 1e200) is Refusal.LEAP
+    assert guarded.update(states[0], 1.0) is Refusal.STALE
+    assert isinstance(guarded.update(states[0], 504.0), Correction)
 
 
 def test_a_refused_state_leaves_no_trace(guarded: GuardedModel, split: Split) -> None:
