@@ -153,7 +153,7 @@ def sweep(
 
 
 def ablate(
-    data: Path,
+    data: Sequence[Path],
     model_path: Path,
     *,
     single: bool,
@@ -165,7 +165,7 @@ def ablate(
     """Rank a model's inputs by what their loss costs on the test trajectories.
 
     Args:
-        data: what the model was trained on.
+        data: all that the model was trained on.
         model_path: the model.
         single: every feature on its own instead of the robot's groups.
         remove: also fit without each.
@@ -182,7 +182,7 @@ def ablate(
 
     check_seeds(split_seed=split_seed or 0)
     model = OnnxModel.load(model_path)
-    whole = learning.files.read_dataset(data)
+    whole = learning.join([learning.files.read_dataset(path) for path in data])
     model.check(whole.schema)
     if split_seed is None:
         split = learning.split_as_trained(whole, model)

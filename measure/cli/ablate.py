@@ -10,8 +10,7 @@ from measure.cli.injected import InjectedRegistry
 
 
 def ablate(
-    data: Path,
-    model: Path,
+    files: tuple[Path, ...],
     /,
     *,
     single: bool = False,
@@ -26,14 +25,17 @@ def ablate(
     `--remove` the estimator is also fitted again without it.
 
     Args:
-        data: the data set the model was trained on.
-        model: the model.
+        files: all data sets that the model was trained on, and last the model.
         single: every feature on its own instead of the robot's groups.
         remove: also fit without each.
         split_seed: split the data anew instead of as in training, if they are others.
     """
     from measure import api
+    from measure.errors import ConfigError
 
+    *data, model = files
+    if not data:
+        raise ConfigError(f"ablate {model}: expected data sets, and last the model")
     with console.progress("ablating", unit="per mille") as report:
         base, found = api.ablate(
             data,

@@ -62,8 +62,8 @@ def split_as_trained(data: Dataset, model: OnnxModel) -> Split:
         if len(part) != facts["rows"]:
             raise EstimatorError(
                 f"{model.where}: the {what} trajectories that its card names are not in these "
-                "data, or cut otherwise: give the data set it was trained on, or a --split-seed to "
-                "split these anew"
+                "data, or cut otherwise: give all data sets it was trained on, or a --split-seed "
+                "to split these anew"
             )
         parts.append(part)
     return Split(*parts)

@@ -80,7 +80,7 @@ def test_inputs_are_ranked_on_the_models_own_test_trajectories(
     assert json.loads(capsys.readouterr().out)["rms_mm"] == pytest.approx(tested, rel=1e-9)
     files.write_dataset(other, small.rows(np.arange(len(small)) % 2 == 0), [], "every second row")
     assert main(["ablate", str(other), str(model)]) == 2
-    assert "give the data set it was trained on, or a --split-seed" in capsys.readouterr().err
+    assert "give all data sets it was trained on, or a --split-seed" in capsys.readouterr().err
     assert main(["ablate", str(other), str(model), "--split-seed", "0"]) == 0
     assert "may be among the test trajectories" in capsys.readouterr().err
 
@@ -144,6 +144,29 @@ def test_an_interrupted_training_resumes(data: Path, tmp_path: Path) -> None:
     assert again.evaluation.after.rms_mm == pytest.approx(
         straight.evaluation.after.rms_mm, rel=1e-4
     )
+
+
+@pytest.mark.parametrize("apart", [False, True])
+def test_inputs_of_a_model_of_several_files_are_ranked_on_its_own_test(
+    small: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], apart: bool
+) -> None:
+    """They needed a --split-seed, which mixes training into the test."""
+    one, two, model = (tmp_path / name for name in ("one.parquet", "two.parquet", "model.onnx"))
+    files.write_dataset(one, small.select(small.names[:4]), [], "four trajectories")
+    files.write_dataset(two, small.select(small.names[4:]), [], "two more")
+    words = [str(one), "--validation", str(two)] if apart else [str(one), str(two)]
+    words += ["--out", str(model), "--estimator", "ridge", "--json"]
+    assert main(["train", *words]) == 0
+    tested = json.loads(capsys.readouterr().out)["test"]["after"]["rms_mm"]
+    for order in ([one, two], [two, one]):
+        assert main(["ablate", *map(str, order), str(model), "--json"]) == 0
+        captured = capsys.readouterr()
+        assert json.loads(captured.out)["rms_mm"] == pytest.approx(tested)
+        assert "not as in training" not in captured.err
+    assert main(["ablate", str(one), str(model)]) == 2
+    assert "give all data sets it was trained on" in capsys.readouterr().err
+    assert main(["ablate", str(model)]) == 2
+    assert "expected data sets, and last the model" in capsys.readouterr().err
 
 
 def _written(small: Dataset, folder: Path) -> dict[str, str]:
