@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import median_filter
 from scipy.signal import correlate
 
 from measure.arrays import Bools, Floats
@@ -21,6 +22,8 @@ _LEAST_CORRELATION = 0.9
 _APART_S = 0.5  # offsets farther apart are different answers
 _LEAST_ADVANTAGE = 3.0  # what is left of the motion at any other offset, over what is left at best
 _ALIKE_S = 2.0  # residuals closer than this may belong together
+_AROUND = 5  # positions whose median one is compared with
+_LEAST_KEPT = 0.8  # of the positions; false detections are fewer than the rest
 _SPARSE_S = 0.4  # poses farther apart miss most of a hand's motion
 
 
@@ -66,7 +69,8 @@ def estimate_offset(
         EstimatorError: too little motion in common, no offset makes the velocities agree, or
             several do (motion that repeats itself).
     """
-    cameras, robot = _Motion(camera_times_s, measured_mm), _Motion(robot_times_s, reported_mm)
+    robot = _Motion(robot_times_s, reported_mm)
+    cameras = _without_slips(_Motion(camera_times_s, measured_mm), robot)
     grid = _common_times(cameras.times_s, robot.times_s, largest_s)
     lags, scores = _agreements(cameras, robot, grid, largest_s)
     best = int(np.argmax(scores))
@@ -129,6 +133,25 @@ class _Motion:
         inside = (first >= 0) & (last < len(self.times_s))
         bridged = before[np.minimum(last, len(gaps))] - before[np.maximum(first, 0)]
         return np.asarray(inside & (bridged == 0))
+
+
+def _without_slips(cameras: _Motion, robot: _Motion) -> _Motion:
+    """What was measured, but for single positions that the robot cannot have got to and back from.
+
+    These are further from the median of the five around them than it ever goes in their time: one
+    false detection is a velocity that outweighs all others.
+    """
+    moving = robot.velocity(robot.times_s)
+    fastest = float(np.linalg.norm(moving, axis=1).max())
+    middle = median_filter(cameras.positions_mm, size=(_AROUND, 1), mode="mirror")
+    off = np.linalg.norm(cameras.positions_mm - middle, axis=1)
+    side, last = _AROUND // 2, len(off) - 1
+    at = np.arange(len(off))
+    first, stop = np.maximum(at - side, 0), np.minimum(at + side, last)
+    kept = off <= fastest * (cameras.times_s[stop] - cameras.times_s[first])
+    if kept.mean() < _LEAST_KEPT:  # another unit, or another robot's log: not for here to say
+        return cameras
+    return _Motion(cameras.times_s[kept], cameras.positions_mm[kept])
 
 
 def _agreements(

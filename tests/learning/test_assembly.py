@@ -162,6 +162,24 @@ def test_gaps_say_nothing_of_the_offset(pair: tuple[PoseTrack, RobotLog]) -> Non
     assert gaps.clock.correlation > 0.98
 
 
+@pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.parametrize("off_mm", [30.0, 3e3])
+def test_false_detections_say_nothing_of_the_offset(
+    pair: tuple[PoseTrack, RobotLog], off_mm: float, count: int
+) -> None:
+    """One was taken for the fastest motion, and the log for another recording's."""
+    track, log = pair
+    _, (whole,) = assemble([(track, log)])
+    positions = track.positions_mm.copy()
+    for at in (100, 200, 450):
+        positions[at : at + count] += off_mm
+    _, (facts,) = assemble([(replace(track, positions_mm=positions), log)])
+    assert facts.clock is not None
+    assert whole.clock is not None
+    assert facts.clock.offset_s == pytest.approx(whole.clock.offset_s, abs=0.002)
+    assert facts.outliers == whole.outliers + 3 * count
+
+
 def test_doubtful_labels_are_marked(pair: tuple[PoseTrack, RobotLog]) -> None:
     track, log = pair
     positions, covariances = track.positions_mm.copy(), track.covariances.copy()
