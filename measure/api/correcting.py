@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from measure.api.outputs import check_writable, is_one_of
-from measure.errors import EstimatorError
+from measure.errors import ConfigError, EstimatorError
 
 if TYPE_CHECKING:
     from measure.learning import Corrected, DriftMonitor, EstimateServer, Evaluation, Zeroing
@@ -73,10 +73,17 @@ def estimate_online(
     started: Callable[[EstimateServer], None],
     tell: Callable[[EstimateServer], None],
 ) -> EstimateServer:
-    """Answer states by UDP until the time is over or the process is interrupted."""
+    """Answer states by UDP until the time is over or the process is interrupted.
+
+    Raises:
+        ConfigError: a time that is none.
+        EstimatorError: the model cannot be read, or the address not be listened on.
+    """
     from measure import learning
     from measure.host import OnnxModel
 
+    if seconds is not None and not seconds >= 0:
+        raise ConfigError(f"--seconds {seconds:g}: expected a number that is not negative")
     server = learning.EstimateServer(OnnxModel.load(model_path), address, zeroing)
     started(server)
     try:

@@ -64,7 +64,7 @@ def train(
     check_writable(out, folder_is_made=True)
     card_path = out.with_suffix(".card.json")
     read = [*data, *([options.validation] if options.validation else [])]
-    if is_one_of(card_path, [path.with_suffix(".card.json") for path in read]):
+    if is_one_of(card_path, [path.with_suffix(".card.json") for path in read if path.name]):
         raise EstimatorError(
             f"--out {out}: its card would replace {card_path}, the card of the data: give the "
             "model another name"
@@ -145,11 +145,12 @@ def sweep(
         raise ConfigError(f"--trials {trials}: expected a positive number")
     check_seeds(split_seed=seed)
     check_writable(journal, folder_is_made=True)
+    ranges = read_space(space)
+    if both := sorted(ranges.keys() & settings.keys()):
+        raise ConfigError(f"--set {both[0]}: {space} has a range for it: give it in one place only")
     digest = files.read_dataset(data).digest()
     job = sweeping.SweepJob(str(data.resolve()), estimator, dict(settings), seed, digest)
-    return sweeping.sweep(
-        job, read_space(space), journal, trials, scheduler=scheduler, report=report
-    )
+    return sweeping.sweep(job, ranges, journal, trials, scheduler=scheduler, report=report)
 
 
 def ablate(

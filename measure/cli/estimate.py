@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -91,6 +92,8 @@ def _serve(
     latency = served.latency_us()
     counts = served.counters.values()
     ending = f"one update: median {latency['p50_us']:.0f} us, 99 % {latency['p99_us']:.0f} us"
+    if math.isnan(latency["p50_us"]):
+        ending = "nobody sent a state"
     _conclude({**counts, **latency}, json, ending)
 
 

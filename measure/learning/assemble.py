@@ -16,6 +16,7 @@ from measure.learning.joining import join
 from measure.robots import RobotLog
 
 _LARGEST_OFFSET_S = 3600.0
+_LARGEST_RATE_HZ = 10_000.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +63,10 @@ class AssemblySettings:
             value = getattr(self, name)
             if not (value >= 0 and np.isfinite(value)):
                 raise EstimatorError(f"{name} is {value:g}: expected a number that is not negative")
+        if self.history_hz > _LARGEST_RATE_HZ:
+            raise EstimatorError(
+                f"history_hz is {self.history_hz:g}: expected {_LARGEST_RATE_HZ:g} at most"
+            )
         if self.clock_offset_s is not None and not np.isfinite(self.clock_offset_s):
             raise EstimatorError(f"clock_offset_s is {self.clock_offset_s:g}: expected a number")
         if self.largest_offset_s > _LARGEST_OFFSET_S:

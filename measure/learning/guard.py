@@ -20,6 +20,8 @@ _LARGEST_LEAP = 1_000_000
 """So many packets in a row are not lost: a quarter of an hour at 1 kHz."""
 _JITTER_S = 1.0
 """Stamps that go back by no more are refused one by one: they soon grow beyond the last again."""
+_LARGEST = float(np.finfo(np.float32).max)
+"""What is larger is no number to a network."""
 _LONGEST_PAUSE_S = 1000.0
 """A stamp further ahead of the last one is not believed by itself."""
 
@@ -139,7 +141,7 @@ class GuardedModel:
     def _judge(self, state: Floats, time_s: float, sequence: int | None) -> Refusal | None:
         if len(state) != len(self.model.features):
             return Refusal.FEATURE_COUNT
-        if np.isinf(time_s) or not np.isfinite(state).all():
+        if np.isinf(time_s) or not (np.abs(state) <= _LARGEST).all():
             return Refusal.NOT_A_NUMBER
         last = self._last_sequence
         if sequence is not None and last is not None and not 0 < sequence - last <= _LARGEST_LEAP:

@@ -68,6 +68,12 @@ def train(
     """
     if out.suffix != ".onnx":
         raise EstimatorError(f"{out}: a model's file name must end with .onnx")
+    for what, part in (("training", split.train), ("test", split.test)):
+        if part.usable.any() and not part.errors_mm[part.usable].any():
+            raise EstimatorError(
+                f"all errors of the {what} trajectories are 0: the robot needs no correction, or "
+                "the labels are missing"
+            )
     out.parent.mkdir(parents=True, exist_ok=True)
     checkpoint = out.with_suffix(".checkpoint")
     if not resume:

@@ -6,6 +6,7 @@ import json
 import socket
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -138,6 +139,7 @@ def test_a_port_that_is_taken(folder: Path, capsys: pytest.CaptureFixture[str]) 
         ("dataset", "--simulate-min", "5", "--restarts", "0", "--out", "x.parquet"),
         ("dataset", "run", "--robot-log", "log", "--cut-s", "-5", "--out", "x.parquet"),
         ("dataset", "run", "--robot-log", "log", "--history-hz", "nan", "--out", "x.parquet"),
+        ("dataset", "run", "--robot-log", "log", "--history-hz", "1e9", "--out", "x.parquet"),
         ("dataset", "run", "--robot-log", "log", "--clock-offset-s", "inf", "--out", "x.parquet"),
         ("dataset", "--simulate-min", "5", "--seed", "-1", "--out", "x.parquet"),
         ("dataset", "--simulate-min", "5", "--wear", "0", "--out", "x.parquet"),
@@ -172,6 +174,50 @@ def test_numbers_that_nothing_is_learnt_with(
     out = folder / "none.onnx"
     assert reason in _refused(capsys, "train", folder / "data.parquet", "-o", out, *given)
     assert not out.exists()
+
+
+def test_labels_that_are_all_zero(folder: Path, small: Dataset, capsys) -> None:
+    """The share of a change of nothing was a division by zero, once all was learnt."""
+    data = folder / "zero.parquet"
+    files.write_dataset(data, replace(small, errors_mm=0.0 * small.errors_mm), [], "no errors")
+    words = ("train", data, "-o", folder / "none.onnx", "--estimator", "offset")
+    assert "all errors of the training trajectories are 0" in _refused(capsys, *words)
+
+
+def test_a_folder_is_no_data_set(folder: Path, monkeypatch, capsys) -> None:
+    (folder / "within").mkdir()
+    monkeypatch.chdir(folder / "within")
+    words = ("-o", folder / "none.onnx", "--estimator", "offset")
+    assert "not a data set" in _refused(capsys, "train", ".", *words)
+
+
+def test_a_setting_that_a_sweep_tries_is_not_fixed_too(folder: Path, capsys) -> None:
+    """The fixed one was dropped without a word."""
+    space = folder / "space.toml"
+    space.write_text("[penalty]\nlow = 1\nhigh = 2\n")
+    words = ("sweep", folder / "data.parquet", space, "--journal", folder / "new.log")
+    said = _refused(capsys, *words, "--set", "penalty=3")
+    assert "--set penalty: " in said
+    assert "has a range for it" in said
+
+
+@pytest.mark.parametrize("seconds", ["-3", "nan"])
+def test_times_that_are_none(folder: Path, capsys, seconds: str) -> None:
+    words = ("estimate", folder / "model.onnx", "--port", "0", "--seconds", seconds)
+    assert f"--seconds {seconds}: expected a number" in _refused(capsys, *words)
+
+
+def test_a_state_beyond_what_networks_know_is_no_number(folder: Path, capsys) -> None:
+    """It became infinite, and was answered."""
+    lines = (folder / "left.csv").read_text().splitlines()
+    cells = lines[5].split(",")
+    cells[lines[0].replace('"', "").split(",").index("tau_0")] = "1e300"
+    lines[5] = ",".join(cells)
+    (folder / "huge.csv").write_text("\n".join(lines) + "\n")
+    capsys.readouterr()
+    assert main(_estimate(folder, "huge.csv", "--json")) == 0
+    counts = json.loads(capsys.readouterr().out)
+    assert counts[Refusal.NOT_A_NUMBER] == 1
 
 
 def test_outputs_that_cannot_be_written(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
