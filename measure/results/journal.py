@@ -124,7 +124,9 @@ def read_table(folder: Path, name: str, schema: pa.Schema) -> pa.Table:
         if stream.exists():
             return _whole_batches(stream, schema)
         if finished.exists():
-            with finished.open("rb") as file:
+            # Not a file of Python's: threads that read it may let go of it after Python has ended,
+            # which aborts the process. As bytes, for names need not be UTF-8.
+            with pa.OSFile(os.fsencode(finished)) as file:
                 _refuse_missing(schema, pq.read_schema(file))
                 return pq.read_table(file, schema=schema)
     except (pa.ArrowException, OSError) as error:
