@@ -18,6 +18,10 @@ from measure_plugins._edges.contours import Contours
 _LEAST_COMMON_PX = 0.06
 """What light shifts a ball by alike in all cameras, however well these agree: chosen on rendered
 recordings, dim rooms and large lamps among them, so that 95 % regions hold the truth in 95 %."""
+_PART = 0.4
+"""Share of that shift's square that is each ball's own; as much again is the same for all balls,
+and moves the body without turning it. Were all of it each ball's own, positions would be told twice
+as surely as rotations, and the more so the more balls there are."""
 
 
 class Solution(NamedTuple):
@@ -170,9 +174,10 @@ def of_light(
     """What shifts a ball alike in all cameras adds to the pose's covariance (6, 6).
 
     Light falls on a ball from the same side whoever looks, and shifts its outlines by its colour:
-    the part that all cameras share moves the ball and leaves little residual. It is taken to be as
-    large as the part that differs and is seen, though no less than `_LEAST_COMMON_PX`, and each
-    ball's own.
+    the part that all cameras share moves the ball and leaves little residual. It is taken from how
+    large the part is that differs and is seen, though from no less than `_LEAST_COMMON_PX`; partly
+    it is each ball's own, and partly the same for all balls, as what a wrong tone curve does to
+    balls under the same light.
 
     Args:
         contours: k ball-views in c views.
@@ -189,7 +194,10 @@ def of_light(
         center = times(contours.rotations[view], place) + contours.translations[view]
         focal = (lenses[view, 0] + lenses[view, 3]) / 2
         mm_per_px += np.sqrt(np.sum(center * center)) / focal / len(contours.view_of)
-    out, common_px = np.zeros((6, 6)), max(fit.shift_sd_px[0], _LEAST_COMMON_PX)
+    out, together = np.zeros((6, 6)), np.zeros((6, 3))
     for ball in range(balls):
         out += levers[ball] @ levers[ball].T
-    return out * (common_px * mm_per_px) ** 2
+        together += levers[ball]
+    out += together @ together.T
+    common_px = max(fit.shift_sd_px[0], _LEAST_COMMON_PX)
+    return out * (_PART * (common_px * mm_per_px) ** 2)

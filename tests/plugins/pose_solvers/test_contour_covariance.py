@@ -49,6 +49,23 @@ def test_cameras_that_agree_do_not_promise_what_light_does_to_all_of_them():
     assert inside >= 36
 
 
+def test_what_light_does_to_all_balls_alike_is_in_the_position():
+    """As much as to each ball by itself; more balls do not average it out."""
+    cameras, rng = ring(), np.random.default_rng(4)
+    inside = 0
+    for _ in range(60):
+        light = rng.normal(scale=0.04, size=(3, 3)) + rng.normal(scale=0.04, size=3)
+        seen = [
+            see(RAVEN, camera, name, POSE, sd=0.01, rng=rng, shift=_in_picture(camera, shift))
+            for camera in cameras.values()
+            for name, shift in zip(RAVEN.names, light, strict=True)
+        ]
+        pose = solve(RAVEN, seen, cameras, Motion.at_rest(POSE.perturb(OFF), 0.0))
+        off = pose.world_from_body.difference(POSE)[:3]
+        inside += squared_mahalanobis(off, pose.covariance[:3, :3]) < 7.81
+    assert inside >= 54
+
+
 def _in_picture(camera, light_world_px, rng=None):
     """A shift (2,) of one outline: a common one along the world's axes, and its own."""
     seen = camera.camera_from_world.rotate(light_world_px)[:2]
