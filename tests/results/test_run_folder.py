@@ -12,7 +12,7 @@ import pytest
 from measurements import BODY, CAMERAS, measurement
 
 from measure.errors import RunError
-from measure.results import Provenance, RunWriter, read_run
+from measure.results import Provenance, RunWriter, journal, read_run
 from measure.results.tables import SCHEMAS
 
 PROVENANCE = Provenance(
@@ -90,6 +90,21 @@ def test_a_folder_whose_name_is_no_text_can_be_written_and_read(tmp_path):
     folder = tmp_path / os.fsdecode(b"r\xff")
     _write(folder, 2)
     assert read_run(folder).poses.num_rows == 2
+
+
+def test_no_thread_may_hold_a_file_of_pythons_after_its_end(tmp_path, monkeypatch):
+    """One that let go of it while Python ended aborted the process, one time in twenty."""
+    really, held = journal.pq.read_table, []
+
+    def read(file, **how):
+        held.append(file)
+        return really(file, **how)
+
+    _write(tmp_path / "run", 4)
+    monkeypatch.setattr(journal.pq, "read_table", read)
+    read_run(tmp_path / "run")
+    assert len(held) == 3
+    assert all(isinstance(file, pa.NativeFile) for file in held)
 
 
 def test_an_unfinished_run_of_an_earlier_version_can_be_read(tmp_path):
