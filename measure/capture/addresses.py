@@ -38,9 +38,12 @@ class CameraAddress:
             rate_hz: pictures a second, likewise.
 
         Raises:
-            CaptureError: no such file or camera.
+            CaptureError: no such file or camera, or no address.
         """
-        scheme = urlsplit(self.address).scheme
+        try:
+            scheme = urlsplit(self.address).scheme
+        except ValueError as problem:
+            raise CaptureError(f"camera '{self.name}': {self.address}: {problem}") from None
         if scheme in ("http", "https"):
             return HttpSource(self.address)
         if scheme in ("rtsp", "rtsps"):

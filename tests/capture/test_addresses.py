@@ -52,3 +52,9 @@ def test_what_is_not_there_is_refused(tmp_path):
         CameraAddress("a", "nothing.mp4").source()
     with pytest.raises(CaptureError, match="there is no camera /dev/video97"):
         CameraAddress("a", "97").source()
+
+
+@pytest.mark.parametrize("scheme", ["http", "rtsp"])
+def test_an_address_that_is_none_is_told(scheme):
+    with pytest.raises(CaptureError, match=r"camera 'a': \w+://\[::1/: Invalid IPv6 URL"):
+        CameraAddress("a", f"{scheme}://[::1/").source()
