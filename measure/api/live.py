@@ -111,7 +111,7 @@ def live(
     profile = profile.model_copy(update={"neighbours": False})
     sources = sources_of(cameras, calibrated, options.asked)
     if options.record is not None:
-        check_new(options.record)
+        check_new(options.record, [one.name for one in cameras])
     if (out / RUN_FILE).exists() and not options.overwrite:
         raise RunError(f"{out} holds a run already: --overwrite throws it away")
     if options.viewer:

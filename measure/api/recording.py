@@ -70,13 +70,13 @@ def record(
 
     Raises:
         CaptureError: a camera cannot be reached or is of another size than calibrated; the folder
-            cannot be written.
+            cannot be written, or a camera's name cannot be a folder's.
         CalibrationError: the calibration is broken, or has not all the cameras.
         SessionError: the body file is broken.
         ConfigError: no camera, or a time that is none.
     """
     check_seconds(seconds)
-    check_new(out)
+    check_new(out, [one.name for one in cameras])
     calibrated = calibrated_cameras(cameras, calibration)
     measured = None if body is None else read_body(body)
     sources = sources_of(cameras, calibrated, asked)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import glob
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from threading import Lock
 from types import TracebackType
@@ -15,6 +17,7 @@ from measure.model import Body, Camera, Image
 from measure.session import Calibration, dump_toml, write_body, write_calibration
 
 _QUALITY = (cv2.IMWRITE_JPEG_QUALITY, 98)
+_OWN_FILES = ("session.toml", "body.toml", "calibration.toml")
 _FULL_COLOR = (cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
 
 
@@ -42,11 +45,12 @@ class Recorder:
             cameras: calibrated, if they are already.
 
         Raises:
-            CaptureError: the folder holds something, or cannot be written.
+            CaptureError: the folder holds something, or cannot be written; a camera's name cannot
+                be a folder's.
         """
         self._folder, self._lock = folder, Lock()
         self._stamps: dict[str, TextIO] = {}
-        check_new(folder)
+        check_new(folder, addresses)
         try:
             folder.mkdir(parents=True, exist_ok=True)
             if body is not None:
@@ -104,18 +108,37 @@ class Recorder:
             begun.unlink()  # closed meanwhile
 
 
-def check_new(folder: Path) -> None:
-    """Refuse a folder that holds something.
+def check_new(folder: Path, names: Iterable[str] = ()) -> None:
+    """Refuse a folder that holds something, and cameras whose pictures cannot have one in it.
 
     Raises:
-        CaptureError: it does, or cannot be looked into.
+        CaptureError: it does, or cannot be looked into; a camera's name cannot be a folder's.
     """
+    _check_names(list(names))
     try:
         taken = folder.exists() and (not folder.is_dir() or any(folder.iterdir()))
     except OSError as problem:
         raise _cannot_write(folder, problem) from None
     if taken:
         raise CaptureError(f"{folder}: is there already: give a new folder")
+
+
+def _check_names(names: Sequence[str]) -> None:
+    """Refuse names that lead elsewhere, or to one place where letters' case does not count."""
+    for name in names:
+        if name in ("", ".", "..") or any(sign in "/\\" or ord(sign) < 32 for sign in name):
+            raise CaptureError(
+                f"camera '{name}': cannot be recorded under this name, for its pictures' folder is "
+                "called so: give it one without slashes"
+            )
+    places = [*_OWN_FILES, *names, *(f"{name}.csv" for name in names)]
+    often = Counter(place.casefold() for place in places)
+    for name in names:
+        if often[name.casefold()] > 1 or often[f"{name}.csv".casefold()] > 1:
+            raise CaptureError(
+                f"camera '{name}': another camera, or a file of the session, is called so, apart "
+                "from capitals: give it another name"
+            )
 
 
 def _new_stamps(path: Path) -> TextIO:
@@ -137,7 +160,7 @@ def _session(
             "calibration": "calibration.toml" if calibrated else None,
         },
         "cameras": [
-            {"name": name, "images": f"{name}/*.jpg", "timestamps": f"{name}.csv"}
+            {"name": name, "images": f"{glob.escape(name)}/*.jpg", "timestamps": f"{name}.csv"}
             for name in addresses
         ],
     }

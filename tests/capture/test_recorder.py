@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -109,3 +111,26 @@ def test_a_folder_that_vanishes_is_told_in_one_line(tmp_path):
     with pytest.raises(CaptureError, match="cannot be written: No such file"):
         recorder.add(next(pictures()))
     recorder.close()
+
+
+@pytest.mark.parametrize(
+    "names",
+    [("a/b",), ("..",), ("",), ("a\\b",), ("Cam", "cam"), ("session.toml",), ("a", "a.csv")],
+)
+def test_names_that_cannot_be_folders_are_refused_before_anything_is_made(tmp_path, names):
+    with pytest.raises(CaptureError, match="name"):
+        Recorder(tmp_path / "s", dict.fromkeys(names, "x"))
+    assert not (tmp_path / "s").exists()
+
+
+def test_a_name_that_looks_like_a_pattern_is_found_again(tmp_path, paper_body, rig):
+    names = ("cam[0]", "c*")
+    cameras = [replace(camera, name=name) for camera, name in zip(rig, names, strict=False)]
+    with Recorder(tmp_path / "s", dict.fromkeys(names, "x"), paper_body, cameras) as recorder:
+        for image in pictures():
+            recorder.add(replace(image, camera=names[NAMES.index(image.camera)]))
+    with open_session(tmp_path / "s") as session:
+        assert {name: len(stream) for name, stream in session.streams.items()} == {
+            "cam[0]": 3,
+            "c*": 3,
+        }
