@@ -218,9 +218,10 @@ class Cameras:
                 continue
             steps.append(time_s - last_s)
             last_s = time_s
-            self._deliver(name, shot, time_s, _uneven_s(steps))
+            self._deliver(name, shot, time_s, clock)
+            self._note(name, uneven_s=_uneven_s(steps))
 
-    def _deliver(self, name: str, shot: Shot, time_s: float, uneven_s: float) -> None:
+    def _deliver(self, name: str, shot: Shot, time_s: float, clock: DeviceClock) -> None:
         count = self._counts[name]
         image = _image(name, count.pictures, time_s, shot)
         try:
@@ -236,8 +237,7 @@ class Cameras:
             pictures=count.pictures + 1,
             first_s=first_s,
             last_s=time_s,
-            own_clock=shot.device_s is not None or isinstance(self._sources[name], FileSource),
-            uneven_s=uneven_s,
+            own_clock=clock.runs or isinstance(self._sources[name], FileSource),
         )
 
     def _note(self, name: str, **changed: object) -> None:

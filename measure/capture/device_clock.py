@@ -8,6 +8,11 @@ _WINDOW_S = 30.0
 """Clocks drift by tens of microseconds a second: what is older than this is forgotten."""
 _JUMP_S = 1.0
 """A clock that is off by so much more than before has been set anew."""
+_HELD_UP_S = 5.0
+"""For so long pictures that are later than that may be held up instead, and come in a burst."""
+_MOST_ANEW = 0.1
+"""Share of pictures at which a clock may be believed anew; one that stands still, or does not
+count seconds, is at every picture."""
 
 
 class DeviceClock:
@@ -22,7 +27,14 @@ class DeviceClock:
 
     def __init__(self) -> None:
         self._least: deque[tuple[float, float]] = deque()
-        self._last_s: float | None = None
+        self._start_s = self._last_s = 0.0
+        self._late_since_s: float | None = None
+        self._stamps = self._anew = 0
+
+    @property
+    def runs(self) -> bool:
+        """Whether times are the camera's: it has a clock, and that runs as ours does."""
+        return self._stamps > 0 and self._anew <= _MOST_ANEW * self._stamps
 
     def time_s(self, arrived_s: float, device_s: float | None) -> float:
         """The time of a picture, s on our clock.
@@ -33,13 +45,31 @@ class DeviceClock:
         """
         if device_s is None:
             return arrived_s
-        late, least = arrived_s - device_s, self._least
-        if least and (device_s <= (self._last_s or 0.0) or abs(late - least[0][1]) > _JUMP_S):
+        self._stamps += 1
+        since_s, least = device_s - self._start_s, self._least
+        late = arrived_s - since_s
+        if not least or since_s <= self._last_s or self._is_set_anew(arrived_s, late):
+            self._anew += bool(least)
             least.clear()
-        self._last_s = device_s
+            # From here on, for whatever clocks count from would cost digits.
+            self._start_s, since_s, late, self._late_since_s = device_s, 0.0, arrived_s, None
+        self._last_s = since_s
         while least and least[-1][1] >= late:
             least.pop()
-        least.append((device_s, late))
-        while least[0][0] < device_s - _WINDOW_S:
+        least.append((since_s, late))
+        while least[0][0] < since_s - _WINDOW_S:
             least.popleft()
-        return device_s + least[0][1]
+        return since_s + least[0][1]
+
+    def _is_set_anew(self, arrived_s: float, late: float) -> bool:
+        """Whether the clock was set: at once where it is ahead, after a while where it is behind.
+
+        What a network holds up seems behind too, but only until it has all come.
+        """
+        behind = late - self._least[0][1]
+        if behind <= _JUMP_S:
+            self._late_since_s = None
+            return behind < -_JUMP_S
+        if self._late_since_s is None:
+            self._late_since_s = arrived_s
+        return arrived_s - self._late_since_s > _HELD_UP_S

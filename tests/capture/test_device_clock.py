@@ -51,3 +51,41 @@ def test_a_clock_that_is_set_anew_is_believed_anew(taken_s, rng):
 
 def test_without_a_clock_of_its_own_a_picture_is_taken_when_it_arrives():
     assert DeviceClock().time_s(12.5, None) == 12.5
+
+
+def test_pictures_that_were_held_up_and_come_at_once_keep_their_times(taken_s):
+    """As when a radio link is gone for three seconds."""
+    arrived = taken_s + 0.02
+    gone = (taken_s > 1020.0) & (taken_s < 1023.0)
+    arrived[gone] = 1023.02 + 1e-4 * np.arange(np.count_nonzero(gone))
+    off = off_s(taken_s, arrived, taken_s - 977.0)
+    np.testing.assert_allclose(off, 0.02, atol=1e-9)
+
+
+@pytest.mark.parametrize("unit", [1e3, 1e6, 1e9])
+def test_a_clock_that_counts_no_seconds_is_not_believed(taken_s, unit):
+    """Since 1970, as some cameras do: its digits must not reach the times."""
+    clock = DeviceClock()
+    arrived = taken_s + 0.02
+    times = [clock.time_s(a, (1.7e9 + t) * unit) for a, t in zip(arrived, taken_s, strict=True)]
+    np.testing.assert_allclose(times, arrived, atol=1e-9)
+    assert not clock.runs
+
+
+def test_seconds_since_1970_keep_their_digits(taken_s):
+    off = off_s(taken_s, taken_s + 0.02, taken_s + 1.7e9)
+    np.testing.assert_allclose(off, 0.02, atol=1e-6)
+
+
+def test_a_clock_that_stands_still_is_not_believed(taken_s):
+    clock = DeviceClock()
+    assert [clock.time_s(t, 5.0) for t in taken_s] == list(taken_s)
+    assert not clock.runs
+
+
+def test_a_clock_that_runs_says_so_although_it_was_set_anew(taken_s):
+    clock = DeviceClock()
+    assert not clock.runs
+    for t in taken_s:
+        clock.time_s(t, t - 977.0 - 5000.0 * (t > 1050.0))
+    assert clock.runs
