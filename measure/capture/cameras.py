@@ -13,13 +13,12 @@ from typing import Self
 
 import numpy as np
 
-from measure.arrays import Bytes
 from measure.capture.device_clock import DeviceClock
+from measure.capture.pictures import image_of, is_whole, size_wh
 from measure.capture.sources import PATIENCE_S, Shot, Source
 from measure.capture.video_sources import FileSource
-from measure.errors import CaptureError, MeasureError
+from measure.errors import CaptureError
 from measure.model import Image
-from measure.session import decode_picture, is_complete_jpeg
 
 SETTLING_S = 1.0
 """What a camera delivers in its first second is thrown away, see `Source.settles`."""
@@ -83,9 +82,10 @@ class Cameras:
 
         Args:
             sources: by the cameras' names.
-            sizes_wh: what their pictures must measure; whatever they do, where not given.
+            sizes_wh: what their pictures must measure; what the first does, where not given.
         """
-        self._sizes = dict(sizes_wh or {})
+        self._sizes = {name: tuple(size) for name, size in (sizes_wh or {}).items()}
+        self._first_sizes: dict[str, tuple[int, int]] = {}
         self._sinks: tuple[Callable[[Image], None], ...] = ()
         self._sources = dict(sources)
         self._counts = dict.fromkeys(sources, CameraCount())
@@ -161,8 +161,8 @@ class Cameras:
                 self.check()
                 if time.monotonic() > until_s:
                     raise CaptureError(
-                        f"camera '{name}': {self._sources[name].address}: no picture in "
-                        f"{_FIRST_S:g} s"
+                        f"camera '{name}': {self._sources[name].address}: no whole picture "
+                        f"in {_FIRST_S:g} s"
                     )
         self.check()
 
@@ -203,17 +203,19 @@ class Cameras:
             if self._stop.is_set():
                 return
             time_s = clock.time_s(shot.arrived_s, shot.device_s) + self._since_1970
-            if not self._ready[name].is_set():
+            whole = is_whole(shot)
+            if whole:
                 self._check_size(name, shot)
             if source.settles and time.monotonic() - connected < SETTLING_S:
                 continue
-            self._ready[name].set()
+            if whole or not source.settles:
+                self._ready[name].set()
             if source.settles and not self._go.is_set():
                 continue
             self._go.wait()
             if self._stop.is_set():
                 return
-            if time_s <= last_s or not _is_whole(shot):
+            if time_s <= last_s or not whole:
                 self._note(name, refused=self._counts[name].refused + 1)
                 continue
             steps.append(time_s - last_s)
@@ -223,7 +225,7 @@ class Cameras:
 
     def _deliver(self, name: str, shot: Shot, time_s: float, clock: DeviceClock) -> None:
         count = self._counts[name]
-        image = _image(name, count.pictures, time_s, shot)
+        image = image_of(name, count.pictures, time_s, shot)
         try:
             for sink in self._sinks:
                 sink(image)
@@ -245,40 +247,26 @@ class Cameras:
         self._counts[name] = replace(self._counts[name], **changed)  # type: ignore[arg-type]
 
     def _check_size(self, name: str, shot: Shot) -> None:
-        """Refuse a camera whose pictures are not of the calibrated size.
+        """Refuse pictures that are not of the calibrated size, or the first one's.
 
         Raises:
             CaptureError: they are not.
         """
-        try:
-            pixels = _pixels(shot, f"camera '{name}'")
-        except MeasureError:
-            return  # a first picture may be torn; the next one tells
-        size, wanted = (pixels.shape[1], pixels.shape[0]), self._sizes.get(name)
-        if wanted is not None and size != tuple(wanted):
-            raise CaptureError(
-                f"{self._sources[name].address}: its pictures are {size[0]}x{size[1]} px, and "
-                f"{wanted[0]}x{wanted[1]} px is what is calibrated: set the camera to that size, "
-                "or calibrate it at this one"
-            )
+        size, wanted = size_wh(shot), self._sizes.get(name)
+        if size is None or size == wanted:
+            return
+        told = f"{self._sources[name].address}: its pictures are {size[0]}x{size[1]} px"
+        if wanted is None:
+            self._first_sizes.setdefault(name, size)
+            if (first := self._first_sizes[name]) != size:
+                raise CaptureError(f"{told}, and its first were {first[0]}x{first[1]} px")
+            return
+        raise CaptureError(
+            f"{told}, and {wanted[0]}x{wanted[1]} px is what is calibrated: set the camera to that "
+            "size, or calibrate it at this one"
+        )
 
 
 def _uneven_s(steps: Sequence[float]) -> float:
     known = np.array([step for step in steps if not math.isnan(step)])
     return 1.5 * float(np.median(np.abs(known - np.median(known)))) if len(known) else math.nan
-
-
-def _image(name: str, frame: int, time_s: float, shot: Shot) -> Image:
-    where = f"camera '{name}', frame {frame}"
-    return Image(name, frame, time_s, lambda: _pixels(shot, where), shot.jpeg)
-
-
-def _pixels(shot: Shot, where: str) -> Bytes:
-    if shot.pixels is not None:
-        return np.ascontiguousarray(shot.pixels)
-    return decode_picture(shot.jpeg or b"", where)
-
-
-def _is_whole(shot: Shot) -> bool:
-    """Whether a picture is all there, as far as that can be told without decoding it."""
-    return shot.jpeg is None or is_complete_jpeg(shot.jpeg)

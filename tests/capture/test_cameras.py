@@ -111,6 +111,31 @@ def test_pictures_of_another_size_than_calibrated_are_refused():
         pass  # the control
 
 
+@pytest.mark.parametrize("sizes", [{"a": SIZE}, {}])
+def test_pictures_that_change_their_size_are_not_handed_on(sizes):
+    """As of a camera that was switched off and on, and comes back as it was made."""
+    other = jpeg(70, (32, 24))
+    kept = Kept()
+    served = {"a": ServedCamera([*[PICTURES[0]] * 45, *[other] * 45])}
+    with serving(served) as addresses, Cameras(sources(addresses), sizes) as rig:
+        rig.begin([kept])
+        waited(lambda: rig.counts["a"].breaks)
+        trouble = rig.counts["a"].trouble
+    assert kept.images
+    assert {image.pixels.shape for image in kept.images} == {(48, 64, 3)}
+    assert "its pictures are 32x24 px" in trouble
+
+
+def test_a_camera_that_sends_no_jpeg_is_told(monkeypatch):
+    monkeypatch.setattr("measure.capture.cameras._FIRST_S", 2.0)
+    with (
+        serving({"a": ServedCamera([b"no picture", b""])}) as addresses,
+        pytest.raises(CaptureError, match=r"camera 'a': http.*: no whole picture in 2 s"),
+        Cameras(sources(addresses)),
+    ):
+        pass
+
+
 def test_torn_pictures_are_left_out_and_counted():
     torn = PICTURES[3][: len(PICTURES[3]) // 2]
     kept = Kept()
