@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import deque
@@ -35,7 +36,7 @@ class Gathering:
     A set is made as soon as every camera has delivered that should have, or when its first picture
     has waited for one and a half periods; pictures belong to it that are no further than three
     quarters of a period from its middle one. What has been overtaken is left out: a set is the
-    newest there is.
+    newest there is, and none is older than the one before.
 
     Attributes:
         overtaken: how many pictures of the camera that lost most were left out for newer ones.
@@ -51,6 +52,7 @@ class Gathering:
         self._steps: dict[str, deque[float]] = {name: deque(maxlen=_KNOWN) for name in names}
         self._last_s: dict[str, float] = {}
         self._begun_s = 0.0
+        self._reached_s = -math.inf
         self._left = dict.fromkeys(names, 0)
         self._changed = threading.Condition()
         self.unreadable = 0
@@ -69,6 +71,9 @@ class Gathering:
             if name in self._last_s:
                 self._steps[name].append(image.time_s - self._last_s[name])
             self._last_s[name] = image.time_s
+            if image.time_s <= self._reached_s:  # held up so long that its set is made
+                self._left[name] += 1
+                return
             self._left[name] += len(self._waiting[name]) == _MOST_WAITING
             self._waiting[name].append((self._clock(), image))
             self._changed.notify()
@@ -98,8 +103,8 @@ class Gathering:
                 images = [one for one in pool.map(_decoded, taken) if one is not None]
                 self.unreadable += len(taken) - len(images)
                 if images:
-                    middle = sum(image.time_s for image in images) / len(images)
-                    yield FrameSet(index, middle, {image.camera: image for image in images})
+                    named = {image.camera: image for image in images}
+                    yield FrameSet(index, _middle_s(images), named)
                     index += 1
 
     def take(self, ended: bool = False) -> list[Image]:
@@ -109,7 +114,10 @@ class Gathering:
             ended: whether there will be no others, so that none is waited for.
         """
         with self._changed:
-            return self._members() if self._is_ready(ended) else []
+            members = self._members() if self._is_ready(ended) else []
+            if members:
+                self._reached_s = _middle_s(members)
+            return members
 
     def _wait(self) -> None:
         """Wait for a picture, but not so long that one waits for another in vain."""
@@ -164,6 +172,10 @@ class Gathering:
     def _leave(self, name: str) -> None:
         self._waiting[name].popleft()
         self._left[name] += 1
+
+
+def _middle_s(images: Sequence[Image]) -> float:
+    return sum(image.time_s for image in images) / len(images)
 
 
 def _is_nearer(one: Image, other: Image, instant_s: float) -> bool:

@@ -122,3 +122,21 @@ def test_what_a_camera_died_of_ends_it():
 
     with pytest.raises(SessionError, match="disk full"):
         next(Gathering(["a"]).frame_sets(lambda: False, check))
+
+
+@pytest.mark.parametrize("names", [("a", "b"), ("a", "b", "c")])
+def test_pictures_that_were_held_up_make_no_sets_that_go_back_in_time(names):
+    """As when a camera's radio link is gone for a while, and all it took comes at once."""
+    now, out = 0.0, []
+    gathering = Gathering(names, lambda: now)
+    pictures = [(k * PERIOD_S, name, k) for name in names for k in range(100)]
+    arrived = [(2.01 if name == "b" and 1 < t < 2 else t, name, t, k) for t, name, k in pictures]
+    for at, name, t, k in sorted(arrived):
+        now = at
+        gathering.add(image(name, k, t))
+        while taken := gathering.take():
+            out.append(taken)
+    times = [np.mean([one.time_s for one in taken]) for taken in out]
+    assert np.all(np.diff(times) > 0)
+    assert len(out) > 95
+    assert gathering.overtaken == pytest.approx(30, abs=2)
