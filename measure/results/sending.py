@@ -27,14 +27,17 @@ class PoseSender:
             ConfigError: there is no such host.
         """
         try:
-            family, kind, protocol, _, found = socket.getaddrinfo(*address, type=socket.SOCK_DGRAM)[
-                0
-            ]
+            places = socket.getaddrinfo(*address, type=socket.SOCK_DGRAM)
         except (OSError, UnicodeError, OverflowError) as problem:
             reason = getattr(problem, "strerror", None) or problem
             raise ConfigError(f"cannot send to {address[0]}:{address[1]}: {reason}") from None
+        # `localhost` is both 127.0.0.1 and ::1, and who listens at the one hears nothing of the
+        # other: receivers of UDP listen by IPv4, unless they were given an address of IPv6.
+        place = min(places, key=lambda place: place[0] != socket.AF_INET)
+        family, kind, protocol, _, found = place
         self._address = found
         self._socket = socket.socket(family, kind, protocol)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
 
     def __enter__(self) -> Self:
         return self
