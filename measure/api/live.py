@@ -17,6 +17,7 @@ from measure.api.live_outputs import LiveOptions, LiveOutputs
 from measure.api.profiles import RUN_FILE, build_pipeline
 from measure.api.recording import (
     calibrated_cameras,
+    check_apart,
     check_seconds,
     recorder,
     sizes_of,
@@ -111,6 +112,7 @@ def live(
     profile = profile.model_copy(update={"neighbours": False})
     sources = sources_of(cameras, calibrated, options.asked)
     if options.record is not None:
+        check_apart(options.record, out)
         check_new(options.record, [one.name for one in cameras])
     if (out / RUN_FILE).exists() and not options.overwrite:
         raise RunError(f"{out} holds a run already: --overwrite throws it away")
@@ -120,8 +122,8 @@ def live(
     made_from = _provenance(options.record, calibration, measured, profile, registry)
     gathering = Gathering([camera.name for camera in calibrated])
     with ExitStack() as stack:
-        stop = stack.enter_context(until_stopped())
         rig = stack.enter_context(Cameras(sources, sizes_of(calibrated)))
+        stop = stack.enter_context(until_stopped())
         outputs = stack.enter_context(LiveOutputs(out, made_from, measured, calibrated, options))
         sinks = [gathering.add]
         if options.record is not None:

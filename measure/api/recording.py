@@ -81,8 +81,8 @@ def record(
     measured = None if body is None else read_body(body)
     sources = sources_of(cameras, calibrated, asked)
     with (
+        Cameras(sources, sizes_of(calibrated)) as rig,  # nothing is lost yet if that is interrupted
         until_stopped() as stop,
-        Cameras(sources, sizes_of(calibrated)) as rig,
         recorder(out, sources, measured, calibrated) as recording,
     ):
         rig.begin([recording.add])
@@ -105,6 +105,19 @@ def recorder(
     """A session folder for what these sources deliver."""
     addresses = {name: source.address for name, source in sources.items()}
     return Recorder(out, addresses, body, cameras)
+
+
+def check_apart(record: Path, out: Path) -> None:
+    """Refuse to record into a run's folder, or into one that it lies in.
+
+    Raises:
+        ConfigError: that is asked for.
+    """
+    if record.resolve() in (out.resolve(), *out.resolve().parents):
+        raise ConfigError(
+            f"--record {record}: the run's folder, {out}, is the same or lies in it: a recording "
+            "needs a folder of its own"
+        )
 
 
 def check_seconds(seconds: float | None) -> None:

@@ -237,6 +237,28 @@ def test_an_earlier_run_is_thrown_away_only_if_asked(session, tmp_path, capsys):
     assert "holds a run already: --overwrite throws it away" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("out", ["kept", "kept/run", "kept/../kept"])
+def test_a_recording_and_a_run_in_one_folder_are_refused_before_anything_is_made(
+    session, tmp_path, capsys, out
+):
+    addresses = dict.fromkeys(("cam0", "cam1"), "http://127.0.0.1:1/")
+    kept = tmp_path / "kept"
+    command = words("live", session, addresses, tmp_path / out, "--record", kept)
+    assert main(command) == 2
+    assert "a recording needs a folder of its own" in capsys.readouterr().err
+    assert not kept.exists()
+
+
+def test_an_interrupt_while_a_camera_is_waited_for_ends_it_at_once(session, tmp_path, capsys):
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        address = f"http://127.0.0.1:{silent.getsockname()[1]}/"
+        timer = threading.Timer(1.0, signal.raise_signal, [signal.SIGINT])
+        timer.start()
+        assert main(words("record", session, {"cam0": address}, tmp_path / "kept")) == 130
+    assert capsys.readouterr().err == "measure: interrupted\n"
+    assert not (tmp_path / "kept").exists()
+
+
 def test_an_address_to_send_to_that_is_none(session, tmp_path, capsys):
     addresses = dict.fromkeys(("cam0", "cam1"), "http://127.0.0.1:1/")
     command = words("live", session, addresses, tmp_path / "r", "--send", "nowhere")
