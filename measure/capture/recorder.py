@@ -5,6 +5,7 @@ from __future__ import annotations
 import glob
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from threading import Lock
 from types import TracebackType
@@ -81,7 +82,8 @@ class Recorder:
         """Close the files; pictures that come later are not written."""
         with self._lock:
             for file in self._stamps.values():
-                file.close()
+                with suppress(OSError):  # of a full disk, which was told as the line was written
+                    file.close()
             self._stamps.clear()
 
     def add(self, image: Image) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -134,3 +135,14 @@ def test_a_name_that_looks_like_a_pattern_is_found_again(tmp_path, paper_body, r
             "cam[0]": 3,
             "c*": 3,
         }
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is full")
+def test_a_disk_that_is_full_is_told_as_such_although_closing_fails_too(tmp_path):
+    recorder = Recorder(tmp_path / "s", dict.fromkeys(NAMES, "x"))
+    recorder._stamps["cam0"].close()
+    full = Path("/dev/full").open("w", encoding="utf-8", buffering=1)  # noqa: SIM115 it is closed
+    recorder._stamps["cam0"] = full
+    told = "No space left on device; what was recorded before"
+    with pytest.raises(CaptureError, match=told), recorder:
+        recorder.add(next(pictures()))
