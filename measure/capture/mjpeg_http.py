@@ -15,7 +15,7 @@ import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from email.message import Message
-from typing import BinaryIO, cast
+from io import BufferedIOBase
 from urllib.parse import unquote, urlsplit, urlunsplit
 
 from measure.capture.sources import PATIENCE_S, Shot, Source
@@ -25,6 +25,8 @@ from measure.session import is_complete_jpeg
 _LARGEST = 64 << 20
 """Bytes; no picture is larger, nor a line that is none."""
 _MOST_HEADERS = 64
+_SLOWEST_S = 3 * PATIENCE_S
+"""Nothing is silent that sends a byte now and then, but a picture that takes so long is lost."""
 _JPEG_END = b"\xff\xd9"
 _TIME_HEADERS = ("x-timestamp", "x-timestamp-sec")
 """Seconds on the camera's clock; the first is mjpg-streamer's."""
@@ -63,7 +65,7 @@ def _without_user(address: str) -> str:
     return urlunsplit((parts.scheme, host, parts.path, parts.query, ""))
 
 
-def _stream_of(answer: http.client.HTTPResponse, address: str) -> BinaryIO:
+def _stream_of(answer: http.client.HTTPResponse, address: str) -> BufferedIOBase:
     """The body of an answer that is a stream of parts.
 
     Raises:
@@ -75,10 +77,10 @@ def _stream_of(answer: http.client.HTTPResponse, address: str) -> BinaryIO:
             f"{address}: answers {kind}, not a stream of JPEGs (multipart/x-mixed-replace): give "
             "the address of the camera's MJPEG stream"
         )
-    return cast("BinaryIO", answer)
+    return answer
 
 
-def parts_of(stream: BinaryIO, address: str) -> Iterator[Shot]:
+def parts_of(stream: BufferedIOBase, address: str) -> Iterator[Shot]:
     """The pictures of a multipart stream, until it ends between two of them.
 
     Parts say how long they are, or end at the next boundary.
@@ -103,7 +105,7 @@ def parts_of(stream: BinaryIO, address: str) -> Iterator[Shot]:
         boundary = _next_boundary(stream, boundary, line)
 
 
-def _first_boundary(stream: BinaryIO, address: str) -> bytes | None:
+def _first_boundary(stream: BufferedIOBase, address: str) -> bytes | None:
     """The line before the first part; servers differ from what their header says of it."""
     for _ in range(_MOST_HEADERS):
         line = stream.readline(_LARGEST)
@@ -114,7 +116,7 @@ def _first_boundary(stream: BinaryIO, address: str) -> bytes | None:
     raise CaptureError(f"{address}: no part of a stream of JPEGs begins in what it sends")
 
 
-def _next_boundary(stream: BinaryIO, boundary: bytes, line: bytes) -> bytes | None:
+def _next_boundary(stream: BufferedIOBase, boundary: bytes, line: bytes) -> bytes | None:
     """The same line after a part, of which `line` has been read; None where the stream ends."""
     while line.strip() not in (boundary, boundary + b"--"):
         line = stream.readline(_LARGEST)
@@ -123,7 +125,7 @@ def _next_boundary(stream: BinaryIO, boundary: bytes, line: bytes) -> bytes | No
     return boundary if line.strip() == boundary else None
 
 
-def _headers(stream: BinaryIO, address: str) -> Message:
+def _headers(stream: BufferedIOBase, address: str) -> Message:
     """What stands before a part's data."""
     out = Message()
     for _ in range(_MOST_HEADERS):
@@ -135,16 +137,21 @@ def _headers(stream: BinaryIO, address: str) -> Message:
     raise CaptureError(f"{address}: a part of the stream has no end of its headers")
 
 
-def _exactly(stream: BinaryIO, length: int, address: str) -> bytes:
+def _exactly(stream: BufferedIOBase, length: int, address: str) -> bytes:
     if length > _LARGEST:
         raise CaptureError(f"{address}: announces a picture of {length} bytes")
-    data = stream.read(length)
-    if len(data) < length:
-        raise CaptureError(f"{address}: the stream broke off inside a picture")
-    return data
+    data, until_s = bytearray(), time.monotonic() + _SLOWEST_S
+    while len(data) < length:
+        some = stream.read1(length - len(data))
+        if not some:
+            raise CaptureError(f"{address}: the stream broke off inside a picture")
+        data += some
+        if time.monotonic() > until_s:
+            raise CaptureError(f"{address}: a picture did not come to its end in {_SLOWEST_S:g} s")
+    return bytes(data)
 
 
-def _until(stream: BinaryIO, boundary: bytes, address: str) -> tuple[bytes, bytes]:
+def _until(stream: BufferedIOBase, boundary: bytes, address: str) -> tuple[bytes, bytes]:
     """A part's data up to its JPEG's end or the next boundary; and that line, if it was read."""
     data = bytearray()
     for line in iter(lambda: stream.readline(_LARGEST), b""):

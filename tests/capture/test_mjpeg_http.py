@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from contextlib import closing
 from io import BytesIO
 from itertools import islice, pairwise
@@ -85,6 +86,19 @@ def test_a_picture_is_there_when_it_ends_not_when_the_next_begins(written):
     whole = written(b"\r\n")
     first = whole[: whole.index(ONE) + len(ONE) + 2]
     assert next(parts_of(Stalled(first), "http://camera")).jpeg == ONE
+
+
+def test_a_picture_that_comes_byte_by_byte_is_given_up(monkeypatch):
+    """A socket that says something now and then is never silent."""
+    monkeypatch.setattr("measure.capture.mjpeg_http._SLOWEST_S", 0.2)
+
+    class Slow(BytesIO):
+        def read1(self, size=-1):
+            time.sleep(0.02)
+            return super().read1(min(size, 1))
+
+    with pytest.raises(CaptureError, match="a picture did not come to its end in"):
+        next(parts_of(Slow(with_lengths(b"\r\n")), "http://camera"))
 
 
 @pytest.mark.parametrize("lengths", [True, False])
