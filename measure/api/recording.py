@@ -95,6 +95,7 @@ def record(
                 break
         rig.check()
         rig.stop()
+        rig.wait()  # what is counted is to be in the folder
     rig.check()
     return Recorded(out, rig.counts)
 

@@ -119,8 +119,7 @@ class Cameras:
         trace: TracebackType | None,
     ) -> None:
         self.stop()
-        for thread in self._threads:
-            thread.join(PATIENCE_S)
+        self.wait()
 
     def begin(self, sinks: Sequence[Callable[[Image], None]]) -> None:
         """Hand every picture on from now on.
@@ -149,6 +148,12 @@ class Cameras:
         """Let no camera deliver any more."""
         self._stop.set()
         self._go.set()
+
+    def wait(self) -> None:
+        """After `stop`, wait until nothing is handed on; not for long if a camera hangs."""
+        until_s = time.monotonic() + PATIENCE_S
+        while self._threads:
+            self._threads.pop().join(max(until_s - time.monotonic(), 0.0))
 
     def check(self) -> None:
         """Raise what went wrong in a camera's thread and cannot be waited out, if anything did."""

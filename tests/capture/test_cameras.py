@@ -172,3 +172,22 @@ def test_pictures_that_arrive_unevenly_are_told():
     assert not counts["arrival"].own_clock
     assert counts["arrival"].uneven_s > 5e-3
     assert counts["own"].uneven_s < 1e-3
+
+
+def test_what_was_counted_was_handed_on_before_the_end():
+    handed = []
+
+    def slow(image):
+        time.sleep(0.3)
+        handed.append(image)
+
+    with serving({"a": ServedCamera(PICTURES)}) as addresses, Cameras(sources(addresses)) as rig:
+        rig.begin([slow])
+        waited(lambda: handed)
+        time.sleep(0.1)
+        rig.stop()
+        rig.wait()
+        count = len(handed)
+        assert count == rig.counts["a"].pictures
+        time.sleep(0.4)
+        assert len(handed) == count
