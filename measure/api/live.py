@@ -124,11 +124,11 @@ def live(
     with ExitStack() as stack:
         rig = stack.enter_context(Cameras(sources, sizes_of(calibrated)))
         stop = stack.enter_context(until_stopped())
-        outputs = stack.enter_context(LiveOutputs(out, made_from, measured, calibrated, options))
         sinks = [gathering.add]
         if options.record is not None:
             kept = recorder(options.record, sources, measured, calibrated)
             sinks.append(stack.enter_context(kept).add)
+        outputs = stack.enter_context(LiveOutputs(out, made_from, measured, calibrated, options))
         rig.begin(sinks)
         frame_sets = _FrameSets(gathering, rig, stop, options.seconds)
         _rehearse(pipeline, measured, calibrated, profile, registry, frame_sets())

@@ -155,8 +155,17 @@ def sizes_of(cameras: Sequence[Camera]) -> dict[str, tuple[int, int]]:
 def sources_of(
     cameras: Sequence[CameraAddress], calibrated: Sequence[Camera], asked: Asked | None
 ) -> dict[str, Source]:
-    """What delivers each camera's pictures; nothing is opened yet."""
+    """What delivers each camera's pictures; nothing is opened yet.
+
+    Raises:
+        ConfigError: what is asked for cannot be, or no camera can be asked.
+        CaptureError: there is no such camera or file.
+    """
     asked, sizes = asked or Asked(), sizes_of(calibrated)
+    if asked.rate_hz is not None and not (math.isfinite(asked.rate_hz) and asked.rate_hz > 0):
+        raise ConfigError(f"--rate {asked.rate_hz:g}: expected pictures a second, above 0")
+    if asked != Asked() and not any(one.is_device for one in cameras):
+        raise ConfigError("--size and --rate are for cameras of this machine, and none is given")
     return {
         one.name: one.source(asked.size_wh or sizes.get(one.name), asked.rate_hz) for one in cameras
     }

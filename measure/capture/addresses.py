@@ -28,6 +28,11 @@ class CameraAddress:
     name: str
     address: str
 
+    @property
+    def is_device(self) -> bool:
+        """Whether it is a camera of this machine."""
+        return self.address.isdecimal() or self.address.startswith("/dev/")
+
     def source(
         self, size_wh: tuple[int, int] | None = None, rate_hz: float | None = None
     ) -> Source:
@@ -48,7 +53,7 @@ class CameraAddress:
             return HttpSource(self.address)
         if scheme in ("rtsp", "rtsps"):
             return rtsp_source(self.address)
-        if self.address.isdecimal() or self.address.startswith("/dev/"):
+        if self.is_device:
             return device_source(self.address, size_wh, rate_hz)
         if not Path(self.address).is_file():
             raise CaptureError(

@@ -157,7 +157,7 @@ def _session(
     return {
         "session": {
             "name": folder.resolve().name,
-            "description": f"recorded from {sources}; times are those of arrival, see docs",
+            "description": f"recorded from {sources}",
             "body": "body.toml" if has_body else None,
             "calibration": "calibration.toml" if calibrated else None,
         },

@@ -222,6 +222,8 @@ def test_what_cannot_be_recorded_is_told_in_a_line_and_leaves_nothing(
     [
         (("--seconds", "0"), "--seconds 0: expected a time above 0"),
         (("--size", "big"), "--size big: expected WIDTHxHEIGHT"),
+        (("--rate", "0"), "--rate 0: expected pictures a second, above 0"),
+        (("--rate", "30"), "--size and --rate are for cameras of this machine, and none is given"),
     ],
 )
 def test_settings_that_are_none(session, tmp_path, capsys, more, told):
