@@ -132,6 +132,8 @@ def live(
         rig.begin(sinks)
         frame_sets = _FrameSets(gathering, rig, stop, options.seconds)
         _rehearse(pipeline, measured, calibrated, profile, registry, frame_sets())
+        for detector in pipeline.stages.detectors.values():
+            detector.go_live()
         state, watch = None, _Watch(gathering, rig)
         for frame_set, one in _measured(pipeline, frame_sets()):
             outputs.add(frame_set, one)

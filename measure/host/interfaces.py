@@ -99,6 +99,13 @@ class Detector(Plugin):
             learnt: by the detectors of all cameras, each as its property says.
         """
 
+    def go_live(self) -> None:
+        """Somebody waits for every pose from now on: do what takes long aside, or not at all.
+
+        Called where cameras are measured while they deliver, after the rehearsal. Results may then
+        depend on how fast the machine is.
+        """
+
 
 class Triangulator(Plugin):
     """Turns detections of one ball in several cameras into its centre in the world."""

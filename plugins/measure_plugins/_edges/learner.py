@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -82,7 +82,7 @@ class AppearanceLearner:
         self._agreements = [one.agreement for one in others]
         self._believe_bent |= bent
         if bent and not self._lesson.bent:
-            return self._taught(now)
+            return self._lesson_on(now)()
         return self._lit_alike(self._lesson)
 
     def wants(self, found: int, time_s: float) -> bool:
@@ -99,8 +99,10 @@ class AppearanceLearner:
 
     def shown(
         self, pixels: Bytes, seen: Sequence[Cone], others: Sequence[Cone], now: Appearance
-    ) -> Appearance | None:
-        """Keep a picture that is wanted; a new appearance, if it is one to learn from.
+    ) -> Callable[[], Appearance] | None:
+        """Keep a picture that is wanted; the lesson it makes possible, if it is one to learn from.
+
+        A lesson takes long. It is on what has been shown so far, whenever it is taken.
 
         Args:
             pixels: (h, w, 3) the picture.
@@ -114,14 +116,20 @@ class AppearanceLearner:
         if self._count < self._due:
             return None
         self._due, self._lessons = _LATER * self._count, self._lessons + 1
-        return self._taught(now)
+        return self._lesson_on(now)
 
-    def _taught(self, now: Appearance) -> Appearance:
+    def _lesson_on(self, now: Appearance) -> Callable[[], Appearance]:
+        """What is known by now, and yet to be learnt from."""
         sights = [sight for picture in self._pictures for sight in picture]
-        self._lesson = take_lesson(
-            sights, now, self._world_from_camera, self._believe_bent, self._backdrops
-        )
-        return now if self._lesson is None else self._lit_alike(self._lesson)
+        backdrops = list(self._backdrops)
+
+        def taken() -> Appearance:
+            self._lesson = take_lesson(
+                sights, now, self._world_from_camera, self._believe_bent, backdrops
+            )
+            return now if self._lesson is None else self._lit_alike(self._lesson)
+
+        return taken
 
     def _lit_alike(self, lesson: Lesson) -> Appearance:
         """What a lesson taught, by the light that other cameras see, believed as they agree."""

@@ -31,8 +31,10 @@ from measure_plugins.detectors._wide_windows import (
 )
 
 if TYPE_CHECKING:
+    from measure_plugins._edges.appearance import Appearance
     from measure_plugins._edges.balls import Measured
     from measure_plugins._edges.look import View
+    from measure_plugins.detectors._lessons_aside import LessonsAside
 
 _APPROACHING = 3
 """So many times fewer rays lead to where outlines are."""
@@ -58,6 +60,7 @@ class OutlineDetector(Detector):
         self._appearance = first_appearance(c.tone)
         turned = camera.world_from_camera.rotation
         self._learner = AppearanceLearner(lens, turned, c.rays, c.margin_px)
+        self._aside: LessonsAside | None = None
         self._acquisition = AcquisitionSettings()
         self._colors = tuple(dict.fromkeys(ball.color for ball in body.balls))
         self._table = with_shade(self._colors)
@@ -102,13 +105,20 @@ class OutlineDetector(Detector):
         from measure_plugins._edges.one_kind import bent_together
 
         lessons = [lesson for lesson in learnt if isinstance(lesson, Lesson)]
-        before, bent = self._appearance, bent_together(lessons)
-        self._appearance = self._learner.told(before, lessons, bent)
-        if self._appearance is not before:
-            self._balls.forget_gains()
+        told = self._learner.told(self._appearance, lessons, bent_together(lessons))
+        if told is not self._appearance:
+            self._believe(told)
+
+    def go_live(self) -> None:
+        """Take lessons in a thread of their own: they take as long as dozens of pictures."""
+        from measure_plugins.detectors._lessons_aside import LessonsAside
+
+        self._aside = LessonsAside()
 
     def detect(self, image: Image, expected: Sequence[Expectation]) -> list[Detection]:
         """Measure the expected balls; search the frame for the others."""
+        if self._aside is not None and (learnt := self._aside.done()) is not None:
+            self._believe(learnt)
         found = self._measure(image, expected)
         known = {expectation.ball for expectation in expected}
         if len(known) == len(self.body.balls):
@@ -165,12 +175,19 @@ class OutlineDetector(Detector):
         )
         axes = {d.ball: self.camera.intrinsics.unproject(d.center_px[None])[0] for d in found}
         seen = [(axis, *cones.pop(ball)[1:]) for ball, axis in axes.items()]
-        learnt = self._learner.shown(image.pixels, seen, list(cones.values()), self._appearance)
-        if learnt is None:
+        lesson = self._learner.shown(image.pixels, seen, list(cones.values()), self._appearance)
+        if lesson is None:
             return []
-        self._appearance = learnt
-        self._balls.forget_gains()
+        if self._aside is not None:
+            self._aside.begin(lesson)
+            return []
+        self._believe(lesson())
         return self._measure(image, expected)
+
+    def _believe(self, appearance: Appearance) -> None:
+        """Take it that the camera shows things so, from now on."""
+        self._appearance = appearance
+        self._balls.forget_gains()
 
     def _view(self, image: Image) -> View:
         return self._balls.view(image, self._appearance)

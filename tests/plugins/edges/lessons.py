@@ -30,6 +30,12 @@ def learner_of(camera):
     )
 
 
+def taught(learner, pixels, seen, others, now):
+    """What a picture that is shown teaches at once; None if nothing."""
+    lesson = learner.shown(pixels, seen, others, now)
+    return None if lesson is None else lesson()
+
+
 def lessons(scene, camera_name, changed=lambda _, pixels, balls: (pixels, balls)):
     """What each of two pictures teaches one camera; `changed` may alter what is shown of each."""
     renderer, camera = Renderer(scene, camera_name), scene.camera(camera_name)
@@ -37,7 +43,7 @@ def lessons(scene, camera_name, changed=lambda _, pixels, balls: (pixels, balls)
     for k, time_s in enumerate(TIMES_S):
         pixels, balls = changed(k, renderer.picture(time_s, k), cones(scene, camera, time_s))
         assert learner.wants(len(balls), time_s)
-        out.append(learner.shown(pixels, balls, [], first_appearance("srgb")))
+        out.append(taught(learner, pixels, balls, [], first_appearance("srgb")))
     return out
 
 
@@ -52,6 +58,6 @@ def settled(learner, scene, camera_name):
     for number in range(8):
         pixels, balls = shown[number % 2]
         if learner.wants(len(balls), number / 30):
-            now = learner.shown(pixels, balls, [], now) or now
+            now = taught(learner, pixels, balls, [], now) or now
     assert learner.settled
     return now

@@ -10,7 +10,7 @@ from measure.simulation import Renderer, Sensor, scene_catalogue
 from measure.simulation.sensor import encode
 from measure_plugins._edges.appearance import GLOSSY, MATT, bent_table, first_appearance
 from measure_plugins._edges.tone import tone_table
-from tests.plugins.edges.lessons import TIMES_S, cones, learner_of, lessons
+from tests.plugins.edges.lessons import TIMES_S, cones, learner_of, lessons, taught
 
 CAMERA = "cam1"
 
@@ -103,5 +103,5 @@ def test_too_few_balls_teach_nothing():
     for k, time_s in enumerate(TIMES_S):
         red = cones(scene, camera, time_s)[scene.body.index("red")]
         assert learner.wants(1, time_s)
-        learnt = learner.shown(renderer.picture(time_s, k), [red], [], start)
+        learnt = taught(learner, renderer.picture(time_s, k), [red], [], start)
     assert learnt is start

@@ -11,7 +11,7 @@ from measure_plugins._edges.believing import Agreement
 from measure_plugins._edges.lamps_fit import Light
 from measure_plugins._edges.lesson import Lesson
 from measure_plugins._edges.one_kind import bent_together
-from tests.plugins.edges.lessons import TIMES_S, cones, learner_of
+from tests.plugins.edges.lessons import TIMES_S, cones, learner_of, taught
 
 _MILD = 0.02
 """A sixth of the S of a strongly bent curve: one camera does not believe it."""
@@ -72,7 +72,7 @@ class Mild:
         for number in numbers:
             pixels, balls = self.pictures[number % 2]
             if self.learner.wants(len(balls), number / 30):
-                self.now = self.learner.shown(pixels, balls, [], self.now) or self.now
+                self.now = taught(self.learner, pixels, balls, [], self.now) or self.now
         return self.now
 
     def hear(self, bent):
