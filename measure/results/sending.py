@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import socket
-from types import TracebackType
 from typing import Any, Self
 
 from measure.errors import ConfigError
@@ -42,12 +41,7 @@ class PoseSender:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._socket.close()
 
     def send(self, measured: Measurement) -> None:
