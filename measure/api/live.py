@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +14,8 @@ from threading import Event
 import numpy as np
 
 from measure.api.live_outputs import LiveOptions, LiveOutputs
-from measure.api.profiles import RUN_FILE, build_pipeline
+from measure.api.measuring import measure_frame_sets, rehearse
+from measure.api.profiles import RUN_FILE
 from measure.api.recording import (
     calibrated_cameras,
     check_apart,
@@ -23,16 +24,16 @@ from measure.api.recording import (
     sizes_of,
     sources_of,
 )
-from measure.api.run import body_digest, plugins_of, resolved
+from measure.api.run import provenance
 from measure.api.run_log import check_viewer
 from measure.api.stopping import until_stopped
 from measure.api.warming_up import warm_pipeline
 from measure.capture import CameraAddress, CameraCount, Cameras, Gathering, check_new
 from measure.errors import ConfigError, RunError
 from measure.host import Registry
-from measure.measuring import Measurement, Pipeline, Profile, rehearsal
-from measure.model import Body, Camera, FrameSet
-from measure.results import Provenance, Summary, digest
+from measure.measuring import Measurement, Profile
+from measure.model import Body, FrameSet
+from measure.results import Provenance, Summary
 from measure.session import read_body
 
 _RECENT = 30
@@ -128,14 +129,14 @@ def live(
         if options.record is not None:
             kept = recorder(options.record, sources, measured, calibrated)
             sinks.append(stack.enter_context(kept).add)
-        outputs = stack.enter_context(LiveOutputs(out, made_from, measured, calibrated, options))
+        outputs = LiveOutputs(stack, out, made_from, measured, calibrated, options)
         rig.begin(sinks)
         frame_sets = _FrameSets(gathering, rig, stop, options.seconds)
-        _rehearse(pipeline, measured, calibrated, profile, registry, frame_sets())
+        rehearse(pipeline, profile, registry, measured, calibrated, frame_sets())
         for detector in pipeline.stages.detectors.values():
             detector.go_live()
         state, watch = None, _Watch(gathering, rig)
-        for frame_set, one in _measured(pipeline, frame_sets()):
+        for frame_set, one in measure_frame_sets(pipeline, frame_sets()):
             outputs.add(frame_set, one)
             state = watch.state(one)
             if tell is not None:
@@ -187,51 +188,17 @@ class _Watch:
         )
 
 
-def _measured(
-    pipeline: Pipeline, frame_sets: Iterable[FrameSet]
-) -> Iterator[tuple[FrameSet, Measurement]]:
-    """Each frame set with its measurement, one at a time: nothing is measured ahead."""
-    taken: deque[FrameSet] = deque()
-
-    def remember() -> Iterator[FrameSet]:
-        for frame_set in frame_sets:
-            taken.append(frame_set)
-            yield frame_set
-
-    for measured in pipeline.measure(remember()):
-        yield taken.popleft(), measured
-
-
-def _rehearse(
-    pipeline: Pipeline,
-    body: Body,
-    cameras: Sequence[Camera],
-    profile: Profile,
-    registry: Registry,
-    frame_sets: Iterable[FrameSet],
-) -> None:
-    """Let detectors learn what the cameras do to light from the first pictures."""
-    rehearsal.rehearse_if_wanted(
-        body,
-        cameras,
-        pipeline.stages.detectors,
-        lambda: build_pipeline(profile, registry, body, cameras).stages,
-        frame_sets,
-    )
-
-
 def _provenance(
     record: Path | None, calibration: Path, body: Body, profile: Profile, registry: Registry
 ) -> Provenance:
     """What a live run is made from: pictures that are kept, or gone."""
-    return Provenance(
+    return provenance(
+        calibration,
+        body,
+        profile,
+        registry,
         session="" if record is None else str((record / "session.toml").resolve()),
         session_digest="",
-        calibration=str(calibration.resolve()),
-        calibration_digest=digest([calibration.read_bytes()]),
-        body_digest=body_digest(body),
-        profile=resolved(profile, registry),
-        plugins=plugins_of(profile, registry),
-        notes=("measured live",),
         session_name="live" if record is None else record.resolve().name,
+        notes=("measured live",),
     )

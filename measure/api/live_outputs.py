@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from measure.api.recording import Asked
 from measure.api.run_log import RunLog
@@ -42,25 +40,25 @@ class LiveOptions:
 
 
 class LiveOutputs:
-    """The run's folder, its recording, and whoever is sent poses; use it in a `with` block."""
+    """The run's folder, its recording, and whoever is sent poses; all end with `stack`."""
 
     def __init__(
         self,
+        stack: ExitStack,
         out: Path,
         made_from: Provenance,
         body: Body,
         cameras: Sequence[Camera],
         options: LiveOptions,
     ) -> None:
-        self._open = ExitStack()
         self._sender = self._log = None
         if options.send is not None:
-            self._sender = self._open.enter_context(PoseSender(options.send))
-        self._writer = self._open.enter_context(
+            self._sender = stack.enter_context(PoseSender(options.send))
+        self._writer = stack.enter_context(
             RunWriter(out, made_from, body, cameras, overwrite=options.overwrite)
         )
         if options.recording or options.viewer:
-            self._log = self._open.enter_context(
+            self._log = stack.enter_context(
                 RunLog(
                     out.resolve().name,
                     body,
@@ -71,17 +69,6 @@ class LiveOutputs:
                     image_every=options.image_every,
                 )
             )
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._open.__exit__(kind, error, trace)
 
     def add(self, frame_set: FrameSet, measured: Measurement) -> None:
         """Hand a measurement on: first to whoever waits for it."""

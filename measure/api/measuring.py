@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 
 from measure.api.warming_up import warm_pipeline
 from measure.host import Registry
 from measure.measuring import Measurement, Pipeline, Profile, rehearsal
-from measure.model import FrameSet
+from measure.model import Body, Camera, FrameSet
 from measure.session import Session
 
 
@@ -32,14 +32,21 @@ def measure_session(
         SessionError: an image that cannot be read.
     """
     pipeline = rehearsed_pipeline(session, profile, registry)
+    yield from measure_frame_sets(pipeline, session.frame_sets(start=start))
+
+
+def measure_frame_sets(
+    pipeline: Pipeline, frame_sets: Iterable[FrameSet]
+) -> Iterator[tuple[FrameSet, Measurement]]:
+    """Each frame set with its measurement, as soon as that is final; in order of time."""
     waiting: deque[FrameSet] = deque()
 
-    def remember(frame_sets: Iterable[FrameSet]) -> Iterator[FrameSet]:
+    def remember() -> Iterator[FrameSet]:
         for frame_set in frame_sets:
             waiting.append(frame_set)
             yield frame_set
 
-    for measured in pipeline.measure(remember(session.frame_sets(start=start))):
+    for measured in pipeline.measure(remember()):
         yield waiting.popleft(), measured
 
 
@@ -51,15 +58,36 @@ def rehearsed_pipeline(session: Session, profile: Profile, registry: Registry) -
         ConfigError: settings that do not fit.
         SessionError: no two cameras have images close enough in time.
     """
-    from measure.api.profiles import build_pipeline
-
     body, cameras = session.body, session.cameras
     pipeline = warm_pipeline(profile, registry, body, cameras)
+    rehearse(pipeline, profile, registry, body, cameras, session.frame_sets())
+    return pipeline
+
+
+def rehearse(
+    pipeline: Pipeline,
+    profile: Profile,
+    registry: Registry,
+    body: Body,
+    cameras: Sequence[Camera],
+    frame_sets: Iterable[FrameSet],
+) -> None:
+    """Let a pipeline's detectors learn what the cameras do to light, if they ask for pictures.
+
+    Args:
+        pipeline: built from the four that follow.
+        profile: the stages and their settings.
+        registry: where the plugins come from.
+        body: what is measured.
+        cameras: calibrated.
+        frame_sets: the first ones.
+    """
+    from measure.api.profiles import build_pipeline
+
     rehearsal.rehearse_if_wanted(
         body,
         cameras,
         pipeline.stages.detectors,
         lambda: build_pipeline(profile, registry, body, cameras).stages,
-        session.frame_sets(),
+        frame_sets,
     )
-    return pipeline

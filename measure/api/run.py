@@ -90,7 +90,7 @@ def run(
         total = len(session.pair().times_s)
         if options.viewer:
             check_viewer(options.viewer)
-        made_from = provenance(session, profile, registry)
+        made_from = _of_session(session, profile, registry)
         writer = RunWriter(
             out, made_from, session.body, session.cameras, options.resume, options.overwrite
         )
@@ -113,36 +113,54 @@ def run(
         return writer.finish()
 
 
-def provenance(session: Session, profile: Profile, registry: Registry) -> Provenance:
-    """Everything a run of this session with this profile is made from."""
+def provenance(
+    calibration: Path,
+    body: Body,
+    profile: Profile,
+    registry: Registry,
+    *,
+    session: str,
+    session_digest: str,
+    session_name: str,
+    notes: tuple[str, ...],
+) -> Provenance:
+    """Everything that a run with this profile is made from; see `Provenance`."""
+    loaded = {
+        stage: registry.find(stage, getattr(profile, stage))
+        for stage in ("detector", "triangulator", "solver")
+    }
     return Provenance(
-        session=str(session.path.resolve()),
-        session_digest=session.digest(),
-        calibration=str(session.calibration_path.resolve()),
-        calibration_digest=digest([session.calibration_path.read_bytes()]),
-        body_digest=body_digest(session.body),
+        session=session,
+        session_digest=session_digest,
+        calibration=str(calibration.resolve()),
+        calibration_digest=digest([calibration.read_bytes()]),
+        body_digest=_body_digest(body),
         profile=resolved(profile, registry),
-        plugins=plugins_of(profile, registry),
-        notes=(*session.notes, *session.clock_notes()),
-        session_name=session.name,
+        plugins={stage: f"{one.name} of {one.distribution}" for stage, one in loaded.items()},
+        notes=notes,
+        session_name=session_name,
     )
 
 
-def body_digest(body: Body) -> str:
+def _of_session(session: Session, profile: Profile, registry: Registry) -> Provenance:
+    return provenance(
+        session.calibration_path,
+        session.body,
+        profile,
+        registry,
+        session=str(session.path.resolve()),
+        session_digest=session.digest(),
+        session_name=session.name,
+        notes=(*session.notes, *session.clock_notes()),
+    )
+
+
+def _body_digest(body: Body) -> str:
     """A fingerprint of all that a body file says of balls and where they are."""
     described = [f"{ball!r}" for ball in body.balls]
     if body.tolerance_mm:
         described.append(f"{body.tolerance_mm!r}")
     return digest([text.encode() for text in described])
-
-
-def plugins_of(profile: Profile, registry: Registry) -> dict[str, str]:
-    """By stage, which plugin of which distribution a profile's names stand for."""
-    loaded = {
-        stage: registry.find(stage, getattr(profile, stage))
-        for stage in ("detector", "triangulator", "solver")
-    }
-    return {stage: f"{one.name} of {one.distribution}" for stage, one in loaded.items()}
 
 
 def resolved(profile: Profile, registry: Registry) -> Mapping[str, Any]:

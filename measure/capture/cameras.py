@@ -15,7 +15,6 @@ import numpy as np
 from measure.capture.device_clock import DeviceClock
 from measure.capture.pictures import image_of, is_whole, size_wh
 from measure.capture.sources import PATIENCE_S, Shot, Source
-from measure.capture.video_sources import FileSource
 from measure.errors import CaptureError
 from measure.model import Image
 
@@ -100,8 +99,7 @@ class Cameras:
     def __enter__(self) -> Self:
         begun = time.monotonic()
         for source in self._sources.values():
-            if isinstance(source, FileSource):
-                source.begun_s = begun
+            source.begin_at(begun)
         for thread in self._threads:
             thread.start()
         try:
@@ -238,7 +236,7 @@ class Cameras:
             pictures=count.pictures + 1,
             first_s=first_s,
             last_s=time_s,
-            own_clock=clock.runs or isinstance(self._sources[name], FileSource),
+            own_clock=clock.runs or self._sources[name].keeps_time,
         )
 
     def _note(self, name: str, **changed: object) -> None:

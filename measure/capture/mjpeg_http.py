@@ -16,9 +16,9 @@ import urllib.request
 from collections.abc import Iterator
 from email.message import Message
 from io import BufferedIOBase
-from urllib.parse import unquote, urlsplit, urlunsplit
+from urllib.parse import unquote, urlsplit
 
-from measure.capture.sources import PATIENCE_S, Shot, Source
+from measure.capture.sources import PATIENCE_S, Shot, Source, without_user
 from measure.errors import CaptureError
 from measure.session import is_complete_jpeg
 
@@ -37,12 +37,12 @@ class HttpSource(Source):
 
     def __init__(self, address: str) -> None:
         parts = urlsplit(address)
-        self._request = urllib.request.Request(_without_user(address))
+        self._request = urllib.request.Request(without_user(address))
         if parts.username is not None:
             pair = f"{unquote(parts.username)}:{unquote(parts.password or '')}"
             token = base64.b64encode(pair.encode()).decode()
             self._request.add_header("Authorization", f"Basic {token}")
-        super().__init__(_without_user(address))
+        super().__init__(without_user(address))
 
     def shots(self) -> Iterator[Shot]:
         """Pictures as they come; times of the camera's own clock where it sends them."""
@@ -56,13 +56,6 @@ class HttpSource(Source):
             reason = getattr(problem, "reason", None) or problem
             told = getattr(reason, "strerror", None) or str(reason) or type(reason).__name__
             raise CaptureError(f"{self.address}: {told}") from None
-
-
-def _without_user(address: str) -> str:
-    """An address without a name and password in it."""
-    parts = urlsplit(address)
-    host = parts.netloc.rpartition("@")[2]
-    return urlunsplit((parts.scheme, host, parts.path, parts.query, ""))
 
 
 def _stream_of(answer: http.client.HTTPResponse, address: str) -> BufferedIOBase:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from urllib.parse import urlsplit, urlunsplit
 
 from measure.arrays import Bytes
 from measure.records import record
@@ -37,13 +38,18 @@ class Source(ABC):
         lasting: whether it goes on for ever unless something breaks; a file ends.
         settles: whether its first pictures are of no use: they come in bursts, their exposure and
             the camera's clock are not settled.
+        keeps_time: whether pictures arrive when they were taken.
     """
 
     lasting = True
     settles = True
+    keeps_time = False
 
     def __init__(self, address: str) -> None:
         self.address = address
+
+    def begin_at(self, time_s: float) -> None:  # noqa: B027 - cameras do not wait for us
+        """Hear when the rig's sources begin, on the clock of `time.monotonic`."""
 
     @abstractmethod
     def shots(self) -> Iterator[Shot]:
@@ -52,3 +58,10 @@ class Source(ABC):
         Raises:
             CaptureError: it cannot be reached, breaks off, or is silent for `PATIENCE_S`.
         """
+
+
+def without_user(address: str) -> str:
+    """An address without a name and password in it."""
+    parts = urlsplit(address)
+    host = parts.netloc.rpartition("@")[2]
+    return urlunsplit((parts.scheme, host, parts.path, parts.query, ""))

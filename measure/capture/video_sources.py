@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from measure.arrays import Bytes
-from measure.capture.sources import PATIENCE_S, Shot, Source
+from measure.capture.sources import PATIENCE_S, Shot, Source, without_user
 from measure.errors import CaptureError, SessionError
 from measure.session import open_video_stream
 
@@ -72,14 +72,16 @@ class FileSource(Source):
     """A video file at its own pace: all of a rig's files begin at one moment."""
 
     lasting = settles = False
+    keeps_time = True
+    _begun_s: float | None = None
 
-    def __init__(self, address: str) -> None:
-        super().__init__(address)
-        self.begun_s: float | None = None
+    def begin_at(self, time_s: float) -> None:
+        """Play from the start at that moment."""
+        self._begun_s = time_s
 
     def shots(self) -> Iterator[Shot]:
         """Its pictures, each when it is due."""
-        begun = self.begun_s if self.begun_s is not None else time.monotonic()
+        begun = time.monotonic() if self._begun_s is None else self._begun_s
         try:
             stream = open_video_stream("", Path(self.address))
         except SessionError as problem:
@@ -124,10 +126,9 @@ def device_source(address: str, size_wh: tuple[int, int] | None, rate_hz: float 
 
 def rtsp_source(address: str) -> AvSource:
     """A network camera; by TCP, for pictures with gaps in them are of no use."""
-    from urllib.parse import urlsplit
-
-    shown = address.replace(f"{urlsplit(address).netloc.rpartition('@')[0]}@", "", 1)
-    return AvSource(shown, address, [{"rtsp_transport": "tcp", "fflags": "nobuffer"}])
+    return AvSource(
+        without_user(address), address, [{"rtsp_transport": "tcp", "fflags": "nobuffer"}]
+    )
 
 
 def _pictures(

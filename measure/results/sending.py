@@ -9,7 +9,7 @@ from typing import Any, Self
 
 from measure.errors import ConfigError
 from measure.measuring import Measurement
-from measure.results.tables import rows_of
+from measure.results.tables import pose_row
 
 
 class PoseSender:
@@ -54,7 +54,7 @@ class PoseSender:
 
 def datagram(measured: Measurement) -> bytes:
     """A measurement as it is sent."""
-    row = rows_of(measured)["poses"][0]
+    row = pose_row(measured)
     values = {"frame": row.pop("index"), **{name: _plain(value) for name, value in row.items()}}
     return json.dumps(values, allow_nan=False, separators=(",", ":")).encode()
 

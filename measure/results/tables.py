@@ -91,7 +91,7 @@ def rows_of(measured: Measurement) -> dict[str, list[dict[str, Any]]]:
     return {
         "detections": [_detection_row(measured, view) for view in measured.views],
         "balls": list(_ball_rows(measured)),
-        "poses": [_pose_row(measured)],
+        "poses": [pose_row(measured)],
     }
 
 
@@ -147,7 +147,8 @@ def _ball_rows(measured: Measurement) -> Iterator[dict[str, Any]]:
         }
 
 
-def _pose_row(measured: Measurement) -> dict[str, Any]:
+def pose_row(measured: Measurement) -> dict[str, Any]:
+    """Its row of the table of poses."""
     names = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
     row: dict[str, Any] = {
         "index": measured.index,
