@@ -41,61 +41,65 @@ class ServedCamera:
     taken_s: list[tuple[float, int]] = field(default_factory=list)
 
 
+class _Handler(BaseHTTPRequestHandler):
+    """Answers a request; `serving` tells its class of the cameras, and when they began."""
+
+    protocol_version = "HTTP/1.0"
+    cameras: Mapping[str, ServedCamera]
+    begun: float
+
+    def do_GET(self) -> None:
+        path = urlsplit(self.path).path.strip("/")
+        if path == "still":
+            self._answer("image/jpeg")
+            self.wfile.write(next(iter(self.cameras.values())).pictures[0])
+        elif path not in self.cameras:
+            self.send_error(404)
+        elif not self._is_allowed(self.cameras[path]):
+            self.send_error(401)
+        else:
+            self._stream(self.cameras[path])
+
+    def _answer(self, kind: str) -> None:
+        self.send_response(200)
+        self.send_header("Content-Type", kind)
+        self.end_headers()
+
+    def _is_allowed(self, camera: ServedCamera) -> bool:
+        token = self.headers.get("Authorization", "").removeprefix("Basic ")
+        given = base64.b64decode(token).decode().partition(":")[2]
+        return camera.password is None or given == camera.password
+
+    def _stream(self, camera: ServedCamera) -> None:
+        self._answer(f"multipart/x-mixed-replace; boundary={BOUNDARY}")
+        with suppress(OSError):  # whoever looked may go
+            self._parts(camera)
+
+    def _parts(self, camera: ServedCamera) -> None:
+        count = len(camera.pictures)
+        order = [*range(count), *range(count - 2, 0, -1)]
+        first = int((time.time() - self.begun) / camera.period_s) + 1
+        for sent, turn in enumerate(range(first, 1 << 40)):
+            taken = self.begun + camera.phase_s + turn * camera.period_s
+            late = camera.late_s[turn % len(camera.late_s)]
+            time.sleep(max(taken + late - time.time(), 0.0))
+            which = order[turn % len(order)]
+            data = camera.pictures[which]
+            if sent == camera.breaks_after:
+                self.wfile.write(_head(camera, data, taken) + data[: len(data) // 2])
+                return
+            self.wfile.write(_head(camera, data, taken) + data + b"\r\n")
+            camera.taken_s.append((taken, which))
+
+    def log_message(self, *_: object) -> None:
+        pass
+
+
 @contextmanager
 def serving(cameras: Mapping[str, ServedCamera]) -> Iterator[dict[str, str]]:
     """Serve cameras; yields their addresses by name."""
-    begun = time.time()
-
-    class Handler(BaseHTTPRequestHandler):
-        protocol_version = "HTTP/1.0"
-
-        def do_GET(self) -> None:
-            path = urlsplit(self.path).path.strip("/")
-            if path == "still":
-                self._answer("image/jpeg")
-                self.wfile.write(next(iter(cameras.values())).pictures[0])
-            elif path not in cameras:
-                self.send_error(404)
-            elif not self._is_allowed(cameras[path]):
-                self.send_error(401)
-            else:
-                self._stream(cameras[path])
-
-        def _answer(self, kind: str) -> None:
-            self.send_response(200)
-            self.send_header("Content-Type", kind)
-            self.end_headers()
-
-        def _is_allowed(self, camera: ServedCamera) -> bool:
-            token = self.headers.get("Authorization", "").removeprefix("Basic ")
-            given = base64.b64decode(token).decode().partition(":")[2]
-            return camera.password is None or given == camera.password
-
-        def _stream(self, camera: ServedCamera) -> None:
-            self._answer(f"multipart/x-mixed-replace; boundary={BOUNDARY}")
-            with suppress(OSError):  # whoever looked may go
-                self._parts(camera)
-
-        def _parts(self, camera: ServedCamera) -> None:
-            count = len(camera.pictures)
-            order = [*range(count), *range(count - 2, 0, -1)]
-            first = int((time.time() - begun) / camera.period_s) + 1
-            for sent, turn in enumerate(range(first, 1 << 40)):
-                taken = begun + camera.phase_s + turn * camera.period_s
-                late = camera.late_s[turn % len(camera.late_s)]
-                time.sleep(max(taken + late - time.time(), 0.0))
-                which = order[turn % len(order)]
-                data = camera.pictures[which]
-                if sent == camera.breaks_after:
-                    self.wfile.write(_head(camera, data, taken) + data[: len(data) // 2])
-                    return
-                self.wfile.write(_head(camera, data, taken) + data + b"\r\n")
-                camera.taken_s.append((taken, which))
-
-        def log_message(self, *_: object) -> None:
-            pass
-
-    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    told = {"cameras": cameras, "begun": time.time()}
+    server = ThreadingHTTPServer(("127.0.0.1", 0), type("Handler", (_Handler,), told))
     server.daemon_threads = True
     thread = threading.Thread(target=server.serve_forever, daemon=True)
     thread.start()

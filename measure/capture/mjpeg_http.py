@@ -20,14 +20,13 @@ from urllib.parse import unquote, urlsplit
 
 from measure.capture.sources import PATIENCE_S, Shot, Source, without_user
 from measure.errors import CaptureError
-from measure.session import is_complete_jpeg
+from measure.session.pictures import JPEG_END, is_complete_jpeg
 
 _LARGEST = 64 << 20
 """Bytes; no picture is larger, nor a line that is none."""
 _MOST_HEADERS = 64
 _SLOWEST_S = 3 * PATIENCE_S
 """Nothing is silent that sends a byte now and then, but a picture that takes so long is lost."""
-_JPEG_END = b"\xff\xd9"
 _TIME_HEADERS = ("x-timestamp", "x-timestamp-sec")
 """Seconds on the camera's clock; the first is mjpg-streamer's."""
 
@@ -152,7 +151,7 @@ def _until(stream: BufferedIOBase, boundary: bytes, address: str) -> tuple[bytes
             return bytes(data).removesuffix(b"\n").removesuffix(b"\r"), line
         data += line
         end = line.rstrip(b"\r\n")
-        if end.endswith(_JPEG_END) and is_complete_jpeg(data):
+        if end.endswith(JPEG_END) and is_complete_jpeg(data):
             return bytes(data[: len(data) - len(line) + len(end)]), b""
         if len(data) > _LARGEST:
             break

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from measure.cli import main
 from measure.host import Dataset
 from measure.learning import (
     AssemblySettings,
@@ -12,6 +13,8 @@ from measure.learning import (
     simulated_dataset,
     split_by_trajectory,
 )
+from measure.robots import RobotLog, raven_schema, write_log
+from measure.robots.simulator import simulate
 
 
 @pytest.fixture(scope="session")
@@ -33,3 +36,18 @@ def data(small: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("data") / "data.parquet"
     files.write_dataset(path, small, [], "the small simulated data set")
     return path
+
+
+@pytest.fixture(scope="module")
+def folder(small: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data set, a model trained on it, and a log of a second of the left and the right arm."""
+    folder = tmp_path_factory.mktemp("refusals")
+    files.write_dataset(folder / "data.parquet", small, [], "the small simulated data set")
+    words = ["train", str(folder / "data.parquet"), "-o", str(folder / "model.onnx")]
+    assert main([*words, "--estimator", "offset"]) == 0
+    for arm in ("left", "right"):
+        run = simulate(1.0, 3, log_hz=50.0, arm=arm)  # type: ignore[arg-type]
+        log = RobotLog(raven_schema(arm), run.times_s, run.states)  # type: ignore[arg-type]
+        write_log(folder / f"{arm}.parquet", log)
+        write_log(folder / f"{arm}.csv", log)
+    return folder

@@ -1,40 +1,20 @@
-"""What cannot be corrected is refused, counted and told: from files and over UDP, as typed."""
+"""What cannot be learnt from or corrected is refused in a line, as typed."""
 
 from __future__ import annotations
 
 import json
 import socket
-import threading
-import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from measure.arrays import Floats
 from measure.cli import main
-from measure.host import Correction, Dataset
-from measure.learning import AnswerPacket, EstimateClient, Refusal, StatePacket, files
-from measure.robots import RobotLog, raven_schema, write_log
-from measure.robots.simulator import simulate
+from measure.host import Dataset
+from measure.learning import Refusal, files
 
 pytest.importorskip("onnx", reason="fitting needs the extra 'train'")
-
-
-@pytest.fixture(scope="module")
-def folder(small: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A data set, a model trained on it, and a log of a second of the left and the right arm."""
-    folder = tmp_path_factory.mktemp("refusals")
-    files.write_dataset(folder / "data.parquet", small, [], "the small simulated data set")
-    words = ["train", str(folder / "data.parquet"), "-o", str(folder / "model.onnx")]
-    assert main([*words, "--estimator", "offset"]) == 0
-    for arm in ("left", "right"):
-        run = simulate(1.0, 3, log_hz=50.0, arm=arm)  # type: ignore[arg-type]
-        log = RobotLog(raven_schema(arm), run.times_s, run.states)  # type: ignore[arg-type]
-        write_log(folder / f"{arm}.parquet", log)
-        write_log(folder / f"{arm}.csv", log)
-    return folder
 
 
 def _estimate(folder: Path, states: str, *more: str) -> list[str]:
@@ -280,59 +260,3 @@ def test_labels_in_metres(folder: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert "labels of 0.0037 (median) are not millimetres" in told
     assert told.count("\n") == 1
     assert not (folder / "no.parquet").exists()
-
-
-def test_live_states_that_cannot_be_corrected(
-    folder: Path, small: Dataset, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Wrong count, NaN, stale stamp, reordering, garbage: each answered with its reason."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    words = ["estimate", str(folder / "model.onnx"), "--port", str(port), "--seconds", "4"]
-    capsys.readouterr()
-    server = threading.Thread(target=main, args=([*words, "--json"],))
-    server.start()
-    client = _client(port, small.states[0])
-    state = small.states[0]
-    broken = np.where(np.arange(len(state)) == 7, np.nan, state)
-    sent: list[tuple[int, float, Floats, Refusal | None]] = [
-        (5, 1.0, state, None),
-        (7, 1.2, state, None),  # 6 is lost
-        (6, 1.3, state, Refusal.REPEATED),
-        (8, 1.2, state, Refusal.STALE),
-        (8, 1.3, state[:-1], Refusal.FEATURE_COUNT),
-        (8, 1.3, broken, Refusal.NOT_A_NUMBER),
-        (8, 1.3, state, None),
-    ]
-    for sequence, time_s, values, wanted in sent:
-        answer = _asked(client, StatePacket(sequence, time_s, values).pack())
-        assert answer.sequence == sequence
-        if wanted is None:
-            assert isinstance(answer.answer, Correction)
-        else:
-            assert answer.answer is wanted
-    assert _asked(client, b"garbage").answer is Refusal.MALFORMED
-    client.close()
-    server.join()
-    counts = json.loads(capsys.readouterr().out)
-    assert counts["lost"] == 5  # 1 to 4 and 6
-    assert [counts[reason] for reason in Refusal] == [1, 1, 1, 1, 1, 0]
-
-
-def _client(port: int, state: Floats) -> EstimateClient:
-    """Connected, once the server answers."""
-    client = EstimateClient(("127.0.0.1", port), timeout_s=5.0)
-    for _ in range(200):
-        client.send(StatePacket(0, 0.0, state).pack())
-        if client.receive() is not None:
-            return client
-        time.sleep(0.02)
-    raise AssertionError("the server does not answer")
-
-
-def _asked(client: EstimateClient, data: bytes) -> AnswerPacket:
-    client.send(data)
-    answer = client.receive()
-    assert answer is not None
-    return answer

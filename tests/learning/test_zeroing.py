@@ -1,0 +1,63 @@
+"""What a restart leaves is found on a short stretch, and drift is told from calm."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from measure.arrays import Floats
+from measure.errors import EstimatorError
+from measure.learning import DriftMonitor, Split, fit_zeroing
+
+
+def test_rezero_finds_joints_homed_otherwise(split: Split) -> None:
+    """Found on one stretch, the zeros hold on another, where the tip is off otherwise."""
+    schema, rng = split.train.schema, np.random.default_rng(1)
+    assert schema.chain is not None
+    zeros = np.array([1e-3, -1e-3, 0.1, 0.02, -0.03, 0.02])
+
+    def offsets(states: Floats) -> Floats:
+        q = schema.joint_positions(states)
+        assert schema.chain is not None
+        return schema.chain.tip_mm(q + zeros) - schema.chain.tip_mm(q)
+
+    states, later = split.train.states[:200], split.test.states
+    noisy = offsets(states) + rng.normal(0.0, 0.2, (200, 3))
+    noisy[::40] += 20.0  # false detections
+    zeroing = fit_zeroing(schema, states, noisy)
+    before = np.linalg.norm(offsets(later), axis=1).mean()
+    left = np.linalg.norm(offsets(later) - zeroing.offset_mm(later), axis=1).mean()
+    constant = np.linalg.norm(offsets(later) - zeroing.mean_mm, axis=1).mean()
+    assert before > 0.5
+    assert left < 0.25 * before
+    assert constant > 2.0 * left
+    assert 0.0 < zeroing.sd_mm < 0.3
+    assert zeroing.offset_mm(later[3]) == pytest.approx(zeroing.offset_mm(later)[3])
+    with pytest.raises(EstimatorError, match="at least 10 measured states, got 5"):
+        fit_zeroing(schema, states[:5], noisy[:5])
+
+
+def test_rezero_without_kinematics_finds_the_offset(split: Split) -> None:
+    schema = replace(split.train.schema, chain=None, joints=())
+    rng, true = np.random.default_rng(1), np.array([0.8, -0.5, 0.2])
+    states = split.train.states[:60]
+    zeroing = fit_zeroing(schema, states, true + rng.normal(0, 0.3, (60, 3)))
+    assert np.linalg.norm(zeroing.offset_mm(states[0]) - true) < 3 * zeroing.sd_mm
+    assert zeroing.sd_mm < 0.3
+
+
+def test_drift_is_seen_and_calm_is_not_drift() -> None:
+    rng = np.random.default_rng(2)
+    covariance = np.diag([0.1, 0.2, 0.05])
+    root = np.sqrt(covariance)
+    calm = DriftMonitor()
+    for _ in range(3000):
+        calm.add(root @ rng.normal(size=3), covariance)
+        assert not calm.due
+    for _ in range(1000):
+        calm.add(1.8 * root @ rng.normal(size=3), covariance)
+    assert calm.due
+    assert "train again" in calm.sentence()
+    assert "too few" in DriftMonitor().sentence()
