@@ -15,9 +15,9 @@ from measure.arrays import Floats
 from measure.geometry import RigidTransform, skew
 from measure.model import Body, Camera, FrameSet, Image
 from measure.session import Trajectory
-from measure_plugins._edges.behind import balls_nearer
-from measure_plugins._edges.crossing import levels
-from measure_plugins._edges.rays import FREE, cast_rays, frame_about, sample, ways
+from measure_plugins._outline.appearance.interreflection import balls_nearer
+from measure_plugins._outline.sampling.edge_crossing import levels
+from measure_plugins._outline.sampling.rays import FREE, cast_rays, frame_about, sample, ways
 
 BLUR_PX = 0.76
 """Optics of 0.7 px and the pixel's own width."""

@@ -13,7 +13,8 @@ from benchmarks.bound import pose_bound
 from benchmarks.methods import Method
 from measure.arrays import Floats
 from measure.host import Registry
-from measure.measuring import Measurement, Status, rehearsal
+from measure.measuring import Measurement, Status
+from measure.measuring import burn_in as rehearsal
 from measure.model import FrameSet
 from measure.session import Session, Trajectory
 

@@ -15,11 +15,7 @@ from measure.api.measuring import measure_session
 from measure.api.profiles import load_profile
 from measure.api.warming_up import warm_pipeline
 from measure.arrays import Floats
-from measure.errors import ConfigError
-from measure.geometry import RigidTransform
-from measure.host import Registry
-from measure.measuring import Measurement, Profile
-from measure.measuring.checks import (
+from measure.checking import (
     ColorlessCount,
     Coverage,
     Finding,
@@ -38,8 +34,12 @@ from measure.measuring.checks import (
     survey_frame_set,
     with_velocities,
 )
-from measure.measuring.clocks import CameraClock, estimate_clocks
-from measure.measuring.self_check import BodyCheck, Located, check_body, locate_in_candidates
+from measure.checking.body import BodyCheck, Located, check_body, locate_in_candidates
+from measure.checking.clocks import CameraClock, estimate_clocks
+from measure.errors import ConfigError
+from measure.geometry import RigidTransform
+from measure.host import Registry
+from measure.measuring import Measurement, Profile
 from measure.session import Session, damaged_frames, holds_jpeg, open_session
 
 if TYPE_CHECKING:

@@ -13,10 +13,10 @@ from contextlib import contextmanager, suppress
 from numba.core import event
 
 from measure.api.profiles import build_pipeline
-from measure.cores import usable_cores
 from measure.host import Registry
 from measure.measuring import Profile
 from measure.model import Body, Camera
+from measure.processes import usable_cores
 
 
 @contextmanager

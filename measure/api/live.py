@@ -23,10 +23,10 @@ from measure.api.recording import (
     recorder,
     sizes_of,
     sources_of,
+    until_stopped,
 )
 from measure.api.run import provenance
 from measure.api.run_log import check_viewer
-from measure.api.stopping import until_stopped
 from measure.api.warming_up import warm_pipeline
 from measure.capture import CameraAddress, CameraCount, Cameras, Gathering, check_new
 from measure.errors import ConfigError, RunError

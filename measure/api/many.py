@@ -15,12 +15,11 @@ from pathlib import Path
 
 from measure.api.run import RunOptions, run
 from measure.api.warming_up import warm_pipeline
-from measure.cores import usable_cores
 from measure.errors import ConfigError, MeasureError
 from measure.host import Registry
 from measure.host.cluster import connected
 from measure.measuring import Profile
-from measure.processes import processes
+from measure.processes import processes, usable_cores
 from measure.results import Summary
 from measure.session import open_session
 

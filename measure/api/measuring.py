@@ -7,7 +7,8 @@ from collections.abc import Iterable, Iterator, Sequence
 
 from measure.api.warming_up import warm_pipeline
 from measure.host import Registry
-from measure.measuring import Measurement, Pipeline, Profile, rehearsal
+from measure.measuring import Measurement, Pipeline, Profile
+from measure.measuring import burn_in as rehearsal
 from measure.model import Body, Camera, FrameSet
 from measure.session import Session
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from measure.api.outputs import check_writable, is_one_of
-from measure.api.seeds import check_seeds
+from measure.api.training import check_seeds
 from measure.errors import ConfigError, EstimatorError
 
 if TYPE_CHECKING:

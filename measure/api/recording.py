@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from measure.api.stopping import until_stopped
 from measure.capture import CameraAddress, CameraCount, Cameras, Recorder, check_new
 from measure.errors import ConfigError
 from measure.session import read_body, read_calibration
@@ -17,6 +16,11 @@ from measure.session import read_body, read_calibration
 if TYPE_CHECKING:
     from measure.capture.sources import Source
     from measure.model import Body, Camera
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
 
 _LOOK_S = 0.1
 
@@ -202,3 +206,36 @@ def parse_receiver(text: str) -> tuple[str, int]:
     if not (host and port.isdecimal() and 0 < int(port) < 65_536):
         raise ConfigError(f"--send {text}: expected HOST:PORT, such as 127.0.0.1:5005")
     return host.strip("[]"), int(port)
+
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+@contextmanager
+def until_stopped() -> Iterator[threading.Event]:
+    """Turn the first interrupt (Ctrl-C) or termination of this process into an event.
+
+    What is being done is finished, and what was made written down; a second one ends the process as
+    ever. Outside the main thread, which alone is told of signals, the event never comes.
+
+    Yields:
+        Set once the work is to stop.
+    """
+    stop = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield stop
+        return
+    before = {number: signal.getsignal(number) for number in _SIGNALS}
+
+    def on_signal(number: int, frame: FrameType | None) -> None:  # noqa: ARG001
+        stop.set()
+        for each, handler in before.items():
+            signal.signal(each, handler)
+
+    for number in _SIGNALS:
+        signal.signal(number, on_signal)
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

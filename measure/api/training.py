@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from measure.api.outputs import check_writable, is_one_of
-from measure.api.seeds import check_seeds
 from measure.errors import ConfigError, EstimatorError
 
 if TYPE_CHECKING:
@@ -195,3 +194,18 @@ def ablate(
         name, settings = str(model.facts["estimator"]), dict(model.facts["settings"])
         refit = lambda: registry.estimator(name, settings)  # noqa: E731
     return learning.ablate(model, split, groups, refit=refit, seed=split_seed or 0, report=report)
+
+
+_LARGEST = 2**32 - 1
+
+
+def check_seeds(**seeds: int) -> None:
+    """Refuse seeds that not every generator takes, by the names of their options.
+
+    Raises:
+        ConfigError: one is negative, or has more than 32 bits.
+    """
+    for name, seed in seeds.items():
+        if not 0 <= seed <= _LARGEST:
+            option = "--" + name.replace("_", "-")
+            raise ConfigError(f"{option} {seed}: expected a number from 0 to {_LARGEST}")

@@ -13,7 +13,7 @@ from measure.cli.injected import InjectedRegistry
 
 if TYPE_CHECKING:
     from measure.api.check import SessionCheck
-    from measure.measuring.clocks import CameraClock
+    from measure.checking.clocks import CameraClock
 
 
 def check(

@@ -16,7 +16,7 @@ from measure.errors import ConfigError
 
 if TYPE_CHECKING:
     from measure.api import RefineResult
-    from measure.measuring.clocks import CameraClock
+    from measure.checking.clocks import CameraClock
 
 
 def refine(

@@ -11,7 +11,7 @@ from measure.model import BallView, Fix, Motion, Pose
 from measure.records import record
 
 if TYPE_CHECKING:
-    from measure.measuring.instants import Seen
+    from measure.measuring.time_alignment import Seen
 
 
 class Status(StrEnum):

@@ -9,15 +9,17 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.errors import MeasureError
-from measure.measuring import asking, instants, pose_spline
+from measure.measuring import plugin_calls as asking
+from measure.measuring import pose_spline
+from measure.measuring import time_alignment as instants
+from measure.measuring.backtracking import Looked, looked_back
 from measure.measuring.body_tolerance import with_tolerance
-from measure.measuring.instants import Seen
-from measure.measuring.looking_back import Looked, looked_back
+from measure.measuring.duplicate_images import Repeats
 from measure.measuring.measurement import Draft, Measurement, Status
 from measure.measuring.pose_spline import motion_at, with_neighbours
-from measure.measuring.repeats import Repeats
-from measure.measuring.side_by_side import SideBySide
 from measure.measuring.stages import Stages
+from measure.measuring.thread_pool import SideBySide
+from measure.measuring.time_alignment import Seen
 from measure.model import Body, Camera, Detection, Expectation, Fix, FrameSet, Motion, Pose
 
 _SAME_MM = 5e-3

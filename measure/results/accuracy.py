@@ -8,9 +8,9 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.calibration import body_pose_sd
+from measure.checking import expected_sd
 from measure.geometry import RigidTransform
 from measure.measuring.body_tolerance import tolerance_sd
-from measure.measuring.checks import expected_sd
 from measure.results.run import Run
 
 _STEPS = 11

@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 
 from measure.arrays import Floats
-from measure.measuring.body_findings import Compared, layout_findings
+from measure.checking.body_explanations import Compared, layout_findings
 from measure.model import Body
 
 LEAST_SETS = 5

@@ -6,8 +6,8 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 
-from measure.cores import usable_cores
 from measure.model import FrameSet, Image
+from measure.processes import usable_cores
 from measure.session.pairing import Pairing
 from measure.session.streams import Stream
 

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from measure.api import check
+from measure.checking import Level
 from measure.cli.app import main
 from measure.host import Registry
-from measure.measuring.checks import Level
 from measure.session import Calibration, read_calibration, write_calibration
 from tests.calibration.altered import turned
 

@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from measure.estimation import pose_fit as fit_kernels
 from measure.geometry import RigidTransform
-from measure.measuring import fit_kernels
-from measure.measuring.association import agreement, associate, meeting, triangles, warm_up
+from measure.measuring.association import associate, warm_up
+from measure.measuring.association import candidates as meeting
+from measure.measuring.association import hypotheses as triangles
+from measure.measuring.association import scoring as agreement
 from measure.model import Ball, BallColor, Body, Camera, Detection, rig_kernels
 from tests.compiled import nothing_compiles
 from tests.scenes import FOUR, RAVEN, TARGET, a_pose, ring, see

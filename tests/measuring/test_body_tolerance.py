@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from measure.checking import expected_accuracy
+from measure.checking.body import Located, check_body
+from measure.estimation.body_layout import layout_flags
 from measure.geometry import RigidTransform, align_points
-from measure.measuring.body_checks import layout_flags
 from measure.measuring.body_tolerance import tolerance_covariance, tolerance_sd, with_tolerance
-from measure.measuring.checks import expected_accuracy
-from measure.measuring.self_check import Located, check_body
 from measure.session import read_body, write_body
 from tests.measurements import measurement
 from tests.scenes import FOUR, RAVEN, ring

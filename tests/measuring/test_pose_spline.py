@@ -9,9 +9,9 @@ import pytest
 
 from measure.geometry import RigidTransform
 from measure.measuring import Measurement, Status
-from measure.measuring.instants import Seen
 from measure.measuring.measurement import Draft
 from measure.measuring.pose_spline import REACH, motion_at, with_neighbours
+from measure.measuring.time_alignment import Seen
 from measure.model import Pose
 from tests.scenes import RAVEN, TARGET, moved, ring
 from tests.tracking_rig import run

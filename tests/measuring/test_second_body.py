@@ -11,7 +11,7 @@ import pytest
 from measure.geometry import RigidTransform
 from measure.measuring import Status
 from measure.measuring.association import associate
-from measure.measuring.association.agreement import fitting_ranges, on_balls
+from measure.measuring.association.scoring import fitting_ranges, on_balls
 from measure.model import Rig
 from tests.hidden_scenes import balls_of, lone_balls, seen, two_bodies
 from tests.scenes import RAVEN, TARGET, a_pose, ring

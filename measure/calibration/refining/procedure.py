@@ -1,6 +1,6 @@
 """From a measured session to a refined calibration: cameras, clocks, and whether to believe them.
 
-Clocks are compared as everywhere else in the program (`measure.measuring.clocks`). An offset that
+Clocks are compared as everywhere else in the program (`measure.checking.clocks`). An offset that
 the motion does not show beyond doubt is not applied: it would only move the cameras to where the
 noise wants them.
 """
@@ -27,8 +27,8 @@ from measure.calibration.refining.recording import (
     recording_of,
 )
 from measure.calibration.refining.refine import Refinement, RefineSettings, refine_rig
+from measure.checking.clocks import CameraClock, estimate_clocks
 from measure.measuring import Measurement
-from measure.measuring.clocks import CameraClock, estimate_clocks
 from measure.model import Body, Camera, Detection
 
 _LONGEST_STEP_S = 0.1

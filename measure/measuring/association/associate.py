@@ -14,10 +14,10 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
+from measure.estimation.pose_fit import Sightings, fit_pose
 from measure.geometry import RigidTransform
-from measure.measuring.association.leftovers import signs_of_another
-from measure.measuring.association.points import Candidates, by_ball, meeting_points
-from measure.measuring.association.poses import (
+from measure.measuring.association.candidates import Candidates, by_ball, meeting_points
+from measure.measuring.association.hypotheses import (
     Stacked,
     Support,
     explained,
@@ -25,8 +25,8 @@ from measure.measuring.association.poses import (
     poses_from_triples,
     support,
 )
+from measure.measuring.association.second_body import signs_of_another
 from measure.measuring.association.settings import AssociationSettings
-from measure.measuring.pose_fit import Sightings, fit_pose
 from measure.model import Body, Camera, Detection
 
 _ROUNDS = 2

@@ -8,13 +8,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from measure.errors import DegenerateGeometryError
+from measure.estimation.pose_fit import Sightings, fit_pose
 from measure.geometry import RigidTransform
-from measure.measuring.association.agreement import fitting_ranges
-from measure.measuring.association.leftovers import signs_of_another
-from measure.measuring.association.points import by_ball, meeting_points
-from measure.measuring.association.poses import Stacked, poses_from_triples, support
+from measure.measuring.association.candidates import by_ball, meeting_points
+from measure.measuring.association.hypotheses import Stacked, poses_from_triples, support
+from measure.measuring.association.scoring import fitting_ranges
+from measure.measuring.association.second_body import signs_of_another
 from measure.measuring.association.settings import AssociationSettings
-from measure.measuring.pose_fit import Sightings, fit_pose
 from measure.model import Body, Camera, Rig
 
 

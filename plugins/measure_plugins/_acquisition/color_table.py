@@ -9,7 +9,7 @@ import numpy as np
 from measure.arrays import Bytes
 from measure.compiling import compiled
 from measure.model import BallColor
-from measure_plugins._edges.reading_ahead import ask_for_row
+from measure_plugins._outline.sampling.prefetch import ask_for_row
 
 _BITS = 6
 _LEVELS = 1 << _BITS

@@ -5,20 +5,27 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from measure.arrays import Bools, Bytes, Floats, Ints, stacked
 from measure.model import Body, Camera, Expectation, Image
-from measure_plugins._edges.appearance import Appearance
-from measure_plugins._edges.balls import Expected, Measured, cones_of, measure_balls, measure_gains
-from measure_plugins._edges.look import View
+from measure_plugins._outline.appearance.model import Appearance
+from measure_plugins._outline.fitting.batch import (
+    Expected,
+    Measured,
+    cones_of,
+    measure_balls,
+    measure_gains,
+)
+from measure_plugins._outline.fitting.scan import View
 from measure_plugins.detectors._outline_settings import (
     FEWEST_RAYS,
     HOPELESS,
     ROUGHLY,
     OutlineConfig,
 )
-from measure_plugins.detectors._rough_circles import center_by_size
+from measure_plugins.detectors._wide_windows import center_by_size
 
 _NO_GAIN = np.eye(2)
 
@@ -130,3 +137,29 @@ class KnownBalls:
                 np.array([self._gains.get(ball, _NO_GAIN) for ball in balls]),
             )
         return known
+
+
+_RADIUS_PX = 40.0
+_SHARE = 0.3
+"""Of a small picture's shorter side: the rays must find the disc's surroundings in it."""
+
+
+def drawn_disc(body: Body, camera: Camera) -> tuple[Image, list[Expectation]]:
+    """A picture with one white disc in its middle, and the expectation of the first ball there."""
+    width, height = camera.intrinsics.size_wh
+    radius = min(_RADIUS_PX, _SHARE * min(width, height))
+    pixels = np.zeros((height, width, 3), np.uint8)
+    center = np.array([width / 2, height / 2])
+    cv2.circle(pixels, (width // 2, height // 2), int(radius), (255, 255, 255), -1)
+    image = Image(camera.name, 0, 0.0, lambda: pixels)
+    half_angle = radius / camera.intrinsics.focal_px
+    distance = body.balls[0].radius_mm / np.sin(half_angle)
+    expected = Expectation(
+        body.names[0],
+        center,
+        (radius - 5, radius + 5),
+        0.0,
+        reach_px=6.0,
+        center_camera=distance * camera.intrinsics.unproject(center[None])[0],
+    )
+    return image, [expected]

@@ -23,18 +23,18 @@ from measure_plugins.detectors._outline_settings import (
     ROUGHLY,
     OutlineConfig,
 )
-from measure_plugins.detectors._rough_circles import radii_about
 from measure_plugins.detectors._wide_windows import (
     better_of,
     lost_in_wide_windows,
     moved_to_circles,
+    radii_about,
 )
 
 if TYPE_CHECKING:
-    from measure_plugins._edges.appearance import Appearance
-    from measure_plugins._edges.balls import Measured
-    from measure_plugins._edges.look import View
-    from measure_plugins.detectors._lessons_aside import LessonsAside
+    from measure_plugins._outline.appearance.model import Appearance
+    from measure_plugins._outline.fitting.batch import Measured
+    from measure_plugins._outline.fitting.scan import View
+    from measure_plugins._outline.self_calibration.schedule import LessonsAside
 
 _APPROACHING = 3
 """So many times fewer rays lead to where outlines are."""
@@ -52,8 +52,8 @@ class OutlineDetector(Detector):
         super().__init__(config, body, camera)
         from measure_plugins._acquisition import AcquisitionSettings
         from measure_plugins._acquisition.shade import with_shade
-        from measure_plugins._edges.appearance import first_appearance
-        from measure_plugins._edges.learner import AppearanceLearner
+        from measure_plugins._outline.appearance.model import first_appearance
+        from measure_plugins._outline.self_calibration.schedule import AppearanceLearner
         from measure_plugins.detectors._known_balls import KnownBalls
 
         c, lens = self.config, camera.intrinsics.row
@@ -73,7 +73,7 @@ class OutlineDetector(Detector):
         A detector of its own measures it: what a disc teaches is not so of a ball.
         """
         from measure_plugins import _acquisition
-        from measure_plugins._edges.warm_up import drawn_disc
+        from measure_plugins.detectors._known_balls import drawn_disc
 
         own = OutlineDetector(self.config, self.body, self.camera)
         image, expected = drawn_disc(self.body, self.camera)
@@ -101,8 +101,7 @@ class OutlineDetector(Detector):
 
     def confer(self, learnt: Sequence[object]) -> None:
         """All cameras together know the light, and a bend of the tone curve, better than one."""
-        from measure_plugins._edges.lesson import Lesson
-        from measure_plugins._edges.one_kind import bent_together
+        from measure_plugins._outline.self_calibration.estimate import Lesson, bent_together
 
         lessons = [lesson for lesson in learnt if isinstance(lesson, Lesson)]
         told = self._learner.told(self._appearance, lessons, bent_together(lessons))
@@ -111,7 +110,7 @@ class OutlineDetector(Detector):
 
     def go_live(self) -> None:
         """Take lessons in a thread of their own: they take as long as dozens of pictures."""
-        from measure_plugins.detectors._lessons_aside import LessonsAside
+        from measure_plugins._outline.self_calibration.schedule import LessonsAside
 
         self._aside = LessonsAside()
 
@@ -127,7 +126,7 @@ class OutlineDetector(Detector):
 
     def _searched(self, image: Image, known: Collection[str]) -> list[Detection]:
         """All that may be balls that are not `known`; what one ball may be, any of its colour."""
-        from measure_plugins._edges.balls import measure_circles
+        from measure_plugins._outline.fitting.batch import measure_circles
 
         c, view = self.config, self._view(image)
         alike: dict[BallColor, list[str]] = {color: [] for color in self._colors}

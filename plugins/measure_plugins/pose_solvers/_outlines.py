@@ -16,7 +16,7 @@ from measure.model.observations import stacked_detections
 from measure.records import record
 
 if TYPE_CHECKING:
-    from measure_plugins._edges.contours import Balls, Contours, Views
+    from measure_plugins._joint_fit.problem import Balls, Contours, Views
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +91,7 @@ def _packed(
     seen: tuple[Detection, ...], body: Body, cameras: tuple[Camera, ...]
 ) -> Outlines | None:
     """Detections compare by identity, and are solved again when the motion is known better."""
-    from measure_plugins._edges.contours import pack
+    from measure_plugins._joint_fit.problem import pack
 
     if not seen:
         return None
@@ -108,7 +108,7 @@ def _packed(
 @lru_cache(maxsize=64)
 def _named(balls: tuple[str, ...], body: Body, cameras: tuple[Camera, ...]) -> Named:
     """Of k ball-views; bodies and cameras compare by identity."""
-    from measure_plugins._edges.contours import Balls, views_of
+    from measure_plugins._joint_fit.problem import Balls, views_of
 
     used = {camera.name: camera for camera in cameras}
     names = tuple(sorted(used))

@@ -19,15 +19,15 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.errors import ConfigError, DegenerateGeometryError
+from measure.estimation.multiview import calibration_noise
 from measure.geometry import RigidTransform, align_points
 from measure.host import PoseSolver, Settings, hookimpl, setting
-from measure.measuring.multiview import calibration_noise
 from measure.model import Camera, Detection, Fix, Intrinsics, Motion, Pose
 from measure.model.observations import stacked_fixes
 from measure_plugins.pose_solvers._outlines import Outlines, outlines_of
 
 if TYPE_CHECKING:
-    from measure_plugins._edges.contour_covariance import Solution
+    from measure_plugins._joint_fit.covariance import Solution
 
 _IMPLAUSIBLE = 13.8
 """A shift's normalised square beyond which a detection says it is unlikely: 1 in 1000 (chi^2)."""
@@ -99,7 +99,7 @@ class ContoursSolver(PoseSolver):
         Raises:
             ConfigError: the detector measures no outlines.
         """
-        from measure_plugins._edges.contour_covariance import solve_contours
+        from measure_plugins._joint_fit.covariance import solve_contours
 
         outlines = outlines_of(detections, self.body, cameras)
         if outlines is None and detections:

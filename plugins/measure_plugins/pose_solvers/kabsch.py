@@ -14,10 +14,10 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
+from measure.estimation.body_layout import layout_flags
+from measure.estimation.multiview import Views, fit_point, leverage
 from measure.geometry import RigidTransform, align_points, chi_square_quantile, propagate, skew
 from measure.host import PoseSolver, Settings, hookimpl, setting
-from measure.measuring.body_checks import layout_flags
-from measure.measuring.multiview import Views, fit_point, leverage
 from measure.model import Camera, Detection, Fix, Motion, Pose
 
 _STEPS = 10

@@ -12,9 +12,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from measure.arrays import Floats
+from measure.estimation.multiview import Views, ray_distances
 from measure.geometry import propagate
 from measure.host import Settings, Triangulator, hookimpl
-from measure.measuring.multiview import Views, ray_distances
 from measure.model import Camera, Detection, Fix
 
 _PARALLEL = 1e-4

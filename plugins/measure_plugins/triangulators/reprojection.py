@@ -16,15 +16,15 @@ import numpy as np
 
 from measure.arrays import Floats, Ints
 from measure.errors import DegenerateGeometryError
+from measure.estimation.multiview import Views, fit_point
 from measure.geometry import chi_square_quantile
 from measure.host import Settings, Triangulator, hookimpl, setting
-from measure.measuring.multiview import Views, fit_point
 from measure.model import Camera, Detection, Fix, Rig
 from measure.model.camera import MIN_DEPTH_MM
 from measure.model.observations import stacked_detections
 
 if TYPE_CHECKING:
-    from measure.measuring.point_fit import PointFit
+    from measure.estimation.point_fit import PointFit
 
 
 _SCATTER = 0.99
@@ -67,7 +67,7 @@ class ReprojectionTriangulator(Triangulator):
 
     def warm_up(self) -> None:
         """Compile the fit (seconds, once per machine), by fitting a point to nothing."""
-        from measure.measuring.point_fit import warm_up
+        from measure.estimation.point_fit import warm_up
 
         warm_up()
 
@@ -96,7 +96,7 @@ class ReprojectionTriangulator(Triangulator):
         self, detections: Sequence[Detection], cameras: Mapping[str, Camera]
     ) -> list[Fix]:
         """Locate all balls at once; those on which the cameras do not agree, one by one."""
-        from measure.measuring.point_fit import FITTED, fit_groups
+        from measure.estimation.point_fit import FITTED, fit_groups
 
         seen = _grouped(
             tuple([d.ball for d in detections]), tuple([cameras[d.camera] for d in detections])

@@ -12,7 +12,7 @@ from measure.calibration.refining.recording import calibration_doubted, recordin
 from measure.errors import CalibrationError
 from measure.measuring import Status
 from measure.model.observations import Reason, State
-from tests.measuring.test_clocks import CAMERAS, OFFSETS, moving, recorded, still
+from tests.checking.test_clocks import CAMERAS, OFFSETS, moving, recorded, still
 from tests.scenes import RAVEN
 
 FIRST = tuple(CAMERAS.values())

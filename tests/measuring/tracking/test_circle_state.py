@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from measure.measuring.tracking.circle_state import Circle, Evidence, advance, remember
+from measure.measuring.tracking.paper.circle_state import Circle, Evidence, advance, remember
 from measure.model import Detection
 from measure.model.observations import Reason, State
 

@@ -9,7 +9,7 @@ import pytest
 
 from measure.geometry import RigidTransform
 from measure.measuring import Status
-from measure.measuring.tracking.consistency import inconsistencies, unbacked
+from measure.measuring.tracking.predictive.consistency import inconsistencies, unbacked
 from measure.model import Body
 from measure.model.observations import Reason, State
 from tests.measurements import BODY, measurement

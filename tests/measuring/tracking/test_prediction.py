@@ -10,7 +10,7 @@ import pytest
 
 from measure.arrays import Floats
 from measure.geometry import RigidTransform, chi_square_quantile, propagate, squared_mahalanobis
-from measure.measuring.tracking.gates import (
+from measure.measuring.tracking.predictive.gating import (
     AGREES,
     CONTRADICTS,
     JUMPED,
@@ -20,9 +20,9 @@ from measure.measuring.tracking.gates import (
     agree_with_prediction,
     judge_sightings,
 )
-from measure.measuring.tracking.motion_filter import MotionState, steady
-from measure.measuring.tracking.motion_kernels import Course
-from measure.measuring.tracking.windows import Windows, predict_windows
+from measure.measuring.tracking.predictive.motion_filter import MotionState, steady
+from measure.measuring.tracking.predictive.motion_kernels import Course
+from measure.measuring.tracking.predictive.search_windows import Windows, predict_windows
 from measure.model import Pose
 from tests.scenes import RAVEN, TARGET, ring
 

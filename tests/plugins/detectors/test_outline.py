@@ -190,7 +190,7 @@ def test_small_pictures_are_warmed_up_with_a_smaller_disc(size_wh):
 def test_warm_up_compiles_every_hot_loop(camera):
     """For the very types that measuring uses: else the first picture would compile them again."""
     from measure_plugins._acquisition import candidates, circles
-    from measure_plugins._edges import balls
+    from measure_plugins._outline.fitting import batch as balls
 
     OutlineDetector(OutlineConfig(), RAVEN, camera).warm_up()
     loops = (

@@ -1,0 +1,164 @@
+"""Is the body in front of the cameras the body in the file? Distances, radii, colours, handedness.
+
+Works without a pose, so a body file too wrong to track with is still told from the recording.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.checking.body_explanations import Compared, blind_to, layout_findings, radius_findings
+from measure.estimation.body_layout import looks_mirrored
+from measure.measuring.association.candidates import by_ball, meeting_points
+from measure.model import Body, Camera, Detection
+
+_SIGMAS = 4.0
+_LEAST_FRAMES = 3
+_RANGE_RATIO = 2.5
+_EDGE_BIAS_PX = 0.8
+"""How far inside a ball's true outline its colour may end (glossy paint): limits the radius."""
+
+
+@dataclass(frozen=True, eq=False)
+class Located:
+    """Balls located in one frame set, without regard to the body's shape.
+
+    Attributes:
+        centers: (3,) in the world by ball name, mm.
+        variances: mean variance of a coordinate by ball name, mm^2.
+        radii: (mm, standard deviation in mm) by ball name, from the outlines.
+    """
+
+    centers: Mapping[str, Floats]
+    variances: Mapping[str, float]
+    radii: Mapping[str, tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class BodyCheck:
+    """What the recording says about the body.
+
+    Attributes:
+        distances: of every pair of balls that was located often enough.
+        radii: of every ball that was located often enough.
+        findings: what is wrong, a line each; empty if nothing is.
+        blind_to: what the balls located cannot show, a line each.
+    """
+
+    distances: tuple[Compared, ...]
+    radii: tuple[Compared, ...]
+    findings: tuple[str, ...]
+    blind_to: tuple[str, ...]
+
+
+def locate_in_candidates(
+    detections: Mapping[str, Sequence[Detection]], body: Body, cameras: Sequence[Camera]
+) -> Located:
+    """Balls where most cameras' candidates meet; for bodies whose colours do not repeat.
+
+    Args:
+        detections: candidates by camera name, from a search of the whole frame.
+        body: its colours and, roughly, its radii.
+        cameras: all cameras.
+    """
+    centers, variances, radii = {}, {}, {}
+    for ball, candidates in zip(body.balls, by_ball(detections, body.balls, cameras), strict=True):
+        points = meeting_points(candidates, _SIGMAS, _RANGE_RATIO, most=1)
+        if not len(points.points) or points.support[0] < min(3, len(cameras)):
+            continue
+        centers[ball.name] = points.points[0]
+        variances[ball.name] = float(points.sd_mm[0] ** 2)
+        near = _sizes(candidates.detections, points.points[0], cameras)
+        if near:
+            radii[ball.name] = _mean_radius(near)
+    return Located(centers, variances, radii)
+
+
+def check_body(located: Iterable[Located], body: Body) -> BodyCheck:
+    """Compare what was located, over all frames, with the body file."""
+    frames = list(located)
+    distances = tuple(
+        compared
+        for a, b in combinations(body.names, 2)
+        if (compared := _distance(frames, body, a, b)) is not None
+    )
+    radii = tuple(
+        compared for name in body.names if (compared := _radius(frames, body, name)) is not None
+    )
+    known = {name for compared in distances for name in compared.what}
+    findings = [*layout_findings(distances, body), *radius_findings(radii)]
+    if _mostly_mirrored(frames, body):
+        findings.append(
+            "the balls form the mirror image of the body file: one coordinate has the wrong sign"
+        )
+    return BodyCheck(distances, radii, tuple(findings), blind_to(body, known))
+
+
+def _sizes(
+    detections: Sequence[Detection], center: Floats, cameras: Sequence[Camera]
+) -> list[tuple[float, float]]:
+    """(radius in mm, its standard deviation) from every outline round a ball at `center`."""
+    by_name = {camera.name: camera for camera in cameras}
+    out = []
+    for d in detections:
+        camera = by_name[d.camera]
+        off = np.linalg.norm(camera.project(center[None])[0] - d.center_px)
+        if not off < 0.2 * d.radius_px:
+            continue
+        focal = camera.intrinsics.focal_px
+        distance = float(np.linalg.norm(center - camera.center))
+        radius = distance * d.radius_px / np.hypot(d.radius_px, focal)
+        sd_px = np.hypot(_EDGE_BIAS_PX, np.sqrt(d.variance_px2))
+        out.append((float(radius), float(radius * sd_px / d.radius_px)))
+    return out
+
+
+def _mean_radius(sizes: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """Median radius; its deviation is a single view's: the edge's bias is common to all."""
+    return float(np.median([r for r, _ in sizes])), float(np.median([sd for _, sd in sizes]))
+
+
+def _distance(frames: Sequence[Located], body: Body, a: str, b: str) -> Compared | None:
+    both = [f for f in frames if a in f.centers and b in f.centers]
+    if len(both) < _LEAST_FRAMES:
+        return None
+    lengths = np.array([np.linalg.norm(f.centers[a] - f.centers[b]) for f in both])
+    told = np.sqrt(np.median([f.variances[a] + f.variances[b] for f in both]))
+    file_mm = float(np.linalg.norm(body.centers[body.index(a)] - body.centers[body.index(b)]))
+    median, scatter = _robust_mean(lengths, float(told))
+    sd = float(np.hypot(scatter, body.distance_sd_mm))
+    return Compared((a, b), median, sd, file_mm, len(both))
+
+
+def _radius(frames: Sequence[Located], body: Body, name: str) -> Compared | None:
+    seen = [f.radii[name] for f in frames if name in f.radii]
+    if len(seen) < _LEAST_FRAMES:
+        return None
+    values = np.array([radius for radius, _ in seen])
+    common = float(np.median([sd for _, sd in seen]))
+    median, scatter = _robust_mean(values, 0.0)
+    file_mm = float(body.radii[body.index(name)])
+    return Compared((name,), median, float(np.hypot(scatter, common)), file_mm, len(seen))
+
+
+def _robust_mean(values: Floats, told_sd: float) -> tuple[float, float]:
+    """Median, and its standard deviation by the scatter or as told, whichever is larger."""
+    median = float(np.median(values))
+    scatter = 1.4826 * float(np.median(np.abs(values - median)))
+    # Frames share calibration and edge errors: no more than ten count as independent.
+    count = min(len(values), 10)
+    return median, float(1.25 * max(scatter, told_sd) / np.sqrt(count))
+
+
+def _mostly_mirrored(frames: Sequence[Located], body: Body) -> bool:
+    votes = [
+        looks_mirrored(body.centers, np.stack([f.centers[name] for name in body.names]))
+        for f in frames
+        if all(name in f.centers for name in body.names)
+    ]
+    return len(votes) >= _LEAST_FRAMES and float(np.mean(votes)) > 0.5

@@ -1,0 +1,158 @@
+"""Explanations, a line each, for a body that does not look like its file."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from itertools import combinations, permutations
+
+import numpy as np
+
+from measure.estimation.body_layout import thickness
+from measure.model import Body
+
+_SIGMAS = 4.0
+_SHARED_SIGMAS = 2.5
+"""Radii that are off all alike are told sooner than one that is: standard deviations of radii are a
+bound on how far outside or inside the outlines edges lie, not scatter."""
+_FLAT_MM = 1.0
+_SAME_MM = 1.0
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One length of the body: as measured, and as the file says.
+
+    Attributes:
+        what: the ball whose radius it is, or the two whose distance.
+        measured_mm: over all frames.
+        sd_mm: its standard deviation.
+        file_mm: what the body file says.
+        frames: in how many it was measured.
+        tolerance_mm: a difference that does not matter, beyond the uncertainty.
+    """
+
+    what: tuple[str, ...]
+    measured_mm: float
+    sd_mm: float
+    file_mm: float
+    frames: int
+    tolerance_mm: float = 0.5
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the difference is explained by the uncertainty, or too small to matter."""
+        return self.may_be(self.file_mm)
+
+    def may_be(self, length_mm: float) -> bool:
+        """Whether the length may be this one."""
+        return abs(self.measured_mm - length_mm) <= _SIGMAS * self.sd_mm + self.tolerance_mm
+
+
+def layout_findings(distances: Sequence[Compared], body: Body) -> list[str]:
+    """One line for the simplest explanation of distances that disagree."""
+    wrong = [d for d in distances if not d.agrees]
+    if not wrong:
+        return []
+    complete = len(distances) == len(body.balls) * (len(body.balls) - 1) // 2
+    if complete and (swap := _swap(distances, body)) is not None:
+        return [swap]
+    if len(distances) > 1 and (scale := _scale(distances, body)) is not None:
+        return [scale]
+    if len(wrong) > 1 and (shared := set.intersection(*(set(d.what) for d in wrong))):
+        name = shared.pop()
+        apart = ", ".join(_said(d) for d in wrong)
+        return [f"ball {name} is not where the body file says: {apart}"]
+    return [_said(d) for d in wrong]
+
+
+def _said(d: Compared) -> str:
+    return (
+        f"{d.measured_mm:.2f} +- {d.sd_mm:.2f} mm between {d.what[0]} and {d.what[1]}, "
+        f"the body file says {d.file_mm:.2f} mm"
+    )
+
+
+def _swap(distances: Sequence[Compared], body: Body) -> str | None:
+    """The exchange of colours that explains all distances, if there is one."""
+    length = {frozenset(d.what): d.file_mm for d in distances}
+    names = body.names
+    if len(names) > 6:
+        return None
+    ways = sorted(
+        permutations(names), key=lambda p: sum(a != b for a, b in zip(names, p, strict=True))
+    )
+    for way in ways[1:]:
+        new = dict(zip(names, way, strict=True))
+        if all(d.may_be(length[frozenset((new[d.what[0]], new[d.what[1]]))]) for d in distances):
+            moved = [name for name in names if new[name] != name]
+            return (
+                f"the colours of {', '.join(moved[:-1])} and {moved[-1]} are exchanged "
+                "in the body file: the distances fit when they change places"
+            )
+    return None
+
+
+def _scale(distances: Sequence[Compared], body: Body) -> str | None:
+    """One factor that explains all distances, if there is one."""
+    weights = np.array([(d.file_mm / max(d.sd_mm, 0.05)) ** 2 for d in distances])
+    ratios = np.array([d.measured_mm / d.file_mm for d in distances])
+    factor = float(np.average(ratios, weights=weights))
+    if not all(d.may_be(factor * d.file_mm) for d in distances):
+        return None
+    first = distances[0]
+    arm = float(np.linalg.norm(body.centers[0]))
+    return (
+        f"the balls are {factor:.3f} times as far apart as the body file says "
+        f"({first.what[0]} to {first.what[1]}: {first.measured_mm:.2f} +- {first.sd_mm:.2f} mm "
+        f"instead of {first.file_mm:.2f} mm; {body.names[0]} then lies {factor * arm:.2f} mm "
+        f"from the origin, not {arm:.2f} mm)"
+    )
+
+
+def radius_findings(radii: Sequence[Compared]) -> list[str]:
+    """One line for every ball whose radius disagrees, or for all that disagree alike."""
+    alone = [
+        f"ball {r.what[0]} has a radius of {r.measured_mm:.1f} +- {r.sd_mm:.1f} mm, "
+        f"the file says {r.file_mm:.1f} mm"
+        for r in radii
+        if not r.agrees
+    ]
+    return alone or _shared_size(radii)
+
+
+def _shared_size(radii: Sequence[Compared]) -> list[str]:
+    """What wrong radii, all by the same share, look like: no single ball is far enough off."""
+    if len(radii) < 3:
+        return []
+    off = float(np.median([(r.measured_mm - r.file_mm) / r.sd_mm for r in radii]))
+    if abs(off) <= _SHARED_SIGMAS:
+        return []
+    factor = float(np.median([r.measured_mm / r.file_mm for r in radii]))
+    said = ", ".join(f"{r.what[0]} {r.measured_mm:.1f} for {r.file_mm:.1f} mm" for r in radii)
+    return [f"the balls are {factor:.2f} times as large as the body file says ({said})"]
+
+
+def blind_to(body: Body, located: Collection[str]) -> tuple[str, ...]:
+    """Mistakes in the file that leave all distances between the balls located as they are.
+
+    Args:
+        body: as its file says.
+        located: names of the balls whose places are known.
+    """
+    names = [name for name in body.names if name in located]
+    centers = body.centers[[body.index(name) for name in names]].reshape(-1, 3)
+    out = [
+        f"where ball {name} is: it was located too seldom"
+        for name in body.names
+        if name not in located
+    ]
+    before = np.linalg.norm(centers[:, None] - centers[None], axis=2)
+    for a, b in combinations(range(len(names)), 2):
+        order = list(range(len(names)))
+        order[a], order[b] = b, a
+        if np.max(np.abs(before - before[np.ix_(order, order)])) < _SAME_MM:
+            out.append(f"an exchange of {names[a]} and {names[b]}")
+    if len(names) < 4 or thickness(centers) < _FLAT_MM:
+        out.append("a mirrored layout: the balls located lie in one plane")
+    return tuple(out)

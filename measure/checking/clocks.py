@@ -1,0 +1,180 @@
+"""Cameras' clocks, from the motion they all saw.
+
+A picture stamped too late shows the moving body where it is not yet: the error runs along each
+ball's path in the image and grows with its speed. All pictures are fitted together: one pose per
+instant, and per camera a clock offset and the time its rolling shutter takes. The poses are
+eliminated instant by instant (Schur complement; Triggs et al. 2000, section 6), which leaves a
+small system for the clocks. Only differences between cameras can be seen: the offsets' median is
+0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from measure.arrays import Bools, Floats
+from measure.checking.clock_system import (
+    Instant,
+    bias_deviations,
+    reduce_instant,
+    solve_clocks,
+)
+from measure.estimation.pose_fit import Sightings
+from measure.geometry import RigidTransform, chi_square_quantile
+from measure.measuring.measurement import Measurement
+from measure.measuring.pose_spline import REACH, motion_at
+from measure.model import Body, Camera, Pose
+
+_ROUNDS = 4
+_VISIBLE_SIGMAS = 4.0
+_MIN_INSTANTS = 5
+_MAX_READOUT_SD_S = 0.008
+"""A readout time less certain than this is not told apart from the offset: it is left out."""
+
+
+@dataclass(frozen=True)
+class CameraClock:
+    """One camera's clock.
+
+    Attributes:
+        camera: its name.
+        offset_s: add this to the camera's time stamps to bring them in line with the others.
+        offset_sd_s: its standard deviation; infinite if the motion does not tell.
+        readout_s: time from the first row's exposure to the last row's; negative if from the
+            bottom up; NaN if not estimated.
+        readout_sd_s: its standard deviation; infinite if the motion does not tell.
+    """
+
+    camera: str
+    offset_s: float
+    offset_sd_s: float
+    readout_s: float
+    readout_sd_s: float
+
+    @property
+    def offset_visible(self) -> bool:
+        """Whether the clock is off beyond doubt."""
+        return abs(self.offset_s) > _VISIBLE_SIGMAS * self.offset_sd_s
+
+    @property
+    def rolling(self) -> bool:
+        """Whether a rolling shutter is seen beyond doubt."""
+        return abs(self.readout_s) > _VISIBLE_SIGMAS * self.readout_sd_s
+
+
+def estimate_clocks(
+    measurements: Iterable[Measurement],
+    body: Body,
+    cameras: Sequence[Camera],
+    readout: bool = True,
+    extra_px: float = 0.3,
+) -> tuple[CameraClock, ...]:
+    """Estimate every camera's clock offset and readout time.
+
+    Args:
+        measurements: of one recording in which the body moves, in order of time.
+        body: the body.
+        cameras: its cameras.
+        readout: whether to estimate rolling-shutter times as well.
+        extra_px: systematic error of a detection: part of its weight, and of the uncertainty.
+
+    Returns:
+        One clock per camera, in order. A camera that saw too little, or a body that stood still,
+        gives infinite standard deviations.
+    """
+    usable = [m for m in measurements if m.pose is not None and _count_cameras(m) >= 2]
+    unknown = tuple(CameraClock(c.name, 0.0, np.inf, np.nan, np.inf) for c in cameras)
+    if len(usable) < _MIN_INSTANTS:
+        return unknown
+    with_readout = np.full(len(cameras), readout)
+    clocks, sd = _estimate(usable, body, cameras, with_readout, extra_px)
+    if np.any(blurred := with_readout & (sd[:, 1] > _MAX_READOUT_SD_S)):
+        clocks, sd = _estimate(usable, body, cameras, with_readout & ~blurred, extra_px)
+    return tuple(
+        CameraClock(
+            camera.name,
+            float(clocks[i, 0]),
+            float(sd[i, 0]),
+            float(clocks[i, 1]) if np.isfinite(sd[i, 1]) else float("nan"),
+            float(sd[i, 1]),
+        )
+        for i, camera in enumerate(cameras)
+    )
+
+
+def _estimate(
+    usable: Sequence[Measurement],
+    body: Body,
+    cameras: Sequence[Camera],
+    readout: Bools,
+    extra_px: float,
+) -> tuple[Floats, Floats]:
+    """Offsets and readout times (c, 2), and their standard deviations (c, 2)."""
+    names = {camera.name: i for i, camera in enumerate(cameras)}
+    by_name = {camera.name: camera for camera in cameras}
+    seen = [_sightings(m, body, by_name, extra_px) for m in usable]
+    poses = [m.pose for m in usable if m.pose is not None]
+    heights = np.array([camera.intrinsics.size_wh[1] for camera in cameras])
+    clocks = np.zeros((len(cameras), 2))
+    sd = np.full((len(cameras), 2), np.inf)
+    for _ in range(_ROUNDS):
+        motion = _derivatives(poses)
+        instants = [
+            _instant(s, names, heights, pose.world_from_body, v, a)
+            for s, pose, (v, a) in zip(seen, poses, motion, strict=True)
+        ]
+        parts = [reduce_instant(instant, clocks, readout) for instant in instants]
+        bias = bias_deviations(instants, clocks, extra_px)
+        step, sd = solve_clocks(parts, clocks, readout, bias)
+        clocks = clocks + step
+        poses = [
+            replace(pose, world_from_body=pose.world_from_body.perturb(p.move(step)))
+            for pose, p in zip(poses, parts, strict=True)
+        ]
+    return clocks, sd
+
+
+def _count_cameras(measurement: Measurement) -> int:
+    return len({view.camera for view in measurement.views if view.effective})
+
+
+def _sightings(
+    measurement: Measurement, body: Body, cameras: Mapping[str, Camera], extra_px: float
+) -> Sightings:
+    assert measurement.pose is not None
+    seen = [v.detection for v in measurement.views if v.effective and v.detection is not None]
+    return Sightings.of(seen, body, cameras, measurement.pose.time_s, extra_px)
+
+
+def _instant(
+    sightings: Sightings,
+    names: Mapping[str, int],
+    heights: Floats,
+    pose: RigidTransform,
+    velocity: Floats,
+    acceleration: Floats,
+) -> Instant:
+    index = np.array([names[name] for name in sightings.rig.names])
+    rows = (sightings.pixels[:, 1] - (heights[index] - 1) / 2) / heights[index]
+    return Instant(sightings, index, rows, pose, velocity, acceleration)
+
+
+def _derivatives(poses: Sequence[Pose]) -> list[tuple[Floats, Floats]]:
+    """Velocity and acceleration (6,) at each pose, by a spline through the poses around it.
+
+    A velocity that the poses' noise explains is taken for none: a clock must not be read from it.
+    """
+    gate = chi_square_quantile(0.9999, 6)
+    out = []
+    for k, pose in enumerate(poses):
+        motion = motion_at(pose, poses[max(k - REACH, 0) : k], poses[k + 1 : k + 1 + REACH])
+        velocity = acceleration = np.zeros(6)
+        if motion is not None and motion.velocity_covariance is not None:
+            noise = motion.velocity_covariance
+            if motion.velocity @ np.linalg.solve(noise, motion.velocity) >= gate:
+                velocity, acceleration = motion.velocity, motion.acceleration
+        out.append((velocity, acceleration))
+    return out

@@ -1,0 +1,275 @@
+"""One point fitted to its pixels in several pictures, compiled: see `multiview`."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from measure.arrays import Floats, Ints
+from measure.compiling import compiled
+from measure.estimation.pixel_sensitivity import camera_noise
+from measure.geometry.linear_kernels import inverse, solved
+from measure.geometry.rays import MIN_PARALLAX_RAD
+from measure.model.rig_kernels import project_one, ray_rows
+
+_STEPS = 12
+_STEP_TOLERANCE_MM = 1e-7
+_SURELY = 10.0
+"""Times the limit of parallel rays above which eigenvalues need not be asked."""
+FITTED, PARALLEL, BEHIND = 0, 1, 2
+"""How a fit ends: with a point, without one for parallel rays, with one behind a camera."""
+
+
+class PointFit(NamedTuple):
+    """A point fitted to n pixels.
+
+    Attributes:
+        point: (3,) mm.
+        covariance: (3, 3) mm^2 from the weights, calibration included.
+        residuals_px: (n, 2).
+        chi_square: of the residuals under the weights, 2 n - 3 degrees of freedom.
+        disagreement: (n,) squared Mahalanobis distances of the residuals, 2 degrees of freedom
+            each, for pixels that err by `extra_px` more than they say.
+        distances_mm: (n,) of the rays from the point.
+        end: FITTED, PARALLEL or BEHIND.
+    """
+
+    point: Floats
+    covariance: Floats
+    residuals_px: Floats
+    chi_square: float
+    disagreement: Floats
+    distances_mm: Floats
+    end: int
+
+
+@compiled
+def fit_rows(
+    lenses: Floats,
+    reach: Floats,
+    rotation: Floats,
+    centers: Floats,
+    covariances: Floats,
+    pixels: Floats,
+    noise: Floats,
+    shifts: Floats,
+    extra_px: float,
+    min_depth: float,
+) -> PointFit:
+    """The point that n >= 2 pixels show, from the one nearest to their rays.
+
+    Args:
+        lenses: (n, 13).
+        reach: (n,) of the lens models.
+        rotation: (n, 3, 3) of world_from_camera.
+        centers: (n, 3) of the cameras.
+        covariances: (n, 18, 18) of the cameras' poses and intrinsics.
+        pixels: (n, 2).
+        noise: (n, 2, 2) covariances of the pixels alone.
+        shifts: (n, 3) where each camera saw the point, relative to where it is.
+        extra_px: added to every pixel's standard deviation in `disagreement`, in quadrature.
+        min_depth: see `rig_kernels.project_one`.
+    """
+    directions, origins = ray_rows(pixels, lenses, reach, rotation), centers - shifts
+    start, meet = _nearest(origins, directions)
+    total = noise + camera_noise(
+        lenses, reach, rotation, centers, start + shifts, covariances, min_depth
+    )
+    point, information, residuals, chi_square, seen = refine_point(
+        lenses, reach, rotation, centers, pixels, shifts, total, start, min_depth
+    )
+    off, distances = np.zeros(len(pixels)), np.zeros(len(pixels))
+    if not meet or not seen:
+        end = BEHIND if meet else PARALLEL
+        return PointFit(point, information, residuals, chi_square, off, distances, end)
+    total = noise + camera_noise(
+        lenses, reach, rotation, centers, point + shifts, covariances, min_depth
+    )
+    for i in range(len(pixels)):
+        a, b = total[i, 0, 0] + extra_px**2, total[i, 1, 1] + extra_px**2
+        c, u, v = total[i, 0, 1], residuals[i, 0], residuals[i, 1]
+        off[i] = (b * u * u - 2 * c * u * v + a * v * v) / (a * b - c * c)
+        distances[i] = _distance(point, origins[i], directions[i])
+    return PointFit(point, inverse(information), residuals, chi_square, off, distances, FITTED)
+
+
+class PointFits(NamedTuple):
+    """k points fitted to n pixels, see `PointFit`.
+
+    Attributes:
+        points: (k, 3).
+        covariances: (k, 3, 3).
+        chi_squares: (k,).
+        disagreements: (k,) sums of those of the point's pixels.
+        distances_mm: (n,).
+        ends: (k,).
+    """
+
+    points: Floats
+    covariances: Floats
+    chi_squares: Floats
+    disagreements: Floats
+    distances_mm: Floats
+    ends: Ints
+
+
+@compiled
+def fit_groups(
+    starts: Ints,
+    lenses: Floats,
+    reach: Floats,
+    rotation: Floats,
+    centers: Floats,
+    covariances: Floats,
+    pixels: Floats,
+    noise: Floats,
+    extra_px: float,
+    min_depth: float,
+) -> PointFits:
+    """`fit_rows` for k points one after the other, each at rest.
+
+    Args:
+        starts: (k + 1,) where each point's rows begin; the others are as in `fit_rows`.
+        lenses: (n, 13).
+        reach: (n,).
+        rotation: (n, 3, 3).
+        centers: (n, 3).
+        covariances: (n, 18, 18).
+        pixels: (n, 2).
+        noise: (n, 2, 2).
+        extra_px: see `fit_rows`.
+        min_depth: see `fit_rows`.
+    """
+    k = len(starts) - 1
+    points, known, distances = np.empty((k, 3)), np.empty((k, 3, 3)), np.empty(len(pixels))
+    chi_squares, disagreements, ends = np.empty(k), np.empty(k), np.empty(k, np.int64)
+    for i in range(k):
+        a, b = starts[i], starts[i + 1]
+        fit = fit_rows(
+            lenses[a:b], reach[a:b], rotation[a:b], centers[a:b], covariances[a:b], pixels[a:b],
+            noise[a:b], np.zeros((b - a, 3)), extra_px, min_depth,
+        )  # fmt: skip
+        points[i], known[i], ends[i] = fit.point, fit.covariance, fit.end
+        chi_squares[i], disagreements[i] = fit.chi_square, np.sum(fit.disagreement)
+        distances[a:b] = fit.distances_mm
+    return PointFits(points, known, chi_squares, disagreements, distances, ends)
+
+
+@compiled
+def _nearest(origins: Floats, directions: Floats) -> tuple[Floats, bool]:
+    """The point (3,) nearest to lines, and whether there is one: see `geometry.nearest_point`."""
+    point, normal, right = np.full(3, np.nan), np.zeros((3, 3)), np.zeros(3)
+    for i in range(len(origins)):
+        for a in range(3):
+            for b in range(3):
+                across = (1.0 if a == b else 0.0) - directions[i, a] * directions[i, b]
+                normal[a, b] += across
+                right[a] += across * origins[i, b]
+    if not np.all(np.isfinite(normal)):
+        return point, True
+    if not _surely_apart(normal):
+        spread = np.linalg.eigvalsh(normal)
+        if spread[0] < spread[2] * MIN_PARALLAX_RAD**2:
+            return point, False
+    point[:] = solved(normal, right)
+    return point, True
+
+
+@compiled
+def _surely_apart(m: Floats) -> bool:
+    """Whether the determinant and the trace of lines' normal matrix tell them from parallel ones.
+
+    Its least eigenvalue is no less than the one over the square of the other, none is above that.
+    """
+    determinant = (
+        m[0, 0] * (m[1, 1] * m[2, 2] - m[1, 2] ** 2)
+        - m[0, 1] * (m[0, 1] * m[2, 2] - m[1, 2] * m[0, 2])
+        + m[0, 2] * (m[0, 1] * m[1, 2] - m[1, 1] * m[0, 2])
+    )
+    return bool(determinant > _SURELY * MIN_PARALLAX_RAD**2 * (m[0, 0] + m[1, 1] + m[2, 2]) ** 3)
+
+
+@compiled
+def _distance(point: Floats, origin: Floats, direction: Floats) -> float:
+    """Distance of a point from a line."""
+    x, y, z = point[0] - origin[0], point[1] - origin[1], point[2] - origin[2]
+    p, q, r = direction
+    return float(np.sqrt((y * r - z * q) ** 2 + (z * p - x * r) ** 2 + (x * q - y * p) ** 2))
+
+
+@compiled
+def refine_point(
+    lenses: Floats,
+    reach: Floats,
+    rotation: Floats,
+    centers: Floats,
+    pixels: Floats,
+    shifts: Floats,
+    noise: Floats,
+    start: Floats,
+    min_depth: float,
+) -> tuple[Floats, Floats, Floats, float, bool]:
+    """Gauss-Newton from `start` with fixed weights.
+
+    Args:
+        lenses: (n, 13).
+        reach: (n,) of the lens models.
+        rotation: (n, 3, 3) of world_from_camera.
+        centers: (n, 3) of the cameras.
+        pixels: (n, 2).
+        shifts: (n, 3) where each camera saw the point, relative to where it is.
+        noise: (n, 2, 2) total covariances of the pixels.
+        start: (3,) mm.
+        min_depth: see `rig_kernels.project_one`.
+
+    Returns:
+        The point (3,), its information (3, 3), residuals (n, 2), chi-square, and whether the point
+        stayed in front of every camera.
+    """
+    n = len(pixels)
+    point, pixel, by_point = start.copy(), np.empty(2), np.empty((2, 3))
+    weight = np.empty((n, 3))
+    for i in range(n):
+        det = noise[i, 0, 0] * noise[i, 1, 1] - noise[i, 0, 1] * noise[i, 1, 0]
+        weight[i, 0], weight[i, 1] = noise[i, 1, 1] / det, noise[i, 0, 0] / det
+        weight[i, 2] = -noise[i, 0, 1] / det
+    normal, right, residuals = np.empty((3, 3)), np.empty(3), np.empty((n, 2))
+    chi_square, settled = 0.0, False
+    for turn in range(_STEPS + 1):
+        normal[:], right[:], chi_square = 0.0, 0.0, 0.0
+        for i in range(n):
+            project_one(
+                lenses[i], reach[i], rotation[i], centers[i], point + shifts[i], min_depth, pixel,
+                by_point,
+            )  # fmt: skip
+            u, v = pixels[i, 0] - pixel[0], pixels[i, 1] - pixel[1]
+            residuals[i, 0], residuals[i, 1] = u, v
+            wu, wv = weight[i, 0] * u + weight[i, 2] * v, weight[i, 2] * u + weight[i, 1] * v
+            chi_square += u * wu + v * wv
+            for a in range(3):
+                right[a] += by_point[0, a] * wu + by_point[1, a] * wv
+                ga = weight[i, 0] * by_point[0, a] + weight[i, 2] * by_point[1, a]
+                gb = weight[i, 2] * by_point[0, a] + weight[i, 1] * by_point[1, a]
+                for b in range(3):
+                    normal[a, b] += ga * by_point[0, b] + gb * by_point[1, b]
+        if not np.isfinite(chi_square):
+            return point, normal, residuals, chi_square, False
+        if settled or turn == _STEPS:
+            break
+        step = solved(normal, right)
+        point += step
+        settled = np.max(np.abs(step)) < _STEP_TOLERANCE_MM
+    return point, normal, residuals, chi_square, True
+
+
+def warm_up() -> None:
+    """Compile the fits, by fitting a point to pixels of two cameras in one place."""
+    two = np.zeros((2, 3))
+    turns = np.stack([np.eye(3), np.eye(3)])
+    lenses = np.tile(np.eye(1, 13) + np.eye(1, 13, 3), (2, 1))
+    noise = np.zeros((2, 2, 2))
+    known = np.zeros((2, 18, 18))
+    pixels, reach = two[:, :2].copy(), np.full(2, np.inf)
+    fit_rows(lenses, reach, turns, two, known, pixels, noise, two, 0.0, 0.0)
+    fit_groups(np.array([0, 2]), lenses, reach, turns, two, known, pixels, noise, 0.0, 0.0)

@@ -1,0 +1,322 @@
+"""The body's pose from ball centres in pictures: least squares on the reprojection, all at once.
+
+No triangulation: a ball seen by one camera counts. Robust by Tukey's weights (Huber and Ronchetti
+2009, section 4.8), so a wrong detection loses its say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from measure.arrays import Floats, Ints
+from measure.compiling import compiled
+from measure.errors import DegenerateGeometryError
+from measure.geometry import RigidTransform, skew
+from measure.geometry.covariance_kernels import squared_distance
+from measure.geometry.rotation_kernels import rotation_of
+from measure.model import Body, Camera, Detection, Rig
+from measure.model.camera import MIN_DEPTH_MM
+from measure.model.observations import stacked_detections
+from measure.model.rig_kernels import project_one
+from measure.records import record
+
+_STEP_TOLERANCE = 1e-8
+
+
+@record
+class Sightings:
+    """Ball centres seen in pictures, as arrays of n rows.
+
+    Attributes:
+        rig: the camera of each row.
+        points_body: (n, 3) the ball's centre in the body.
+        balls: (n,) index of the ball.
+        pixels: (n, 2).
+        noise: (n, 2, 2) covariances.
+        lead_s: (n,) time of the picture after the common instant.
+    """
+
+    rig: Rig
+    points_body: Floats
+    balls: Ints
+    pixels: Floats
+    noise: Floats
+    lead_s: Floats
+
+    @classmethod
+    def of(
+        cls,
+        detections: Sequence[Detection],
+        body: Body,
+        cameras: Mapping[str, Camera],
+        time_s: float,
+        extra_px: float = 0.0,
+    ) -> Sightings:
+        """Stack detections; `extra_px` is added to their standard deviations in quadrature."""
+        balls, points_body = _placed(body, tuple([d.ball for d in detections]))
+        pixels, noise = stacked_detections(tuple(detections))
+        return cls(
+            Rig.of([cameras[d.camera] for d in detections]),
+            points_body,
+            balls,
+            pixels,
+            noise + extra_px**2 * np.eye(2) if extra_px else noise,
+            np.array([d.time_s - time_s for d in detections]),
+        )
+
+    def __len__(self) -> int:
+        return len(self.pixels)
+
+    def residuals(
+        self, world_from_body: RigidTransform, velocity: Floats
+    ) -> tuple[Floats, Floats, Floats]:
+        """Residuals (n, 2), and Jacobians by the pose (n, 2, 6) and by the velocity (n, 2, 6).
+
+        Args:
+            world_from_body: the pose at the common instant.
+            velocity: (6,) in the pose's `perturb` chart, per second.
+        """
+        arms = world_from_body.rotate(self.points_body)
+        by_pose = np.concatenate(
+            [np.broadcast_to(np.eye(3), (len(self), 3, 3)), -skew(arms)], axis=2
+        )
+        moved = self.lead_s[:, None] * (by_pose @ velocity)
+        pixels, by_point = self.rig.project(arms + world_from_body.translation + moved)
+        jacobian = by_point @ by_pose
+        return self.pixels - pixels, jacobian, jacobian * self.lead_s[:, None, None]
+
+
+@dataclass(frozen=True, eq=False)
+class PoseFit:
+    """A fitted pose.
+
+    Attributes:
+        world_from_body: at the common instant.
+        covariance: (6, 6) in its `perturb` chart.
+        residuals_px: (n, 2).
+        distances: (n,) squared Mahalanobis distances of the residuals, 2 degrees of freedom each.
+    """
+
+    world_from_body: RigidTransform
+    covariance: Floats
+    residuals_px: Floats
+    distances: Floats
+
+
+def fit_pose(
+    start: RigidTransform,
+    sightings: Sightings,
+    velocity: Floats | None = None,
+    tukey: float = 6.0,
+    tolerance: float = _STEP_TOLERANCE,
+) -> PoseFit:
+    """Refine a pose on n >= 3 sightings of balls not on one line.
+
+    Args:
+        start: a pose from which least squares converges.
+        sightings: what was seen.
+        velocity: (6,) of the body, to bring pictures of different times together; at rest if None.
+        tukey: a residual this many standard deviations off has no weight at all.
+        tolerance: stop when a step is smaller than this, in mm and rad.
+
+    Raises:
+        DegenerateGeometryError: the sightings do not determine a pose.
+    """
+    s = sightings
+    try:
+        rotation, translation, normal, residuals, distances, weighing = fit_rows(
+            s.rig.lenses,
+            s.rig.reach,
+            s.rig.rotation,
+            s.rig.centers,
+            s.points_body,
+            s.pixels,
+            _inverse(s.noise),
+            s.lead_s,
+            np.zeros(6) if velocity is None else np.ascontiguousarray(velocity),
+            np.ascontiguousarray(start.rotation),
+            np.ascontiguousarray(start.translation),
+            tukey,
+            tolerance,
+            MIN_DEPTH_MM,
+        )
+    except np.linalg.LinAlgError:
+        raise _undetermined(len(s)) from None
+    if weighing < 0:
+        raise _undetermined(-weighing - 1)
+    distances[np.isnan(distances)] = np.inf
+    pose = RigidTransform(rotation, translation)
+    return PoseFit(pose, _inverse(normal), residuals, distances)
+
+
+@lru_cache(maxsize=256)
+def _placed(body: Body, names: tuple[str, ...]) -> tuple[Ints, Floats]:
+    """Indices (n,) and centres (n, 3) of balls; bodies compare by identity."""
+    balls = np.array([body.index(name) for name in names], dtype=np.int64)
+    return balls, body.centers[balls]
+
+
+def _inverse(matrix: Floats) -> Floats:
+    return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
+
+
+def _undetermined(count: int) -> DegenerateGeometryError:
+    return DegenerateGeometryError(f"{count} ball sightings do not determine a pose")
+
+
+_STEPS = 15
+_WIDE = 1e3
+"""The first steps see everything: a start that is a little off must not lose its witnesses."""
+_LEAST_SPREAD = 1e-9
+
+
+@compiled
+def fit_rows(
+    lenses: Floats,
+    reach: Floats,
+    rig_rotation: Floats,
+    rig_centers: Floats,
+    points_body: Floats,
+    pixels: Floats,
+    inverse: Floats,
+    lead_s: Floats,
+    velocity: Floats,
+    rotation: Floats,
+    translation: Floats,
+    tukey: float,
+    tolerance: float,
+    min_depth: float,
+) -> tuple[Floats, Floats, Floats, Floats, Floats, int]:
+    """Robust Gauss-Newton on the reprojection of n points of a body.
+
+    Args:
+        lenses: (n, 13).
+        reach: (n,) of the lens models.
+        rig_rotation: (n, 3, 3) of world_from_camera.
+        rig_centers: (n, 3).
+        points_body: (n, 3).
+        pixels: (n, 2).
+        inverse: (n, 2, 2) inverse covariances of the pixels.
+        lead_s: (n,) time of the picture after the common instant.
+        velocity: (6,) of the body, in the pose's `perturb` chart, per second.
+        rotation: (3, 3) of world_from_body to start from.
+        translation: (3,) the same.
+        tukey: a residual this many standard deviations off has no weight at all.
+        tolerance: stop when a step is smaller than this, in mm and rad.
+        min_depth: see `rig_kernels.project_one`.
+
+    Returns:
+        Rotation (3, 3), translation (3,), information (6, 6), residuals (n, 2) and their squared
+        Mahalanobis distances (n,) at the end; how many points have a say, negative if they do not
+        determine a pose.
+    """
+    n = len(pixels)
+    rotation, translation = rotation.copy(), translation.copy()
+    residuals, slopes, distance = np.empty((n, 2)), np.empty((n, 2, 6)), np.empty(n)
+    normal, right, change, weighing = np.empty((6, 6)), np.empty(6), np.empty(6), 0
+    for step in range(_STEPS):
+        for i in range(n):
+            _look(
+                lenses[i], reach[i], rig_rotation[i], rig_centers[i], points_body[i], pixels[i],
+                lead_s[i], velocity, rotation, translation, min_depth, residuals[i], slopes[i],
+            )  # fmt: skip
+        weighing = _equations(
+            residuals, slopes, inverse, tukey if step > 1 else _WIDE, normal, right
+        )
+        if step == 0 and not _determined(normal):
+            return rotation, translation, normal, residuals, distance, -weighing - 1
+        change[:] = np.linalg.solve(normal, right)
+        translation += change[:3]
+        rotation = rotation_of(change[3:]) @ rotation
+        if step > 2 and np.max(np.abs(change)) < tolerance:
+            break
+    for i in range(n):
+        _look(
+            lenses[i], reach[i], rig_rotation[i], rig_centers[i], points_body[i], pixels[i],
+            lead_s[i], velocity, rotation, translation, min_depth, residuals[i], slopes[i],
+        )  # fmt: skip
+        distance[i] = squared_distance(residuals[i], inverse[i])
+    if not _determined(normal):
+        weighing = -weighing - 1
+    return rotation, translation, normal, residuals, distance, weighing
+
+
+@compiled
+def _look(
+    lens: Floats,
+    reach: float,
+    rig_rotation: Floats,
+    rig_center: Floats,
+    point_body: Floats,
+    pixel: Floats,
+    lead_s: float,
+    velocity: Floats,
+    rotation: Floats,
+    translation: Floats,
+    min_depth: float,
+    residual: Floats,
+    slopes: Floats,
+) -> None:
+    """One point's residual (2,) and its image's derivatives (2, 6) by the pose, both filled in."""
+    arm, point = np.empty(3), np.empty(3)
+    for a in range(3):
+        arm[a] = 0.0
+        for b in range(3):
+            arm[a] += rotation[a, b] * point_body[b]
+    turn = velocity[3:]
+    for a in range(3):
+        b, c = (a + 1) % 3, (a + 2) % 3
+        moved = lead_s * (velocity[a] + turn[b] * arm[c] - turn[c] * arm[b])
+        point[a] = arm[a] + translation[a] + moved
+    seen, by_point = np.empty(2), np.empty((2, 3))
+    project_one(lens, reach, rig_rotation, rig_center, point, min_depth, seen, by_point)
+    for u in range(2):
+        residual[u] = pixel[u] - seen[u]
+        for a in range(3):
+            b, c = (a + 1) % 3, (a + 2) % 3
+            slopes[u, a] = by_point[u, a]
+            slopes[u, 3 + a] = arm[b] * by_point[u, c] - arm[c] * by_point[u, b]
+
+
+@compiled
+def _equations(
+    residuals: Floats, slopes: Floats, inverse: Floats, width: float, normal: Floats, right: Floats
+) -> int:
+    """Fill the normal equations (6, 6), (6,); how many points have a weight in them."""
+    normal[:], right[:] = 0.0, 0.0
+    weighing = 0
+    gain = np.empty((6, 2))
+    for i in range(len(residuals)):
+        distance = squared_distance(residuals[i], inverse[i])
+        weight = max(1 - distance / width**2, 0.0) ** 2
+        if not (np.isfinite(distance) and weight > 0):
+            continue
+        weighing += 1
+        for a in range(6):
+            for u in range(2):
+                gain[a, u] = 0.0
+                for v in range(2):
+                    gain[a, u] += slopes[i, v, a] * inverse[i, v, u] * weight
+            right[a] += gain[a, 0] * residuals[i, 0] + gain[a, 1] * residuals[i, 1]
+            for b in range(6):
+                normal[a, b] += gain[a, 0] * slopes[i, 0, b] + gain[a, 1] * slopes[i, 1, b]
+    return weighing
+
+
+@compiled
+def _determined(normal: Floats) -> bool:
+    """Whether an information matrix, mm and rad scaled to each other, is not singular."""
+    scaled, scale = np.empty((6, 6)), np.empty(6)
+    for a in range(6):
+        scale[a] = np.sqrt(max(normal[a, a], 1e-30))
+    for a in range(6):
+        for b in range(6):
+            scaled[a, b] = normal[a, b] / (scale[a] * scale[b])
+    if not np.all(np.isfinite(scaled)):
+        return False
+    spread = np.linalg.eigvalsh(scaled)
+    return spread[0] > _LEAST_SPREAD * spread[5]

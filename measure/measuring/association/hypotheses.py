@@ -1,0 +1,315 @@
+"""Poses that put the body's balls on possible ball centres, and how many candidates agree."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import combinations
+
+import numpy as np
+
+from measure.arrays import Bools, Floats, Ints
+from measure.compiling import compiled
+from measure.geometry import RigidTransform
+from measure.measuring.association.candidates import BallPoints, Candidates
+from measure.measuring.association.scoring import (
+    agreeing,
+    fitting_pairs,
+    fitting_triples,
+    on_balls,
+)
+from measure.model import Body, Camera, Rig
+from measure.model.camera import MIN_DEPTH_MM
+
+_MOST_POSES = 400
+_SLACK_MM = 1.0
+_LINE_RATIO = 0.05
+_ANGLES = 90
+_OWN_RADII = 0.8
+"""Candidates within this many radii of one of the body's balls belong to it, whatever their colour:
+a reflection, a double, a pink side of a magenta ball. Two balls are not in one place, and where one
+hides another, other cameras see both."""
+
+
+def poses_from_triples(body: Body, points: Sequence[BallPoints], sigmas: float) -> RigidTransform:
+    """Poses (m) of every three balls whose possible centres are as far apart as in the body."""
+    found = []
+    for triple in _triples(body):
+        rows = _fitting_triples(body, points, triple, sigmas)
+        found.append(_aligned(_targets(points, triple, rows), body.centers[list(triple)]))
+    return _joined(found)
+
+
+def poses_from_pairs(body: Body, points: Sequence[BallPoints], sigmas: float) -> RigidTransform:
+    """Poses (m) of every two balls at the right distance, turned about their line in steps.
+
+    For a body of which no third ball is seen by two cameras: one camera's view of it decides.
+    """
+    found = []
+    for pair in combinations(range(len(body.balls)), 2):
+        rows = _fitting_pairs(body, points, pair, sigmas)[:20]
+        found.append(_spun(_targets(points, pair, rows), body.centers[list(pair)]))
+    return _joined(found)
+
+
+@dataclass(frozen=True, eq=False)
+class Stacked:
+    """The candidates of all balls as arrays of n rows, one ball's after the other's.
+
+    Attributes:
+        starts: (balls + 1,) first row of each ball's.
+        cameras: (n,) index of the camera.
+        pixels: (n, 2).
+        limit_px: (n,) the furthest that a candidate may be from where a pose puts its ball.
+        range_mm: (n,) distance that the outline's radius tells.
+    """
+
+    starts: Ints
+    cameras: Ints
+    pixels: Floats
+    limit_px: Floats
+    range_mm: Floats
+
+    @classmethod
+    def of(cls, candidates: Sequence[Candidates], sigmas: float, extra_px: float) -> Stacked:
+        """Stack the candidates of every ball."""
+        sd_px = np.concatenate([c.sd_px for c in candidates])
+        return cls(
+            np.cumsum([0, *map(len, candidates)]),
+            np.concatenate([c.cameras for c in candidates]),
+            np.concatenate([c.pixels for c in candidates]),
+            sigmas * np.hypot(sd_px, extra_px),
+            np.concatenate([c.range_mm for c in candidates]),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Support:
+    """Which candidates agree with m poses.
+
+    Attributes:
+        chosen: (m, balls, cameras) row of the agreeing candidate of that ball, or -1.
+        expected: (m,) number of balls in view, over all cameras.
+        score: (m,) sum over agreeing candidates of one minus the squared share of the gate.
+    """
+
+    chosen: Ints
+    expected: Ints
+    score: Floats
+
+    @property
+    def count(self) -> Ints:
+        """Number of agreeing candidates (m,)."""
+        return np.asarray(np.sum(self.chosen >= 0, axis=(1, 2)), dtype=np.int64)
+
+
+def support(
+    poses: RigidTransform,
+    body: Body,
+    cameras: Sequence[Camera],
+    candidates: Stacked,
+    range_ratio: float,
+) -> Support:
+    """Compare the balls of m poses, projected, with the candidates: in place and in size."""
+    rig = Rig.of(cameras)
+    return Support(
+        *agreeing(
+            np.ascontiguousarray(poses.rotation),
+            np.ascontiguousarray(poses.translation),
+            body.centers,
+            rig.lenses,
+            rig.reach,
+            rig.rotation,
+            rig.centers,
+            np.array([c.intrinsics.size_wh for c in cameras]) - 1.0,
+            candidates.starts,
+            candidates.cameras,
+            candidates.pixels,
+            candidates.limit_px,
+            candidates.range_mm,
+            range_ratio,
+            MIN_DEPTH_MM,
+        )
+    )
+
+
+def explained(
+    world_from_body: RigidTransform,
+    body: Body,
+    cameras: Sequence[Camera],
+    seen_by: Ints,
+    pixels: Floats,
+) -> Bools:
+    """Which of n candidates (n,) lie on some ball of the body in its pose.
+
+    Args:
+        world_from_body: the pose.
+        body: the body.
+        cameras: all cameras.
+        seen_by: (n,) index of the candidates' cameras.
+        pixels: (n, 2).
+    """
+    rig = Rig.of(cameras)
+    return on_balls(
+        world_from_body.apply(body.centers),
+        body.radii,
+        rig.lenses,
+        rig.reach,
+        rig.rotation,
+        rig.centers,
+        seen_by,
+        pixels,
+        _OWN_RADII,
+        MIN_DEPTH_MM,
+    )
+
+
+def _targets(points: Sequence[BallPoints], balls: Sequence[int], rows: Ints) -> Floats:
+    """Possible centres (m, balls, 3) of some balls, from their rows (m, balls) of `points`."""
+    out = np.empty((*rows.shape, 3))
+    for k, ball in enumerate(balls):
+        out[:, k] = points[ball].points[rows[:, k]]
+    return out
+
+
+def _aligned(target: Floats, source: Floats) -> RigidTransform:
+    """Least-squares poses (m) that put three source points (3, 3) on target points (m, 3, 3)."""
+    return RigidTransform(*align_triangles(target, source))
+
+
+def _misfits(body: Body, points: Sequence[BallPoints], i: int, j: int, sigmas: float) -> Floats:
+    a, b = points[i], points[j]
+    distance = float(np.linalg.norm(body.centers[i] - body.centers[j]))
+    return fitting_pairs(a.points, a.sd_mm, b.points, b.sd_mm, distance, sigmas, _SLACK_MM)
+
+
+def _fitting_pairs(
+    body: Body, points: Sequence[BallPoints], pair: tuple[int, int], sigmas: float
+) -> Ints:
+    """Rows of `points` (m, 2), one per ball, as far apart as in the body; best first."""
+    misfit = _misfits(body, points, *pair, sigmas)
+    rows = np.argwhere(misfit < 1)
+    return np.asarray(rows[np.argsort(misfit[tuple(rows.T)], kind="stable")], dtype=np.int64)
+
+
+def _fitting_triples(
+    body: Body, points: Sequence[BallPoints], triple: tuple[int, int, int], sigmas: float
+) -> Ints:
+    """Rows of `points` (m, 3), one per ball, whose distances are the body's; best first."""
+    sides = (_misfits(body, points, i, j, sigmas) for i, j in combinations(triple, 2))
+    rows, misfit = fitting_triples(*sides)
+    return rows[np.argsort(misfit, kind="stable")[:_MOST_POSES]]
+
+
+@lru_cache(maxsize=16)
+def _triples(body: Body) -> tuple[tuple[int, int, int], ...]:
+    """Every three balls that are not on a line; bodies compare by identity."""
+    triples = combinations(range(len(body.balls)), 3)
+    return tuple(three for three in triples if not _on_a_line(body.centers[list(three)]))
+
+
+def _on_a_line(points: Floats) -> bool:
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return bool(spread[1] < _LINE_RATIO * spread[0])
+
+
+def _spun(target: Floats, source: Floats) -> RigidTransform:
+    """Poses that bring the line of two source points (2, 3) onto (m, 2, 3), at every angle."""
+    start = _aligned(
+        np.concatenate([target, _third(target)], axis=1),
+        np.concatenate([source, _third(source[None])[0]], axis=0),
+    )
+    axis = target[:, 1] - target[:, 0]
+    axis = axis / np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-9)
+    angles = np.arange(_ANGLES) * (2 * np.pi / _ANGLES)
+    turns = RigidTransform.from_rotvec(
+        axis[:, None] * angles[:, None], np.zeros((len(axis), _ANGLES, 3))
+    ).rotation
+    rotation = turns @ start.rotation[:, None]
+    middle_body = source.mean(axis=0)
+    translation = target.mean(axis=1)[:, None] - rotation @ middle_body
+    return RigidTransform(rotation.reshape(-1, 3, 3), translation.reshape(-1, 3))
+
+
+def _third(pair: Floats) -> Floats:
+    """A point (m, 1, 3) off the line of two points (m, 2, 3), at right angles from their middle."""
+    along = pair[:, 1] - pair[:, 0]
+    helper = np.eye(3)[np.argmin(np.abs(along), axis=1)]
+    across = np.cross(along, helper)
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    across *= length / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
+    return (pair.mean(axis=1) + across)[:, None]
+
+
+def _joined(poses: Sequence[RigidTransform]) -> RigidTransform:
+    if len(poses) == 1:
+        return poses[0]
+    return RigidTransform(
+        np.concatenate([np.zeros((0, 3, 3)), *(p.rotation for p in poses)]),
+        np.concatenate([np.zeros((0, 3)), *(p.translation for p in poses)]),
+    )
+
+
+@compiled
+def align_triangles(target: Floats, source: Floats) -> tuple[Floats, Floats]:
+    """Least-squares poses of a triangle on m others.
+
+    The best rotation of three points turns plane onto plane, and in the plane by the angle that
+    brings the corners closest: what singular values tell of any number of points (Umeyama 1991)
+    has this closed form for three.
+
+    Args:
+        target: (m, 3, 3) corners, one a row, mm.
+        source: (3, 3) the corners that are put on them, not on a line.
+
+    Returns:
+        Rotations (m, 3, 3) and translations (m, 3) of target_from_source; not a number where
+        target corners are on a line.
+    """
+    rotation, translation = np.empty((len(target), 3, 3)), np.empty((len(target), 3))
+    flat, axes, origin = _in_plane(source)
+    for k in range(len(target)):
+        seen, onto, center = _in_plane(target[k])
+        along, across = 0.0, 0.0
+        for i in range(3):
+            along += seen[i, 0] * flat[i, 0] + seen[i, 1] * flat[i, 1]
+            across += seen[i, 1] * flat[i, 0] - seen[i, 0] * flat[i, 1]
+        length = np.hypot(along, across)
+        c, s = along / length, across / length
+        for a in range(3):
+            first, second = c * onto[0, a] + s * onto[1, a], c * onto[1, a] - s * onto[0, a]
+            translation[k, a] = center[a]
+            for b in range(3):
+                turn = first * axes[0, b] + second * axes[1, b] + onto[2, a] * axes[2, b]
+                rotation[k, a, b] = turn
+                translation[k, a] -= turn * origin[b]
+    return rotation, translation
+
+
+@compiled
+def _in_plane(corners: Floats) -> tuple[Floats, Floats, Floats]:
+    """Corners (3, 2) about their middle (3,) along the first two of axes (3, 3), rows."""
+    axes, flat, middle = np.empty((3, 3)), np.zeros((3, 2)), np.empty(3)
+    for a in range(3):
+        axes[0, a] = corners[1, a] - corners[0, a]
+        axes[1, a] = corners[2, a] - corners[0, a]
+        middle[a] = (corners[0, a] + corners[1, a] + corners[2, a]) / 3
+    _cross(axes[0], axes[1], axes[2])
+    _cross(axes[2], axes[0], axes[1])
+    for i in range(3):
+        x, y, z = axes[i]
+        axes[i] /= np.sqrt(x * x + y * y + z * z)
+    for i in range(3):
+        for a in range(3):
+            off = corners[i, a] - middle[a]
+            flat[i, 0] += off * axes[0, a]
+            flat[i, 1] += off * axes[1, a]
+    return flat, axes, middle
+
+
+@compiled
+def _cross(a: Floats, b: Floats, out: Floats) -> None:
+    out[0] = a[1] * b[2] - a[2] * b[1]
+    out[1] = a[2] * b[0] - a[0] * b[2]
+    out[2] = a[0] * b[1] - a[1] * b[0]

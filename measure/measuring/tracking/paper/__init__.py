@@ -1,0 +1,1 @@
+"""The paper's frame-update algorithm: effective and suspended circles."""

@@ -1,0 +1,140 @@
+"""Whether circles of one ball in several cameras can be one ball of the known size."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.errors import DegenerateGeometryError
+from measure.geometry import Rays, midpoints, usable_pairs
+from measure.model import Camera, Detection, Fix, Pose, Rig
+
+_MIN_ANGLE_RAD = np.radians(5.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """A circle with its ray in the world.
+
+    Attributes:
+        detection: the circle.
+        camera: the camera that saw it.
+        origin: (3,) the camera's centre in mm.
+        direction: (3,) unit vector through the circle's centre.
+    """
+
+    detection: Detection
+    camera: Camera
+    origin: Floats
+    direction: Floats
+
+
+def sightings(
+    detections: Sequence[Detection], cameras: Mapping[str, Camera]
+) -> tuple[Sighting, ...]:
+    """The detections with their rays; one beyond the lens model's reach is left out."""
+    if not detections:
+        return ()
+    used = [cameras[detection.camera] for detection in detections]
+    rays = Rig.of(used).rays(np.stack([detection.center_px for detection in detections]))
+    return tuple(
+        Sighting(*parts)
+        for parts in zip(detections, used, rays.origins, rays.directions, strict=True)
+        if np.all(np.isfinite(parts[3]))
+    )
+
+
+@dataclass(frozen=True)
+class Limits:
+    """How well circles must agree.
+
+    Attributes:
+        distance_mm: largest distance of a ray from the ball's centre.
+        radius_share: largest relative error of the circle's radius, given where the ball is.
+    """
+
+    distance_mm: float
+    radius_share: float
+
+
+def locate(seen: Sequence[Sighting]) -> Floats | None:
+    """The mean (3,) of the midpoints of all pairs of rays; None if they do not determine one."""
+    if len(seen) < 2:
+        return None
+    rays = Rays(np.stack([s.origin for s in seen]), np.stack([s.direction for s in seen]))
+    try:
+        pairs = usable_pairs(rays, _MIN_ANGLE_RAD)
+    except DegenerateGeometryError:
+        return None
+    return midpoints(rays.origins, rays.directions, pairs).mean
+
+
+def apparent_radius_px(camera: Camera, point: Floats, radius_mm: float) -> float:
+    """Outline radius of a ball at `point` (3,) in the world, near the middle of the picture."""
+    distance = max(float(np.linalg.norm(point - camera.center)), 1.01 * radius_mm)
+    return float(camera.intrinsics.focal_px * radius_mm / np.sqrt(distance**2 - radius_mm**2))
+
+
+def misfit(sighting: Sighting, point: Floats, radius_mm: float, limits: Limits) -> float:
+    """How badly a circle disagrees with a ball at `point` (3,): more than 1 is too badly."""
+    offset = point - sighting.origin
+    if offset @ sighting.direction <= 0:
+        return float("inf")
+    distance = float(np.linalg.norm(np.cross(offset, sighting.direction)))
+    expected = apparent_radius_px(sighting.camera, point, radius_mm)
+    radius_error = abs(sighting.detection.radius_px / expected - 1)
+    return max(distance / limits.distance_mm, radius_error / limits.radius_share)
+
+
+def disagreeing(seen: Sequence[Sighting], radius_mm: float, limits: Limits) -> tuple[Sighting, ...]:
+    """The fewest circles to leave out, worst first, until the others agree.
+
+    With two circles nobody can tell which of them is wrong: none is named.
+    """
+    kept, out = list(seen), []
+    while len(kept) >= 3 and _worst(kept, radius_mm, limits) > 1:
+        rests = [[s for s in kept if s is not one] for one in kept]
+        best = int(np.argmin([_worst(rest, radius_mm, limits) for rest in rests]))
+        out.append(kept[best])
+        kept = rests[best]
+    return tuple(out)
+
+
+def _worst(seen: Sequence[Sighting], radius_mm: float, limits: Limits) -> float:
+    point = locate(seen)
+    if point is None:
+        return float("inf")
+    return max(misfit(sighting, point, radius_mm, limits) for sighting in seen)
+
+
+def misfits(
+    fixes: Sequence[Fix], pose: Pose, flag_residual_mm: float, flag_rays_mm: float
+) -> tuple[str, ...]:
+    """Flags for a pose.
+
+    Args:
+        fixes: the located balls.
+        pose: fitted to them.
+        flag_residual_mm: RMS misfit of the balls to the body from which it is flagged.
+        flag_rays_mm: RMS distance of the rays from their balls from which it is flagged.
+    """
+    found = []
+    if pose.residual_mm > flag_residual_mm:
+        found.append(f"the balls miss the body's shape by {pose.residual_mm:.2f} mm RMS")
+    squares: dict[str, list[float]] = {}
+    for fix in fixes:
+        for camera, residual in zip(fix.cameras, fix.residuals_mm.tolist(), strict=True):
+            squares.setdefault(camera, []).append(residual**2)
+    if not squares:
+        return tuple(found)
+    rays_mm = float(np.sqrt(np.mean([square for each in squares.values() for square in each])))
+    if rays_mm > flag_rays_mm:
+        worst = max(squares, key=lambda name: float(np.mean(squares[name])))
+        found.append(
+            f"the rays miss the balls by {rays_mm:.2f} mm RMS, most of all those of {worst}: "
+            "has a camera moved, or are the clocks apart?"
+        )
+    return tuple(found)

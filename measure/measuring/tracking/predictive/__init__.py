@@ -1,0 +1,1 @@
+"""Tracking by prediction: a motion filter, search windows and gates from covariances."""

@@ -1,0 +1,174 @@
+"""Prediction of the balls of a moving body in the pictures, compiled: see `windows`."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.compiling import compiled
+from measure.geometry.rotation_kernels import rotation_of, times
+from measure.measuring.tracking.predictive.motion_kernels import Course, carried, way
+from measure.model.rig_kernels import project_one
+
+_OUT_OF_SIGHT_PX = -1e4
+
+
+class Predicted(NamedTuple):
+    """n predicted ball-views, all balls of the first camera, then of the second, and so on.
+
+    Attributes:
+        centers_px: (n, 2).
+        radii_px: (n,).
+        centers_camera: (n, 3) in mm.
+        covariances_px: (n, 2, 2) from the predicted pose's covariance.
+        jacobians: (n, 2, 6) by the pose's `perturb` chart.
+        spread_px: (n,) standard deviations of the centres where they are widest.
+    """
+
+    centers_px: Floats
+    radii_px: Floats
+    centers_camera: Floats
+    covariances_px: Floats
+    jacobians: Floats
+    spread_px: Floats
+
+
+@compiled
+def predict_balls(
+    rotation: Floats,
+    translation: Floats,
+    course: Course,
+    covariance: Floats,
+    variance: Floats,
+    leads_s: Floats,
+    balls: Floats,
+    radii: Floats,
+    lenses: Floats,
+    reach: Floats,
+    rig_rotation: Floats,
+    rig_centers: Floats,
+    readouts: Floats,
+    min_depth: float,
+) -> Predicted:
+    """Every ball of a moving body in every camera, at its picture's time.
+
+    Args:
+        rotation: (3, 3) of world_from_body.
+        translation: (3,) the same.
+        course: how it moves.
+        covariance: (12, 12) of pose and velocity.
+        variance: (6,) of the acceleration.
+        leads_s: (c,) times of the pictures after the pose's.
+        balls: (k, 3) centres in the body.
+        radii: (k,) mm.
+        lenses: (c, 13).
+        reach: (c,) of the lens models.
+        rig_rotation: (c, 3, 3) of world_from_camera.
+        rig_centers: (c, 3).
+        readouts: (c, 2) time in s from one row to the next, and the middle row.
+        min_depth: see `rig_kernels.project_one`.
+    """
+    count = len(balls)
+    out = _room(len(lenses) * count)
+    by_point, toward = np.empty((2, 3)), np.empty(3)
+    for camera in range(len(lenses)):
+        dt = leads_s[camera]
+        known = carried(covariance, dt, variance)
+        gone, velocity = way(course, dt)
+        turned = rotation_of(gone[3:]) @ rotation
+        for ball in range(count):
+            row = camera * count + ball
+            arm = times(turned, balls[ball])
+            center = arm + translation + gone[:3]
+            pixel = out.centers_px[row]
+            project_one(
+                lenses[camera], reach[camera], rig_rotation[camera], rig_centers[camera], center,
+                min_depth, pixel, by_point,
+            )  # fmt: skip
+            toward[:] = center - rig_centers[camera]
+            out.centers_camera[row] = times(rig_rotation[camera].T, toward)
+            out.radii_px[row] = _apparent(lenses[camera], toward, radii[ball])
+            if np.isfinite(pixel[0]) and np.isfinite(pixel[1]):
+                _fill_slopes(by_point, arm, out.jacobians[row])
+                _roll(readouts[camera], velocity, out.jacobians[row], pixel)
+            else:
+                pixel[:] = _OUT_OF_SIGHT_PX
+            _fill_spread(row, known, out)
+    return out
+
+
+@compiled
+def _room(n: int) -> Predicted:
+    return Predicted(
+        np.zeros((n, 2)),
+        np.zeros(n),
+        np.zeros((n, 3)),
+        np.zeros((n, 2, 2)),
+        np.zeros((n, 2, 6)),
+        np.zeros(n),
+    )
+
+
+@compiled
+def _apparent(lens: Floats, toward: Floats, radius: float) -> float:
+    """The radius in px that the cone's half-angle has across the line of sight."""
+    square = toward[0] ** 2 + toward[1] ** 2 + toward[2] ** 2
+    return (lens[0] + lens[3]) / 2 * radius / np.sqrt(max(square - radius**2, 1.0))
+
+
+@compiled
+def _fill_slopes(by_point: Floats, arm: Floats, slopes: Floats) -> None:
+    """A ball's pixel by the pose (2, 6): a turn moves it by its cross product with the arm."""
+    for u in range(2):
+        for a in range(3):
+            b, c = (a + 1) % 3, (a + 2) % 3
+            slopes[u, a] = by_point[u, a]
+            slopes[u, 3 + a] = arm[b] * by_point[u, c] - arm[c] * by_point[u, b]
+
+
+@compiled
+def _roll(readout: Floats, velocity: Floats, slopes: Floats, pixel: Floats) -> None:
+    """Move a pixel on to the time when a rolling shutter exposes its row."""
+    delay = readout[0] * (pixel[1] - readout[1])
+    for u in range(2):
+        for a in range(6):
+            pixel[u] += delay * slopes[u, a] * velocity[a]
+
+
+@compiled
+def _fill_spread(row: int, known: Floats, out: Predicted) -> None:
+    """A pixel's covariance from the pose's, and its standard deviation where it is widest."""
+    slopes, spread = out.jacobians[row], out.covariances_px[row]
+    for u in range(2):
+        for v in range(2):
+            total = 0.0
+            for i in range(6):
+                for j in range(6):
+                    total += slopes[u, i] * known[i, j] * slopes[v, j]
+            spread[u, v] = total
+    half = (spread[0, 0] - spread[1, 1]) / 2
+    widest = (spread[0, 0] + spread[1, 1]) / 2 + np.sqrt(half**2 + spread[0, 1] * spread[1, 0])
+    out.spread_px[row] = np.sqrt(max(widest, 0.0))
+
+
+@compiled
+def search_sizes(
+    balls: Predicted, sigmas: float, floor_px: float, slack: float, decimals: int
+) -> Floats:
+    """How to search for n balls, see `Windows.expectations`; rounded.
+
+    Returns:
+        (n, 9) the centre in px and in the camera frame, least and most radius, least distance of
+        two circles, reach.
+    """
+    out, unit = np.empty((len(balls.radii_px), 9)), 10.0**decimals
+    for i in range(len(out)):
+        reach, size = sigmas * balls.spread_px[i] + floor_px, balls.radii_px[i]
+        center = balls.centers_camera[i]
+        loose = slack + reach / max(np.sqrt(np.sum(center * center)), 1e-9)
+        out[i, :2], out[i, 2:5] = balls.centers_px[i], center
+        out[i, 5], out[i, 6] = size * (1 - loose), size * (1 + loose)
+        out[i, 7], out[i, 8] = 0.5 * size, reach
+    return np.rint(out * unit) / unit

@@ -1,0 +1,204 @@
+"""Reasons to doubt a pose that the solver was content with."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.estimation.body_layout import layout_flags
+from measure.estimation.multiview import calibration_noise
+from measure.geometry import chi_square_quantile
+from measure.measuring.association import Association
+from measure.measuring.tracking.predictive.motion_filter import MotionState
+from measure.model import BallView, Body, Camera, Detection, Fix, Pose, Rig
+from measure.model.observations import Reason, stacked_fixes
+
+_GOOD_CANDIDATE = 0.5
+_MOST_CAMERAS = 0.5
+_SIGMAS = 2.0
+_CAN_MOVE = 0.9999
+_MANY = 2
+_ELSEWHERE = (Reason.INCONSISTENT, Reason.JUMPED)
+
+
+def contradictions(
+    pose: Pose,
+    fixes: Sequence[Fix],
+    views: Sequence[BallView],
+    body: Body,
+    cameras: Sequence[Camera],
+    tolerance_mm: float,
+    max_rms_px: float,
+) -> tuple[str, ...]:
+    """What shows that a pose is wrong: ball distances, residuals, cameras at odds.
+
+    Args:
+        pose: the pose.
+        fixes: the balls' centres.
+        views: what was seen and believed.
+        body: as its file says.
+        cameras: all of them.
+        tolerance_mm: error of a distance between balls that is not worth a word.
+        max_rms_px: largest reprojection error that is not, beyond what detections and calibrations
+            say that they are off by.
+    """
+    found: tuple[str, ...] = ()
+    if len(fixes) >= 2:
+        found += layout_flags(
+            body,
+            [fix.ball for fix in fixes],
+            *stacked_fixes(tuple(fixes)),
+            tolerance_mm,
+        )
+    if pose.rms_px > max_rms_px and pose.rms_px > math.hypot(
+        max_rms_px, _SIGMAS * _noise(views, cameras, pose.world_from_body.apply(body.middle))
+    ):
+        found += (f"reprojection errors of {pose.rms_px:.1f} px",)
+    at_odds = cameras_at_odds(views)
+    used = {view.camera for view in views if view.effective} if at_odds else set()
+    if at_odds and len(at_odds) >= _MOST_CAMERAS * len(used | set(at_odds)):
+        found += (f"cameras {', '.join(at_odds)} contradict the others: nobody can tell who errs",)
+    return found
+
+
+def _noise(views: Sequence[BallView], cameras: Sequence[Camera], place: Floats) -> float:
+    """RMS of what believed sightings at about a place are off by, as stated, both axes, px."""
+    off = np.trace(calibration_noise(Rig.of(cameras), place), axis1=1, axis2=2)
+    by_camera = dict(zip([camera.name for camera in cameras], off.tolist(), strict=True))
+    noise = [
+        2 * v.detection.variance_px2 + by_camera[v.camera]
+        for v in views
+        if v.effective and v.detection
+    ]
+    return math.sqrt(sum(noise) / max(len(noise), 1))
+
+
+def weaknesses(pose: Pose, views: Sequence[BallView], max_sd_mm: float) -> tuple[str, ...]:
+    """What makes a pose less sure than usual, or points at a camera to look after."""
+    found: tuple[str, ...] = ()
+    effective = [view for view in views if view.effective]
+    used = sorted({view.camera for view in effective})
+    if len(used) == 1:
+        found += (f"one camera only ({used[0]}): its distance rests on outline sizes",)
+    if len({view.ball for view in effective}) < 3:
+        found += ("fewer than three balls in sight",)
+    if not pose.position_sd_mm <= max_sd_mm:
+        found += (f"position known to {pose.position_sd_mm:.1f} mm only",)
+    return found + tuple(
+        f"camera {name} contradicts the others on every ball: check its calibration"
+        for name in cameras_at_odds(views)
+    )
+
+
+def strangers(
+    found: Association,
+    body: Body,
+    cameras: Sequence[Camera],
+    detections: Mapping[str, Sequence[Detection]],
+) -> tuple[str, ...]:
+    """Cameras that see two or more balls well, but none where the body found should appear."""
+    assert found.world_from_body is not None
+    centers = found.world_from_body.apply(body.centers)
+    agreeing = {d.camera for d in found.detections}
+    out = []
+    for camera in cameras:
+        if camera.name in agreeing:
+            continue
+        in_view = int(np.sum(camera.intrinsics.contains(camera.project(centers))))
+        good = {d.ball for d in detections.get(camera.name, ()) if d.score >= _GOOD_CANDIDATE}
+        if len(good) >= 2 and (in_view >= 2 or in_view == 0):
+            out.append(camera.name)
+    return tuple(out)
+
+
+def said_of_strangers(names: Sequence[str]) -> tuple[str, ...]:
+    """A line for each of the cameras that `strangers` names."""
+    return tuple(
+        f"camera {name} sees balls, but none where the others do: check its calibration"
+        for name in names
+    )
+
+
+def hasty(views: Sequence[BallView], times_s: Sequence[float]) -> tuple[str, ...]:
+    """A line if pictures of different times contradict each other about a body just found.
+
+    Its velocity is not known yet, but for what is usual. Where two sightings or more lie elsewhere,
+    the others may have been brought together wrongly as well.
+
+    Args:
+        views: of one frame set.
+        times_s: of its pictures.
+    """
+    elsewhere = sum(v.reason in _ELSEWHERE and v.detection is not None for v in views)
+    if elsewhere < _MANY or len(set(times_s)) < 2:
+        return ()
+    return (f"just found, and {elsewhere} sightings lie elsewhere: it may move too fast to tell",)
+
+
+def jumped(
+    lost: MotionState | None, found: MotionState, acceleration_sd: Floats
+) -> tuple[str, ...]:
+    """A line if a body was found further from where it was lost than it can have moved.
+
+    Args:
+        lost: the motion when the body was last seen; None if it never was.
+        found: the body found.
+        acceleration_sd: (6,) as in `MotionState.at`.
+    """
+    if lost is None:
+        return ()
+    expected = lost.at(found.time_s, acceleration_sd)
+    step = found.world_from_body.difference(expected.world_from_body)
+    noise = expected.covariance[:6, :6] + found.covariance[:6, :6]
+    if step @ np.linalg.solve(noise, step) < chi_square_quantile(_CAN_MOVE, 6):
+        return ()
+    moved = np.linalg.norm(found.world_from_body.translation - lost.world_from_body.translation)
+    text = f"found {moved:.0f} mm from where it was {found.time_s - lost.time_s:.2f} s before"
+    return (f"{text}, further than it can have moved: this may be another body",)
+
+
+def unconfirmed(views: Sequence[BallView], body: Body, confirmed: set[str]) -> tuple[str, ...]:
+    """Balls that no two cameras have seen since the body was found.
+
+    Three balls fit a body whose fourth is somewhere else, or its mirror image, equally well.
+
+    Args:
+        views: of one frame set.
+        body: the body.
+        confirmed: names of balls that were seen before; those seen now are added.
+    """
+    if len(body.balls) <= 3:
+        return ()
+    for ball in body.names:
+        if sum(view.ball == ball and view.effective for view in views) >= 2:
+            confirmed.add(ball)
+    return tuple(
+        f"ball {ball} has not been seen where the body file puts it: hidden, or a wrong file?"
+        for ball in body.names
+        if ball not in confirmed
+    )
+
+
+def lost_sight(pose: Pose, body: Body) -> bool:
+    """Whether the balls' places are known less well than a ball is large.
+
+    Windows would be as large as the picture, and balls be taken for each other: searching is
+    quicker and safer.
+    """
+    variances = pose.covariance.diagonal().tolist()
+    move_mm2, turn2 = sum(variances[:3]), sum(variances[3:])
+    return math.sqrt(move_mm2 + turn2 * body.reach_mm**2) > min(b.radius_mm for b in body.balls)
+
+
+def cameras_at_odds(views: Sequence[BallView]) -> list[str]:
+    """Cameras with two or more detections, none of them believed for where it is."""
+    out = []
+    for name in dict.fromkeys(view.camera for view in views if view.reason in _ELSEWHERE):
+        seen = [v for v in views if v.camera == name and v.detection is not None]
+        doubted = [v for v in seen if v.reason in _ELSEWHERE]
+        if len(seen) >= 2 and len(doubted) == len(seen):
+            out.append(name)
+    return out

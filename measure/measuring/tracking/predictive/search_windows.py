@@ -1,0 +1,136 @@
+"""Where every ball should appear in every picture, each at its own time, and how surely."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.estimation.multiview import calibration_noise
+from measure.measuring.tracking.predictive.ball_projection import (
+    Predicted,
+    predict_balls,
+    search_sizes,
+)
+from measure.measuring.tracking.predictive.gating import Sighted
+from measure.measuring.tracking.predictive.motion_filter import MotionState
+from measure.model import Body, Camera, Detection, Expectation, Rig
+from measure.model.camera import MIN_DEPTH_MM
+from measure.model.observations import stacked_detections
+from measure.records import record
+
+_DECIMALS = 7
+"""Of px and mm handed to detectors, without the last bits, which depend on the order of sums.
+
+Detectors choose between rays and edges that tie in 8-bit pictures: what is lost in rounding
+elsewhere must not decide.
+"""
+
+
+@record
+class Windows:
+    """Predictions of n ball-views.
+
+    Attributes:
+        keys: (camera, ball) of each.
+        balls: the predictions, in the same order.
+        stated_px2: (n, 2, 2) covariances of what the cameras, by their calibration, and the balls,
+            by the body's tolerance, are off by there.
+    """
+
+    keys: tuple[tuple[str, str], ...]
+    balls: Predicted
+    stated_px2: Floats
+
+    def expectations(
+        self, sigmas: float, floor_px: float, size_slack: float
+    ) -> dict[str, list[Expectation]]:
+        """As detectors want them, by camera.
+
+        Args:
+            sigmas: how many standard deviations of the prediction to search.
+            floor_px: searched in any case.
+            size_slack: relative error of the outline's radius that is still believed.
+        """
+        sizes = search_sizes(self.balls, sigmas, floor_px, size_slack, _DECIMALS)
+        out: dict[str, list[Expectation]] = {camera: [] for camera, _ in self.keys}
+        rows = zip(self.keys, sizes[:, :2], sizes[:, 2:5], sizes[:, 5:].tolist(), strict=True)
+        for (camera, ball), pixel, place, (low, high, apart, around) in rows:
+            out[camera].append(Expectation(ball, pixel, (low, high), apart, around, 1.0, place))
+        return out
+
+    def sighted(
+        self, rows: Sequence[int], detections: Sequence[Detection], min_color_match: float
+    ) -> Sighted:
+        """Detections as gates want them: they err by what cameras and balls are off by as well.
+
+        Args:
+            rows: which of the predictions each of them belongs to.
+            detections: n of them.
+            min_color_match: those that match less have the wrong colour.
+        """
+        pixels, noise = stacked_detections(tuple(detections))
+        return Sighted(
+            pixels,
+            noise + self.stated_px2[rows],
+            np.array([d.time_s for d in detections]),
+            np.array([not d.color_match < min_color_match for d in detections]),
+        )
+
+
+def predict_windows(
+    state: MotionState,
+    times_s: Mapping[str, float],
+    acceleration_sd: Floats,
+    body: Body,
+    cameras: Sequence[Camera],
+) -> Windows:
+    """Predict every ball in every camera that has an image.
+
+    Args:
+        state: the motion.
+        times_s: of the images, by camera name.
+        acceleration_sd: (6,) as in `MotionState.at`.
+        body: the body.
+        cameras: all cameras; those without an image are left out.
+    """
+    present = tuple(camera for camera in cameras if camera.name in times_s)
+    rig = Rig.of(present)
+    balls = predict_balls(
+        np.ascontiguousarray(state.world_from_body.rotation),
+        np.ascontiguousarray(state.world_from_body.translation),
+        state.course,
+        state.covariance,
+        acceleration_sd**2,
+        np.array([times_s[camera.name] - state.time_s for camera in present]),
+        body.centers,
+        body.radii,
+        rig.lenses,
+        rig.reach,
+        rig.rotation,
+        rig.centers,
+        _readouts(present),
+        MIN_DEPTH_MM,
+    )
+    noise = calibration_noise(rig, state.world_from_body.apply(body.middle))
+    stated = np.repeat(noise, len(body.balls), axis=0)
+    if body.tolerance_mm:
+        px_per_mm = balls.radii_px / np.tile(body.radii, len(present))
+        stated += (body.tolerance_mm * px_per_mm)[:, None, None] ** 2 * np.eye(2)
+    return Windows(_keys(present, body), balls, stated)
+
+
+@lru_cache(maxsize=64)
+def _keys(cameras: tuple[Camera, ...], body: Body) -> tuple[tuple[str, str], ...]:
+    """Both compare by identity."""
+    return tuple((camera.name, ball) for camera in cameras for ball in body.names)
+
+
+@lru_cache(maxsize=64)
+def _readouts(cameras: tuple[Camera, ...]) -> Floats:
+    """Time in s from one row to the next, and the middle row, of c cameras: (c, 2)."""
+    heights = [camera.intrinsics.size_wh[1] for camera in cameras]
+    rows = [(c.readout_s / h, (h - 1) / 2) for c, h in zip(cameras, heights, strict=True)]
+    return np.array(rows, dtype=np.float64).reshape(-1, 2)

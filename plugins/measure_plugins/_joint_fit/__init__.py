@@ -1,0 +1,1 @@
+"""The joint fit of one pose to all outline points of all balls in all cameras."""

@@ -1,0 +1,135 @@
+"""What lights a ball, fitted to what its rays show.
+
+Each pixel inside is split into an amount of the ball's own colour and an amount of grey (reflected
+light). The first is fitted along the whole contour (`lamps`, `quadratic`), the second ray by ray.
+Profiles are (3, m, n): colours, steps along the rays, rays.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from measure.arrays import Floats, Ints
+from measure.compiling import compiled
+from measure.geometry.linear_kernels import times
+from measure_plugins._kernels.selection import DOUBLES, nearly_kth, whole_vectors
+
+GREY = 1 / np.sqrt(3.0)
+COLORLESS = 0.15
+"""Sine of the angle between a ball's colour and grey below which the two cannot be told apart."""
+_OWN_LAST_PX = -3.0
+_COLOR_RAYS = 36
+"""Neighbouring rays show much the same: a ball's colour is taken from about so many of them."""
+_NEIGHBOURS = tuple(float(w) for w in np.exp(-0.5 * (np.arange(5) / 1.5) ** 2))
+"""Weights of a ray, and of those one to four further on."""
+
+
+@compiled
+def own_color(profiles: Floats, free: Floats, steps: Floats) -> Floats:
+    """Unit colour (3,) of the ball's own light: the mean of its least grey well-lit pixels."""
+    m, n = profiles.shape[1:]
+    every = max(n // _COLOR_RAYS, 1)
+    colors = np.empty((3, n * m))
+    brightest, greyness = np.empty(n * m), np.empty(n * m)
+    count = 0
+    for j in range(0, m, 3):
+        if steps[j] > _OWN_LAST_PX:
+            break
+        for i in range(0, n, every):
+            if free[i] == 0:
+                b, g, r = profiles[0, j, i], profiles[1, j, i], profiles[2, j, i]
+                colors[0, count], colors[1, count], colors[2, count] = b, g, r
+                brightest[count] = max(b, g, r)
+                greyness[count] = (b + g + r) * GREY / np.sqrt(b * b + g * g + r * r + 1e-12)
+                count += 1
+    lit = 0.25 * nearly_kth(brightest[:count], int(0.9 * (count - 1)))
+    kept = 0
+    lit_greyness = np.empty(count)
+    for k in range(count):
+        if brightest[k] > lit:
+            lit_greyness[kept] = greyness[k]
+            kept += 1
+    limit = nearly_kth(lit_greyness[:kept], int(0.15 * (kept - 1)))
+    out = np.zeros(3)
+    for k in range(count):
+        if brightest[k] > lit and greyness[k] <= limit:
+            for c in range(3):
+                out[c] += colors[c, k]
+    return out / np.sqrt(np.sum(out**2))
+
+
+@compiled
+def split(
+    blue: Floats, green: Floats, red: Floats, own: Floats, amount: Floats, grey: Floats
+) -> None:
+    """Amounts (n,) of a ball's own colour and of grey in colours (n,), by least squares."""
+    b = np.sum(own) * GREY
+    apart = 1 - b * b
+    separable = apart > COLORLESS**2
+    per, mixed, greyness = 1 / apart, b / apart, 1.0
+    if not separable:
+        per, mixed, greyness = 1.0, 0.0, 0.0
+    for i in range(len(amount)):
+        p = blue[i] * own[0] + green[i] * own[1] + red[i] * own[2]
+        q = (blue[i] + green[i] + red[i]) * GREY
+        amount[i] = per * p - mixed * q
+        grey[i] = greyness * (per * q - mixed * p)
+
+
+@compiled
+def every_second(values: Floats, used: int, rays: Ints) -> Floats:
+    """Every second of the first `used` rows of (m, n), on the rays (k,).
+
+    Returns:
+        (p, k or more): columns of zeros fill up the last vector of the machine.
+    """
+    out = np.zeros(((used + 1) // 2, whole_vectors(len(rays), DOUBLES)))
+    for j in range(len(out)):
+        for k in range(len(rays)):
+            out[j, k] = values[2 * j, rays[k]]
+    return out
+
+
+@compiled
+def reflected_light(grey: Floats, free: Floats, solve: Floats) -> Floats:
+    """Reflected light (k, n) from amounts of grey (m, n) along the rays.
+
+    Args:
+        grey: (m, n).
+        free: (n,) 0 for rays with a clear way.
+        solve: (k, m) from a profile to the reflected light.
+
+    Returns:
+        Means over neighbouring free rays, all round (weights of a normal of 1.5 rays).
+    """
+    knots, n = len(solve), grey.shape[1]
+    seen = np.nonzero(solve[0])[0]
+    single, shares = np.zeros((knots + 1, n)), np.zeros((knots + 1, n))
+    if len(seen) > 0:  # some paint reflects nothing
+        first, last = seen[0], seen[-1] + 1
+        times(solve[:, first:last], grey[first:last], single[:knots])
+    single[knots] = 1.0
+    _sum_of_neighbours(single, free, shares)
+    out = shares[:knots]
+    for k in range(knots):
+        for i in range(n):
+            out[k, i] /= shares[knots, i] + 1e-9
+    return out
+
+
+@compiled
+def _sum_of_neighbours(rows: Floats, free: Floats, out: Floats) -> None:
+    """Weighted sums over neighbouring free rays, all round, of rows (k, n) into `out` (k, n)."""
+    n = rows.shape[1]
+    reach = len(_NEIGHBOURS) - 1
+    a, b, c, d, e = _NEIGHBOURS
+    ring = np.empty(n + 2 * reach)
+    for k in range(len(rows)):
+        for i in range(n):
+            ring[reach + i] = rows[k, i] if free[i] == 0 else 0.0
+        for i in range(reach):
+            ring[i], ring[reach + n + i] = ring[n + i], ring[reach + i]
+        for i in range(n):
+            near = a * ring[i + 4] + b * (ring[i + 3] + ring[i + 5])
+            far = d * (ring[i + 1] + ring[i + 7]) + e * (ring[i] + ring[i + 8])
+            out[k, i] = near + c * (ring[i + 2] + ring[i + 6]) + far

@@ -1,0 +1,130 @@
+"""A ball's neighbours: which hide it, and what it mirrors at grazing angles of one right behind it.
+
+Surroundings go on behind a ball, and are mirrored the less the further its surface turns the line
+of sight away from them. Another ball ends: where it does, and so how much of it is mirrored, is
+known, because balls' places and sizes are.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.compiling import compiled
+from measure_plugins._outline.appearance.dichromatic import GREY
+from measure_plugins._outline.appearance.radial_basis import DEFLECTIONS, Radial
+
+_SPACING = float(DEFLECTIONS[1] - DEFLECTIONS[0])
+_SAME_MM = 1e-6
+"""Balls whose distances differ by less neither hide nor mirror each other."""
+
+
+@compiled
+def balls_nearer(cone: Floats, cones: Floats) -> Floats:
+    """Axes and half angles (m, 4) of the outlines of balls nearer than one; see `balls_behind`."""
+    return cones[cones[:, 4] < cone[4] - _SAME_MM, :4]
+
+
+@compiled
+def balls_behind(cone: Floats, cones: Floats) -> Floats:
+    """Balls further away than one (m, 4): their centres from its centre and radii, in its radii.
+
+    Args:
+        cone: (5,) its axis, half angle in rad and distance in mm, see `balls.Expected`.
+        cones: (k, 5) of all balls; columns beyond those are ignored.
+    """
+    further = cones[cones[:, 4] > cone[4] + _SAME_MM]
+    out, radius = np.empty((len(further), 4)), cone[4] * np.sin(cone[3])
+    for k in range(len(further)):
+        for a in range(3):
+            out[k, a] = (further[k, 4] * further[k, a] - cone[4] * cone[a]) / radius
+        out[k, 3] = further[k, 4] * np.sin(further[k, 3]) / radius
+    return out
+
+
+@compiled
+def mirrored_behind(behind: Floats, frame: Floats, half_angle: float, around: Floats) -> Floats:
+    """How much of what each ray mirrors from about `DEFLECTIONS` is the ball behind its outline.
+
+    Where several stand behind one another, that is the first.
+
+    Args:
+        behind: (m, 4) see `balls_behind`.
+        frame: (3, 3) about the ball's axis, see `rays.frame_about`.
+        half_angle: of its cone, rad.
+        around: (n, 2) cosine and sine around the axis.
+
+    Returns:
+        Shares (k, n); -1 on rays before no ball, and (k, 0) if all are.
+    """
+    shares, found = np.full((len(DEFLECTIONS), len(around)), -1.0), False
+    edge = np.cos(half_angle), np.sin(half_angle)
+    for i in range(len(around)):
+        first = np.inf
+        for b in range(len(behind)):
+            ends, begins = _ends(behind[b], frame, edge, around[i])
+            if ends > 0 and begins < first:
+                first, found = begins, True
+                for k in range(len(DEFLECTIONS)):
+                    shares[k, i] = min(max((ends - DEFLECTIONS[k]) / _SPACING + 0.5, 0.0), 1.0)
+    return shares if found else np.empty((len(DEFLECTIONS), 0))
+
+
+@compiled
+def _ends(
+    ball: Floats, frame: Floats, edge: tuple[float, float], around: Floats
+) -> tuple[float, float]:
+    """Deflection in rad at which a line of sight past the outline leaves the ball behind it.
+
+    Args:
+        ball: (4,) see `balls_behind`.
+        frame: as above.
+        edge: cosine and sine of the half angle.
+        around: (2,) where on the outline.
+
+    Returns:
+        That, not above 0 where the line of sight does not meet the ball undeflected; and how far
+        behind the outline it meets it, in radii of the ball before.
+    """
+    along, aside = edge
+    up, ahead, sideways = -1.0, 0.0, 0.0  # of the ball's centre, from the outline
+    for a in range(3):
+        outward = around[0] * frame[0, a] + around[1] * frame[1, a]
+        up += ball[a] * (along * outward - aside * frame[2, a])
+        ahead += ball[a] * (along * frame[2, a] + aside * outward)
+        sideways += ball[a] * (around[0] * frame[1, a] - around[1] * frame[0, a])
+    square = ball[3] * ball[3] - sideways * sideways
+    far = ahead * ahead + up * up
+    if square <= 0 or far <= square or ahead <= 0 or up * up >= square:
+        return 0.0, np.inf
+    ends = np.arctan2(up, ahead) + np.arcsin(np.sqrt(square / far))
+    return float(ends), float(ahead - np.sqrt(square - up * up))
+
+
+@compiled
+def mirror_behind(
+    shares: Floats, background: Floats, behind_grey: Floats, radial: Radial, first: int, out: Floats
+) -> None:
+    """Let rays before another ball mirror so much of it, in place of surroundings that go on.
+
+    A ball that does not mirror those mirrors no ball either.
+
+    Args:
+        shares: see `mirrored_behind`.
+        background: (3, n) light outside the outline.
+        behind_grey: (n,) grey of that: what is mirrored of grey is fitted anyway.
+        radial: the ball's tables.
+        first: the step at which the prediction begins.
+        out: (3, m - first, n) the predicted light, changed.
+    """
+    if np.max(radial.nearby) <= 0.0:
+        return
+    for i in range(shares.shape[1]):
+        if shares[0, i] >= 0.0:
+            for j in range(out.shape[1]):
+                more = -radial.nearby[first + j]
+                for k in range(len(shares)):
+                    more += shares[k, i] * radial.grey[first + j, k]
+                for c in range(3):
+                    value = out[c, j, i] + more * (background[c, i] - behind_grey[i] * GREY)
+                    out[c, j, i] = value if value > 0.0 else 0.0

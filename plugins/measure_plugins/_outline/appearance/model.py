@@ -1,0 +1,135 @@
+"""How a camera shows balls: tone curve, blur, whether they are glossy or matt, what lights them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.errors import ConfigError
+from measure_plugins._outline.appearance.environment_map import Room, no_room
+from measure_plugins._outline.appearance.point_lights import no_lamps
+from measure_plugins._outline.appearance.radial_basis import (
+    BLUR_PX,
+    REFRACTIVE_INDEX,
+    Radial,
+    packed_radials,
+    radial,
+)
+from measure_plugins._outline.appearance.sensor import CHROMA_PX, Sensor, chroma_taps, encoding
+
+GLOSSY, MATT = REFRACTIVE_INDEX, 1.0001
+"""Refractive index of lacquer and clear plastic; and of paint without a boundary that reflects."""
+BENDS = 3
+BELIEVED = 0.9
+"""What is believed of predictions before it is known how well they tell what is seen."""
+_VALUES = np.arange(256) / 255.0
+_FLATTEST = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Appearance:
+    """What the prediction of a ball's picture rests on.
+
+    Attributes:
+        tone: name of the tone curve to start from, as in `tone.tone_table`.
+        bends: (3,) how the camera's curve departs from it, see `bent_table`.
+        blur_px: sigma of the blur of brightness.
+        chroma_px: sigma of the blur of colour beyond that.
+        index: refractive index of the balls' surface.
+        mirrors: whether it mirrors, at grazing angles, the colours of what is behind the ball.
+        lamps: (k, 4) what lights the balls, in the camera frame, see `lamps`; none if not known.
+        room: what else they mirror of the room.
+        believed: share of what a prediction says of an edge that is taken off, see `believing`.
+    """
+
+    tone: str
+    bends: Floats
+    blur_px: float
+    index: float
+    chroma_px: float = CHROMA_PX
+    mirrors: bool = True
+    lamps: Floats = field(default_factory=no_lamps)
+    room: Room = field(default_factory=no_room)
+    believed: float = BELIEVED
+
+    @cached_property
+    def table(self) -> Floats:
+        """Light (256,) of each picture value."""
+        return bent_table(self.tone, self.bends)
+
+    @cached_property
+    def sensor(self) -> Sensor:
+        """How the camera turns light into picture values."""
+        return Sensor(encoding(self.table), chroma_taps(self.chroma_px))
+
+    def tables(self, radius_px: float, half_angle: float) -> Radial:
+        """What a ball of this size shows along a ray across its outline."""
+        return radial(radius_px, half_angle, self.blur_px, self.index, self.mirrors)
+
+    def packed_tables(self, outlines: Sequence[tuple[float, float]]) -> Floats:
+        """The same of k outlines (radius in px, half angle in rad), a row each."""
+        return packed_radials(outlines, self.blur_px, self.index, self.mirrors)
+
+
+def first_appearance(tone: str) -> Appearance:
+    """What is assumed before a picture is seen: the stated curve, a webcam's blur, glossy balls."""
+    return Appearance(tone, np.zeros(BENDS), BLUR_PX, GLOSSY)
+
+
+def bent_table(tone: str, bends: Floats) -> Floats:
+    """A tone table whose picture values are raised, bowed and bent before the curve is undone.
+
+    A camera's processing lifts or crushes the blacks, and lays a bow or an S over the standard's
+    curve; the response curves of real cameras lie near a space of few dimensions (Grossberg and
+    Nayar 2003).
+
+    Args:
+        tone: the curve that is departed from.
+        bends: (3,) lift of the blacks, bow, S; shares of the largest value.
+
+    Returns:
+        (256,) light, rising, 0 to 1.
+    """
+    lift, bow, s_shape = bends
+    values = _VALUES - lift * (1 - _VALUES)
+    values = values + bow * np.sin(np.pi * _VALUES) + s_shape * np.sin(2 * np.pi * _VALUES)
+    values = np.maximum.accumulate(np.clip(values, 0, None)) + _FLATTEST * _VALUES
+    return np.interp(values / values[-1], _VALUES, tone_table(tone))
+
+
+_LEVELS = np.arange(256) / 255.0
+
+
+def srgb_to_light(value: Floats) -> Floats:
+    """The sRGB transfer function (IEC 61966-2-1), values and light 0 to 1."""
+    bent = ((np.maximum(value, 0.0) + 0.055) / 1.055) ** 2.4
+    return np.where(value <= 0.04045, value / 12.92, bent)
+
+
+def tone_table(tone: str) -> Floats:
+    """The table (256,) of a tone curve.
+
+    Args:
+        tone: "srgb", "none" (values are taken as they are), or "gamma" with its exponent, like
+            "gamma2.2".
+
+    Raises:
+        ConfigError: the curve is not one of these.
+    """
+    if tone == "srgb":
+        return srgb_to_light(_LEVELS)
+    if tone == "none":
+        return _LEVELS.copy()
+    try:
+        exponent = float(tone.removeprefix("gamma"))
+    except ValueError:
+        exponent = 0.0
+    if not tone.startswith("gamma") or not 0.3 <= exponent <= 5.0:
+        raise ConfigError(
+            f"tone '{tone}' is not known: use srgb, none, or gamma with its exponent, like gamma2.2"
+        )
+    return np.asarray(_LEVELS**exponent)

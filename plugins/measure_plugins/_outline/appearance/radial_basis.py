@@ -1,0 +1,206 @@
+"""What a lit ball shows along a ray across its outline, blurred, for unit amounts of light.
+
+The body's own (diffuse) light leaves a glossy surface through a boundary that reflects more and
+more towards grazing angles (Fresnel), so it fades to nothing at the outline, and the reflection of
+the surroundings takes its place. Shading by lights far from the ball is a quadratic polynomial of
+the normal (Ramamoorthi and Hanrahan 2001); around the view axis that is a sum of five angular
+functions times six radial ones, so that everything that is costly depends on the radius alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from measure.arrays import Floats, stacked
+from measure.compiling import compiled
+from measure_plugins._outline.sampling.rays import STEPS
+
+DEFLECTIONS = np.radians([0, 10, 20, 30, 40, 50, 60, 75])
+"""Angles by which the ball turns the line of sight, where reflected light is unknown."""
+REFRACTIVE_INDEX = 1.5
+"""Of clear plastics and lacquers (1.45 to 1.6)."""
+BLUR_PX = 1.0
+"""A webcam's optics, pixel, colour mosaic and interpolation together, until it is learnt."""
+_FINE = np.arange(-24.0, 12.01, 0.25)
+_INSIDE = (_FINE < 0).astype(np.float64)
+_WIDTHS = np.diff(DEFLECTIONS)
+_GREY_RANGE = (-13.0, 0.6)
+_GREY_USED = np.abs(STEPS - np.mean(_GREY_RANGE))[:, None] <= np.ptp(_GREY_RANGE) / 2
+_GREY_STIFFNESS, _FIRM = 0.02, 1e3
+_SLANTING = 0.3
+"""Cosine at which Schlick's formula is fitted to a surface."""
+FADE_RAD = np.radians(40)
+_LOBES = 6
+
+
+class Radial(NamedTuple):
+    """Blurred radial functions at `STEPS`; a tuple, because compiled code takes it as it is.
+
+    Attributes:
+        diffuse: (m, 6) of the body's own light, see `_lobes`.
+        grey: (m, k) of light reflected from the directions around each of `DEFLECTIONS`.
+        nearby: (m,) of what is right behind the ball, mirrored at grazing angles.
+        outside: (m,) of the surroundings past the outline.
+        kept_out: (1,) share of light entering ever more slantwise that is reflected off in the
+            end; it is (1 - cosine)^5 times as much before (Schlick 1994).
+        solve_grey: (k, m) from a profile to the reflected light; grows smooth where unseen.
+        tie_grey: (k,) the same for what is known at the outline: the surroundings.
+    """
+
+    diffuse: Floats
+    grey: Floats
+    nearby: Floats
+    outside: Floats
+    kept_out: Floats
+    solve_grey: Floats
+    tie_grey: Floats
+
+
+def radial(
+    radius_px: float, half_angle: float, blur_px: float, index: float, mirrors: bool = True
+) -> Radial:
+    """Tables for a ball; radius, angle and blur are rounded to what makes no difference.
+
+    Args:
+        radius_px: of the outline.
+        half_angle: of its cone, rad.
+        blur_px: sigma of the blur of brightness.
+        index: refractive index of the surface.
+        mirrors: whether the colours behind are mirrored at grazing angles.
+    """
+    return _radial(*_sizes(radius_px, half_angle, blur_px), index, mirrors)
+
+
+def packed_radials(
+    outlines: Sequence[tuple[float, float]], blur_px: float, index: float, mirrors: bool = True
+) -> Floats:
+    """The same tables of k outlines (radius in px, half angle in rad), a row each: (k, r)."""
+    return _packed(tuple([_sizes(*one, blur_px) for one in outlines]), index, mirrors)
+
+
+def _sizes(radius_px: float, half_angle: float, blur_px: float) -> tuple[int, int, int]:
+    return round(4 * radius_px), round(200 * half_angle), round(20 * blur_px)
+
+
+@lru_cache(maxsize=256)
+def _packed(sizes: tuple[tuple[int, int, int], ...], index: float, mirrors: bool) -> Floats:
+    """Balls keep their sizes from picture to picture, nearly always all of them."""
+    return stacked([_row(*one, index, mirrors) for one in sizes])
+
+
+@lru_cache(maxsize=1024)
+def _row(radius4: int, angle200: int, blur20: int, index: float, mirrors: bool) -> Floats:
+    return np.concatenate([t.ravel() for t in _radial(radius4, angle200, blur20, index, mirrors)])
+
+
+@compiled
+def unpacked(row: Floats) -> Radial:
+    """The tables of a row of `packed_radials`."""
+    m, k, lobes = len(STEPS), len(DEFLECTIONS), _LOBES
+    ends = np.cumsum(np.array([m * lobes, m * k, m, m, 1, k * m, k]))
+    return Radial(
+        row[: ends[0]].reshape(m, lobes),
+        row[ends[0] : ends[1]].reshape(m, k),
+        row[ends[1] : ends[2]],
+        row[ends[2] : ends[3]],
+        row[ends[3] : ends[4]],
+        row[ends[4] : ends[5]].reshape(k, m),
+        row[ends[5] :],
+    )
+
+
+@lru_cache(maxsize=1024)
+def _radial(radius4: int, angle200: int, blur20: int, index: float, mirrors: bool) -> Radial:
+    half_angle = max(angle200, 1) / 200
+    tilt, cosine = _surface(half_angle, half_angle / (radius4 / 4))
+    mirrored = fresnel(cosine, index) * _INSIDE
+    deflection = 2 * np.arcsin(np.clip(cosine, 0, 1))
+    shown = np.concatenate(
+        [
+            (_INSIDE - mirrored) * _lobes(tilt),
+            mirrored * _hats(deflection),
+            [mirrored * np.clip(1 - deflection / FADE_RAD, 0, 1), 1 - _INSIDE],
+        ]
+    )
+    blurred = _blur(blur20) @ shown.T
+    grey = np.ascontiguousarray(blurred[:, _LOBES:-2])
+    solve, tie = _grey_solver(grey)
+    return Radial(
+        diffuse=np.ascontiguousarray(blurred[:, :_LOBES]),
+        grey=grey,
+        nearby=mirrors * blurred[:, -2],
+        outside=np.ascontiguousarray(blurred[:, -1]),
+        kept_out=_kept_out(index),
+        solve_grey=solve,
+        tie_grey=tie,
+    )
+
+
+@lru_cache(maxsize=64)
+def _kept_out(index: float) -> Floats:
+    """See `Radial`: 0 of paint without a boundary, 1 of clear plastic."""
+    straight, slanting = fresnel(np.array([1.0, _SLANTING]), index)
+    return np.array([min((slanting - straight) / (1 - straight) / (1 - _SLANTING) ** 5, 1.0)])
+
+
+def fresnel(cosine: Floats, index: float) -> Floats:
+    """Share of unpolarised light reflected at incidence of this cosine; 0 for an index of 1."""
+    if index == 1:
+        return np.zeros_like(cosine)
+    transmitted = np.sqrt(1 - (1 - cosine**2) / index**2)
+    across = (cosine - index * transmitted) / (cosine + index * transmitted)
+    along = (index * cosine - transmitted) / (index * cosine + transmitted)
+    return np.asarray(0.5 * (across**2 + along**2))
+
+
+def _surface(half_angle: float, rad_per_px: float) -> tuple[Floats, Floats]:
+    """Tilt of the normal from the view axis and cosine of incidence, along the fine ray."""
+    beta = np.maximum(half_angle + _FINE * rad_per_px, 0.0)
+    incidence = np.arcsin(np.minimum(np.sin(beta) / np.sin(half_angle), 1.0))
+    return incidence - beta, np.cos(incidence)
+
+
+def _lobes(tilt: Floats) -> Floats:
+    """Radial factors (6, n) of the quadratic polynomials of the normal."""
+    s, c = np.sin(tilt), np.cos(tilt)
+    return np.array([np.ones_like(s), c, 3 * c * c - 1, s, s * c, s * s])
+
+
+def _hats(deflection: Floats) -> Floats:
+    """How much (k, n) directions turned by `deflection` (n,) belong to each of `DEFLECTIONS`."""
+    last = len(DEFLECTIONS) - 2
+    lower = np.minimum(np.searchsorted(DEFLECTIONS, deflection, side="right") - 1, last)
+    start, width = DEFLECTIONS[lower], _WIDTHS[lower]
+    share = np.minimum((deflection - start) / width, 1.0)
+    out, each = np.zeros((len(DEFLECTIONS), len(deflection))), np.arange(len(deflection))
+    out[lower, each], out[lower + 1, each] = 1 - share, share
+    return out
+
+
+@lru_cache(maxsize=64)
+def _blur(blur20: int) -> Floats:
+    """From the fine ray to `STEPS` (m, f)."""
+    kernel = np.exp(-0.5 * ((STEPS[:, None] - _FINE[None, :]) / (blur20 / 20)) ** 2)
+    return np.asarray(kernel / kernel.sum(axis=1, keepdims=True))
+
+
+def _grey_solver(grey: Floats) -> tuple[Floats, Floats]:
+    """Ridge regression of the reflected light, smooth in angle, tied to what is outside."""
+    design = grey * _GREY_USED
+    inverse = np.linalg.inv(design.T @ design + _GREY_PRIOR)
+    return np.ascontiguousarray(inverse @ design.T), np.ascontiguousarray(_FIRM * inverse[:, 0])
+
+
+def _grey_prior() -> Floats:
+    """What the regression adds to the normal matrix (k, k)."""
+    bend = np.diff(np.eye(len(DEFLECTIONS)), 2, axis=0)
+    out = _GREY_STIFFNESS * bend.T @ bend + 1e-6 * np.eye(len(DEFLECTIONS))
+    out[0, 0] += _FIRM
+    return np.asarray(out)
+
+
+_GREY_PRIOR = _grey_prior()

@@ -1,0 +1,170 @@
+"""From light to what is read off a picture: tone curve, colour blurred more than brightness.
+
+Webcams interpolate a colour mosaic and store colour at half the resolution of brightness (4:2:0 or
+4:2:2), both in encoded values. Reading between pixels blurs those once more.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from measure.arrays import Floats, Reals, Singles
+from measure.compiling import compiled
+from measure_plugins._outline.sampling.rays import STEPS
+
+CHROMA_PX = 0.8
+"""Blur of the colour channels beyond that of brightness, until it is learnt."""
+_BLUE, _GREEN, _RED = 0.114, 0.587, 0.299
+"""What brightness is made of, in JPEG."""
+CHROMA_REACH = 3
+"""How many steps colour is blurred to either side: three sigma."""
+_STEP = float(STEPS[1] - STEPS[0])
+_INTERPOLATED = 1 / 6
+"""Variance in px^2 by which bilinear interpolation blurs what is read off a picture: t (1 - t), on
+average over all places t between two pixels."""
+_ASIDE = _INTERPOLATED / (2 * _STEP**2)
+"""Weight of either neighbouring step in a blur of that variance."""
+_AWAY = np.arange(-CHROMA_REACH, CHROMA_REACH + 1) * _STEP
+_ENCODED = 2048
+_NO_LIGHT, _FULL_LIGHT = np.float32(0), np.float32(1)
+
+
+class Sensor(NamedTuple):
+    """How a camera turns light into what is read off its pictures.
+
+    Attributes:
+        encoding: (2050,) see `encoding`.
+        taps: (4,) see `chroma_taps`.
+    """
+
+    encoding: Singles
+    taps: Floats
+
+
+def encoding(table: Floats) -> Singles:
+    """The inverse of a tone table (256,): picture values, 0 to 1, at even steps of sqrt(light).
+
+    The root spreads the shade, where tone curves are steep: interpolated linearly, the error is
+    below a thirtieth of a picture level. The last entry stands twice, so that full light has a
+    neighbour too.
+    """
+    light = np.linspace(0.0, 1.0, _ENCODED + 1) ** 2
+    values = np.interp(light, table, np.arange(len(table)) / (len(table) - 1))
+    return np.append(values, values[-1]).astype(np.float32)
+
+
+def chroma_taps(chroma_px: float) -> Floats:
+    """Weights (CHROMA_REACH + 1,) of a step and of those on either side in the blur of colour.
+
+    Args:
+        chroma_px: sigma of the camera's blur of colour beyond that of brightness.
+    """
+    weights = np.exp(-0.5 * _AWAY**2 / (chroma_px**2 + _INTERPOLATED))
+    return np.ascontiguousarray((weights / weights.sum())[CHROMA_REACH:])
+
+
+@compiled
+def encode(light: Floats, inverse: Singles) -> Singles:
+    """Picture values, 0 to 1, of light (3, m, n), by the table of `encoding`."""
+    out, lows = np.empty(light.shape, np.float32), np.empty(light.size, np.int32)
+    flat, read, top = light.reshape(-1), out.reshape(-1), np.float32(len(inverse) - 2)
+    for i in range(light.size):  # in single precision roots take half the time
+        x = np.float32(flat[i])
+        x = x if x > _NO_LIGHT else _NO_LIGHT
+        x = x if x < _FULL_LIGHT else _FULL_LIGHT
+        place = np.sqrt(x) * top
+        lows[i] = np.int32(place)
+        read[i] = place - np.float32(lows[i])
+    for i in range(light.size):
+        low = np.uint32(lows[i])  # unsigned: no look whether it counts from the end
+        value = inverse[low]
+        read[i] = value + read[i] * (inverse[low + np.uint32(1)] - value)
+    return out
+
+
+@compiled
+def read_off(values: Reals, taps: Floats) -> Reals:
+    """Blur BGR values (3, m, n) along the rays as pictures and reading them off do.
+
+    Blue and red minus brightness (JPEG's YCbCr) are blurred by the camera and by interpolation
+    between pixels, brightness by the latter: what the camera does to that is in the light already.
+
+    Args:
+        values: (3, m, n).
+        taps: see `chroma_taps`.
+
+    Returns:
+        (3, m - CHROMA_REACH, n): from the step CHROMA_REACH on; beyond the last step, values are
+        taken to go on as they are there.
+    """
+    m, n = values.shape[1:]
+    beyond = m + CHROMA_REACH
+    grey, out = np.empty(m * n, values.dtype), np.empty((3, m - CHROMA_REACH, n), values.dtype)
+    bluer, redder = np.empty(beyond * n, values.dtype), np.empty(beyond * n, values.dtype)
+    blue, green, red = (
+        values[0].reshape(-1),
+        values[1].reshape(-1),
+        values[2].reshape(-1),
+    )
+    _take_apart(blue, green, red, grey, bluer, redder)
+    for j in range(m, beyond):
+        for i in range(n):
+            bluer[j * n + i], redder[j * n + i] = bluer[(m - 1) * n + i], redder[(m - 1) * n + i]
+    blue, green, red = out[0].reshape(-1), out[1].reshape(-1), out[2].reshape(-1)
+    _blur(bluer, n, taps, blue)
+    _blur(redder, n, taps, red)
+    _put_together(_interpolated(grey[(CHROMA_REACH - 1) * n :], n), blue, green, red)
+    return out
+
+
+@compiled
+def _take_apart(
+    blue: Reals, green: Reals, red: Reals, grey: Reals, bluer: Reals, redder: Reals
+) -> None:
+    """Brightness, and blue and red minus it, of colours (k,), into the last three."""
+    number = grey.dtype.type  # of the values' precision, else loops do half as many at once
+    of_blue, of_green, of_red = number(_BLUE), number(_GREEN), number(_RED)
+    for i in range(len(grey)):
+        brightness = of_blue * blue[i] + of_green * green[i] + of_red * red[i]
+        grey[i], bluer[i], redder[i] = brightness, blue[i] - brightness, red[i] - brightness
+
+
+@compiled
+def _put_together(grey: Reals, blue: Reals, green: Reals, red: Reals) -> None:
+    """Colours (k,) in place of what makes blue and red differ from brightness."""
+    number = grey.dtype.type
+    blue_share, red_share = number(_BLUE / _GREEN), number(_RED / _GREEN)
+    for i in range(len(grey)):
+        bluer, redder = blue[i], red[i]
+        blue[i], red[i] = grey[i] + bluer, grey[i] + redder
+        green[i] = grey[i] - (blue_share * bluer + red_share * redder)
+
+
+@compiled
+def _interpolated(grey: Reals, n: int) -> Reals:
+    """Rows of n from the second on, blurred across as interpolation does; the last goes on."""
+    number, out = grey.dtype.type, np.empty(len(grey) - n, grey.dtype)
+    aside, inner, end = number(_ASIDE), number(1 - 2 * _ASIDE), number(1 - _ASIDE)
+    last = len(out) - n
+    for i in range(last):
+        out[i] = inner * grey[n + i] + aside * (grey[i] + grey[2 * n + i])
+    for i in range(last, len(out)):
+        out[i] = end * grey[n + i] + aside * grey[i]
+    return out
+
+
+@compiled
+def _blur(values: Reals, n: int, taps: Floats, out: Reals) -> None:
+    """Blur rows of n, one after the other, across; into those from the row CHROMA_REACH on.
+
+    All taps at once: what adds them up stays in registers.
+    """
+    number = out.dtype.type
+    a, b, c, d = number(taps[0]), number(taps[1]), number(taps[2]), number(taps[3])
+    v1, v2, v3 = values[n:], values[2 * n :], values[3 * n :]
+    v4, v5, v6 = values[4 * n :], values[5 * n :], values[6 * n :]
+    for i in range(len(out)):
+        inner = a * v3[i] + b * (v2[i] + v4[i])
+        out[i] = inner + c * (v1[i] + v5[i]) + d * (values[i] + v6[i])

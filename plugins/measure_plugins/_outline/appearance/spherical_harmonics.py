@@ -1,0 +1,169 @@
+"""Quadratic shading, fitted to a ball's own light where no lamps are known (see `radial`).
+
+It has nine coefficients: each goes with one of six functions of the radius, times an angular one.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.compiling import compiled
+from measure.geometry.linear_kernels import cholesky, solve_factored, times
+from measure_plugins._kernels.selection import nearly_kth
+from measure_plugins._outline.appearance.dichromatic import every_second
+
+LOBE = np.array([0, 1, 2, 3, 3, 4, 4, 5, 5])
+"""Which radial function each of the nine angular terms goes with."""
+_LOBES = 6
+_TERMS = len(LOBE)
+_PAIR = np.array(
+    [LOBE[a] * (LOBE[a] + 1) // 2 + LOBE[b] for a in range(_TERMS) for b in range(a + 1)]
+)
+"""Which product of two radial functions, see `_pairs`, each entry of the normal matrix has."""
+_PRODUCTS = _LOBES * (_LOBES + 1) // 2
+_ROUNDS = 4
+
+
+@compiled
+def angular_terms(around: Floats) -> Floats:
+    """The nine angular functions (9, n) at cosine and sine around the axis (n, 2)."""
+    n = len(around)
+    out = np.ones((9, n))
+    for i in range(n):
+        cosine, sine = around[i, 0], around[i, 1]
+        out[3, i], out[4, i] = cosine, sine
+        out[5, i], out[6, i] = cosine, sine
+        out[7, i], out[8, i] = cosine * cosine - sine * sine, 2 * sine * cosine
+    return out
+
+
+@compiled
+def radial_amounts(coefficients: Floats, angular: Floats) -> Floats:
+    """How much of each of the six radial functions every ray shows (6, n)."""
+    out = np.zeros((_LOBES, angular.shape[1]))
+    for k in range(_TERMS):
+        for i in range(angular.shape[1]):
+            out[LOBE[k], i] += coefficients[k] * angular[k, i]
+    return out
+
+
+@compiled
+def shaded(coefficients: Floats, angular: Floats, lobes: Floats) -> Floats:
+    """The ball's own light (m, n) at angular functions (9, n) and radial ones (m, 6)."""
+    out = np.zeros((len(lobes), angular.shape[1]))
+    times(lobes, radial_amounts(coefficients, angular), out)
+    return out
+
+
+@compiled
+def fit_shading(amounts: Floats, free: Floats, angular: Floats, lobes: Floats, used: int) -> Floats:
+    """Coefficients (9,) of quadratic shading, robustly.
+
+    Args:
+        amounts: (m, n) of the ball's own colour.
+        free: (n,) 0 for rays with a clear way.
+        angular: (9, n).
+        lobes: (m, 6) the radial functions.
+        used: how many steps to use, of which every second one is.
+    """
+    clear = np.nonzero(free == 0)[0]
+    seen, along = every_second(amounts, used, clear), lobes[:used:2].copy()
+    around = np.zeros((_TERMS, seen.shape[1]))
+    around[:, : len(clear)] = angular[:, clear]
+    products, angular_products = _pairs(along.T), _pairs(around)
+    coefficients, right = np.zeros(_TERMS), np.empty(_TERMS)
+    factor, normal = np.empty((_TERMS, _TERMS)), np.empty((_TERMS, _TERMS))
+    shown, per_limit = np.zeros(seen.shape), 0.0
+    for turn in range(_ROUNDS):
+        weights, weighted = _weighted(seen, shown, per_limit)
+        sums, sides = np.zeros((_PRODUCTS, seen.shape[1])), np.zeros((_LOBES, seen.shape[1]))
+        times(products, weights, sums)
+        times(along.T, weighted, sides)
+        _equations(sums, sides, around, angular_products, normal, right)
+        cholesky(normal, factor)
+        solve_factored(factor, right, coefficients)
+        if turn < _ROUNDS - 1:
+            shown = shaded(coefficients, around, along)
+            off = _typically_off(seen, shown, len(clear))
+            per_limit = 1 / (5 * 1.4826 * off + 5e-4)
+    return coefficients
+
+
+@compiled
+def _pairs(rows: Floats) -> Floats:
+    """Products (k (k + 1) / 2, n) of every row of (k, n) with those up to itself."""
+    k, n = rows.shape
+    out = np.empty((k * (k + 1) // 2, n))
+    at = 0
+    for a in range(k):
+        for b in range(a + 1):
+            for i in range(n):
+                out[at, i] = rows[a, i] * rows[b, i]
+            at += 1
+    return out
+
+
+@compiled
+def _weighted(seen: Floats, shown: Floats, per_limit: float) -> tuple[Floats, Floats]:
+    """Tukey's weights (p, n) of what is seen, and those times it; 1 / where they end, or 0."""
+    p, n = seen.shape
+    weights, weighted = np.empty((p, n)), np.empty((p, n))
+    for j in range(p):
+        for i in range(n):
+            t = (seen[j, i] - shown[j, i]) * per_limit
+            root = 1 - t * t
+            root = root if root > 0.0 else 0.0
+            weights[j, i] = root * root
+            weighted[j, i] = root * root * seen[j, i]
+    return weights, weighted
+
+
+@compiled
+def _equations(
+    sums: Floats,
+    sides: Floats,
+    around: Floats,
+    angular_products: Floats,
+    normal: Floats,
+    right: Floats,
+) -> None:
+    """Normal matrix (9, 9), its lower half, and right side (9,) of the weighted fit.
+
+    Args:
+        sums: (21, n) along each ray, weights times products of radial functions.
+        sides: (6, n) along each ray, what is seen, weighted, times radial functions.
+        around: (9, n) angular functions, zero where a ray does not count.
+        angular_products: (45, n) of them.
+        normal: filled.
+        right: filled.
+    """
+    at = 0
+    for a in range(_TERMS):
+        right[a] = _total(sides[LOBE[a]], around[a])
+        for b in range(a + 1):
+            normal[a, b] = _total(sums[_PAIR[at]], angular_products[at])
+            at += 1
+        normal[a, a] += 1e-3
+
+
+@compiled
+def _total(values: Floats, weights: Floats) -> float:
+    """Sum of products of n values, a multiple of four, in as many parts at once."""
+    p, q, r, s = 0.0, 0.0, 0.0, 0.0
+    for i in range(0, len(values), 4):
+        p += values[i] * weights[i]
+        q += values[i + 1] * weights[i + 1]
+        r += values[i + 2] * weights[i + 2]
+        s += values[i + 3] * weights[i + 3]
+    return (p + q) + (r + s)
+
+
+@compiled
+def _typically_off(seen: Floats, shown: Floats, rays: int) -> float:
+    """Median size of what the shading fitted leaves at every third step of the first rays."""
+    sizes = np.empty((-(-len(seen) // 3), rays))
+    for j in range(len(sizes)):
+        for i in range(rays):
+            sizes[j, i] = abs(seen[3 * j, i] - shown[3 * j, i])
+    return nearly_kth(sizes.reshape(-1), sizes.size // 2)

@@ -1,0 +1,1 @@
+"""From edges along rays to an outline: bias correction, robust cone fit and covariance."""

@@ -1,0 +1,246 @@
+"""All balls expected in one picture, measured in one call.
+
+What it costs to enter compiled code, and to hand back what it found, is paid once a picture.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from measure.arrays import Bools, Bytes, Floats, Ints
+from measure.compiling import compiled
+from measure_plugins._outline.appearance.interreflection import balls_behind, balls_nearer
+from measure_plugins._outline.appearance.radial_basis import unpacked
+from measure_plugins._outline.fitting.known_size import measure_closely
+from measure_plugins._outline.fitting.outline import Outline
+from measure_plugins._outline.fitting.scan import Search, View
+from measure_plugins._outline.fitting.step_gain import measured_gain
+from measure_plugins._outline.fitting.unknown_size import approach, measure_roughly, unhidden
+from measure_plugins._outline.sampling.prefetch import ask_for_outline
+from measure_plugins._outline.sampling.rays import radius_px
+
+
+class Expected(NamedTuple):
+    """k balls to look for.
+
+    Attributes:
+        cones: (k, 5) unit axis of each outline in the camera frame, half angle in rad, and the
+            ball's distance in mm; columns beyond those are ignored.
+        reach_px: (k,) how far the outline may be from there.
+        tables: (k, r) what its size makes a ball show, see `radial.packed_radials`;
+            unused where that is not known.
+        sized: (k,) whether the size is known: if not, edges are not corrected.
+        bits: (k,) of the balls' colours in the table of colours.
+        gains: (k, 2, 2) see `gain.measured_gain`; the unit matrix where not known.
+    """
+
+    cones: Floats
+    reach_px: Floats
+    tables: Floats
+    sized: Bools
+    bits: Ints
+    gains: Floats
+
+
+class Measured(NamedTuple):
+    """What was found of k balls.
+
+    Attributes:
+        centers_px: (k, 2) images of the spheres' centres.
+        covariances_px: (k, 2, 2) of those.
+        points_px: (k, n, 2) edge points; the first `count` of each ball count.
+        sd_px: (k, n) their standard deviations along the normal.
+        numbers: (k, 4) mean radius in px, count of edge points (0 where no outline was found),
+            their share among the rays that should show an edge, share of samples inside that have
+            the ball's colour.
+    """
+
+    centers_px: Floats
+    covariances_px: Floats
+    points_px: Floats
+    sd_px: Floats
+    numbers: Floats
+
+
+@compiled
+def cones_of(centers: Floats, radii: Floats, lens: Floats) -> Floats:
+    """Outlines of balls at `centers` (k, 3) in the camera frame, of these radii (k,), both mm.
+
+    Returns:
+        (k, 6) as `Expected.cones`, and the outlines' mean radius in px.
+    """
+    out = np.empty((len(centers), 6))
+    for i in range(len(centers)):
+        distance = np.sqrt(np.sum(centers[i] * centers[i]))
+        out[i, :3] = centers[i] / distance
+        out[i, 3], out[i, 4] = np.arcsin(radii[i] / distance), distance
+        out[i, 5] = radius_px(out[i, :3], out[i, 3], lens)
+    return out
+
+
+@compiled
+def measure_balls(
+    view: View,
+    expected: Expected,
+    rays: int,
+    min_contrast: float,
+    margin_px: float,
+    hopeless: float,
+    colors: Bytes,
+) -> Measured:
+    """Measure every expected ball.
+
+    Args:
+        view: the picture.
+        expected: what is to be found in it.
+        rays: cast across each outline.
+        min_contrast: see `Search`.
+        margin_px: see `Search`.
+        hopeless: see `measure_roughly`.
+        colors: see `color_share`.
+    """
+    found = _nothing(len(expected.cones), rays)
+    _ask_for(view, expected, 0)
+    for i in range(len(expected.cones)):
+        _ask_for(view, expected, i + 1)
+        search = _search(expected, i, rays, min_contrast, margin_px)
+        if expected.sized[i]:
+            outline = measure_closely(view, search, unpacked(expected.tables[i]))
+        else:
+            outline = measure_roughly(view, search, hopeless)
+        _note(view, outline, colors, expected.bits[i], i, found)
+    return found
+
+
+@compiled
+def measure_circles(
+    view: View,
+    circles: Floats,
+    bits: Ints,
+    rays: tuple[int, int],
+    min_contrast: float,
+    margin_px: float,
+    agreement: tuple[float, float],
+    colors: Bytes,
+) -> Measured:
+    """Measure what rough circles lead to, of unknown size each and hidden by nothing known.
+
+    Args:
+        view: the picture.
+        circles: (k, 5) of which the first are centre x, y and radius, px.
+        bits: (k,) of their colours in the table of colours.
+        rays: cast to come near an outline, and to measure it.
+        min_contrast: see `Search`.
+        margin_px: see `Search`.
+        agreement: the least share of edges that agree in the end, see `approach`; and the share
+            below which it is `hopeless`, see `measure_roughly`.
+        colors: see `color_share`.
+    """
+    found = _nothing(len(circles), rays[1])
+    cones = np.empty((len(circles), 4))
+    for i in range(len(circles)):  # apart from the next loop: the code of each stays near
+        axis, half_angle = approach(view, circles[i], rays[0], min_contrast, agreement[0])
+        cones[i, :3], cones[i, 3] = axis, half_angle
+    for i in range(len(circles)):
+        if cones[i, 3] > 0:
+            search = unhidden(cones[i, :3], cones[i, 3], 0.0, rays[1], min_contrast, margin_px)
+            outline = measure_roughly(view, search, agreement[1])
+            _note(view, outline, colors, bits[i], i, found)
+    return found
+
+
+@compiled
+def _nothing(k: int, rays: int) -> Measured:
+    """Room for k balls, nothing found of any yet."""
+    return Measured(
+        np.empty((k, 2)),
+        np.empty((k, 2, 2)),
+        np.empty((k, rays, 2)),
+        np.empty((k, rays)),
+        np.zeros((k, 4)),
+    )
+
+
+@compiled
+def _ask_for(view: View, expected: Expected, i: int) -> None:
+    """Have the part of the picture fetched that shows ball i, if there is one."""
+    if i < len(expected.cones):
+        cone = expected.cones[i]
+        ask_for_outline(view.pixels, cone[:3], cone[3], view.lens)
+
+
+@compiled
+def measure_gains(
+    view: View, settled: Expected, rays: int, min_contrast: float, margin_px: float
+) -> Floats:
+    """How looks at balls of known size answer when they are off, see `measured_gain` (k, 2, 2)."""
+    gains = np.empty((len(settled.cones), 2, 2))
+    for i in range(len(gains)):
+        search = _search(settled, i, rays, min_contrast, margin_px)
+        gains[i] = measured_gain(view, search, unpacked(settled.tables[i]))
+    return gains
+
+
+@compiled
+def _search(expected: Expected, i: int, rays: int, min_contrast: float, margin_px: float) -> Search:
+    """How to look for ball i."""
+    return Search(
+        expected.cones[i, :3],
+        expected.cones[i, 3],
+        balls_nearer(expected.cones[i], expected.cones),
+        balls_behind(expected.cones[i], expected.cones),
+        expected.reach_px[i],
+        rays,
+        min_contrast,
+        margin_px,
+        expected.cones[i, 4],
+        expected.gains[i],
+    )
+
+
+@compiled
+def _note(view: View, outline: Outline, colors: Bytes, bit: int, i: int, found: Measured) -> None:
+    """Write down ball i's outline, if one was found, and how much inside has its colour."""
+    count = outline.agreeing
+    if count == 0:
+        return
+    center, points = outline.center_px, outline.points_px
+    found.centers_px[i], found.covariances_px[i] = center, outline.covariance_px
+    found.points_px[i, :count], found.sd_px[i, :count] = points, outline.sd_px
+    found.numbers[i, 0], found.numbers[i, 1] = outline.radius_px, count
+    found.numbers[i, 2] = outline.share
+    found.numbers[i, 3] = color_share(view.pixels, colors, bit, center, points)
+
+
+_RINGS = (0.25, 0.5, 0.7, 0.85)
+"""Radii, as shares of the outline's, where the colour is looked at."""
+_LEVELS = 256
+
+
+@compiled
+def color_share(pixels: Bytes, colors: Bytes, bit: int, center: Floats, points: Floats) -> float:
+    """Share of the samples between the centre and edge points that have a colour.
+
+    Args:
+        pixels: (h, w, 3) uint8.
+        colors: (k, k, k) bits by blue, green and red, each cut to as many levels, a
+            power of two.
+        bit: the colour's.
+        center: (2,) px.
+        points: (n, 2) px.
+    """
+    height, width = pixels.shape[:2]
+    seen, alike, cut = 0, 0, 0
+    while len(colors) << cut < _LEVELS:
+        cut += 1
+    for i in range(len(points)):
+        for share in _RINGS:
+            x = round(center[0] + share * (points[i, 0] - center[0]))
+            y = round(center[1] + share * (points[i, 1] - center[1]))
+            if 0 <= x < width and 0 <= y < height:
+                b, g, r = pixels[y, x]
+                seen += 1
+                alike += colors[b >> cut, g >> cut, r >> cut] & bit != 0
+    return alike / seen if seen else 0.0

@@ -1,0 +1,273 @@
+"""Edges with the edge finder's own error taken off: the error it makes on the predicted picture."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from measure.arrays import Bytes, Floats, Reals, Singles
+from measure.compiling import compiled, folded
+from measure_plugins._kernels.selection import median
+from measure_plugins._outline.appearance.radial_basis import Radial
+from measure_plugins._outline.appearance.render import FIT_LAST_PX, Ambient, predict_light
+from measure_plugins._outline.appearance.sensor import CHROMA_REACH, Sensor, encode, read_off
+from measure_plugins._outline.sampling.edge_crossing import (
+    HIGHLIGHT_PX,
+    crossings,
+    in_highlights,
+    levels,
+    project,
+    uncertainty,
+)
+from measure_plugins._outline.sampling.ray_groups import TOGETHER, middle_angles, together
+from measure_plugins._outline.sampling.rays import FREE, STEPS, sample
+
+INSIDE_PX = (-7.0, -3.0)
+"""Where the colour inside is taken: clear of the blurred edge, near enough to have its shade."""
+_DEEPEST, _LEAST_SHARE = 1 / 7, 0.6
+"""Inside small outlines no deeper than this share of the radius, where a ball faces the light
+otherwise than at its edge; but at least so much of the window's depth, clear of the blur. Of two
+depths tried on own scenes of half the size, the lesser was better on six of eight."""
+OUTSIDE_PX = (3.0, 6.5)
+"""Where the colour outside is taken."""
+SEARCH_PX = 3.0
+_BACKGROUND_PX = (3.0, 6.0)
+_COLORFUL = 0.35
+"""Share of the edges' contrast that is colour, above which grey is left out of it."""
+_TRUST = 0.25
+"""Share of a ray's correction, beyond the contour's common one, that counts as its uncertainty."""
+_SYSTEMATIC_PX = 0.25
+"""What the prediction leaves on a ray, however low the noise: it keeps bright rays from ruling."""
+_FIRST = int(np.searchsorted(STEPS, INSIDE_PX[0]))
+"""The step at which the edge finder begins to look."""
+LATER_STEPS = STEPS[_FIRST:]
+"""Where the picture is predicted, px along the normal."""
+_LIT = (STEPS <= FIT_LAST_PX) | ((_BACKGROUND_PX[0] <= STEPS) & (_BACKGROUND_PX[1] >= STEPS))
+"""The steps at which light is asked for, not picture values alone."""
+
+
+class Edges(NamedTuple):
+    """Edges along n rays.
+
+    Attributes:
+        shifts: (n,) px outward from the prediction, NaN where there is none.
+        sd: (n,) px.
+        contrast: (n,) difference of inside and outside.
+        inside: (3, n) light inside.
+        outside: (3, n) light outside.
+    """
+
+    shifts: Floats
+    sd: Floats
+    contrast: Floats
+    inside: Floats
+    outside: Floats
+
+
+class FoundTwice(NamedTuple):
+    """Edges along n rays, found by all colours but grey, then by all.
+
+    Attributes:
+        at: (2, n) px outward from the prediction, NaN where there is none.
+        sd: (2, n) px.
+        contrast: (2, n) difference of inside and outside, in picture values from 0 to 1.
+        predicted: (2, n / 2) where the same finder sees edges on the prediction, px.
+        inside: (3, n) light inside.
+        outside: (3, n) light outside.
+    """
+
+    at: Floats
+    sd: Floats
+    contrast: Floats
+    predicted: Floats
+    inside: Singles
+    outside: Singles
+
+
+@folded
+def corrected_edges(found: FoundTwice, believed: float) -> Edges:
+    """Edges found twice, less the finder's errors on a prediction.
+
+    What the prediction gets wrong moves the two differently: their mean is less off than either,
+    and their difference tells by how much.
+
+    Args:
+        found: by `find_twice`.
+        believed: share of a ray's correction, beyond the contour's common one, that is taken off.
+
+    Returns:
+        The edges; their contrast in picture values from 0 to 1.
+    """
+    n = found.at.shape[1]
+    shifts, variances = np.empty((2, n)), np.empty((2, n))
+    for k in range(2):
+        common = _middle(found.predicted[k])
+        for i in range(n):
+            own = found.predicted[k, i // TOGETHER] - common
+            sd = found.sd[k, i]
+            shifts[k, i] = found.at[k, i] - common - believed * own
+            variances[k, i] = sd * sd + _TRUST * own * _TRUST * own
+    return _joined(shifts, variances, found.contrast, found.inside, found.outside)
+
+
+@compiled
+def find_twice(
+    pixels: Bytes,
+    table: Floats,
+    sensor: Sensor,
+    points: Floats,
+    normals: Floats,
+    around: Floats,
+    free: Floats,
+    radial: Radial,
+    ambient: Ambient,
+) -> FoundTwice:
+    """Find edges without grey and by all colours, in a picture and on the prediction of it.
+
+    Without grey, colourless reflections do not count; with it, brightness does, which the camera
+    shows sharper.
+
+    Args:
+        pixels: (h, w, 3) uint8.
+        table: (256,) light of each picture value.
+        sensor: of the camera.
+        points: (n, 2) predicted outline, px.
+        normals: (n, 2) its outward unit normals.
+        around: (n, 2) cosine and sine around the axis.
+        free: (n,) `rays.FREE` where nothing is known to be in the way; may be set to OUTSIDE.
+        radial: what the ball shows along a ray, see `radial.radial`.
+        ambient: what is known of the light round it, along the n / 2 rays that are predicted.
+    """
+    light, values = sample(pixels, table, points, normals, STEPS, free, _LIT, _FIRST)
+    window = inside_window(points)
+    within, background = levels(light, STEPS, window), levels(light, STEPS, _BACKGROUND_PX)
+    predicted = _predicted_together(light, free, around, sensor, radial, ambient)
+    inside = levels(values, LATER_STEPS, window)
+    outside = levels(values, LATER_STEPS, OUTSIDE_PX)
+    model_inside = levels(predicted, LATER_STEPS, window)
+    model_outside = levels(predicted, LATER_STEPS, OUTSIDE_PX)
+    n, lit = len(points), in_highlights(inside, free)
+    at, sd, contrasts = np.empty((2, n)), np.empty((2, n)), np.empty((2, n))
+    biases = np.empty((2, n // TOGETHER))
+    for k in range(2):
+        without_grey = k == 0 and _is_colorful(within, background, free)
+        x, contrasts[k] = project(values, inside, outside, without_grey)
+        seen, slope = crossings(x, LATER_STEPS, SEARCH_PX)
+        at[k], sd[k] = seen, uncertainty(x, LATER_STEPS, seen, slope, window)
+        for i in range(n):
+            sd[k, i] += HIGHLIGHT_PX * lit[i]
+        y, _ = project(predicted, model_inside, model_outside, without_grey)
+        biases[k], _ = crossings(y, LATER_STEPS, SEARCH_PX)
+    return FoundTwice(at, sd, contrasts, biases, within, background)
+
+
+@compiled
+def _joined(
+    shifts: Floats, variances: Floats, contrasts: Floats, inside: Reals, outside: Reals
+) -> Edges:
+    """Edges from both ways (2, n) of finding them."""
+    n = shifts.shape[1]
+    shift, sd, contrast = np.empty(n), np.empty(n), np.empty(n)
+    for i in range(n):
+        a, b = shifts[0, i], shifts[1, i]
+        apart, variance = 0.5 * (a - b), 0.5 * (variances[0, i] + variances[1, i])
+        shift[i] = 0.5 * (a + b)
+        sd[i] = np.sqrt(variance + apart * apart + _SYSTEMATIC_PX**2)
+        contrast[i] = min(contrasts[0, i], contrasts[1, i])
+    return Edges(shift, sd, contrast, inside.astype(np.float64), outside.astype(np.float64))
+
+
+@folded
+def _predicted_together(
+    light: Reals, free: Floats, around: Floats, sensor: Sensor, radial: Radial, ambient: Ambient
+) -> Reals:
+    """Picture values (3, m, n / 2) at `LATER_STEPS` that the model predicts for groups of rays."""
+    some, ways = together(light, free)
+    background = levels(some, STEPS, _BACKGROUND_PX)
+    angles = middle_angles(around)
+    return predicted_values(some, ways, angles, background, sensor, radial, ambient)
+
+
+@compiled
+def inside_window(points: Floats) -> tuple[float, float]:
+    """Where the colour inside an outline (n, 2) is taken, px along its normals."""
+    across = 0.0
+    for k in range(2):
+        across += (np.max(points[:, k]) - np.min(points[:, k])) / 4
+    share = min(max(_DEEPEST * across / -INSIDE_PX[0], _LEAST_SHARE), 1.0)
+    return share * INSIDE_PX[0], share * INSIDE_PX[1]
+
+
+@compiled
+def _middle(values: Reals) -> float:
+    """Median of those values that are numbers; NaN if none is."""
+    some, count = np.empty(len(values)), 0
+    for value in values:
+        if not np.isnan(value):
+            some[count] = value
+            count += 1
+    return median(some, count) if count else np.nan
+
+
+@compiled
+def compare(
+    pixels: Bytes,
+    table: Floats,
+    sensor: Sensor,
+    points: Floats,
+    normals: Floats,
+    around: Floats,
+    free: Floats,
+    radial: Radial,
+    ambient: Ambient,
+) -> tuple[Floats, Floats]:
+    """Picture values (3, m, n) at `LATER_STEPS`: seen, and predicted. Arguments as above."""
+    seen, values = sample(pixels, table, points, normals, STEPS, free, _LIT, _FIRST)
+    light = seen.astype(np.float64)
+    background = levels(light, STEPS, _BACKGROUND_PX)
+    predicted = predicted_values(light, free, around, background, sensor, radial, ambient)
+    return values.astype(np.float64), predicted.astype(np.float64)
+
+
+@compiled
+def sampled_light(
+    pixels: Bytes, table: Floats, points: Floats, normals: Floats, free: Floats
+) -> tuple[Floats, Floats]:
+    """Light (3, m, n) at `STEPS`, and of the surroundings (3, n). Arguments as above."""
+    everywhere = np.ones(len(STEPS), np.bool_)
+    seen, _ = sample(pixels, table, points, normals, STEPS, free, everywhere, len(STEPS))
+    light = seen.astype(np.float64)
+    return light, levels(light, STEPS, _BACKGROUND_PX).astype(np.float64)
+
+
+@folded
+def predicted_values(
+    light: Floats,
+    free: Floats,
+    around: Floats,
+    background: Reals,
+    sensor: Sensor,
+    radial: Radial,
+    ambient: Ambient,
+) -> Reals:
+    """Picture values (3, m, n) at `LATER_STEPS` that the model predicts along rays of `light`."""
+    first = _FIRST - CHROMA_REACH
+    behind = background.astype(np.float64)
+    predicted = predict_light(light, free, around, behind, STEPS, radial, ambient, first)
+    return read_off(encode(predicted, sensor.encoding), sensor.taps)
+
+
+@compiled
+def _is_colorful(inside: Reals, outside: Reals, free: Floats) -> bool:
+    """Whether the edges differ enough in colour alone."""
+    whole, part = 0.0, 0.0
+    for i in range(len(free)):
+        if free[i] == FREE:
+            a = inside[0, i] - outside[0, i]
+            b = inside[1, i] - outside[1, i]
+            c = inside[2, i] - outside[2, i]
+            mean = (a + b + c) / 3
+            whole += np.sqrt(a * a + b * b + c * c)
+            part += np.sqrt((a - mean) ** 2 + (b - mean) ** 2 + (c - mean) ** 2)
+    return part > _COLORFUL * whole

@@ -1,0 +1,241 @@
+"""Where a profile across an outline passes half-way between inside and outside.
+
+Profiles are (3, m, n): colours, steps along the rays, rays; rays last, so that a loop over them
+does many at once: twice as many in single precision, where all that such a loop takes is single.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from measure.arrays import Bools, Bytes, Floats, Reals
+from measure.compiling import compiled
+from measure.model.frames import FULL
+from measure_plugins._kernels.selection import NINE, median, median_rows
+from measure_plugins._outline.sampling.rays import FREE
+
+_MIN_SD_PX = 0.03
+"""No crossing is better known: quantisation, and what the interpolation does."""
+
+
+_SLOPE_PX = 4.0
+"""Shading that goes on into the edge moves its half level: px per share of contrast and px.
+
+The level at the edge is then off by the slope times the 5 px to the window, half of that counts,
+and the blurred edge falls by about a third per px; half of the whole is taken as one sd.
+"""
+
+
+@compiled
+def levels(profiles: Reals, steps: Floats, window: tuple[float, float]) -> Reals:
+    """Median colours (3, n) within a window.
+
+    Args:
+        profiles: (3, m, n).
+        steps: (m,) px along the normal.
+        window: its ends, px.
+    """
+    m, n = profiles.shape[1:]
+    first, last = m, 0
+    for j in range(m - 1, -1, -1):
+        if window[0] <= steps[j] <= window[1]:
+            first = j
+            last = max(last, j + 1)
+    if last - first > NINE:
+        raise ValueError("a window holds more than nine steps")
+    within = np.empty((NINE, 3 * n), profiles.dtype)
+    for j in range(last - first):
+        for c in range(3):
+            for i in range(n):
+                within[j, c * n + i] = profiles[c, first + j, i]
+    return median_rows(within, last - first).reshape(3, n)
+
+
+@compiled
+def project(profiles: Reals, inside: Reals, outside: Reals, colorful: bool) -> tuple[Reals, Floats]:
+    """Profiles along their inside-minus-outside colour: 1 inside, 0 outside.
+
+    Args:
+        profiles: (3, m, n).
+        inside: (3, n) colour inside.
+        outside: (3, n) colour outside.
+        colorful: leave grey out of the difference, so that colourless reflections do not count.
+
+    Returns:
+        Shares (m, n), all 0 for a ray without contrast; contrast (n,).
+    """
+    m, n = profiles.shape[1:]
+    x, contrast = np.empty((m, n), profiles.dtype), np.empty(n)
+    toward, origin = np.empty((3, n), profiles.dtype), np.empty(n, profiles.dtype)
+    for i in range(n):
+        a, b, c = inside[0, i] - outside[0, i], inside[1, i] - outside[1, i], inside[2, i]
+        c -= outside[2, i]
+        if colorful:
+            mean = (a + b + c) / 3
+            a, b, c = a - mean, b - mean, c - mean
+        square = a * a + b * b + c * c
+        contrast[i] = np.sqrt(square)
+        per = 1 / square if square > 1e-12 else 0.0
+        toward[0, i], toward[1, i], toward[2, i] = a * per, b * per, c * per
+        origin[i] = (outside[0, i] * a + outside[1, i] * b + outside[2, i] * c) * per
+    for j in range(m):
+        for i in range(n):
+            x[j, i] = (
+                profiles[0, j, i] * toward[0, i]
+                + profiles[1, j, i] * toward[1, i]
+                + profiles[2, j, i] * toward[2, i]
+                - origin[i]
+            )
+    return x, contrast
+
+
+@compiled
+def crossings(x: Reals, steps: Floats, search_px: float) -> tuple[Reals, Reals]:
+    """Where shares (m, n) fall through one half, nearest to 0.
+
+    Args:
+        x: see `project`.
+        steps: (m,) px along the normal, evenly spaced.
+        search_px: the furthest crossing from 0.
+
+    Returns:
+        Crossing (n,) in px, NaN if there is none; and how steeply it falls there (n,) per px.
+    """
+    m, n = x.shape
+    number = x.dtype.type
+    at, slope, furthest = np.full(n, number(np.inf)), np.zeros(n, x.dtype), number(search_px)
+    step, half, one = number(steps[1] - steps[0]), number(0.5), number(1.0)
+    for j in range(m - 1):
+        here = number(steps[j])
+        if not -furthest - step <= here <= furthest:
+            continue
+        for i in range(n):  # without branches, so that it does many rays at once
+            drop = x[j, i] - x[j + 1, i]
+            falls = (x[j, i] > half) & (x[j + 1, i] <= half)
+            s = here + (x[j, i] - half) / (drop if falls else one) * step
+            nearest = falls & (abs(s) <= furthest) & (abs(s) < abs(at[i]))
+            at[i] = s if nearest else at[i]
+            slope[i] = drop / step if nearest else slope[i]
+    for i in range(n):
+        if at[i] == np.inf:
+            at[i] = np.nan
+    return at, slope
+
+
+@compiled
+def uncertainty(
+    x: Reals, steps: Floats, at: Reals, slope: Reals, window: tuple[float, float]
+) -> Floats:
+    """Standard deviations (n,) in px of crossings, from the profiles' scatter about their levels.
+
+    Args:
+        x: (m, n) see `project`.
+        steps: (m,) px along the normal.
+        at: (n,) from `crossings`.
+        slope: (n,) from `crossings`.
+        window: where the inside colour was taken, px.
+    """
+    rough = _roughness(x, steps, at)
+    uneven = _unevenness(x, steps, window)
+    sd = np.empty(len(at))
+    for i in range(len(at)):
+        if slope[i] > 0:
+            blurred = max(rough[i] / slope[i], _MIN_SD_PX)
+            sd[i] = np.sqrt(blurred**2 + (_SLOPE_PX * uneven[i]) ** 2)
+        else:
+            sd[i] = np.inf
+    return sd
+
+
+@compiled
+def _unevenness(x: Reals, steps: Floats, window: tuple[float, float]) -> Reals:
+    """How much normalised profiles rise or fall over the inside window (n,), per px."""
+    m, n = x.shape
+    middle = 0.5 * (window[0] + window[1])
+    rise, number = np.zeros(n, x.dtype), x.dtype.type
+    low, high = 0, 0
+    for j in range(m):
+        low += window[0] <= steps[j] < middle
+        high += middle < steps[j] <= window[1]
+    for j in range(m):
+        share = 0.0
+        if window[0] <= steps[j] < middle:
+            share = -1.0 / low
+        elif middle < steps[j] <= window[1]:
+            share = 1.0 / high
+        if share != 0:
+            weight = number(share)
+            for i in range(n):
+                rise[i] += weight * x[j, i]
+    for i in range(n):
+        rise[i] = abs(rise[i]) / (0.5 * (window[1] - window[0]))
+    return rise
+
+
+@compiled
+def _roughness(x: Reals, steps: Floats, at: Reals) -> Reals:
+    """Scatter of normalised profiles (n,) away from their edges, from second differences.
+
+    Samples are a pixel apart so that interpolation between the same pixels does not hide the noise.
+    """
+    m, n = x.shape
+    total, count, number = np.zeros(n, x.dtype), np.zeros(n, x.dtype), x.dtype.type
+    none, one, two, far = number(0), number(1), number(2), number(3)
+    apart = int(np.ceil(1 / (steps[1] - steps[0])))
+    for j in range(2 * apart, m):
+        middle = number(steps[j - apart])
+        for i in range(n):
+            second = abs(x[j, i] - two * x[j - apart, i] + x[j - 2 * apart, i])
+            away = one if abs(middle - at[i]) > far else none
+            total[i] += away * (second if second < one else one)
+            count[i] += away
+    for i in range(n):
+        # Mean absolute value of a normal variable is 0.798 sd; second differences have sqrt(6) sd.
+        total[i] = total[i] / count[i] / 0.798 / np.sqrt(6.0) if count[i] > 0 else 0.05
+    return total
+
+
+_WHITE, _PALE = 0.93, 0.6
+"""Picture values, from 0 to 1, of a highlight that is full or nearly so, in all colours; and of
+balls that are about as white themselves."""
+HIGHLIGHT_PX = 0.5
+"""How far edges may be off that begin in such a highlight. Of two values tried, with the truth in
+view, 1 was worse before desk lamps."""
+
+
+def clipped(pixels: Bytes, points: Floats, normals: Floats, steps: Floats) -> Bools:
+    """Which of n rays meet a pixel of which one colour is full.
+
+    Args:
+        pixels: (h, w, 3).
+        points: (n, 2) where the rays begin, px.
+        normals: (n, 2) their unit directions.
+        steps: (m,) where they are looked at, px.
+    """
+    at = np.rint(points + steps[:, None, None] * normals).astype(np.intp)
+    height, width = pixels.shape[:2]
+    column, row = np.clip(at[..., 0], 0, width - 1), np.clip(at[..., 1], 0, height - 1)
+    return np.asarray(np.any(pixels[row, column] >= FULL, axis=(0, 2)))
+
+
+@compiled
+def in_highlights(inside: Reals, free: Floats) -> Bools:
+    """Which of n rays begin in a highlight that is white, where the ball is not.
+
+    Near the rim, what ends there is the highlight: the ball goes on beyond it, dark.
+
+    Args:
+        inside: (3, n) picture values inside the outline, from 0 to 1.
+        free: (n,) `rays.FREE` where nothing is in the way.
+    """
+    n = inside.shape[1]
+    out, some, count = np.zeros(n, np.bool_), np.empty(n), 0
+    for i in range(n):
+        white = min(inside[0, i], min(inside[1, i], inside[2, i]))
+        out[i] = white > _WHITE
+        if free[i] == FREE:
+            some[count] = white
+            count += 1
+    if count == 0 or median(some, count) >= _PALE:
+        out[:] = False
+    return out

@@ -1,0 +1,63 @@
+"""Neighbouring rays taken together, where the picture that a ball's model predicts is fitted.
+
+A prediction fitted to a single ray follows that ray's noise, and takes off what the same noise does
+to the ray's edge as if the model had foreseen it. What two neighbours show is the same but for
+their noise, and there are half as many predictions to make.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from measure.arrays import Floats, Reals
+from measure.compiling import compiled
+from measure_plugins._outline.sampling.rays import FREE
+
+TOGETHER = 2
+"""So many rays make a group. Three are too far apart: predictions get worse again."""
+
+
+@compiled
+def middle_angles(around: Floats) -> Floats:
+    """Cosine and sine (n / 2, 2) of the angles midway between the rays of each group (n, 2)."""
+    out = np.zeros((len(around) // TOGETHER, 2))
+    for i in range(len(out)):
+        x, y = 0.0, 0.0
+        for k in range(TOGETHER):
+            x += around[TOGETHER * i + k, 0]
+            y += around[TOGETHER * i + k, 1]
+        length = np.sqrt(x * x + y * y)
+        out[i, 0], out[i, 1] = x / length, y / length
+    return out
+
+
+@compiled
+def together(light: Reals, free: Floats) -> tuple[Floats, Floats]:
+    """Mean light of the free rays of each group, and which groups are free: those with such a ray.
+
+    Args:
+        light: (3, m, n) along the rays.
+        free: (n,) `rays.FREE` for rays with a clear way.
+
+    Returns:
+        Light (3, m, n / 2), and FREE or what stands in the way (n / 2,).
+    """
+    colors, m, n = light.shape
+    groups = n // TOGETHER
+    weights, ways = np.zeros((TOGETHER, groups)), np.empty(groups)
+    for i in range(groups):
+        count = 0
+        for k in range(TOGETHER):
+            count += int(free[TOGETHER * i + k] == FREE)
+        ways[i] = FREE if count > 0 else free[TOGETHER * i]
+        for k in range(TOGETHER):
+            weights[k, i] = 1 / count if free[TOGETHER * i + k] == FREE else 0.0
+    out = np.empty((colors, m, groups))
+    for c in range(colors):
+        for j in range(m):
+            for i in range(groups):
+                total = 0.0
+                for k in range(TOGETHER):
+                    total += weights[k, i] * light[c, j, TOGETHER * i + k]
+                out[c, j, i] = total
+    return out, ways

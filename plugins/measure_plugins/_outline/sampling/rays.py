@@ -1,0 +1,301 @@
+"""Rays across a predicted outline: where they cross it, and what the picture shows along them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from measure.arrays import Bools, Bytes, Floats, Ints, Singles
+from measure.compiling import compiled, inlined
+from measure.model.lens import lens_numbers, to_pixel
+from measure_plugins._kernels.selection import DOUBLES, whole_vectors
+from measure_plugins._outline.sampling.bilinear import between_pixels, light_between
+
+STEPS = np.arange(-16.5, 6.51, 1.0)
+"""Samples along a ray, px along the outward normal: a pixel apart, for there are no more to read,
+and half a pixel to either side of the outline, where an edge then rests on two of them."""
+FREE, HIDDEN, OUTSIDE = 0, 1, 2
+"""What stands in a ray's way: nothing, a nearer ball, the picture's border."""
+
+_LEVEL = np.float32(1 / 255)
+_TILT = 1e-4
+"""Angle in rad over which the outline's normal and scale are taken."""
+
+
+@compiled
+def frame_about(axis: Floats) -> Floats:
+    """Rows e1, e2, axis: a right-handed frame about a unit vector (3,).
+
+    It turns with the axis without a jump, wherever in a picture that is: what is known along the
+    rays about one axis, and how looks answer along e1 and e2, hold about its neighbours too (Duff
+    et al. 2017, "Building an Orthonormal Basis, Revisited").
+    """
+    x, y, z = axis[0], axis[1], axis[2]
+    sign = 1.0 if z >= 0 else -1.0
+    per = -1 / (sign + z)
+    out = np.empty((3, 3))
+    out[0, 0], out[0, 1], out[0, 2] = 1 + sign * x * x * per, sign * x * y * per, -sign * x
+    out[1, 0], out[1, 1], out[1, 2] = x * y * per, sign + y * y * per, -y
+    out[2, 0], out[2, 1], out[2, 2] = x, y, z
+    return out
+
+
+@compiled
+def angles_around(count: int) -> Floats:
+    """Cosine and sine (count, 2) of the angles of evenly spaced rays around an axis.
+
+    Each is the one before turned by their distance: a look costs too little for so many cosines.
+    """
+    out = np.empty((count, 2))
+    x, y = 1.0, 0.0
+    cosine, sine = np.cos(2 * np.pi / count), np.sin(2 * np.pi / count)
+    for i in range(count):
+        out[i, 0], out[i, 1] = x, y
+        x, y = cosine * x - sine * y, sine * x + cosine * y
+    return out
+
+
+@compiled
+def cast_rays(
+    frame: Floats,
+    half_angle: float,
+    count: int,
+    lens: Floats,
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Evenly spaced rays across the outline of the cone `half_angle` about `frame[2]`.
+
+    Returns:
+        Outline points (n, 2), outward unit normals (n, 2) in px, px per rad along them (n,), and
+        cosine and sine of the angle around the axis (n, 2).
+    """
+    points, normals, scale = np.empty((count, 2)), np.empty((count, 2)), np.empty(count)
+    around, at, beyond = angles_around(count), np.empty((2, count)), np.empty((2, count))
+    _see(frame, half_angle, around, lens, at)
+    _see(frame, half_angle + _TILT, around, lens, beyond)
+    for i in range(count):
+        u, v = at[0, i], at[1, i]
+        right, down = beyond[0, i] - u, beyond[1, i] - v
+        length = np.sqrt(right**2 + down**2)
+        points[i, 0], points[i, 1] = u, v
+        normals[i, 0], normals[i, 1] = right / length, down / length
+        scale[i] = length / _TILT
+    return points, normals, scale, around
+
+
+@compiled
+def _see(frame: Floats, half_angle: float, around: Floats, lens: Floats, out: Floats) -> None:
+    """Pixels (2, n) of the directions at `half_angle` from `frame[2]`, (n, 2) around it."""
+    near, aside = np.cos(half_angle), np.sin(half_angle)
+    a, b, c = near * frame[2, 0], near * frame[2, 1], near * frame[2, 2]
+    numbers = lens_numbers(lens)
+    for i in range(len(around)):
+        cosine, sine = around[i, 0], around[i, 1]
+        x = cosine * frame[0, 0] + sine * frame[1, 0]
+        y = cosine * frame[0, 1] + sine * frame[1, 1]
+        z = cosine * frame[0, 2] + sine * frame[1, 2]
+        out[0, i], out[1, i] = to_pixel(a + aside * x, b + aside * y, c + aside * z, numbers)
+
+
+@compiled
+def radius_px(axis: Floats, half_angle: float, lens: Floats) -> float:
+    """Mean radius of an outline, as the scale across it times its half angle."""
+    scale = cast_rays(frame_about(axis), half_angle, 8, lens)[2]
+    return half_angle * float(np.mean(scale))
+
+
+@compiled
+def ways(
+    frame: Floats,
+    half_angle: float,
+    scale: Floats,
+    around: Floats,
+    nearer: Floats,
+    reach: tuple[float, float],
+    margin_px: float,
+) -> Floats:
+    """Which rays pass within `margin_px` of a nearer ball.
+
+    Args:
+        frame: (3, 3) of the cone, see `frame_about`.
+        half_angle: of the cone, rad.
+        scale: (n,) px per rad.
+        around: (n, 2) cosine and sine around the axis.
+        nearer: (k, 4) unit axes and half angles of the outlines of nearer balls.
+        reach: start and end of the rays along the normal, px.
+        margin_px: distance to keep.
+
+    Returns:
+        (n,) FREE or HIDDEN.
+    """
+    out = np.zeros(len(scale))
+    if len(nearer) == 0:
+        return out
+    least = np.min(scale)
+    near = _near(frame, half_angle, nearer, (reach[1] + margin_px) / least)
+    along, aside = np.cos(half_angle), np.sin(half_angle)
+    far_px = margin_px + max(abs(reach[0]), abs(reach[1]))
+    for k in near:
+        meets = np.cos(nearer[k, 3] + far_px / least)
+        for i in range(len(scale)):
+            if _cosine(frame, around[i], along, aside, nearer[k]) > meets:
+                hides = np.cos(nearer[k, 3] + margin_px / scale[i])
+                for step in range(5):
+                    s = reach[0] + (reach[1] - reach[0]) * step / 4
+                    beta = half_angle + s / scale[i]
+                    if _cosine(frame, around[i], np.cos(beta), np.sin(beta), nearer[k]) > hides:
+                        out[i] = HIDDEN
+    return out
+
+
+@compiled
+def _cosine(frame: Floats, around: Floats, along: float, aside: float, ball: Floats) -> float:
+    """Of the angle between a ball's axis and a direction `along` and `aside` from `frame[2]`."""
+    total = 0.0
+    for a in range(3):
+        side = around[0] * frame[0, a] + around[1] * frame[1, a]
+        total += (along * frame[2, a] + aside * side) * ball[a]
+    return total
+
+
+@compiled
+def _near(frame: Floats, half_angle: float, nearer: Floats, reach: float) -> Ints:
+    """Which of the nearer balls' outlines come within reach, in rad, of this one at all."""
+    found = np.empty(len(nearer), np.int64)
+    count = 0
+    for k in range(len(nearer)):
+        cosine = 0.0
+        for a in range(3):
+            cosine += frame[2, a] * nearer[k, a]
+        if cosine > np.cos(min(half_angle + nearer[k, 3] + reach, np.pi)):
+            found[count] = k
+            count += 1
+    return found[:count]
+
+
+@compiled
+def sample(
+    image: Bytes,
+    table: Floats,
+    points: Floats,
+    normals: Floats,
+    steps: Floats,
+    free: Floats,
+    lit: Bools,
+    values_from: int,
+) -> tuple[Singles, Singles]:
+    """Light and picture values along the rays, both by bilinear interpolation.
+
+    Args:
+        image: (h, w, 3) uint8.
+        table: (256,) light of each picture value.
+        points: (n, 2) px.
+        normals: (n, 2) unit vectors.
+        steps: (m,) px along the normals.
+        free: (n,) FREE to sample a ray; set to OUTSIDE in place where it leaves the picture.
+        lit: (m,) at which steps light is wanted; it is zero at the others.
+        values_from: the first step at which picture values are wanted.
+
+    Returns:
+        Light (3, m, n), and values from 0 to 1 (3, m - values_from, n), in single precision: loops
+        over them do twice as many at once. Zeros where the ray is not free.
+    """
+    m, n, every = len(steps), len(points), _filled_up(steps)
+    light, values = np.zeros((3, m, n), np.float32), np.zeros((3, m - values_from, n), np.float32)
+    _mark_outside(image, points, normals, steps, free)
+    flat, of, row = image.reshape(-1), table.astype(np.float32), 3 * image.shape[1]
+    first, weights = np.empty(len(every), np.int64), np.empty((4, len(every)), np.float32)
+    for i in range(n):  # ray by ray: a ray's pixels are near each other in memory
+        if free[i] != FREE:
+            continue
+        _pixels_along(points[i], normals[i], every, row, first, weights)
+        _light_between(flat, of, row, first, weights, lit, light[:, :, i])
+        for j in range(values_from, m):
+            shares = weights[0, j], weights[1, j], weights[2, j], weights[3, j]
+            b, g, r = between_pixels(flat, first[j], row, shares)
+            k = j - values_from
+            values[0, k, i], values[1, k, i], values[2, k, i] = b * _LEVEL, g * _LEVEL, r * _LEVEL
+    return light, values
+
+
+@inlined
+def _light_between(
+    flat: Bytes,
+    table: Singles,
+    row: int,
+    first: Ints,
+    weights: Singles,
+    lit: Bools,
+    out: Singles,
+) -> None:
+    """Light (3, m) between four pixels each where it is wanted, see `_pixels_along`."""
+    for j in range(out.shape[1]):
+        if lit[j]:
+            shares = weights[0, j], weights[1, j], weights[2, j], weights[3, j]
+            b, g, r = light_between(flat, table, first[j], row, shares)
+            out[0, j], out[1, j], out[2, j] = b, g, r
+
+
+@compiled
+def _filled_up(steps: Floats) -> Floats:
+    """Steps (m or more,), the last of them again and again up to a whole vector of the machine."""
+    out = np.full(whole_vectors(len(steps), DOUBLES), steps[len(steps) - 1])
+    out[: len(steps)] = steps
+    return out
+
+
+@compiled
+def _pixels_along(
+    point: Floats, normal: Floats, steps: Floats, row: int, first: Ints, weights: Singles
+) -> None:
+    """Where the four pixels round each of a ray's samples are, and their bilinear weights.
+
+    Args:
+        point: (2,) px.
+        normal: (2,) unit vector.
+        steps: (m,) px along the normal.
+        row: length of a picture row.
+        first: (m,) filled: index of the upper left pixel's first colour in the flat picture.
+        weights: (4, m) filled: upper left and right, lower left and right.
+    """
+    right, down = normal[0], normal[1]
+    start_u, start_v = point[0], point[1]
+    for j in range(len(steps)):
+        u, v = start_u + steps[j] * right, start_v + steps[j] * down
+        x, y = np.floor(u), np.floor(v)
+        a, b = u - x, v - y
+        weights[0, j], weights[1, j] = (1 - a) * (1 - b), a * (1 - b)
+        weights[2, j], weights[3, j] = (1 - a) * b, a * b
+        first[j] = int(y * row + 3 * x)
+
+
+@compiled
+def sample_nearest(
+    image: Bytes, table: Floats, points: Floats, normals: Floats, steps: Floats, free: Floats
+) -> Floats:
+    """Light (3, m, n) of the nearest pixels, where a pixel is near enough; else as `sample`."""
+    m, n = len(steps), len(points)
+    light = np.zeros((3, m, n))
+    _mark_outside(image, points, normals, steps, free)
+    for j in range(m):
+        for i in range(n):
+            if free[i] != FREE:
+                continue
+            x = np.uint64(points[i, 0] + steps[j] * normals[i, 0] + 0.5)
+            y = np.uint64(points[i, 1] + steps[j] * normals[i, 1] + 0.5)
+            for c in range(3):
+                light[c, j, i] = table[image[y, x, c]]
+    return light
+
+
+@compiled
+def _mark_outside(
+    image: Bytes, points: Floats, normals: Floats, steps: Floats, free: Floats
+) -> None:
+    """Set free rays that leave the picture to OUTSIDE."""
+    height, width = image.shape[:2]
+    for i in range(len(points)):
+        if free[i] != FREE:
+            continue
+        for end in (steps[0], steps[len(steps) - 1]):
+            u, v = points[i, 0] + end * normals[i, 0], points[i, 1] + end * normals[i, 1]
+            if not (u >= 0 and v >= 0 and u < width - 1 and v < height - 1):
+                free[i] = OUTSIDE

@@ -1,0 +1,1 @@
+"""Estimating a camera's response curve, blur and lights from the balls it sees."""

@@ -1,0 +1,117 @@
+"""What a prediction leaves of a picture, its outline moved to where it fits best."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from measure.arrays import Floats, Ints
+from measure.compiling import compiled
+from measure_plugins._kernels.selection import median
+from measure_plugins._outline.sampling.rays import FREE
+
+_ROUNDS = 3
+_TYPICAL = 3.0
+"""Rays that are this many times as far off as the median, squared, lose most of their weight."""
+
+
+@compiled
+def aligned_residuals(
+    seen: Floats,
+    predicted: Floats,
+    free: Floats,
+    around: Floats,
+    compared: int,
+    step_px: float,
+    weights: Floats,
+) -> tuple[Floats, Floats]:
+    """Picture minus prediction, less the best shift and growth of the outline.
+
+    Args:
+        seen: (3, m, n) picture values along n rays.
+        predicted: (3, m, n) the same as predicted.
+        free: (n,) `rays.FREE` for the k rays to compare.
+        around: (n, 2) cosine and sine around the axis.
+        compared: how many of the m samples count, from the inside.
+        step_px: their distance.
+        weights: (k,) of the rays; empty, they are made robust.
+
+    Returns:
+        (k, 3 compared) what is left, and the weights (k,).
+    """
+    rays = np.flatnonzero(free == FREE)
+    left, slopes = _off(seen, predicted, rays, compared, step_px)
+    sums, where, moved = _sums(left, slopes), around[rays], np.empty(left.shape)
+    if len(weights) > 0:
+        _move(left, slopes, _shifts(sums, where, weights), moved)
+        return moved, weights
+    robust, power = np.ones(len(rays)), np.empty(len(rays))
+    for _ in range(_ROUNDS):
+        _move(left, slopes, _shifts(sums, where, robust), moved)
+        for i in range(len(rays)):
+            total = 0.0
+            for j in range(left.shape[1]):
+                total += moved[i, j] * moved[i, j]
+            power[i] = total / left.shape[1]
+        typical = _TYPICAL * median(power.copy(), len(power)) + 1e-9
+        robust = 1 / (1 + power / typical) ** 2
+    return moved, robust
+
+
+@compiled
+def _off(
+    seen: Floats, predicted: Floats, rays: Ints, compared: int, step_px: float
+) -> tuple[Floats, Floats]:
+    """Seen minus predicted, and how that changes as the outline moves outward, both ray by ray."""
+    m = predicted.shape[1]
+    left, slopes = np.empty((len(rays), 3 * compared)), np.empty((len(rays), 3 * compared))
+    for k, i in enumerate(rays):
+        for c in range(3):
+            for j in range(compared):
+                low, high = max(j - 1, 0), min(j + 1, m - 1)
+                rise = predicted[c, high, i] - predicted[c, low, i]
+                left[k, c * compared + j] = seen[c, j, i] - predicted[c, j, i]
+                slopes[k, c * compared + j] = -rise / ((high - low) * step_px)
+    return left, slopes
+
+
+@compiled
+def _sums(left: Floats, slopes: Floats) -> Floats:
+    """Sums (2, k) along each ray of the slopes' squares, and of slopes times what is left."""
+    out = np.zeros((2, len(left)))
+    for i in range(len(left)):
+        for j in range(left.shape[1]):
+            out[0, i] += slopes[i, j] * slopes[i, j]
+            out[1, i] += slopes[i, j] * left[i, j]
+    return out
+
+
+@compiled
+def _shifts(sums: Floats, around: Floats, weights: Floats) -> Floats:
+    """How far (k,), in px, the outline is off along each ray: a shift of it, and growth.
+
+    Args:
+        sums: (2, k) see `_sums`.
+        around: (k, 2) cosine and sine around the axis.
+        weights: (k,) of the rays.
+    """
+    normal, right, design = 1e-9 * np.eye(3), np.zeros(3), np.ones(3)
+    for i in range(len(around)):
+        design[0], design[1] = around[i, 0], around[i, 1]
+        square, toward = weights[i] * sums[0, i], weights[i] * sums[1, i]
+        for a in range(3):
+            right[a] += design[a] * toward
+            for b in range(3):
+                normal[a, b] += design[a] * design[b] * square
+    x, y, growth = np.linalg.solve(normal, right)
+    out = np.empty(len(around))
+    for i in range(len(around)):
+        out[i] = x * around[i, 0] + y * around[i, 1] + growth
+    return out
+
+
+@compiled
+def _move(left: Floats, slopes: Floats, shifts: Floats, out: Floats) -> None:
+    """Fill what is left (k, m) when the outline has moved by shifts (k,)."""
+    for i in range(len(left)):
+        for j in range(left.shape[1]):
+            out[i, j] = left[i, j] - slopes[i, j] * shifts[i]

@@ -1,0 +1,122 @@
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from measure.checking.body import check_body, locate_in_candidates
+from measure.checking.body_explanations import Compared, radius_findings
+from measure.model import Body
+from tests.scenes import FOUR, RAVEN, a_pose, ring, see
+
+CAMERAS = ring()
+
+
+def recording(body, count=12, sd_px=0.3):
+    """What a search finds in `count` frame sets of a body that moves about."""
+    for index in range(count):
+        rng = np.random.default_rng(index)
+        detections = see(CAMERAS, body, a_pose(rng), sd_px, rng)
+        yield {name: [d for d in detections if d.camera == name] for name in CAMERAS}
+
+
+def check(real, file, **kwargs):
+    located = [
+        locate_in_candidates(frame, file, list(CAMERAS.values()))
+        for frame in recording(real, **kwargs)
+    ]
+    return check_body(located, file)
+
+
+def with_centers(body, centers):
+    balls = [replace(b, center_mm=np.array(c)) for b, c in zip(body.balls, centers, strict=True)]
+    return Body("file", tuple(balls))
+
+
+@pytest.mark.parametrize("body", [RAVEN, FOUR], ids=lambda body: body.name)
+def test_the_right_file_raises_nothing(body):
+    result = check(body, body)
+    assert result.findings == ()
+    assert len(result.distances) == len(body.balls) * (len(body.balls) - 1) / 2
+    for length in (*result.distances, *result.radii):
+        assert abs(length.measured_mm - length.file_mm) < 4 * length.sd_mm
+        assert 0 < length.sd_mm < 0.5
+        assert length.frames == 12
+
+
+@pytest.mark.parametrize("factor", [33 / 38, 1.05])
+def test_a_wrong_scale_is_said_in_one_line(factor):
+    result = check(RAVEN, with_centers(RAVEN, RAVEN.centers * factor))
+    assert len(result.findings) == 1
+    assert f"{1 / factor:.2f}" in result.findings[0]
+    assert "times as far apart" in result.findings[0]
+    told = re.search(r"([\d.]+) mm from the origin, not ([\d.]+) mm", result.findings[0])
+    assert [float(arm) for arm in told.groups()] == pytest.approx([38, 38 * factor], abs=0.05)
+
+
+@pytest.mark.parametrize(("a", "b"), [(0, 1), (1, 2)])
+def test_exchanged_colours_are_named(a, b):
+    centers = RAVEN.centers.copy()
+    centers[[a, b]] = centers[[b, a]]
+    (finding,) = check(RAVEN, with_centers(RAVEN, centers)).findings
+    assert finding.startswith("the colours of ")
+    assert "are exchanged" in finding
+
+
+def test_what_an_isosceles_body_cannot_show_is_said():
+    result = check(RAVEN, RAVEN)
+    assert "an exchange of green and red" in result.blind_to
+    assert any("mirrored" in line for line in result.blind_to)
+    assert check(FOUR, FOUR).blind_to == ()
+
+
+def test_a_mirrored_layout_is_found():
+    (finding,) = check(FOUR, with_centers(FOUR, FOUR.centers * [1, 1, -1])).findings
+    assert "mirror image" in finding
+
+
+def test_one_misplaced_ball_is_named():
+    centers = FOUR.centers + np.array([[0, 0, 0], [0, 4.0, 0], [0, 0, 0], [0, 0, 0]])
+    (finding,) = check(FOUR, with_centers(FOUR, centers)).findings
+    assert finding.startswith("ball blue is not where the body file says")
+
+
+def test_a_wrong_radius_is_found():
+    file = Body("file", tuple(replace(b, radius_mm=18.0) for b in RAVEN.balls))
+    findings = check(RAVEN, file).findings
+    assert len(findings) == 3
+    assert findings[0].startswith("ball green has a radius of 20.")
+
+
+def _radii(shares, file_mm=20.0, sd_mm=0.28):
+    names = ("green", "yellow", "red")
+    return [
+        Compared((name,), file_mm * share, sd_mm, file_mm, 12)
+        for name, share in zip(names, shares, strict=True)
+    ]
+
+
+@pytest.mark.parametrize("factor", [0.95, 1.05])
+def test_radii_that_are_all_off_alike_are_told_where_none_is_off_far_enough_alone(factor):
+    shares = factor + np.array([-0.005, 0.0, 0.005])
+    assert all(radius.agrees for radius in _radii(shares))
+    (finding,) = radius_findings(_radii(shares))
+    assert finding.startswith(f"the balls are {factor:.2f} times as large as the body file says")
+    file = Body("file", tuple(replace(b, radius_mm=20.0 / factor) for b in RAVEN.balls))
+    (finding,) = check(RAVEN, file).findings
+    assert "times as large as the body file says" in finding
+
+
+@pytest.mark.parametrize("shares", [(0.97, 0.99, 0.98), (0.94, 0.99, 1.0), (1.02, 0.97, 1.03)])
+def test_radii_within_what_edges_err_by_are_believed(shares):
+    """Edges lie inside the outlines of glossy balls, and one ball may look worse than others."""
+    assert radius_findings(_radii(shares)) == []
+    assert radius_findings(_radii((0.95, 0.95, 0.95))[:2]) == [], "two balls are too few"
+
+
+def test_too_few_frames_say_nothing():
+    result = check(RAVEN, with_centers(RAVEN, RAVEN.centers * 0.8), count=2)
+    assert result.distances == ()
+    assert result.findings == ()

@@ -1,0 +1,236 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from measure.checking import (
+    ColorlessCount,
+    Level,
+    OverexposedCount,
+    camera_misfits,
+    coverage_findings,
+    expected_accuracy,
+    misfit_findings,
+    stamp_findings,
+    survey_frame_set,
+    with_velocities,
+)
+from measure.errors import DegenerateGeometryError
+from measure.estimation.pose_fit import Sightings, fit_pose
+from measure.geometry import RigidTransform
+from measure.model import Detection, FrameSet, Image
+from tests.scenes import RAVEN, TARGET, moved, ring, see
+
+CAMERAS = ring()
+RIG = list(CAMERAS.values())
+PHASES = np.array([0.0, 0.008, 0.016, 0.024])
+
+
+def path(time_s):
+    shift = 25 * np.array([np.sin(2.4 * time_s), np.cos(1.7 * time_s), np.sin(1.1 * time_s)])
+    return RigidTransform.from_rotvec(0.3 * np.sin([time_s, 2 * time_s, 0.5]), TARGET + shift)
+
+
+def surveys(count=20, real=lambda k: CAMERAS, phases=None, hide=()):
+    """Every frame set searched; `real(k)` says where the cameras truly stand."""
+    out = []
+    for k in range(count):
+        rng = np.random.default_rng(k)
+        times = k / 30 + (np.zeros(4) if phases is None else phases)
+        seen = see(real(k), RAVEN, path, 0.1, rng, times, skip=hide)
+        by_camera = {name: [d for d in seen if d.camera == name] for name in CAMERAS}
+        out.append(survey_frame_set(by_camera, RAVEN, RIG, float(times.mean())))
+    return with_velocities(out)
+
+
+def turned(name, rotvec_camera):
+    camera = CAMERAS[name]
+    rotvec = camera.world_from_camera.rotate(rotvec_camera)
+    pose = camera.world_from_camera.perturb([0, 0, 0, *rotvec])
+    return {**CAMERAS, name: moved(camera, pose)}
+
+
+@pytest.mark.parametrize("phases", [None, PHASES], ids=["together", "each at its own time"])
+def test_cameras_in_their_places_are_left_alone(phases):
+    assert camera_misfits(surveys(phases=phases), RAVEN, RIG) == ()
+
+
+@pytest.mark.parametrize("name", list(CAMERAS))
+def test_a_knocked_camera_is_named_with_amount_and_time(name):
+    knocked = turned(name, [0.004, -0.003, 0.002])
+    (misfit,) = camera_misfits(surveys(real=lambda k: knocked if k >= 8 else CAMERAS), RAVEN, RIG)
+    assert misfit.camera == name
+    assert misfit.since_s == pytest.approx(8 / 30)
+    assert misfit.turn_deg == pytest.approx(np.degrees(np.sqrt(29e-6)), rel=0.25)
+    assert 3 < misfit.shift_px < 9
+    (finding,) = misfit_findings([misfit])
+    assert finding.level is Level.WRONG
+    assert f"{name} was moved by" in finding.text
+
+
+def test_a_camera_wrong_from_the_start_is_named():
+    (misfit,) = camera_misfits(
+        surveys(real=lambda k: turned("cam2", [0.005, 0.004, 0])), RAVEN, RIG
+    )
+    assert misfit.camera == "cam2"
+    assert misfit.since_s is None
+    assert "calibrate it" in misfit_findings([misfit])[0].text
+
+
+def test_a_pose_that_every_witness_contradicts_is_undetermined():
+    seen = see(CAMERAS, RAVEN, path, 0.0, np.random.default_rng(0), np.zeros(4))
+    rng = np.random.default_rng(1)
+    scattered = [
+        replace(
+            d,
+            center_px=d.center_px + rng.normal(0, 60, 2),
+            covariance_px=np.eye(2) * 1e-6,
+        )
+        for d in seen
+    ]
+    sightings = Sightings.of(scattered, RAVEN, CAMERAS, 0.0)
+    with pytest.raises(DegenerateGeometryError, match="do not determine a pose"):
+        fit_pose(path(0.0), sightings)
+
+
+def test_two_cameras_cannot_be_judged():
+    assert (
+        camera_misfits(surveys(real=lambda k: turned("cam1", [0.004, 0, 0])), RAVEN, RIG[:2]) == ()
+    )
+
+
+def test_coverage_counts_what_is_hidden():
+    hidden = {("red", "cam0"), ("green", "cam0")}
+    table, findings = coverage_findings(surveys(hide=hidden), RAVEN, RIG)
+    by_key = {(row.camera, row.ball): row for row in table}
+    assert by_key["cam0", "red"].seen == 0
+    assert by_key["cam0", "red"].expected == 20
+    assert by_key["cam1", "red"].seen == 20
+    assert {f.text.split(" in ")[0] for f in findings} == {
+        "cam0 sees ball red",
+        "cam0 sees ball green",
+    }
+
+
+def test_cameras_in_a_row_are_called_weak():
+    first = CAMERAS["cam0"]
+    near = [
+        moved(first, first.world_from_camera.perturb([40.0 * k, 0, 0, 0, 0, 0])) for k in range(4)
+    ]
+    one = survey_frame_set({}, RAVEN, RIG, 0.0)
+    standing = replace(one, world_from_body=path(0.0), reason="")
+    _, findings = coverage_findings([standing], RAVEN, near)
+    assert any("nearly the same line" in f.text for f in findings)
+    assert not any("same line" in f.text for f in coverage_findings([standing], RAVEN, RIG)[1])
+
+
+def test_nothing_found_is_wrong():
+    nothing = survey_frame_set({}, RAVEN, RIG, 0.0)
+    _, (finding,) = coverage_findings([nothing] * 3, RAVEN, RIG)
+    assert finding.level is Level.WRONG
+    assert "no pose in 3 of 3 frame sets" in finding.text
+    assert "no ball in view" in finding.text
+
+
+def test_expected_accuracy_scales_with_noise_and_agrees_with_monte_carlo():
+    fine = expected_accuracy(path(0.0), 30.0, RAVEN, RIG, 0.1)
+    coarse = expected_accuracy(path(0.0), 30.0, RAVEN, RIG, 0.2)
+    assert fine.shape == (27, 5)
+    np.testing.assert_allclose(coarse[:, 3:], 2 * fine[:, 3:], rtol=1e-6)
+    from measure.estimation.pose_fit import Sightings, fit_pose
+
+    errors = []
+    for seed in range(200):
+        seen = see(CAMERAS, RAVEN, path(0.0), 0.1, np.random.default_rng(seed))
+        fit = fit_pose(path(0.0), Sightings.of(seen, RAVEN, CAMERAS, 0.0))
+        errors.append(fit.world_from_body.difference(path(0.0))[:3])
+    scatter = np.sqrt(np.mean(np.sum(np.square(errors), axis=1)))
+    assert fine[13, 3] == pytest.approx(scatter, rel=0.15)
+
+
+def test_expected_accuracy_is_unknown_out_of_sight():
+    far = RigidTransform(np.eye(3), np.array([5000.0, 0, 0]))
+    assert np.all(np.isnan(expected_accuracy(far, 10.0, RAVEN, RIG, 0.1)[:, 3:]))
+
+
+def test_even_stamps_are_fine():
+    assert stamp_findings("cam0", np.arange(100) / 30, np.arange(100)) == []
+
+
+def test_dropped_frames_are_counted_and_placed():
+    kept = np.delete(np.arange(100), [40, 41, 42, 70])
+    (finding,) = stamp_findings("cam0", kept / 30, kept)
+    assert finding.level is Level.WEAK
+    assert "4 frames dropped (4.0 %)" in finding.text
+    assert "0.133 s after frame 39" in finding.text
+
+
+def test_uneven_stamps_are_called_arrival_times():
+    rng = np.random.default_rng(0)
+    times = np.sort(np.arange(200) / 30 + rng.normal(scale=0.005, size=200))
+    findings = stamp_findings("cam0", times, np.arange(200))
+    assert any("uneven" in f.text and f.topic == "clock" for f in findings)
+
+
+def test_stamps_in_milliseconds_are_asked_about():
+    (finding,) = stamp_findings("cam0", np.arange(100) * 1000 / 30, np.arange(100))
+    assert finding.level is Level.WEAK
+    assert "33.3 s from picture to picture: are the times milliseconds?" in finding.text
+    assert stamp_findings("cam0", np.arange(100) * 5.0, np.arange(100)) == [], "time lapse"
+
+
+def _frame_set(pictures):
+    images = {name: Image(name, 0, 0.0, lambda p=p: p) for name, p in pictures.items()}
+    return FrameSet(0, 0.0, images)
+
+
+def test_grey_pictures_are_told_by_camera():
+    rng, count = np.random.default_rng(0), ColorlessCount()
+    grey = rng.integers(0, 256, (240, 320), np.uint8)
+    through_jpeg = cv2.imdecode(cv2.imencode(".jpg", grey)[1], cv2.IMREAD_COLOR)
+    noisy = np.repeat(grey[..., None] // 2, 3, axis=2) + rng.integers(0, 9, (240, 320, 3), np.uint8)
+    for _ in range(2):
+        count.look(_frame_set({"cam0": noisy, "cam1": through_jpeg}))
+    (finding,) = count.findings()
+    assert finding.level is Level.WRONG
+    assert "cam1: 2 of 2 pictures are grey" in finding.text
+
+
+def _ball(camera, center, radius):
+    return Detection("red", camera, 0.0, np.array(center), radius, np.eye(2))
+
+
+def test_overexposed_balls_are_told_by_camera():
+    """Not those with a highlight, nor a lamp beside them; one at the border counts by its part."""
+    pictures = {name: np.full((120, 160, 3), 40, np.uint8) for name in ("full", "lit", "border")}
+    for name, where in (("full", (80, 60)), ("lit", (80, 60)), ("border", (0, 60))):
+        cv2.circle(pictures[name], where, 20, (30, 30, 200), -1)
+    cv2.ellipse(pictures["full"], (80, 60), (20, 20), 0, 180, 260, (30, 30, 255), -1)
+    cv2.circle(pictures["lit"], (72, 52), 4, (255, 255, 255), -1)
+    cv2.circle(pictures["lit"], (130, 60), 25, (255, 255, 255), -1)
+    cv2.circle(pictures["border"], (0, 60), 12, (30, 30, 255), -1)
+    balls = [_ball("full", (80.0, 60), 20.0), _ball("lit", (80.0, 60), 20.0)]
+    balls.append(_ball("border", (0.0, 60), 20.0))
+    count = OverexposedCount()
+    for _ in range(3):
+        count.look(_frame_set(pictures), balls)
+    full, border = count.findings()
+    assert full.level is Level.WEAK
+    assert "full: balls are overexposed (red in 3 of 3 pictures)" in full.text
+    assert border.text.startswith("border: ")
+
+
+def test_a_ball_that_is_overexposed_now_and_then_is_not_worth_a_line():
+    dark, bright = (np.full((120, 160, 3), value, np.uint8) for value in (90, 255))
+    count, ball = OverexposedCount(), _ball("cam0", (80.0, 60), 20.0)
+    for picture in (dark, bright, dark):
+        count.look(_frame_set({"cam0": picture}), [ball])
+    assert count.findings() == []
+
+
+def test_too_short_a_recording_is_weak():
+    (finding,) = stamp_findings("cam0", np.array([0.0, 0.1]), np.arange(2))
+    assert "only 2 frames" in finding.text

@@ -1,0 +1,84 @@
+"""From where the body is found, back to the pictures in which it was not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from measure.geometry import RigidTransform
+from measure.measuring import Status
+from tests.tracking_rig import Oracle, run
+
+_LATE = 3
+"""The number of frame sets in which a search finds nothing."""
+
+
+def moving(body):
+    """A body that drifts and turns."""
+
+    def world(time_s):
+        place = [60.0 * time_s, -20.0 * time_s, 5.0]
+        return [(body, RigidTransform.from_rotvec([0.0, 0.3 * time_s, 0.1], place))]
+
+    return world
+
+
+@pytest.fixture
+def searches_fail(monkeypatch):
+    """Searches of whole pictures find nothing before frame set `_LATE`, looks at a place do."""
+    see = Oracle.detect
+
+    def detect(self, image, expected):
+        self.frames = [*getattr(self, "frames", []), image.frame]
+        return see(self, image, expected) if expected or image.frame >= _LATE else []
+
+    monkeypatch.setattr(Oracle, "detect", detect)
+
+
+def measure(body, rig, **options):
+    cameras = {camera.name: camera for camera in rig}
+    return run(body, moving(body), cameras, 8, look_again=True, **options)
+
+
+@pytest.mark.usefixtures("searches_fail")
+def test_what_a_search_missed_is_found_from_later_pictures(paper_body, rig, monkeypatch):
+    monkeypatch.setattr(Oracle, "out_of_order", True)
+    measured, detectors, _ = measure(paper_body, rig, neighbours=True)
+    assert [one.index for one in measured] == list(range(8))
+    assert [one.status for one in measured] == [Status.OK] * 8
+    for one in measured:
+        ((_, true),) = moving(paper_body)(one.time_s)
+        assert np.linalg.norm(one.pose.world_from_body.translation - true.translation) < 0.1
+        assert bool(one.searched) == (one.index <= _LATE)
+    assert detectors[rig[0].name].frames == [0, 1, 2, 3, 3, 2, 1, 0, 4, 5, 6, 7]
+
+
+@pytest.mark.usefixtures("searches_fail")
+@pytest.mark.parametrize(("out_of_order", "neighbours"), [(False, True), (True, False)])
+def test_time_runs_on_for_other_detectors_and_where_poses_do_not_wait(
+    paper_body, rig, monkeypatch, out_of_order, neighbours
+):
+    monkeypatch.setattr(Oracle, "out_of_order", out_of_order)
+    measured, detectors, _ = measure(paper_body, rig, neighbours=neighbours)
+    assert [one.status for one in measured] == [Status.LOST] * _LATE + [Status.OK] * 5
+    frames = detectors[rig[0].name].frames
+    assert frames == sorted(frames)
+
+
+@pytest.mark.usefixtures("searches_fail")
+def test_a_body_that_came_into_view_is_not_put_where_it_was_not(paper_body, rig, monkeypatch):
+    """The search was right: there is nothing in the first pictures."""
+    monkeypatch.setattr(Oracle, "out_of_order", True)
+    measured, _, _ = measure(
+        paper_body, rig, neighbours=True, hide=lambda _ball, _camera, time_s: time_s < 2 / 30 - 0.01
+    )
+    wanted = [Status.LOST] * 2 + [Status.OK] * 6
+    assert [one.status for one in measured] == wanted
+
+
+@pytest.mark.usefixtures("searches_fail")
+def test_no_more_frame_sets_wait_than_memory_is_for(paper_body, rig, monkeypatch):
+    monkeypatch.setattr(Oracle, "out_of_order", True)
+    monkeypatch.setattr("measure.measuring.backtracking._MOST", 2)
+    measured, _, _ = measure(paper_body, rig, neighbours=True)
+    assert [one.status for one in measured] == [Status.LOST] + [Status.OK] * 7

@@ -1,0 +1,179 @@
+"""Before a recording is measured, detectors that learn see how it begins; others see it once."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+from measurements import BODY, CAMERAS
+
+from measure.api import load_profile, measure_session, measuring
+from measure.errors import SessionError
+from measure.geometry import RigidTransform
+from measure.host import Detector, Loaded, Registry
+from measure.host.discovery import Distribution
+from measure.measuring import Stages
+from measure.measuring import burn_in as rehearsal
+from measure.measuring.tracking.predictive.tracker import PredictiveConfig, PredictiveTracker
+from measure.session import open_session
+from measure_plugins.pose_solvers.kabsch import KabschConfig, KabschSolver
+from measure_plugins.triangulators.reprojection import (
+    ReprojectionConfig,
+    ReprojectionTriangulator,
+)
+from tests.session.conftest import write_recording
+from tests.tracking_rig import Oracle, frame_sets
+
+_FRAMES = 6
+
+
+class Blind(Detector):
+    """Finds nothing, and remembers the numbers of the pictures it is shown."""
+
+    name = "blind"
+    instances: list[Blind] = []  # noqa: RUF012
+
+    def __init__(self, config, body, camera):
+        super().__init__(config, body, camera)
+        self.shown, self.heard = [], []
+        self.instances.append(self)
+
+    def detect(self, image, expected):
+        self.shown.append(image.frame)
+        return []
+
+    @property
+    def learnt(self):
+        return self.camera.name, len(set(self.shown))
+
+    def confer(self, learnt):
+        self.heard.append(learnt)
+
+
+class Curious(Blind):
+    """The same, and wants to see three pictures first."""
+
+    name = "curious"
+    out_of_order = True
+    wants = 3
+
+    @property
+    def wants_rehearsal(self):
+        return len(set(self.shown)) < self.wants
+
+
+class Insatiable(Oracle):
+    """Knows the truth, and still wants to see more."""
+
+    out_of_order = wants_rehearsal = True
+    shown = 0
+
+    def detect(self, image, expected):
+        self.shown = max(self.shown, image.frame + 1)
+        return super().detect(image, expected)
+
+
+@pytest.fixture
+def recording(tmp_path):
+    return write_recording(tmp_path / "recording", frames=_FRAMES)
+
+
+def measurements(folder, detector, start=0):
+    """The measurements of a recording by a detector, one by one."""
+    Blind.instances.clear()
+    acme = Distribution("acme", "1")
+    registry = Registry([*Registry.discover().loaded, Loaded("detector", "any", acme, detector)])
+    profile = load_profile("precise").with_stage("detector", "any").with_stage("solver", "kabsch")
+    with open_session(folder) as session:
+        for _, measured in measure_session(session, profile, registry, start):
+            yield measured
+
+
+def measure(folder, detector, start=0):
+    """The indices of what was measured, and the detectors that were shown anything."""
+    measured = [one.index for one in measurements(folder, detector, start)]
+    return measured, [one for one in Blind.instances if one.shown]
+
+
+def test_a_detector_that_does_not_ask_never_sees_time_run_backwards(recording):
+    _, detectors = measure(recording.path, Blind)
+    for detector in detectors:
+        assert sorted(set(detector.shown)) == list(range(_FRAMES))
+        assert all(before <= after for before, after in pairwise(detector.shown))
+        assert detector.heard == []
+
+
+def test_nor_does_one_that_asks_and_does_not_say_that_it_may(recording, monkeypatch):
+    monkeypatch.setattr(Curious, "out_of_order", False)
+    _, detectors = measure(recording.path, Curious)
+    assert _in_turn(detectors[0].shown) == list(range(_FRAMES))
+
+
+def test_one_that_asks_sees_the_first_pictures_and_then_all_of_them(recording):
+    measured, detectors = measure(recording.path, Curious)
+    assert measured == list(range(_FRAMES))
+    assert len(detectors) == 3, "the detectors that learnt measure"
+    for detector in detectors:
+        assert _in_turn(detector.shown) == [*range(3), *range(_FRAMES)]
+        assert detector.heard == [[("cam0", 3), ("cam1", 3), ("cam2", 3)]]
+
+
+def test_a_recording_that_is_too_short_is_rehearsed_as_far_as_it_goes(recording, monkeypatch):
+    monkeypatch.setattr(Curious, "wants", 100)
+    measured, detectors = measure(recording.path, Curious)
+    assert len(measured) == _FRAMES
+    assert _in_turn(detectors[0].shown) == [*range(_FRAMES), *range(_FRAMES)]
+
+
+def test_a_run_that_goes_on_rehearses_with_the_start(recording):
+    """So that it knows what it knew before it was broken off."""
+    measured, detectors = measure(recording.path, Curious, start=4)
+    assert measured == [4, 5]
+    assert _in_turn(detectors[0].shown) == [0, 1, 2, 4, 5]
+
+
+def test_a_picture_that_cannot_be_read_is_told_when_it_is_due(recording):
+    """Not before the pictures in front of it have been measured."""
+    (recording.path / "cam1" / "000001.jpg").write_bytes(b"no picture")
+    measured = measurements(recording.path, Curious)
+    assert next(measured).index == 0
+    with pytest.raises(SessionError, match="000001"):
+        next(measured)
+
+
+def test_profiles_that_do_not_learn_build_no_second_pipeline(recording, monkeypatch):
+    monkeypatch.setattr(rehearsal, "rehearse", lambda *_: pytest.fail("rehearsed"))
+    with open_session(recording.path) as session:
+        for profile in (
+            load_profile("paper"),
+            load_profile("precise").with_setting("detector", "learn", False),
+        ):
+            measuring.rehearsed_pipeline(session, profile, Registry.discover())
+
+
+@pytest.mark.parametrize(("hidden", "shown"), [(False, 16), (True, 64)])
+def test_a_rehearsal_ends_whatever_the_detectors_want(hidden, shown):
+    """Sooner where the body is there: a camera that has not seen it by then hardly will."""
+    pose = RigidTransform.identity()
+
+    def world(_):
+        return [] if hidden else [(BODY, pose)]
+
+    cameras = {camera.name: camera for camera in CAMERAS}
+    detectors = {name: Insatiable(BODY, camera, world) for name, camera in cameras.items()}
+    stages = Stages(
+        detectors,
+        PredictiveTracker(PredictiveConfig(), BODY, CAMERAS),
+        ReprojectionTriangulator(ReprojectionConfig()),
+        KabschSolver(KabschConfig(), BODY),
+        own_times=True,
+        neighbours=True,
+        look_again=True,
+    )
+    rehearsal.rehearse(BODY, CAMERAS, stages, frame_sets(cameras, 100))
+    assert [detector.shown for detector in detectors.values()] == [shown, shown]
+
+
+def _in_turn(numbers):
+    """Numbers without those that repeat the one before: a picture may be looked at again."""
+    return [b for a, b in pairwise([None, *numbers]) if a != b]

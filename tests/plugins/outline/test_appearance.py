@@ -1,0 +1,112 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from measure.simulation import Renderer, Sensor, scene_catalogue
+from measure.simulation.sensor import encode
+from measure_plugins._outline.appearance.model import (
+    GLOSSY,
+    MATT,
+    bent_table,
+    first_appearance,
+    tone_table,
+)
+from tests.plugins.outline.lessons import TIMES_S, cones, learner_of, lessons, taught
+
+CAMERA = "cam1"
+
+
+@pytest.fixture(scope="module")
+def learnt():
+    """What is learnt from two pictures of each scene by one camera."""
+    return {name: _learn(name) for name in ("still", "sharpened", "matt")}
+
+
+def _learn(name):
+    first, second = lessons(scene_catalogue()[name], CAMERA)
+    assert first is None, "the first picture is only kept"
+    return second
+
+
+def test_a_standard_camera_and_glossy_balls_are_left_as_they_are(learnt):
+    assert learnt["still"].index == GLOSSY
+    assert np.all(np.abs(learnt["still"].bends) < 1e-6)
+    assert 0.8 < learnt["still"].blur_px < 1.3
+
+
+def test_how_far_colour_is_blurred_is_told_by_pictures(learnt):
+    """JPEG 4:2:0 keeps colour at half the resolution."""
+
+    def halved(_, pixels, balls):
+        stored = np.frombuffer(encode(pixels, Sensor(quality=90, chroma="420")), np.uint8)
+        return cv2.imdecode(stored, cv2.IMREAD_COLOR), balls
+
+    colour_at_half = lessons(scene_catalogue()["still"], CAMERA, halved)[1]
+    assert learnt["still"].chroma_px < 0.7 < 0.85 < colour_at_half.chroma_px < 1.1
+
+
+def test_a_bent_tone_curve_is_found(learnt):
+    true = _true_table("sharpened")
+    seen = slice(20, 160)  # the values that the balls before black cloth show
+    before, after = (
+        _off(table[seen], true[seen]) for table in (tone_table("srgb"), learnt["sharpened"].table)
+    )
+    assert learnt["sharpened"].index == GLOSSY
+    assert after < 0.5 * before
+
+
+@pytest.mark.parametrize("strength", [0.04, 0.06])
+def test_a_mild_bend_is_found_by_the_light_of_lamps(strength):
+    """A third and half as strong an S as above: free shading explains it nearly as well."""
+
+    def contrasty(_, pixels, balls):
+        values = np.arange(256) / 255
+        curve = np.rint(255 * (values - strength * np.sin(2 * np.pi * values)))
+        return curve.astype(np.uint8)[pixels], balls
+
+    taught = lessons(scene_catalogue()["still"], "cam3", contrasty)[1]
+    assert 0.4 * strength < taught.bends[2] < 1.2 * strength
+
+
+def test_matt_paint_is_found(learnt):
+    assert learnt["matt"].index == MATT
+    assert np.all(np.abs(learnt["matt"].bends) < 1e-6)
+
+
+def _true_table(name):
+    """Light (256,) of each picture value of the scene's camera."""
+    from measure.simulation.sensor import tone_curve
+
+    levels = tone_curve(scene_catalogue()[name].sensor_of(CAMERA).tone)
+    return np.interp(np.arange(256), levels, np.linspace(0, 1, len(levels)))
+
+
+def _off(table, true):
+    """Relative RMS error of a table; its scale means nothing."""
+    scale = (table @ true) / (table @ table)
+    return np.sqrt(np.mean((np.log(scale * table + 1e-4) - np.log(true + 1e-4)) ** 2))
+
+
+@pytest.mark.parametrize("bends", [(0, 0, 0), (0.05, -0.1, 0.05), (-0.05, 0.1, -0.05), (0, 0, 0.3)])
+def test_tables_rise_from_0_to_1(bends):
+    table = bent_table("srgb", np.array(bends, dtype=float))
+    assert np.all(np.diff(table) >= 0)
+    assert table[255] == pytest.approx(1.0)
+    assert table[0] < 0.01
+    assert np.allclose(bent_table("srgb", np.zeros(3)), tone_table("srgb"), atol=1e-3)
+
+
+def test_too_few_balls_teach_nothing():
+    scene = replace(scene_catalogue()["still"], shown=("red",))
+    renderer, camera = Renderer(scene, CAMERA), scene.camera(CAMERA)
+    learner = learner_of(camera)
+    start = first_appearance("srgb")
+    for k, time_s in enumerate(TIMES_S):
+        red = cones(scene, camera, time_s)[scene.body.index("red")]
+        assert learner.wants(1, time_s)
+        learnt = taught(learner, renderer.picture(time_s, k), [red], [], start)
+    assert learnt is start

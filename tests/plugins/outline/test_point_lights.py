@@ -1,0 +1,253 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from measure.simulation import Renderer
+from measure.simulation.catalogue import plain_scene
+from measure_plugins._outline.appearance.model import BELIEVED, MATT
+from measure_plugins._outline.appearance.point_lights import (
+    fit_lamp_light,
+    lamp_body,
+    lamp_light,
+    no_lamps,
+    seen_from,
+)
+from measure_plugins._outline.appearance.radial_basis import fresnel, radial
+from measure_plugins._outline.appearance.render import Ambient
+from measure_plugins._outline.fitting.edges import corrected_edges, find_twice
+from measure_plugins._outline.sampling.ray_groups import middle_angles
+from measure_plugins._outline.sampling.rays import STEPS, cast_rays, frame_about
+from tests.plugins.outline.lessons import cones, learner_of, lessons, settled
+
+CAMERA = "cam1"
+HALF_ANGLE, RADIUS_PX = 0.045, 63.0
+TABLES = radial(RADIUS_PX, HALF_ANGLE, 0.9, 1.5)
+TURNS = np.linspace(0, 2 * np.pi, 72, endpoint=False)
+AROUND = np.column_stack([np.cos(TURNS), np.sin(TURNS)])
+USED = int(np.searchsorted(STEPS, 1.0, side="right"))
+
+
+KEPT_OUT = float(TABLES.kept_out[0])
+
+
+def _lamp(direction, power=1.0):
+    unit = np.array(direction) / np.linalg.norm(direction)
+    return np.array([[*unit, power]])
+
+
+def _normals(j):
+    """Normals (72, 3) at step j of the rays, in the frame about the axis; incidence in rad."""
+    beta = HALF_ANGLE * (1 + STEPS[j] / RADIUS_PX)
+    incidence = np.arcsin(np.sin(beta) / np.sin(HALF_ANGLE))
+    tilt = incidence - beta
+    return np.column_stack([np.sin(tilt) * AROUND, np.full(72, -np.cos(tilt))]), incidence
+
+
+def test_a_lamp_lights_by_the_cosine_and_not_beyond_its_terminator():
+    lamp = _lamp([0.0, -0.8, 0.6], 2.0)  # from behind the ball, as a lamp overhead often is
+    matt, j = radial(RADIUS_PX, HALF_ANGLE, 0.9, MATT), int(np.searchsorted(STEPS, -8.0))
+    expected = 2 * np.maximum(_normals(j)[0] @ lamp[0, :3], 0)
+    lit = lamp_light(matt.diffuse, matt.kept_out[0], AROUND, lamp)[j]
+    assert lit == pytest.approx(expected, abs=0.02)
+    assert np.count_nonzero(expected) < 40
+
+
+def test_a_glossy_surface_reflects_what_enters_slantwise_as_it_does_what_leaves():
+    lamp, j = _lamp([0.0, -0.8, 0.6], 2.0), int(np.searchsorted(STEPS, -8.0))
+    normals, incidence = _normals(j)
+    cosine = np.maximum(normals @ lamp[0, :3], 0)
+    entering = (1 - fresnel(cosine, 1.5)) / (1 - fresnel(np.ones(1), 1.5))
+    leaving = 1 - fresnel(np.array([np.cos(incidence)]), 1.5)[0]
+    lit = lamp_light(TABLES.diffuse, KEPT_OUT, AROUND, lamp)[j]
+    assert lit == pytest.approx(2 * cosine * entering * leaving, abs=0.03)
+    unweakened = lamp_light(TABLES.diffuse, 0.0, AROUND, lamp)[j]
+    assert np.max(unweakened - lit) > 0.1
+
+
+def test_a_lamp_nearby_is_elsewhere_for_another_ball():
+    lamp = np.array([[0.0, -800.0, 300.0, 0.5]])  # above the camera, mm
+    left, right = np.array([-0.2, 0.0, 1.0]), np.array([0.2, 0.0, 1.0])
+    for axis in (left / np.linalg.norm(left), right / np.linalg.norm(right)):
+        frame, ball = frame_about(axis), 400 * axis
+        seen = seen_from(lamp, frame, 400.0)[0]
+        way = lamp[0, :3] - ball
+        assert frame.T @ seen[:3] == pytest.approx(way / np.linalg.norm(way))
+        assert seen[3] == pytest.approx(0.5 * 1e6 / (way @ way))
+
+
+def test_what_lights_a_ball_is_found_among_pixels_that_do_not_belong():
+    lit = lamp_light(TABLES.diffuse, KEPT_OUT, AROUND, _lamp([0.3, -0.9, -0.2]))
+    true = np.array([0.1, 0.02, -0.03, 0.05, 0.7])
+    amounts = lamp_body(true, AROUND, TABLES.diffuse, lit, 0)
+    rng, free = np.random.default_rng(1), np.zeros(72)
+    amounts[rng.random(amounts.shape) < 0.15] += 0.5  # a highlight, say
+    free[10:20] = 1
+    amounts[:, 10:20] = 5.0
+    found = fit_lamp_light(amounts, free, AROUND, TABLES.diffuse, lit, USED)
+    assert found == pytest.approx(true, abs=0.01)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return plain_scene("black", 11)
+
+
+@pytest.fixture(scope="module")
+def learnt(scene):
+    return lessons(scene, CAMERA)[-1]
+
+
+@pytest.fixture(scope="module")
+def together(scene):
+    """What the camera knows when it has conferred with the others."""
+    learners = {camera.name: learner_of(camera) for camera in scene.cameras}
+    alone = {name: settled(learner, scene, name) for name, learner in learners.items()}
+    heard = [learner.lesson for learner in learners.values()]
+    return learners[CAMERA].told(alone[CAMERA], heard, bent=False)
+
+
+def _upside_down(scene):
+    """Shows the second picture turned upside down, lamps and all."""
+    camera = scene.camera(CAMERA)
+
+    def changed(k, pixels, balls):
+        if k == 0:
+            return pixels, balls
+        middle = (np.array(pixels.shape[1::-1]) - 1) / 2
+        turned = [(_turned(camera, axis, middle), *rest) for axis, *rest in balls]
+        return np.ascontiguousarray(pixels[::-1, ::-1]), turned
+
+    return changed
+
+
+def _turned(camera, axis, middle):
+    place = camera.intrinsics.project(axis[None])[0]
+    ray = camera.intrinsics.unproject((2 * middle - place)[None])[0]
+    return ray / np.linalg.norm(ray)
+
+
+def test_learnt_lamps_light_a_ball_as_the_scenes_lamps_do(scene, learnt):
+    normals, true = _true_light(scene)
+    seen = normals[:, 2] < -0.1
+    assert np.all(learnt.lamps[:, 3] > 0)
+    lamps = _from_the_middle(scene, learnt.lamps)
+    assert _unlike(lamps, normals[seen], true[seen]) < 0.03
+    from_below = lamps * [1, -1, 1, 1]
+    assert _unlike(from_below, normals[seen], true[seen]) > 0.1
+
+
+def test_what_lights_the_far_side_of_balls_other_cameras_tell(scene, learnt, together):
+    normals, true = _true_light(scene)
+    far = normals[:, 2] > 0.1
+    alone, told = (
+        _unlike(_from_the_middle(scene, one.lamps), normals[far], true[far])
+        for one in (learnt, together)
+    )
+    assert told < 0.02
+    assert told < 0.75 * alone
+
+
+def _true_light(scene):
+    """Normals (n, 3) of a ball in the middle, in the camera frame, and the light (n,) they get."""
+    turn = scene.camera(CAMERA).camera_from_world
+    middle = scene.trajectory.at(np.array([0.0]))[0].apply(np.zeros(3))
+    normals = np.random.default_rng(0).normal(size=(4000, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    true = np.zeros(len(normals))
+    for light in scene.lighting.lights:
+        way = light.position_mm - middle
+        away = np.linalg.norm(way)
+        power = light.irradiance_rgb[0] * (1000 / away) ** 2
+        cosine = np.maximum(normals @ turn.rotate(way / away), 0)
+        true += power * cosine * (1 - fresnel(cosine, 1.42))  # glossy: some light stays outside
+    up = turn.rotate(np.array([0.0, 0.0, 1.0]))
+    below = scene.lighting.below
+    true += scene.lighting.ambient_rgb[0] * (below + (1 - below) * (1 + normals @ up) / 2)
+    return normals, true
+
+
+def _from_the_middle(scene, lamps):
+    """Lamps (k, 4) as a ball in the middle sees them, in the camera frame."""
+    middle = scene.trajectory.at(np.array([0.0]))[0].apply(np.zeros(3))
+    at = scene.camera(CAMERA).camera_from_world.apply(middle)
+    distance = float(np.linalg.norm(at))
+    frame = frame_about(at / distance)
+    seen = seen_from(lamps, frame, distance)
+    seen[:, :3] = seen[:, :3] @ frame
+    return seen
+
+
+def _unlike(lamps, normals, true):
+    """What is left of true light (n,), as a share, by that of lamps and light from all round."""
+    cosine = np.maximum(normals @ lamps[:, :3].T, 0)
+    found = (cosine * (1 - KEPT_OUT * (1 - cosine) ** 5)) @ lamps[:, 3]
+    design = np.column_stack([found, np.ones(len(normals)), normals])
+    left = true - design @ np.linalg.lstsq(design, true, rcond=None)[0]
+    return np.sqrt(np.mean(left**2) / np.mean(true**2))
+
+
+def test_edges_on_the_dark_side_lie_nearer_to_the_outline_with_lamps(scene, learnt, together):
+    dark_with, bright_with = _mean_errors(scene, together)
+    dark_without, bright_without = _mean_errors(scene, replace(together, lamps=no_lamps()))
+    assert dark_without > 0.1, "a polynomial runs on past the terminator"
+    assert abs(dark_with) < 0.5 * dark_without
+    assert abs(bright_with) < abs(bright_without) + 0.05
+    assert abs(dark_with) < 0.5 * abs(_mean_errors(scene, learnt)[0]), "one camera alone"
+
+
+def _mean_errors(scene, appearance):
+    """Mean px outside the true outlines: where no lamp shines on the limb, and elsewhere."""
+    camera, pose = scene.camera(CAMERA), scene.trajectory.at(np.array([0.0]))[0]
+    pixels = Renderer(scene, CAMERA).picture(0.0)
+    dark, bright, table = [], [], appearance.table
+    for ball, (axis, half_angle, distance) in zip(
+        scene.body.balls, cones(scene, scene.camera(CAMERA), 0.0), strict=True
+    ):
+        frame = frame_about(axis)
+        points, normals, scale, around = cast_rays(frame, half_angle, 72, camera.intrinsics.row)
+        size = half_angle * float(np.mean(scale))
+        tables = radial(size, half_angle, appearance.blur_px, appearance.index)
+        found = find_twice(
+            pixels,
+            table,
+            appearance.sensor,
+            points,
+            normals,
+            around,
+            np.zeros(72),
+            tables,
+            Ambient(
+                lamp_light(
+                    tables.diffuse,
+                    tables.kept_out[0],
+                    middle_angles(around),
+                    seen_from(appearance.lamps, frame, distance),
+                ),
+                np.zeros((3, 0, 36)),
+                np.zeros((8, 0)),
+            ),
+        )
+        edges, center = corrected_edges(found, BELIEVED), pose.apply(ball.center_mm)
+        limb = around @ frame[:2] @ camera.camera_from_world.rotation
+        lit = np.full(72, -1.0)
+        for light in scene.lighting.lights:
+            way = light.position_mm - center
+            lit = np.maximum(lit, limb @ way / np.linalg.norm(way))
+        good = (np.abs(edges.shifts) < 1.6) & (edges.contrast > 0.06)
+        dark.append(edges.shifts[good & (lit < -0.1)])
+        bright.append(edges.shifts[good & (lit > 0.1)])
+    return float(np.mean(np.concatenate(dark))), float(np.mean(np.concatenate(bright)))
+
+
+def test_pictures_that_no_lamps_explain_teach_none(scene):
+    assert len(lessons(scene, CAMERA, _upside_down(scene))[-1].lamps) == 0
+
+
+def test_light_from_all_round_passes_for_no_lamps(scene):
+    """More of it comes from above: that needs no lamps either."""
+    dull = replace(scene, lighting=replace(scene.lighting, lights=(), ambient_rgb=(0.6, 0.6, 0.6)))
+    assert len(lessons(dull, CAMERA)[-1].lamps) == 0
+    assert len(lessons(scene, CAMERA)[-1].lamps) > 1

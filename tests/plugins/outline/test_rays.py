@@ -1,0 +1,126 @@
+"""Light along rays: interpolated, or that of the nearest pixel."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from measure_plugins._outline.sampling.rays import (
+    FREE,
+    HIDDEN,
+    OUTSIDE,
+    frame_about,
+    sample,
+    sample_nearest,
+)
+
+HEIGHT, WIDTH = 30, 40
+TABLE = np.linspace(0.0, 1.0, 256)
+STEPS = np.arange(-2.0, 3.0)
+ACROSS = np.array([[1.0, 0.0]])
+
+
+@pytest.fixture(scope="module")
+def picture():
+    return np.random.default_rng(1).integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8)
+
+
+def _all(steps):
+    return np.ones(len(steps), np.bool_)
+
+
+def both(picture, points, normals, steps=STEPS, free=None):
+    points = np.asarray(points, dtype=np.float64)
+    normals = np.ascontiguousarray(np.broadcast_to(normals, points.shape), dtype=np.float64)
+    state = np.full(len(points), FREE, np.uint8) if free is None else np.array(free, np.uint8)
+    other = state.copy()
+    light, _ = sample(picture, TABLE, points, normals, steps, state, _all(steps), len(steps))
+    nearest = sample_nearest(picture, TABLE, points, normals, steps, other)
+    np.testing.assert_array_equal(state, other)
+    return light, nearest, state
+
+
+def test_on_pixels_the_two_are_the_same(picture):
+    points = [(x, y) for x in (5, 20, 33) for y in (4, 17, 25)]
+    light, nearest, _ = both(picture, points, ACROSS)
+    np.testing.assert_allclose(nearest, light, atol=1e-12)
+    np.testing.assert_allclose(nearest[:, 0, 0], TABLE[picture[4, 3]])
+
+
+@pytest.mark.parametrize("off", [(0.4, 0.0), (-0.4, 0.3), (0.49, -0.49), (0.0, 0.45)])
+def test_between_pixels_the_nearest_counts(picture, off):
+    points = np.array([(12.0, 9.0), (30.0, 21.0)])
+    _, nearest, _ = both(picture, points + off, ACROSS)
+    _, there, _ = both(picture, points, ACROSS)
+    np.testing.assert_array_equal(nearest, there)
+
+
+def test_rays_that_leave_the_picture_are_marked_and_hidden_ones_left_alone(picture):
+    points = [(20.0, 15.0), (1.0, 15.0), (20.0, 15.0), (WIDTH - 2.5, 15.0)]
+    _, nearest, state = both(picture, points, ACROSS, free=[FREE, FREE, HIDDEN, FREE])
+    assert state.tolist() == [FREE, OUTSIDE, HIDDEN, OUTSIDE]
+    assert np.all(nearest[:, :, 0] == TABLE[picture[15, 18:23].T])
+    assert not np.any(nearest[:, :, 1:])
+
+
+def test_along_a_ramp_the_nearest_is_never_half_a_pixel_off():
+    ramp = np.repeat(np.arange(0, 4 * WIDTH, 4, dtype=np.uint8)[None], HEIGHT, axis=0)
+    picture = np.ascontiguousarray(np.repeat(ramp[:, :, None], 3, axis=2))
+    rng = np.random.default_rng(2)
+    points = rng.uniform([5, 5], [WIDTH - 6, HEIGHT - 6], (50, 2))
+    light, nearest, _ = both(picture, points, ACROSS)
+    assert np.max(np.abs(light - nearest)) <= (2 + 1e-9) / 255
+
+
+def test_values_are_interpolated_between_pixels() -> None:
+    """On a picture that rises evenly, a value is what its place says."""
+    v, u = np.mgrid[0:40, 0:60]
+    picture = np.stack([2 * u + 3 * v, 4 * u, 5 * v], axis=-1).astype(np.uint8)
+    points, normals = np.array([[20.3, 18.6], [30.0, 10.25]]), np.array([[0.6, 0.8], [1.0, 0.0]])
+    steps, table = np.array([-2.0, 0.0, 1.5]), np.arange(256) / 255.0
+    light, values = sample(picture, table, points, normals, steps, np.zeros(2), _all(steps), 0)
+    x = points[:, 0] + steps[:, None] * normals[:, 0]
+    y = points[:, 1] + steps[:, None] * normals[:, 1]
+    assert np.allclose(255 * values, np.stack([2 * x + 3 * y, 4 * x, 5 * y]), atol=1e-9)
+    assert np.allclose(light, values, atol=1e-12)
+
+
+def test_light_is_read_where_it_is_wanted_and_nowhere_else(picture) -> None:
+    points, normals = np.array([[20.3, 18.6], [30.0, 10.25]]), np.array([[0.6, 0.8], [1.0, 0.0]])
+    steps, lit = np.array([-2.0, 0.0, 1.5]), np.array([True, False, True])
+    light, values = sample(picture, TABLE, points, normals, steps, np.zeros(2), lit, 1)
+    full, _ = sample(picture, TABLE, points, normals, steps, np.zeros(2), _all(steps), 1)
+    np.testing.assert_array_equal(light[:, lit], full[:, lit])
+    assert np.all(light[:, ~lit] == 0)
+    assert np.any(full[:, ~lit] != 0)
+    assert np.all(values[:, 0] > 0)
+
+
+@pytest.mark.parametrize("x", [0, WIDTH - 2])
+@pytest.mark.parametrize("y", [0, HEIGHT - 2])
+def test_values_are_read_up_to_the_last_pixel(picture, x, y) -> None:
+    """Pixels are read four bytes at once; the picture's last one has but three."""
+    points, one = np.array([[x + 0.25, y + 0.75]]), np.zeros(1)
+    light, values = sample(picture, TABLE, points, ACROSS, one, one.copy(), _all(one), 0)
+    upper = 0.75 * picture[y, x] + 0.25 * picture[y, x + 1]
+    lower = 0.75 * picture[y + 1, x] + 0.25 * picture[y + 1, x + 1]
+    assert values[:, 0, 0] == pytest.approx((0.25 * upper + 0.75 * lower) / 255, abs=1e-6)
+    assert light == pytest.approx(values, abs=1e-6)
+
+
+def test_frames_turn_with_their_axes_wherever_a_camera_looks():
+    """Also across the picture's diagonals, where the coordinate nearest to zero is another one."""
+    step = 1e-3
+    for x in np.linspace(-1.5, 1.5, 61):
+        for y in {*np.linspace(-1.5, 1.5, 61), x - step / 2, -x - step / 2}:
+            here, beside = (_frame(u, v) for u, v in ((x, y), (x, y + step)))
+            np.testing.assert_allclose(here @ here.T, np.eye(3), atol=1e-12)
+            np.testing.assert_allclose(np.linalg.det(here), 1.0)
+            assert np.max(np.abs(beside - here)) < 2 * step, (x, y)
+
+
+def _frame(x, y):
+    axis = np.array([x, y, 1.0]) / np.linalg.norm([x, y, 1.0])
+    frame = frame_about(axis)
+    np.testing.assert_array_equal(frame[2], axis)
+    return frame

@@ -1,0 +1,82 @@
+"""Looks that lead to and fro settle, because a step back is halved.
+
+What a look shows of a displacement is learnt, and may since have changed: where nearly twice
+as much is made of it as it is, each look leads about as far off on the other side.
+"""
+
+from __future__ import annotations
+
+import inspect
+
+import cv2
+import numba
+import numpy as np
+import pytest
+
+from measure.simulation.catalogue import scene_catalogue
+from measure.simulation.renderer import Renderer
+from measure.simulation.sensor import encode
+from measure_plugins._outline.fitting import batch as balls
+from measure_plugins._outline.fitting import known_size as close_outlines
+from measure_plugins.detectors import _known_balls
+from measure_plugins.detectors.outline import OutlineConfig, OutlineDetector
+from tests.plugins.detectors.drawing import expect, image_of
+
+_FRAMES = range(4)
+_HALVING = "step *= 0.5"
+_FALSE_GAIN = 1.8
+
+
+def without_halving():
+    """`measure_balls` that steps back as far as it came."""
+    source = inspect.getsource(close_outlines._settled.py_func)
+    assert source.count(_HALVING) == 1
+    settled = _compiled(close_outlines, source.replace(_HALVING, "step *= 1.0"), "_settled")
+    source = inspect.getsource(close_outlines.measure_closely.py_func)
+    closely = _compiled(close_outlines, source, "measure_closely", _settled=settled)
+    source = inspect.getsource(balls.measure_balls.py_func)
+    return _compiled(balls, source, "measure_balls", measure_closely=closely)
+
+
+def _compiled(module, source, name, **other):
+    names = {**vars(module), **other}
+    exec(source[source.index("def ") :], names)
+    return numba.njit(nogil=True, error_model="numpy")(names[name])
+
+
+@pytest.fixture(scope="module")
+def views():
+    """One camera's pictures of the sharpened scene, with what is expected in each."""
+    scene = scene_catalogue()["sharpened"]
+    (camera,) = (c for c in scene.cameras if c.name == "cam0")
+    renderer, times = Renderer(scene, "cam0"), np.array(_FRAMES) / 30
+    centers = np.stack([ball.center_mm for ball in scene.body.balls])
+    out = []
+    for k, pose in zip(_FRAMES, scene.trajectory.at(times), strict=True):
+        data = np.frombuffer(encode(renderer.picture(times[k], k), scene.sensor_of("cam0")), "u1")
+        seen = camera.world_from_camera.inverse().apply(pose.apply(centers))
+        expected = [
+            expect(camera, ball.name, center, ball.radius_mm, 4.0, (0.5, -0.5, 0.2))
+            for ball, center in zip(scene.body.balls, seen, strict=True)
+        ]
+        out.append((image_of(camera, cv2.imdecode(data, cv2.IMREAD_COLOR)), expected))
+    detector = OutlineDetector(OutlineConfig(learn=False), scene.body, camera)
+    detector._balls.learn_gains({ball.name: _FALSE_GAIN * np.eye(2) for ball in scene.body.balls})
+    return detector, out
+
+
+def measured(views):
+    detector, pictures = views
+    return [[d.ball for d in detector.detect(image, expected)] for image, expected in pictures]
+
+
+def test_outlines_settle_though_looks_overshoot(views):
+    assert measured(views) == [["green", "yellow", "red"]] * len(_FRAMES)
+
+
+@pytest.mark.slow
+def test_without_halved_steps_some_never_do(views, monkeypatch):
+    """The negative control: without it, the test above would fail."""
+    monkeypatch.setattr(_known_balls, "measure_balls", without_halving())
+    missing = 3 * len(_FRAMES) - sum(map(len, measured(views)))
+    assert missing > 0
