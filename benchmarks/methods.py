@@ -52,8 +52,8 @@ def _baseline_pipeline(
         tracker=find_tracker("memoryless")(Settings(), body, cameras),
         triangulator=registry.triangulator("dlt", {}),
         solver=registry.solver("kabsch", {}, body),
-        own_times=False,
+        per_image_timestamps=False,
         neighbours=False,
-        look_again=False,
+        remeasure_after_search=False,
     )
     return Pipeline(body, cameras, stages)

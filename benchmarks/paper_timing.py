@@ -78,9 +78,9 @@ def _time(session: Session, circles: int) -> tuple[float, ...]:
             tracker,
             triangulator,
             solver,
-            own_times=False,
+            per_image_timestamps=False,
             neighbours=False,
-            look_again=False,
+            remeasure_after_search=False,
         )
         rests.append(_timed(_conclude, frame_set, found, stages, session)[1])
     return tuple(
@@ -105,9 +105,9 @@ def _conclude(
     seen = [view.detection for view in views if view.effective and view.detection]
     by_ball = ([d for d in seen if d.ball == name] for name in session.body.names)
     located = (stages.triangulator.triangulate(mine, cameras) for mine in by_ball if len(mine) > 1)
-    fixes = [fix for fix in located if fix is not None]
-    pose = stages.solver.solve(fixes, seen, cameras, frame_set.time_s) if seen else None
-    stages.tracker.conclude(frame_set, views, fixes, pose, {})
+    positions = [position for position in located if position is not None]
+    pose = stages.solver.solve(positions, seen, cameras, frame_set.time_s) if seen else None
+    stages.tracker.conclude(frame_set, views, positions, pose, {})
 
 
 def _timed(work: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> tuple[T, float]:

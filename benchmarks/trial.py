@@ -14,7 +14,7 @@ from benchmarks.methods import Method
 from measure.arrays import Floats
 from measure.host import Registry
 from measure.measuring import Measurement, Status
-from measure.measuring import burn_in as rehearsal
+from measure.measuring.burn_in import burn_in_if_needed
 from measure.model import FrameSet
 from measure.session import Session, Trajectory
 
@@ -115,7 +115,7 @@ def measure_timed(
         pass
     steps: list[float] = []
     pipeline = method.pipeline(session, registry)
-    rehearsal.rehearse_if_wanted(
+    burn_in_if_needed(
         session.body,
         session.cameras,
         pipeline.stages.detectors,

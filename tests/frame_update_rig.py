@@ -56,12 +56,12 @@ class Run:
         by_camera = {name: [d for d in seen if d and d.camera == name] for name in names}
         self.views = self.tracker.judge(frame_set, by_camera)
         effective = [view.detection for view in self.views if view.effective]
-        fixes = [
+        positions = [
             MIDPOINT.triangulate(of_ball(effective, name), self.cameras) for name in self.body.names
         ]
-        fixes = [fix for fix in fixes if fix]
-        pose = self.solver.solve(fixes, effective, self.cameras, time_s)
-        self.verdict = self.tracker.conclude(frame_set, self.views, fixes, pose, {})
+        positions = [position for position in positions if position]
+        pose = self.solver.solve(positions, effective, self.cameras, time_s)
+        self.verdict = self.tracker.conclude(frame_set, self.views, positions, pose, {})
         return self
 
     def steps(self, count, **kwargs):

@@ -83,7 +83,7 @@ def run(
     believed=None,
     phases=None,
     neighbours=False,
-    look_again=False,
+    remeasure_after_search=False,
     config=None,
     start_s=0.0,
     **oracle,
@@ -99,9 +99,9 @@ def run(
         tracker=tracker,
         triangulator=ReprojectionTriangulator(ReprojectionConfig()),
         solver=KabschSolver(KabschConfig(), body),
-        own_times=True,
+        per_image_timestamps=True,
         neighbours=neighbours,
-        look_again=look_again,
+        remeasure_after_search=remeasure_after_search,
     )
     pipeline = Pipeline(body, list(believed.values()), stages)
     measured = list(

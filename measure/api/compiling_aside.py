@@ -25,8 +25,7 @@ def what_follows_aside(
 ) -> Iterator[None]:
     """Have a pipeline's later stages compiled while detectors are, if those have to be.
 
-    Then it comes towards this process from detectors' last parts. In the end what another process
-    compiled only has to be loaded.
+    What another process has compiled only has to be loaded.
     """
     aside, at_once = _SecondProcess((profile, registry, body, cameras)), True
     try:
@@ -86,6 +85,4 @@ class _SecondProcess(event.Listener):  # type: ignore[misc]
 
 def _compile() -> None:
     """What the second process does."""
-    pipeline = build_pipeline(*pickle.load(sys.stdin.buffer))
-    pipeline.warm_up_what_follows()
-    pipeline.warm_up_detectors(last_first=True)
+    build_pipeline(*pickle.load(sys.stdin.buffer)).warm_up_what_follows()

@@ -14,7 +14,7 @@ from threading import Event
 import numpy as np
 
 from measure.api.live_outputs import LiveOptions, LiveOutputs
-from measure.api.measuring import measure_frame_sets, rehearse
+from measure.api.measuring import burn_in, measure_frame_sets
 from measure.api.profiles import RUN_FILE
 from measure.api.recording import (
     calibrated_cameras,
@@ -32,6 +32,7 @@ from measure.capture import CameraAddress, CameraCount, Cameras, Gathering, chec
 from measure.errors import ConfigError, RunError
 from measure.host import Registry
 from measure.measuring import Measurement, Profile
+from measure.measuring.burn_in import enter_realtime
 from measure.model import Body, FrameSet
 from measure.results import Provenance, Summary
 from measure.session import read_body
@@ -132,9 +133,8 @@ def live(
         outputs = LiveOutputs(stack, out, made_from, measured, calibrated, options)
         rig.begin(sinks)
         frame_sets = _FrameSets(gathering, rig, stop, options.seconds)
-        rehearse(pipeline, profile, registry, measured, calibrated, frame_sets())
-        for detector in pipeline.stages.detectors.values():
-            detector.go_live()
+        burn_in(pipeline, profile, registry, measured, calibrated, frame_sets())
+        enter_realtime(pipeline.stages.detectors)
         state, watch = None, _Watch(gathering, rig)
         for frame_set, one in measure_frame_sets(pipeline, frame_sets()):
             outputs.add(frame_set, one)

@@ -8,7 +8,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from measure.api.warming_up import warm_pipeline
 from measure.host import Registry
 from measure.measuring import Measurement, Pipeline, Profile
-from measure.measuring import burn_in as rehearsal
 from measure.model import Body, Camera, FrameSet
 from measure.session import Session
 
@@ -16,13 +15,13 @@ from measure.session import Session
 def measure_session(
     session: Session, profile: Profile, registry: Registry, start: int = 0
 ) -> Iterator[tuple[FrameSet, Measurement]]:
-    """Measure a session's frame sets in order, after a rehearsal with the first if detectors learn.
+    """Measure a session's frame sets in order, after a burn-in if detectors calibrate themselves.
 
     Args:
         session: an open session.
         profile: the stages and their settings.
         registry: where the plugins come from.
-        start: index of the first frame set to measure; a rehearsal is always with the very first.
+        start: index of the first frame set to measure; a burn-in is always with the very first.
 
     Yields:
         Each frame set with its measurement, as soon as that is final.
@@ -32,7 +31,7 @@ def measure_session(
         ConfigError: settings that do not fit.
         SessionError: an image that cannot be read.
     """
-    pipeline = rehearsed_pipeline(session, profile, registry)
+    pipeline = calibrated_pipeline(session, profile, registry)
     yield from measure_frame_sets(pipeline, session.frame_sets(start=start))
 
 
@@ -51,8 +50,8 @@ def measure_frame_sets(
         yield waiting.popleft(), measured
 
 
-def rehearsed_pipeline(session: Session, profile: Profile, registry: Registry) -> Pipeline:
-    """A warm pipeline whose detectors know how the recording begins, if they learn from pictures.
+def calibrated_pipeline(session: Session, profile: Profile, registry: Registry) -> Pipeline:
+    """A warm pipeline whose detectors have calibrated themselves on the start of the recording.
 
     Raises:
         PluginError: a plugin that is unknown, broken or ambiguous, or refuses the body.
@@ -61,11 +60,11 @@ def rehearsed_pipeline(session: Session, profile: Profile, registry: Registry) -
     """
     body, cameras = session.body, session.cameras
     pipeline = warm_pipeline(profile, registry, body, cameras)
-    rehearse(pipeline, profile, registry, body, cameras, session.frame_sets())
+    burn_in(pipeline, profile, registry, body, cameras, session.frame_sets())
     return pipeline
 
 
-def rehearse(
+def burn_in(
     pipeline: Pipeline,
     profile: Profile,
     registry: Registry,
@@ -73,7 +72,7 @@ def rehearse(
     cameras: Sequence[Camera],
     frame_sets: Iterable[FrameSet],
 ) -> None:
-    """Let a pipeline's detectors learn what the cameras do to light, if they ask for pictures.
+    """Let a pipeline's detectors calibrate themselves, if any of them needs a burn-in.
 
     Args:
         pipeline: built from the four that follow.
@@ -84,8 +83,9 @@ def rehearse(
         frame_sets: the first ones.
     """
     from measure.api.profiles import build_pipeline
+    from measure.measuring.burn_in import burn_in_if_needed
 
-    rehearsal.rehearse_if_wanted(
+    burn_in_if_needed(
         body,
         cameras,
         pipeline.stages.detectors,

@@ -132,7 +132,7 @@ def build_pipeline(
         for camera in cameras
     }
     solver = registry.solver(profile.solver, settings.get("solver", {}), body)
-    if solver.fits_outlines and any(d.measures_outlines is False for d in detectors.values()):
+    if solver.requires_outlines and any(d.provides_outlines is False for d in detectors.values()):
         others = " or ".join(name for name in registry.names("solver") if name != profile.solver)
         raise ConfigError(
             f"solver '{profile.solver}' fits outlines, and detector '{profile.detector}' measures "
@@ -143,8 +143,8 @@ def build_pipeline(
         tracker=tracker(tracking, body, cameras),
         triangulator=registry.triangulator(profile.triangulator, settings.get("triangulator", {})),
         solver=solver,
-        own_times=profile.own_times,
+        per_image_timestamps=profile.per_image_timestamps,
         neighbours=profile.neighbours,
-        look_again=profile.look_again,
+        remeasure_after_search=profile.remeasure_after_search,
     )
     return Pipeline(body, cameras, stages)

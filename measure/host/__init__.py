@@ -4,7 +4,13 @@ from measure.host.dataset import Dataset
 from measure.host.discovery import Broken, Distribution, Loaded, discover
 from measure.host.estimator import Correction, Epoch, Estimator, Report
 from measure.host.hooks import ENTRY_POINT_GROUP, hookimpl
-from measure.host.interfaces import Detector, Plugin, PoseSolver, Triangulator
+from measure.host.interfaces import (
+    Detector,
+    Plugin,
+    PoseSolver,
+    SelfCalibratingDetector,
+    Triangulator,
+)
 from measure.host.onnx_estimator import Core, OnnxEstimator, Scaling
 from measure.host.onnx_graph import Graph, Value
 from measure.host.onnx_model import Estimates, OnnxModel
@@ -32,6 +38,7 @@ __all__ = [
     "Registry",
     "Report",
     "Scaling",
+    "SelfCalibratingDetector",
     "Setting",
     "Settings",
     "Triangulator",

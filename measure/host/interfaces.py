@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 from measure.host.settings import Settings
-from measure.model import Body, Camera, Detection, Expectation, Fix, Image, Motion, Pose
+from measure.model import BallPosition, Body, Camera, Detection, Expectation, Image, Motion, Pose
 
 NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 """What a plugin may be called: lower case, words joined by "-"."""
@@ -34,34 +34,25 @@ class Plugin(ABC):
 
 
 class Detector(Plugin):
-    """Finds the balls of a body in one camera's images. Keeps no state between calls.
+    """Finds the balls of a body in one camera's images.
+
+    What it finds in an image depends on that image alone, unless the class says `stateful`.
 
     Attributes:
-        out_of_order: whether it may be shown earlier pictures again. One that keeps no state may;
-            one that does must know them by their times. Unless it is set, time runs on.
-        measures_outlines: whether its detections hold outlines (`Detection.outline_px`); None if it
-            does not say: its first pictures tell.
+        stateful: whether results depend on the images seen before. Images then come in order of
+            time and each once. A detector that keeps no state may be shown earlier images again,
+            the latest first.
+        provides_outlines: whether its detections hold outlines (`Detection.outline_px`); None if it
+            does not say: its first images tell.
     """
 
-    out_of_order: ClassVar[bool] = False
-    measures_outlines: ClassVar[bool | None] = None
+    stateful: ClassVar[bool] = False
+    provides_outlines: ClassVar[bool | None] = None
 
     def __init__(self, config: Settings, body: Body, camera: Camera) -> None:
         self.config = config
         self.body = body
         self.camera = camera
-
-    def warm_up(self) -> None:
-        """As every plugin does; part by part, if it is made of parts."""
-        for part in self.warm_up_parts():
-            part()
-
-    def warm_up_parts(self) -> Sequence[Callable[[], object]]:
-        """What is slow in parts that may be done in any order.
-
-        What they compile into a cache on disk, a second process compiles from the other end.
-        """
-        return ()
 
     @abstractmethod
     def detect(self, image: Image, expected: Sequence[Expectation]) -> list[Detection]:
@@ -77,33 +68,43 @@ class Detector(Plugin):
             geometry decides.
         """
 
-    @property
-    def wants_rehearsal(self) -> bool:
-        """Whether it would rather see more pictures before those of a recording are measured.
 
-        While it says so, the first frame sets of a recording are measured for nothing else, as far
-        as that leads anywhere; then the recording is measured from its start. Pictures that come
-        from cameras at work come once. Only for detectors that may see pictures `out_of_order`.
+class SelfCalibratingDetector(Detector):
+    """Optional interface: a detector that estimates how its camera shows balls from the images.
+
+    It learns only from an image later than all before. Images known to it may therefore come again,
+    in any order, and the same image then gives the same detections; it is not `stateful`.
+    """
+
+    @property
+    @abstractmethod
+    def needs_burn_in(self) -> bool:
+        """Whether it needs more images before those of a recording are measured.
+
+        While any camera's detector says so, the first frame sets of a recording are measured for
+        this alone, up to a limit; then the recording is measured from its start. Images of cameras
+        that deliver now are not repeated.
         """
-        return False
 
     @property
-    def learnt(self) -> object:
-        """What the other cameras' detectors are to hear of its rehearsal."""
-        return None
+    @abstractmethod
+    def calibration_state(self) -> object:
+        """What it has estimated, for the detectors of the other cameras; None if nothing yet."""
 
-    def confer(self, learnt: Sequence[object]) -> None:
-        """A rehearsal is over: cameras are often of one kind, and learn more together.
+    @abstractmethod
+    def fuse_calibration(self, states: Sequence[object]) -> None:
+        """Combine what the cameras have estimated; called once, at the end of the burn-in.
 
         Args:
-            learnt: by the detectors of all cameras, each as its property says.
+            states: `calibration_state` of the detectors of all cameras, its own among them.
         """
 
-    def go_live(self) -> None:
-        """Somebody waits for every pose from now on: do what takes long aside, or not at all.
+    @abstractmethod
+    def enter_realtime(self) -> None:
+        """Do work that takes longer than an image in the background from now on.
 
-        Called where cameras are measured while they deliver, after the rehearsal. Results may then
-        depend on how fast the machine is.
+        Called where cameras are measured while they deliver, after the burn-in. Results may then
+        depend on the speed of the machine.
         """
 
 
@@ -116,7 +117,7 @@ class Triangulator(Plugin):
     @abstractmethod
     def triangulate(
         self, detections: Sequence[Detection], cameras: Mapping[str, Camera]
-    ) -> Fix | None:
+    ) -> BallPosition | None:
         """Locate one ball.
 
         Args:
@@ -124,13 +125,13 @@ class Triangulator(Plugin):
             cameras: by name.
 
         Returns:
-            The fix, or None if the detections do not determine one (fewer than two cameras,
+            The position, or None if the detections do not determine one (fewer than two cameras,
             parallel rays).
         """
 
     def triangulate_all(
         self, detections: Sequence[Detection], cameras: Mapping[str, Camera]
-    ) -> list[Fix]:
+    ) -> list[BallPosition]:
         """Locate every ball, ball by ball unless overridden: one call may cost less than many.
 
         Args:
@@ -145,18 +146,18 @@ class Triangulator(Plugin):
         for detection in detections:
             by_ball.setdefault(detection.ball, []).append(detection)
         several = [seen for seen in by_ball.values() if len(seen) > 1]
-        fixes = [self.triangulate(seen, cameras) for seen in several]
-        return [fix for fix in fixes if fix is not None]
+        positions = [self.triangulate(seen, cameras) for seen in several]
+        return [position for position in positions if position is not None]
 
 
 class PoseSolver(Plugin):
     """Turns what was seen of all balls into the body's pose.
 
     Attributes:
-        fits_outlines: whether it finds none without detections that hold outlines.
+        requires_outlines: whether it finds none without detections that hold outlines.
     """
 
-    fits_outlines: ClassVar[bool] = False
+    requires_outlines: ClassVar[bool] = False
 
     def __init__(self, config: Settings, body: Body) -> None:
         self.config = config
@@ -165,7 +166,7 @@ class PoseSolver(Plugin):
     @abstractmethod
     def solve(
         self,
-        fixes: Sequence[Fix],
+        positions: Sequence[BallPosition],
         detections: Sequence[Detection],
         cameras: Mapping[str, Camera],
         time_s: float,
@@ -174,8 +175,8 @@ class PoseSolver(Plugin):
         """Locate the body.
 
         Args:
-            fixes: at most one per ball.
-            detections: every effective detection; a solver may fit these and skip the fixes.
+            positions: at most one per ball.
+            detections: every effective detection; a solver may fit these and skip the positions.
             cameras: by name.
             time_s: the instant the pose shall hold for; each detection has its own `time_s`.
             prior: where the body is expected and how it moves, if known.

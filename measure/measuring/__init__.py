@@ -1,4 +1,4 @@
-"""From frame sets to detections, states, fixes and poses; no files, no printing."""
+"""From frame sets to detections, states, positions and poses; no files, no printing."""
 
 from measure.measuring.measurement import Measurement, Status
 from measure.measuring.pipeline import Pipeline

@@ -1,7 +1,8 @@
-"""Before a recording is measured: its first frame sets, for what detectors learn from them alone.
+"""Burn-in: the first frame sets of a recording, measured only to calibrate the detectors.
 
-What a camera does to light is learnt from pictures of the balls. The first frame sets would be
-measured before that, and with cameras far from the standard be lost.
+A detector estimates its camera's response curve and blur from images of the balls. Without a
+burn-in the first frame sets would be measured before that, or lost where a camera is far from
+the standard response.
 """
 
 from __future__ import annotations
@@ -11,30 +12,34 @@ from contextlib import closing, suppress
 from dataclasses import replace
 
 from measure.errors import MeasureError
-from measure.host import Detector
+from measure.host import Detector, SelfCalibratingDetector
 from measure.measuring.pipeline import Pipeline
 from measure.measuring.stages import Stages
 from measure.model import Body, Camera, FrameSet
 
-_FOUND = 16
-"""In so many frame sets with the body every camera has seen a ball often enough, if ever."""
-_LONGEST = 64
-"""So many frame sets are waited for the body: two seconds of most recordings."""
+_FRAME_SETS_WITH_BODY = 16
+"""After so many with a pose every camera has seen a ball often enough, if it ever will."""
+_MAX_FRAME_SETS = 64
+"""Two seconds of most recordings."""
 
 
-def wanted(detectors: Mapping[str, Detector]) -> bool:
-    """Whether any of the detectors, one per camera, would rather see more pictures first."""
-    return any(d.out_of_order and d.wants_rehearsal for d in detectors.values())
+def needed(detectors: Mapping[str, Detector]) -> bool:
+    """Whether any of the detectors, one per camera, needs more images first."""
+    return any(one.needs_burn_in and not one.stateful for one in _learners(detectors))
 
 
-def rehearse_if_wanted(
+def _learners(detectors: Mapping[str, Detector]) -> list[SelfCalibratingDetector]:
+    return [one for one in detectors.values() if isinstance(one, SelfCalibratingDetector)]
+
+
+def burn_in_if_needed(
     body: Body,
     cameras: Sequence[Camera],
     detectors: Mapping[str, Detector],
     fresh: Callable[[], Stages],
     frame_sets: Iterable[FrameSet],
 ) -> None:
-    """Let detectors, one per camera, see how a recording begins, if any of them asks for it.
+    """Show detectors, one per camera, the start of a recording, if any of them needs that.
 
     Args:
         body: what is measured.
@@ -43,16 +48,16 @@ def rehearse_if_wanted(
         fresh: builds stages of which all but the detectors are used, and are of no use after.
         frame_sets: of the recording, from its start.
     """
-    if wanted(detectors):
-        rehearse(body, cameras, replace(fresh(), detectors=detectors), frame_sets)
+    if needed(detectors):
+        burn_in(body, cameras, replace(fresh(), detectors=detectors), frame_sets)
 
 
-def rehearse(
+def burn_in(
     body: Body, cameras: Sequence[Camera], stages: Stages, frame_sets: Iterable[FrameSet]
 ) -> None:
-    """Measure frame sets until the detectors have learnt, and let them compare what.
+    """Measure frame sets until the detectors are calibrated, then combine their estimates.
 
-    What is wrong with the frame sets shows when they are measured again.
+    Errors of the frame sets are left for when they are measured again.
 
     Args:
         body: what is measured.
@@ -61,12 +66,21 @@ def rehearse(
             a recording begin after this, are of no use any more.
         frame_sets: of the recording, from its start.
     """
-    rehearsal, found = Pipeline(body, cameras, replace(stages, neighbours=False)), 0
-    with suppress(MeasureError), closing(rehearsal.measure(frame_sets)) as measured:
+    pipeline, found = Pipeline(body, cameras, replace(stages, neighbours=False)), 0
+    with suppress(MeasureError), closing(pipeline.measure(frame_sets)) as measured:
         for seen, one in enumerate(measured, 1):
             found += one.pose is not None
-            if seen == _LONGEST or found == _FOUND or not wanted(stages.detectors):
+            if seen == _MAX_FRAME_SETS or found == _FRAME_SETS_WITH_BODY:
                 break
-    learnt = [detector.learnt for detector in stages.detectors.values()]
-    for detector in stages.detectors.values():
-        detector.confer(learnt)
+            if not needed(stages.detectors):
+                break
+    learners = _learners(stages.detectors)
+    states = [learner.calibration_state for learner in learners]
+    for learner in learners:
+        learner.fuse_calibration(states)
+
+
+def enter_realtime(detectors: Mapping[str, Detector]) -> None:
+    """Let detectors, one per camera, do slow work in the background from now on."""
+    for one in _learners(detectors):
+        one.enter_realtime()

@@ -7,7 +7,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING
 
 from measure.arrays import Floats
-from measure.model import BallView, Fix, Motion, Pose
+from measure.model import BallPosition, BallView, Motion, Pose
 from measure.records import record
 
 if TYPE_CHECKING:
@@ -29,10 +29,10 @@ class Measurement:
 
     Attributes:
         index: number of the frame set in the session.
-        time_s: the instant the fixes and the pose hold for.
+        time_s: the instant the positions and the pose hold for.
         frames: frame number of each camera's image, by camera name.
         views: the state of every ball in every camera, with its detection if there is one.
-        fixes: at most one per ball.
+        positions: at most one per ball.
         pose: the body's pose, None unless `status` is OK or FLAGGED.
         status: OK; FLAGGED (a pose to doubt); LOST (no pose); SKIPPED (not tried).
         reason: why it is not OK, in words; empty otherwise.
@@ -45,7 +45,7 @@ class Measurement:
     time_s: float
     frames: dict[str, int]
     views: tuple[BallView, ...]
-    fixes: tuple[Fix, ...]
+    positions: tuple[BallPosition, ...]
     pose: Pose | None
     status: Status
     reason: str = ""

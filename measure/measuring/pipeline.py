@@ -20,7 +20,7 @@ from measure.measuring.pose_spline import motion_at, with_neighbours
 from measure.measuring.stages import Stages
 from measure.measuring.thread_pool import SideBySide
 from measure.measuring.time_alignment import Seen
-from measure.model import Body, Camera, Detection, Expectation, Fix, FrameSet, Motion, Pose
+from measure.model import BallPosition, Body, Camera, Detection, Expectation, FrameSet, Motion, Pose
 
 _SAME_MM = 5e-3
 """Motions that carry pictures to places no further apart are the same."""
@@ -36,7 +36,7 @@ class Pipeline:
         self._rolling = any(camera.readout_s for camera in cameras)
         self._repeats = Repeats()
         self._goes_back = stages.neighbours and all(
-            detector.out_of_order for detector in stages.detectors.values()
+            not detector.stateful for detector in stages.detectors.values()
         )
         self.stages = stages
 
@@ -45,11 +45,10 @@ class Pipeline:
         self.warm_up_detectors()
         self.warm_up_what_follows()
 
-    def warm_up_detectors(self, last_first: bool = False) -> None:
-        """One of them: those of all cameras share what is slow; if asked to, from its last part."""
+    def warm_up_detectors(self) -> None:
+        """One of them: those of all cameras share what is slow."""
         for one in list(self.stages.detectors.values())[:1]:
-            for part in reversed(one.warm_up_parts()) if last_first else (one.warm_up,):
-                asking.warm_up("detector", one, part)
+            asking.warm_up("detector", one)
 
     def warm_up_what_follows(self) -> None:
         """Tracking, triangulation, poses and motion."""
@@ -115,7 +114,7 @@ class Pipeline:
         if expected is None:
             return Draft(_skipped(frame_set), None, ())
         draft = self._look(frame_set, expected, pool)
-        if not self.stages.look_again:
+        if not self.stages.remeasure_after_search:
             return draft
         return self._looked_again(frame_set, self._searched_again(frame_set, draft, pool), pool)
 
@@ -148,17 +147,17 @@ class Pipeline:
         time_s = self._instant(frame_set)
         prior = tracker.motion(time_s)
         seen = Seen.of(views, time_s, self._body, self._cameras)
-        fixes = self._triangulate(seen, prior)
-        pose = self._solve(seen, fixes, prior)
+        positions = self._triangulate(seen, prior)
+        pose = self._solve(seen, positions, prior)
         residuals_px = self._residuals(seen, pose, prior)
-        verdict = tracker.conclude(frame_set, views, fixes, pose, residuals_px)
+        verdict = tracker.conclude(frame_set, views, positions, pose, residuals_px)
         balls = len(self._body.balls)
         measured = Measurement(
             index=frame_set.index,
             time_s=time_s,
             frames=_frames(frame_set),
             views=views,
-            fixes=fixes,
+            positions=positions,
             pose=verdict.pose,
             status=_status(verdict.pose),
             reason=verdict.reason,
@@ -175,7 +174,7 @@ class Pipeline:
         def detect(name: str) -> list[Detection]:
             detector, image = self.stages.detectors[name], frame_set.images[name]
             found = asking.detections(detector, image, expected.get(name, ()), self._body)
-            return self._at_their_rows(found) if self.stages.own_times else found
+            return self._at_their_rows(found) if self.stages.per_image_timestamps else found
 
         return pool.map(detect, frame_set.images)
 
@@ -193,28 +192,30 @@ class Pipeline:
 
     def _instant(self, frame_set: FrameSet) -> float:
         """With own times: the middle of the images' times, where moving them costs least."""
-        if not self.stages.own_times or not frame_set.images:
+        if not self.stages.per_image_timestamps or not frame_set.images:
             return frame_set.time_s
         return sum(image.time_s for image in frame_set.images.values()) / len(frame_set.images)
 
-    def _triangulate(self, seen: Seen, motion: Motion | None) -> tuple[Fix, ...]:
+    def _triangulate(self, seen: Seen, motion: Motion | None) -> tuple[BallPosition, ...]:
         if not seen.detections:
             return ()
         used: Sequence[Detection] = seen.detections
-        if motion is not None and self.stages.own_times:
+        if motion is not None and self.stages.per_image_timestamps:
             used = seen.carried(motion)
         asked = self.stages.triangulator
-        fixes = asking.fixes(asked, used, self._cameras, self._body, seen.time_s)
+        positions = asking.positions(asked, used, self._cameras, self._body, seen.time_s)
         return tuple(
-            [f if f.time_s == seen.time_s else replace(f, time_s=seen.time_s) for f in fixes]
+            [f if f.time_s == seen.time_s else replace(f, time_s=seen.time_s) for f in positions]
         )
 
-    def _solve(self, seen: Seen, fixes: Sequence[Fix], prior: Motion | None) -> Pose | None:
+    def _solve(
+        self, seen: Seen, positions: Sequence[BallPosition], prior: Motion | None
+    ) -> Pose | None:
         if not seen.detections:
             return None
         asked, cameras = self.stages.solver, self._cameras
-        pose = asking.pose(asked, fixes, seen.detections, cameras, seen.time_s, prior)
-        if pose is None or prior is None or not self.stages.own_times:
+        pose = asking.pose(asked, positions, seen.detections, cameras, seen.time_s, prior)
+        if pose is None or prior is None or not self.stages.per_image_timestamps:
             return pose
         share = seen.velocity_share(pose, prior)
         return pose if share is None else replace(pose, covariance=pose.covariance + share)
@@ -228,8 +229,8 @@ class Pipeline:
         motion = motion_at(current.pose, before, after)
         if motion is None or not _differ(motion, draft.motion, seen.instants):
             return draft
-        fixes = self._triangulate(seen, motion)
-        pose = self._solve(seen, fixes, motion)
+        positions = self._triangulate(seen, motion)
+        pose = self._solve(seen, positions, motion)
         if pose is None:
             return draft
         pose = replace(
@@ -239,7 +240,7 @@ class Pipeline:
         )
         again = replace(
             current,
-            fixes=fixes,
+            positions=positions,
             pose=pose,
             status=_status(pose),
             residuals_px=self._residuals(seen, pose, motion),
@@ -251,7 +252,7 @@ class Pipeline:
     ) -> dict[tuple[str, str], Floats]:
         if pose is None:
             return {}
-        return seen.residuals_px(pose, prior if self.stages.own_times else None)
+        return seen.residuals_px(pose, prior if self.stages.per_image_timestamps else None)
 
 
 def _until_broken(frame_sets: Iterable[FrameSet], broken: list[MeasureError]) -> Iterator[FrameSet]:
@@ -287,7 +288,7 @@ def _skipped(frame_set: FrameSet) -> Measurement:
         time_s=frame_set.time_s,
         frames=_frames(frame_set),
         views=(),
-        fixes=(),
+        positions=(),
         pose=None,
         status=Status.SKIPPED,
         reason="restarting",

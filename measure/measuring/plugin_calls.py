@@ -12,7 +12,7 @@ from measure.arrays import Floats
 from measure.errors import MeasureError, PluginError
 from measure.host import Detector, Plugin, PoseSolver, Triangulator
 from measure.host.failures import failure, named
-from measure.model import Body, Camera, Detection, Expectation, Fix, Image, Motion, Pose
+from measure.model import BallPosition, Body, Camera, Detection, Expectation, Image, Motion, Pose
 
 
 def warm_up(kind: str, plugin: Plugin, part: Callable[[], object] | None = None) -> None:
@@ -51,13 +51,13 @@ def detections(
     return found
 
 
-def fixes(
+def positions(
     triangulator: Triangulator,
     seen: Sequence[Detection],
     cameras: Mapping[str, Camera],
     body: Body,
     time_s: float,
-) -> list[Fix]:
+) -> list[BallPosition]:
     """Where a triangulator locates balls, in the order of the body's.
 
     Raises:
@@ -66,9 +66,9 @@ def fixes(
     try:
         found = triangulator.triangulate_all(seen, cameras)
         for one in found:
-            _check_kind(one, Fix)
+            _check_kind(one, BallPosition)
             _check_numbers(one.center, one.covariance, 3)
-        return sorted(found, key=lambda fix: body.index(fix.ball))
+        return sorted(found, key=lambda position: body.index(position.ball))
     except MeasureError:
         raise
     except Exception as error:
@@ -77,7 +77,7 @@ def fixes(
 
 def pose(
     solver: PoseSolver,
-    located: Sequence[Fix],
+    located: Sequence[BallPosition],
     seen: Sequence[Detection],
     cameras: Mapping[str, Camera],
     time_s: float,

@@ -18,10 +18,12 @@ class Profile(BaseModel):
         triangulator: name of the triangulator plugin.
         solver: name of the pose-solver plugin.
         tracking: "frame-update" (the paper's section II.D), "predictive" or "memoryless".
-        own_times: whether each image counts at its own time (else a frame set is one instant).
+        per_image_timestamps: whether each image counts at its own time (else a frame set is one
+            instant).
         neighbours: whether poses wait for later ones: solved again with a spline through those
             round them, and a body just found tracked back to where it was not.
-        look_again: whether, after a search of whole frames, the balls are measured once more.
+        remeasure_after_search: whether, after a search of whole frames, the balls are measured once
+            more.
         settings: by stage name, the settings that differ from the defaults.
     """
 
@@ -32,9 +34,9 @@ class Profile(BaseModel):
     triangulator: str
     solver: str
     tracking: str
-    own_times: bool
+    per_image_timestamps: bool
     neighbours: bool
-    look_again: bool = True
+    remeasure_after_search: bool = True
     settings: dict[Stage, dict[str, Any]] = Field(default_factory=dict)
 
     def with_stage(self, stage: Stage, name: str) -> Profile:

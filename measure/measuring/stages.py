@@ -18,17 +18,18 @@ class Stages:
         tracker: holds the state between frame sets.
         triangulator: locates single balls.
         solver: locates the body.
-        own_times: whether each image counts at its own time.
+        per_image_timestamps: whether each image counts at its own time.
         neighbours: whether poses wait for later ones: one is solved again with the motion that
             those round it show, and a body just found is tracked back to where it was not.
-        look_again: whether, after a search of whole frames, the balls are measured once more where
-            they were found; and whether pictures in which the body was lost are searched.
+        remeasure_after_search: whether, after a search of whole frames, the balls are measured once
+            more where they were found; and whether pictures in which the body was lost are
+            searched.
     """
 
     detectors: Mapping[str, Detector]
     tracker: Tracker
     triangulator: Triangulator
     solver: PoseSolver
-    own_times: bool
+    per_image_timestamps: bool
     neighbours: bool
-    look_again: bool
+    remeasure_after_search: bool

@@ -1,4 +1,4 @@
-"""What was seen: expectations, detections, their state, fixes and poses."""
+"""What was seen: expectations, detections, their state, positions and poses."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ class BallView:
 
 
 @record
-class Fix:
+class BallPosition:
     """A ball's centre in the world.
 
     Attributes:
@@ -164,7 +164,7 @@ class Pose:
         world_from_body: the pose.
         covariance: (6, 6) in the pose's `perturb` chart: x y z mm, rotation vector rad, in the
             world.
-        residual_mm: RMS distance between fixes and the body's balls, NaN if not applicable.
+        residual_mm: RMS distance between positions and the body's balls, NaN if not applicable.
         rms_px: RMS reprojection error.
         cameras: names of the cameras used.
         balls: names of the balls used.
@@ -202,8 +202,10 @@ def stacked_detections(seen: tuple[Detection, ...]) -> tuple[Floats, Floats]:
 
 
 @lru_cache(maxsize=8)
-def stacked_fixes(fixes: tuple[Fix, ...]) -> tuple[Floats, Floats]:
-    """Centres (n, 3) in mm of n fixes and their covariances (n, 3, 3), as `stacked_detections`."""
-    if not fixes:
+def stacked_positions(positions: tuple[BallPosition, ...]) -> tuple[Floats, Floats]:
+    """Centres (n, 3) in mm and covariances (n, 3, 3) of n positions, as `stacked_detections`."""
+    if not positions:
         return np.empty((0, 3)), np.empty((0, 3, 3))
-    return stacked([fix.center for fix in fixes]), stacked([fix.covariance for fix in fixes])
+    return stacked([position.center for position in positions]), stacked(
+        [position.covariance for position in positions]
+    )

@@ -24,9 +24,9 @@ class BallDistance:
     Attributes:
         balls: their names.
         nominal_mm: by the body file.
-        measured_mm: (n,) in every frame set; NaN where one of them has no fix.
-        sd_mm: (n,) standard deviations by the fixes' covariances, which hold what all frame sets
-            err by alike; NaN likewise.
+        measured_mm: (n,) in every frame set; NaN where one of them has no position.
+        sd_mm: (n,) standard deviations by the positions' covariances, which hold what all frame
+            sets err by alike; NaN likewise.
     """
 
     balls: tuple[str, str]
@@ -36,7 +36,7 @@ class BallDistance:
 
     @property
     def count(self) -> int:
-        """In how many frame sets both have a fix."""
+        """In how many frame sets both have a position."""
         return int(np.count_nonzero(np.isfinite(self.measured_mm)))
 
     @property

@@ -31,7 +31,7 @@ class Run:
         body: as measured.
         cameras: as used.
         detections: one row per frame set, camera and ball (see `measure.results.tables`).
-        balls: one row per fix.
+        balls: one row per position.
         poses: one row per frame set, also where there is no pose.
         finished: whether it came to its end.
     """

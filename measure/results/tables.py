@@ -134,16 +134,16 @@ def _detection_row(measured: Measurement, view: BallView) -> dict[str, Any]:
 
 
 def _ball_rows(measured: Measurement) -> Iterator[dict[str, Any]]:
-    for fix in measured.fixes:
+    for position in measured.positions:
         yield {
             "index": measured.index,
-            "ball": fix.ball,
-            "time_s": fix.time_s,
-            **dict(zip(("x_mm", "y_mm", "z_mm"), map(float, fix.center), strict=True)),
-            "covariance_mm2": fix.covariance.ravel(),
-            "rms_mm": fix.rms_mm,
-            "cameras": fix.cameras,
-            "dropped": fix.dropped,
+            "ball": position.ball,
+            "time_s": position.time_s,
+            **dict(zip(("x_mm", "y_mm", "z_mm"), map(float, position.center), strict=True)),
+            "covariance_mm2": position.covariance.ravel(),
+            "rms_mm": position.rms_mm,
+            "cameras": position.cameras,
+            "dropped": position.dropped,
         }
 
 

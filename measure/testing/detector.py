@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
 
-from measure.host import Detector
+from measure.host import Detector, SelfCalibratingDetector
 from measure.model import Body, Camera, Detection, Expectation, Image
 from measure.testing.rules import PluginConformance, assert_covariance, assert_same, frozen_copy
 from measure.testing.scenes import CLEAR_VIEW, Example, example
@@ -93,14 +94,48 @@ class DetectorConformance(PluginConformance):
             found = self.build().detect(self.picture(), self.expectations(shift))
             self.check_form(found)
 
-    def test_it_keeps_no_state(self) -> None:
-        """The same picture gives the same answer, whatever was seen in between, bit by bit."""
-        detector = self.build()
-        first = detector.detect(self.picture(), self.expectations())
+    def test_results_do_not_depend_on_what_was_seen_before(self) -> None:
+        """Images of other times in between, then earlier ones again: the same, bit by bit.
+
+        A detector that says `stateful` is exempt. One that calibrates itself may answer an image
+        that is new to it otherwise than the second time, once it has seen them all.
+        """
+        if self.plugin.stateful:
+            return
+        detector, times_s = self.build(), [i / 30 for i in range(8)]
+        calibrates = isinstance(detector, SelfCalibratingDetector)
+        first = [self._answer(detector, time_s) for time_s in times_s]
+        if calibrates:
+            first = [self._answer(detector, time_s) for time_s in times_s]
         detector.detect(self.picture(background="grey"), [])
         detector.detect(self.picture(balls=False), self.expectations())
-        assert_same(detector.detect(self.picture(), self.expectations()), first, "second answer")
-        assert_same(self.build().detect(self.picture(), self.expectations()), first, "new instance")
+        for time_s, expected in reversed(list(zip(times_s, first, strict=True))):
+            assert_same(self._answer(detector, time_s), expected, f"second answer at {time_s} s")
+        if not calibrates:
+            again = self._answer(self.build(), times_s[-1])
+            assert_same(again, first[-1], "answer of a new instance")
+
+    def test_self_calibration_keeps_its_promises(self) -> None:
+        """States may be exchanged at any time, and images known to it teach nothing."""
+        detector, other = self.build(), self.build()
+        if not isinstance(detector, SelfCalibratingDetector):
+            return
+        assert isinstance(other, SelfCalibratingDetector)
+        for i in range(64):
+            if detector.needs_burn_in:
+                self._answer(detector, i / 30)
+        state = detector.calibration_state
+        self._answer(detector, 0.0)
+        assert detector.calibration_state is state, "an image that it knows was learnt from"
+        for states in ([], [None], [state, other.calibration_state]):
+            detector.fuse_calibration(states)
+        detector.enter_realtime()
+        found = self._answer(detector, 65 / 30)
+        assert {d.ball for d in found} == set(self.scene().body.names), "a ball is missing"
+
+    def _answer(self, detector: Detector, time_s: float) -> list[Detection]:
+        """What it finds in the picture as if taken at `time_s`."""
+        return detector.detect(replace(self.picture(), time_s=time_s), self.expectations())
 
     def test_warming_up_changes_no_answer(self) -> None:
         """What was shown to it before the first picture must not be taken for one."""
@@ -140,7 +175,7 @@ class DetectorConformance(PluginConformance):
             assert detection.time_s == scene.time_s, "the time is not the image's"
             _check_numbers(detection)
             if detection.outline_px is not None:
-                assert self.plugin.measures_outlines is not False, "it says it measures no outlines"
+                assert self.plugin.provides_outlines is not False, "it says it measures no outlines"
 
 
 def _check_numbers(detection: Detection) -> None:

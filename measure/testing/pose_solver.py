@@ -9,13 +9,13 @@ import numpy as np
 
 from measure.geometry import squared_mahalanobis
 from measure.host import PoseSolver
-from measure.model import Body, Detection, Fix, Motion, Pose
+from measure.model import BallPosition, Body, Detection, Motion, Pose
 from measure.testing.rules import PluginConformance, assert_covariance, assert_same, frozen_copy
 from measure.testing.scenes import example
 
 
 class PoseSolverConformance(PluginConformance):
-    """Tests of a pose solver, on fixes and detections of a known scene.
+    """Tests of a pose solver, on positions and detections of a known scene.
 
     Attributes:
         plugin: the class under test.
@@ -33,17 +33,20 @@ class PoseSolverConformance(PluginConformance):
         """A fresh instance."""
         return self.plugin(self.config, body or example().body)
 
-    def seen(self, seed: int = 0) -> tuple[list[Fix], list[Detection]]:
-        """Fixes and detections of all balls, with noise."""
+    def seen(self, seed: int = 0) -> tuple[list[BallPosition], list[Detection]]:
+        """Positions and detections of all balls, with noise."""
         rng = np.random.default_rng(seed)
-        return example().fixes(rng), example().detections(rng)
+        return example().positions(rng), example().detections(rng)
 
     def solve(
-        self, fixes: list[Fix], detections: list[Detection], prior: Motion | None = None
+        self,
+        positions: list[BallPosition],
+        detections: list[Detection],
+        prior: Motion | None = None,
     ) -> Pose | None:
         """Solve with a fresh instance."""
         scene = example()
-        return self.build().solve(fixes, detections, scene.cameras, scene.time_s, prior)
+        return self.build().solve(positions, detections, scene.cameras, scene.time_s, prior)
 
     def test_the_pose_is_found_without_a_prior(self) -> None:
         """The first frame of a recording."""
@@ -56,14 +59,14 @@ class PoseSolverConformance(PluginConformance):
         self.check_pose(self.solve(*self.seen(), prior))
 
     def test_nothing_seen_gives_none(self) -> None:
-        """No fixes and no detections."""
+        """No positions and no detections."""
         assert self.solve([], []) is None, "a pose from nothing"
 
     def test_one_ball_gives_none(self) -> None:
         """One ball leaves the rotation free."""
-        fixes, detections = self.seen()
-        ball = fixes[0].ball
-        pose = self.solve(fixes[:1], [d for d in detections if d.ball == ball])
+        positions, detections = self.seen()
+        ball = positions[0].ball
+        pose = self.solve(positions[:1], [d for d in detections if d.ball == ball])
         assert pose is None, f"a pose from one ball: {pose}"
 
     def test_a_body_of_another_shape_is_not_believed(self) -> None:
@@ -74,9 +77,9 @@ class PoseSolverConformance(PluginConformance):
             replace(ball, center_mm=ball.center_mm * scale)
             for ball, scale in zip(scene.body.balls, scales, strict=True)
         ]
-        fixes, detections = self.seen()
+        positions, detections = self.seen()
         pose = self.build(Body("wrong", tuple(balls))).solve(
-            fixes, detections, scene.cameras, scene.time_s, None
+            positions, detections, scene.cameras, scene.time_s, None
         )
         doubted = pose is None or pose.flags or pose.residual_mm > 3 or pose.rms_px > 5
         assert doubted, f"a wrong body is believed: {pose}"

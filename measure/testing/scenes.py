@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 
 from measure.geometry import RigidTransform, tangent_cone
-from measure.model import Body, Camera, Detection, Expectation, Fix, Image
+from measure.model import BallPosition, Body, Camera, Detection, Expectation, Image
 from measure.simulation import Scene, Still, render
 from measure.simulation.catalogue import plain_scene
 
@@ -88,10 +88,10 @@ class Example:
             for ball in self.body.balls
         ]
 
-    def fixes(self, rng: np.random.Generator, sd_mm: float = 0.05) -> list[Fix]:
+    def positions(self, rng: np.random.Generator, sd_mm: float = 0.05) -> list[BallPosition]:
         """What an ideal triangulator would say of all balls, with noise of `sd_mm` per axis."""
         return [
-            Fix(
+            BallPosition(
                 ball=name,
                 time_s=self.time_s,
                 center=center + rng.normal(scale=sd_mm, size=3),

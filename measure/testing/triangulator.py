@@ -9,7 +9,7 @@ import numpy as np
 
 from measure.geometry import squared_mahalanobis
 from measure.host import Triangulator
-from measure.model import Detection, Fix
+from measure.model import BallPosition, Detection
 from measure.testing.rules import PluginConformance, assert_covariance, assert_same, frozen_copy
 from measure.testing.scenes import example
 
@@ -19,7 +19,7 @@ class TriangulatorConformance(PluginConformance):
 
     Attributes:
         plugin: the class under test.
-        max_error_mm: how far a fix may be from the truth when the detections are exact.
+        max_error_mm: how far a position may be from the truth when the detections are exact.
         max_ratio: how many times larger the mean squared error may be than the covariance says.
     """
 
@@ -44,68 +44,68 @@ class TriangulatorConformance(PluginConformance):
         for ball, center in scene.centers.items():
             for count in (2, 3, 4):
                 seen = self.seen(ball=ball)[:count]
-                fix = self.build().triangulate(seen, scene.cameras)
-                self.check_form(fix, seen)
-                assert fix is not None
-                off = float(np.linalg.norm(fix.center - center))
+                position = self.build().triangulate(seen, scene.cameras)
+                self.check_form(position, seen)
+                assert position is not None
+                off = float(np.linalg.norm(position.center - center))
                 assert off <= self.max_error_mm, f"{ball}, {count} cameras: {off:.3g} mm off"
 
     def test_all_balls_at_once_are_located_as_one_by_one(self) -> None:
-        """Cameras in any order, one of them wrong about a ball; a ball seen once has no fix."""
+        """Cameras in any order, one of them wrong; a ball seen once has no position."""
         scene = example()
         first, second, *_ = scene.body.names
         seen = [d for d in scene.detections(np.random.default_rng(5), 0.3) if d.ball != second]
         wrong = next(d for d in seen if d.ball == first)
         seen = [replace(d, center_px=d.center_px + 40) if d is wrong else d for d in seen[::-1]]
         once = next(d for d in scene.detections(np.random.default_rng(5), 0.3) if d.ball == second)
-        fixes = self.build().triangulate_all([once, *seen], scene.cameras)
+        positions = self.build().triangulate_all([once, *seen], scene.cameras)
         balls = list(dict.fromkeys(d.ball for d in seen))
         alone = [[d for d in seen if d.ball == ball] for ball in balls]
         expected = [self.build().triangulate(some, scene.cameras) for some in alone]
-        assert_same(fixes, expected, "fixes of all balls at once")
+        assert_same(positions, expected, "positions of all balls at once")
 
     def test_too_little_gives_none(self) -> None:
         """No camera, one camera: there is no depth."""
         for count in (0, 1):
-            fix = self.build().triangulate(self.seen()[:count], example().cameras)
-            assert fix is None, f"a fix from {count} detections: {fix}"
+            position = self.build().triangulate(self.seen()[:count], example().cameras)
+            assert position is None, f"a position from {count} detections: {position}"
 
     def test_rays_without_parallax_give_none(self) -> None:
         """Two cameras in one place see one ray twice."""
         scene, seen = example(), self.seen()
         twin = replace(scene.cameras[seen[0].camera], name="twin")
-        fix = self.build().triangulate(
+        position = self.build().triangulate(
             [seen[0], replace(seen[0], camera="twin")], {**scene.cameras, "twin": twin}
         )
-        assert fix is None, f"a fix from two equal rays: {fix}"
+        assert position is None, f"a position from two equal rays: {position}"
 
     def test_the_order_of_the_detections_does_not_matter(self) -> None:
         """They come as the cameras' threads finish."""
         seen, cameras = self.seen(0.3, seed=4), example().cameras
         one = self.build().triangulate(seen, cameras)
         other = self.build().triangulate(seen[::-1], cameras)
-        assert one is not None, "no fix"
-        assert other is not None, "no fix in the other order"
-        assert np.allclose(one.center, other.center, atol=1e-6), "the order changes the fix"
+        assert one is not None, "no position"
+        assert other is not None, "no position in the other order"
+        assert np.allclose(one.center, other.center, atol=1e-6), "the order changes the position"
 
     def test_worse_detections_give_a_worse_fix(self) -> None:
         """The covariance follows that of the detections."""
         traces = []
         for sd_px in (0.1, 1.0):
             seen = [replace(d, covariance_px=sd_px**2 * np.eye(2)) for d in self.seen()]
-            fix = self.build().triangulate(seen, example().cameras)
-            assert fix is not None, "no fix"
-            traces.append(np.trace(fix.covariance))
+            position = self.build().triangulate(seen, example().cameras)
+            assert position is not None, "no position"
+            traces.append(np.trace(position.covariance))
         assert traces[1] > 2 * traces[0], f"covariances of {traces} mm^2 for 0.1 and 1 px"
 
     def test_the_covariance_is_honest(self) -> None:
         """Over 150 draws of 0.3 px noise, the squared errors are about what it says."""
         scene, ratios = example(), []
         for seed in range(150):
-            fix = self.build().triangulate(self.seen(0.3, seed), scene.cameras)
-            assert fix is not None, "no fix"
-            error = fix.center - scene.centers[fix.ball]
-            ratios.append(squared_mahalanobis(error, fix.covariance) / 3)
+            position = self.build().triangulate(self.seen(0.3, seed), scene.cameras)
+            assert position is not None, "no position"
+            error = position.center - scene.centers[position.ball]
+            ratios.append(squared_mahalanobis(error, position.covariance) / 3)
         ratio = float(np.mean(ratios))
         assert ratio < self.max_ratio, f"errors {ratio:.1f} times larger (squared) than stated"
 
@@ -118,17 +118,23 @@ class TriangulatorConformance(PluginConformance):
         assert_same(triangulator.triangulate(seen, cameras), first, "second answer")
         assert_same(seen, before, "detections")
 
-    def check_form(self, fix: Fix | None, seen: list[Detection]) -> None:
-        """Types, shapes and names of a fix."""
-        assert isinstance(fix, Fix), f"not a Fix: {fix!r}"
-        assert fix.ball == seen[0].ball, f"a fix of {fix.ball!r}"
-        assert fix.center.shape == (3,), f"centre of shape {fix.center.shape}"
-        assert np.all(np.isfinite(fix.center)), f"centre {fix.center}"
-        assert_covariance(fix.covariance, 3, fix.ball)
+    def check_form(self, position: BallPosition | None, seen: list[Detection]) -> None:
+        """Types, shapes and names of a position."""
+        assert isinstance(position, BallPosition), f"not a BallPosition: {position!r}"
+        assert position.ball == seen[0].ball, f"a position of {position.ball!r}"
+        assert position.center.shape == (3,), f"centre of shape {position.center.shape}"
+        assert np.all(np.isfinite(position.center)), f"centre {position.center}"
+        assert_covariance(position.covariance, 3, position.ball)
         names = {d.camera for d in seen}
-        assert set(fix.cameras) | set(fix.dropped) == names, "cameras neither used nor dropped"
-        assert not set(fix.cameras) & set(fix.dropped), "cameras both used and dropped"
-        assert len(fix.cameras) >= 2, "a fix from one camera"
-        assert fix.residuals_mm.shape == (len(fix.cameras),), "not one residual per camera"
+        assert set(position.cameras) | set(position.dropped) == names, (
+            "cameras neither used nor dropped"
+        )
+        assert not set(position.cameras) & set(position.dropped), "cameras both used and dropped"
+        assert len(position.cameras) >= 2, "a position from one camera"
+        assert position.residuals_mm.shape == (len(position.cameras),), (
+            "not one residual per camera"
+        )
         times = [d.time_s for d in seen]
-        assert min(times) <= fix.time_s <= max(times), "the time is outside that of the detections"
+        assert min(times) <= position.time_s <= max(times), (
+            "the time is outside that of the detections"
+        )

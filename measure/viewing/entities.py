@@ -82,7 +82,7 @@ def suspended(name: str) -> str:
 
 
 def ball(name: str) -> str:
-    """A ball's fix."""
+    """A ball's position."""
     return f"world/balls/{name}"
 
 

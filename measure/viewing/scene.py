@@ -20,18 +20,20 @@ AXES_MM = 40.0
 def send_balls(
     columns: Columns, sets: Sequence[Measurement], body: Body, cameras: Sequence[Camera]
 ) -> None:
-    """Every ball's fix, the rays that made it, and how far the balls are apart."""
+    """Every ball's position, the rays that made it, and how far the balls are apart."""
     centers = np.full((len(sets), len(body.balls), 3), np.nan)
     eyes = {camera.name: camera.center for camera in cameras}
     for number, ball in enumerate(body.balls):
-        fixes = [[fix for fix in one.fixes if fix.ball == ball.name] for one in sets]
-        here = np.array(lengths(fixes), dtype=bool)
-        places = points((fix.center for row in fixes for fix in row), 3)
+        positions = [
+            [position for position in one.positions if position.ball == ball.name] for one in sets
+        ]
+        here = np.array(lengths(positions), dtype=bool)
+        places = points((position.center for row in positions for position in row), 3)
         centers[here, number] = places
         columns.send(
             entities.ball(ball.name), rr.Ellipsoids3D.columns(centers=places).partition(here)
         )
-        used = [[name for fix in row for name in fix.cameras] for row in fixes]
+        used = [[name for position in row for name in position.cameras] for row in positions]
         ends = np.repeat(centers[:, number], lengths(used), axis=0)
         starts = points((eyes[name] for row in used for name in row), 3)
         strips = rr.LineStrips3D.columns(strips=np.stack([starts, ends], axis=1))

@@ -7,12 +7,11 @@ import logging
 import time
 
 import numba
-import pytest
 from measurements import BODY, CAMERAS
 from numba.core import event
 
 from measure.api import RunOptions, compiling_aside, load_profile, warming_up
-from measure.host import Detector, Registry
+from measure.host import Registry
 from measure.measuring import Pipeline, Stages
 from tests.session.conftest import write_recording
 
@@ -35,27 +34,6 @@ def test_every_stage_is_warmed_up_once_and_cameras_share_it():
     stages = Stages(detectors, *parts[2:], False, False, False)
     Pipeline(BODY, CAMERAS, stages).warm_up()
     assert [part.warm for part in parts] == [1, 0, 1, 1, 1]
-
-
-class _InParts(Detector):
-    name = "in-parts"
-
-    def __init__(self):
-        self.warm = []
-
-    def warm_up_parts(self):
-        return [lambda part=part: self.warm.append(part) for part in "abc"]
-
-    def detect(self, image, expected):
-        raise NotImplementedError
-
-
-@pytest.mark.parametrize(("last_first", "order"), [(False, "abc"), (True, "cba")])
-def test_detectors_are_warmed_up_from_either_end(last_first, order):
-    detector = _InParts()
-    stages = Stages({"cam0": detector}, *[_Part() for _ in range(3)], False, False, False)
-    Pipeline(BODY, CAMERAS, stages).warm_up_detectors(last_first)
-    assert "".join(detector.warm) == order
 
 
 def test_only_a_long_warm_up_is_explained(monkeypatch, caplog):

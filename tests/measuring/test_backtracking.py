@@ -37,12 +37,12 @@ def searches_fail(monkeypatch):
 
 def measure(body, rig, **options):
     cameras = {camera.name: camera for camera in rig}
-    return run(body, moving(body), cameras, 8, look_again=True, **options)
+    return run(body, moving(body), cameras, 8, remeasure_after_search=True, **options)
 
 
 @pytest.mark.usefixtures("searches_fail")
 def test_what_a_search_missed_is_found_from_later_pictures(paper_body, rig, monkeypatch):
-    monkeypatch.setattr(Oracle, "out_of_order", True)
+    monkeypatch.setattr(Oracle, "stateful", False)
     measured, detectors, _ = measure(paper_body, rig, neighbours=True)
     assert [one.index for one in measured] == list(range(8))
     assert [one.status for one in measured] == [Status.OK] * 8
@@ -54,11 +54,11 @@ def test_what_a_search_missed_is_found_from_later_pictures(paper_body, rig, monk
 
 
 @pytest.mark.usefixtures("searches_fail")
-@pytest.mark.parametrize(("out_of_order", "neighbours"), [(False, True), (True, False)])
+@pytest.mark.parametrize(("stateful", "neighbours"), [(True, True), (False, False)])
 def test_time_runs_on_for_other_detectors_and_where_poses_do_not_wait(
-    paper_body, rig, monkeypatch, out_of_order, neighbours
+    paper_body, rig, monkeypatch, stateful, neighbours
 ):
-    monkeypatch.setattr(Oracle, "out_of_order", out_of_order)
+    monkeypatch.setattr(Oracle, "stateful", stateful)
     measured, detectors, _ = measure(paper_body, rig, neighbours=neighbours)
     assert [one.status for one in measured] == [Status.LOST] * _LATE + [Status.OK] * 5
     frames = detectors[rig[0].name].frames
@@ -68,7 +68,7 @@ def test_time_runs_on_for_other_detectors_and_where_poses_do_not_wait(
 @pytest.mark.usefixtures("searches_fail")
 def test_a_body_that_came_into_view_is_not_put_where_it_was_not(paper_body, rig, monkeypatch):
     """The search was right: there is nothing in the first pictures."""
-    monkeypatch.setattr(Oracle, "out_of_order", True)
+    monkeypatch.setattr(Oracle, "stateful", False)
     measured, _, _ = measure(
         paper_body, rig, neighbours=True, hide=lambda _ball, _camera, time_s: time_s < 2 / 30 - 0.01
     )
@@ -78,7 +78,7 @@ def test_a_body_that_came_into_view_is_not_put_where_it_was_not(paper_body, rig,
 
 @pytest.mark.usefixtures("searches_fail")
 def test_no_more_frame_sets_wait_than_memory_is_for(paper_body, rig, monkeypatch):
-    monkeypatch.setattr(Oracle, "out_of_order", True)
+    monkeypatch.setattr(Oracle, "stateful", False)
     monkeypatch.setattr("measure.measuring.backtracking._MOST", 2)
     measured, _, _ = measure(paper_body, rig, neighbours=True)
     assert [one.status for one in measured] == [Status.LOST] + [Status.OK] * 7

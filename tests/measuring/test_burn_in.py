@@ -10,10 +10,9 @@ from measurements import BODY, CAMERAS
 from measure.api import load_profile, measure_session, measuring
 from measure.errors import SessionError
 from measure.geometry import RigidTransform
-from measure.host import Detector, Loaded, Registry
+from measure.host import Loaded, Registry, SelfCalibratingDetector
 from measure.host.discovery import Distribution
-from measure.measuring import Stages
-from measure.measuring import burn_in as rehearsal
+from measure.measuring import Stages, burn_in
 from measure.measuring.tracking.predictive.tracker import PredictiveConfig, PredictiveTracker
 from measure.session import open_session
 from measure_plugins.pose_solvers.kabsch import KabschConfig, KabschSolver
@@ -27,10 +26,11 @@ from tests.tracking_rig import Oracle, frame_sets
 _FRAMES = 6
 
 
-class Blind(Detector):
+class Blind(SelfCalibratingDetector):
     """Finds nothing, and remembers the numbers of the pictures it is shown."""
 
     name = "blind"
+    needs_burn_in = False
     instances: list[Blind] = []  # noqa: RUF012
 
     def __init__(self, config, body, camera):
@@ -43,30 +43,37 @@ class Blind(Detector):
         return []
 
     @property
-    def learnt(self):
+    def calibration_state(self):
         return self.camera.name, len(set(self.shown))
 
-    def confer(self, learnt):
-        self.heard.append(learnt)
+    def fuse_calibration(self, states):
+        self.heard.append(states)
+
+    def enter_realtime(self):
+        raise AssertionError("a recording is not measured in real time")
 
 
 class Curious(Blind):
     """The same, and wants to see three pictures first."""
 
     name = "curious"
-    out_of_order = True
     wants = 3
 
     @property
-    def wants_rehearsal(self):
+    def needs_burn_in(self):
         return len(set(self.shown)) < self.wants
 
 
-class Insatiable(Oracle):
+class Insatiable(Oracle, SelfCalibratingDetector):
     """Knows the truth, and still wants to see more."""
 
-    out_of_order = wants_rehearsal = True
-    shown = 0
+    needs_burn_in, calibration_state, shown = True, None, 0
+
+    def fuse_calibration(self, states):
+        assert states == [None, None]
+
+    def enter_realtime(self):
+        raise AssertionError("a recording is not measured in real time")
 
     def detect(self, image, expected):
         self.shown = max(self.shown, image.frame + 1)
@@ -100,11 +107,11 @@ def test_a_detector_that_does_not_ask_never_sees_time_run_backwards(recording):
     for detector in detectors:
         assert sorted(set(detector.shown)) == list(range(_FRAMES))
         assert all(before <= after for before, after in pairwise(detector.shown))
-        assert detector.heard == []
+        assert len(detector.heard) == 0
 
 
-def test_nor_does_one_that_asks_and_does_not_say_that_it_may(recording, monkeypatch):
-    monkeypatch.setattr(Curious, "out_of_order", False)
+def test_nor_does_a_stateful_one_that_asks(recording, monkeypatch):
+    monkeypatch.setattr(Curious, "stateful", True)
     _, detectors = measure(recording.path, Curious)
     assert _in_turn(detectors[0].shown) == list(range(_FRAMES))
 
@@ -118,14 +125,14 @@ def test_one_that_asks_sees_the_first_pictures_and_then_all_of_them(recording):
         assert detector.heard == [[("cam0", 3), ("cam1", 3), ("cam2", 3)]]
 
 
-def test_a_recording_that_is_too_short_is_rehearsed_as_far_as_it_goes(recording, monkeypatch):
+def test_a_recording_too_short_for_a_burn_in_is_used_as_far_as_it_goes(recording, monkeypatch):
     monkeypatch.setattr(Curious, "wants", 100)
     measured, detectors = measure(recording.path, Curious)
     assert len(measured) == _FRAMES
     assert _in_turn(detectors[0].shown) == [*range(_FRAMES), *range(_FRAMES)]
 
 
-def test_a_run_that_goes_on_rehearses_with_the_start(recording):
+def test_a_resumed_run_burns_in_with_the_start(recording):
     """So that it knows what it knew before it was broken off."""
     measured, detectors = measure(recording.path, Curious, start=4)
     assert measured == [4, 5]
@@ -142,17 +149,17 @@ def test_a_picture_that_cannot_be_read_is_told_when_it_is_due(recording):
 
 
 def test_profiles_that_do_not_learn_build_no_second_pipeline(recording, monkeypatch):
-    monkeypatch.setattr(rehearsal, "rehearse", lambda *_: pytest.fail("rehearsed"))
+    monkeypatch.setattr(burn_in, "burn_in", lambda *_: pytest.fail("burnt in"))
     with open_session(recording.path) as session:
         for profile in (
             load_profile("paper"),
             load_profile("precise").with_setting("detector", "learn", False),
         ):
-            measuring.rehearsed_pipeline(session, profile, Registry.discover())
+            measuring.calibrated_pipeline(session, profile, Registry.discover())
 
 
 @pytest.mark.parametrize(("hidden", "shown"), [(False, 16), (True, 64)])
-def test_a_rehearsal_ends_whatever_the_detectors_want(hidden, shown):
+def test_a_burn_in_ends_whatever_the_detectors_want(hidden, shown):
     """Sooner where the body is there: a camera that has not seen it by then hardly will."""
     pose = RigidTransform.identity()
 
@@ -166,11 +173,11 @@ def test_a_rehearsal_ends_whatever_the_detectors_want(hidden, shown):
         PredictiveTracker(PredictiveConfig(), BODY, CAMERAS),
         ReprojectionTriangulator(ReprojectionConfig()),
         KabschSolver(KabschConfig(), BODY),
-        own_times=True,
+        per_image_timestamps=True,
         neighbours=True,
-        look_again=True,
+        remeasure_after_search=True,
     )
-    rehearsal.rehearse(BODY, CAMERAS, stages, frame_sets(cameras, 100))
+    burn_in.burn_in(BODY, CAMERAS, stages, frame_sets(cameras, 100))
     assert [detector.shown for detector in detectors.values()] == [shown, shown]
 
 

@@ -24,13 +24,13 @@ class _Tracker(Memoryless):
         around = [Expectation(name, [0, 0], (1, 9), 5.0, 3.0) for name in BODY.names]
         return dict.fromkeys(frame_set.images, around)
 
-    def conclude(self, frame_set, views, fixes, pose, residuals_px):
+    def conclude(self, frame_set, views, positions, pose, residuals_px):
         if self.known and frame_set.index in self.loses:
             self.loses.remove(frame_set.index)
             self.known = False
             return Verdict(None, "lost")
         self.known = pose is not None
-        return super().conclude(frame_set, views, fixes, pose, residuals_px)
+        return super().conclude(frame_set, views, positions, pose, residuals_px)
 
 
 class _Detector:
@@ -46,20 +46,20 @@ class _Detector:
 
 
 class _Solver:
-    def solve(self, fixes, detections, cameras, time_s, prior=None):
+    def solve(self, positions, detections, cameras, time_s, prior=None):
         assert all(isinstance(d, Detection) for d in detections)
         return measurement(0).pose
 
 
 class _Triangulator:
     def triangulate_all(self, detections, cameras):
-        return [measurement(0).fixes[0] for _ in {d.ball for d in detections}]
+        return [measurement(0).positions[0] for _ in {d.ball for d in detections}]
 
 
-def _measure(look_again, looks=99, loses=()):
+def _measure(remeasure_after_search, looks=99, loses=()):
     detectors = {camera.name: _Detector(camera.name, looks) for camera in CAMERAS}
     stages = Stages(
-        detectors, _Tracker(loses), _Triangulator(), _Solver(), False, False, look_again
+        detectors, _Tracker(loses), _Triangulator(), _Solver(), False, False, remeasure_after_search
     )
     images = {c.name: Image(c.name, 0, 0.0, lambda: None) for c in CAMERAS}
     sets = [FrameSet(index, index / 30, images) for index in range(3)]
@@ -68,7 +68,7 @@ def _measure(look_again, looks=99, loses=()):
 
 
 def test_the_first_frame_is_looked_at_twice_and_counts_once():
-    measured, told = _measure(look_again=True)
+    measured, told = _measure(remeasure_after_search=True)
     assert told == [0, 3, 3, 3]
     assert [m.index for m in measured] == [0, 1, 2]
     assert measured[0].searched == ("cam0", "cam1")
@@ -77,19 +77,19 @@ def test_the_first_frame_is_looked_at_twice_and_counts_once():
 
 
 def test_without_it_every_frame_is_looked_at_once():
-    assert _measure(look_again=False)[1] == [0, 3, 3]
+    assert _measure(remeasure_after_search=False)[1] == [0, 3, 3]
 
 
-@pytest.mark.parametrize("look_again", [True, False])
-def test_a_search_that_finds_nothing_is_not_repeated(look_again):
-    measured, told = _measure(look_again, looks=0)
+@pytest.mark.parametrize("remeasure_after_search", [True, False])
+def test_a_search_that_finds_nothing_is_not_repeated(remeasure_after_search):
+    measured, told = _measure(remeasure_after_search, looks=0)
     assert told == [0, 0, 0]
     assert all(m.pose is None for m in measured)
 
 
 def test_pictures_in_which_the_body_is_lost_are_searched_themselves():
     """The search used to wait for the next frame set: each loss cost one that shows the body."""
-    measured, told = _measure(look_again=True, loses=[1])
+    measured, told = _measure(remeasure_after_search=True, loses=[1])
     assert told[:3] == [0, 3, 3]
     assert told[3:] == [0, 3, 3]  # searched, measured there, and on with the next
     assert all(isinstance(m.pose, Pose) for m in measured)
@@ -98,13 +98,13 @@ def test_pictures_in_which_the_body_is_lost_are_searched_themselves():
 
 
 def test_a_body_out_of_sight_is_searched_for_once_a_frame_set():
-    measured, told = _measure(look_again=True, looks=2)
+    measured, told = _measure(remeasure_after_search=True, looks=2)
     assert told == [0, 3, 3, 0, 0]
     assert [m.pose is None for m in measured] == [False, True, True]
     assert all(m.reason for m in measured[1:])
 
 
 def test_without_looking_again_nothing_is_searched_twice():
-    measured, told = _measure(look_again=False, loses=[1])
+    measured, told = _measure(remeasure_after_search=False, loses=[1])
     assert told == [0, 3, 0]
     assert measured[1].pose is None

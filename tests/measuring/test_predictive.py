@@ -188,5 +188,7 @@ def test_a_body_known_less_well_than_a_ball_is_large_is_searched_again(sd, follo
     measured, _, tracker = run(RAVEN, one_body(), CAMERAS, 5)
     last = measured[-1]
     pose = replace(last.pose, covariance=np.diag(np.square(sd)))
-    tracker.conclude(next(frame_sets(CAMERAS, 1, start_s=5 / 30)), last.views, last.fixes, pose, {})
+    tracker.conclude(
+        next(frame_sets(CAMERAS, 1, start_s=5 / 30)), last.views, last.positions, pose, {}
+    )
     assert (tracker.motion(0.2) is not None) == followed

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from measure.geometry import RigidTransform
-from measure.model import BallView, Detection, Fix, Image, Motion, Pose
+from measure.model import BallPosition, BallView, Detection, Image, Motion, Pose
 from measure.model.observations import Reason, State
 
 
@@ -44,8 +44,8 @@ def test_a_view_is_effective_only_with_a_detection():
 
 
 def test_summaries_of_residuals_and_covariances():
-    fix = Fix("green", 0.0, np.zeros(3), np.eye(3), ("a", "b"), np.array([3.0, 4]))
-    assert fix.rms_mm == pytest.approx(12.5**0.5)
+    position = BallPosition("green", 0.0, np.zeros(3), np.eye(3), ("a", "b"), np.array([3.0, 4]))
+    assert position.rms_mm == pytest.approx(12.5**0.5)
     covariance = np.diag([0.01, 0.04, 0.04, 9, 9, 9])
     pose = Pose(0.0, RigidTransform.identity(), covariance, 0.0, 0.0, (), ())
     assert pose.position_sd_mm == pytest.approx(0.3)

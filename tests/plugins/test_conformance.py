@@ -77,8 +77,8 @@ class Sloppy(_plugin("triangulator", "midpoint")):  # type: ignore[misc]
     name = "Too Sure"
 
     def triangulate(self, detections, cameras):
-        fix = super().triangulate(detections, cameras)
-        return fix and replace(fix, covariance=fix.covariance / 25)
+        position = super().triangulate(detections, cameras)
+        return position and replace(position, covariance=position.covariance / 25)
 
 
 class Remembering(_plugin("triangulator", "midpoint")):  # type: ignore[misc]
@@ -88,11 +88,11 @@ class Remembering(_plugin("triangulator", "midpoint")):  # type: ignore[misc]
     last = None
 
     def triangulate(self, detections, cameras):
-        fix = super().triangulate(detections, cameras)
-        if fix is not None and self.last is not None:
-            fix = replace(fix, center=(fix.center + self.last) / 2)
-        self.last = None if fix is None else fix.center
-        return fix
+        position = super().triangulate(detections, cameras)
+        if position is not None and self.last is not None:
+            position = replace(position, center=(position.center + self.last) / 2)
+        self.last = None if position is None else position.center
+        return position
 
 
 class Meddling(_plugin("triangulator", "midpoint")):  # type: ignore[misc]
@@ -111,8 +111,8 @@ class Guessing(_plugin("solver", "kabsch")):  # type: ignore[misc]
 
     name = "guessing"
 
-    def solve(self, fixes, detections, cameras, time_s, prior=None):
-        pose = super().solve(fixes, detections, cameras, time_s, prior)
+    def solve(self, positions, detections, cameras, time_s, prior=None):
+        pose = super().solve(positions, detections, cameras, time_s, prior)
         if pose is not None:
             return replace(pose, flags=(), residual_mm=0.0, rms_px=0.0)
         identity = RigidTransform.identity()

@@ -13,11 +13,11 @@ from measure.measuring import Measurement, Status
 from measure.model import (
     Ball,
     BallColor,
+    BallPosition,
     BallView,
     Body,
     Camera,
     Detection,
-    Fix,
     Intrinsics,
     Pose,
 )
@@ -81,15 +81,17 @@ def measurement(
         for ball, center in zip(BODY.balls, centers, strict=True):
             seen = Detection(ball.name, camera.name, time_s, center, 50.0, np.eye(2) * 0.01)
             views.append(BallView(ball.name, camera.name, State.EFFECTIVE, Reason.NONE, seen))
-    fixes = tuple(
-        Fix(ball.name, time_s, center, covariance[:3, :3], ("cam0", "cam1"), np.array([0.1, 0.1]))
+    positions = tuple(
+        BallPosition(
+            ball.name, time_s, center, covariance[:3, :3], ("cam0", "cam1"), np.array([0.1, 0.1])
+        )
         for ball, center in zip(BODY.balls, exact.apply(BODY.centers) + error[:3], strict=True)
     )
     names = tuple(camera.name for camera in CAMERAS)
     pose = Pose(time_s, exact.perturb(error), covariance, 0.1, 0.2, names, BODY.names)
     residuals = {(v.ball, v.camera): pixel_error for v in views}
     return Measurement(
-        index, time_s, frames, tuple(views), fixes, pose, Status.OK, residuals_px=residuals
+        index, time_s, frames, tuple(views), positions, pose, Status.OK, residuals_px=residuals
     )
 
 

@@ -20,8 +20,10 @@ def notes(folder, stated, noise_mm=0.0, sets=8):
     with RunWriter(folder, made_from(), stated, CAMERAS) as writer:
         for index in range(sets):
             found = measurement(index, covariance=covariance)
-            fixes = [replace(f, center=f.center + rng.normal(0, noise_mm, 3)) for f in found.fixes]
-            writer.append(replace(found, fixes=tuple(fixes)))
+            positions = [
+                replace(f, center=f.center + rng.normal(0, noise_mm, 3)) for f in found.positions
+            ]
+            writer.append(replace(found, positions=tuple(positions)))
         summary = writer.finish()
     assert read_run(folder).summary == summary
     return summary.notes

@@ -67,7 +67,7 @@ def test_error_trace_is_the_error_and_gaps_where_there_is_no_pose(recorded):
 def test_a_lost_ball_leaves_no_ellipsoid(recorded):
     centers = column(recorded[entities.ball("red")], "Ellipsoids3D:centers")
     assert centers[7] == []
-    assert centers[8][0] == pytest.approx(measurement(8).fixes[2].center, abs=1e-3)
+    assert centers[8][0] == pytest.approx(measurement(8).positions[2].center, abs=1e-3)
 
 
 def test_a_lost_body_leaves_no_axes_no_trail_and_no_uncertainty(recorded):

@@ -122,11 +122,11 @@ def test_what_all_frame_sets_err_by_alike_is_said(tmp_path):
     def longer(index):
         """Green sits 0.7 mm farther out than the body file says, give or take 0.05 mm."""
         seen = measurement(index)
-        green, *rest = seen.fixes
+        green, *rest = seen.positions
         out = 0.7 + 0.05 * np.sin(index)
         place = seen.pose.world_from_body
         moved = replace(green, center=green.center + place.rotate([out, 0.0, 0.0]))
-        return replace(seen, fixes=(moved, *rest))
+        return replace(seen, positions=(moved, *rest))
 
     tone, sentence = verdict(_run(tmp_path / "long", 20, measure=longer, cameras=known), None)
     assert "taken as exact" not in sentence

@@ -9,12 +9,12 @@ from measure.arrays import Floats
 from measure.host.settings import Settings
 from measure.measuring.tracking.tracker import Verdict
 from measure.model import (
+    BallPosition,
     BallView,
     Body,
     Camera,
     Detection,
     Expectation,
-    Fix,
     FrameSet,
     Motion,
     Pose,
@@ -63,7 +63,7 @@ class Memoryless:
         self,
         frame_set: FrameSet,  # noqa: ARG002
         views: Sequence[BallView],
-        fixes: Sequence[Fix],
+        positions: Sequence[BallPosition],
         pose: Pose | None,
         residuals_px: Mapping[tuple[str, str], Floats],  # noqa: ARG002
     ) -> Verdict:
@@ -71,4 +71,4 @@ class Memoryless:
         if pose is not None:
             return Verdict(pose)
         effective = sum(view.effective for view in views)
-        return Verdict(None, f"{len(fixes)} balls located from {effective} views")
+        return Verdict(None, f"{len(positions)} balls located from {effective} views")

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 from measure.arrays import Floats
-from measure.model import BallView, Detection, Expectation, Fix, FrameSet, Motion, Pose
+from measure.model import BallPosition, BallView, Detection, Expectation, FrameSet, Motion, Pose
 from measure.records import record
 
 
@@ -49,7 +49,7 @@ class Tracker(Protocol):
         self,
         frame_set: FrameSet,
         views: Sequence[BallView],
-        fixes: Sequence[Fix],
+        positions: Sequence[BallPosition],
         pose: Pose | None,
         residuals_px: Mapping[tuple[str, str], Floats],
     ) -> Verdict:
@@ -58,7 +58,7 @@ class Tracker(Protocol):
         Args:
             frame_set: the pictures.
             views: as judged.
-            fixes: of the effective views.
+            positions: of the effective views.
             pose: as solved.
             residuals_px: by (ball, camera), detected minus predicted centre (2,) of every effective
                 view; empty without a pose.

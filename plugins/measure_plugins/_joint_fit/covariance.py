@@ -35,7 +35,7 @@ class Solution(NamedTuple):
         shifts_px: (k, 3) see `ContourFit`.
         offsets_px: (c,) see `ContourFit`.
         rms_px: of the shifts of the centres.
-        residual_mm: RMS distance of other fixes from the body; not a number without any.
+        residual_mm: RMS distance of other positions from the body; not a number without any.
         solved: whether the outlines determine the pose.
         converged: whether the steps died out.
     """
@@ -103,7 +103,7 @@ def solve_contours(
 
 @compiled
 def _apart(fit: ContourFit, points_body: Floats, fixed: Floats) -> float:
-    """RMS distance of fixes (f, 3) from the body's points (f, 3)."""
+    """RMS distance of positions (f, 3) from the body's points (f, 3)."""
     total = 0.0
     for i in range(len(fixed)):
         off = fixed[i] - times(fit.rotation, points_body[i]) - fit.translation

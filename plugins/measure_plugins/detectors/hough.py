@@ -90,7 +90,7 @@ class HoughDetector(Detector):
     """
 
     name = "hough"
-    measures_outlines = False
+    provides_outlines = False
     Config = HoughSettings
     config: HoughSettings
 

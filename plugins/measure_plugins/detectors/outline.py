@@ -8,14 +8,14 @@ ellipse's bias. The edge points travel on with the detection, for a joint fit of
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from measure.arrays import Floats
-from measure.host import Detector, Settings, hookimpl
+from measure.host import Detector, SelfCalibratingDetector, Settings, hookimpl
 from measure.model import BallColor, Body, Camera, Detection, Expectation, Image
 from measure_plugins.detectors._outline_settings import (
     FEWEST_RAYS,
@@ -40,11 +40,11 @@ _APPROACHING = 3
 """So many times fewer rays lead to where outlines are."""
 
 
-class OutlineDetector(Detector):
+class OutlineDetector(SelfCalibratingDetector):
     """Sub-pixel outlines near their predictions; without one, the whole frame is searched."""
 
     name = "outline"
-    out_of_order = measures_outlines = True
+    provides_outlines = True
     Config = OutlineConfig
     config: OutlineConfig
 
@@ -67,7 +67,7 @@ class OutlineDetector(Detector):
         self._bits = {ball.name: 1 << self._colors.index(ball.color) for ball in body.balls}
         self._balls = KnownBalls(c, body, camera, self._bits, self._table)
 
-    def warm_up_parts(self) -> Sequence[Callable[[], object]]:
+    def warm_up(self) -> None:
         """Hot loops to compile (seconds, once per machine), by measuring a drawn disc.
 
         A detector of its own measures it: what a disc teaches is not so of a ball.
@@ -80,35 +80,33 @@ class OutlineDetector(Detector):
         unsized = [replace(one, center_camera=None) for one in expected]
         cones, view = own._balls.cones(expected), own._view(image)
         pixels, cone, now = image.pixels, _cones(cones)[0], own._appearance
-        return (
-            lambda: own._measure(image, expected),
-            lambda: own._measure(image, unsized),
-            lambda: own._balls.gains_about(view, expected, cones, now),
-            lambda: own._learner.warm_up(pixels, cone, now),
-            lambda: own._searched(image, ()),
-            _acquisition.warm_up,
-        )
+        own._measure(image, expected)
+        own._measure(image, unsized)
+        own._balls.gains_about(view, expected, cones, now)
+        own._learner.warm_up(pixels, cone, now)
+        own._searched(image, ())
+        _acquisition.warm_up()
 
     @property
-    def wants_rehearsal(self) -> bool:
+    def needs_burn_in(self) -> bool:
         """While it has not seen enough of what the camera does to light."""
         return self.config.learn and not self._learner.settled
 
     @property
-    def learnt(self) -> object:
+    def calibration_state(self) -> object:
         """The last lesson, if there have been enough."""
         return self._learner.lesson
 
-    def confer(self, learnt: Sequence[object]) -> None:
+    def fuse_calibration(self, states: Sequence[object]) -> None:
         """All cameras together know the light, and a bend of the tone curve, better than one."""
         from measure_plugins._outline.self_calibration.estimate import Lesson, bent_together
 
-        lessons = [lesson for lesson in learnt if isinstance(lesson, Lesson)]
+        lessons = [lesson for lesson in states if isinstance(lesson, Lesson)]
         told = self._learner.told(self._appearance, lessons, bent_together(lessons))
         if told is not self._appearance:
             self._believe(told)
 
-    def go_live(self) -> None:
+    def enter_realtime(self) -> None:
         """Take lessons in a thread of their own: they take as long as dozens of pictures."""
         from measure_plugins._outline.self_calibration.schedule import LessonsAside
 

@@ -22,8 +22,8 @@ from measure.errors import ConfigError, DegenerateGeometryError
 from measure.estimation.multiview import calibration_noise
 from measure.geometry import RigidTransform, align_points
 from measure.host import PoseSolver, Settings, hookimpl, setting
-from measure.model import Camera, Detection, Fix, Intrinsics, Motion, Pose
-from measure.model.observations import stacked_fixes
+from measure.model import BallPosition, Camera, Detection, Intrinsics, Motion, Pose
+from measure.model.observations import stacked_positions
 from measure_plugins.pose_solvers._outlines import Outlines, outlines_of
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ class ContoursSolver(PoseSolver):
     """Joint fit of the pose to all outlines."""
 
     name = "contours"
-    fits_outlines = True
+    requires_outlines = True
     Config = ContoursConfig
     config: ContoursConfig
 
@@ -88,7 +88,7 @@ class ContoursSolver(PoseSolver):
 
     def solve(
         self,
-        fixes: Sequence[Fix],
+        positions: Sequence[BallPosition],
         detections: Sequence[Detection],
         cameras: Mapping[str, Camera],
         time_s: float,
@@ -109,7 +109,7 @@ class ContoursSolver(PoseSolver):
             )
         if outlines is None or len(outlines.contours.sharpness) < self.config.min_points:
             return None
-        start = self._start(fixes, outlines, time_s, prior)
+        start = self._start(positions, outlines, time_s, prior)
         if start is None:
             return None
         known, named = np.zeros((6, 6)), outlines.named
@@ -135,22 +135,22 @@ class ContoursSolver(PoseSolver):
             rig.covariances,
             aside_px2,
             _small_sample(2 * len(named.balls) - 6),
-            self.body.centers_of([fix.ball for fix in fixes]),
-            stacked_fixes(tuple(fixes))[0],
+            self.body.centers_of([position.ball for position in positions]),
+            stacked_positions(tuple(positions))[0],
         )
         return self._pose(fit, outlines, aside_px2, time_s) if fit.solved else None
 
     def _start(
         self,
-        fixes: Sequence[Fix],
+        positions: Sequence[BallPosition],
         outlines: Outlines,
         time_s: float,
         prior: Motion | None,
     ) -> RigidTransform | None:
-        """The prior, or the body laid on its fixes, or on where the outlines' sizes put it."""
+        """The prior, or the body laid on its positions, or on where the outlines' sizes put it."""
         if prior is not None:
             return prior.at(time_s)
-        located = {fix.ball: fix.center for fix in fixes}
+        located = {position.ball: position.center for position in positions}
         for i, name in enumerate(outlines.named.balls):
             if name not in located:
                 center = outlines.center_by_size(i)

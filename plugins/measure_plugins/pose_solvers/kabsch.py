@@ -1,8 +1,8 @@
 """`kabsch`: the rigid fit of the body to its triangulated balls.
 
 The closed form by singular values (Kabsch 1976; Umeyama 1991) starts it; Gauss-Newton with the
-fixes' full covariances and a robust loss finishes it. Calibration errors shift all fixes together,
-so their part of the covariance is carried per camera, not per ball.
+positions' full covariances and a robust loss finishes it. Calibration errors shift all positions
+together, so their part of the covariance is carried per camera, not per ball.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from measure.estimation.body_layout import layout_flags
 from measure.estimation.multiview import Views, fit_point, leverage
 from measure.geometry import RigidTransform, align_points, chi_square_quantile, propagate, skew
 from measure.host import PoseSolver, Settings, hookimpl, setting
-from measure.model import Camera, Detection, Fix, Motion, Pose
+from measure.model import BallPosition, Camera, Detection, Motion, Pose
 
 _STEPS = 10
 _STEP_TOLERANCE = 1e-10
@@ -29,13 +29,15 @@ class KabschConfig(Settings):
 
     distance_tolerance_mm: float = setting(
         0.5,
-        "How far a distance between two balls may be from the body file's, beyond what the fixes' "
-        "covariances explain, before the pose is flagged.",
+        "How far a distance between two balls may be from the body file's, beyond what the "
+        "positions' covariances explain, before the pose is flagged.",
         unit="mm",
         ge=0,
     )
     huber: float = setting(
-        3.0, "A fix further than this many standard deviations off gets a smaller weight.", gt=0
+        3.0,
+        "A position further than this many standard deviations off gets a smaller weight.",
+        gt=0,
     )
 
 
@@ -49,7 +51,7 @@ class _Located:
 
 
 class KabschSolver(PoseSolver):
-    """Weighted rigid alignment of three or more fixes."""
+    """Weighted rigid alignment of three or more positions."""
 
     name = "kabsch"
     Config = KabschConfig
@@ -64,17 +66,17 @@ class KabschSolver(PoseSolver):
 
     def solve(
         self,
-        fixes: Sequence[Fix],
+        positions: Sequence[BallPosition],
         detections: Sequence[Detection],
         cameras: Mapping[str, Camera],
         time_s: float,
         prior: Motion | None = None,
     ) -> Pose | None:
-        """Locate the body from its fixes; None for fewer than three, or balls on one line."""
-        if len(fixes) < 3:
+        """Locate the body from its positions; None for fewer than three, or balls on one line."""
+        if len(positions) < 3:
             return None
-        at = [self._at(fix, detections, cameras, time_s, prior) for fix in fixes]
-        points_body = self.body.centers[[self.body.index(fix.ball) for fix in fixes]]
+        at = [self._at(position, detections, cameras, time_s, prior) for position in positions]
+        points_body = self.body.centers[[self.body.index(position.ball) for position in positions]]
         centers = np.stack([located.point for located in at])
         covariances = np.stack([located.covariance for located in at])
         try:
@@ -90,11 +92,11 @@ class KabschSolver(PoseSolver):
             covariance=_covariance(world_from_body, points_body, weight, at, chi_square),
             residual_mm=float(np.sqrt(np.mean(np.sum(residuals**2, axis=1)))),
             rms_px=_rms_px(at, world_from_body.apply(points_body)),
-            cameras=tuple(sorted({name for fix in fixes for name in fix.cameras})),
-            balls=tuple(fix.ball for fix in fixes),
+            cameras=tuple(sorted({name for position in positions for name in position.cameras})),
+            balls=tuple(position.ball for position in positions),
             flags=layout_flags(
                 self.body,
-                [f.ball for f in fixes],
+                [f.ball for f in positions],
                 centers,
                 covariances,
                 self.config.distance_tolerance_mm,
@@ -103,30 +105,30 @@ class KabschSolver(PoseSolver):
 
     def _at(
         self,
-        fix: Fix,
+        position: BallPosition,
         detections: Sequence[Detection],
         cameras: Mapping[str, Camera],
         time_s: float,
         prior: Motion | None,
     ) -> _Located:
-        """The fix at `time_s`: each camera's pixel is where a moving ball was at its own time."""
-        used = [d for d in detections if d.ball == fix.ball and d.camera in fix.cameras]
+        """The position at `time_s`; a moving ball's pixels belong to the cameras' own times."""
+        used = [d for d in detections if d.ball == position.ball and d.camera in position.cameras]
         if len(used) < 2:
-            return _Located(fix.center, fix.covariance, None)
+            return _Located(position.center, position.covariance, None)
         shifts = np.zeros((len(used), 3))
         if prior is not None:
-            center = self.body.centers[self.body.index(fix.ball)]
+            center = self.body.centers[self.body.index(position.ball)]
             shifts = np.stack([prior.at(d.time_s).apply(center) for d in used])
             shifts -= prior.at(time_s).apply(center)
         views = Views.of(used, cameras, shifts)
         if not np.any(views.shifts):
-            return _Located(fix.center, fix.covariance, views)
+            return _Located(position.center, position.covariance, views)
         try:
             fit = fit_point(views)
         except DegenerateGeometryError:
-            return _Located(fix.center, fix.covariance, None)
+            return _Located(position.center, position.covariance, None)
         # What the triangulator found doubtful stays doubtful.
-        wider = max(1.0, float(np.trace(fix.covariance) / np.trace(fit.covariance)))
+        wider = max(1.0, float(np.trace(position.covariance) / np.trace(fit.covariance)))
         return _Located(fit.point, fit.covariance * wider, views)
 
 
@@ -189,10 +191,10 @@ def _covariance(
 
 
 def _parts(located: _Located) -> tuple[Floats, list[tuple[Camera, Floats]]]:
-    """A fix's own covariance (3, 3), and how it reacts to each uncertain camera (3, 18).
+    """A position's own covariance (3, 3), and how it reacts to each uncertain camera (3, 18).
 
-    Where the triangulator doubts a fix (a covariance beyond what pixels and calibration explain),
-    the own part is wider by the same ratio.
+    Where the triangulator doubts a position (a covariance beyond what pixels and calibration
+    explain), the own part is wider by the same ratio.
     """
     views = located.views
     if views is None or all(camera.covariance is None for camera in views.cameras):

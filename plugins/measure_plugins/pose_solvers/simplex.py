@@ -13,7 +13,7 @@ from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform, skew
 from measure.host import PoseSolver, Settings, hookimpl, setting
-from measure.model import Camera, Detection, Fix, Motion, Pose
+from measure.model import BallPosition, Camera, Detection, Motion, Pose
 from measure_plugins.pose_solvers._simplex_fit import fit_simplex, initial_guess
 
 
@@ -41,18 +41,18 @@ class SimplexSolver(PoseSolver):
 
     def solve(
         self,
-        fixes: Sequence[Fix],
+        positions: Sequence[BallPosition],
         detections: Sequence[Detection],
         cameras: Mapping[str, Camera],
         time_s: float,
         prior: Motion | None = None,
     ) -> Pose | None:
-        """Locate the body from three or more fixes; see `PoseSolver.solve`."""
-        if len(fixes) < 3:
+        """Locate the body from three or more positions; see `PoseSolver.solve`."""
+        if len(positions) < 3:
             return None
-        rows = [self.body.index(fix.ball) for fix in fixes]
+        rows = [self.body.index(position.ball) for position in positions]
         points_body = self.body.centers[rows]
-        points_world = np.stack([fix.center for fix in fixes])
+        points_world = np.stack([position.center for position in positions])
         try:
             guess = initial_guess(points_world, points_body)
         except DegenerateGeometryError:
@@ -69,23 +69,25 @@ class SimplexSolver(PoseSolver):
         return Pose(
             time_s=time_s,
             world_from_body=pose,
-            covariance=_covariance(pose, points_body, fixes),
+            covariance=_covariance(pose, points_body, positions),
             residual_mm=float(np.sqrt(np.mean(np.sum(misses**2, axis=1)))),
-            rms_px=self._reprojection_rms(pose, fixes, detections, cameras),
-            cameras=tuple(name for name in cameras if any(name in fix.cameras for fix in fixes)),
-            balls=tuple(fix.ball for fix in fixes),
+            rms_px=self._reprojection_rms(pose, positions, detections, cameras),
+            cameras=tuple(
+                name for name in cameras if any(name in position.cameras for position in positions)
+            ),
+            balls=tuple(position.ball for position in positions),
             flags=() if converged else ("the simplex search did not converge",),
         )
 
     def _reprojection_rms(
         self,
         pose: RigidTransform,
-        fixes: Sequence[Fix],
+        positions: Sequence[BallPosition],
         detections: Sequence[Detection],
         cameras: Mapping[str, Camera],
     ) -> float:
-        """Over the detections that made the fixes; the circle's centre counts as the ball's."""
-        used = {(fix.ball, camera) for fix in fixes for camera in fix.cameras}
+        """Over the detections that made the positions; the circle's centre counts as the ball's."""
+        used = {(position.ball, camera) for position in positions for camera in position.cameras}
         errors = [
             cameras[d.camera].project(pose.apply(self.body.centers[self.body.index(d.ball)])[None])[
                 0
@@ -105,14 +107,17 @@ def measure_pose_solvers() -> list[type[PoseSolver]]:
     return [SimplexSolver]
 
 
-def _covariance(pose: RigidTransform, points_body: Floats, fixes: Sequence[Fix]) -> Floats:
+def _covariance(
+    pose: RigidTransform, points_body: Floats, positions: Sequence[BallPosition]
+) -> Floats:
     """(6, 6) in the pose's `perturb` chart, to first order, of the unweighted least squares.
 
     A ball moves by dt + w x (R p), so its Jacobian is [I, -skew(R p)]; the minimum answers to an
-    error of the fixes by the pseudo-inverse of the stacked Jacobians. Fixes count as independent.
+    error of the positions by the pseudo-inverse of the stacked Jacobians. Positions count as
+    independent.
     """
     turned = pose.rotate(points_body)
     jacobian = np.concatenate([np.tile(np.eye(3), (len(turned), 1, 1)), -skew(turned)], axis=2)
     inverse = np.linalg.pinv(jacobian.reshape(-1, 6)).reshape(6, -1, 3)
-    noise = np.stack([fix.covariance for fix in fixes])
+    noise = np.stack([position.covariance for position in positions])
     return np.asarray(np.einsum("inj,njk,mnk->im", inverse, noise, inverse))

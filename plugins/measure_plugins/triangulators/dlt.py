@@ -15,7 +15,7 @@ from measure.arrays import Floats
 from measure.estimation.multiview import Views, ray_distances
 from measure.geometry import propagate
 from measure.host import Settings, Triangulator, hookimpl
-from measure.model import Camera, Detection, Fix
+from measure.model import BallPosition, Camera, Detection
 
 _PARALLEL = 1e-4
 """Third singular value over the first, below which the rays are parallel."""
@@ -29,7 +29,7 @@ class DltTriangulator(Triangulator):
 
     def triangulate(
         self, detections: Sequence[Detection], cameras: Mapping[str, Camera]
-    ) -> Fix | None:
+    ) -> BallPosition | None:
         """Locate one ball; None for fewer than two cameras or parallel rays."""
         if len(detections) < 2:
             return None
@@ -45,7 +45,7 @@ class DltTriangulator(Triangulator):
             by_point, 1, 2
         )
         covariance = propagate(by_pixel, noise).sum(axis=0)
-        return Fix(
+        return BallPosition(
             ball=detections[0].ball,
             time_s=float(np.mean([d.time_s for d in detections])),
             center=point,

@@ -15,7 +15,7 @@ from measure.arrays import Floats, Ints
 from measure.errors import DegenerateGeometryError
 from measure.geometry import Rays, midpoints, propagate, usable_pairs
 from measure.host import Settings, Triangulator, hookimpl, setting
-from measure.model import Camera, Detection, Fix, Rig
+from measure.model import BallPosition, Camera, Detection, Rig
 
 _STEP_PX = 0.25
 """Half the step of the central differences; the midpoint is smooth over many pixels."""
@@ -41,7 +41,7 @@ class MidpointTriangulator(Triangulator):
 
     def triangulate(
         self, detections: Sequence[Detection], cameras: Mapping[str, Camera]
-    ) -> Fix | None:
+    ) -> BallPosition | None:
         """Locate one ball from two or more cameras; see `Triangulator.triangulate`.
 
         The covariance holds what the detections' covariances and, where they are known, those of
@@ -63,7 +63,7 @@ class MidpointTriangulator(Triangulator):
         ahead = np.sum((center - rays.origins) * rays.directions, axis=1)
         if np.any(ahead[used] <= 0):
             return None
-        return Fix(
+        return BallPosition(
             ball=seen[0].ball,
             time_s=float(np.mean([seen[row].time_s for row in used])),
             center=center,

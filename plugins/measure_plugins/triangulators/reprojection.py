@@ -19,7 +19,7 @@ from measure.errors import DegenerateGeometryError
 from measure.estimation.multiview import Views, fit_point
 from measure.geometry import chi_square_quantile
 from measure.host import Settings, Triangulator, hookimpl, setting
-from measure.model import Camera, Detection, Fix, Rig
+from measure.model import BallPosition, Camera, Detection, Rig
 from measure.model.camera import MIN_DEPTH_MM
 from measure.model.observations import stacked_detections
 
@@ -46,7 +46,7 @@ class ReprojectionConfig(Settings):
         unit="px",
         ge=0,
     )
-    max_dropped: int = setting(2, "Most cameras to leave out of one fix.", ge=0)
+    max_dropped: int = setting(2, "Most cameras to leave out of one position.", ge=0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +73,7 @@ class ReprojectionTriangulator(Triangulator):
 
     def triangulate(
         self, detections: Sequence[Detection], cameras: Mapping[str, Camera]
-    ) -> Fix | None:
+    ) -> BallPosition | None:
         """Locate one ball; None for fewer than two cameras or parallel rays."""
         if len(detections) < 2:
             return None
@@ -82,7 +82,7 @@ class ReprojectionTriangulator(Triangulator):
         if chosen is None:
             return None
         used = [detections[row] for row in chosen.rows]
-        return Fix(
+        return BallPosition(
             ball=detections[0].ball,
             time_s=sum(d.time_s for d in used) / len(used),
             center=chosen.fit.point,
@@ -94,7 +94,7 @@ class ReprojectionTriangulator(Triangulator):
 
     def triangulate_all(
         self, detections: Sequence[Detection], cameras: Mapping[str, Camera]
-    ) -> list[Fix]:
+    ) -> list[BallPosition]:
         """Locate all balls at once; those on which the cameras do not agree, one by one."""
         from measure.estimation.point_fit import FITTED, fit_groups
 
@@ -118,7 +118,7 @@ class ReprojectionTriangulator(Triangulator):
             MIN_DEPTH_MM,
         )
         ends, apart = fits.ends.tolist(), fits.disagreements.tolist()
-        chi_squares, out = fits.chi_squares.tolist(), list[Fix | None]()
+        chi_squares, out = fits.chi_squares.tolist(), list[BallPosition | None]()
         for i, (first, last) in enumerate(seen.groups):
             own, degrees = used[first:last], 2 * (last - first) - 3
             agreed = ends[i] == FITTED and self._agreed(apart[i], chi_squares[i], degrees)
@@ -128,9 +128,11 @@ class ReprojectionTriangulator(Triangulator):
             names, distances = rig.names[first:last], fits.distances_mm[first:last]
             time_s = sum([d.time_s for d in own]) / len(own)
             out.append(
-                Fix(own[0].ball, time_s, fits.points[i], fits.covariances[i], names, distances)
+                BallPosition(
+                    own[0].ball, time_s, fits.points[i], fits.covariances[i], names, distances
+                )
             )
-        return [fix for fix in out if fix is not None]
+        return [position for position in out if position is not None]
 
     def _agreed(self, disagreement: float, chi_square: float, degrees: int) -> bool:
         """Whether no camera would be left out, and the covariance stays as it is."""

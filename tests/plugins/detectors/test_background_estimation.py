@@ -46,7 +46,7 @@ def test_pictures_are_measured_while_a_lesson_is_taken_and_differently_after_it(
     go, really = threading.Event(), learner.take_lesson
     monkeypatch.setattr(learner, "take_lesson", lambda *told: go.wait(60) and really(*told))
     live = detector_of(scene, camera)
-    live.go_live()
+    live.enter_realtime()
     before = live._appearance
     seen = [centers(live.detect(*picture)) for picture in pictures[:FIRST_LESSON]]
     assert live._appearance is before, "the lesson still waits"
@@ -72,7 +72,7 @@ def test_what_goes_wrong_in_a_lesson_is_told(shown, monkeypatch):
 
     monkeypatch.setattr(learner, "take_lesson", broken)
     live = detector_of(scene, camera)
-    live.go_live()
+    live.enter_realtime()
     for picture in pictures[:FIRST_LESSON]:
         live.detect(*picture)
     assert isinstance(live._aside._lesson.exception(60), ArithmeticError)

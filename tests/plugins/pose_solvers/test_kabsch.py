@@ -19,13 +19,13 @@ POSE_COVARIANCE = np.diag([0.3, 0.3, 0.3, 5e-4, 5e-4, 5e-4]) ** 2
 
 
 def solve(body, seen, cameras, time_s=0.0, prior=None, skip_balls=()):
-    fixes = [
-        fix
+    positions = [
+        position
         for name in body.names
         if name not in skip_balls
-        and (fix := TRIANGULATOR.triangulate(of_ball(seen, name), cameras)) is not None
+        and (position := TRIANGULATOR.triangulate(of_ball(seen, name), cameras)) is not None
     ]
-    return KabschSolver(KabschConfig(), body).solve(fixes, seen, cameras, time_s, prior)
+    return KabschSolver(KabschConfig(), body).solve(positions, seen, cameras, time_s, prior)
 
 
 @pytest.mark.parametrize("body", [RAVEN, FOUR], ids=lambda body: body.name)
@@ -56,7 +56,7 @@ def test_covariance_matches_monte_carlo():
 
 
 def test_calibration_errors_are_shared_by_all_balls():
-    """A camera's pose error moves all three fixes together; as independent it would be too sure."""
+    """A camera's pose error moves all positions together; independent, it would be too sure."""
     rng = np.random.default_rng(4)
     known = ring(pose_covariance=POSE_COVARIANCE)
     distance = []

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform, align_points, squared_mahalanobis
-from measure.model import Fix
+from measure.model import BallPosition
 from measure_plugins.pose_solvers._simplex_fit import initial_guess
 from measure_plugins.pose_solvers.simplex import SimplexSettings, SimplexSolver
 from measure_plugins.triangulators.midpoint import MidpointSettings, MidpointTriangulator
@@ -24,14 +24,16 @@ def fixes_of(body, pose, sd_mm=0.0, rng=None, names=None):
     )
     centers = pose.apply(body.centers) + noise
     return [
-        Fix(ball.name, 0.0, center, np.eye(3) * max(sd_mm, 0.1) ** 2, tuple(CAMERAS), np.zeros(4))
+        BallPosition(
+            ball.name, 0.0, center, np.eye(3) * max(sd_mm, 0.1) ** 2, tuple(CAMERAS), np.zeros(4)
+        )
         for ball, center in zip(body.balls, centers, strict=True)
         if names is None or ball.name in names
     ]
 
 
-def solve(body, fixes, **kwargs):
-    return SimplexSolver(SimplexSettings(**kwargs), body).solve(fixes, [], CAMERAS, 0.0)
+def solve(body, positions, **kwargs):
+    return SimplexSolver(SimplexSettings(**kwargs), body).solve(positions, [], CAMERAS, 0.0)
 
 
 def euler_zyx(alpha, beta, gamma):
@@ -65,9 +67,9 @@ def test_guess_is_exact_without_noise(body):
 def test_minimum_is_that_of_the_closed_form(body, sd_mm):
     rng = np.random.default_rng(3)
     for _ in range(15):
-        fixes = fixes_of(body, a_pose(rng, turn_deg=180), sd_mm, rng)
-        pose = solve(body, fixes)
-        exact = align_points([fix.center for fix in fixes], body.centers)
+        positions = fixes_of(body, a_pose(rng, turn_deg=180), sd_mm, rng)
+        pose = solve(body, positions)
+        exact = align_points([position.center for position in positions], body.centers)
         difference = pose.world_from_body.difference(exact)
         assert np.linalg.norm(difference[:3]) < 1e-4
         assert np.linalg.norm(difference[3:]) < 1e-5
@@ -82,9 +84,9 @@ def test_minimum_is_that_of_the_closed_form(body, sd_mm):
 )
 def test_no_trouble_near_gimbal_lock(alpha, beta, gamma):
     pose = RigidTransform(euler_zyx(alpha, beta, gamma), np.array([30.0, -20.0, 250.0]))
-    fixes = fixes_of(RAVEN, pose, 0.5, np.random.default_rng(4))
-    exact = align_points([fix.center for fix in fixes], RAVEN.centers)
-    difference = solve(RAVEN, fixes).world_from_body.difference(exact)
+    positions = fixes_of(RAVEN, pose, 0.5, np.random.default_rng(4))
+    exact = align_points([position.center for position in positions], RAVEN.centers)
+    difference = solve(RAVEN, positions).world_from_body.difference(exact)
     assert np.linalg.norm(difference[:3]) < 1e-4
     assert np.linalg.norm(difference[3:]) < 1e-5
 
@@ -104,10 +106,10 @@ def test_two_fixes_give_no_pose():
 
 
 def test_fixes_on_one_line_give_no_pose():
-    fixes = fixes_of(RAVEN, RigidTransform.identity())
+    positions = fixes_of(RAVEN, RigidTransform.identity())
     flat = [
-        Fix(f.ball, 0.0, f.center * [1, 0, 0], f.covariance, f.cameras, f.residuals_mm)
-        for f in fixes
+        BallPosition(f.ball, 0.0, f.center * [1, 0, 0], f.covariance, f.cameras, f.residuals_mm)
+        for f in positions
     ]
     assert solve(RAVEN, flat) is None
     with pytest.raises(DegenerateGeometryError, match="one line"):
@@ -122,12 +124,15 @@ def test_too_few_evaluations_are_flagged():
 
 def test_wrong_shape_shows_in_the_residual():
     pose = a_pose(np.random.default_rng(7))
-    fixes = fixes_of(RAVEN, pose)
-    assert solve(RAVEN, fixes).residual_mm < 1e-4
-    stretched = [Fix(f.ball, 0.0, f.center, f.covariance, f.cameras, f.residuals_mm) for f in fixes]
-    along = fixes[0].center - fixes[2].center
-    off = fixes[0].center + 6.0 * along / np.linalg.norm(along)
-    stretched[0] = Fix("green", 0.0, off, np.eye(3), tuple(CAMERAS), np.zeros(4))
+    positions = fixes_of(RAVEN, pose)
+    assert solve(RAVEN, positions).residual_mm < 1e-4
+    stretched = [
+        BallPosition(f.ball, 0.0, f.center, f.covariance, f.cameras, f.residuals_mm)
+        for f in positions
+    ]
+    along = positions[0].center - positions[2].center
+    off = positions[0].center + 6.0 * along / np.linalg.norm(along)
+    stretched[0] = BallPosition("green", 0.0, off, np.eye(3), tuple(CAMERAS), np.zeros(4))
     assert solve(RAVEN, stretched).residual_mm > 2.0
 
 
@@ -140,8 +145,8 @@ def test_reported_covariance_is_the_scatter_of_the_whole_chain():
     errors, covariances = [], []
     for _ in range(150):
         seen = see(CAMERAS, RAVEN, pose, 0.8, rng)
-        fixes = [midpoint.triangulate(of_ball(seen, name), CAMERAS) for name in RAVEN.names]
-        found = solver.solve(fixes, seen, CAMERAS, 0.0)
+        positions = [midpoint.triangulate(of_ball(seen, name), CAMERAS) for name in RAVEN.names]
+        found = solver.solve(positions, seen, CAMERAS, 0.0)
         errors.append(found.world_from_body.difference(pose))
         covariances.append(found.covariance)
     distances = squared_mahalanobis(np.array(errors), np.array(covariances))

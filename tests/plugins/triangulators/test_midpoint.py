@@ -24,11 +24,11 @@ MIDPOINT = MidpointTriangulator(MidpointSettings())
 def test_exact_without_noise(count):
     cameras = ring(count) if count != 2 else dict(list(ring(4).items())[:2])
     pose = a_pose(np.random.default_rng(3))
-    fix = MIDPOINT.triangulate(of_ball(see(cameras, RAVEN, pose), "green"), cameras)
-    np.testing.assert_allclose(fix.center, pose.apply(RAVEN.centers)[0], atol=1e-6)
-    assert fix.cameras == tuple(cameras)
-    assert fix.dropped == ()
-    assert fix.rms_mm < 1e-6
+    position = MIDPOINT.triangulate(of_ball(see(cameras, RAVEN, pose), "green"), cameras)
+    np.testing.assert_allclose(position.center, pose.apply(RAVEN.centers)[0], atol=1e-6)
+    assert position.cameras == tuple(cameras)
+    assert position.dropped == ()
+    assert position.rms_mm < 1e-6
 
 
 def test_two_skew_rays_meet_in_the_middle_of_their_common_perpendicular():
@@ -82,9 +82,11 @@ def test_near_parallel_cameras_still_pair_with_a_third():
     errors = []
     for _ in range(200):
         pose = a_pose(rng)
-        fix = MIDPOINT.triangulate(of_ball(see(cameras, RAVEN, pose, 0.5, rng), "red"), cameras)
-        assert fix.cameras == ("cam0", "beside", "cam1")
-        errors.append(fix.center - pose.apply(RAVEN.centers)[2])
+        position = MIDPOINT.triangulate(
+            of_ball(see(cameras, RAVEN, pose, 0.5, rng), "red"), cameras
+        )
+        assert position.cameras == ("cam0", "beside", "cam1")
+        errors.append(position.center - pose.apply(RAVEN.centers)[2])
     # The pair at one degree alone would err by more than 10 mm along the view.
     assert np.sqrt(np.mean(np.square(errors))) < 0.4
 
@@ -112,9 +114,11 @@ def test_reported_covariance_is_the_scatter(count):
     rng = np.random.default_rng(9)
     errors, covariances = [], []
     for _ in range(800):
-        fix = MIDPOINT.triangulate(of_ball(see(cameras, RAVEN, pose, 0.6, rng), "yellow"), cameras)
-        errors.append(fix.center - truth)
-        covariances.append(fix.covariance)
+        position = MIDPOINT.triangulate(
+            of_ball(see(cameras, RAVEN, pose, 0.6, rng), "yellow"), cameras
+        )
+        errors.append(position.center - truth)
+        covariances.append(position.covariance)
     scatter = np.cov(np.array(errors).T)
     reported = np.mean(covariances, axis=0)
     ratio = np.linalg.eigvals(np.linalg.solve(scatter, reported)).real
@@ -139,7 +143,9 @@ def test_camera_pose_covariance_counts():
             )
             for name, camera in cameras.items()
         }
-        fix = MIDPOINT.triangulate(of_ball(see(off, RAVEN, pose, 0.05, rng), "yellow"), cameras)
-        errors.append(fix.center - truth)
-        distances.append(squared_mahalanobis(errors[-1], fix.covariance))
+        position = MIDPOINT.triangulate(
+            of_ball(see(off, RAVEN, pose, 0.05, rng), "yellow"), cameras
+        )
+        errors.append(position.center - truth)
+        distances.append(squared_mahalanobis(errors[-1], position.covariance))
     assert np.mean(distances) == pytest.approx(3.0, rel=0.15)

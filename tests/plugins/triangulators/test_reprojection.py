@@ -28,9 +28,9 @@ def errors(triangulator, cameras, sd_px, draws, seed=1):
     for _ in range(draws):
         pose = a_pose(rng)
         seen = of_ball(see(cameras, RAVEN, pose, sd_px, rng), "yellow")
-        fix = triangulator.triangulate(seen, cameras)
-        out.append(fix.center - pose.apply(RAVEN.centers)[1])
-        covariances.append(fix.covariance)
+        position = triangulator.triangulate(seen, cameras)
+        out.append(position.center - pose.apply(RAVEN.centers)[1])
+        covariances.append(position.covariance)
     return np.array(out), np.array(covariances)
 
 
@@ -42,11 +42,11 @@ def test_exact_without_noise(triangulator, count):
     cameras = ring(count) if count != 2 else dict(list(ring(4).items())[:2])
     pose = a_pose(np.random.default_rng(3))
     seen = of_ball(see(cameras, RAVEN, pose, 0.1), "green")
-    fix = triangulator.triangulate(seen, cameras)
-    np.testing.assert_allclose(fix.center, pose.apply(RAVEN.centers)[0], atol=1e-6)
-    assert fix.cameras == tuple(cameras)
-    assert fix.dropped == ()
-    assert fix.rms_mm < 1e-6
+    position = triangulator.triangulate(seen, cameras)
+    np.testing.assert_allclose(position.center, pose.apply(RAVEN.centers)[0], atol=1e-6)
+    assert position.cameras == tuple(cameras)
+    assert position.dropped == ()
+    assert position.rms_mm < 1e-6
 
 
 @pytest.mark.parametrize(
@@ -73,18 +73,18 @@ def test_covariance_includes_the_camera_poses():
         }
         pose = a_pose(rng)
         seen = of_ball(see(true, RAVEN, pose, 0.1, rng), "red")
-        fix = reprojection().triangulate(seen, known)
-        error = fix.center - pose.apply(RAVEN.centers)[2]
-        distance.append(squared_mahalanobis(error, fix.covariance))
+        position = reprojection().triangulate(seen, known)
+        error = position.center - pose.apply(RAVEN.centers)[2]
+        distance.append(squared_mahalanobis(error, position.covariance))
     assert np.mean(distance) == pytest.approx(3.0, rel=0.2)
     seen = of_ball(see(known, RAVEN, pose, 0.1), "red")
-    fix = reprojection().triangulate(seen, known)
+    position = reprojection().triangulate(seen, known)
     sure = reprojection().triangulate(seen, ring())
-    assert np.trace(fix.covariance) > 3 * np.trace(sure.covariance)
+    assert np.trace(position.covariance) > 3 * np.trace(sure.covariance)
 
 
 def test_weights_beat_equal_weights():
-    """One camera ten times as noisy as the others: its say must shrink, not spoil the fix."""
+    """One camera ten times as noisy as the others: its say must shrink, not spoil the position."""
     rng = np.random.default_rng(7)
     cameras = ring()
     methods = {"weighted": reprojection(), "dlt": DltTriangulator(Settings())}
@@ -98,8 +98,8 @@ def test_weights_beat_equal_weights():
         )
         truth = pose.apply(RAVEN.centers)[0]
         for name, triangulator in methods.items():
-            fix = triangulator.triangulate(seen, cameras)
-            squares[name].append(np.sum((fix.center - truth) ** 2))
+            position = triangulator.triangulate(seen, cameras)
+            squares[name].append(np.sum((position.center - truth) ** 2))
     assert np.mean(squares["weighted"]) < 0.2 * np.mean(squares["dlt"])
 
 
@@ -112,10 +112,10 @@ def test_names_the_camera_it_drops(wrong):
         replace(d, center_px=d.center_px + np.array([20.0, -15.0])) if d.camera == wrong else d
         for d in seen
     ]
-    fix = reprojection().triangulate(seen, cameras)
-    assert fix.dropped == (wrong,)
-    assert wrong not in fix.cameras
-    assert np.linalg.norm(fix.center - pose.apply(RAVEN.centers)[2]) < 0.2
+    position = reprojection().triangulate(seen, cameras)
+    assert position.dropped == (wrong,)
+    assert wrong not in position.cameras
+    assert np.linalg.norm(position.center - pose.apply(RAVEN.centers)[2]) < 0.2
 
 
 def test_two_cameras_that_disagree_are_not_believed():
@@ -124,10 +124,10 @@ def test_two_cameras_that_disagree_are_not_believed():
     seen = of_ball(see(cameras, RAVEN, pose, 0.1), "red")
     agreed = reprojection().triangulate(seen, cameras)
     seen[1] = replace(seen[1], center_px=seen[1].center_px + np.array([0.0, 12.0]))
-    fix = reprojection().triangulate(seen, cameras)
-    error = np.linalg.norm(fix.center - pose.apply(RAVEN.centers)[2])
+    position = reprojection().triangulate(seen, cameras)
+    error = np.linalg.norm(position.center - pose.apply(RAVEN.centers)[2])
     assert error > 1
-    assert np.sqrt(np.trace(fix.covariance)) > 20 * np.sqrt(np.trace(agreed.covariance))
+    assert np.sqrt(np.trace(position.covariance)) > 20 * np.sqrt(np.trace(agreed.covariance))
 
 
 def test_three_cameras_that_cannot_tell_who_is_wrong_say_so():
@@ -139,10 +139,10 @@ def test_three_cameras_that_cannot_tell_who_is_wrong_say_so():
     along = cameras["cam0"].center - truth
     false = cameras["cam1"].project([truth + 0.05 * along])[0]
     seen[1] = replace(seen[1], center_px=false)
-    fix = reprojection().triangulate(seen, cameras)
-    error = np.linalg.norm(fix.center - truth)
-    assert error < 3 * np.sqrt(np.trace(fix.covariance))
-    assert len(fix.dropped) == 1
+    position = reprojection().triangulate(seen, cameras)
+    error = np.linalg.norm(position.center - truth)
+    assert error < 3 * np.sqrt(np.trace(position.covariance))
+    assert len(position.dropped) == 1
 
 
 @pytest.mark.parametrize(
@@ -168,5 +168,5 @@ def test_point_behind_a_camera_is_none_or_drops_it():
             turned.rotation @ np.diag([1.0, -1, -1]), turned.translation
         ),
     )
-    fix = reprojection().triangulate(seen, {**cameras, "cam2": flipped})
-    assert fix.dropped == ("cam2",)
+    position = reprojection().triangulate(seen, {**cameras, "cam2": flipped})
+    assert position.dropped == ("cam2",)

@@ -23,7 +23,7 @@ class BlobDetector(Detector):
     """Patches of a ball's colour by connected components."""
 
     name = "blob"
-    measures_outlines = False
+    provides_outlines = False
     Config = BlobSettings
     config: BlobSettings
 

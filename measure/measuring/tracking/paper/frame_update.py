@@ -27,12 +27,12 @@ from measure.measuring.tracking.paper.ray_agreement import (
 from measure.measuring.tracking.tracker import Verdict
 from measure.model import (
     Ball,
+    BallPosition,
     BallView,
     Body,
     Camera,
     Detection,
     Expectation,
-    Fix,
     FrameSet,
     Motion,
     Pose,
@@ -152,25 +152,27 @@ class FrameUpdate:
         self,
         frame_set: FrameSet,  # noqa: ARG002
         views: Sequence[BallView],
-        fixes: Sequence[Fix],
+        positions: Sequence[BallPosition],
         pose: Pose | None,
         residuals_px: Mapping[tuple[str, str], Floats],  # noqa: ARG002
     ) -> Verdict:
         """Keep the pose and let the tolerance converge, or plan a restart with a raised one."""
-        problem = self._problem(views, fixes, pose)
+        problem = self._problem(views, positions, pose)
         if problem or pose is None:
             self._plan_restart()
             return Verdict(None, problem or "no pose from the located balls")
         self._pose = pose
         self._starting = False
         self._tolerance = 1 + (self._tolerance - 1) * self.config.tolerance_decay
-        against = misfits(fixes, pose, self.config.flag_residual_mm, self.config.flag_rays_mm)
+        against = misfits(positions, pose, self.config.flag_residual_mm, self.config.flag_rays_mm)
         return Verdict(replace(pose, flags=(*pose.flags, *against)))
 
-    def _problem(self, views: Sequence[BallView], fixes: Sequence[Fix], pose: Pose | None) -> str:
+    def _problem(
+        self, views: Sequence[BallView], positions: Sequence[BallPosition], pose: Pose | None
+    ) -> str:
         if pose is not None and pose.residual_mm > self.config.max_residual_mm:
             return f"pose refused: the balls miss the body's shape by {pose.residual_mm:.1f} mm RMS"
-        if pose is not None or len(fixes) >= 3:
+        if pose is not None or len(positions) >= 3:
             return ""
         counts = {
             name: sum(view.ball == name and view.effective for view in views)
@@ -179,7 +181,7 @@ class FrameUpdate:
         short = [f"{name} {count}" for name, count in counts.items() if count < 2]
         if short:
             return f"too few effective circles ({', '.join(short)}; each ball needs 2)"
-        return f"only {len(fixes)} balls could be located"
+        return f"only {len(positions)} balls could be located"
 
     def _plan_restart(self) -> None:
         config = self.config

@@ -10,7 +10,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
 from measure.geometry import Rays, midpoints, usable_pairs
-from measure.model import Camera, Detection, Fix, Pose, Rig
+from measure.model import BallPosition, Camera, Detection, Pose, Rig
 
 _MIN_ANGLE_RAD = np.radians(5.0)
 
@@ -111,12 +111,12 @@ def _worst(seen: Sequence[Sighting], radius_mm: float, limits: Limits) -> float:
 
 
 def misfits(
-    fixes: Sequence[Fix], pose: Pose, flag_residual_mm: float, flag_rays_mm: float
+    positions: Sequence[BallPosition], pose: Pose, flag_residual_mm: float, flag_rays_mm: float
 ) -> tuple[str, ...]:
     """Flags for a pose.
 
     Args:
-        fixes: the located balls.
+        positions: the located balls.
         pose: fitted to them.
         flag_residual_mm: RMS misfit of the balls to the body from which it is flagged.
         flag_rays_mm: RMS distance of the rays from their balls from which it is flagged.
@@ -125,8 +125,8 @@ def misfits(
     if pose.residual_mm > flag_residual_mm:
         found.append(f"the balls miss the body's shape by {pose.residual_mm:.2f} mm RMS")
     squares: dict[str, list[float]] = {}
-    for fix in fixes:
-        for camera, residual in zip(fix.cameras, fix.residuals_mm.tolist(), strict=True):
+    for position in positions:
+        for camera, residual in zip(position.cameras, position.residuals_mm.tolist(), strict=True):
             squares.setdefault(camera, []).append(residual**2)
     if not squares:
         return tuple(found)

@@ -14,8 +14,8 @@ import numpy as np
 from measure.arrays import Floats
 from measure.estimation.body_layout import distances_from_body
 from measure.geometry import chi_square_quantile
-from measure.model import BallView, Body, Camera, Fix, Pose
-from measure.model.observations import Reason, stacked_fixes
+from measure.model import BallPosition, BallView, Body, Camera, Pose
+from measure.model.observations import Reason, stacked_positions
 
 _DISBELIEVED = (Reason.JUMPED, Reason.INCONSISTENT, Reason.RECOVERING)
 _MANY = 2
@@ -26,7 +26,7 @@ _LEAST_SIGHTINGS = 5
 def inconsistencies(
     pose: Pose,
     views: Sequence[BallView],
-    fixes: Sequence[Fix],
+    positions: Sequence[BallPosition],
     body: Body,
     own_px: float,
     confidence: float,
@@ -36,7 +36,7 @@ def inconsistencies(
     Args:
         pose: the pose.
         views: what was seen, and what of it is believed.
-        fixes: the balls' centres.
+        positions: the balls' centres.
         body: as its file says.
         own_px: standard deviation of what a sighting is off by besides its noise.
         confidence: what is less likely than this is doubted.
@@ -47,7 +47,7 @@ def inconsistencies(
         if v.effective and v.detection is not None
     }
     found = tuple(_disbelieved(views))
-    found += tuple(_balls_aside(pose, fixes, variances, body, own_px, confidence))
+    found += tuple(_balls_aside(pose, positions, variances, body, own_px, confidence))
     if len(variances) < _LEAST_SIGHTINGS:
         found += (f"only {len(variances)} sightings of balls: little would show a mistake",)
     return found
@@ -111,33 +111,39 @@ def _disbelieved(views: Sequence[BallView]) -> Iterable[str]:
 
 def _balls_aside(
     pose: Pose,
-    fixes: Sequence[Fix],
+    positions: Sequence[BallPosition],
     variances: Mapping[tuple[str, str], float],
     body: Body,
     own_px: float,
     confidence: float,
 ) -> Iterable[str]:
     """Balls that are not where the body puts them, by rays alone."""
-    if not fixes:
+    if not positions:
         return
     gate, placed = chi_square_quantile(confidence, 3), pose.world_from_body
-    centers, covariances = stacked_fixes(tuple(fixes))
+    centers, covariances = stacked_positions(tuple(positions))
     distances = distances_from_body(
         np.ascontiguousarray(placed.rotation),
         np.ascontiguousarray(placed.translation),
-        body.centers_of([fix.ball for fix in fixes]),
+        body.centers_of([position.ball for position in positions]),
         centers,
         covariances + body.center_covariance,
     )
-    for fix, (distance, gone_mm) in zip(fixes, distances.tolist(), strict=True):
-        if distance > gate and distance > gate * _widening(fix, variances, own_px):
+    for position, (distance, gone_mm) in zip(positions, distances.tolist(), strict=True):
+        if distance > gate and distance > gate * _widening(position, variances, own_px):
             yield (
-                f"ball {fix.ball} is {gone_mm:.1f} mm from where the body puts it: "
+                f"ball {position.ball} is {gone_mm:.1f} mm from where the body puts it: "
                 "a wrong body file, or a camera that was moved?"
             )
 
 
-def _widening(fix: Fix, variances: Mapping[tuple[str, str], float], own_px: float) -> float:
-    """By how much a fix's covariance grows with what its sightings are off by besides noise."""
-    own = [variances[fix.ball, name] for name in fix.cameras if (fix.ball, name) in variances]
+def _widening(
+    position: BallPosition, variances: Mapping[tuple[str, str], float], own_px: float
+) -> float:
+    """Factor on a position's covariance for what its views are off by besides noise."""
+    own = [
+        variances[position.ball, name]
+        for name in position.cameras
+        if (position.ball, name) in variances
+    ]
     return 1 + own_px**2 * sum(1 / v for v in own) / len(own) if own else 1.0

@@ -13,8 +13,8 @@ from measure.estimation.multiview import calibration_noise
 from measure.geometry import chi_square_quantile
 from measure.measuring.association import Association
 from measure.measuring.tracking.predictive.motion_filter import MotionState
-from measure.model import BallView, Body, Camera, Detection, Fix, Pose, Rig
-from measure.model.observations import Reason, stacked_fixes
+from measure.model import BallPosition, BallView, Body, Camera, Detection, Pose, Rig
+from measure.model.observations import Reason, stacked_positions
 
 _GOOD_CANDIDATE = 0.5
 _MOST_CAMERAS = 0.5
@@ -26,7 +26,7 @@ _ELSEWHERE = (Reason.INCONSISTENT, Reason.JUMPED)
 
 def contradictions(
     pose: Pose,
-    fixes: Sequence[Fix],
+    positions: Sequence[BallPosition],
     views: Sequence[BallView],
     body: Body,
     cameras: Sequence[Camera],
@@ -37,7 +37,7 @@ def contradictions(
 
     Args:
         pose: the pose.
-        fixes: the balls' centres.
+        positions: the balls' centres.
         views: what was seen and believed.
         body: as its file says.
         cameras: all of them.
@@ -46,11 +46,11 @@ def contradictions(
             say that they are off by.
     """
     found: tuple[str, ...] = ()
-    if len(fixes) >= 2:
+    if len(positions) >= 2:
         found += layout_flags(
             body,
-            [fix.ball for fix in fixes],
-            *stacked_fixes(tuple(fixes)),
+            [position.ball for position in positions],
+            *stacked_positions(tuple(positions)),
             tolerance_mm,
         )
     if pose.rms_px > max_rms_px and pose.rms_px > math.hypot(

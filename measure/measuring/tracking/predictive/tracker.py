@@ -43,12 +43,12 @@ from measure.measuring.tracking.predictive.search_windows import Windows, predic
 from measure.measuring.tracking.predictive.warm_up import warm_up
 from measure.measuring.tracking.tracker import Verdict
 from measure.model import (
+    BallPosition,
     BallView,
     Body,
     Camera,
     Detection,
     Expectation,
-    Fix,
     FrameSet,
     Motion,
     Pose,
@@ -197,7 +197,7 @@ class PredictiveTracker:
         self,
         frame_set: FrameSet,
         views: Sequence[BallView],
-        fixes: Sequence[Fix],
+        positions: Sequence[BallPosition],
         pose: Pose | None,
         residuals_px: Mapping[tuple[str, str], Floats],
     ) -> Verdict:
@@ -208,13 +208,13 @@ class PredictiveTracker:
             return Verdict(None, reason or "too few balls agree with the prediction")
         c = self.config
         wrong = contradictions(
-            pose, fixes, views, self._body, self._cameras, c.distance_tolerance_mm, c.max_rms_px
+            pose, positions, views, self._body, self._cameras, c.distance_tolerance_mm, c.max_rms_px
         )
         weak = weaknesses(pose, views, c.max_sd_mm) + self._still_strange(views) + self._doubts
         weak += self._jumped() + unconfirmed(views, self._body, self._confirmed)
         if self._state is not None and self._state.new:
             weak += hasty(views, [image.time_s for image in frame_set.images.values()])
-        weak += inconsistencies(pose, views, fixes, self._body, c.own_px, c.confidence)
+        weak += inconsistencies(pose, views, positions, self._body, c.own_px, c.confidence)
         motion = partial(self.motion, pose.time_s)
         weak += self._aside.doubts(pose, views, residuals_px, motion)
         weak += unbacked(pose, views, self._body, self._cameras)

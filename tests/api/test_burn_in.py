@@ -32,28 +32,28 @@ def first_errors(folder, count):
 
 
 @pytest.fixture
-def unrehearsed(monkeypatch):
+def without_burn_in(monkeypatch):
     """Call it, and recordings are measured from the first frame set to the last, once."""
-    return lambda: monkeypatch.setattr(OutlineDetector, "out_of_order", False)
+    return lambda: monkeypatch.setattr(OutlineDetector, "stateful", True)
 
 
-def test_the_first_poses_are_as_good_as_any(tmp_path, unrehearsed):
-    """Four frame sets only: one lesson, in the rehearsal as without it."""
+def test_the_first_poses_are_as_good_as_any(tmp_path, without_burn_in):
+    """Four frame sets only: one estimate, in the burn-in as without it."""
     folder = write_session(scene_catalogue()["sharpened"], np.arange(4) / 30, tmp_path / "scene")
-    rehearsed = first_errors(folder, 1)[0]
-    unrehearsed()
+    burnt_in = first_errors(folder, 1)[0]
+    without_burn_in()
     at_once = first_errors(folder, 1)[0]
-    assert rehearsed[1] < 0.04
+    assert burnt_in[1] < 0.04
     assert at_once[1] > 0.08
 
 
-def test_no_frame_set_of_a_sharpened_recording_is_lost(shared, tmp_path, unrehearsed):
+def test_no_frame_set_of_a_sharpened_recording_is_lost(shared, tmp_path, without_burn_in):
     folder = tmp_path / "sharpened"
     altered_copy(shared / "renders" / "still", folder, "sharpened")
     for _, position_mm, rotation_deg in first_errors(folder, 3):
         assert position_mm < 0.15
         assert rotation_deg < 0.25
-    unrehearsed()
+    without_burn_in()
     status, position_mm, _ = first_errors(folder, 1)[0]
     assert status is not Status.OK or position_mm > 0.15
 
@@ -63,7 +63,7 @@ def test_a_mild_bend_is_told_better_by_all_cameras_together(shared, tmp_path, mo
     folder = tmp_path / "contrast"
     altered_copy(shared / "renders" / name, folder, "contrast")
     together = [position_mm for _, position_mm, _ in first_errors(folder, 6)]
-    monkeypatch.setattr(OutlineDetector, "confer", lambda *_: None)
+    monkeypatch.setattr(OutlineDetector, "fuse_calibration", lambda *_: None)
     alone = [position_mm for _, position_mm, _ in first_errors(folder, 6)]
     assert np.mean(together) < 0.08
     assert np.mean(alone) > 1.1 * np.mean(together)
