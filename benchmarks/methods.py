@@ -53,7 +53,7 @@ def _baseline_pipeline(
         triangulator=registry.triangulator("dlt", {}),
         solver=registry.solver("kabsch", {}, body),
         per_image_timestamps=False,
-        neighbours=False,
+        smoothing=False,
         remeasure_after_search=False,
     )
     return Pipeline(body, cameras, stages)

@@ -79,7 +79,7 @@ def _time(session: Session, circles: int) -> tuple[float, ...]:
             triangulator,
             solver,
             per_image_timestamps=False,
-            neighbours=False,
+            smoothing=False,
             remeasure_after_search=False,
         )
         rests.append(_timed(_conclude, frame_set, found, stages, session)[1])

@@ -82,7 +82,7 @@ def run(
     count=20,
     believed=None,
     phases=None,
-    neighbours=False,
+    smoothing=False,
     remeasure_after_search=False,
     config=None,
     start_s=0.0,
@@ -100,7 +100,7 @@ def run(
         triangulator=ReprojectionTriangulator(ReprojectionConfig()),
         solver=KabschSolver(KabschConfig(), body),
         per_image_timestamps=True,
-        neighbours=neighbours,
+        smoothing=smoothing,
         remeasure_after_search=remeasure_after_search,
     )
     pipeline = Pipeline(body, list(believed.values()), stages)

@@ -111,7 +111,7 @@ def live(
     if len(cameras) < 2:
         raise ConfigError(f"a measurement needs at least two cameras, got {len(cameras)}")
     calibrated, measured = calibrated_cameras(cameras, calibration), read_body(body)
-    profile = profile.model_copy(update={"neighbours": False})
+    profile = profile.model_copy(update={"smoothing": False})
     sources = sources_of(cameras, calibrated, options.asked)
     if options.record is not None:
         check_apart(options.record, out)

@@ -144,7 +144,7 @@ def build_pipeline(
         triangulator=registry.triangulator(profile.triangulator, settings.get("triangulator", {})),
         solver=solver,
         per_image_timestamps=profile.per_image_timestamps,
-        neighbours=profile.neighbours,
+        smoothing=profile.smoothing,
         remeasure_after_search=profile.remeasure_after_search,
     )
     return Pipeline(body, cameras, stages)

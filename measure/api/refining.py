@@ -95,7 +95,7 @@ def refine(
 def _lenient(profile: Profile) -> Profile:
     """The profile without flags for cameras that are aside: those are what is put right here."""
     if profile.tracking == "predictive":
-        profile = profile.with_setting("tracking", "own_px", _ANY_PX)
+        profile = profile.with_setting("tracking", "view_bias_px", _ANY_PX)
     if profile.solver == "contours":
         profile = profile.with_setting("solver", "max_shift_px", _ANY_PX)
     return profile

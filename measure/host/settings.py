@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -12,9 +12,14 @@ from measure.errors import ConfigError
 
 
 class Settings(BaseModel):
-    """Base of every plugin's `Config`: frozen; a misspelt field, NaN or infinity is an error."""
+    """Base of every plugin's `Config`: frozen; a misspelt field, NaN or infinity is an error.
+
+    Attributes:
+        renamed: names that settings had before, with those they have now, for the message.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    renamed: ClassVar[Mapping[str, str]] = {}
 
 
 def setting(default: Any, description: str, *, unit: str = "", **limits: Any) -> Any:
@@ -87,6 +92,9 @@ def explain_validation(error: ValidationError, config: type[BaseModel]) -> str:
     first = error.errors(include_url=False)[0]
     where = ".".join(str(part) for part in first["loc"])
     if first["type"] == "extra_forbidden" and len(first["loc"]) == 1:
+        now = getattr(config, "renamed", {}).get(where)
+        if now is not None:
+            return f"setting '{where}' is called '{now}' now"
         return (
             f"unknown setting '{where}'; it has {', '.join(config.model_fields) or 'no settings'}"
         )

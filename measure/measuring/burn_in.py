@@ -66,7 +66,7 @@ def burn_in(
             a recording begin after this, are of no use any more.
         frame_sets: of the recording, from its start.
     """
-    pipeline, found = Pipeline(body, cameras, replace(stages, neighbours=False)), 0
+    pipeline, found = Pipeline(body, cameras, replace(stages, smoothing=False)), 0
     with suppress(MeasureError), closing(pipeline.measure(frame_sets)) as measured:
         for seen, one in enumerate(measured, 1):
             found += one.pose is not None

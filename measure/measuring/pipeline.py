@@ -35,7 +35,7 @@ class Pipeline:
         self._cameras = {camera.name: camera for camera in cameras}
         self._rolling = any(camera.readout_s for camera in cameras)
         self._repeats = Repeats()
-        self._goes_back = stages.neighbours and all(
+        self._goes_back = stages.smoothing and all(
             not detector.stateful for detector in stages.detectors.values()
         )
         self.stages = stages
@@ -57,7 +57,7 @@ class Pipeline:
         asking.warm_up("solver", self.stages.solver)
         for camera in list(self._cameras.values())[:1]:
             instants.warm_up(self._body, camera)
-        if self.stages.neighbours:
+        if self.stages.smoothing:
             pose_spline.warm_up()
 
     def measure(self, frame_sets: Iterable[FrameSet]) -> Generator[Measurement]:
@@ -74,7 +74,7 @@ class Pipeline:
                 drafts = looked_back(looked, lambda waiting: self._back(waiting, pool))
             else:
                 drafts = (one.draft for one in looked)
-            if self.stages.neighbours:
+            if self.stages.smoothing:
                 drafts = map(self._again, with_neighbours(drafts))
             for draft in drafts:
                 yield with_tolerance(draft.measurement, self._body)

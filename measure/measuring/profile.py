@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -18,16 +19,22 @@ class Profile(BaseModel):
         triangulator: name of the triangulator plugin.
         solver: name of the pose-solver plugin.
         tracking: "frame-update" (the paper's section II.D), "predictive" or "memoryless".
-        per_image_timestamps: whether each image counts at its own time (else a frame set is one
-            instant).
-        neighbours: whether poses wait for later ones: solved again with a spline through those
-            round them, and a body just found tracked back to where it was not.
+        per_image_timestamps: whether each image counts at its own time (else all images of a frame
+            set count at one instant).
+        smoothing: whether poses wait for later ones: each is solved again with the motion of a
+            spline through the poses before and after it, and a body just found is tracked back
+            through the frame sets in which it was not found.
         remeasure_after_search: whether, after a search of whole frames, the balls are measured once
             more.
         settings: by stage name, the settings that differ from the defaults.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
+    renamed: ClassVar[Mapping[str, str]] = {
+        "own_times": "per_image_timestamps",
+        "neighbours": "smoothing",
+        "look_again": "remeasure_after_search",
+    }
 
     name: str
     detector: str
@@ -35,7 +42,7 @@ class Profile(BaseModel):
     solver: str
     tracking: str
     per_image_timestamps: bool
-    neighbours: bool
+    smoothing: bool
     remeasure_after_search: bool = True
     settings: dict[Stage, dict[str, Any]] = Field(default_factory=dict)
 

@@ -19,7 +19,7 @@ class Stages:
         triangulator: locates single balls.
         solver: locates the body.
         per_image_timestamps: whether each image counts at its own time.
-        neighbours: whether poses wait for later ones: one is solved again with the motion that
+        smoothing: whether poses wait for later ones: one is solved again with the motion that
             those round it show, and a body just found is tracked back to where it was not.
         remeasure_after_search: whether, after a search of whole frames, the balls are measured once
             more where they were found; and whether pictures in which the body was lost are
@@ -31,5 +31,5 @@ class Stages:
     triangulator: Triangulator
     solver: PoseSolver
     per_image_timestamps: bool
-    neighbours: bool
+    smoothing: bool
     remeasure_after_search: bool

@@ -85,19 +85,23 @@ def _short(value: Any) -> str:
 
 
 def _near(key: str, keys: tuple[int | str, ...], model: type[BaseModel]) -> str:
-    known = _fields_at(model, keys[:-1])
+    at = _model_at(model, keys[:-1])
+    now = getattr(at, "renamed", {}).get(key)
+    if now is not None:
+        return f": it is called '{now}' now"
+    known = list(getattr(at, "model_fields", {}))
     near = difflib.get_close_matches(key, known, n=2)
     if near:
         return f"; did you mean {' or '.join(near)}?"
     return f"; known here: {', '.join(known)}" if known else ""
 
 
-def _fields_at(model: Any, keys: tuple[int | str, ...]) -> list[str]:
+def _model_at(model: Any, keys: tuple[int | str, ...]) -> Any:
     for key in keys:
         if isinstance(key, str):
             info = getattr(model, "model_fields", {}).get(key)
             model = _inner_model(info.annotation) if info else None
-    return list(getattr(model, "model_fields", {}))
+    return model
 
 
 def _inner_model(annotation: Any) -> Any:

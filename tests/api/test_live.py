@@ -127,7 +127,7 @@ def test_poses_are_there_while_the_cameras_deliver(session, tmp_path, capsys):
     live = read_run(run)
     assert live.finished
     assert live.session == kept / "session.toml"
-    assert not live.provenance["profile"]["neighbours"]
+    assert not live.provenance["profile"]["smoothing"]
     assert main(["report", str(run)]) == 0
     assert (run / "run.rrd").stat().st_size > 10_000
     again = measure_run(kept, tmp_path / "again", load_profile("precise"), Registry.discover())

@@ -43,7 +43,7 @@ def measure(body, rig, **options):
 @pytest.mark.usefixtures("searches_fail")
 def test_what_a_search_missed_is_found_from_later_pictures(paper_body, rig, monkeypatch):
     monkeypatch.setattr(Oracle, "stateful", False)
-    measured, detectors, _ = measure(paper_body, rig, neighbours=True)
+    measured, detectors, _ = measure(paper_body, rig, smoothing=True)
     assert [one.index for one in measured] == list(range(8))
     assert [one.status for one in measured] == [Status.OK] * 8
     for one in measured:
@@ -54,12 +54,12 @@ def test_what_a_search_missed_is_found_from_later_pictures(paper_body, rig, monk
 
 
 @pytest.mark.usefixtures("searches_fail")
-@pytest.mark.parametrize(("stateful", "neighbours"), [(True, True), (False, False)])
+@pytest.mark.parametrize(("stateful", "smoothing"), [(True, True), (False, False)])
 def test_time_runs_on_for_other_detectors_and_where_poses_do_not_wait(
-    paper_body, rig, monkeypatch, stateful, neighbours
+    paper_body, rig, monkeypatch, stateful, smoothing
 ):
     monkeypatch.setattr(Oracle, "stateful", stateful)
-    measured, detectors, _ = measure(paper_body, rig, neighbours=neighbours)
+    measured, detectors, _ = measure(paper_body, rig, smoothing=smoothing)
     assert [one.status for one in measured] == [Status.LOST] * _LATE + [Status.OK] * 5
     frames = detectors[rig[0].name].frames
     assert frames == sorted(frames)
@@ -70,7 +70,7 @@ def test_a_body_that_came_into_view_is_not_put_where_it_was_not(paper_body, rig,
     """The search was right: there is nothing in the first pictures."""
     monkeypatch.setattr(Oracle, "stateful", False)
     measured, _, _ = measure(
-        paper_body, rig, neighbours=True, hide=lambda _ball, _camera, time_s: time_s < 2 / 30 - 0.01
+        paper_body, rig, smoothing=True, hide=lambda _ball, _camera, time_s: time_s < 2 / 30 - 0.01
     )
     wanted = [Status.LOST] * 2 + [Status.OK] * 6
     assert [one.status for one in measured] == wanted
@@ -80,5 +80,5 @@ def test_a_body_that_came_into_view_is_not_put_where_it_was_not(paper_body, rig,
 def test_no_more_frame_sets_wait_than_memory_is_for(paper_body, rig, monkeypatch):
     monkeypatch.setattr(Oracle, "stateful", False)
     monkeypatch.setattr("measure.measuring.backtracking._MOST", 2)
-    measured, _, _ = measure(paper_body, rig, neighbours=True)
+    measured, _, _ = measure(paper_body, rig, smoothing=True)
     assert [one.status for one in measured] == [Status.LOST] + [Status.OK] * 7

@@ -153,7 +153,7 @@ def test_profiles_that_do_not_learn_build_no_second_pipeline(recording, monkeypa
     with open_session(recording.path) as session:
         for profile in (
             load_profile("paper"),
-            load_profile("precise").with_setting("detector", "learn", False),
+            load_profile("precise").with_setting("detector", "self_calibrate", False),
         ):
             measuring.calibrated_pipeline(session, profile, Registry.discover())
 
@@ -174,7 +174,7 @@ def test_a_burn_in_ends_whatever_the_detectors_want(hidden, shown):
         ReprojectionTriangulator(ReprojectionConfig()),
         KabschSolver(KabschConfig(), BODY),
         per_image_timestamps=True,
-        neighbours=True,
+        smoothing=True,
         remeasure_after_search=True,
     )
     burn_in.burn_in(BODY, CAMERAS, stages, frame_sets(cameras, 100))

@@ -159,7 +159,7 @@ def test_a_shaking_body_seen_by_cameras_out_of_step():
     world = lambda t: [(RAVEN, shaken(t))]
     sharp = {"sd_px": 0.03}
     live, _, _ = run(RAVEN, world, CAMERAS, 40, phases=PHASES, **sharp)
-    offline, _, _ = run(RAVEN, world, CAMERAS, 40, phases=PHASES, neighbours=True, **sharp)
+    offline, _, _ = run(RAVEN, world, CAMERAS, 40, phases=PHASES, smoothing=True, **sharp)
     errors = {}
     for name, measured in (("live", live), ("offline", offline)):
         assert all(m.pose is not None for m in measured)
@@ -198,7 +198,7 @@ def test_a_body_that_moves_more_wildly_than_is_set_is_followed(hertz, reach_mm, 
     """To 650 mm/s and 6 m/s^2 where 1.5 are set: lost until that is known, and no more."""
     path = moving(hertz, reach_mm, reach_rad)
     scene = RAVEN, lambda t: [(RAVEN, path(t))], CAMERAS, 100
-    measured, _, _ = run(*scene, phases=PHASES, neighbours=True, sd_px=0.03)
+    measured, _, _ = run(*scene, phases=PHASES, smoothing=True, sd_px=0.03)
     found = [m for m in measured if m.pose is not None]
     assert len(measured) - len(found) <= 5
     assert sum(m.status is Status.FLAGGED for m in found) <= doubted
@@ -215,7 +215,7 @@ def test_a_camera_that_was_moved_is_not_hidden_by_a_body_that_moves_wildly():
     there = CAMERAS["cam1"].world_from_camera
     knocked = moved(CAMERAS["cam1"], there.perturb([0, 0, 0, *there.rotate(turn)]))
     scene = RAVEN, lambda t: [(RAVEN, path(t))], {**CAMERAS, "cam1": knocked}, 100
-    measured, _, _ = run(*scene, phases=PHASES, neighbours=True, sd_px=0.03, believed=CAMERAS)
+    measured, _, _ = run(*scene, phases=PHASES, smoothing=True, sd_px=0.03, believed=CAMERAS)
     assert sum(m.status is Status.OK for m in measured) <= 3
 
 

@@ -49,7 +49,7 @@ def test_searches_once_then_tracks(body):
 def test_unsynchronised_cameras_are_brought_to_one_instant():
     phases = [0.0, 0.011, 0.024, 0.006]
     live, _, _ = run(RAVEN, one_body(), CAMERAS, 40, phases=phases)
-    offline, _, _ = run(RAVEN, one_body(), CAMERAS, 40, phases=phases, neighbours=True)
+    offline, _, _ = run(RAVEN, one_body(), CAMERAS, 40, phases=phases, smoothing=True)
     assert np.sqrt(np.mean(errors_mm(live[5:]) ** 2)) < 0.06
     assert np.sqrt(np.mean(errors_mm(offline[5:]) ** 2)) < 0.04
     ignored, _, _ = run(RAVEN, one_body(), CAMERAS, 40, phases=phases)

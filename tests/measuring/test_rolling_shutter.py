@@ -34,7 +34,7 @@ class Rolling(tracking_rig.Oracle):
 def rms_mm(monkeypatch, cameras):
     monkeypatch.setattr(tracking_rig, "Oracle", Rolling)
     world = lambda t: [(RAVEN, shaken(t))]
-    measured, _, _ = tracking_rig.run(RAVEN, world, cameras, 30, neighbours=True, sd_px=0.03)
+    measured, _, _ = tracking_rig.run(RAVEN, world, cameras, 30, smoothing=True, sd_px=0.03)
     off = [m.pose.world_from_body.difference(shaken(m.pose.time_s)) for m in measured[3:-3]]
     return np.sqrt(np.mean(np.sum(np.stack(off)[:, :3] ** 2, axis=1)))
 

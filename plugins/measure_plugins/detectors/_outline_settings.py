@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import ClassVar
+
 from measure.host import Settings, setting
 
 ROUGHLY, FEWEST_RAYS = 2, 16
@@ -13,16 +16,18 @@ HOPELESS = 2 / 3
 class OutlineConfig(Settings):
     """Settings of the `outline` detector."""
 
+    renamed: ClassVar[Mapping[str, str]] = {"learn": "self_calibrate"}
+
     rays: int = setting(
         72, "Rays cast across each outline, an even number.", ge=16, le=720, multiple_of=2
     )
     tone: str = setting(
         "srgb", "The cameras' tone curve: srgb, none, or gamma with its exponent (gamma2.2)."
     )
-    learn: bool = setting(
+    self_calibrate: bool = setting(
         True,
-        "Whether the tone curve, the blur, whether balls are glossy or matt, what they mirror and "
-        "what lights them are learnt from the pictures, starting from the tone curve given here.",
+        "Whether the tone curve, the blur, the gloss of the balls and the lights are estimated "
+        "from the images, starting from the tone curve given here.",
     )
     min_contrast: float = setting(
         0.06,

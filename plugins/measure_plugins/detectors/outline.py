@@ -90,7 +90,7 @@ class OutlineDetector(SelfCalibratingDetector):
     @property
     def needs_burn_in(self) -> bool:
         """While it has not seen enough of what the camera does to light."""
-        return self.config.learn and not self._learner.settled
+        return self.config.self_calibrate and not self._learner.settled
 
     @property
     def calibration_state(self) -> object:
@@ -163,7 +163,7 @@ class OutlineDetector(SelfCalibratingDetector):
         self, image: Image, expected: Sequence[Expectation], found: Sequence[Detection]
     ) -> list[Detection]:
         """A picture's detections once more, if it has just taught something; else none."""
-        if not self.config.learn or any(e.center_camera is None for e in expected):
+        if not self.config.self_calibrate or any(e.center_camera is None for e in expected):
             return []
         if not self._learner.wants(len(found), image.time_s):
             return []

@@ -239,7 +239,7 @@ def test_balls_measured_together_are_what_each_is_alone(camera, sized):
         expected = [replace(one, center_camera=None) for one in expected]
     image, detector = (
         image_of(camera, pixels),
-        OutlineDetector(OutlineConfig(learn=False), RAVEN, camera),
+        OutlineDetector(OutlineConfig(self_calibrate=False), RAVEN, camera),
     )
     together = detector.detect(image, expected[::-1])
     alone = [detector._measure(image, [one]) for one in expected]

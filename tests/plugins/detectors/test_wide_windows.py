@@ -31,7 +31,7 @@ def camera():
 
 @pytest.fixture(scope="module")
 def detector(camera):
-    return OutlineDetector(OutlineConfig(learn=False), RAVEN, camera)
+    return OutlineDetector(OutlineConfig(self_calibrate=False), RAVEN, camera)
 
 
 def picture(camera, shown=tuple(BALLS), also=()):

@@ -89,7 +89,8 @@ def edges_px(exposure):
     expected += [
         expect(camera, ball, np.array([90.0, 8, 420]), 20.0) for ball in ("green", "yellow")
     ]
-    detector = OutlineDetector(OutlineConfig(learn=False, min_color_match=0.0), RAVEN, camera)
+    config = OutlineConfig(self_calibrate=False, min_color_match=0.0)
+    detector = OutlineDetector(config, RAVEN, camera)
     (found,) = detector.detect(image_of(camera, to_picture(exposure * light)), expected)
     away = tangent_cone(center, 20.0).residuals(camera.intrinsics.unproject(found.outline_px))
     return camera.intrinsics.focal_px * np.mean(away)
@@ -141,7 +142,7 @@ def test_edges_beside_a_highlight_near_the_rim_are_told_less_sure():
     expected += [
         expect(camera, ball, np.array([90.0, 8, 420]), 20.0) for ball in ("green", "yellow")
     ]
-    detector = OutlineDetector(OutlineConfig(learn=False), RAVEN, camera)
+    detector = OutlineDetector(OutlineConfig(self_calibrate=False), RAVEN, camera)
     found = {d.ball: d for d in detector.detect(image_of(camera, to_picture(light)), expected)}
     x, y = (found["red"].outline_px - middle).T
     beside, opposite = np.abs(y) < -0.7 * x, np.abs(y) < 0.7 * x

@@ -60,7 +60,7 @@ def views():
             for ball, center in zip(scene.body.balls, seen, strict=True)
         ]
         out.append((image_of(camera, cv2.imdecode(data, cv2.IMREAD_COLOR)), expected))
-    detector = OutlineDetector(OutlineConfig(learn=False), scene.body, camera)
+    detector = OutlineDetector(OutlineConfig(self_calibrate=False), scene.body, camera)
     detector._balls.learn_gains({ball.name: _FALSE_GAIN * np.eye(2) for ball in scene.body.balls})
     return detector, out
 

@@ -43,7 +43,7 @@ def scene_view():
 def balls(scene_view):
     """For every ball: its settled search, the picture, and what the model says it shows."""
     body, camera, image, seen = scene_view
-    detector = OutlineDetector(OutlineConfig(learn=False), body, camera)
+    detector = OutlineDetector(OutlineConfig(self_calibrate=False), body, camera)
     radii = np.array([ball.radius_mm for ball in body.balls])
     view, cones = detector._view(image), cones_of(seen, radii, camera.intrinsics.row)
     out = []
@@ -122,7 +122,7 @@ def test_detections_do_not_lean_towards_their_predictions():
 
 def _leaning(body, camera, image, seen):
     """How far apart centres come out, as a share of how far apart they were predicted."""
-    detector = OutlineDetector(OutlineConfig(learn=False), body, camera)
+    detector = OutlineDetector(OutlineConfig(self_calibrate=False), body, camera)
     found = []
     for offset in np.array([[0.08, 0.0, 0.0], [-0.08, 0.0, 0.0]]):
         expected = [

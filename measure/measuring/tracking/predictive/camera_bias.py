@@ -30,11 +30,11 @@ class CamerasAside:
     """
 
     def __init__(
-        self, body: Body, cameras: Sequence[Camera], own_px: float, confidence: float
+        self, body: Body, cameras: Sequence[Camera], view_bias_px: float, confidence: float
     ) -> None:
         """See the tracker's settings."""
         self._body, self._cameras = body, {camera.name: camera for camera in cameras}
-        self._own_px, self._gate = own_px, chi_square_quantile(confidence, 2)
+        self._view_bias_px, self._gate = view_bias_px, chi_square_quantile(confidence, 2)
         self._wary = 0
 
     def doubts(
@@ -54,7 +54,7 @@ class CamerasAside:
         """
         self._wary = _WARY if cameras_at_odds(views) else max(self._wary - 1, 0)
         found: tuple[str, ...] = ()
-        for name, shared in _shared(views, residuals_px, self._own_px).items():
+        for name, shared in _shared(views, residuals_px, self._view_bias_px).items():
             aside_px, variance, time_s = shared
             if aside_px @ aside_px <= self._gate * variance:
                 continue
@@ -67,14 +67,14 @@ class CamerasAside:
 
 
 def _shared(
-    views: Sequence[BallView], residuals_px: Mapping[tuple[str, str], Floats], own_px: float
+    views: Sequence[BallView], residuals_px: Mapping[tuple[str, str], Floats], view_bias_px: float
 ) -> dict[str, tuple[Floats, float, float]]:
     """What the balls of a camera have in common: a shift (2,), its variance per axis, the time."""
     sums: dict[str, tuple[int, float, float, float, float]] = {}
     for view in views:
         off_px = residuals_px.get((view.ball, view.camera))
         if view.effective and view.detection is not None and off_px is not None:
-            weight, (u, v) = 1 / (view.detection.variance_px2 + own_px**2), off_px.tolist()
+            weight, (u, v) = 1 / (view.detection.variance_px2 + view_bias_px**2), off_px.tolist()
             count, total, x, y, _ = sums.get(view.camera, (0, 0.0, 0.0, 0.0, 0.0))
             now = count + 1, total + weight, x + weight * u, y + weight * v
             sums[view.camera] = *now, view.detection.time_s

@@ -28,7 +28,7 @@ def inconsistencies(
     views: Sequence[BallView],
     positions: Sequence[BallPosition],
     body: Body,
-    own_px: float,
+    view_bias_px: float,
     confidence: float,
 ) -> tuple[str, ...]:
     """Reasons to doubt a pose, a line each.
@@ -38,7 +38,7 @@ def inconsistencies(
         views: what was seen, and what of it is believed.
         positions: the balls' centres.
         body: as its file says.
-        own_px: standard deviation of what a sighting is off by besides its noise.
+        view_bias_px: standard deviation of what a sighting is off by besides its noise.
         confidence: what is less likely than this is doubted.
     """
     variances = {
@@ -47,7 +47,7 @@ def inconsistencies(
         if v.effective and v.detection is not None
     }
     found = tuple(_disbelieved(views))
-    found += tuple(_balls_aside(pose, positions, variances, body, own_px, confidence))
+    found += tuple(_balls_aside(pose, positions, variances, body, view_bias_px, confidence))
     if len(variances) < _LEAST_SIGHTINGS:
         found += (f"only {len(variances)} sightings of balls: little would show a mistake",)
     return found
@@ -114,7 +114,7 @@ def _balls_aside(
     positions: Sequence[BallPosition],
     variances: Mapping[tuple[str, str], float],
     body: Body,
-    own_px: float,
+    view_bias_px: float,
     confidence: float,
 ) -> Iterable[str]:
     """Balls that are not where the body puts them, by rays alone."""
@@ -130,7 +130,7 @@ def _balls_aside(
         covariances + body.center_covariance,
     )
     for position, (distance, gone_mm) in zip(positions, distances.tolist(), strict=True):
-        if distance > gate and distance > gate * _widening(position, variances, own_px):
+        if distance > gate and distance > gate * _widening(position, variances, view_bias_px):
             yield (
                 f"ball {position.ball} is {gone_mm:.1f} mm from where the body puts it: "
                 "a wrong body file, or a camera that was moved?"
@@ -138,7 +138,7 @@ def _balls_aside(
 
 
 def _widening(
-    position: BallPosition, variances: Mapping[tuple[str, str], float], own_px: float
+    position: BallPosition, variances: Mapping[tuple[str, str], float], view_bias_px: float
 ) -> float:
     """Factor on a position's covariance for what its views are off by besides noise."""
     own = [
@@ -146,4 +146,4 @@ def _widening(
         for name in position.cameras
         if (position.ball, name) in variances
     ]
-    return 1 + own_px**2 * sum(1 / v for v in own) / len(own) if own else 1.0
+    return 1 + view_bias_px**2 * sum(1 / v for v in own) / len(own) if own else 1.0

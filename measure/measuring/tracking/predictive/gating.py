@@ -43,7 +43,7 @@ def judge_sightings(
     covariance: Floats,
     time_s: float,
     variance: Floats,
-    model_px: float,
+    systematic_px: float,
     gate: float,
 ) -> tuple[Ints, Floats, Floats]:
     """Which detections are believed, and what those say of the motion.
@@ -55,14 +55,14 @@ def judge_sightings(
         covariance: (12, 12) of pose and velocity at `time_s`.
         time_s: the instant that is predicted from.
         variance: (6,) of the acceleration.
-        model_px: systematic error of a detection, added to its standard deviation.
+        systematic_px: systematic error of a detection, added to its standard deviation.
         gate: greatest squared Mahalanobis distance, from a chi-square distribution of 2 degrees.
 
     Returns:
         The judgement on each (n,), as above; the change of pose and velocity (12,) that the
         believable ones ask for and its covariance (12, 12), not a number if there are none.
     """
-    off, noise = seen.pixels - balls.centers_px[rows], seen.noise + model_px**2 * np.eye(2)
+    off, noise = seen.pixels - balls.centers_px[rows], seen.noise + systematic_px**2 * np.eye(2)
     out = np.full(len(rows), JUMPED)
     out[agree_with_prediction(off, balls.covariances_px[rows], noise, gate)] = MISCOLORED
     usable = np.flatnonzero((out == MISCOLORED) & seen.colored)

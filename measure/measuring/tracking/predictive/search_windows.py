@@ -45,16 +45,16 @@ class Windows:
     stated_px2: Floats
 
     def expectations(
-        self, sigmas: float, floor_px: float, size_slack: float
+        self, sigmas: float, floor_px: float, radius_slack: float
     ) -> dict[str, list[Expectation]]:
         """As detectors want them, by camera.
 
         Args:
             sigmas: how many standard deviations of the prediction to search.
             floor_px: searched in any case.
-            size_slack: relative error of the outline's radius that is still believed.
+            radius_slack: relative error of the outline's radius that is still believed.
         """
-        sizes = search_sizes(self.balls, sigmas, floor_px, size_slack, _DECIMALS)
+        sizes = search_sizes(self.balls, sigmas, floor_px, radius_slack, _DECIMALS)
         out: dict[str, list[Expectation]] = {camera: [] for camera, _ in self.keys}
         rows = zip(self.keys, sizes[:, :2], sizes[:, 2:5], sizes[:, 5:].tolist(), strict=True)
         for (camera, ball), pixel, place, (low, high, apart, around) in rows:

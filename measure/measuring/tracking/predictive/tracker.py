@@ -69,37 +69,46 @@ _SUSPICIOUS = (Reason.JUMPED, Reason.COLOR, Reason.INCONSISTENT)
 class PredictiveConfig(Settings):
     """Settings of tracking in SE(3)."""
 
+    renamed: ClassVar[Mapping[str, str]] = {
+        "turning_rad_s2": "angular_acceleration_rad_s2",
+        "turning_rad_s": "angular_speed_rad_s",
+        "model_px": "systematic_px",
+        "own_px": "view_bias_px",
+        "reach_floor_px": "min_reach_px",
+        "size_slack": "radius_slack",
+    }
+
     acceleration_mm_s2: float = setting(
         1500.0, "Standard deviation of the body's acceleration.", unit="mm/s^2", gt=0
     )
-    turning_rad_s2: float = setting(
+    angular_acceleration_rad_s2: float = setting(
         15.0, "Standard deviation of its angular acceleration.", unit="rad/s^2", gt=0
     )
     speed_mm_s: float = setting(
         60.0, "Standard deviation of the speed of a body just found.", unit="mm/s", gt=0
     )
-    turning_rad_s: float = setting(
-        0.7, "Standard deviation of its turning rate.", unit="rad/s", gt=0
+    angular_speed_rad_s: float = setting(
+        0.7, "Standard deviation of its angular speed.", unit="rad/s", gt=0
     )
     confidence: float = setting(
         0.9999, "Detections less likely than the rest are not believed.", gt=0.5, lt=1
     )
-    model_px: float = setting(
+    systematic_px: float = setting(
         0.5,
         "Systematic error of a detection, added to its standard deviation in every gate.",
         unit="px",
         ge=0,
     )
-    own_px: float = setting(
+    view_bias_px: float = setting(
         0.3,
-        "Standard deviation of what one sighting is off by besides its noise, where all sightings "
-        "together are held against the pose.",
+        "Standard deviation of a ball-view's own bias besides its noise, where all ball-views "
+        "together are tested against the pose.",
         unit="px",
         ge=0,
     )
     reach_sigmas: float = setting(3.5, "Standard deviations of the prediction to search.", gt=0)
-    reach_floor_px: float = setting(3.0, "Least reach of a search.", unit="px", gt=0)
-    size_slack: float = setting(0.15, "Relative error of an outline's radius.", gt=0, lt=1)
+    min_reach_px: float = setting(3.0, "Least reach of a search.", unit="px", gt=0)
+    radius_slack: float = setting(0.15, "Relative error of an outline's radius.", gt=0, lt=1)
     recover_frames: int = setting(
         1, "Frames a detection must be good again after it was not believed.", ge=0
     )
@@ -129,10 +138,10 @@ class PredictiveTracker:
         self._body = body
         self._cameras = tuple(cameras)
         self._keys = [(camera.name, ball) for camera in cameras for ball in body.names]
-        self._acceleration = per_axis(config.acceleration_mm_s2, config.turning_rad_s2)
-        self._speed = per_axis(config.speed_mm_s, config.turning_rad_s)
+        self._acceleration = per_axis(config.acceleration_mm_s2, config.angular_acceleration_rad_s2)
+        self._speed = per_axis(config.speed_mm_s, config.angular_speed_rad_s)
         self._possible = self._acceleration
-        self._aside = CamerasAside(body, cameras, config.own_px, config.confidence)
+        self._aside = CamerasAside(body, cameras, config.view_bias_px, config.confidence)
         self._state: MotionState | None = None
         self._windows: Windows | None = None
         self._found: Association | None = None
@@ -165,7 +174,7 @@ class PredictiveTracker:
             self._state, times_s, self._possible, self._body, self._cameras
         )
         c = self.config
-        return self._windows.expectations(c.reach_sigmas, c.reach_floor_px, c.size_slack)
+        return self._windows.expectations(c.reach_sigmas, c.min_reach_px, c.radius_slack)
 
     def backwards(self) -> PredictiveTracker | None:
         """A tracker of the same motion; None where the body is lost."""
@@ -214,7 +223,7 @@ class PredictiveTracker:
         weak += self._jumped() + unconfirmed(views, self._body, self._confirmed)
         if self._state is not None and self._state.new:
             weak += hasty(views, [image.time_s for image in frame_set.images.values()])
-        weak += inconsistencies(pose, views, positions, self._body, c.own_px, c.confidence)
+        weak += inconsistencies(pose, views, positions, self._body, c.view_bias_px, c.confidence)
         motion = partial(self.motion, pose.time_s)
         weak += self._aside.doubts(pose, views, residuals_px, motion)
         weak += unbacked(pose, views, self._body, self._cameras)
@@ -306,7 +315,7 @@ class PredictiveTracker:
             self._state.covariance,
             self._state.time_s,
             self._possible**2,
-            c.model_px,
+            c.systematic_px,
             chi_square_quantile(c.confidence, 2),
         )
         if not np.isnan(change[0]):
