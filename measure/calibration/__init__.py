@@ -6,7 +6,7 @@ from measure.calibration.capture import Capture, open_capture
 from measure.calibration.drawing import Sheet, write_sheet
 from measure.calibration.extrinsics import RigFit, fit_rig
 from measure.calibration.intrinsics import LensCalibration, calibrate_lens
-from measure.calibration.judgement import Finding, Workspace, body_cost, body_pose_sd, paper_body
+from measure.calibration.judgement import Finding, Workspace, body_cost, paper_body
 from measure.calibration.markers import find_markers
 from measure.calibration.paper import fit_rig_by_paper
 from measure.calibration.printing import target_sheet
@@ -49,7 +49,6 @@ __all__ = [
     "Verdict",
     "Workspace",
     "body_cost",
-    "body_pose_sd",
     "calibrate_capture",
     "calibrate_lens",
     "camera_rows",

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from measure.arrays import Floats, Ints
+from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
 from measure.geometry import Rays, RigidTransform, nearest_point, skew
 from measure.model import Ball, BallColor, Body, Camera
@@ -74,77 +74,6 @@ def workspace_of(cameras: tuple[Camera, ...], points: Floats) -> Workspace:
         np.stack([c.world_from_camera.rotation[:, 2] for c in cameras]),
     )
     return Workspace(nearest_point(axes), np.full(3, 50.0))
-
-
-def body_pose_sd(
-    cameras: tuple[Camera, ...],
-    body: Body,
-    poses: list[RigidTransform],
-    covariance: Floats | None = None,
-    columns: dict[str, Ints] | None = None,
-) -> tuple[Floats, Floats]:
-    """What the calibration's own uncertainty costs a body measured with it.
-
-    A small change of the cameras moves the least-squares pose of the body by
-    -(J^T J)^-1 J^T (d pixels / d cameras); the covariance travels through that.
-
-    Args:
-        cameras: with covariances.
-        body: the body.
-        poses: where it is.
-        covariance: of all cameras jointly (as from a rig fit); by camera if omitted, which ignores
-            what their errors have in common.
-        columns: which rows of `covariance` are each camera's pose and free lens parameters.
-
-    Returns:
-        Standard deviations (n,) of the 3-D position in mm and of the rotation in rad.
-    """
-    position, rotation = [], []
-    for pose in poses:
-        P = _body_covariance(cameras, body, pose, covariance, columns)
-        position.append(np.sqrt(np.trace(P[:3, :3])))
-        rotation.append(np.sqrt(np.trace(P[3:, 3:])))
-    return np.array(position), np.array(rotation)
-
-
-def _body_covariance(
-    cameras: tuple[Camera, ...],
-    body: Body,
-    pose: RigidTransform,
-    covariance: Floats | None,
-    columns: dict[str, Ints] | None,
-) -> Floats:
-    points = pose.apply(body.centers)
-    by_motion = np.concatenate(
-        [np.broadcast_to(np.eye(3), (len(points), 3, 3)), -skew(points - pose.translation)], axis=2
-    )
-    normal = np.zeros((6, 6))
-    parts: list[tuple[Camera, Floats]] = []
-    for camera in cameras:
-        _, by_world, by_pose, by_lens = camera.project_with_jacobians(points)
-        if not np.all(np.isfinite(by_world)):
-            continue
-        J = (by_world @ by_motion).reshape(-1, 6)
-        normal += J.T @ J
-        K = np.concatenate([by_pose, by_lens], axis=2).reshape(-1, 18)
-        parts.append((camera, J.T @ K))
-    scale = 1 / np.sqrt(np.diag(normal))
-    inverse = np.linalg.inv(normal * scale[:, None] * scale) * scale[:, None] * scale
-    if covariance is None or columns is None:
-        return sum(
-            (
-                inverse @ part @ c.covariance @ part.T @ inverse
-                for c, part in parts
-                if c.covariance is not None
-            ),
-            np.zeros((6, 6)),
-        )
-    gain = np.zeros((6, len(covariance)))
-    for camera, part in parts:
-        P = camera.intrinsics.covariance
-        free = np.flatnonzero(np.diag(P) > 0) if P is not None else np.zeros(0, dtype=np.int64)
-        gain[:, columns[camera.name]] = inverse @ part[:, np.concatenate([np.arange(6), 6 + free])]
-    return gain @ covariance @ gain.T
 
 
 def body_cost(

@@ -15,13 +15,13 @@ from measure.calibration.judgement import (
     Finding,
     Workspace,
     accuracy_findings,
-    body_pose_sd,
     plausibility,
     workspace_of,
 )
 from measure.calibration.procedure import RigCalibration
 from measure.calibration.sights import MarkSight, Sights
 from measure.errors import CalibrationError
+from measure.estimation.expected_accuracy import body_pose_sd
 from measure.geometry import Rays, RigidTransform, nearest_point
 from measure.model import Body, Camera
 

@@ -4,7 +4,6 @@ from measure.checking.coverage import (
     Coverage,
     coverage_findings,
     expected_accuracy,
-    expected_sd,
 )
 from measure.checking.duplicates import (
     RepeatCount,
@@ -30,7 +29,6 @@ __all__ = [
     "coverage_findings",
     "damage_findings",
     "expected_accuracy",
-    "expected_sd",
     "misfit_findings",
     "repeat_findings",
     "stamp_findings",

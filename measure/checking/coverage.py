@@ -12,11 +12,9 @@ from measure.arrays import Floats
 from measure.checking.finding import Finding, Level
 from measure.checking.moved_cameras import Misfit
 from measure.checking.sampled_search import Surveyed
-from measure.errors import DegenerateGeometryError
-from measure.estimation.pose_fit import Sightings, fit_pose
+from measure.estimation.expected_accuracy import noise_sd, tolerance_sd
 from measure.geometry import RigidTransform
-from measure.measuring.body_tolerance import tolerance_sd
-from measure.model import Body, Camera, Detection
+from measure.model import Body, Camera
 
 _SELDOM = 0.5
 _BY_CHANCE = 0.1
@@ -124,38 +122,9 @@ def expected_accuracy(
     rows = []
     for offset in np.stack(np.meshgrid(_GRID, _GRID, _GRID), axis=-1).reshape(-1, 3):
         pose = RigidTransform(middle.rotation, middle.translation + reach_mm * offset)
-        by_noise = expected_sd(pose, body, cameras, noise_px)
+        by_noise = noise_sd(pose, body, cameras, noise_px)
         rows.append([*pose.translation, *np.hypot(by_noise, tolerance_sd(body, pose))])
     return np.array(rows)
-
-
-def expected_sd(
-    pose: RigidTransform, body: Body, cameras: Sequence[Camera], noise_px: float
-) -> tuple[float, float]:
-    """Standard deviations of the position (3-D, mm) and rotation (deg) of a body seen at a pose.
-
-    From the noise of the pictures alone, with every ball in sight that lies in a picture; NaN where
-    too few cameras see the body.
-    """
-    centers = pose.apply(body.centers)
-    seen = []
-    for camera in cameras:
-        pixels = camera.project(centers)
-        for ball, pixel, ok in zip(
-            body.names, pixels, camera.intrinsics.contains(pixels), strict=True
-        ):
-            if ok:
-                noise = noise_px**2 * np.eye(2)
-                seen.append(Detection(ball, camera.name, 0.0, pixel, 1.0, noise))
-    if len({d.camera for d in seen}) < 2:
-        return float("nan"), float("nan")
-    try:
-        by_name = {camera.name: camera for camera in cameras}
-        fit = fit_pose(pose, Sightings.of(seen, body, by_name, 0.0))
-    except DegenerateGeometryError:
-        return float("nan"), float("nan")
-    variances = np.diag(fit.covariance)
-    return float(np.sqrt(variances[:3].sum())), float(np.degrees(np.sqrt(variances[3:].sum())))
 
 
 def _seen(surveys: Sequence[Surveyed], body: Body, camera: Camera, ball: int) -> Coverage:

@@ -7,7 +7,8 @@ from enum import StrEnum
 from typing import TYPE_CHECKING
 
 from measure.arrays import Floats
-from measure.model import BallPosition, BallView, Motion, Pose
+from measure.estimation.expected_accuracy import tolerance_covariance
+from measure.model import BallPosition, BallView, Body, Motion, Pose
 from measure.records import record
 
 if TYPE_CHECKING:
@@ -51,6 +52,14 @@ class Measurement:
     reason: str = ""
     residuals_px: dict[tuple[str, str], Floats] = field(default_factory=dict)
     searched: tuple[str, ...] = ()
+
+    def with_tolerance(self, body: Body) -> Measurement:
+        """The same, with the body's tolerance added to the pose's covariance: no image shows it."""
+        pose = self.pose
+        if pose is None or not body.tolerance_mm:
+            return self
+        share = tolerance_covariance(body, pose.world_from_body, pose.balls)
+        return replace(self, pose=replace(pose, covariance=pose.covariance + share))
 
 
 @record

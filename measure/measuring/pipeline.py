@@ -13,7 +13,6 @@ from measure.measuring import plugin_calls as asking
 from measure.measuring import pose_spline
 from measure.measuring import time_alignment as instants
 from measure.measuring.backtracking import Looked, looked_back
-from measure.measuring.body_tolerance import with_tolerance
 from measure.measuring.duplicate_images import Repeats
 from measure.measuring.measurement import Draft, Measurement, Status
 from measure.measuring.pose_spline import motion_at, with_neighbours
@@ -77,7 +76,7 @@ class Pipeline:
             if self.stages.smoothing:
                 drafts = map(self._again, with_neighbours(drafts))
             for draft in drafts:
-                yield with_tolerance(draft.measurement, self._body)
+                yield draft.measurement.with_tolerance(self._body)
         if broken:
             raise broken[0]
 

@@ -7,10 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from measure.arrays import Floats
-from measure.calibration import body_pose_sd
-from measure.checking import expected_sd
+from measure.estimation.expected_accuracy import body_pose_sd, noise_sd, tolerance_sd
 from measure.geometry import RigidTransform
-from measure.measuring.body_tolerance import tolerance_sd
 from measure.results.run import Run
 
 _STEPS = 11
@@ -88,7 +86,7 @@ def _parts(pose: RigidTransform, run: Run) -> tuple[float, float]:
     """SD of the position in mm by a px of noise, and by calibration and body; NaN if unseen."""
     points = pose.apply(run.body.centers)
     cameras = tuple(c for c in run.cameras if c.intrinsics.contains(c.project(points)).any())
-    per_px, _ = expected_sd(pose, run.body, cameras, 1.0)
+    per_px, _ = noise_sd(pose, run.body, cameras, 1.0)
     if not np.isfinite(per_px):
         return float("nan"), float("nan")
     from_cameras, _ = body_pose_sd(cameras, run.body, [pose])

@@ -8,7 +8,6 @@ import pytest
 from measure.calibration import (
     Tolerances,
     body_cost,
-    body_pose_sd,
     fit_rig,
     fit_rig_by_paper,
     paper_body,
@@ -16,6 +15,7 @@ from measure.calibration import (
 from measure.calibration.extrinsics import START_MARK_SD_PX
 from measure.calibration.sights import MarkSight
 from measure.calibration.tolerance import fit_rig_with_boards
+from measure.estimation.expected_accuracy import body_pose_sd
 from measure.geometry import RigidTransform
 from measure.model import Camera
 from tests.calibration.rigs import markers, rig

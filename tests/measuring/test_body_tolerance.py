@@ -10,8 +10,8 @@ import pytest
 from measure.checking import expected_accuracy
 from measure.checking.body import Located, check_body
 from measure.estimation.body_layout import layout_flags
+from measure.estimation.expected_accuracy import tolerance_covariance, tolerance_sd
 from measure.geometry import RigidTransform, align_points
-from measure.measuring.body_tolerance import tolerance_covariance, tolerance_sd, with_tolerance
 from measure.session import read_body, write_body
 from tests.measurements import measurement
 from tests.scenes import FOUR, RAVEN, ring
@@ -46,7 +46,7 @@ def test_two_balls_say_nothing_of_the_turn_about_their_line() -> None:
 
 def test_an_exact_body_adds_nothing() -> None:
     one = measurement(0)
-    assert with_tolerance(one, RAVEN) is one
+    assert one.with_tolerance(RAVEN) is one
     assert tolerance_sd(RAVEN, POSE) == (0.0, 0.0)
 
 

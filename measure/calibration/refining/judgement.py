@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from measure.arrays import Floats
-from measure.calibration.judgement import body_pose_sd
 from measure.calibration.refining.halves import Halves
 from measure.calibration.refining.recording import Recording
 from measure.calibration.refining.refine import Refinement
 from measure.errors import CalibrationError
+from measure.estimation.expected_accuracy import body_pose_sd
 from measure.geometry import chi_square_quantile
 from measure.model import Body, Camera
 

@@ -1,0 +1,152 @@
+"""Standard deviations to expect of a body's pose: from image noise, calibration and body file.
+
+With J the Jacobian of all ball centres by the pose, errors d of what is compared with them move the
+least-squares pose by -(J^T J)^-1 J^T d, and the covariance of d travels through that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from measure.arrays import Floats, Ints
+from measure.errors import DegenerateGeometryError
+from measure.estimation.pose_fit import Sightings, fit_pose
+from measure.geometry import RigidTransform, skew
+from measure.model import Body, Camera, Detection
+
+_MIN_EIGENVALUE_RATIO = 1e-9
+"""Directions with a smaller share of the largest eigenvalue are undetermined by the balls used."""
+
+
+def noise_sd(
+    pose: RigidTransform, body: Body, cameras: Sequence[Camera], noise_px: float
+) -> tuple[float, float]:
+    """Standard deviations of position (3-D, mm) and rotation (deg) from image noise alone.
+
+    Every ball counts in every image that it lies in; NaN where fewer than two cameras see the body.
+
+    Args:
+        pose: world_from_body.
+        body: the body.
+        cameras: the cameras.
+        noise_px: standard deviation of a ball's centre in an image, per axis.
+    """
+    centers = pose.apply(body.centers)
+    seen = []
+    for camera in cameras:
+        pixels = camera.project(centers)
+        inside = camera.intrinsics.contains(pixels)
+        seen += [
+            Detection(ball, camera.name, 0.0, pixel, 1.0, noise_px**2 * np.eye(2))
+            for ball, pixel, ok in zip(body.names, pixels, inside, strict=True)
+            if ok
+        ]
+    if len({d.camera for d in seen}) < 2:
+        return float("nan"), float("nan")
+    try:
+        by_name = {camera.name: camera for camera in cameras}
+        fit = fit_pose(pose, Sightings.of(seen, body, by_name, 0.0))
+    except DegenerateGeometryError:
+        return float("nan"), float("nan")
+    return _mm_and_deg(fit.covariance)
+
+
+def tolerance_covariance(
+    body: Body, world_from_body: RigidTransform, balls: Sequence[str]
+) -> Floats:
+    """Covariance (6, 6) of the pose, in its `perturb` chart, from misplaced balls.
+
+    With J_i = [1, -[R c_i]x] and independent, isotropic displacements of the balls, it is
+    tolerance^2 (sum J_i^T J_i)^-1. Directions that the balls used leave undetermined get zero.
+
+    Args:
+        body: its balls and its tolerance.
+        world_from_body: the pose.
+        balls: names of those it was measured with.
+    """
+    by_turn = -skew(body.centers_of(balls) @ world_from_body.rotation.T)
+    J = np.concatenate([np.broadcast_to(np.eye(3), by_turn.shape), by_turn], axis=2).reshape(-1, 6)
+    share = np.linalg.pinv(J.T @ J, rcond=_MIN_EIGENVALUE_RATIO, hermitian=True)
+    return np.asarray(body.tolerance_mm**2 * share, dtype=np.float64)
+
+
+def tolerance_sd(body: Body, world_from_body: RigidTransform) -> tuple[float, float]:
+    """Standard deviations of position (3-D, mm) and rotation (deg) from all balls' tolerance."""
+    return _mm_and_deg(tolerance_covariance(body, world_from_body, body.names))
+
+
+def body_pose_sd(
+    cameras: Sequence[Camera],
+    body: Body,
+    poses: Sequence[RigidTransform],
+    covariance: Floats | None = None,
+    columns: dict[str, Ints] | None = None,
+) -> tuple[Floats, Floats]:
+    """Standard deviations of a body's pose from the calibration's own uncertainty.
+
+    Args:
+        cameras: with covariances.
+        body: the body.
+        poses: n of them.
+        covariance: of all cameras jointly (as from a rig fit); by camera if omitted, which ignores
+            correlations between cameras.
+        columns: which rows of `covariance` are each camera's pose and free lens parameters.
+
+    Returns:
+        Standard deviations (n,) of the 3-D position in mm and of the rotation in rad.
+    """
+    position, rotation = [], []
+    for pose in poses:
+        P = _calibration_covariance(cameras, body, pose, covariance, columns)
+        position.append(np.sqrt(np.trace(P[:3, :3])))
+        rotation.append(np.sqrt(np.trace(P[3:, 3:])))
+    return np.array(position), np.array(rotation)
+
+
+def _calibration_covariance(
+    cameras: Sequence[Camera],
+    body: Body,
+    pose: RigidTransform,
+    covariance: Floats | None,
+    columns: dict[str, Ints] | None,
+) -> Floats:
+    points = pose.apply(body.centers)
+    by_motion = np.concatenate(
+        [np.broadcast_to(np.eye(3), (len(points), 3, 3)), -skew(points - pose.translation)], axis=2
+    )
+    normal = np.zeros((6, 6))
+    parts: list[tuple[Camera, Floats]] = []
+    for camera in cameras:
+        _, by_world, by_pose, by_lens = camera.project_with_jacobians(points)
+        if not np.all(np.isfinite(by_world)):
+            continue
+        J = (by_world @ by_motion).reshape(-1, 6)
+        normal += J.T @ J
+        K = np.concatenate([by_pose, by_lens], axis=2).reshape(-1, 18)
+        parts.append((camera, J.T @ K))
+    scale = 1 / np.sqrt(np.diag(normal))
+    inverse = np.linalg.inv(normal * scale[:, None] * scale) * scale[:, None] * scale
+    if covariance is None or columns is None:
+        return sum(
+            (
+                inverse @ part @ c.covariance @ part.T @ inverse
+                for c, part in parts
+                if c.covariance is not None
+            ),
+            np.zeros((6, 6)),
+        )
+    by_cameras = np.zeros((6, len(covariance)))
+    for camera, part in parts:
+        P = camera.intrinsics.covariance
+        free = np.flatnonzero(np.diag(P) > 0) if P is not None else np.zeros(0, dtype=np.int64)
+        own = np.concatenate([np.arange(6), 6 + free])
+        by_cameras[:, columns[camera.name]] = inverse @ part[:, own]
+    return by_cameras @ covariance @ by_cameras.T
+
+
+def _mm_and_deg(covariance: Floats) -> tuple[float, float]:
+    """Standard deviations of position (3-D, mm) and rotation (deg) of a pose's covariance."""
+    variances = np.diag(covariance)
+    return float(np.sqrt(variances[:3].sum())), float(np.degrees(np.sqrt(variances[3:].sum())))
