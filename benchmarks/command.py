@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
 import sys
 from collections.abc import Callable
+from pathlib import Path
 
 from measure.errors import MeasureError
 
@@ -15,3 +18,19 @@ def run_command(main: Callable[[], None]) -> None:
     except MeasureError as error:
         print(f"benchmarks: {' '.join(str(error).split())}", file=sys.stderr)
         raise SystemExit(2) from None
+
+
+def run_measure(checkout: Path, cwd: Path, *arguments: str, **environment: str) -> None:
+    """Run `measure` in a process of its own, with a checkout's packages, not the installed ones.
+
+    Raises:
+        CalledProcessError: it fails.
+    """
+    roots = [str(checkout.resolve()), str((checkout / "plugins").resolve())]
+    subprocess.run(
+        [sys.executable, "-m", "measure", *arguments],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(roots), **environment},
+        cwd=cwd,
+        stdout=subprocess.DEVNULL,
+        check=True,
+    )

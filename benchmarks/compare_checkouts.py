@@ -10,11 +10,10 @@ Moving and renaming code must not change them.
 from __future__ import annotations
 
 import argparse
-import os
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
+
+from benchmarks.command import run_measure
 
 
 def main() -> None:
@@ -31,8 +30,9 @@ def main() -> None:
     differing = 0
     with tempfile.TemporaryDirectory() as scratch:
         for source in sorted(path for path in given.renders.iterdir() if path.is_dir()):
-            before = results(given.before, source, Path(scratch, "before", source.name))
-            after = results(given.after, source, Path(scratch, "after", source.name))
+            folder = source.resolve()
+            before = results(given.before, folder, Path(scratch, "before", source.name))
+            after = results(given.after, folder, Path(scratch, "after", source.name))
             differing += before != after
             print(f"{source.name:16}{'same' if before == after else 'DIFFERS'}", flush=True)
     if differing:
@@ -43,22 +43,10 @@ def results(checkout: Path, source: Path, out: Path) -> str:
     """What the code of a checkout makes of a session (poses.csv) or a capture (calibration)."""
     out.parent.mkdir(parents=True, exist_ok=True)
     if (source / "capture.toml").exists():
-        _measure(checkout, "calibrate", str(source), "-o", str(out))
+        run_measure(checkout, out.parent, "calibrate", str(source), "-o", str(out))
         return _without_provenance(out.read_text(encoding="utf-8"))
-    _measure(checkout, "run", str(source), "-o", str(out), "--images", "none")
+    run_measure(checkout, out.parent, "run", str(source), "-o", str(out), "--images", "none")
     return (out / "poses.csv").read_text(encoding="utf-8")
-
-
-def _measure(checkout: Path, *arguments: str) -> None:
-    """Run `measure` with the packages of a checkout instead of those that are installed."""
-    roots = [str(checkout.resolve()), str((checkout / "plugins").resolve())]
-    subprocess.run(
-        [sys.executable, "-m", "measure", *arguments],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(roots)},
-        cwd=Path(tempfile.gettempdir()),
-        stdout=subprocess.DEVNULL,
-        check=True,
-    )
 
 
 def _without_provenance(calibration: str) -> str:
