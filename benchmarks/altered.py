@@ -14,12 +14,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from measure.simulation import Sensor
+from measure.simulation import CameraSensor
 from measure.simulation.sensor import encode
 
 Shares = NDArray[np.float32]
 """Picture values (h, w, 3), or the light they stand for, from 0 to 1."""
-_CAMERA = Sensor(quality=90, chroma="420")
+_CAMERA = CameraSensor(quality=90, chroma="420")
 _SEED = 7
 
 

@@ -36,7 +36,7 @@ from measure.calibration.tolerance import fit_rig_with_boards
 from measure.geometry import RigidTransform
 from measure.model import Camera, Intrinsics
 from measure.session import read_calibration
-from measure.simulation import CaptureScene, write_capture
+from tests.simulated.capture import CaptureScene, write_capture
 
 BODY = paper_body()
 NOISE_PX = 0.3

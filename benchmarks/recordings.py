@@ -7,13 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.altered import ALTERATIONS, altered_copy
-from measure.simulation import (
-    Scene,
-    relit_scenes,
-    scene_catalogue,
-    unusual_scenes,
-    write_session,
-)
+from measure.simulation import Scene, write_session
+from tests.simulated.catalogue import relit_scenes, scene_catalogue
+from tests.simulated.unusual import unusual_scenes
 
 BESIDE = Path(__file__).resolve().parents[2] / "shared" / "renders"
 RELIT = "relit "

@@ -1,4 +1,4 @@
-"""A camera's pixels: which of them to draw, and how finely."""
+"""The pixel grid of a camera: which pixels to draw, and with how many rays."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from measure.model import Intrinsics
 from measure.simulation.caster import Stage, spread
 from measure.simulation.kernels import NOTHING
 from measure.simulation.sensor import Linear
-from measure.simulation.shapes import Box
+from measure.simulation.shapes import Cuboid
 
 Index: TypeAlias = tuple[slice, slice]
 _BLOCK_PX = 8
-_MIDDLE = _BLOCK_PX // 2 + 1  # in the grid, which begins one pixel before the picture
+_MIDDLE = _BLOCK_PX // 2 + 1  # index in the grid, which begins one pixel before the picture
 _BLOCK_MARGIN_PX = 0.75 * _BLOCK_PX + 2.0
 _TEXTURE_STEP = 0.05
-"""Neighbours on a flat face that differ by this share of the brighter one are sampled finely."""
+"""Relative difference of neighbouring pixels on a flat face from which they are supersampled."""
 _MOST_EDGES = 4096
-"""Edge pixels sampled at once: bounds the memory."""
+"""Edge pixels supersampled at once: bounds the memory."""
 
 
 class Canvas:
@@ -44,14 +44,14 @@ class Canvas:
     def draw(
         self, stage: Stage, redraw: int, samples: int, backdrop: Linear, before: Linear
     ) -> Linear:
-        """Draw where the first `redraw` shapes of a stage may be seen.
+        """Draw the pixels in which the first `redraw` shapes of a stage can be visible.
 
         Args:
-            stage: all shapes that may be met there.
-            redraw: how many of them are new; the others are in `before` already.
+            stage: all shapes that can be met there.
+            redraw: number of shapes that are not in `before` already.
             samples: rays through a pixel that an edge crosses.
-            backdrop: (h, w, 3) what rays see that meet no shape.
-            before: (h, w, 3) what the rest of the picture shows.
+            backdrop: (h, w, 3) radiance of rays that meet no shape.
+            before: (h, w, 3) radiance of all other pixels.
         """
         out = before.copy()
         rows, columns, near = self._pixels_near(stage, redraw)
@@ -93,8 +93,9 @@ class Canvas:
         ids = np.full(shape, NOTHING - 1, np.int16)
         r, c = rows - top, columns - left
         ids[r, c] = first
-        # Where a round shape ends is known exactly; here are the seams between shapes, and boxes.
-        flat = np.array([isinstance(s, Box) for s in stage.shapes] + [False])
+        # Outlines of round shapes are found analytically (`silhouettes`); these are the borders
+        # between shapes and the edges and textures of cuboids.
+        flat = np.array([isinstance(s, Cuboid) for s in stage.shapes] + [False])
         lowest = NOTHING if flat[first].any() else 0
         step = _beside(
             lambda a, b: (ids[a] != ids[b]) & (np.minimum(ids[a], ids[b]) >= lowest), shape
@@ -126,7 +127,7 @@ class Canvas:
         return seen + missed[:, None] * backdrop[rows, columns]
 
     def _delays(self, rows: Ints) -> Floats:
-        """When rows (n,) are exposed, after the middle one."""
+        """Delays (n,) in s of the exposure of rows (n,) after the middle row."""
         return np.asarray((rows - (self.height - 1) / 2) * self.row_time_s, dtype=np.float64)
 
 

@@ -1,4 +1,4 @@
-"""Casting rays at the shapes a camera sees, and lighting what they meet."""
+"""Ray casting: what the rays of a camera meet, and the radiance of it."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from measure.simulation.kernels import NOTHING
 from measure.simulation.light_kernels import LAMP_ROW, Lights, mean_of_pixels, reflect
 from measure.simulation.mirroring import Mirror
 from measure.simulation.shading import Lighting, Texture
-from measure.simulation.shapes import Box, Capsule, Shape, Sphere
-from measure.simulation.surface_kernels import REUSE, Rays, choose_lit, meet, no_points
+from measure.simulation.shapes import Capsule, Cuboid, Shape, Sphere
+from measure.simulation.surface_kernels import REUSE, RayHits, choose_lit, meet, no_points
 
 _VELOCITY = slice(kernels.VELOCITY, kernels.VELOCITY + 3)
 _GOLDEN = (math.sqrt(5) - 1) / 2
 _MOST_TEXELS = 4096
-"""Places whose texture is computed at once: what that takes stays in the processor's cache."""
+"""Points whose texture is computed at once: the arrays stay in the processor's cache."""
 _EDGE_PX = 0.75
-"""An outline crosses a pixel only if it passes its centre nearer than this."""
+"""An outline crosses a pixel only if it passes the centre at a smaller distance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,11 +32,11 @@ class Stage:
     Attributes:
         shapes: in the camera's frame.
         lighting: in the camera's frame.
-        focal_px: of the camera, to tell how many pixels an angle is.
+        focal_px: focal length of the camera, px per rad on its axis.
         velocities: (k, 3) mm/s of the shapes, for a rolling shutter; None if all stand still.
-        longest_delay_s: of any row, before or after the middle one.
-        backdrop: standing shapes that are drawn apart, for glossy shapes to mirror.
-        part: which it is of how many whose mean is taken, so that each may be coarser.
+        longest_delay_s: largest difference between the exposure of a row and the middle row.
+        backdrop: standing shapes that are drawn apart; glossy shapes mirror them.
+        part: (index, count) of the stages that are averaged over an exposure.
     """
 
     shapes: tuple[Shape, ...]
@@ -48,30 +48,30 @@ class Stage:
     part: tuple[int, int] = (0, 1)
 
     def colours(self, ideal: Floats, near: Bools, delays_s: Floats) -> tuple[Floats, Ints]:
-        """What rays see.
+        """Radiance that rays see.
 
         Args:
             ideal: (m, s, 2) undistorted normalised image coordinates of s rays through m pixels.
-            near: (k, m) which shapes a pixel's rays may meet.
-            delays_s: (m,) when a pixel is exposed, after the time the shapes are given for.
+            near: (k, m) which shapes the rays of a pixel can meet.
+            delays_s: (m,) time of exposure in s after that of the shapes' poses.
 
         Returns:
-            Mean linear radiance (m, 3) of a pixel's rays, B G R, where nothing counts 0; and the
-            shapes met (m, s), `NOTHING` for none.
+            Mean linear radiance (m, 3) of a pixel's rays, B G R, 0 for a ray that meets no shape;
+            and the shapes met (m, s), `NOTHING` for none.
         """
         pixels, rays = ideal.shape[:2]
         flat = np.ascontiguousarray(ideal.reshape(-1, 2))
         first, depth = np.empty(len(flat), np.int64), np.empty(len(flat))
         rows = np.ascontiguousarray(near.T)
         kernels.trace(flat, rows, rays, delays_s, self.packed, first, depth)
-        met, out = Rays(flat, rays, delays_s, first, depth), np.empty((pixels, 3))
+        met, out = RayHits(flat, rays, delays_s, first, depth), np.empty((pixels, 3))
         light, source = self._light(met)
         albedo, by_ray = self._seen_albedo(met)
         mean_of_pixels(met, source, light, albedo, by_ray, out)
         return out, first.reshape(pixels, rays)
 
     def gaps_px(self, k: int, ideal: Floats) -> Floats:
-        """How far (n,) in px rays (n, 2) pass the silhouette of shape k; negative inside."""
+        """Distances (n,) in px of rays (n, 2) from the silhouette of shape k; negative inside."""
         directions = np.column_stack([ideal, np.ones(len(ideal))])
         length2 = np.einsum("ij,ij->i", directions, directions)
         # One radian is f px on the axis and at most f / cos^2 off it.
@@ -81,21 +81,21 @@ class Stage:
         """Whether the outline of a round shape crosses the pixel of each ray (n, 2)."""
         found = np.zeros(len(ideal), bool)
         for k, shape in enumerate(self.shapes):
-            if isinstance(shape, Box):
+            if isinstance(shape, Cuboid):
                 continue
             rows = np.flatnonzero(near[k])
             found[rows] |= np.abs(self.gaps_px(k, ideal[rows])) < _EDGE_PX + self.smear_px(k)
         return found
 
     def smear_px(self, k: int) -> float:
-        """How far a rolling shutter may move shape k's outline."""
+        """Largest shift in px of shape k's outline by the rolling shutter."""
         if self.velocities is None or self.longest_delay_s == 0:
             return 0.0
         speed = np.linalg.norm(self.velocities[k]) / np.linalg.norm(self.shapes[k].anchor)
         return float(speed) * self.longest_delay_s * self.focal_px
 
-    def _light(self, met: Rays) -> tuple[Floats, Ints]:
-        """Light (j, 6) as `reflect` gives it, and which row is each ray's (n,)."""
+    def _light(self, met: RayHits) -> tuple[Floats, Ints]:
+        """Light (j, 6) as `reflect` gives it, and the row of it (n,) for each ray."""
         lit, source = np.empty((2, len(met.first)), np.int64)
         lit = lit[: choose_lit(met, len(self.shapes), lit, source)]
         points, light = no_points(len(lit)), np.empty((len(lit), 6))
@@ -104,7 +104,7 @@ class Stage:
         reflect(points, mirrored, self.packed, self._lights, light)
         return light, source
 
-    def _seen_albedo(self, met: Rays) -> tuple[Floats, bool]:
+    def _seen_albedo(self, met: RayHits) -> tuple[Floats, bool]:
         """Reflectance, B G R, per shape (k, 3), or per ray (n, 3) where a texture may be seen."""
         if not any(k < len(self.shapes) for k, _, _ in self._textured):
             return self._plain_albedo, False
@@ -161,12 +161,12 @@ class Stage:
         return np.array([s.material.albedo_rgb[::-1] for s in self._all]).reshape(-1, 3)
 
     @cached_property
-    def _textured(self) -> list[tuple[int, Box, Texture]]:
+    def _textured(self) -> list[tuple[int, Cuboid, Texture]]:
         """All boxes that bear a texture."""
         return [
             (k, s, s.material.texture)
             for k, s in enumerate(self._all)
-            if isinstance(s, Box) and s.material.texture is not None
+            if isinstance(s, Cuboid) and s.material.texture is not None
         ]
 
     @property
@@ -192,7 +192,7 @@ def _pack(row: Floats, shape: Shape) -> None:
     a, b = slice(kernels.A, kernels.A + 3), slice(kernels.B, kernels.B + 3)
     row[kernels.REFLECTANCE] = shape.material.reflectance
     row[kernels.ROUGHNESS] = shape.material.roughness_rad
-    if isinstance(shape, Box):
+    if isinstance(shape, Cuboid):
         row[kernels.KIND], row[a], row[b] = kernels.BOX, shape.anchor, np.array(shape.size_mm) / 2
         row[kernels.REACH] = np.linalg.norm(row[b])
         row[kernels.TURN : kernels.TURN + 9] = shape.frame_from_box.rotation.ravel()

@@ -48,8 +48,8 @@ def calibration_toml(cameras: tuple[Camera, ...]) -> str:
     return "\n".join(lines)
 
 
-def session_toml(name: str, description: str, sources: dict[str, str], videos: bool) -> str:
-    """The session file; `sources` are the cameras' image patterns or videos."""
+def session_toml(name: str, description: str, sources: dict[str, str]) -> str:
+    """The session file; `sources` are the cameras' image patterns."""
     lines = [
         "[session]",
         f"name = {json.dumps(name)}",
@@ -59,9 +59,8 @@ def session_toml(name: str, description: str, sources: dict[str, str], videos: b
         'truth = "truth.csv"',
     ]
     for camera, source in sources.items():
-        kind = "video" if videos else "images"
         lines += ["", "[[cameras]]", f"name = {json.dumps(camera)}"]
-        lines += [f"{kind} = {json.dumps(source)}", f"timestamps = {json.dumps(camera + '.csv')}"]
+        lines += [f"images = {json.dumps(source)}", f"timestamps = {json.dumps(camera + '.csv')}"]
     return "\n".join(lines) + "\n"
 
 

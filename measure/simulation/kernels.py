@@ -1,6 +1,6 @@
-"""The inner loop of the ray caster, compiled: what a ray meets first.
+"""Intersection of rays with shapes, compiled.
 
-Shapes come as rows of numbers, everything in the camera's frame.
+Shapes are rows of numbers (columns below), in the camera's frame, in mm.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ def trace(
 
     Args:
         ideal: (n, 2) undistorted normalised image coordinates.
-        near: (n / rays_per_row, j) which of the first j shapes the rays of a pixel may meet.
+        near: (n / rays_per_row, j) which of the first j shapes the rays of a pixel can meet.
         rays_per_row: how many consecutive rays share a row of `near`.
-        delays_s: (n / rays_per_row,) when they are cast, after the time the shapes are given for.
+        delays_s: (n / rays_per_row,) time of exposure in s after that of the shapes' poses.
         shapes: (k, ROW).
         first: (n,) receives the index of the shape, or `NOTHING`.
         depth: (n,) receives the depth, or infinity.
@@ -77,7 +77,7 @@ def enter(
 def offset(
     shapes: Floats, k: int, delay: float, px: float, py: float, pz: float
 ) -> tuple[float, float, float]:
-    """From a point to the centre or the start of shape k, after it moved for a while."""
+    """Vector from a point to the centre or start of shape k, which has moved for `delay` s."""
     return (
         shapes[k, A] + delay * shapes[k, VELOCITY] - px,
         shapes[k, A + 1] + delay * shapes[k, VELOCITY + 1] - py,

@@ -1,11 +1,11 @@
-"""What light a surface point sends back to its viewer, compiled.
+"""Shading: the radiance that a surface point sends to its viewer, compiled.
 
-Shapes and lamps come as rows of numbers, everything in the camera's frame.
+Shapes and lamps are rows of numbers, in the camera's frame.
 
 Diffuse light crosses a glossy surface twice, so it fades as (1 - F(in)) (1 - F(out)) towards
-grazing angles (F by Schlick 1994). What is mirrored is each lamp's disc, widened by the roughness,
-and everything else that there is: rays are followed from the surface to what they meet next
-(`mirror_kernels`). That is why a glossy ball's colour edge lies inside its outline.
+grazing angles (F by Schlick 1994). Mirrored are the discs of the lamps, widened by the roughness,
+and all other shapes: one mirrored ray is followed to the shape that it meets (`mirror_kernels`).
+The fading is why the colour edge of a glossy ball lies inside its outline.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ from measure.simulation.kernels import (
     A,
 )
 from measure.simulation.mirror_kernels import facing, fresnel
-from measure.simulation.surface_kernels import Points, Rays
+from measure.simulation.surface_kernels import Points, RayHits
 
 LAMP_COLOUR, LAMP_RADIUS, LAMP_ROW = 3, 6, 7
 REFERENCE_MM = 1000.0
-"""A lamp's irradiance is what it gives at this distance."""
+"""The distance from a lamp at which its irradiance is stated."""
 _OWN = 1.0001
-"""A ball does not hide light from its own surface."""
+"""Balls nearer than this, in their squared radius, are the point's own and cast no shadow."""
 
 
 class Lights(NamedTuple):
-    """Where light comes from.
+    """The light sources.
 
     Attributes:
         lamps: (m, LAMP_ROW).
         ambient: (3,) diffuse light from above.
-        surround: (3,) radiance straight above, where nothing is.
+        surround: (3,) radiance from straight above, where no shape is.
         up_below: (4,) unit vector upwards, and the share of light from below.
         blockers: (j,) shapes that cast shadows.
     """
@@ -60,7 +60,7 @@ def reflect(points: Points, mirrored: Floats, shapes: Floats, lights: Lights, ou
 
     Args:
         points: (n,) the points, all on shapes.
-        mirrored: (n, 3) radiance of what they mirror, lamps apart, B G R.
+        mirrored: (n, 3) radiance of the mirrored shapes, without lamps, B G R.
         shapes: (k, ROW).
         lights: lamps and surroundings.
         out: (n, 6) receives diffuse light per unit of albedo, and mirrored light, B G R each.
@@ -73,11 +73,10 @@ def reflect(points: Points, mirrored: Floats, shapes: Floats, lights: Lights, ou
 
 @compiled
 def shine(hits: Points, albedo: Floats, shapes: Floats, lights: Lights, out: Floats) -> None:
-    """Radiance (n, 3) of what mirrored rays met, as seen from where they come from, B G R.
+    """Radiance (n, 3) that mirrored rays bring from the points they meet, B G R.
 
-    A surface that is seen in a mirror mirrors nothing but lamps and ambient light itself: rays are
-    not followed further. Where nothing was met are the surroundings, black from the
-    horizon down.
+    Rays are followed over one mirroring: the points met mirror lamps and ambient light only. A ray
+    that meets no shape brings the radiance of the surroundings, black below the horizon.
     """
     light = np.empty((1, 6))
     for i in range(len(hits.shape)):
@@ -98,16 +97,16 @@ def shine(hits: Points, albedo: Floats, shapes: Floats, lights: Lights, out: Flo
 
 @compiled
 def mean_of_pixels(
-    rays: Rays, source: Ints, light: Floats, albedo: Floats, by_ray: bool, out: Floats
+    rays: RayHits, source: Ints, light: Floats, albedo: Floats, by_ray: bool, out: Floats
 ) -> None:
-    """Mean radiance of a pixel's rays; those that meet nothing count 0.
+    """Mean radiance of the rays of each pixel; a ray that meets no shape counts 0.
 
     Args:
         rays: the rays.
         source: (n,) which row of `light` is a ray's.
         light: (j, 6) of `reflect`.
         albedo: (n, 3) of the rays, or (k, 3) of the shapes, B G R.
-        by_ray: which of the two.
+        by_ray: whether `albedo` is given by ray.
         out: (pixels, 3) receives the radiance, B G R.
     """
     out[:] = 0.0
@@ -123,7 +122,7 @@ def mean_of_pixels(
 
 @inlined
 def _mirror_direction(points: Points, i: int) -> tuple[float, float, float]:
-    """The direction that a smooth surface shows to its viewer."""
+    """The direction that a smooth surface mirrors to its viewer."""
     n, v, cosine = points.normal, points.viewer, facing(points, i)
     return (
         2 * cosine * n[i, 0] - v[i, 0],
@@ -141,14 +140,14 @@ def _raised(x: float, y: float, z: float, lights: Lights) -> float:
 
 @inlined
 def _ambient_share(x: float, y: float, z: float, lights: Lights) -> float:
-    """Ambient light about a direction, as a share of that from straight above."""
+    """Ambient light from around a direction, as a share of that from straight above."""
     below = lights.up_below[3]
     return below + (1 - below) * 0.5 * (1 + _raised(x, y, z, lights))
 
 
 @inlined
 def _reflect(points: Points, i: int, shapes: Floats, lights: Lights, out: Floats, row: int) -> None:
-    """Turn a row of `out`, whose last half holds what point i mirrors, into what it reflects."""
+    """Reflected light of point i in a row of `out`, whose last half holds the mirrored radiance."""
     n = points.normal
     mirrors = fresnel(facing(points, i), shapes[points.shape[i], REFLECTANCE])
     sky = _ambient_share(n[i, 0], n[i, 1], n[i, 2], lights)
@@ -197,12 +196,12 @@ def _lamp(
 
 @inlined
 def _openness(points: Points, i: int, shapes: Floats, blockers: Ints) -> float:
-    """Share of the ambient light that other balls leave (form factor of a ball)."""
+    """Share of the ambient light that other balls do not block (form factor of a ball)."""
     left, n = 1.0, points.normal
     for b in blockers:
         if not _darkens(b, points.shape[i], shapes):
             continue
-        x, y, z = _way(points, i, shapes, b)
+        x, y, z = _to_center(points, i, shapes, b)
         distance2, radius2 = x * x + y * y + z * z, shapes[b, RADIUS] ** 2
         if distance2 > radius2 * _OWN:
             cosine = max((x * n[i, 0] + y * n[i, 1] + z * n[i, 2]) / math.sqrt(distance2), 0.0)
@@ -221,12 +220,12 @@ def _unblocked(
     shapes: Floats,
     blockers: Ints,
 ) -> float:
-    """Share of a lamp's disc that is seen past the balls in between."""
+    """Share of a lamp's disc that no ball hides from the point."""
     left = 1.0
     for b in blockers:
         if not _darkens(b, points.shape[i], shapes):
             continue
-        x, y, z = _way(points, i, shapes, b)
+        x, y, z = _to_center(points, i, shapes, b)
         radius, along = shapes[b, RADIUS], x * lx + y * ly + z * lz
         if along > radius * _OWN:
             across = math.sqrt(max(x * x + y * y + z * z - along * along, 0.0))
@@ -237,13 +236,13 @@ def _unblocked(
 
 @inlined
 def _darkens(blocker: int, k: int, shapes: Floats) -> bool:
-    """Whether a ball may cast a shadow on shape k: things and the backdrop are lit each alone."""
+    """Whether a ball casts a shadow on shape k: only where both or neither are backdrop."""
     return blocker != k and shapes[blocker, BACKDROP] == shapes[k, BACKDROP]
 
 
 @inlined
-def _way(points: Points, i: int, shapes: Floats, b: int) -> tuple[float, float, float]:
-    """The way from a point to the centre of a ball."""
+def _to_center(points: Points, i: int, shapes: Floats, b: int) -> tuple[float, float, float]:
+    """Vector from a point to the centre of a ball."""
     p, delay = points.place, points.delay_s[i]
     return (
         shapes[b, A] + delay * shapes[b, VELOCITY] - p[i, 0],

@@ -1,7 +1,7 @@
 """Grids over the visible side of balls and rods, on which blurred mirror images are computed.
 
-What a rough surface mirrors changes slowly along it, except towards its outline; so the grids are
-even in the angle between the normal and the direction to the viewer, who stands at the origin.
+The mirror image on a rough surface changes slowly, except towards the outline: the nodes are
+equidistant in the angle between the normal and the direction to the viewer, at the origin.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class Grid(Protocol):
     """A grid over one shape.
 
     Attributes:
-        shape: its numbers of nodes along either coordinate.
+        shape: numbers of nodes along both coordinates.
     """
 
     shape: tuple[int, int]
@@ -32,7 +32,7 @@ class Grid(Protocol):
         """The grid's nodes as points of shape k, row by row."""
 
     def coordinates(self, points: Points) -> tuple[Floats, Bools]:
-        """Where points (n,) of the shape lie, in nodes (n, 2); and which of them (n,) it covers."""
+        """Grid coordinates (n, 2) of points (n,) of the shape, and which of them it covers (n,)."""
 
 
 def grid_of(row: Floats) -> Grid:
@@ -48,7 +48,7 @@ def interpolated(values: Floats, coordinates: Floats) -> Floats:
 
 
 class BallGrid:
-    """Rings round the point that is nearest to the viewer, the last of them the outline."""
+    """Rings round the point nearest to the viewer; the last ring is the outline."""
 
     shape = (_RINGS, _SPOKES + 1)
 
@@ -56,9 +56,9 @@ class BallGrid:
         self._center, self._radius = row[A : A + 3], row[RADIUS]
         away = float(np.linalg.norm(self._center))
         towards = -self._center / away
-        aside = np.cross(towards, np.eye(3)[np.argmin(np.abs(towards))])
-        aside /= np.linalg.norm(aside)
-        self._axes = np.stack([aside, np.cross(towards, aside), towards])
+        across = np.cross(towards, np.eye(3)[np.argmin(np.abs(towards))])
+        across /= np.linalg.norm(across)
+        self._axes = np.stack([across, np.cross(towards, across), towards])
         self._widest = float(np.arccos(min(self._radius / away, 1.0)))
 
     def points(self, k: int) -> Points:
@@ -91,24 +91,24 @@ class RodGrid:
     def points(self, k: int) -> Points:
         """The nodes."""
         share = np.repeat(np.linspace(0, 1, self.shape[0]), _STRIPS)
-        place, towards, aside, widest = self._sections(share * self._length)
+        place, towards, across, widest = self._sections(share * self._length)
         angle = np.tile(np.linspace(-1, 1, _STRIPS), self.shape[0]) * widest
-        normal = np.cos(angle)[:, None] * towards + np.sin(angle)[:, None] * aside
+        normal = np.cos(angle)[:, None] * towards + np.sin(angle)[:, None] * across
         return _seen_points(k, place + self._radius * normal, normal)
 
     def coordinates(self, points: Points) -> tuple[Floats, Bools]:
         """Steps along the rod, and strips."""
         way = points.delay_s[:, None] * self._velocity
         reach = (points.place - way - self._start) @ self._along
-        _, towards, aside, widest = self._sections(reach)
-        sine = np.einsum("ij,ij->i", points.normal, aside)
+        _, towards, across, widest = self._sections(reach)
+        sine = np.einsum("ij,ij->i", points.normal, across)
         angle = np.arctan2(sine, np.einsum("ij,ij->i", points.normal, towards))
         steps = reach / self._length * (self.shape[0] - 1)
         strips = (angle / widest + 1) / 2 * (_STRIPS - 1)
         return np.column_stack([steps, strips]), (reach > 0) & (reach < self._length)
 
     def _sections(self, reach: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Cross-sections (n,) so far along: middle, directions to the viewer and aside, outline."""
+        """Cross-sections (n,) at `reach`: centre, directions to viewer and across, half angle."""
         middle = self._start + reach[:, None] * self._along
         towards = -middle + (middle @ self._along)[:, None] * self._along
         away = np.linalg.norm(towards, axis=1)

@@ -1,9 +1,9 @@
-"""What glossy surfaces mirror, compiled: rays from surface points to what they meet next.
+"""Mirror reflection of glossy surfaces, compiled: rays from surface points to the next shape.
 
-A surface is smooth (one mirrored ray), or a field of tiny smooth facets whose slopes scatter
-normally with the material's roughness: those that widen a lamp's highlight. Rays are mirrored by
-several of the facets that the viewer sees; he sees each as large as it is turned towards him
-(Walter et al. 2007, Heitz 2014). Light that a facet throws into the surface leaves it by another.
+A surface is smooth (one mirrored ray), or consists of microfacets whose slopes are normally
+distributed with the material's roughness. Rays are mirrored by several of the visible facets, which
+are drawn in proportion to their projected area (Walter et al. 2007, Heitz 2014). A ray that a facet
+mirrors into the surface is mirrored out again.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _ROWS, _COLUMNS = 33, 128
 
 
 def _visible_slopes() -> Floats:
-    """Quantiles of the slopes, towards the viewer, of the facets that he sees, in their deviation.
+    """Quantiles of the slopes towards the viewer of visible facets, in standard deviations.
 
     Returns:
         (_ROWS, _COLUMNS): for t / (1 + t) from 0 to 1, where t is the slope of the line of sight;
@@ -40,7 +40,7 @@ def _visible_slopes() -> Floats:
 
 _SLOPES = _visible_slopes()
 _STEP_1, _STEP_2 = 0.7548776662466927, 0.5698402909980532
-"""Any run of multiples of these, less their whole parts, fills the unit square evenly."""
+"""Additive recurrence of the R2 sequence: it fills the unit square evenly."""
 
 
 @inlined
@@ -53,21 +53,21 @@ def fresnel(cosine: float, f0: float) -> float:
 
 @inlined
 def facing(points: Points, i: int) -> float:
-    """Cosine of the angle under which a point is looked at."""
+    """Cosine of the angle between a point's normal and the direction to its viewer."""
     n, v = points.normal, points.viewer
     return min(max(n[i, 0] * v[i, 0] + n[i, 1] * v[i, 1] + n[i, 2] * v[i, 2], 0.0), 1.0)
 
 
 @compiled
 def count_facets(points: Points, shapes: Floats, most: float, least: float, starts: Ints) -> None:
-    """How many facets mirror rays for each point, summed up.
+    """Numbers of facets that mirror rays for each point, summed up.
 
     Args:
         points: (n,) the points.
         shapes: (k, ROW).
-        most: facets of a rough surface that mirrors all the light; less light, fewer facets.
-        least: as few as that.
-        starts: (n + 1,) receives the number of facets of all points before.
+        most: facets of a rough surface where all light is mirrored; proportional to that share.
+        least: smallest number of facets.
+        starts: (n + 1,) receives the cumulative number of facets.
     """
     starts[0] = 0
     for i in range(len(points.shape)):
@@ -80,7 +80,7 @@ def count_facets(points: Points, shapes: Floats, most: float, least: float, star
 
 @compiled
 def mean_of_facets(radiance: Floats, starts: Ints, out: Floats) -> None:
-    """Mean radiance (n, 3) of the facets (m, 3) of each point; 0 of none."""
+    """Mean radiance (n, 3) of the facets (m, 3) of each point; 0 where there are none."""
     out[:] = 0.0
     for i in range(len(out)):
         for j in range(starts[i], starts[i + 1]):
@@ -107,14 +107,14 @@ def interpolate(grid: Floats, coordinates: Floats, out: Floats) -> None:
 def trace_mirrored(
     points: Points, firsts: Ints, shapes: Floats, starts: Ints, hits: Points
 ) -> None:
-    """Find what mirrored rays meet first.
+    """Find the first shape that each mirrored ray meets.
 
     Args:
         points: (n,) where they start.
         firsts: (n,) number of each point's first facet.
         shapes: (k, ROW).
         starts: (n + 1,) of `count_facets`.
-        hits: receives what they meet, in the points' order.
+        hits: receives the points met, in the order of `points`.
     """
     d = np.empty(3)
     for i in range(len(points.shape)):
@@ -127,13 +127,13 @@ def trace_mirrored(
 
 @inlined
 def _find_next(points: Points, i: int, d: Floats, shapes: Floats, hits: Points, j: int) -> None:
-    """Fill hit j: what the ray from point i in a direction (3,) meets first."""
+    """Fill hit j: the first shape on the ray from point i in a direction (3,)."""
     delay, x, y, z = points.delay_s[i], d[0], d[1], d[2]
     px, py, pz = points.place[i, 0], points.place[i, 1], points.place[i, 2]
     nearest, found = math.inf, NOTHING
     for k in range(len(shapes)):
         # No shape mirrors itself: all are convex.
-        if k != points.shape[i] and _comes_near(shapes, k, delay, px, py, pz, x, y, z):
+        if k != points.shape[i] and _within_reach(shapes, k, delay, px, py, pz, x, y, z):
             away = enter(shapes, k, delay, px, py, pz, x, y, z)
             if away < nearest:
                 nearest, found = away, k
@@ -146,7 +146,7 @@ def _find_next(points: Points, i: int, d: Floats, shapes: Floats, hits: Points, 
 
 
 @inlined
-def _comes_near(
+def _within_reach(
     shapes: Floats,
     k: int,
     delay: float,
@@ -157,7 +157,7 @@ def _comes_near(
     y: float,
     z: float,
 ) -> bool:
-    """Whether a ray from `p` along a unit vector may meet shape k at all."""
+    """Whether a ray from `p` along a unit vector passes through the bounding ball of shape k."""
     ax, ay, az = offset(shapes, k, delay, px, py, pz)
     along, reach2 = ax * x + ay * y + az * z, shapes[k, REACH] ** 2
     away2 = ax * ax + ay * ay + az * az - reach2
@@ -166,7 +166,7 @@ def _comes_near(
 
 @inlined
 def _mirror(n: Floats, v: Floats, roughness: float, number: float, d: Floats) -> None:
-    """Direction (3,) in which a facet of a surface of normal `n` mirrors what is seen from `v`."""
+    """Direction (3,) that a facet of a surface of normal `n` mirrors to a viewer along `v`."""
     cosine = n[0] * v[0] + n[1] * v[1] + n[2] * v[2]
     sine = math.sqrt(max(1 - cosine * cosine, 0.0))
     along, across, up = _facet(sine, max(cosine, _GRAZING), roughness, number)
@@ -189,7 +189,7 @@ def _mirror(n: Floats, v: Floats, roughness: float, number: float, d: Floats) ->
 def _facet(
     sine: float, cosine: float, roughness: float, number: float
 ) -> tuple[float, float, float]:
-    """Normal of one of the facets seen: towards the viewer, aside, along the surface's normal."""
+    """Normal of a visible facet: towards the viewer, across, along the surface's normal."""
     first, second = number * _STEP_1, number * _STEP_2
     raised = cosine / (cosine + roughness * sine)
     x = roughness * _quantile(raised, first - math.floor(first))
@@ -210,7 +210,7 @@ def _quantile(raised: float, share: float) -> float:
 
 @inlined
 def _tangent(n: Floats, v: Floats, cosine: float, sine: float) -> tuple[float, float, float]:
-    """Unit vector along the surface, towards the viewer; any where he looks straight down."""
+    """Unit tangent towards the viewer; any tangent where the viewer is along the normal."""
     if sine > 1e-6:
         return (
             (v[0] - cosine * n[0]) / sine,

@@ -1,4 +1,4 @@
-"""What glossy surfaces mirror: one bounce, followed to whatever stands, moves or hangs there."""
+"""Mirror images on glossy surfaces: one reflection, traced to all other shapes."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from measure.simulation.mirror_kernels import count_facets, mean_of_facets, trac
 from measure.simulation.surface_kernels import REUSE, Points, no_points
 
 _FACETS = 32.0
-"""Facets of a rough surface that mirror rays for a pixel, where all light is mirrored."""
+"""Facets of a rough surface that mirror rays for one pixel, where all light is mirrored."""
 _SOFT_RAD = 0.04
-"""What rougher balls and rods mirror is so blurred that it is interpolated on a grid."""
+"""On balls and rods rougher than this, the mirror image is interpolated on a grid."""
 _GRID_FACETS, _FEWEST_GRID_FACETS = 32.0, 8.0
 
 
 class Mirror:
-    """What the shapes of a stage mirror.
+    """The mirror images on the shapes of a stage.
 
     Args:
         shapes: (k, ROW).
         lights: lamps and surroundings.
         albedo_of: reflectance (m, 3), B G R, of shapes (m,) at places (m, 3) after delays (m,).
-        part: which it is of how many stages whose mean is taken; they share the facets out.
+        part: (index, count) of the stages that are averaged; each traces its share of the facets.
     """
 
     def __init__(
@@ -44,12 +44,12 @@ class Mirror:
         self._soft = [int(k) for k in np.flatnonzero(soft & (shapes[:, KIND] != BOX))]
 
     def radiance(self, points: Points, numbers: Ints, per_pixel: int) -> Floats:
-        """Radiance (n, 3) that points mirror to their viewers, lamps apart, B G R.
+        """Radiance (n, 3) that points mirror to their viewers, without lamps, B G R.
 
         Args:
             points: (n,) the points.
-            numbers: (n,) which of its pixel's points each is.
-            per_pixel: how many rays go through a pixel.
+            numbers: (n,) index of each point in its pixel.
+            per_pixel: rays through a pixel.
         """
         out, left = np.zeros((len(points.shape), 3)), self._shapes[points.shape, REFLECTANCE] > 0
         for k in self._soft:
@@ -65,7 +65,7 @@ class Mirror:
         return out
 
     def _image(self, k: int, count: int) -> tuple[Grid | None, Floats]:
-        """What shape k mirrors on its grid; none as long as so few points are less work."""
+        """Grid of shape k and its mirror image; none for fewer points than the grid has nodes."""
         if k not in self._images:
             grid = grid_of(self._shapes[k])
             nodes = grid.shape[0] * grid.shape[1]
@@ -77,7 +77,7 @@ class Mirror:
         return self._images[k]
 
     def _traced(self, points: Points, numbers: Ints, most: float, least: float) -> Floats:
-        """Radiance (n, 3) that points mirror, by so many facets each."""
+        """Radiance (n, 3) that points mirror, by between `least` and `most` facets each."""
         starts, out = np.empty(len(points.shape) + 1, np.int64), np.empty((len(points.shape), 3))
         count_facets(points, self._shapes, most / self._parts, least / self._parts, starts)
         hits, radiance = no_points(int(starts[-1])), np.empty((int(starts[-1]), 3))

@@ -1,4 +1,4 @@
-"""Ready-made rigs: cameras round a workspace, the paper's body, rooms and lamps."""
+"""Ready-made parts of scenes: cameras round a workspace, the paper's body, lamps."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.geometry import RigidTransform
 from measure.model import Ball, BallColor, Body, Camera, Intrinsics
-from measure.simulation.shading import Light, Lighting, Material, Rgb
+from measure.simulation.shading import Lamp, Lighting, Material, Rgb
 from measure.simulation.shapes import Capsule, Shape
 
 WORKSPACE_MM = np.array([0.0, 0.0, 250.0])
@@ -28,17 +28,6 @@ def paper_body() -> Body:
     """The body of the paper: three balls of radius 20 mm, 38 mm from the end effector."""
     places = {"green": (38.0, 0.0, 0.0), "yellow": (0.0, 38.0, 0.0), "red": (-38.0, 0.0, 0.0)}
     return body("raven three-ball body", places, 20.0)
-
-
-def four_ball_body() -> Body:
-    """Another body: four balls of radius 15 mm, white among them, not in one plane."""
-    places = {
-        "white": (34.0, 6.0, -4.0),
-        "blue": (-8.0, 33.0, 6.0),
-        "orange": (-31.0, -9.0, -6.0),
-        "purple": (6.0, -30.0, 14.0),
-    }
-    return body("four-ball body", places, 15.0)
 
 
 def look_at(center_mm: Floats, target_mm: Floats) -> RigidTransform:
@@ -77,11 +66,6 @@ def paper_rig() -> tuple[Camera, ...]:
     return ring(4)
 
 
-def three_camera_rig() -> tuple[Camera, ...]:
-    """Three cameras, 120 degrees apart, a little higher and nearer."""
-    return ring(3, seed=3, distance_mm=430.0, elevation_deg=32.0)
-
-
 def _webcam(rng: np.random.Generator) -> Intrinsics:
     """1280x720, f about 1420 px, mild distortion."""
     focal = 1420 + rng.uniform(-20, 20)
@@ -112,7 +96,7 @@ def shaft(up: bool = False, color: Rgb = (0.25, 0.25, 0.27), radius_mm: float = 
 
 def lamps(
     seed: int = 1, count: int = 2, strength: float = 0.5, tint: Rgb = (1.0, 1.0, 1.0)
-) -> tuple[Light, ...]:
+) -> tuple[Lamp, ...]:
     """Soft lamps overhead, about a metre away."""
     rng = np.random.default_rng(seed)
     out = []
@@ -123,7 +107,7 @@ def lamps(
         )
         share = strength * rng.uniform(0.8, 1.2)
         r, g, b = tint
-        out.append(Light(place, (share * r, share * g, share * b), rng.uniform(60, 120)))
+        out.append(Lamp(place, (share * r, share * g, share * b), rng.uniform(60, 120)))
     return tuple(out)
 
 

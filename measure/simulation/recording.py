@@ -6,7 +6,6 @@ import os
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,9 +24,6 @@ from measure.simulation.sensor import encode
 
 TRUTH_HZ = 480.0
 _TRUTH_MARGIN_S = 0.05
-_VIDEO_TICKS_HZ = 90_000
-
-Container = Literal["mp4", "mkv", "avi"]
 
 
 def write_session(
@@ -35,7 +31,6 @@ def write_session(
     times_s: ArrayLike | Mapping[str, ArrayLike],
     folder: str | Path,
     *,
-    video: Container | None = None,
     workers: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
@@ -47,7 +42,6 @@ def write_session(
         times_s: (n,) nominal instants, to which every camera adds its phase; or the mid-exposure
             times of each camera by name.
         folder: made if missing; the numbered pictures of an earlier session in it are removed.
-        video: one video per camera (H.264, exact stamps) instead of image files.
         workers: threads, one camera each; as many as there are cores by default.
         progress: called with pictures done and in all.
 
@@ -64,14 +58,11 @@ def write_session(
         if progress is not None:
             pictures = _counted(pictures, lambda: progress(next(done), total))
         write_stamps(folder / f"{name}.csv", stamps[name])
-        if video is None:
-            return _write_images(pictures, scene, name, folder)
-        size = scene.camera(name).intrinsics.size_wh
-        return _write_video(pictures, size, stamps[name], folder / f"{name}.{video}")
+        return _write_images(pictures, scene, name, folder)
 
     with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
         sources = dict(zip(stamps, pool.map(record, stamps), strict=True))
-    _write_texts(scene, sources, stamps, folder, video is not None)
+    _write_texts(scene, sources, stamps, folder)
     return folder
 
 
@@ -106,33 +97,11 @@ def _write_images(pictures: Iterator[Bytes], scene: Scene, camera: str, folder: 
     return f"{camera}/*.{sensor.encoding}"
 
 
-def _write_video(
-    pictures: Iterator[Bytes], size_wh: tuple[int, int], times_s: Floats, path: Path
-) -> str:
-    """H.264 of high quality whose time stamps are the given times, from the first one on."""
-    from fractions import Fraction
-
-    import av
-
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream("libx264", rate=30, options={"crf": "14", "bf": "0"})
-        stream.pix_fmt = "yuv420p"
-        stream.width, stream.height = size_wh
-        ticks = Fraction(1, _VIDEO_TICKS_HZ)
-        stream.time_base = stream.codec_context.time_base = ticks
-        for picture, time_s in zip(pictures, times_s, strict=True):
-            frame = av.VideoFrame.from_ndarray(picture, format="bgr24")
-            frame.pts, frame.time_base = round(time_s * _VIDEO_TICKS_HZ), ticks
-            container.mux(stream.encode(frame))
-        container.mux(stream.encode())
-    return path.name
-
-
 def _write_texts(
-    scene: Scene, sources: dict[str, str], stamps: dict[str, Floats], folder: Path, videos: bool
+    scene: Scene, sources: dict[str, str], stamps: dict[str, Floats], folder: Path
 ) -> None:
     texts = {
-        "session.toml": session_toml(scene.name, scene.description, sources, videos),
+        "session.toml": session_toml(scene.name, scene.description, sources),
         "body.toml": body_toml(scene.stated_body or scene.body),
         "calibration.toml": calibration_toml(scene.stated_cameras or scene.cameras),
     }

@@ -21,16 +21,16 @@ SAMPLES = 89
 _BACKDROP_SAMPLES = 16
 _FEWEST_SAMPLES = 16
 _STEP_PX = 0.35
-"""While the shutter is open, things are drawn this often on their way (at most `_MOST_STEPS`)."""
+"""Motion in px between the instants averaged over an exposure (at most `_MOST_STEPS`)."""
 _MOST_STEPS = 16
 _VELOCITY_STEP_S = 1e-4
 
 
 class Renderer:
-    """Renders one camera of a scene; keeps what does not change from picture to picture.
+    """Renders one camera of a scene; the parts that do not move are rendered once.
 
     Args:
-        scene: what there is.
+        scene: the scene.
         camera: name of one of its cameras.
         samples: rays through a pixel that an edge crosses.
     """
@@ -45,7 +45,7 @@ class Renderer:
         self._focal_px = self.camera.intrinsics.focal_px
 
     def with_fixed(self, fixed: tuple[Shape, ...]) -> Renderer:
-        """A renderer of the same scene with other standing things; it shares the backdrop."""
+        """A renderer of the same scene with other fixed shapes; it shares the backdrop."""
         other = Renderer(replace(self.scene, fixed=fixed), self.camera.name, self.samples)
         other.__dict__.update(_canvas=self._canvas, _backdrop=self._backdrop)
         return other
@@ -80,7 +80,7 @@ class Renderer:
         return int(np.clip(np.ceil(swept.max() / _STEP_PX), 1, _MOST_STEPS))
 
     def _instant(self, time_s: float, step: int, steps: int) -> Linear:
-        """What is seen at one of the instants that a picture is averaged over."""
+        """Radiance at one of the instants that a picture is averaged over."""
         moving, velocities = self._moving_shapes(time_s)
         fixed = self._fixed
         rows = self._canvas.height * self.sensor.row_time_s
@@ -133,7 +133,7 @@ class Renderer:
 
     @cached_property
     def _still_picture(self) -> Linear:
-        """The picture of all that does not move."""
+        """The picture of all shapes that do not move."""
         if not self._fixed:
             return self._backdrop
         stage = Stage(self._fixed, self._lighting, self._focal_px, backdrop=self._walls)
@@ -146,7 +146,7 @@ def render(scene: Scene, camera: Camera | str, time_s: float, frame: int = 0) ->
     """One picture (h, w, 3), B G R. For several of one camera, keep a `Renderer`: it is faster.
 
     Args:
-        scene: what there is.
+        scene: the scene.
         camera: one of the scene's cameras, or its name.
         time_s: middle of the exposure.
         frame: number of the picture; chooses the noise.

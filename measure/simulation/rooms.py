@@ -1,4 +1,4 @@
-"""Surroundings: cloths, walls, posters, boxes and balls that are none of ours."""
+"""Backdrops: floors and walls of cloth, wood and posters."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import numpy as np
 from measure.arrays import Bools, Floats
 from measure.compiling import compiled
 from measure.geometry import RigidTransform
-from measure.simulation.scene import BALL_ALBEDO, painted
+from measure.simulation.scene import BALL_ALBEDO
 from measure.simulation.shading import Material, Rgb
-from measure.simulation.shapes import Box, Capsule, Shape, Sphere
+from measure.simulation.shapes import Cuboid, Shape
 
 _FLAT_MM = 20.0
 
@@ -17,14 +17,14 @@ _FLAT_MM = 20.0
 def room(
     floor: Material, walls: tuple[Material, ...], half_mm: float = 1400.0, height_mm: float = 2400.0
 ) -> tuple[Shape, ...]:
-    """A floor at z = 0 and four walls, which take the given materials in turn."""
+    """A floor at z = 0 and four walls; the wall materials repeat cyclically."""
     ground = RigidTransform(np.eye(3), np.array([0.0, 0.0, -_FLAT_MM / 2]))
-    shapes: list[Shape] = [Box(ground, (4 * half_mm, 4 * half_mm, _FLAT_MM), floor)]
+    shapes: list[Shape] = [Cuboid(ground, (4 * half_mm, 4 * half_mm, _FLAT_MM), floor)]
     for k in range(4):
         turn = RigidTransform.from_rotvec([0.0, 0.0, k * np.pi / 2])
         place = RigidTransform(np.eye(3), np.array([half_mm, 0.0, height_mm / 2 - 100]))
         size = (_FLAT_MM, 2 * half_mm, height_mm)
-        shapes.append(Box(turn @ place, size, walls[k % len(walls)]))
+        shapes.append(Cuboid(turn @ place, size, walls[k % len(walls)]))
     return tuple(shapes)
 
 
@@ -81,7 +81,7 @@ def patches(
     """Ellipses and rectangles in the colours of balls, on a textured ground.
 
     Args:
-        ground: what they lie on.
+        ground: material under them.
         seed: of their places, sizes and colours.
         plane: the two axes of the box's frame that they lie in.
         count: how many.
@@ -116,33 +116,3 @@ def _paint(
                 for c in range(3):
                     out[i, c] = colours[k, c]
                 break
-
-
-def clutter(seed: int, colors: tuple[str, ...], radius_mm: float = 20.0) -> tuple[Shape, ...]:
-    """Boxes, columns, and balls on sticks in the given colours, round about the workspace."""
-    rng = np.random.default_rng(seed)
-    shapes: list[Shape] = []
-    names = list(BALL_ALBEDO)
-    for k in range(10):
-        x, y = _beside(rng, k / 10, (560.0, 850.0))
-        color = Material(BALL_ALBEDO[names[int(rng.integers(len(names)))]])
-        high = rng.uniform(80, 260)
-        turn = RigidTransform.from_rotvec([0.0, 0.0, rng.uniform(0, np.pi)], [x, y, high / 2])
-        if k % 3 == 2:
-            shapes.append(Capsule(np.array([x, y, 0.0]), np.array([x, y, high]), 45.0, color))
-        else:
-            shapes.append(Box(turn, (rng.uniform(80, 150), rng.uniform(80, 150), high), color))
-    for k, name in enumerate((*colors, *colors)):
-        x, y = _beside(rng, (k + 0.5) / (2 * len(colors)), (260.0, 420.0))
-        top = np.array([x, y, rng.uniform(150, 300)])
-        stick = Material((0.02, 0.02, 0.02), 0.04, 0.1)
-        shapes.append(Capsule(np.array([x, y, 0.0]), top, 7.0, stick))
-        gloss = painted(Material((1.0, 1.0, 1.0), 0.04, 0.06), name)
-        shapes.append(Sphere(top, radius_mm * rng.uniform(0.8, 1.15), gloss))
-    return tuple(shapes)
-
-
-def _beside(rng: np.random.Generator, turn: float, range_mm: tuple[float, float]) -> Floats:
-    """A place (2,) on the floor, at a share of a full turn, a random distance off."""
-    angle = 2 * np.pi * (turn + rng.uniform(-0.03, 0.03))
-    return rng.uniform(*range_mm) * np.array([np.cos(angle), np.sin(angle)])

@@ -1,4 +1,4 @@
-"""A scene: what moves, what stands, who looks on, in what light."""
+"""A scene: moving and standing shapes, cameras and light."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 
 from measure.errors import ConfigError
 from measure.model import Body, Camera
-from measure.simulation.sensor import Sensor
+from measure.simulation.sensor import CameraSensor
 from measure.simulation.shading import Lighting, Material, Rgb
 from measure.simulation.shapes import Shape, Sphere
-from measure.simulation.trajectory import Trajectory
+from measure.simulation.trajectory import ContinuousTrajectory
 
 BALL_ALBEDO: dict[str, Rgb] = {
     "red": (0.45, 0.012, 0.02),
@@ -37,12 +37,12 @@ class Actor:
     """
 
     shapes: tuple[Shape, ...]
-    trajectory: Trajectory
+    trajectory: ContinuousTrajectory
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Everything a picture depends on.
+    """All that a rendered picture depends on.
 
     Attributes:
         name: of the scene, and of the session written from it.
@@ -50,26 +50,26 @@ class Scene:
         cameras: with their true calibration.
         trajectory: world_from_body at any time.
         lighting: lamps and ambient light.
-        finish: what the balls are made of; the colour comes from the body.
+        finish: material of the balls; its albedo is replaced by the colour of each ball.
         attached: stems and shafts that move with the body, in its frame.
-        actors: other moving things.
-        fixed: things that stand in the room and may hide or be hidden.
-        backdrop: walls, floor and posters: behind everything else.
-        backdrop_px: of the backdrop, only every such pixel is computed; the rest is interpolated.
-        sensor: how the cameras turn light into files.
-        sensors: per camera name, where a camera's sensor differs.
-        phases_s: per camera name, how much later than the others it exposes.
-        seed: of the noise.
+        actors: other moving shapes.
+        fixed: shapes that do not move; they occlude and are occluded.
+        backdrop: walls, floor and posters, behind all other shapes.
+        backdrop_px: the backdrop is computed at every n-th pixel and interpolated between.
+        sensor: from radiance to image file, for all cameras.
+        sensors: by camera name, the sensors that differ from `sensor`.
+        phases_s: by camera name, delay of its exposures in s.
+        seed: of the image noise.
         shown: names of the balls that are drawn; None for all.
-        stated_cameras: what the session's calibration file claims, if that is not the truth.
-        stated_body: what the session's body file claims, if that is not the truth.
+        stated_cameras: cameras written to the calibration file, if not the true ones.
+        stated_body: body written to the body file, if not the true one.
         description: one line for the session file.
     """
 
     name: str
     body: Body
     cameras: tuple[Camera, ...]
-    trajectory: Trajectory
+    trajectory: ContinuousTrajectory
     lighting: Lighting
     finish: Material = field(default_factory=lambda: Material((1.0, 1.0, 1.0), 0.04))
     attached: tuple[Shape, ...] = ()
@@ -77,8 +77,8 @@ class Scene:
     fixed: tuple[Shape, ...] = ()
     backdrop: tuple[Shape, ...] = ()
     backdrop_px: int = 4
-    sensor: Sensor = field(default_factory=Sensor)
-    sensors: dict[str, Sensor] = field(default_factory=dict)
+    sensor: CameraSensor = field(default_factory=CameraSensor)
+    sensors: dict[str, CameraSensor] = field(default_factory=dict)
     phases_s: dict[str, float] = field(default_factory=dict)
     seed: int = 0
     shown: tuple[str, ...] | None = None
@@ -98,7 +98,7 @@ class Scene:
         names = ", ".join(camera.name for camera in self.cameras)
         raise ConfigError(f"scene '{self.name}' has no camera '{name}'; it has {names}")
 
-    def sensor_of(self, name: str) -> Sensor:
+    def sensor_of(self, name: str) -> CameraSensor:
         """The sensor of the camera called `name`."""
         return self.sensors.get(name, self.sensor)
 

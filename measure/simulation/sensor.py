@@ -1,8 +1,7 @@
-"""From light to a file: every stage of a camera that moves, blurs or bends what it sees.
+"""The sensor chain from linear radiance to an image file.
 
-Order: radiance, exposure (motion blur and rolling shutter: the ray caster does them), optical
-blur, gain, mosaic, shot and read noise, demosaic, tone curve, sharpening, level noise, 8 bits,
-file.
+Order: exposure (motion blur and rolling shutter, in the ray caster), optical blur, gain, Bayer
+mosaic, shot and read noise, demosaicing, tone curve, sharpening, level noise, 8 bits, file.
 Every stage can be switched off.
 """
 
@@ -26,16 +25,16 @@ _CHROMA = {
     "422": cv2.IMWRITE_JPEG_SAMPLING_FACTOR_422,
     "420": cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420,
 }
-# Malvar-He-Cutler would be sharper; webcams' bilinear is what the pictures of interest show.
+# Bilinear, as webcams do; Malvar-He-Cutler would be sharper.
 _BAYER = cv2.COLOR_BayerBG2BGR
 
 
 @dataclass(frozen=True)
-class Sensor:
-    """What a camera does to light.
+class CameraSensor:
+    """The sensor chain of a camera.
 
     Attributes:
-        exposure_s: open time, for motion blur; 0 for none.
+        exposure_s: exposure time, for motion blur; 0 for none.
         row_time_s: rolling shutter: time from row to row (the middle row is on time); 0 for global.
         blur_px: sigma of the optical blur.
         gain: from radiance to the sensor's full scale.
@@ -47,7 +46,7 @@ class Sensor:
         sharpen_px: its sigma.
         level_noise: sigma of noise added to the encoded 8-bit levels.
         encoding: "jpg" or "png".
-        quality: of the JPEG.
+        quality: JPEG quality, 1 to 100.
         chroma: JPEG chroma subsampling, "444", "422" or "420".
     """
 
@@ -67,7 +66,7 @@ class Sensor:
     chroma: Literal["444", "422", "420"] = "444"
 
 
-def develop(radiance: Linear, sensor: Sensor, rng: np.random.Generator) -> Bytes:
+def develop(radiance: Linear, sensor: CameraSensor, rng: np.random.Generator) -> Bytes:
     """The 8-bit picture (h, w, 3) of linear radiance (h, w, 3), both B G R."""
     light = radiance
     if sensor.blur_px > 0:
@@ -112,7 +111,7 @@ def tone_curve(tone: str) -> Linear:
     return levels
 
 
-def encode(picture: Bytes, sensor: Sensor) -> bytes:
+def encode(picture: Bytes, sensor: CameraSensor) -> bytes:
     """The bytes of the image file."""
     options = [
         cv2.IMWRITE_JPEG_QUALITY,
@@ -143,7 +142,7 @@ def _mixed(a: Linear, gain_a: float, b: Linear, gain_b: float, depth: int) -> ND
     return np.asarray(cv2.addWeighted(a, gain_a, b, gain_b, 0.0, dtype=depth))
 
 
-def _noisy(light: Linear, sensor: Sensor, rng: np.random.Generator) -> Linear:
+def _noisy(light: Linear, sensor: CameraSensor, rng: np.random.Generator) -> Linear:
     """Add shot and read noise to linear light of any shape."""
     if sensor.electrons > 0:
         sigma = np.maximum(light, 0) * np.float32(1 / sensor.electrons)
@@ -156,7 +155,7 @@ def _noisy(light: Linear, sensor: Sensor, rng: np.random.Generator) -> Linear:
     return light + sigma * rng.standard_normal(light.shape, dtype=np.float32)
 
 
-def _mosaic(light: Linear, sensor: Sensor, rng: np.random.Generator) -> Linear:
+def _mosaic(light: Linear, sensor: CameraSensor, rng: np.random.Generator) -> Linear:
     """Sample through an RGGB mosaic, add noise, clip, interpolate bilinearly."""
     raw = np.empty(light.shape[:2], np.float32)
     raw[0::2, 0::2] = light[0::2, 0::2, 2]

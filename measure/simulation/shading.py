@@ -25,9 +25,9 @@ class Material:
     Attributes:
         albedo_rgb: diffuse reflectance, linear, 0 to 1.
         reflectance: mirror reflectance at normal incidence (0.04 for plastic; 0 is ideally matt).
-        roughness_rad: standard deviation, per axis, of the slopes of the tiny facets that mirror:
-            highlights and mirrored things are blurred by twice that.
-        texture: albedo (n, 3) of points (n, 3) in the frame of a `Box`, instead of `albedo_rgb`.
+        roughness_rad: standard deviation, per axis, of the slopes of the microfacets: highlights
+            and mirror images are blurred by twice that.
+        texture: albedo (n, 3) of points (n, 3) in the frame of a `Cuboid`, instead of `albedo_rgb`.
     """
 
     albedo_rgb: Rgb
@@ -37,13 +37,13 @@ class Material:
 
 
 @dataclass(frozen=True, eq=False)
-class Light:
+class Lamp:
     """A round lamp.
 
     Attributes:
         position_mm: (3,) in the world.
         irradiance_rgb: at a distance of one metre; falls with the square of the distance.
-        radius_mm: its size softens shading, highlight and shadow.
+        radius_mm: radius of its disc; it softens shading, highlight and shadow.
     """
 
     position_mm: Floats
@@ -53,19 +53,19 @@ class Light:
 
 @dataclass(frozen=True, eq=False)
 class Lighting:
-    """All the light of a scene.
+    """The light of a scene.
 
     Attributes:
         lights: the lamps.
         ambient_rgb: diffuse light from all sides, from above; less comes from below.
-        surround_rgb: radiance straight above of what glossy things mirror where no shape is; it
-            falls gradually to nothing at the horizon, as a camera shows what is no shape.
+        surround_rgb: radiance from straight above that glossy shapes mirror where no shape is; it
+            falls gradually to 0 at the horizon.
         below: share of `ambient_rgb` that comes from below.
         shadows: whether balls darken each other and what stands behind them.
         up: (3,) unit vector, away from the floor.
     """
 
-    lights: tuple[Light, ...]
+    lights: tuple[Lamp, ...]
     ambient_rgb: Rgb = (0.25, 0.25, 0.25)
     surround_rgb: Rgb = (0.12, 0.12, 0.12)
     below: float = 0.3

@@ -1,4 +1,4 @@
-"""The solid things of a scene. Where rays meet them is computed in `kernels`."""
+"""The shapes of a scene. Rays are intersected with them in `kernels`."""
 
 from __future__ import annotations
 
@@ -72,11 +72,11 @@ class Capsule:
 
 
 @dataclass(frozen=True, eq=False)
-class Box:
-    """A block; flat ones serve as boards, posters, walls and floors.
+class Cuboid:
+    """A cuboid; flat ones serve as boards, posters, walls and floors.
 
     Attributes:
-        frame_from_box: pose; the box is centred in its own frame.
+        frame_from_box: pose; the cuboid is centred in its own frame.
         size_mm: (3,) full edge lengths.
         material: its texture, if any, is evaluated in the box's frame.
     """
@@ -85,8 +85,8 @@ class Box:
     size_mm: tuple[float, float, float]
     material: Material
 
-    def moved(self, target_from_source: RigidTransform) -> Box:
-        """The same block in another frame."""
+    def moved(self, target_from_source: RigidTransform) -> Cuboid:
+        """The same cuboid in another frame."""
         return replace(self, frame_from_box=target_from_source @ self.frame_from_box)
 
     @property
@@ -95,20 +95,20 @@ class Box:
         return self.frame_from_box.translation
 
     def clearance(self, directions: Floats) -> Floats:
-        """The same for the box's bounding ball; -1 everywhere if the camera is inside that."""
+        """As for a ball, of the bounding ball; -1 everywhere if the camera is inside it."""
         ball = Sphere(self.anchor, float(np.linalg.norm(self.size_mm)) / 2, self.material)
         if np.linalg.norm(self.anchor) <= ball.radius_mm:
             return np.full(len(directions), -1.0)
         return ball.clearance(directions)
 
     def local(self, points: Floats) -> Floats:
-        """Points (n, 3) in the box's own frame."""
+        """Points (n, 3) in the cuboid's own frame."""
         return (points - self.anchor) @ self.frame_from_box.rotation
 
 
-Shape: TypeAlias = Sphere | Capsule | Box
+Shape: TypeAlias = Sphere | Capsule | Cuboid
 
 
 def _as_angle(gap_mm: Floats, along_mm: Floats) -> Floats:
-    """Gaps beside a ray, seen from its origin; inf behind it."""
+    """Angles (n,) in rad of distances beside a ray, seen from its origin; inf behind it."""
     return np.where(along_mm > 0, gap_mm / np.maximum(along_mm, _TINY), np.inf)

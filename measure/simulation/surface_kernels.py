@@ -1,4 +1,4 @@
-"""The surface points that rays met, compiled: where they are, and which way they face."""
+"""Positions and normals of the surface points that rays meet, compiled."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from measure.compiling import compiled, inlined
 from measure.simulation.kernels import BOX, CAPSULE, KIND, NOTHING, RADIUS, TURN, VELOCITY, A, B
 
 REUSE = 4
-"""Of a pixel's rays, which are many where an edge crosses it, every fourth is lit anew."""
+"""Shading is computed for every fourth ray of a pixel and shape, and reused for the others."""
 
 
-class Rays(NamedTuple):
-    """Rays and what they met.
+class RayHits(NamedTuple):
+    """Rays and the shapes that they meet first.
 
     Attributes:
         ideal: (n, 2) undistorted normalised image coordinates.
         per_pixel: how many consecutive rays belong to a pixel.
-        delays_s: (pixels,) when they are cast, after the time the shapes are given for.
+        delays_s: (pixels,) time of exposure in s after that of the shapes' poses.
         first: (n,) and
         depth: (n,) as `trace` gives them.
     """
@@ -34,14 +34,14 @@ class Rays(NamedTuple):
 
 
 class Points(NamedTuple):
-    """Points on surfaces, as they are looked at.
+    """Points on surfaces, and from where they are seen.
 
     Attributes:
         shape: (n,) which shape each lies on, or `NOTHING` for a ray that meets none.
         place: (n, 3).
         normal: (n, 3) unit vectors outwards.
         viewer: (n, 3) unit vectors towards the viewer.
-        delay_s: (n,) when they are looked at, after the time the shapes are given for.
+        delay_s: (n,) time of exposure in s after that of the shapes' poses.
     """
 
     shape: Ints
@@ -52,20 +52,20 @@ class Points(NamedTuple):
 
 
 def no_points(count: int) -> Points:
-    """Room for points."""
+    """Uninitialised points (count,)."""
     place, normal, viewer = np.empty((3, count, 3))
     return Points(np.full(count, NOTHING), place, normal, viewer, np.empty(count))
 
 
 @compiled
-def choose_lit(rays: Rays, shapes: int, lit: Ints, source: Ints) -> int:
-    """Choose the rays whose points are lit anew, and which of those stands for each ray.
+def choose_lit(rays: RayHits, shapes: int, lit: Ints, source: Ints) -> int:
+    """Choose the rays whose shading is computed, and for each ray the one whose shading it takes.
 
     Args:
         rays: the rays.
         shapes: how many there are.
         lit: (n,) receives the indices of the chosen rays.
-        source: (n,) receives, for each ray, the position of the one that stands for it in `lit`.
+        source: (n,) receives, for each ray, the index into `lit` of the ray that it takes.
 
     Returns:
         How many are chosen.
@@ -85,7 +85,7 @@ def choose_lit(rays: Rays, shapes: int, lit: Ints, source: Ints) -> int:
 
 
 @compiled
-def meet(rays: Rays, chosen: Ints, shapes: Floats, points: Points) -> None:
+def meet(rays: RayHits, chosen: Ints, shapes: Floats, points: Points) -> None:
     """Fill the points (n,) that chosen rays (n,) met."""
     for j in range(len(chosen)):
         i = chosen[j]
@@ -101,7 +101,7 @@ def meet(rays: Rays, chosen: Ints, shapes: Floats, points: Points) -> None:
 
 @inlined
 def find_normal(shape: Floats, delay: float, p: Floats, n: Floats) -> None:
-    """Outward unit normal (3,) at a surface point of a shape, after it moved for a while."""
+    """Outward unit normal (3,) at a point of a shape that has moved for `delay` s."""
     if shape[KIND] == BOX:
         _find_box_normal(shape, delay, p, n)
         return

@@ -1,4 +1,4 @@
-"""How a body moves: a pose at any time, exactly."""
+"""Continuous-time trajectories: the exact pose at any time."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from measure.arrays import Floats
 from measure.geometry import RigidTransform
 
 
-class Trajectory(Protocol):
-    """Anything that knows the pose at any time."""
+class ContinuousTrajectory(Protocol):
+    """A pose as a function of time."""
 
     def at(self, times_s: ArrayLike) -> RigidTransform:
         """world_from_body at times (...), a batch of the same shape."""
@@ -37,7 +37,7 @@ class Still:
 
 @dataclass(frozen=True, eq=False)
 class Sines:
-    """A smooth motion: every coordinate a sum of sines.
+    """A smooth trajectory: every coordinate is a sum of sines.
 
     Attributes:
         middle: pose about which the body moves.
@@ -56,15 +56,15 @@ class Sines:
         times = np.asarray(times_s, dtype=np.float64)[..., None, None]
         turn = 2 * np.pi * self.frequencies_hz * times + self.phases
         delta = np.sum(self.amplitudes * np.sin(turn), axis=-2)
-        # As one of many also where it is alone: single rotations are computed in another way, and a
-        # time's pose must not depend on what other times are asked for with it.
+        # SciPy composes a single rotation by other code than a batch. Always a batch, so that the
+        # pose at a time does not depend on the other times of the call.
         poses = self.middle.perturb(np.atleast_2d(delta))
         return poses if delta.ndim > 1 else poses[0]
 
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """What `random_motion` keeps to.
+    """Bounds of `random_motion`.
 
     Attributes:
         reach_mm: largest distance from the middle along x, y and z.
@@ -98,7 +98,7 @@ def random_motion(
     amplitudes[:, :3] *= limits.reach_mm
     amplitudes[:, 3:] *= limits.angle_rad / np.sqrt(3)
     peaks = np.sum(2 * np.pi * frequencies * amplitudes, axis=0)
-    # A slower clock keeps the reach and lowers the speed.
+    # Lower frequencies lower the speed and keep the reach.
     slower = max(
         float(np.linalg.norm(peaks[:3])) / limits.speed_mm_s,
         float(np.linalg.norm(peaks[3:])) / limits.turn_rad_s,

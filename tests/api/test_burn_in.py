@@ -12,8 +12,9 @@ from measure.api import load_profile, measure_session
 from measure.host import Registry
 from measure.measuring import Status
 from measure.session import open_session, read_trajectory
-from measure.simulation import scene_catalogue, write_session
+from measure.simulation import write_session
 from measure_plugins.detectors.outline import OutlineDetector
+from tests.simulated.catalogue import scene_catalogue
 
 
 def first_errors(folder, count):

@@ -13,10 +13,11 @@ from measure.cli.app import main
 from measure.geometry import RigidTransform
 from measure.model import Camera, Intrinsics
 from measure.session import read_calibration
-from measure.simulation import scene_catalogue, write_session
+from measure.simulation import write_session
 from measure.simulation.catalogue import WEBCAM
 from measure.simulation.presets import WORKSPACE_MM
 from measure.simulation.trajectory import Sines
+from tests.simulated.catalogue import scene_catalogue
 
 LATE_S = {"cam0": 0.0, "cam1": 0.006, "cam2": -0.004, "cam3": 0.0}
 """How much later than their stamps the cameras expose."""

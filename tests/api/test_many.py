@@ -17,8 +17,9 @@ from measure.api import RunOptions, load_profile, run, run_many
 from measure.errors import ConfigError
 from measure.host import Registry
 from measure.results import read_run
-from measure.simulation import scene_catalogue, write_session
+from measure.simulation import write_session
 from tests.dask_cluster import Cluster, wait_for
+from tests.simulated.catalogue import scene_catalogue
 
 SCRIPT = """
 import sys

@@ -21,15 +21,16 @@ from measure.measuring import Measurement, Status
 from measure.model import BallColor, Body
 from measure.session import open_session, read_trajectory, write_body, write_calibration
 from measure.session.calibration_file import Calibration
-from measure.simulation import scene_catalogue, write_session
-from measure.simulation.degraded import (
+from measure.simulation import write_session
+from measure.simulation.scene import Scene
+from tests.simulated.catalogue import scene_catalogue
+from tests.simulated.degraded import (
     misstated_body,
     swapped_calibrations,
     upside_down,
     with_balls,
     without_balls,
 )
-from measure.simulation.scene import Scene
 
 RIGHT_MM = 0.5
 pytestmark = pytest.mark.slow

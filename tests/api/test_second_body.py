@@ -12,10 +12,11 @@ from measure.api import load_profile, measure_session
 from measure.host import Registry
 from measure.measuring import Status
 from measure.session import open_session
-from measure.simulation import Still, scene_catalogue, write_session
-from measure.simulation.degraded import with_second_body
+from measure.simulation import Still, write_session
 from measure.simulation.shading import Material
 from measure.simulation.shapes import Capsule
+from tests.simulated.catalogue import scene_catalogue
+from tests.simulated.degraded import with_second_body
 
 
 @pytest.mark.slow

@@ -11,7 +11,8 @@ import pytest
 from benchmarks.altered import ALTERATIONS, altered_copy, contrast, defocused, dim, overexposed
 from benchmarks.recordings import ALTERED, altered_recordings, recordings_beside
 from measure.session import open_session
-from measure.simulation import scene_catalogue, write_session
+from measure.simulation import write_session
+from tests.simulated.catalogue import scene_catalogue
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,8 @@ import pytest
 from benchmarks.__main__ import main
 from benchmarks.recordings import RELIT, UNUSUAL, rendered_scenes
 from benchmarks.tables import typical
-from measure.simulation import relit_scenes, scene_catalogue, unusual_scenes
+from tests.simulated.catalogue import relit_scenes, scene_catalogue
+from tests.simulated.unusual import unusual_scenes
 
 
 def typed(monkeypatch, *words: str) -> None:

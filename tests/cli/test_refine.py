@@ -14,10 +14,11 @@ from measure.cli import main
 from measure.geometry import RigidTransform, align_points
 from measure.model import Camera
 from measure.session import Calibration, read_body, read_calibration, write_body, write_calibration
-from measure.simulation import scene_catalogue, write_session
+from measure.simulation import write_session
 from tests.checking.test_clocks import CAMERAS, moving, recorded, still
 from tests.scenes import RAVEN
 from tests.session.conftest import jpeg, write_recording
+from tests.simulated.catalogue import scene_catalogue
 
 _SETS = 40
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from measure.geometry import RigidTransform
 from measure.simulation import (
-    Box,
+    Cuboid,
     Lighting,
     Material,
     Renderer,
@@ -41,7 +41,7 @@ def closed_room(paint=None, **material):
             place[axis] = sign * (HALF_MM + 5)
             wall = Material(paint or (0, 0, 0), **material)
             size = (10.0, 2 * HALF_MM + 40, 2 * HALF_MM + 40)
-            shapes.append(Box(RigidTransform(turn, place), size, wall))
+            shapes.append(Cuboid(RigidTransform(turn, place), size, wall))
     return tuple(shapes)
 
 

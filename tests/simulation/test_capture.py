@@ -12,14 +12,15 @@ import pytest
 
 from measure.geometry import RigidTransform
 from measure.session import read_calibration
-from measure.simulation import CaptureScene, Chessboard, Renderer, Sensor, charuco, write_capture
+from measure.simulation import CameraSensor, Renderer
 from measure.simulation.canvas import reduced
-from measure.simulation.capture import paper_markers
+from tests.simulated.boards import Chessboard, charuco
+from tests.simulated.capture import CaptureScene, paper_markers, write_capture
 from tests.simulation.test_renderer import FLAT_LIGHT, small_camera, white_scene
 
 
 def small_capture(**changes) -> CaptureScene:
-    scene = CaptureScene(boards_per_camera=2, sensor=Sensor(blur_px=0.6))
+    scene = CaptureScene(boards_per_camera=2, sensor=CameraSensor(blur_px=0.6))
     cameras = tuple(replace(c, intrinsics=reduced(c.intrinsics, 2)) for c in scene.cameras)
     return replace(scene, cameras=cameras, **changes)
 
@@ -106,7 +107,7 @@ def test_truth_reads_back(captured) -> None:
 def board_scene(board, pose: RigidTransform) -> Renderer:
     camera = small_camera()
     fixed = (board.shape(camera.world_from_camera @ pose),)
-    sensor = Sensor(blur_px=0.5)
+    sensor = CameraSensor(blur_px=0.5)
     return Renderer(white_scene(fixed=fixed, lighting=FLAT_LIGHT, sensor=sensor), "cam0")
 
 

@@ -10,12 +10,12 @@ import pytest
 from measure.geometry import RigidTransform
 from measure.simulation import (
     Actor,
-    Box,
+    CameraSensor,
     Capsule,
-    Light,
+    Cuboid,
+    Lamp,
     Lighting,
     Material,
-    Sensor,
     Sphere,
     Still,
 )
@@ -47,7 +47,7 @@ def test_nothing_is_seen_in_a_room_of_even_light(roughness, reflectance) -> None
         Sphere(CENTER, RADIUS, white),
         Sphere(beside(30, 25, 10), 15.0, white),
         Capsule(beside(-50, 0, -40), beside(-20, -10, 30), 6.0, white),
-        Box(RigidTransform(np.eye(3), beside(0, 0, -45)), (60.0, 40.0, 8.0), white),
+        Cuboid(RigidTransform(np.eye(3), beside(0, 0, -45)), (60.0, 40.0, 8.0), white),
     )
     picture = seen(scene(*things, walls=closed_room((1.0, 1.0, 1.0))))
     assert np.abs(picture - 1.0).max() < 1e-6
@@ -98,7 +98,7 @@ def test_a_moving_ball_mirrors_what_it_meets_at_every_row_of_a_rolling_shutter()
 
     moving = Actor((Sphere(CENTER, RADIUS, SMOOTH),), Straight())
     walls = closed_room(texture=chequered)
-    sensor = Sensor(blur_px=0.0, row_time_s=row_time)
+    sensor = CameraSensor(blur_px=0.0, row_time_s=row_time)
     found = seen(scene(walls=walls, actors=(moving,), sensor=sensor))
     checked, at_rest = 0, []
     for row in (105, 120, 135):
@@ -121,7 +121,7 @@ def test_a_mirrored_thing_is_lit_and_shadowed_as_it_is_seen_directly() -> None:
     """What is matt looks alike from everywhere: in the mirror as from a camera of its own."""
     target, source = beside(90.0, -90.0, -20.0), beside(130.0, 200.0, 600.0)
     lamp, up = (
-        Light(source, (2.0, 1.5, 1.0), 20.0),
+        Lamp(source, (2.0, 1.5, 1.0), 20.0),
         (source - target) / np.linalg.norm(source - target),
     )
     # Between the lamp and the side that the mirror shows.

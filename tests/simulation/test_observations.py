@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from measure.geometry import tangent_cone
-from measure.simulation import Observation, Still, simulate_observations
-from measure.simulation.catalogue import async_scene, occluded_scene, plain_scene
+from measure.simulation import Still
+from measure.simulation.catalogue import plain_scene
+from tests.simulated.catalogue import async_scene, occluded_scene
+from tests.simulated.observations import Observation, simulate_observations
 
 
 def true_center(scene, detection):

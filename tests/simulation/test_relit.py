@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from measure.simulation import relit_scenes, scene_catalogue
+from tests.simulated.catalogue import relit_scenes, scene_catalogue
 
 USUAL, RELIT = scene_catalogue(), relit_scenes()
 

@@ -9,7 +9,16 @@ import pytest
 
 from measure.geometry import RigidTransform, tangent_cone
 from measure.model import Camera, Intrinsics
-from measure.simulation import Lighting, Material, Renderer, Scene, Sensor, Sphere, Still, render
+from measure.simulation import (
+    CameraSensor,
+    Lighting,
+    Material,
+    Renderer,
+    Scene,
+    Sphere,
+    Still,
+    render,
+)
 from measure.simulation.caster import spread
 from measure.simulation.presets import PLASTIC, look_at, paper_body, plain_lighting
 
@@ -33,7 +42,7 @@ def white_scene(position: tuple[float, float, float] = (0.0, 0.0, 250.0), **chan
         Still(RigidTransform.identity()),
         FLAT_LIGHT,
         fixed=(ball,),
-        sensor=Sensor(blur_px=0.0),
+        sensor=CameraSensor(blur_px=0.0),
         shown=(),
     )
     return replace(scene, **changes)
@@ -118,7 +127,7 @@ def test_nearer_ball_hides_the_farther_one() -> None:
 
 def test_moving_and_standing_balls_are_drawn_alike() -> None:
     ball = white_scene().fixed[0]
-    still = white_scene(sensor=Sensor())
+    still = white_scene(sensor=CameraSensor())
     from measure.simulation import Actor
 
     moving = replace(still, fixed=(), actors=(Actor((ball,), still.trajectory),))
@@ -131,7 +140,7 @@ def test_pictures_repeat_with_the_seed_and_differ_between_frames() -> None:
         shown=None,
         finish=PLASTIC,
         lighting=plain_lighting(),
-        sensor=Sensor(level_noise=2.0),
+        sensor=CameraSensor(level_noise=2.0),
         trajectory=Still(RigidTransform(np.eye(3), np.array([0, 0, 250.0]))),
     )
     first = render(scene, "cam0", 0.0, frame=3)

@@ -10,11 +10,11 @@ import pytest
 
 from measure.errors import ConfigError
 from measure.geometry import RigidTransform
-from measure.simulation import Actor, Renderer, Sensor, Sines
+from measure.simulation import Actor, CameraSensor, Renderer, Sines
 from measure.simulation.sensor import develop, encode, tone_curve
 from tests.simulation.test_renderer import white_scene
 
-BARE = Sensor(blur_px=0.0, tone="linear")
+BARE = CameraSensor(blur_px=0.0, tone="linear")
 
 
 def run(light, seed: int = 0, **changes) -> np.ndarray:
@@ -128,7 +128,7 @@ def test_files_have_the_stated_encoding() -> None:
 
 def moving_scene(speed_mm_s: float, **sensor):
     """A ball that moves sideways in the picture at a steady pace at time 0."""
-    scene = white_scene(sensor=Sensor(blur_px=0.0, **sensor))
+    scene = white_scene(sensor=CameraSensor(blur_px=0.0, **sensor))
     across = scene.cameras[0].world_from_camera.rotation[:, 0]
     amplitude = speed_mm_s / (2 * np.pi * 0.05)
     sines = Sines(

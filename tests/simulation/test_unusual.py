@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from measure.simulation import Renderer, Scene, scene_catalogue, unusual_scenes
+from measure.simulation import Renderer, Scene
 from measure.simulation.canvas import reduced
+from tests.simulated.catalogue import scene_catalogue
+from tests.simulated.unusual import unusual_scenes
 
 SCENES = unusual_scenes()
 WHOLE = {"small-pictures", "overexposed"}

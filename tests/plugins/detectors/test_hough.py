@@ -14,9 +14,9 @@ from measure.host import Registry
 from measure.model import BallColor, Expectation, Image
 from measure.simulation import render
 from measure.simulation.catalogue import plain_scene
-from measure.simulation.degraded import with_balls
-from measure.simulation.presets import four_ball_body
 from measure_plugins.detectors.hough import HoughDetector, HoughSettings
+from tests.simulated.catalogue import four_ball_body
+from tests.simulated.degraded import with_balls
 
 SCENE = plain_scene("grey")
 TIMES_S = (0.0, 0.7)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from measure.simulation import Renderer, Sensor, scene_catalogue
+from measure.simulation import CameraSensor, Renderer
 from measure.simulation.sensor import encode
 from measure_plugins._outline.appearance.model import (
     GLOSSY,
@@ -16,6 +16,7 @@ from measure_plugins._outline.appearance.model import (
     tone_table,
 )
 from tests.plugins.outline.lessons import TIMES_S, cones, learner_of, lessons, taught
+from tests.simulated.catalogue import scene_catalogue
 
 CAMERA = "cam1"
 
@@ -42,7 +43,7 @@ def test_how_far_colour_is_blurred_is_told_by_pictures(learnt):
     """JPEG 4:2:0 keeps colour at half the resolution."""
 
     def halved(_, pixels, balls):
-        stored = np.frombuffer(encode(pixels, Sensor(quality=90, chroma="420")), np.uint8)
+        stored = np.frombuffer(encode(pixels, CameraSensor(quality=90, chroma="420")), np.uint8)
         return cv2.imdecode(stored, cv2.IMREAD_COLOR), balls
 
     colour_at_half = lessons(scene_catalogue()["still"], CAMERA, halved)[1]

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from measure.geometry import tangent_cone
-from measure.simulation import scene_catalogue
 from measure_plugins._outline.appearance.model import GLOSSY
 from measure_plugins._outline.sampling.edge_crossing import HIGHLIGHT_PX, clipped, in_highlights
 from measure_plugins._outline.sampling.rays import FREE, HIDDEN
@@ -14,6 +13,7 @@ from measure_plugins.detectors.outline import OutlineConfig, OutlineDetector
 from tests.plugins.detectors.drawing import draw, expect, image_of, to_picture
 from tests.plugins.outline.lessons import lessons
 from tests.scenes import RAVEN, ring
+from tests.simulated.catalogue import scene_catalogue
 
 STEPS = np.arange(-7.0, 4.5, 0.5)
 

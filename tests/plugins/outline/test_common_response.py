@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from measure.simulation import Renderer, scene_catalogue
+from measure.simulation import Renderer
 from measure_plugins._outline.appearance.model import first_appearance
 from measure_plugins._outline.self_calibration.estimate import Lesson, bent_together
 from measure_plugins._outline.self_calibration.point_lights import Light
 from measure_plugins._outline.self_calibration.trust import Agreement
 from tests.plugins.outline.lessons import TIMES_S, cones, learner_of, taught
+from tests.simulated.catalogue import scene_catalogue
 
 _MILD = 0.02
 """A sixth of the S of a strongly bent curve: one camera does not believe it."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from measure.simulation import Renderer, scene_catalogue
+from measure.simulation import Renderer
 from measure_plugins._outline.appearance.interreflection import (
     balls_behind,
     mirror_behind,
@@ -25,6 +25,7 @@ from measure_plugins._outline.fitting.edges import corrected_edges, find_twice
 from measure_plugins._outline.sampling.ray_groups import middle_angles
 from measure_plugins._outline.sampling.rays import angles_around, cast_rays, frame_about
 from tests.plugins.outline.lessons import cones
+from tests.simulated.catalogue import scene_catalogue
 
 RAYS = 72
 STEP = np.radians(10.0)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from measure.simulation import Renderer, scene_catalogue
+from measure.simulation import Renderer
 from measure_plugins._outline.appearance.model import first_appearance
 from tests.plugins.outline.lessons import cones, learner_of
+from tests.simulated.catalogue import scene_catalogue
 
 
 def lessons_of(learner, scene, camera_name, pictures):

@@ -13,7 +13,6 @@ import numba
 import numpy as np
 import pytest
 
-from measure.simulation.catalogue import scene_catalogue
 from measure.simulation.renderer import Renderer
 from measure.simulation.sensor import encode
 from measure_plugins._outline.fitting import batch as balls
@@ -21,6 +20,7 @@ from measure_plugins._outline.fitting import known_size as close_outlines
 from measure_plugins.detectors import _known_balls
 from measure_plugins.detectors.outline import OutlineConfig, OutlineDetector
 from tests.plugins.detectors.drawing import expect, image_of
+from tests.simulated.catalogue import scene_catalogue
 
 _FRAMES = range(4)
 _HALVING = "step *= 0.5"

@@ -6,7 +6,6 @@ import cv2
 import numpy as np
 import pytest
 
-from measure.simulation.catalogue import scene_catalogue
 from measure.simulation.renderer import Renderer
 from measure.simulation.sensor import encode
 from measure_plugins._outline.fitting.batch import cones_of
@@ -15,6 +14,7 @@ from measure_plugins._outline.fitting.scan import Search, light_about, look_clos
 from measure_plugins._outline.fitting.step_gain import CORRECTED_GROWTH, measured_gain, restore
 from measure_plugins.detectors.outline import OutlineConfig, OutlineDetector
 from tests.plugins.detectors.drawing import expect, image_of
+from tests.simulated.catalogue import scene_catalogue
 
 _ASIDE_PX = 0.3
 _UNKNOWN = np.eye(2)

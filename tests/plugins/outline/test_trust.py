@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from measure.simulation import relit_scenes
 from measure_plugins._outline.appearance.model import BELIEVED
 from measure_plugins._outline.self_calibration.trust import Agreement, agreement_on, believed_share
 from tests.plugins.outline.lessons import learner_of, settled
+from tests.simulated.catalogue import relit_scenes
 
 GREY, WEBCAM = "plain-grey 14", "still 12"
 

@@ -10,8 +10,9 @@ import pytest
 from measure.api import build_pipeline, load_profile
 from measure.host import Registry
 from measure.session import open_session, read_trajectory
-from measure.simulation import unusual_scenes, write_session
+from measure.simulation import write_session
 from measure_plugins._outline.fitting.edges import INSIDE_PX, inside_window
+from tests.simulated.unusual import unusual_scenes
 
 
 def outline(radius):

@@ -12,28 +12,20 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.model import Camera, Intrinsics
-from measure.simulation.catalogue import WEBCAM, clutter_scene, motion, webcam_scene
-from measure.simulation.presets import (
-    MATT,
-    WORKSPACE_MM,
-    body,
-    four_ball_body,
-    lamps,
-    ring,
-    shaft,
-    stems,
-)
+from measure.simulation.catalogue import WEBCAM, motion, webcam_scene
+from measure.simulation.presets import MATT, WORKSPACE_MM, body, lamps, ring, shaft, stems
 from measure.simulation.rooms import cloth_room
 from measure.simulation.scene import Scene
-from measure.simulation.shading import Light, Lighting, Rgb
+from measure.simulation.shading import Lamp, Lighting, Rgb
 from measure.simulation.trajectory import MotionLimits
+from tests.simulated.catalogue import clutter_scene, four_ball_body
 
 _BENT = replace(WEBCAM, tone="bent", sharpen=0.7, sharpen_px=1.1)
 
 
 def desk_lamp() -> Scene:
     """One hard lamp beside the body, and next to no other light."""
-    lamp = Light(WORKSPACE_MM + np.array([800.0, 150.0, 100.0]), (1.2, 1.15, 1.1), 40.0)
+    lamp = Lamp(WORKSPACE_MM + np.array([800.0, 150.0, 100.0]), (1.2, 1.15, 1.1), 40.0)
     return replace(
         webcam_scene(19),
         name="desk-lamp",
@@ -196,7 +188,7 @@ def unusual_scenes() -> dict[str, Scene]:
     return {scene.name: scene for scene in scenes}
 
 
-def _lit(lights: tuple[Light, ...], ambient: float, surround: float) -> Lighting:
+def _lit(lights: tuple[Lamp, ...], ambient: float, surround: float) -> Lighting:
     """Lamps, and white light from all round."""
     return Lighting(lights, _grey(ambient), _grey(surround), shadows=True)
 

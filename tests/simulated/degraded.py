@@ -9,7 +9,7 @@ import numpy as np
 from measure.geometry import RigidTransform
 from measure.model import Body, Camera
 from measure.simulation.scene import Actor, Scene, ball_shapes
-from measure.simulation.trajectory import Trajectory
+from measure.simulation.trajectory import ContinuousTrajectory
 
 
 def without_balls(scene: Scene) -> Scene:
@@ -22,7 +22,7 @@ def with_balls(scene: Scene, *names: str) -> Scene:
     return replace(scene, name=f"{scene.name}-only-{'-'.join(names)}", shown=names)
 
 
-def with_second_body(scene: Scene, trajectory: Trajectory) -> Scene:
+def with_second_body(scene: Scene, trajectory: ContinuousTrajectory) -> Scene:
     """An identical body moves along another trajectory."""
     twin = Actor((*ball_shapes(scene.body, scene.finish), *scene.attached), trajectory)
     return replace(scene, name=f"{scene.name}-twin", actors=(*scene.actors, twin))

@@ -10,7 +10,7 @@ import numpy as np
 from measure.arrays import Bytes, Floats
 from measure.geometry import RigidTransform
 from measure.simulation.shading import Material
-from measure.simulation.shapes import Box
+from measure.simulation.shapes import Cuboid
 
 _PAPER, _INK = 0.75, 0.025
 _THICK_MM = 4.0
@@ -48,7 +48,7 @@ class Chessboard:
         x, y = np.array([-s, columns * s, columns * s, -s]), np.array([-s, -s, rows * s, rows * s])
         return np.column_stack([x, y, np.zeros(4)])
 
-    def shape(self, world_from_board: RigidTransform) -> Box:
+    def shape(self, world_from_board: RigidTransform) -> Cuboid:
         """The plate in the world."""
         return _plate(world_from_board, self.outline, self.margin_mm, self._reflectance)
 
@@ -81,7 +81,7 @@ class Print:
         (x, y), w, h = self.corner_mm, width * self.pixel_mm, height * self.pixel_mm
         return np.array([[x, y, 0], [x + w, y, 0], [x + w, y + h, 0], [x, y + h, 0]])
 
-    def shape(self, world_from_board: RigidTransform) -> Box:
+    def shape(self, world_from_board: RigidTransform) -> Cuboid:
         """The plate in the world."""
         return _plate(world_from_board, self.outline, self.margin_mm, self._reflectance)
 
@@ -113,7 +113,7 @@ def _plate(
     outline: Floats,
     margin_mm: float,
     reflectance: object,
-) -> Box:
+) -> Cuboid:
     """A box whose face towards the viewer (z = 0 of the board frame) carries the pattern."""
     middle = outline.mean(axis=0) + np.array([0.0, 0.0, _THICK_MM / 2])
     wide, high = np.ptp(outline[:, :2], axis=0) + 2 * margin_mm
@@ -126,4 +126,6 @@ def _plate(
         return np.repeat(level[:, None], 3, axis=1)
 
     pose = world_from_board @ RigidTransform(np.eye(3), middle)
-    return Box(pose, (float(wide), float(high), _THICK_MM), Material((0.5,) * 3, texture=texture))
+    return Cuboid(
+        pose, (float(wide), float(high), _THICK_MM), Material((0.5,) * 3, texture=texture)
+    )

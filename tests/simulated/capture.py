@@ -14,7 +14,6 @@ from measure.arrays import Floats
 from measure.geometry import RigidTransform
 from measure.model import Camera
 from measure.simulation import kernels
-from measure.simulation.boards import Chessboard
 from measure.simulation.caster import Stage
 from measure.simulation.catalogue import WEBCAM
 from measure.simulation.files import calibration_toml
@@ -22,10 +21,11 @@ from measure.simulation.presets import WORKSPACE_MM, lamps, look_at, paper_body,
 from measure.simulation.renderer import Renderer
 from measure.simulation.rooms import cloth_room
 from measure.simulation.scene import Scene
-from measure.simulation.sensor import Sensor, encode
+from measure.simulation.sensor import CameraSensor, encode
 from measure.simulation.shading import Lighting, Material
 from measure.simulation.shapes import Capsule, Shape, Sphere
 from measure.simulation.trajectory import Still
+from tests.simulated.boards import Chessboard
 
 DOT = Material((0.8, 0.8, 0.8), 0.04, 0.1)
 POST = Material((0.012, 0.012, 0.012))
@@ -69,7 +69,7 @@ class CaptureScene:
     marker_sd_mm: float = 0.0
     dot_radius_mm: float = 2.5
     mark_sd_px: float = 0.3
-    sensor: Sensor = WEBCAM
+    sensor: CameraSensor = WEBCAM
     seed: int = 0
 
     def true_markers(self) -> dict[str, Floats]:

@@ -1,0 +1,1 @@
+"""Scenes, captures and observations with exact truth that tests and benchmarks measure."""
