@@ -6,7 +6,7 @@ from pathlib import Path
 
 from measure.cli import console
 from measure.cli.console import JsonFlag, shares
-from measure.cli.injected import InjectedRegistry
+from measure.cli.options import InjectedRegistry
 
 
 def ablate(

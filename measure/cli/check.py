@@ -9,7 +9,7 @@ import numpy as np
 
 from measure.cli import console
 from measure.cli.console import JsonFlag
-from measure.cli.injected import InjectedRegistry
+from measure.cli.options import InjectedRegistry
 
 if TYPE_CHECKING:
     from measure.api.check import SessionCheck

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
@@ -15,24 +16,70 @@ if TYPE_CHECKING:
     from measure.learning import TrajectoryFacts
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class _Robot:
+    """The robot and its log.
+
+    Attributes:
+        robot_log: the robot's log (.parquet, .csv, .bag, .mcap); one for all runs, or one each.
+        robot: what its states are: raven, raven-right, dvrk-psm, or a robot.toml.
+        topic: of the state messages in a bag.
+    """
+
+    robot_log: Annotated[tuple[Path, ...], Parameter(name="--robot-log")] = ()
+    robot: str = "raven"
+    topic: str | None = None
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class _Assembly:
+    """How poses and states are paired; fields of `measure.learning.AssemblySettings`.
+
+    Attributes:
+        clock_offset_s: robot time minus camera time, if known.
+        largest_offset_s: search the offset within plus and minus this.
+        history_hz: add unlabelled states between the labels at this rate.
+        cut_s: cut recordings into trajectories of this length.
+        largest_sd_mm: do not learn from labels less certain than this.
+    """
+
+    clock_offset_s: float | None = None
+    largest_offset_s: float = 5.0
+    history_hz: float = 0.0
+    cut_s: float = 0.0
+    largest_sd_mm: float = 3.0
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class _Simulation:
+    """The simulated robot; its fields but the first go to `measure.api.simulate_dataset`.
+
+    Attributes:
+        simulate_min: instead of runs, so many minutes of the simulated RAVEN-II.
+        pairs: simulated: pairs of state and pose; the paper's rate (353 a minute) if absent.
+        restarts: simulated: sessions, each after a restart.
+        seed: simulated: of motion, restarts and noise.
+        wear: simulated: slack and friction relative to new cables.
+    """
+
+    simulate_min: float | None = None
+    pairs: int | None = None
+    restarts: int = 4
+    seed: int = 1
+    wear: float = 1.0
+
+
 def dataset(
     runs: tuple[Path, ...] = (),
     /,
     *,
     out: Annotated[Path, Parameter(name=("--out", "-o"))],
-    robot_log: Annotated[tuple[Path, ...], Parameter(name="--robot-log")] = (),
-    robot: str = "raven",
-    topic: str | None = None,
-    clock_offset_s: float | None = None,
-    largest_offset_s: float = 5.0,
-    history_hz: float = 0.0,
-    cut_s: float = 0.0,
-    largest_sd_mm: float = 3.0,
-    simulate_min: float | None = None,
-    pairs: int | None = None,
-    restarts: int = 4,
-    seed: int = 1,
-    wear: float = 1.0,
+    source: _Robot = _Robot(),
+    assembly: _Assembly = _Assembly(),
+    simulation: _Simulation = _Simulation(),
     json: JsonFlag = False,
 ) -> None:
     """Pair a robot's states with measured position errors.
@@ -43,51 +90,30 @@ def dataset(
     Args:
         runs: run folders, or files of poses; without a log, tables that already hold errors.
         out: the data set's file (.parquet).
-        robot_log: the robot's log (.parquet, .csv, .bag, .mcap); one for all runs, or one each.
-        robot: what its states are: raven, raven-right, dvrk-psm, or a robot.toml.
-        topic: of the state messages in a bag.
-        clock_offset_s: robot time minus camera time, if known.
-        largest_offset_s: search the offset within plus and minus this.
-        history_hz: add unlabelled states between the labels at this rate.
-        cut_s: cut recordings into trajectories of this length.
-        largest_sd_mm: do not learn from labels less certain than this.
-        simulate_min: instead of runs, so many minutes of the simulated RAVEN-II.
-        pairs: simulated: pairs of state and pose; the paper's rate (353 a minute) if absent.
-        restarts: simulated: sessions, each after a restart.
-        seed: simulated: of motion, restarts and noise.
-        wear: simulated: slack and friction relative to new cables.
     """
+    from measure import api
     from measure.errors import ConfigError
 
-    if bool(runs) == (simulate_min is not None):
+    if bool(runs) == (simulation.simulate_min is not None):
         raise ConfigError("give runs, or --simulate-min MINUTES, but not both")
-    if simulate_min is not None:
-        data, facts = _simulated(
-            out, simulate_min, pairs=pairs, restarts=restarts, seed=seed, wear=wear
-        )
+    if not runs:
+        options = asdict(simulation)
+        minutes = options.pop("simulate_min")
+        with console.progress("simulating", unit="per mille") as report:
+            data, facts = api.simulate_dataset(
+                out, minutes=minutes, report=shares(report), **options
+            )
     else:
-        from measure import api
         from measure.learning import AssemblySettings
 
-        settings = AssemblySettings(
-            clock_offset_s=clock_offset_s,
-            largest_offset_s=largest_offset_s,
-            history_hz=history_hz,
-            cut_s=cut_s,
-            largest_sd_mm=largest_sd_mm,
+        settings = AssemblySettings(**asdict(assembly))
+        data, facts = api.make_dataset(
+            runs, source.robot_log, source.robot, out, settings, topic=source.topic
         )
-        data, facts = api.make_dataset(runs, robot_log, robot, out, settings, topic=topic)
     if json:
         console.print_json({"data": str(out), "rows": len(data), "recordings": facts})
     else:
-        _conclude(data, facts, clock_offset_s, out)
-
-
-def _simulated(out: Path, minutes: float, **options: Any) -> tuple[Dataset, list[TrajectoryFacts]]:
-    from measure import api
-
-    with console.progress("simulating", unit="per mille") as report:
-        return api.simulate_dataset(out, minutes=minutes, report=shares(report), **options)
+        _conclude(data, facts, assembly.clock_offset_s, out)
 
 
 _COLUMNS = ("recording", "rows", "usable", "not measured", "no state", "outliers", "uncertain")
@@ -96,7 +122,7 @@ _COLUMNS = ("recording", "rows", "usable", "not measured", "no state", "outliers
 def _conclude(
     data: Dataset, facts: list[TrajectoryFacts], given_offset_s: float | None, out: Path
 ) -> None:
-    """What became of every recording; a clock offset that was estimated has an SD."""
+    """Print a table of the recordings; an estimated clock offset has an SD."""
     rows = [
         (
             *(f.name, f.rows, f.usable, f.not_measured, f.no_state, f.outliers, f.uncertain),

@@ -10,7 +10,7 @@ from cyclopts import Parameter
 
 from measure.cli import console
 from measure.cli.console import JsonFlag
-from measure.cli.injected import InjectedRegistry
+from measure.cli.options import InjectedRegistry
 
 if TYPE_CHECKING:
     from measure.learning import Evaluation

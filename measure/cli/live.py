@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,8 +12,9 @@ from cyclopts import Parameter
 
 from measure.cli import console
 from measure.cli.console import JsonFlag
-from measure.cli.injected import InjectedRegistry
+from measure.cli.options import CaptureOptions, InjectedRegistry, ProfileOptions, ViewerOptions
 from measure.cli.record import print_cameras
+from measure.cli.run import print_summary
 
 if TYPE_CHECKING:
     from measure.api import LiveEnd, LiveState
@@ -20,26 +22,32 @@ if TYPE_CHECKING:
 _LINE_EVERY_S = 2.0
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class _Destinations:
+    """Where the results go.
+
+    Attributes:
+        out: the run's folder, made if it is not there.
+        overwrite: throw an earlier run in the folder away.
+        record: a session folder, new or empty, to record the pictures into as well.
+        send: HOST:PORT that every pose is sent to by UDP, as a JSON object.
+    """
+
+    out: Annotated[Path, Parameter(name=("--out", "-o"))]
+    overwrite: bool = False
+    record: Path | None = None
+    send: str | None = None
+
+
 def live(
     *cameras: str,
-    out: Annotated[Path, Parameter(name=("--out", "-o"))],
+    to: _Destinations,
     calibration: Path,
     body: Path,
-    profile: str = "precise",
-    detector: str | None = None,
-    triangulator: str | None = None,
-    solver: str | None = None,
-    set_: Annotated[tuple[str, ...], Parameter(name="--set")] = (),
-    record: Path | None = None,
-    send: str | None = None,
-    images: str = "none",
-    recording: Annotated[bool, Parameter(negative="--no-recording")] = True,
-    spawn: bool = False,
-    connect: str | None = None,
-    seconds: float | None = None,
-    size: str | None = None,
-    rate: float | None = None,
-    overwrite: bool = False,
+    method: ProfileOptions = ProfileOptions(),
+    viewer: ViewerOptions = ViewerOptions(),
+    capture: CaptureOptions = CaptureOptions(),
     json: JsonFlag = False,
     registry: InjectedRegistry,
 ) -> None:
@@ -51,52 +59,32 @@ def live(
 
     Args:
         cameras: NAME=ADDRESS each, two at least, as for `measure record`.
-        out: the run's folder, made if it is not there.
         calibration: the cameras' calibration.
         body: the body's file.
-        profile: `precise`, `paper`, or the path of a profile of your own (.toml).
-        detector: a detector plugin to use instead of the profile's.
-        triangulator: likewise.
-        solver: likewise, a pose solver.
-        set_: a setting as STAGE.NAME=VALUE, such as detector.rays=128; may be repeated.
-        record: a session folder, new or empty, to record the pictures into as well.
-        send: HOST:PORT that every pose is sent to by UDP, as a JSON object.
-        images: pictures to keep in the viewer's recording: none, all, or every N-th set.
-        recording: write run.rrd for the viewer.
-        spawn: open the viewer and watch.
-        connect: send to a viewer that runs already, as rerun+http://127.0.0.1:9876/proxy.
-        seconds: stop after this long.
-        size: WIDTHxHEIGHT to ask cameras of this machine for; that of the calibration if omitted.
-        rate: pictures a second to ask cameras of this machine for.
-        overwrite: throw an earlier run in the folder away.
     """
     from measure import api
 
-    chosen = api.choose(
-        api.load_profile(profile),
-        {"detector": detector, "triangulator": triangulator, "solver": solver},
-        set_,
-    )
+    chosen = method.chosen()
     options = api.LiveOptions(
-        record=record,
-        send=None if send is None else api.parse_receiver(send),
-        seconds=seconds,
-        asked=api.Asked(None if size is None else api.parse_size(size), rate),
-        image_every=api.parse_images(images),
-        recording=recording,
-        viewer=api.spawn_viewer() if spawn else connect,
-        overwrite=overwrite,
+        record=to.record,
+        send=None if to.send is None else api.parse_receiver(to.send),
+        seconds=capture.seconds,
+        asked=capture.asked(),
+        image_every=api.parse_images(viewer.images),
+        recording=viewer.recording,
+        viewer=viewer.address(),
+        overwrite=to.overwrite,
     )
     given = api.parse_cameras(cameras, api.camera_names(calibration))
-    end = api.live(given, out, calibration, body, chosen, registry, options, _Lines())
+    end = api.live(given, to.out, calibration, body, chosen, registry, options, _StateLines())
     if json:
-        console.print_json({"run": str(out), **end.summary.values(), **_numbers(end)})
+        console.print_json({"run": str(to.out), **end.summary.values(), **_numbers(end)})
     else:
-        _print(end, out)
+        _print(end, to.out)
 
 
-class _Lines:
-    """A line on stderr every few seconds: where the body is, how surely, how late that is known."""
+class _StateLines:
+    """A line on stderr every few seconds: position and its SD, and the age of the pose."""
 
     def __init__(self) -> None:
         self._last = time.monotonic()
@@ -135,11 +123,7 @@ def _numbers(end: LiveEnd) -> dict[str, object]:
 
 
 def _print(end: LiveEnd, out: Path) -> None:
-    console.print_text(end.summary.sentence())
-    for reason, count in end.summary.reasons.items():
-        console.print_text(f"  {count} x {reason}")
-    for note in end.summary.notes:
-        console.print_text(f"note: {note}")
+    print_summary(end.summary)
     if end.state is not None:
         console.print_text(_pace(end.state))
         print_cameras(end.state.cameras)

@@ -9,7 +9,7 @@ from cyclopts import App
 
 from measure.cli import console
 from measure.cli.console import JsonFlag
-from measure.cli.injected import InjectedRegistry
+from measure.cli.options import InjectedRegistry
 from measure.host import Broken, Loaded, Registry, describe_settings
 
 plugins = App(name="plugins", help="List and describe the installed plugins.")

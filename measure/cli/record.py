@@ -11,12 +11,13 @@ from cyclopts import Parameter
 
 from measure.cli import console
 from measure.cli.console import JsonFlag
+from measure.cli.options import CaptureOptions
 
 if TYPE_CHECKING:
     from measure.capture import CameraCount
 
 _UNEVEN_S = 2e-3
-"""Pictures whose times vary by more may be beside their places."""
+"""Spread of the times of arrival, in s, from which a warning is printed."""
 
 
 def record(
@@ -24,9 +25,7 @@ def record(
     out: Annotated[Path, Parameter(name=("--out", "-o"))],
     calibration: Path | None = None,
     body: Path | None = None,
-    seconds: float | None = None,
-    size: str | None = None,
-    rate: float | None = None,
+    capture: CaptureOptions = CaptureOptions(),
     json: JsonFlag = False,
 ) -> None:
     """Record cameras into a session.
@@ -40,9 +39,6 @@ def record(
         out: the session's folder, new or empty.
         calibration: the cameras' calibration, copied into the session; it may come later.
         body: the body's file, likewise.
-        seconds: stop after this long.
-        size: WIDTHxHEIGHT to ask cameras of this machine for; that of the calibration if omitted.
-        rate: pictures a second to ask cameras of this machine for.
     """
     from measure import api
 
@@ -53,8 +49,8 @@ def record(
             out,
             calibration=calibration,
             body=body,
-            asked=api.Asked(None if size is None else api.parse_size(size), rate),
-            seconds=seconds,
+            asked=capture.asked(),
+            seconds=capture.seconds,
             tell=lambda counts: report(sum(c.pictures for c in counts.values()), None),
         )
     if json:
@@ -65,16 +61,16 @@ def record(
 
 
 def print_cameras(cameras: Mapping[str, CameraCount]) -> None:
-    """What came of each camera, and what was amiss."""
+    """Print the pictures of each camera, and notes on interruptions and times."""
     console.print_table(
         ("camera", "pictures", "per s", "times are", "uneven ms"),
         [
             (
                 name,
                 one.pictures,
-                _told(one.rate_hz),
+                _known(one.rate_hz),
                 "its own" if one.own_clock else "of arrival",
-                _told(1e3 * one.uneven_s),
+                _known(1e3 * one.uneven_s),
             )
             for name, one in cameras.items()
         ],
@@ -91,5 +87,5 @@ def print_cameras(cameras: Mapping[str, CameraCount]) -> None:
             console.print_text(f"note: {one.refused} pictures of {name} were torn or out of order")
 
 
-def _told(value: float) -> float | None:
+def _known(value: float) -> float | None:
     return None if math.isnan(value) else value

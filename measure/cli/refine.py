@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -11,7 +12,7 @@ from cyclopts import Parameter
 
 from measure.cli import console
 from measure.cli.console import JsonFlag
-from measure.cli.injected import InjectedRegistry
+from measure.cli.options import InjectedRegistry
 from measure.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -19,18 +20,32 @@ if TYPE_CHECKING:
     from measure.checking.clocks import CameraClock
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class _Outputs:
+    """The files to write.
+
+    Attributes:
+        output: the calibration to write.
+        file_format: of the output; only "triball" holds covariances and notes.
+        body_output: body file to write, with the balls where the recording puts them.
+    """
+
+    output: Annotated[Path, Parameter(name=("--output", "-o"))]
+    file_format: Annotated[
+        Literal["triball", "anipose", "caliscope", "opencv"], Parameter(name="--format")
+    ] = "triball"
+    body_output: Path | None = None
+
+
 def refine(
     session: Path,
     /,
     *,
-    output: Annotated[Path, Parameter(name=("--output", "-o"))],
+    to: _Outputs,
     profile: str = "precise",
     calibration: Path | None = None,
-    body_output: Path | None = None,
     body_tolerance_mm: float | None = None,
-    file_format: Annotated[
-        Literal["triball", "anipose", "caliscope", "opencv"], Parameter(name="--format")
-    ] = "triball",
     json: JsonFlag = False,
     registry: InjectedRegistry,
 ) -> None:
@@ -38,41 +53,38 @@ def refine(
 
     Args:
         session: recording in which the body is carried through the whole workspace.
-        output: the calibration to write.
         profile: how to measure the session, by name or TOML file.
         calibration: first calibration, if not the session's own.
-        body_output: body file to write, with the balls where the recording puts them.
         body_tolerance_mm: how exactly the balls sit on the body (standard deviation); 0 is exact;
             what the body file states, or 0.05, if omitted.
-        file_format: of the output; only "triball" holds covariances and notes.
     """
     from measure.api import refine as run
     from measure.api.outputs import check_apart, check_replaceable
     from measure.calibration import RefineSettings
     from measure.session import read_body, read_calibration, write_body, write_calibration
 
-    check_replaceable(output, read_calibration, "calibration")
-    if body_output is not None:
-        check_replaceable(body_output, read_body, "body")
-        check_apart(output, body_output)
+    check_replaceable(to.output, read_calibration, "calibration")
+    if to.body_output is not None:
+        check_replaceable(to.body_output, read_body, "body")
+        check_apart(to.output, to.body_output)
     given = body_tolerance_mm
     if given is not None and not 0 <= given < math.inf:
         raise ConfigError(f"--body-tolerance-mm {given:g}: must be 0 or more")
     settings = RefineSettings(given)
     with console.progress("measuring") as progress:
         result = run(session, registry, profile, settings, calibration, progress)
-    write_calibration(output, result.calibration, file_format)
-    if body_output is not None:
-        write_body(body_output, result.body)
+    write_calibration(to.output, result.calibration, to.file_format)
+    if to.body_output is not None:
+        write_body(to.body_output, result.body)
     if json:
-        console.print_json({"output": output, **result.calibration.provenance})
+        console.print_json({"output": to.output, **result.calibration.provenance})
         return
     _print(result)
-    console.print_text(f"wrote {output}" + (f" and {body_output}" if body_output else ""))
+    console.print_text(f"wrote {to.output}" + (f" and {to.body_output}" if to.body_output else ""))
 
 
 def _print(result: RefineResult) -> None:
-    """The cameras, the clocks, and what it is all worth."""
+    """Print changes of the cameras, clocks, and the accuracy before and after."""
     rig = result.rig
     refinement, verdict = rig.refinement, rig.verdict
     rows = []

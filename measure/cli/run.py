@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,31 +12,53 @@ from cyclopts import Parameter
 
 from measure.cli import console
 from measure.cli.console import JsonFlag
-from measure.cli.injected import InjectedRegistry
+from measure.cli.options import InjectedRegistry, ProfileOptions, ViewerOptions
 from measure.errors import ConfigError
 
 if TYPE_CHECKING:
     from measure.api.many import Outcome
+    from measure.results import Summary
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class _Inputs:
+    """What replaces files of the session.
+
+    Attributes:
+        calibration: a calibration to use instead of the session's.
+        body: a body file to use instead of the session's.
+    """
+
+    calibration: Path | None = None
+    body: Path | None = None
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class _Execution:
+    """What happens to earlier runs, and where the work is done.
+
+    Attributes:
+        resume: go on with an interrupted run.
+        overwrite: throw an earlier run in the folder away.
+        workers: how many sessions to measure at a time; as many as there are cores.
+        cluster: a dask scheduler's address, tcp://HOST:PORT, whose workers do the work.
+    """
+
+    resume: bool = False
+    overwrite: bool = False
+    workers: int | None = None
+    cluster: str | None = None
 
 
 def run(
     *sessions: Path,
     out: Annotated[Path, Parameter(name=("--out", "-o"))],
-    profile: str = "precise",
-    detector: str | None = None,
-    triangulator: str | None = None,
-    solver: str | None = None,
-    set_: Annotated[tuple[str, ...], Parameter(name="--set")] = (),
-    calibration: Path | None = None,
-    body: Path | None = None,
-    images: str = "none",
-    recording: Annotated[bool, Parameter(negative="--no-recording")] = True,
-    spawn: bool = False,
-    connect: str | None = None,
-    resume: bool = False,
-    overwrite: bool = False,
-    workers: int | None = None,
-    cluster: str | None = None,
+    method: ProfileOptions = ProfileOptions(),
+    inputs: _Inputs = _Inputs(),
+    viewer: ViewerOptions = ViewerOptions(),
+    execution: _Execution = _Execution(),
     json: JsonFlag = False,
     registry: InjectedRegistry,
 ) -> int:
@@ -47,40 +70,22 @@ def run(
     Args:
         sessions: the session's folder, or several; they are only read.
         out: the run's folder, made if it is not there; for several sessions, the folder of theirs.
-        profile: `precise`, `paper`, or the path of a profile of your own (.toml).
-        detector: a detector plugin to use instead of the profile's.
-        triangulator: likewise.
-        solver: likewise, a pose solver.
-        set_: a setting as STAGE.NAME=VALUE, such as detector.rays=128; may be repeated.
-        calibration: a calibration to use instead of the session's.
-        body: a body file to use instead of the session's.
-        images: pictures to keep in the viewer's recording: none, all, or every N-th set.
-        recording: write run.rrd for the viewer.
-        spawn: open the viewer at once and watch while it measures.
-        connect: send to a viewer that runs already, as rerun+http://127.0.0.1:9876/proxy.
-        resume: go on with an interrupted run.
-        overwrite: throw an earlier run in the folder away.
-        workers: how many sessions to measure at a time; as many as there are cores.
-        cluster: a dask scheduler's address, tcp://HOST:PORT, whose workers do the work.
     """
     from measure import api
 
-    chosen = api.choose(
-        api.load_profile(profile),
-        {"detector": detector, "triangulator": triangulator, "solver": solver},
-        set_,
-    )
+    chosen = method.chosen()
     options = api.RunOptions(
-        image_every=api.parse_images(images),
-        recording=recording,
-        viewer=api.spawn_viewer() if spawn else connect,
-        resume=resume,
-        overwrite=overwrite,
-        calibration=calibration,
-        body=body,
+        image_every=api.parse_images(viewer.images),
+        recording=viewer.recording,
+        viewer=viewer.address(),
+        resume=execution.resume,
+        overwrite=execution.overwrite,
+        calibration=inputs.calibration,
+        body=inputs.body,
     )
     if not sessions:
         raise ConfigError("no session to measure: give its folder")
+    workers, cluster = execution.workers, execution.cluster
     if len(sessions) > 1 or cluster is not None:
         with console.progress("measuring", "recordings") as report:
             outcomes = api.run_many(
@@ -92,19 +97,24 @@ def run(
     if json:
         console.print_json({"run": str(out), **summary.values()})
         return 0
-    console.print_text(summary.sentence())
-    for reason, count in summary.reasons.items():
-        console.print_text(f"  {count} x {reason}")
-    for note in summary.notes:
-        console.print_text(f"note: {note}")
+    print_summary(summary)
     if not summary.ok:
         console.print_text(f"to find out why: measure check {sessions[0]}")
     console.print_text(f"written to {out}; look at it with: measure view {out}")
     return 0
 
 
+def print_summary(summary: Summary) -> None:
+    """Print a run's summary, the reasons for missing poses, and the notes."""
+    console.print_text(summary.sentence())
+    for reason, count in summary.reasons.items():
+        console.print_text(f"  {count} x {reason}")
+    for note in summary.notes:
+        console.print_text(f"note: {note}")
+
+
 def _print_outcomes(outcomes: Sequence[Outcome], out: Path, json: bool) -> int:
-    """Say how every recording ended; 0 if all were measured, else as the worst of them."""
+    """Print the outcome of every recording; returns the exit code of the worst."""
     if json:
         console.print_json(
             {

@@ -2,13 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 from cyclopts import Parameter
 
 from measure.cli import console
 from measure.cli.console import JsonFlag, shares
+from measure.cli.options import SettingTexts
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class _Estimator:
+    """What is searched.
+
+    Attributes:
+        estimator: the plugin.
+        set_: a setting as NAME=VALUE that all trials share; may be repeated.
+    """
+
+    estimator: str = "mlp"
+    set_: SettingTexts = ()
 
 
 def sweep(
@@ -17,8 +32,7 @@ def sweep(
     /,
     *,
     journal: Path,
-    estimator: str = "mlp",
-    set_: Annotated[tuple[str, ...], Parameter(name="--set")] = (),
+    of: _Estimator = _Estimator(),
     trials: int = 100,
     split_seed: int = 0,
     scheduler: str | None = None,
@@ -33,8 +47,6 @@ def sweep(
         data: a data set.
         space: a TOML file with a table per setting: choices, or low and high (log, integer).
         journal: the sweep's file; an unfinished sweep goes on.
-        estimator: the plugin.
-        set_: a setting as NAME=VALUE that all trials share; may be repeated.
         trials: finished trials wanted in all.
         split_seed: which trajectories validate.
         scheduler: address of a dask scheduler whose workers shall run the trials.
@@ -46,8 +58,8 @@ def sweep(
             data,
             space,
             journal,
-            estimator=estimator,
-            settings=api.parse_settings(set_),
+            estimator=of.estimator,
+            settings=api.parse_settings(of.set_),
             trials=trials,
             seed=split_seed,
             scheduler=scheduler,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -11,7 +12,45 @@ from cyclopts import Parameter
 
 from measure.cli import console
 from measure.cli.console import JsonFlag, shares
-from measure.cli.injected import InjectedRegistry
+from measure.cli.options import InjectedRegistry, SettingTexts
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class _Split:
+    """How labels are kept for validation and test; fields of `measure.api.TrainOptions`.
+
+    Attributes:
+        validation: a data set of its own to choose, stop and score by, instead of a split.
+        test_share: share of the labels kept for the test, in whole trajectories.
+        validation_share: likewise for choosing and stopping.
+        split_seed: which trajectories those are.
+        split_rows: split by random rows, which is wrong: to see how wrong.
+    """
+
+    validation: Path | None = None
+    test_share: float = 0.1
+    validation_share: float = 0.1
+    split_seed: int = 0
+    split_rows: bool = False
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class _Fit:
+    """What is trained, and from where; fields of `measure.api.TrainOptions` but for `set_`.
+
+    Attributes:
+        estimator: a plugin: stream (default), mlp (the paper's), ridge, gp, forest, ukf, offset.
+        set_: one of its settings as NAME=VALUE, such as grus=2; may be repeated.
+        seed: of everything random in training.
+        resume: go on with an interrupted training.
+    """
+
+    estimator: str = "stream"
+    set_: SettingTexts = ()
+    seed: int = 0
+    resume: bool = False
 
 
 def train(
@@ -19,15 +58,8 @@ def train(
     /,
     *,
     out: Annotated[Path, Parameter(name=("--out", "-o"))],
-    estimator: str = "stream",
-    set_: Annotated[tuple[str, ...], Parameter(name="--set")] = (),
-    validation: Path | None = None,
-    test_share: float = 0.1,
-    validation_share: float = 0.1,
-    split_seed: int = 0,
-    seed: int = 0,
-    resume: bool = False,
-    split_rows: bool = False,
+    fit: _Fit = _Fit(),
+    split: _Split = _Split(),
     about: str = "",
     json: JsonFlag = False,
     registry: InjectedRegistry,
@@ -40,33 +72,20 @@ def train(
     Args:
         data: data sets made by `measure dataset`.
         out: the model's file (.onnx).
-        estimator: a plugin: stream (default), mlp (the paper's), ridge, gp, forest, ukf, offset.
-        set_: one of its settings as NAME=VALUE, such as grus=2; may be repeated.
-        validation: a data set of its own to choose, stop and score by, instead of a split.
-        test_share: share of the labels kept for the test, in whole trajectories.
-        validation_share: likewise for choosing and stopping.
-        split_seed: which trajectories those are.
-        seed: of everything random in training.
-        resume: go on with an interrupted training.
-        split_rows: split by random rows, which is wrong: to see how wrong.
         about: a sentence for the model card.
     """
     from measure import api
 
     options = api.TrainOptions(
-        estimator=estimator,
-        settings=api.parse_settings(set_),
-        validation=validation,
-        test_share=test_share,
-        validation_share=validation_share,
-        split_seed=split_seed,
-        seed=seed,
-        resume=resume,
-        split_rows=split_rows,
+        estimator=fit.estimator,
+        settings=api.parse_settings(fit.set_),
+        seed=fit.seed,
+        resume=fit.resume,
+        **asdict(split),
         notes={"command": "measure " + shlex.join(sys.argv[1:])}
         | ({"about": about} if about else {}),
     )
-    with console.progress(f"training {estimator}", unit="per mille") as report:
+    with console.progress(f"training {fit.estimator}", unit="per mille") as report:
         trained = api.train(data, out, options, registry, shares(report))
     result = trained.evaluation
     if json:

@@ -1,0 +1,99 @@
+"""Groups of options that several commands share, declared once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, TypeAlias
+
+from cyclopts import Parameter
+
+from measure.host import Registry
+
+if TYPE_CHECKING:
+    from measure import api
+    from measure.measuring import Profile
+
+InjectedRegistry: TypeAlias = Annotated[Registry, Parameter(parse=False)]
+"""Type of a command's keyword `registry`: all plugins but those left out with `--disable`."""
+SettingTexts: TypeAlias = Annotated[tuple[str, ...], Parameter(name="--set")]
+"""Type of a command's option `--set`, NAME=VALUE each."""
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class ProfileOptions:
+    """The profile, and what is changed of it.
+
+    Attributes:
+        profile: `precise`, `paper`, or the path of a profile of your own (.toml).
+        detector: a detector plugin to use instead of the profile's.
+        triangulator: likewise.
+        solver: likewise, a pose solver.
+        set_: a setting as STAGE.NAME=VALUE, such as detector.rays=128; may be repeated.
+    """
+
+    profile: str = "precise"
+    detector: str | None = None
+    triangulator: str | None = None
+    solver: str | None = None
+    set_: SettingTexts = ()
+
+    def chosen(self) -> Profile:
+        """The profile with the changes."""
+        from measure import api
+
+        return api.choose(
+            api.load_profile(self.profile),
+            {
+                "detector": self.detector,
+                "triangulator": self.triangulator,
+                "solver": self.solver,
+            },
+            self.set_,
+        )
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class ViewerOptions:
+    """The viewer, and its recording.
+
+    Attributes:
+        images: pictures to keep in the viewer's recording: none, all, or every N-th set.
+        recording: write run.rrd for the viewer.
+        spawn: open the viewer at once and watch while it measures.
+        connect: send to a viewer that runs already, as rerun+http://127.0.0.1:9876/proxy.
+    """
+
+    images: str = "none"
+    recording: Annotated[bool, Parameter(negative="--no-recording")] = True
+    spawn: bool = False
+    connect: str | None = None
+
+    def address(self) -> str | None:
+        """Address of the viewer, which is opened if `spawn` asks for it."""
+        from measure import api
+
+        return api.spawn_viewer() if self.spawn else self.connect
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class CaptureOptions:
+    """How long cameras are read, and what they are asked for.
+
+    Attributes:
+        seconds: stop after this long.
+        size: WIDTHxHEIGHT to ask cameras of this machine for; that of the calibration if omitted.
+        rate: pictures a second to ask cameras of this machine for.
+    """
+
+    seconds: float | None = None
+    size: str | None = None
+    rate: float | None = None
+
+    def asked(self) -> api.Asked:
+        """Size and rate that cameras are asked for."""
+        from measure import api
+
+        return api.Asked(None if self.size is None else api.parse_size(self.size), self.rate)
