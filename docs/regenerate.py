@@ -1,7 +1,7 @@
 """Write what is generated in the docs: `python docs/regenerate.py`.
 
 `docs/cli.md` holds the help of every command, `docs/settings.md` every setting of the built-in
-plugins and profiles; blocks marked `<!-- same as: FILE -->` hold a file of the repository. The
+plugins and profiles, `docs/reference/plugins.md` what a plugin may use; blocks marked `<!-- same as: FILE -->` hold a file of the repository. The
 tests compare.
 """
 
@@ -13,6 +13,8 @@ import io
 import os
 import re
 from pathlib import Path
+
+from plugin_reference import attributes, plugin_page
 
 from measure.api.profiles import load_profile, profile_names
 from measure.cli import build_app, main
@@ -106,13 +108,6 @@ def profiles_section() -> str:
     return "\n## Profiles\n\n" + table(head, rows)
 
 
-def attributes(described: type) -> dict[str, str]:
-    """The lines below "Attributes:" of a docstring, by name."""
-    text = (inspect.getdoc(described) or "").partition("Attributes:")[2]
-    found = re.findall(r"^    (\w+): (.*?)(?=^    \w+: |\Z)", text, re.DOTALL | re.MULTILINE)
-    return {name: " ".join(words.split()) for name, words in found}
-
-
 def plugin_section(item: Loaded) -> str:
     """One plugin: what it does, and its settings."""
     return section(item.name, item.plugin, describe_settings(item.plugin.Config))
@@ -149,5 +144,6 @@ def with_files(text: str) -> str:
 if __name__ == "__main__":
     (ROOT / "docs" / "cli.md").write_text(command_line_page(), encoding="utf-8")
     (ROOT / "docs" / "settings.md").write_text(settings_page(), encoding="utf-8")
+    (ROOT / "docs" / "reference" / "plugins.md").write_text(plugin_page(), encoding="utf-8")
     for page in (ROOT / "docs").rglob("*.md"):
         page.write_text(with_files(page.read_text(encoding="utf-8")), encoding="utf-8")

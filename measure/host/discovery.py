@@ -21,7 +21,12 @@ from measure.host.settings import Settings
 
 @dataclass(frozen=True)
 class Distribution:
-    """What a user installed: name and version of the distribution a plugin came in."""
+    """What a user installed.
+
+    Attributes:
+        name: as pip knows it.
+        version: as pip knows it.
+    """
 
     name: str
     version: str
@@ -32,7 +37,14 @@ class Distribution:
 
 @dataclass(frozen=True)
 class Loaded:
-    """A plugin that can be used."""
+    """A plugin that can be used.
+
+    Attributes:
+        kind: "detector", "triangulator", "solver" or "estimator".
+        name: the class's `name`.
+        distribution: the installed distribution that it came in.
+        plugin: the class.
+    """
 
     kind: str
     name: str
@@ -42,7 +54,13 @@ class Loaded:
 
 @dataclass(frozen=True)
 class Broken:
-    """An entry point that cannot be used, and why, in one line."""
+    """An entry point that cannot be used.
+
+    Attributes:
+        name: of the entry point.
+        distribution: the installed distribution that declares it.
+        error: why, in one line.
+    """
 
     name: str
     distribution: Distribution

@@ -13,8 +13,8 @@ from measure.host.dataset import Dataset
 from measure.host.interfaces import Plugin
 from measure.host.settings import Settings
 
-# Called with the share done (0 to 1) and a few words; a fit calls it often.
 Report: TypeAlias = Callable[[float, str], None]
+"""Progress of a fit: called often, with the share done (0 to 1) and a few words."""
 
 
 def quiet(done: float, what: str) -> None:
@@ -39,7 +39,13 @@ class Correction:
 
 @dataclass(frozen=True)
 class Epoch:
-    """One line of a learning curve: RMS errors in mm after so many passes over the data."""
+    """One point of a learning curve.
+
+    Attributes:
+        epoch: number of passes over the data so far.
+        train_mm: RMS error on the training trajectories, mm.
+        validation_mm: RMS error on the validation trajectories, mm.
+    """
 
     epoch: int
     train_mm: float

@@ -10,9 +10,11 @@ from measure.host.estimator import Estimator
 from measure.host.interfaces import Detector, Plugin, PoseSolver, Triangulator
 
 ENTRY_POINT_GROUP = "measure"
+"""The group of entry points in which plugins are found."""
 
 hookspec = pluggy.HookspecMarker("measure")
 hookimpl = pluggy.HookimplMarker("measure")
+"""Decorator of the functions that register plugins (pluggy)."""
 
 
 @hookspec

@@ -43,7 +43,12 @@ class Core:
 
 @dataclass(frozen=True, eq=False)
 class Scaling:
-    """Zero mean and unit SD; a feature that never varied is left at zero."""
+    """Zero mean and unit standard deviation; a feature that never varied is scaled to zero.
+
+    Attributes:
+        mean: (columns,) of the training data.
+        sd: (columns,) standard deviations of the training data.
+    """
 
     mean: Floats
     sd: Floats

@@ -13,7 +13,8 @@ from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.host.onnx_seal import seal
 
-Value: TypeAlias = str  # the name of a tensor inside the graph
+Value: TypeAlias = str
+"""The name of a tensor inside a graph."""
 
 OPSET = 17
 ML_OPSET = 3

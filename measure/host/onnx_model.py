@@ -40,7 +40,13 @@ _TICKS = (np.zeros((1, 1), dtype=np.float32), np.ones((1, 1), dtype=np.float32))
 
 @dataclass(frozen=True, eq=False)
 class Estimates:
-    """Corrections of many rows: errors (n, 3) mm, covariances (n, 3, 3), strangeness (n,)."""
+    """Corrections of n states.
+
+    Attributes:
+        errors_mm: (n, 3) measured minus reported position.
+        covariances: (n, 3, 3) of the errors, in mm^2.
+        strangeness: (n,) above 1 where the state is unlike the training data.
+    """
 
     errors_mm: Floats
     covariances: Floats

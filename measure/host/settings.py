@@ -36,7 +36,15 @@ def setting(default: Any, description: str, *, unit: str = "", **limits: Any) ->
 
 @dataclass(frozen=True)
 class Setting:
-    """One line of a plugin's settings, for people."""
+    """A setting as it is printed.
+
+    Attributes:
+        name: of the field.
+        type: such as `float`.
+        default: as text, or "required".
+        unit: as given to `setting`; empty for a bare number or word.
+        description: one sentence.
+    """
 
     name: str
     type: str

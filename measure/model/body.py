@@ -19,7 +19,14 @@ MIN_BREADTH_RATIO = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Ball:
-    """One ball: its name, colour, centre (3,) in the body frame in mm, and radius in mm."""
+    """One ball.
+
+    Attributes:
+        name: unique within the body.
+        color: how its pixels are recognised.
+        center_mm: (3,) in the body frame.
+        radius_mm: of the sphere.
+    """
 
     name: str
     color: BallColor

@@ -43,7 +43,11 @@ class ColorRange:
 
 @dataclass(frozen=True, eq=False)
 class ConvertedImage:
-    """A BGR image (h, w, 3) with its conversions to colour spaces, each made when first asked."""
+    """An image with its conversions to colour spaces, each made when first used.
+
+    Attributes:
+        bgr: (h, w, 3) pixels.
+    """
 
     bgr: Bytes
     _known: dict[ColorSpace, Bytes] = field(default_factory=dict)

@@ -113,7 +113,15 @@ class Reason(StrEnum):
 
 @record
 class BallView:
-    """One ball in one camera at one instant: its state, why, and the detection if there is one."""
+    """One ball in one camera at one instant.
+
+    Attributes:
+        ball: name of the ball.
+        camera: name of the camera.
+        state: whether the detection is used.
+        reason: why it is suspended; `Reason.NONE` if it is effective.
+        detection: what was detected, if anything.
+    """
 
     ball: str
     camera: str

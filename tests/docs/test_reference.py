@@ -4,22 +4,37 @@ from __future__ import annotations
 
 import importlib.util
 import inspect
+import pkgutil
+import re
 import sys
-from collections.abc import Callable
+import tomllib
+from collections.abc import Callable, Iterator
 from types import ModuleType
 
 import pytest
 
-from measure.host import Registry, describe_settings, hooks
+import measure
+from measure.host import Registry, SelfCalibratingDetector, describe_settings, hooks
 from measure.measuring.tracking import TRACKERS
 from measure.results.tables import CSV_COLUMNS, SCHEMAS
 from tests.docs.pages import ROOT
 
 PLUGIN_PAGE = (ROOT / "docs" / "writing_a_plugin.md").read_text(encoding="utf-8")
+ALLOWED_IMPORTS = PLUGIN_PAGE.partition("A plugin may import")[2].partition("\n\n")[0]
+CONTRACTS = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"][
+    "contracts"
+]
 
 
 @pytest.fixture(scope="module")
-def generator() -> ModuleType:
+def generator() -> Iterator[ModuleType]:
+    """`docs/regenerate.py`; it imports from its own folder."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(ROOT / "docs"))
+        yield _load()
+
+
+def _load() -> ModuleType:
     spec = importlib.util.spec_from_file_location("regenerate", ROOT / "docs" / "regenerate.py")
     assert spec is not None
     assert spec.loader is not None
@@ -36,6 +51,16 @@ def test_the_command_line_page_is_current(generator: ModuleType):
 def test_the_settings_page_is_current(generator: ModuleType):
     page = (ROOT / "docs" / "settings.md").read_text(encoding="utf-8")
     assert page == generator.settings_page(), "run: python docs/regenerate.py"
+
+
+def test_the_plugin_reference_is_current(generator: ModuleType):
+    page = (ROOT / "docs" / "reference" / "plugins.md").read_text(encoding="utf-8")
+    assert page == generator.plugin_page(), "run: python docs/regenerate.py"
+
+
+def test_all_that_a_plugin_may_use_is_described(generator: ModuleType):
+    """Every class, function, method and constant has a docstring, every field its line in it."""
+    assert sys.modules["plugin_reference"].undocumented() == []
 
 
 def test_every_built_in_setting_has_a_description(generator: ModuleType):
@@ -89,6 +114,24 @@ def test_no_hook_is_documented_that_does_not_exist():
 
 def test_every_setting_helper_named_in_the_page_exists():
     host = sys.modules["measure.host"]
-    for name in ("Settings", "hookimpl", "OnnxModel", "setting"):
+    for name in ("Settings", "hookimpl", "OnnxModel", "setting", "SelfCalibratingDetector"):
         assert name in PLUGIN_PAGE
         assert hasattr(host, name)
+
+
+def test_optional_members_are_documented_with_their_signatures():
+    for member, value in vars(SelfCalibratingDetector).items():
+        if getattr(value, "__isabstractmethod__", False):
+            signature = "" if isinstance(value, property) else _signature(value)
+            assert f"\n`SelfCalibratingDetector.{member}{signature}`" in PLUGIN_PAGE
+    for flag in ("stateful", "provides_outlines", "requires_outlines"):
+        assert f"`{flag} = " in PLUGIN_PAGE
+
+
+def test_plugins_import_what_the_page_allows_and_no_more():
+    """The contract that the built-ins keep forbids every other room of the house."""
+    allowed = set(re.findall(r"`(measure\.\w+)`", ALLOWED_IMPORTS))
+    rooms = {f"measure.{module.name}" for module in pkgutil.iter_modules(measure.__path__)}
+    (contract,) = [c for c in CONTRACTS if c["name"].startswith("Plugins use what")]
+    assert allowed <= rooms
+    assert allowed | set(contract["forbidden_modules"]) == rooms

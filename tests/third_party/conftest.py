@@ -1,4 +1,4 @@
-"""A fresh virtual environment into which the program and strangers' distributions are installed."""
+"""A fresh virtual environment into which the program and other authors' distributions are installed."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from typing import Any
 import pytest
 
 HERE = Path(__file__).parent
-STRANGERS = ("blob", "linear", "broken", "clashing", "wrong_hook")
-collect_ignore = list(STRANGERS)
+OTHERS = ("blob", "nearest", "rigid", "linear", "broken", "clashing", "wrong_hook")
+"""Distributions of other authors: one of each kind, and three that are faulty."""
+collect_ignore = list(OTHERS)
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class Environment:
 @pytest.fixture(scope="session")
 def environment(tmp_path_factory: pytest.TempPathFactory) -> Environment:
     """Built offline: the dependencies are seen in this interpreter's own environment."""
-    folder = tmp_path_factory.mktemp("stranger") / "venv"
+    folder = tmp_path_factory.mktemp("installed") / "venv"
     venv.create(folder, with_pip=False)
     environment = Environment(folder)
     code = "import sysconfig; print(sysconfig.get_path('purelib'))"
@@ -58,7 +59,7 @@ def environment(tmp_path_factory: pytest.TempPathFactory) -> Environment:
         *("install", "--quiet", "--no-deps", "--no-build-isolation", "--no-index"),
         *("--disable-pip-version-check", "--ignore-installed"),
         str(HERE.parents[1]),
-        *(str(HERE / name) for name in STRANGERS),
+        *(str(HERE / name) for name in OTHERS),
     )
     assert done.returncode == 0, done.stderr
     return environment

@@ -13,7 +13,6 @@ from measure.arrays import Floats, Ints
 from measure.errors import DegenerateGeometryError
 from measure.model import Body, Camera, Detection, Motion, Rig
 from measure.model.observations import stacked_detections
-from measure.records import record
 
 if TYPE_CHECKING:
     from measure_plugins._joint_fit.problem import Balls, Contours, Views
@@ -44,7 +43,7 @@ class Named:
     views: Views
 
 
-@record
+@dataclass(frozen=True, eq=False)
 class Outlines:
     """Packed outlines with the names that go with them.
 

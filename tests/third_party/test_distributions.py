@@ -1,4 +1,4 @@
-"""Strangers' complete distributions, built, installed, and used by the real command."""
+"""Other authors' distributions, built, installed, and used by the real command."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ def test_the_program_is_the_installed_one(environment: Environment):
     assert all(place.startswith(str(environment.folder)) for place in done.stdout.split())
 
 
-def test_a_stranger_is_listed_beside_the_built_ins(environment: Environment):
+def test_a_plugin_is_listed_beside_the_built_ins(environment: Environment):
     plugins = environment.measure_json("plugins", "list", *WITHOUT_CLASH)["plugins"]
     (blob,) = [p for p in plugins if p["name"] == "blob"]
     assert blob["kind"] == "detector"
     assert blob["distribution"] == {"name": "acme-blob", "version": "0.3.1"}
     assert blob["summary"] == "Patches of a ball's colour by connected components."
     owners = {p["distribution"]["name"] for p in plugins}
-    assert owners == {"acme-blob", "acme-linear", "triball"}
+    assert owners == {"acme-blob", "acme-linear", "acme-nearest", "acme-rigid", "triball"}
 
 
 def test_its_settings_are_shown(environment: Environment):
@@ -41,7 +41,7 @@ def test_its_settings_are_shown(environment: Environment):
     assert "Least share of its circle that a patch fills." in out
 
 
-def test_broken_strangers_are_survived_with_their_reasons(environment: Environment):
+def test_broken_plugins_are_survived_with_their_reasons(environment: Environment):
     broken = environment.measure_json("plugins", "list")["broken"]
     reasons = {item["distribution"]["name"]: item["error"] for item in broken}
     assert set(reasons) == {"acme-broken", "acme-wrong-hook"}
@@ -59,8 +59,8 @@ def test_a_clash_is_reported_naming_both(environment: Environment):
     )
 
 
-@pytest.mark.parametrize("name", ["blob", "linear"])
-def test_a_stranger_passes_the_conformance_kit_in_its_own_tests(environment: Environment, name):
+@pytest.mark.parametrize("name", ["blob", "nearest", "rigid", "linear"])
+def test_a_plugin_passes_the_conformance_kit_in_its_own_tests(environment: Environment, name):
     done = environment.run(
         *(environment.program("python"), "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests"),
         cwd=HERE / name,
@@ -79,9 +79,12 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
 
 
-def test_the_stranger_measures_a_recording(environment: Environment, session, tmp_path):
+@pytest.mark.parametrize(
+    "stages", [("--solver", "kabsch"), ("--triangulator", "nearest", "--solver", "rigid")]
+)
+def test_plugins_measure_a_recording(environment: Environment, session, tmp_path, stages):
     done = environment.measure(
-        *("run", str(session), "--out", str(tmp_path / "run"), "--solver", "kabsch"),
+        *("run", str(session), "--out", str(tmp_path / "run"), *stages),
         *("--detector", "blob", "--set", "detector.roundness=0.7", "--no-recording", "--json"),
         *WITHOUT_CLASH,
     )
@@ -99,9 +102,7 @@ def test_the_stranger_measures_a_recording(environment: Environment, session, tm
     assert "acme-blob" in (tmp_path / "run" / "run.toml").read_text()
 
 
-def test_a_strangers_estimator_learns_and_its_model_runs_without_it(
-    environment: Environment, tmp_path
-):
+def test_an_estimator_learns_and_its_model_runs_without_it(environment: Environment, tmp_path):
     data, model, out = (str(tmp_path / n) for n in ("sim.parquet", "m.onnx", "out.parquet"))
     for words in (
         ("dataset", "--simulate-min", "2", "--seed", "3", "--out", data),

@@ -1,0 +1,229 @@
+"""The page `docs/reference/plugins.md`: what a plugin may use, from the code and its docstrings."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import enum
+import importlib
+import inspect
+import re
+from collections.abc import Callable, Iterator
+from functools import cached_property
+from types import ModuleType
+from typing import Any
+
+PACKAGES = ("measure.host", "measure.model", "measure.geometry", "measure.estimation")
+HEAD = """# Reference for plugin authors
+
+Every public name of the packages that a plugin works with, in their order of use; [writing a plugin](../writing_a_plugin.md)
+shows complete examples. Written by `python docs/regenerate.py` from the code and its docstrings.
+
+Lengths are in mm, angles in rad, times in s, image coordinates in px (pixel centres at integers); shapes are written as `(n, 2)`,
+leading `...` are batch axes. [Conventions](../conventions.md) define frames, rotations and covariances. `Floats`, `Ints`, `Bools` and
+`Bytes` (`measure.arrays`) are numpy arrays of float64, int64, bool and uint8.
+"""
+SECTIONS = ("Attributes", "Args", "Returns", "Yields", "Raises", "Example", "Examples")
+
+
+def plugin_page() -> str:
+    """The text of `docs/reference/plugins.md`."""
+    return HEAD + "".join(_package(importlib.import_module(name)) for name in PACKAGES)
+
+
+def undocumented() -> list[str]:
+    """Public names, members and fields that have no description."""
+    missing = []
+    for package in map(importlib.import_module, PACKAGES):
+        for name in getattr(package, "__all__", ()):
+            full, value = f"{package.__name__}.{name}", getattr(package, name)
+            if not description(package, name):
+                missing.append(full)
+            if _defines_class(name, value):
+                missing += [f"{full}.{m}" for m, _, text in members(value) if not text]
+    return missing
+
+
+def members(described: type) -> Iterator[tuple[str, str, str]]:
+    """Name, declaration and description of a class's fields, properties and methods, in order."""
+    texts = attributes(described)
+    for name, declared in _fields(described):
+        yield name, declared, texts.get(name, "")
+    for name, value in vars(described).items():
+        if name.startswith("_") and name != "__init__":
+            continue
+        function = value.__func__ if isinstance(value, classmethod | staticmethod) else value
+        if isinstance(value, property | cached_property):
+            getter = value.fget if isinstance(value, property) else value.func
+            yield name, f"{name}: {_result(getter)}", inspect.getdoc(getter) or ""
+        elif name == "__init__":
+            if not dataclasses.is_dataclass(described):
+                yield name, _call(described.__name__, function), "Constructor."
+        elif inspect.isfunction(function):
+            yield name, _call(name, function), inspect.getdoc(function) or ""
+
+
+def attributes(described: type) -> dict[str, str]:
+    """The lines below "Attributes:" of a docstring, by name."""
+    return dict(_entries(_sections(inspect.getdoc(described) or "").get("Attributes", "")))
+
+
+def description(package: ModuleType, name: str) -> str:
+    """The docstring of a class or function; of a constant the string below its assignment."""
+    value = getattr(package, name)
+    if _defines_class(name, value) or inspect.isroutine(value):
+        return inspect.cleandoc(value.__doc__ or "")
+    return _constants(package).get(name, "")
+
+
+def _defines_class(name: str, value: object) -> bool:
+    """Whether the name is that of a class, and not another name for one."""
+    return inspect.isclass(value) and value.__name__ == name
+
+
+def _package(package: ModuleType) -> str:
+    parts = [f"\n## {package.__name__}\n\n{inspect.getdoc(package)}\n"]
+    for name in sorted(getattr(package, "__all__", ()), key=str.casefold):
+        value, text = getattr(package, name), description(package, name)
+        if _defines_class(name, value):
+            parts.append(f"\n### {name}\n\n`{_class_line(value)}`\n\n{_class(value, text)}")
+        elif inspect.isroutine(value):
+            parts.append(f"\n### {name}\n\n`{_call(name, value)}`\n\n{_prose(text)}\n")
+        else:
+            parts.append(f"\n### {name}\n\n{_prose(text)}\n")
+    return "".join(parts)
+
+
+def _class_line(described: type) -> str:
+    bases = [b.__name__ for b in described.__bases__ if b is not object]
+    return f"class {described.__name__}" + (f"({', '.join(bases)})" if bases else "")
+
+
+def _class(described: type, text: str) -> str:
+    """The prose without its attributes, and a list of members."""
+    sections = _sections(text)
+    sections.pop("Attributes", None)
+    items = [_item(declared, said) for _, declared, said in members(described)]
+    if issubclass(described, enum.Enum):
+        items = [f"- `{m.name}`: {m.value!r}\n" for m in described]
+    return _joined(sections) + "\n" + ("\n" + "".join(items) if items else "")
+
+
+def _item(declared: str, text: str) -> str:
+    """A list item: the declaration, and the description indented below or behind it."""
+    lines = _prose(text).splitlines()
+    body = "".join(f"  {line}\n" if line else "\n" for line in lines)
+    return f"- `{declared}`\n\n{body}\n" if len(lines) > 1 else f"- `{declared}`: {text.strip()}\n"
+
+
+def _fields(described: type) -> list[tuple[str, str]]:
+    """The fields of a dataclass or named tuple, else what the class annotates, with defaults."""
+    if hasattr(described, "_fields"):
+        names, defaults = described._fields, described._field_defaults
+    elif dataclasses.is_dataclass(described):
+        own = [f for f in dataclasses.fields(described) if f.init]
+        names = tuple(f.name for f in own)
+        defaults = {f.name: f.default for f in own if f.default is not dataclasses.MISSING}
+    else:
+        names = tuple(vars(described).get("__annotations__", {}))
+        defaults = {name: vars(described)[name] for name in names if name in vars(described)}
+    types = inspect.get_annotations(described)
+    return [
+        (name, f"{name}: {_type(types.get(name, ''))}{_default(defaults, name)}")
+        for name in names
+        if not name.startswith("_")
+    ]
+
+
+def _default(defaults: dict[str, Any], name: str) -> str:
+    if name not in defaults:
+        return ""
+    value = defaults[name]
+    if isinstance(value, enum.Enum):
+        return f" = {type(value).__name__}.{value.name}"
+    return f" = {value.__name__ if inspect.isclass(value) else repr(value)}"
+
+
+def _type(annotation: object) -> str:
+    text = annotation if isinstance(annotation, str) else getattr(annotation, "__name__", "")
+    return str(text).replace("'", "")
+
+
+def _call(name: str, function: Callable[..., object]) -> str:
+    """Name and signature as written in the source, `self` and `cls` left out."""
+    signature = inspect.signature(function)
+    kept = [_plain(p) for p in signature.parameters.values() if p.name not in ("self", "cls")]
+    result = signature.return_annotation
+    if name[:1].isupper() or result is inspect.Signature.empty:  # a constructor
+        return f"{name}{inspect.Signature(kept)}"
+    return f"{name}{inspect.Signature(kept)} -> {_type(result)}"
+
+
+class _Source(str):
+    """Text that a signature shows without quotation marks."""
+
+    __slots__ = ()
+
+    def __repr__(self) -> str:
+        return str(self)
+
+
+def _plain(parameter: inspect.Parameter) -> inspect.Parameter:
+    """Its annotation, and a default that is a class, as they are written."""
+    if inspect.isclass(parameter.default) and parameter.default is not inspect.Parameter.empty:
+        parameter = parameter.replace(default=_Source(parameter.default.__name__))
+    if parameter.annotation is inspect.Parameter.empty:
+        return parameter
+    return parameter.replace(annotation=_Source(_type(parameter.annotation)))
+
+
+def _result(getter: Callable[..., object]) -> str:
+    return _type(inspect.get_annotations(getter).get("return", ""))
+
+
+def _sections(text: str) -> dict[str, str]:
+    """A Google docstring by section; what stands before the first has the key ""."""
+    parts = re.split(rf"^({'|'.join(SECTIONS)}):\n", text, flags=re.MULTILINE)
+    return {"": parts[0].strip(), **dict(zip(parts[1::2], parts[2::2], strict=True))}
+
+
+def _entries(section: str) -> list[tuple[str, str]]:
+    """The `name: text` entries of a section, each on one line."""
+    lines = inspect.cleandoc("\n" + section)
+    found = re.findall(
+        r"^(\*{0,2}[\w.]+): (.*?)(?=^\*{0,2}[\w.]+: |\Z)", lines, re.DOTALL | re.MULTILINE
+    )
+    return [(name, " ".join(words.split())) for name, words in found]
+
+
+def _prose(text: str) -> str:
+    return _joined(_sections(text))
+
+
+def _joined(sections: dict[str, str]) -> str:
+    """A docstring as Markdown: arguments as a list, results and errors as sentences."""
+    parts = [sections.get("", "")]
+    for title, body in sections.items():
+        if title in ("Args", "Raises"):
+            label = {"Args": "Arguments", "Raises": "Raises"}[title]
+            items = "\n".join(f"- `{name}`: {words}" for name, words in _entries(body))
+            parts.append(f"{label}:\n\n{items}")
+        elif title in ("Returns", "Yields"):
+            parts.append(f"{title}: {' '.join(body.split())}")
+    return "\n\n".join(part for part in parts if part)
+
+
+def _constants(package: ModuleType) -> dict[str, str]:
+    """The strings below assignments in the modules that a package takes its names from."""
+    found: dict[str, str] = {}
+    for imported in ast.parse(inspect.getsource(package)).body:
+        if isinstance(imported, ast.ImportFrom) and imported.module:
+            body = ast.parse(inspect.getsource(importlib.import_module(imported.module))).body
+            for statement, below in zip(body, body[1:], strict=False):
+                if isinstance(statement, ast.Assign | ast.AnnAssign) and isinstance(
+                    below, ast.Expr
+                ):
+                    target = getattr(statement, "target", None) or statement.targets[0]
+                    if isinstance(target, ast.Name) and isinstance(below.value, ast.Constant):
+                        found[target.id] = inspect.cleandoc(str(below.value.value))
+    return found

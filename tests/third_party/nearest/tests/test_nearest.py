@@ -1,0 +1,7 @@
+from acme_nearest import NearestTriangulator
+
+from measure.testing import TriangulatorConformance
+
+
+class TestNearest(TriangulatorConformance):
+    plugin = NearestTriangulator

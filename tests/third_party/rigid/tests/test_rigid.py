@@ -1,0 +1,7 @@
+from acme_rigid import RigidSolver
+
+from measure.testing import PoseSolverConformance
+
+
+class TestRigid(PoseSolverConformance):
+    plugin = RigidSolver
