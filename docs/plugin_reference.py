@@ -10,18 +10,21 @@ import inspect
 import re
 from collections.abc import Callable, Iterator
 from functools import cached_property
+from itertools import pairwise
 from types import ModuleType
 from typing import Any
 
 PACKAGES = ("measure.host", "measure.model", "measure.geometry", "measure.estimation")
 HEAD = """# Reference for plugin authors
 
-Every public name of the packages that a plugin works with, in their order of use; [writing a plugin](../writing_a_plugin.md)
-shows complete examples. Written by `python docs/regenerate.py` from the code and its docstrings.
+Every public name of the packages that a plugin works with;
+[writing a plugin](../writing_a_plugin.md) shows complete examples. Written by
+`python docs/regenerate.py` from the code and its docstrings.
 
-Lengths are in mm, angles in rad, times in s, image coordinates in px (pixel centres at integers); shapes are written as `(n, 2)`,
-leading `...` are batch axes. [Conventions](../conventions.md) define frames, rotations and covariances. `Floats`, `Ints`, `Bools` and
-`Bytes` (`measure.arrays`) are numpy arrays of float64, int64, bool and uint8.
+Lengths are in mm, angles in rad, times in s, image coordinates in px (pixel centres at integers).
+Shapes are written as `(n, 2)`; a leading `...` stands for batch axes.
+[Conventions](../conventions.md) define frames, rotations and covariances. `Floats`, `Ints`, `Bools`
+and `Bytes` (of `measure.arrays`) are numpy arrays of float64, int64, bool and uint8.
 """
 SECTIONS = ("Attributes", "Args", "Returns", "Yields", "Raises", "Example", "Examples")
 
@@ -190,9 +193,8 @@ def _sections(text: str) -> dict[str, str]:
 def _entries(section: str) -> list[tuple[str, str]]:
     """The `name: text` entries of a section, each on one line."""
     lines = inspect.cleandoc("\n" + section)
-    found = re.findall(
-        r"^(\*{0,2}[\w.]+): (.*?)(?=^\*{0,2}[\w.]+: |\Z)", lines, re.DOTALL | re.MULTILINE
-    )
+    entry = r"^(\*{0,2}[\w.]+): (.*?)(?=^\*{0,2}[\w.]+: |\Z)"
+    found = re.findall(entry, lines, re.DOTALL | re.MULTILINE)
     return [(name, " ".join(words.split())) for name, words in found]
 
 
@@ -219,11 +221,12 @@ def _constants(package: ModuleType) -> dict[str, str]:
     for imported in ast.parse(inspect.getsource(package)).body:
         if isinstance(imported, ast.ImportFrom) and imported.module:
             body = ast.parse(inspect.getsource(importlib.import_module(imported.module))).body
-            for statement, below in zip(body, body[1:], strict=False):
-                if isinstance(statement, ast.Assign | ast.AnnAssign) and isinstance(
-                    below, ast.Expr
-                ):
-                    target = getattr(statement, "target", None) or statement.targets[0]
-                    if isinstance(target, ast.Name) and isinstance(below.value, ast.Constant):
-                        found[target.id] = inspect.cleandoc(str(below.value.value))
+            for statement, below in pairwise(body):
+                match statement, below:
+                    case (
+                        ast.Assign(targets=[ast.Name(id=name)])
+                        | ast.AnnAssign(target=ast.Name(id=name)),
+                        ast.Expr(value=ast.Constant(value=str(text))),
+                    ):
+                        found[name] = inspect.cleandoc(text)
     return found

@@ -1,8 +1,8 @@
 """Write what is generated in the docs: `python docs/regenerate.py`.
 
 `docs/cli.md` holds the help of every command, `docs/settings.md` every setting of the built-in
-plugins and profiles, `docs/reference/plugins.md` what a plugin may use; blocks marked `<!-- same as: FILE -->` hold a file of the repository. The
-tests compare.
+plugins and profiles, `docs/reference/plugins.md` what a plugin may use; blocks marked
+`<!-- same as: FILE -->` hold a file of the repository. The tests compare.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A fresh virtual environment into which the program and other authors' distributions are installed."""
+"""A fresh virtual environment with the program and other authors' distributions installed."""
 
 from __future__ import annotations
 
