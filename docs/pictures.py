@@ -1,6 +1,7 @@
 """Make the pictures of the documentation: `python docs/pictures.py` (needs Xvfb and chromium).
 
 They show the session of `measure demo`: the viewer under a virtual screen, the report in a browser.
+The figures of the explanation pages need neither: `python docs/figures.py`.
 """
 
 from __future__ import annotations

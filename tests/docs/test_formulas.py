@@ -11,7 +11,7 @@ from tests.docs.pages import PAGES, ROOT, name_of
 _DISPLAYED = re.compile(r"^\$\$\n(.*?)\n\$\$$", re.DOTALL | re.MULTILINE)
 _INLINE = re.compile(r"\$([^$\n]+)\$")
 _CODE = re.compile(r"```.*?```|`[^`\n]*`", re.DOTALL)
-_POINTER = re.compile(r"explanation/(\w+)\.md,\s+formulas?\s+([\d, and]*\d)")
+_POINTER = re.compile(r"explanation/(\w+)\.md,\s+formulas?\s+([\d, andto]*\d)")
 SOURCES = [*sorted((ROOT / "measure").rglob("*.py")), *sorted((ROOT / "plugins").rglob("*.py"))]
 
 with_formulas = pytest.mark.parametrize(
