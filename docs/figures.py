@@ -23,8 +23,8 @@ from measure.model.ray_kernels import RAY, fill_rays
 from measure.session import open_session
 from measure.simulation import Renderer, Scene
 from measure.simulation.catalogue import webcam_scene
-from measure_plugins._edges.appearance import Appearance, first_appearance
-from measure_plugins._edges.corrected import (
+from measure_plugins._outline.appearance.model import Appearance, first_appearance
+from measure_plugins._outline.fitting.edges import (
     INSIDE_PX,
     LATER_STEPS,
     OUTSIDE_PX,
@@ -34,9 +34,9 @@ from measure_plugins._edges.corrected import (
     corrected_edges,
     find_twice,
 )
-from measure_plugins._edges.learner import AppearanceLearner, Cone
-from measure_plugins._edges.rays import cast_rays, frame_about
-from measure_plugins._edges.sight import Sight, asked
+from measure_plugins._outline.sampling.rays import cast_rays, frame_about
+from measure_plugins._outline.self_calibration.patch import Sight, asked
+from measure_plugins._outline.self_calibration.schedule import AppearanceLearner, Cone
 
 Row = Sequence[float] | Floats
 IMAGES = Path(__file__).parent / "images"
