@@ -15,7 +15,6 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
 from measure.model import Camera, Detection, Rig
-from measure.model.camera import MIN_DEPTH_MM
 from measure.model.observations import stacked_detections
 from measure.records import record
 
@@ -75,10 +74,7 @@ class Views:
         """Residuals (n, 2), Jacobians by the point (n, 2, 3) and by the camera poses (n, 2, 6)."""
         from measure.estimation.pixel_sensitivity import sensitivities
 
-        rig = self.rig
-        predicted, by_point, by_pose = sensitivities(
-            rig.lenses, rig.reach, rig.rotation, rig.centers, point + self.shifts, MIN_DEPTH_MM
-        )
+        predicted, by_point, by_pose = sensitivities(self.rig.rows, point + self.shifts)
         return self.pixels - predicted, by_point, by_pose
 
     def by_camera(self, point: Floats) -> Floats:
@@ -88,10 +84,7 @@ class Views:
         """
         from measure.estimation.pixel_sensitivity import by_cameras
 
-        rig, by_pose = self.rig, self.sensitivity(point)[2]
-        return by_cameras(
-            rig.lenses, rig.rotation, rig.centers, point + self.shifts, by_pose, rig.covariances
-        )
+        return by_cameras(self.rig.rows, point + self.shifts, self.sensitivity(point)[2])
 
     def camera_noise(self, point: Floats) -> Floats:
         """What uncertain cameras add to the pixels' covariances (n, 2, 2)."""
@@ -116,15 +109,7 @@ def calibration_noise(rig: Rig, points: Floats) -> Floats:
     if not rig.uncertain:
         return np.zeros((len(rig), 2, 2))
     places = np.broadcast_to(points, rig.centers.shape)
-    noise = camera_noise(
-        rig.lenses,
-        rig.reach,
-        rig.rotation,
-        rig.centers,
-        np.ascontiguousarray(places),
-        rig.covariances,
-        MIN_DEPTH_MM,
-    )
+    noise = camera_noise(rig.rows, np.ascontiguousarray(places))
     return np.nan_to_num(noise, nan=0.0)
 
 
@@ -139,23 +124,12 @@ def fit_point(views: Views, extra_px: float = 0.0) -> PointFit:
         DegenerateGeometryError: fewer than two views, parallel rays, or the point is not in front
             of every camera.
     """
-    from measure.estimation.point_fit import FITTED, PARALLEL, fit_rows
+    from measure.estimation.point_fit import FITTED, PARALLEL, fit_one
 
     if len(views) < 2:
         raise DegenerateGeometryError(f"{len(views)} view does not determine a point")
     rig = views.rig
-    fit = fit_rows(
-        rig.lenses,
-        rig.reach,
-        rig.rotation,
-        rig.centers,
-        rig.covariances,
-        views.pixels,
-        views.noise,
-        views.shifts,
-        extra_px,
-        MIN_DEPTH_MM,
-    )
+    fit = fit_one(rig.rows, views.pixels, views.noise, views.shifts, extra_px)
     if fit.end != FITTED:
         what = "are parallel" if fit.end == PARALLEL else "meet behind a camera"
         raise DegenerateGeometryError(f"the rays of {', '.join(rig.names)} {what}")

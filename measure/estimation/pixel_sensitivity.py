@@ -7,18 +7,11 @@ import numpy as np
 from measure.arrays import Floats
 from measure.compiling import compiled
 from measure.model.lens import bend
-from measure.model.rig_kernels import project_one
+from measure.model.rig_kernels import RigRows, project_one
 
 
 @compiled
-def sensitivities(
-    lenses: Floats,
-    reach: Floats,
-    rotation: Floats,
-    centers: Floats,
-    seen: Floats,
-    min_depth: float,
-) -> tuple[Floats, Floats, Floats]:
+def sensitivities(rig: RigRows, seen: Floats) -> tuple[Floats, Floats, Floats]:
     """Pixels (n, 2) of points (n, 3); their Jacobians by the points and the cameras' poses.
 
     A camera's pose changes in its `perturb` chart: moving it by (dt, w) moves the point, as the
@@ -30,11 +23,9 @@ def sensitivities(
     n = len(seen)
     pixels, by_point, by_pose = np.empty((n, 2)), np.empty((n, 2, 3)), np.empty((n, 2, 6))
     for i in range(n):
-        project_one(
-            lenses[i], reach[i], rotation[i], centers[i], seen[i], min_depth, pixels[i],
-            by_point[i],
-        )  # fmt: skip
-        x, y, z = seen[i, 0] - centers[i, 0], seen[i, 1] - centers[i, 1], seen[i, 2] - centers[i, 2]
+        project_one(rig, i, seen[i], pixels[i], by_point[i])
+        x, y = seen[i, 0] - rig.centers[i, 0], seen[i, 1] - rig.centers[i, 1]
+        z = seen[i, 2] - rig.centers[i, 2]
         for a in range(2):
             p, q, r = by_point[i, a]
             by_pose[i, a, 0], by_pose[i, a, 1], by_pose[i, a, 2] = -p, -q, -r
@@ -45,22 +36,15 @@ def sensitivities(
 
 
 @compiled
-def by_cameras(
-    lenses: Floats,
-    rotation: Floats,
-    centers: Floats,
-    seen: Floats,
-    by_pose: Floats,
-    covariances: Floats,
-) -> Floats:
+def by_cameras(rig: RigRows, seen: Floats, by_pose: Floats) -> Floats:
     """Jacobians (n, 2, 18) of pixels by poses and intrinsics; zero where nothing is uncertain."""
     out = np.zeros((len(seen), 2, 18))
     for i in range(len(seen)):
-        if _uncertain(covariances[i, :6]):
+        if _uncertain(rig.covariances[i, :6]):
             out[i, :, :6] = by_pose[i]
-        if _uncertain(covariances[i, 6:]):
-            x, y = ideal(rotation[i], centers[i], seen[i])
-            by_lens(x, y, lenses[i], out[i, :, 6:])
+        if _uncertain(rig.covariances[i, 6:]):
+            x, y = ideal(rig.rotation[i], rig.centers[i], seen[i])
+            by_lens(x, y, rig.lenses[i], out[i, :, 6:])
     return out
 
 
@@ -98,23 +82,15 @@ def _lens_column(out: Floats, column: int, du: float, dv: float, lens: Floats) -
 
 
 @compiled
-def camera_noise(
-    lenses: Floats,
-    reach: Floats,
-    rotation: Floats,
-    centers: Floats,
-    seen: Floats,
-    covariances: Floats,
-    min_depth: float,
-) -> Floats:
+def camera_noise(rig: RigRows, seen: Floats) -> Floats:
     """What uncertain cameras add to the covariances (n, 2, 2) of the pixels of points (n, 3)."""
     out = np.zeros((len(seen), 2, 2))
-    if not np.any(covariances):
+    if not np.any(rig.covariances):
         return out
-    _, _, by_pose = sensitivities(lenses, reach, rotation, centers, seen, min_depth)
-    by_camera = by_cameras(lenses, rotation, centers, seen, by_pose, covariances)
+    _, _, by_pose = sensitivities(rig, seen)
+    by_camera = by_cameras(rig, seen, by_pose)
     for i in range(len(seen)):
-        out[i] = by_camera[i] @ covariances[i] @ by_camera[i].T
+        out[i] = by_camera[i] @ rig.covariances[i] @ by_camera[i].T
     return out
 
 

@@ -11,7 +11,7 @@ from measure.compiling import compiled
 from measure.estimation.pixel_sensitivity import camera_noise
 from measure.geometry.linear_kernels import inverse, solved
 from measure.geometry.rays import MIN_PARALLAX_RAD
-from measure.model.rig_kernels import project_one, ray_rows
+from measure.model.rig_kernels import RigRows, project_one, ray_rows, rows_between
 
 _STEPS = 12
 _STEP_TOLERANCE_MM = 1e-7
@@ -45,47 +45,29 @@ class PointFit(NamedTuple):
 
 
 @compiled
-def fit_rows(
-    lenses: Floats,
-    reach: Floats,
-    rotation: Floats,
-    centers: Floats,
-    covariances: Floats,
-    pixels: Floats,
-    noise: Floats,
-    shifts: Floats,
-    extra_px: float,
-    min_depth: float,
+def fit_one(
+    rig: RigRows, pixels: Floats, noise: Floats, shifts: Floats, extra_px: float
 ) -> PointFit:
     """The point that n >= 2 pixels show, from the one nearest to their rays.
 
     Args:
-        lenses: (n, 13).
-        reach: (n,) of the lens models.
-        rotation: (n, 3, 3) of world_from_camera.
-        centers: (n, 3) of the cameras.
-        covariances: (n, 18, 18) of the cameras' poses and intrinsics.
+        rig: the n cameras.
         pixels: (n, 2).
         noise: (n, 2, 2) covariances of the pixels alone.
         shifts: (n, 3) where each camera saw the point, relative to where it is.
         extra_px: added to every pixel's standard deviation in `disagreement`, in quadrature.
-        min_depth: see `rig_kernels.project_one`.
     """
-    directions, origins = ray_rows(pixels, lenses, reach, rotation), centers - shifts
+    directions, origins = ray_rows(pixels, rig), rig.centers - shifts
     start, meet = _nearest(origins, directions)
-    total = noise + camera_noise(
-        lenses, reach, rotation, centers, start + shifts, covariances, min_depth
-    )
+    total = noise + camera_noise(rig, start + shifts)
     point, information, residuals, chi_square, seen = refine_point(
-        lenses, reach, rotation, centers, pixels, shifts, total, start, min_depth
+        rig, pixels, shifts, total, start
     )
     off, distances = np.zeros(len(pixels)), np.zeros(len(pixels))
     if not meet or not seen:
         end = BEHIND if meet else PARALLEL
         return PointFit(point, information, residuals, chi_square, off, distances, end)
-    total = noise + camera_noise(
-        lenses, reach, rotation, centers, point + shifts, covariances, min_depth
-    )
+    total = noise + camera_noise(rig, point + shifts)
     for i in range(len(pixels)):
         a, b = total[i, 0, 0] + extra_px**2, total[i, 1, 1] + extra_px**2
         c, u, v = total[i, 0, 1], residuals[i, 0], residuals[i, 1]
@@ -116,40 +98,24 @@ class PointFits(NamedTuple):
 
 @compiled
 def fit_groups(
-    starts: Ints,
-    lenses: Floats,
-    reach: Floats,
-    rotation: Floats,
-    centers: Floats,
-    covariances: Floats,
-    pixels: Floats,
-    noise: Floats,
-    extra_px: float,
-    min_depth: float,
+    starts: Ints, rig: RigRows, pixels: Floats, noise: Floats, extra_px: float
 ) -> PointFits:
-    """`fit_rows` for k points one after the other, each at rest.
+    """`fit_one` for k points one after the other, each at rest.
 
     Args:
-        starts: (k + 1,) where each point's rows begin; the others are as in `fit_rows`.
-        lenses: (n, 13).
-        reach: (n,).
-        rotation: (n, 3, 3).
-        centers: (n, 3).
-        covariances: (n, 18, 18).
+        starts: (k + 1,) where each point's rows begin; the others are as in `fit_one`.
+        rig: the n cameras.
         pixels: (n, 2).
         noise: (n, 2, 2).
-        extra_px: see `fit_rows`.
-        min_depth: see `fit_rows`.
+        extra_px: see `fit_one`.
     """
     k = len(starts) - 1
     points, known, distances = np.empty((k, 3)), np.empty((k, 3, 3)), np.empty(len(pixels))
     chi_squares, disagreements, ends = np.empty(k), np.empty(k), np.empty(k, np.int64)
     for i in range(k):
         a, b = starts[i], starts[i + 1]
-        fit = fit_rows(
-            lenses[a:b], reach[a:b], rotation[a:b], centers[a:b], covariances[a:b], pixels[a:b],
-            noise[a:b], np.zeros((b - a, 3)), extra_px, min_depth,
-        )  # fmt: skip
+        own = rows_between(rig, a, b)
+        fit = fit_one(own, pixels[a:b], noise[a:b], np.zeros((b - a, 3)), extra_px)
         points[i], known[i], ends[i] = fit.point, fit.covariance, fit.end
         chi_squares[i], disagreements[i] = fit.chi_square, np.sum(fit.disagreement)
         distances[a:b] = fit.distances_mm
@@ -200,28 +166,16 @@ def _distance(point: Floats, origin: Floats, direction: Floats) -> float:
 
 @compiled
 def refine_point(
-    lenses: Floats,
-    reach: Floats,
-    rotation: Floats,
-    centers: Floats,
-    pixels: Floats,
-    shifts: Floats,
-    noise: Floats,
-    start: Floats,
-    min_depth: float,
+    rig: RigRows, pixels: Floats, shifts: Floats, noise: Floats, start: Floats
 ) -> tuple[Floats, Floats, Floats, float, bool]:
     """Gauss-Newton from `start` with fixed weights.
 
     Args:
-        lenses: (n, 13).
-        reach: (n,) of the lens models.
-        rotation: (n, 3, 3) of world_from_camera.
-        centers: (n, 3) of the cameras.
+        rig: the n cameras.
         pixels: (n, 2).
         shifts: (n, 3) where each camera saw the point, relative to where it is.
         noise: (n, 2, 2) total covariances of the pixels.
         start: (3,) mm.
-        min_depth: see `rig_kernels.project_one`.
 
     Returns:
         The point (3,), its information (3, 3), residuals (n, 2), chi-square, and whether the point
@@ -239,10 +193,7 @@ def refine_point(
     for turn in range(_STEPS + 1):
         normal[:], right[:], chi_square = 0.0, 0.0, 0.0
         for i in range(n):
-            project_one(
-                lenses[i], reach[i], rotation[i], centers[i], point + shifts[i], min_depth, pixel,
-                by_point,
-            )  # fmt: skip
+            project_one(rig, i, point + shifts[i], pixel, by_point)
             u, v = pixels[i, 0] - pixel[0], pixels[i, 1] - pixel[1]
             residuals[i, 0], residuals[i, 1] = u, v
             wu, wv = weight[i, 0] * u + weight[i, 2] * v, weight[i, 2] * u + weight[i, 1] * v
@@ -265,11 +216,9 @@ def refine_point(
 
 def warm_up() -> None:
     """Compile the fits, by fitting a point to pixels of two cameras in one place."""
-    two = np.zeros((2, 3))
-    turns = np.stack([np.eye(3), np.eye(3)])
+    two, noise = np.zeros((2, 3)), np.zeros((2, 2, 2))
     lenses = np.tile(np.eye(1, 13) + np.eye(1, 13, 3), (2, 1))
-    noise = np.zeros((2, 2, 2))
-    known = np.zeros((2, 18, 18))
-    pixels, reach = two[:, :2].copy(), np.full(2, np.inf)
-    fit_rows(lenses, reach, turns, two, known, pixels, noise, two, 0.0, 0.0)
-    fit_groups(np.array([0, 2]), lenses, reach, turns, two, known, pixels, noise, 0.0, 0.0)
+    turns = np.stack([np.eye(3), np.eye(3)])
+    rig = RigRows(lenses, np.full(2, np.inf), turns, two, np.zeros((2, 18, 18)), 0.0)
+    fit_one(rig, two[:, :2].copy(), noise, two, 0.0)
+    fit_groups(np.array([0, 2]), rig, two[:, :2].copy(), noise, 0.0)

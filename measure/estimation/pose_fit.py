@@ -19,9 +19,8 @@ from measure.geometry import RigidTransform, skew
 from measure.geometry.covariance_kernels import squared_distance
 from measure.geometry.rotation_kernels import rotation_of
 from measure.model import Body, Camera, Detection, Rig
-from measure.model.camera import MIN_DEPTH_MM
 from measure.model.observations import stacked_detections
-from measure.model.rig_kernels import project_one
+from measure.model.rig_kernels import RigRows, project_one
 from measure.records import record
 
 _STEP_TOLERANCE = 1e-8
@@ -129,10 +128,7 @@ def fit_pose(
     s = sightings
     try:
         rotation, translation, normal, residuals, distances, weighing = fit_rows(
-            s.rig.lenses,
-            s.rig.reach,
-            s.rig.rotation,
-            s.rig.centers,
+            s.rig.rows,
             s.points_body,
             s.pixels,
             _inverse(s.noise),
@@ -142,7 +138,6 @@ def fit_pose(
             np.ascontiguousarray(start.translation),
             tukey,
             tolerance,
-            MIN_DEPTH_MM,
         )
     except np.linalg.LinAlgError:
         raise _undetermined(len(s)) from None
@@ -176,10 +171,7 @@ _LEAST_SPREAD = 1e-9
 
 @compiled
 def fit_rows(
-    lenses: Floats,
-    reach: Floats,
-    rig_rotation: Floats,
-    rig_centers: Floats,
+    rig: RigRows,
     points_body: Floats,
     pixels: Floats,
     inverse: Floats,
@@ -189,15 +181,11 @@ def fit_rows(
     translation: Floats,
     tukey: float,
     tolerance: float,
-    min_depth: float,
 ) -> tuple[Floats, Floats, Floats, Floats, Floats, int]:
     """Robust Gauss-Newton on the reprojection of n points of a body.
 
     Args:
-        lenses: (n, 13).
-        reach: (n,) of the lens models.
-        rig_rotation: (n, 3, 3) of world_from_camera.
-        rig_centers: (n, 3).
+        rig: the n cameras.
         points_body: (n, 3).
         pixels: (n, 2).
         inverse: (n, 2, 2) inverse covariances of the pixels.
@@ -207,7 +195,6 @@ def fit_rows(
         translation: (3,) the same.
         tukey: a residual this many standard deviations off has no weight at all.
         tolerance: stop when a step is smaller than this, in mm and rad.
-        min_depth: see `rig_kernels.project_one`.
 
     Returns:
         Rotation (3, 3), translation (3,), information (6, 6), residuals (n, 2) and their squared
@@ -219,11 +206,9 @@ def fit_rows(
     residuals, slopes, distance = np.empty((n, 2)), np.empty((n, 2, 6)), np.empty(n)
     normal, right, change, weighing = np.empty((6, 6)), np.empty(6), np.empty(6), 0
     for step in range(_STEPS):
-        for i in range(n):
-            _look(
-                lenses[i], reach[i], rig_rotation[i], rig_centers[i], points_body[i], pixels[i],
-                lead_s[i], velocity, rotation, translation, min_depth, residuals[i], slopes[i],
-            )  # fmt: skip
+        _fill_residuals(
+            rig, points_body, pixels, lead_s, velocity, rotation, translation, residuals, slopes
+        )
         weighing = _equations(
             residuals, slopes, inverse, tukey if step > 1 else _WIDE, normal, right
         )
@@ -234,11 +219,10 @@ def fit_rows(
         rotation = rotation_of(change[3:]) @ rotation
         if step > 2 and np.max(np.abs(change)) < tolerance:
             break
+    _fill_residuals(
+        rig, points_body, pixels, lead_s, velocity, rotation, translation, residuals, slopes
+    )
     for i in range(n):
-        _look(
-            lenses[i], reach[i], rig_rotation[i], rig_centers[i], points_body[i], pixels[i],
-            lead_s[i], velocity, rotation, translation, min_depth, residuals[i], slopes[i],
-        )  # fmt: skip
         distance[i] = squared_distance(residuals[i], inverse[i])
     if not _determined(normal):
         weighing = -weighing - 1
@@ -246,40 +230,36 @@ def fit_rows(
 
 
 @compiled
-def _look(
-    lens: Floats,
-    reach: float,
-    rig_rotation: Floats,
-    rig_center: Floats,
-    point_body: Floats,
-    pixel: Floats,
-    lead_s: float,
+def _fill_residuals(
+    rig: RigRows,
+    points_body: Floats,
+    pixels: Floats,
+    lead_s: Floats,
     velocity: Floats,
     rotation: Floats,
     translation: Floats,
-    min_depth: float,
-    residual: Floats,
+    residuals: Floats,
     slopes: Floats,
 ) -> None:
-    """One point's residual (2,) and its image's derivatives (2, 6) by the pose, both filled in."""
-    arm, point = np.empty(3), np.empty(3)
-    for a in range(3):
-        arm[a] = 0.0
-        for b in range(3):
-            arm[a] += rotation[a, b] * point_body[b]
-    turn = velocity[3:]
-    for a in range(3):
-        b, c = (a + 1) % 3, (a + 2) % 3
-        moved = lead_s * (velocity[a] + turn[b] * arm[c] - turn[c] * arm[b])
-        point[a] = arm[a] + translation[a] + moved
+    """Fill the points' residuals (n, 2) and their images' derivatives (n, 2, 6) by the pose."""
+    arm, point, turn = np.empty(3), np.empty(3), velocity[3:]
     seen, by_point = np.empty(2), np.empty((2, 3))
-    project_one(lens, reach, rig_rotation, rig_center, point, min_depth, seen, by_point)
-    for u in range(2):
-        residual[u] = pixel[u] - seen[u]
+    for i in range(len(pixels)):
+        for a in range(3):
+            arm[a] = 0.0
+            for b in range(3):
+                arm[a] += rotation[a, b] * points_body[i, b]
         for a in range(3):
             b, c = (a + 1) % 3, (a + 2) % 3
-            slopes[u, a] = by_point[u, a]
-            slopes[u, 3 + a] = arm[b] * by_point[u, c] - arm[c] * by_point[u, b]
+            moved = lead_s[i] * (velocity[a] + turn[b] * arm[c] - turn[c] * arm[b])
+            point[a] = arm[a] + translation[a] + moved
+        project_one(rig, i, point, seen, by_point)
+        for u in range(2):
+            residuals[i, u] = pixels[i, u] - seen[u]
+            for a in range(3):
+                b, c = (a + 1) % 3, (a + 2) % 3
+                slopes[i, u, a] = by_point[u, a]
+                slopes[i, u, 3 + a] = arm[b] * by_point[u, c] - arm[c] * by_point[u, b]
 
 
 @compiled

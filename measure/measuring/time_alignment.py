@@ -14,9 +14,8 @@ from measure.geometry.covariance_kernels import inverse_2x2
 from measure.geometry.linear_kernels import invert_scaled
 from measure.geometry.rotation_kernels import times, turned
 from measure.model import BallView, Body, Camera, Detection, Motion, Pose
-from measure.model.camera import MIN_DEPTH_MM
 from measure.model.observations import State
-from measure.model.rig_kernels import project_one
+from measure.model.rig_kernels import RigRows, project_one
 from measure.records import record
 
 _COMMON_PX = 0.3
@@ -104,10 +103,7 @@ class Seen:
             return None
         bend = motion.acceleration_square
         return velocity_share(
-            s.rig.lenses,
-            s.rig.reach,
-            s.rig.rotation,
-            s.rig.centers,
+            s.rig.rows,
             s.points_body,
             s.noise,
             s.lead_s,
@@ -117,7 +113,6 @@ class Seen:
             np.ascontiguousarray(motion.velocity_covariance),
             np.zeros((6, 6)) if bend is None else np.ascontiguousarray(bend),
             _COMMON_PX,
-            MIN_DEPTH_MM,
         )
 
     def _pixels(self, world_from_body: RigidTransform, moved: Floats) -> Floats:
@@ -127,15 +122,11 @@ class Seen:
         assert self.sightings is not None
         s = self.sightings
         return carried_pixels(
-            s.rig.lenses,
-            s.rig.reach,
-            s.rig.rotation,
-            s.rig.centers,
+            s.rig.rows,
             s.points_body,
             np.ascontiguousarray(world_from_body.rotation),
             np.ascontiguousarray(world_from_body.translation),
             moved,
-            MIN_DEPTH_MM,
         )
 
 
@@ -160,49 +151,35 @@ _SINGULAR = 1e-9
 
 @compiled
 def carried_pixels(
-    lenses: Floats,
-    reach: Floats,
-    rig_rotation: Floats,
-    rig_centers: Floats,
+    rig: RigRows,
     points_body: Floats,
     rotation: Floats,
     translation: Floats,
     moved: Floats,
-    min_depth: float,
 ) -> Floats:
     """Pixels (n, 2) of n points of a body; NaN for points without an image.
 
     Args:
-        lenses: (n, 13).
-        reach: (n,) of the lens models.
-        rig_rotation: (n, 3, 3) of world_from_camera.
-        rig_centers: (n, 3).
+        rig: the n cameras.
         points_body: (n, 3).
         rotation: (3, 3) of world_from_body.
         translation: (3,) the same.
         moved: (n, 6) how far the body has moved from there in each picture, mm and rad.
-        min_depth: see `rig_kernels.project_one`.
     """
-    out, by_point, place = np.empty((len(lenses), 2)), np.empty((2, 3)), np.empty(3)
-    for i in range(len(lenses)):
+    out, by_point, place = np.empty((len(rig.lenses), 2)), np.empty((2, 3)), np.empty(3)
+    for i in range(len(rig.lenses)):
         arm = times(rotation, points_body[i])
         x, y, z = turned(moved[i, 3], moved[i, 4], moved[i, 5], arm)
         place[0] = x + translation[0] + moved[i, 0]
         place[1] = y + translation[1] + moved[i, 1]
         place[2] = z + translation[2] + moved[i, 2]
-        project_one(
-            lenses[i], reach[i], rig_rotation[i], rig_centers[i], place, min_depth, out[i],
-            by_point,
-        )  # fmt: skip
+        project_one(rig, i, place, out[i], by_point)
     return out
 
 
 @compiled
 def velocity_share(
-    lenses: Floats,
-    reach: Floats,
-    rig_rotation: Floats,
-    rig_centers: Floats,
+    rig: RigRows,
     points_body: Floats,
     noise: Floats,
     lead_s: Floats,
@@ -212,17 +189,13 @@ def velocity_share(
     velocity_covariance: Floats,
     acceleration_square: Floats,
     common_px: float,
-    min_depth: float,
 ) -> Floats:
-    """Covariance (6, 6) of a pose fitted to n points: see `instants.Seen.velocity_share`.
+    """Covariance (6, 6) of a pose fitted to n points: see `Seen.velocity_share`.
 
     Points without an image say nothing.
 
     Args:
-        lenses: (n, 13).
-        reach: (n,) of the lens models.
-        rig_rotation: (n, 3, 3) of world_from_camera.
-        rig_centers: (n, 3).
+        rig: the n cameras.
         points_body: (n, 3).
         noise: (n, 2, 2) covariances of the pixels.
         lead_s: (n,) times of the pictures after the pose's.
@@ -232,18 +205,15 @@ def velocity_share(
         velocity_covariance: (6, 6) of that.
         acceleration_square: (6, 6) mean square of what changes it, mm/s^2 and rad/s^2.
         common_px: added to the pixels' standard deviations in quadrature.
-        min_depth: see `rig_kernels.project_one`.
     """
     normal, moved = np.zeros((6, 6)), np.zeros((6, 12))
     pixel, by_point, slopes = np.empty(2), np.empty((2, 3)), np.empty((2, 6))
     variance = common_px**2 * np.eye(2)
-    for i in range(len(lenses)):
+    for i in range(len(rig.lenses)):
         arm, lead = times(rotation, points_body[i]), lead_s[i]
         swung = np.cross(velocity[3:], arm)
-        project_one(
-            lenses[i], reach[i], rig_rotation[i], rig_centers[i],
-            arm + translation + lead * (velocity[:3] + swung), min_depth, pixel, by_point,
-        )  # fmt: skip
+        place = arm + translation + lead * (velocity[:3] + swung)
+        project_one(rig, i, place, pixel, by_point)
         if np.isnan(pixel[0]):
             continue
         slopes[:, :3] = by_point

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,6 +13,9 @@ from numpy.typing import ArrayLike
 from measure.arrays import Floats
 from measure.geometry import Rays
 from measure.model.camera import MIN_DEPTH_MM, Camera
+
+if TYPE_CHECKING:
+    from measure.model.rig_kernels import RigRows
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +51,15 @@ class Rig:
         """Whether anything about the cameras is stated to be uncertain."""
         return bool(np.any(self.covariances))
 
+    @cached_property
+    def rows(self) -> RigRows:
+        """The same arrays, as compiled code takes them."""
+        from measure.model.rig_kernels import RigRows
+
+        return RigRows(
+            self.lenses, self.reach, self.rotation, self.centers, self.covariances, MIN_DEPTH_MM
+        )
+
     @property
     def focal_px(self) -> Floats:
         """Mean focal lengths (n,) in px."""
@@ -77,21 +90,14 @@ class Rig:
         from measure.model.rig_kernels import project_rows
 
         points = np.broadcast_to(points_world, (len(self), 3))
-        return project_rows(
-            self.lenses,
-            self.reach,
-            self.rotation,
-            self.centers,
-            np.ascontiguousarray(points, dtype=np.float64),
-            MIN_DEPTH_MM,
-        )
+        return project_rows(self.rows, np.ascontiguousarray(points, dtype=np.float64))
 
     def rays(self, pixels: Floats) -> Rays:
         """World rays of pixel i (n, 2) in camera i; NaN where the lens has no inverse."""
         from measure.model.rig_kernels import ray_rows
 
         seen = np.ascontiguousarray(pixels, dtype=np.float64)
-        return Rays(self.centers, ray_rows(seen, self.lenses, self.reach, self.rotation))
+        return Rays(self.centers, ray_rows(seen, self.rows))
 
 
 @lru_cache(maxsize=256)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from measure.arrays import Floats
@@ -13,35 +15,45 @@ _NEWTON_TOLERANCE = 1e-12
 _NEWTON_FAILED = 1e-9
 
 
+class RigRows(NamedTuple):
+    """The arrays of n cameras as compiled code takes them, see `Rig`.
+
+    Attributes:
+        lenses: (n, 13) see `Intrinsics.row`.
+        reach: (n,) ideal radii beyond which the lens models fold back.
+        rotation: (n, 3, 3) of world_from_camera.
+        centers: (n, 3) projection centres in the world, mm.
+        covariances: (n, 18, 18) of pose and intrinsics; zero where unknown.
+        min_depth: points nearer to a camera's plane than this, mm, have no image.
+    """
+
+    lenses: Floats
+    reach: Floats
+    rotation: Floats
+    centers: Floats
+    covariances: Floats
+    min_depth: float
+
+
 @compiled
-def project_one(
-    lens: Floats,
-    reach: float,
-    rotation: Floats,
-    center: Floats,
-    point: Floats,
-    min_depth: float,
-    pixel: Floats,
-    by_point: Floats,
-) -> None:
-    """Project a world point into a camera; NaN where it has no image.
+def project_one(rig: RigRows, row: int, point: Floats, pixel: Floats, by_point: Floats) -> None:
+    """Project a world point into the camera of a row; NaN where it has no image.
 
     Args:
-        lens: (13,) see `Intrinsics.row`.
-        reach: ideal radius beyond which the lens model folds back.
-        rotation: (3, 3) of world_from_camera.
-        center: (3,) the projection centre, mm.
+        rig: the cameras.
+        row: which of them.
         point: (3,) mm.
-        min_depth: points nearer to the camera's plane than this, mm, have no image.
         pixel: (2,) filled.
         by_point: (2, 3) filled with the pixel's derivatives by the world point.
     """
+    lens, reach, rotation = rig.lenses[row], rig.reach[row], rig.rotation[row]
+    center = rig.centers[row]
     dx, dy, dz = point[0] - center[0], point[1] - center[1], point[2] - center[2]
     px = rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz
     py = rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz
     pz = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
     x, y = px / pz, py / pz
-    if not (pz > min_depth and x * x + y * y < reach * reach):
+    if not (pz > rig.min_depth and x * x + y * y < reach * reach):
         pixel[:] = np.nan
         by_point[:] = np.nan
         return
@@ -57,22 +69,12 @@ def project_one(
 
 
 @compiled
-def project_rows(
-    lenses: Floats,
-    reach: Floats,
-    rotation: Floats,
-    centers: Floats,
-    points: Floats,
-    min_depth: float,
-) -> tuple[Floats, Floats]:
+def project_rows(rig: RigRows, points: Floats) -> tuple[Floats, Floats]:
     """`project_one` for every row: pixels (n, 2) and their derivatives (n, 2, 3)."""
-    n = len(lenses)
+    n = len(rig.lenses)
     pixels, by_point = np.empty((n, 2)), np.empty((n, 2, 3))
     for i in range(n):
-        project_one(
-            lenses[i], reach[i], rotation[i], centers[i], points[i], min_depth, pixels[i],
-            by_point[i],
-        )  # fmt: skip
+        project_one(rig, i, points[i], pixels[i], by_point[i])
     return pixels, by_point
 
 
@@ -97,13 +99,26 @@ def ideal_point(pixel: Floats, lens: Floats, reach: float) -> tuple[float, float
 
 
 @compiled
-def ray_rows(pixels: Floats, lenses: Floats, reach: Floats, rotation: Floats) -> Floats:
+def ray_rows(pixels: Floats, rig: RigRows) -> Floats:
     """Unit directions (n, 3) in the world of pixel i (n, 2) in camera i; NaN without an inverse."""
     out = np.empty((len(pixels), 3))
     for i in range(len(pixels)):
-        x, y = ideal_point(pixels[i], lenses[i], reach[i])
+        x, y = ideal_point(pixels[i], rig.lenses[i], rig.reach[i])
         length = np.sqrt(x * x + y * y + 1)
         for k in range(3):
-            turned = rotation[i, k, 0] * x + rotation[i, k, 1] * y + rotation[i, k, 2]
+            turned = rig.rotation[i, k, 0] * x + rig.rotation[i, k, 1] * y + rig.rotation[i, k, 2]
             out[i, k] = turned / length
     return out
+
+
+@compiled
+def rows_between(rig: RigRows, start: int, end: int) -> RigRows:
+    """The cameras of the rows from `start` to before `end`."""
+    return RigRows(
+        rig.lenses[start:end],
+        rig.reach[start:end],
+        rig.rotation[start:end],
+        rig.centers[start:end],
+        rig.covariances[start:end],
+        rig.min_depth,
+    )

@@ -166,13 +166,9 @@ def test_candidates_lie_on_balls_within_their_outlines_only():
     own = on_balls(
         centers,
         np.full(2, 20.0),
-        rig.lenses,
-        rig.reach,
-        rig.rotation,
-        rig.centers,
+        rig.rows,
         np.zeros(4, np.int64),
         camera.project(np.concatenate([centers[:1], places])),
         0.8,
-        1.0,
     )
     assert own.tolist() == [True, True, True, False]

@@ -18,13 +18,14 @@ from measure.estimation.pose_fit import Sightings, fit_pose
 from measure.geometry import RigidTransform
 from measure.measuring.association.candidates import Candidates, by_ball, meeting_points
 from measure.measuring.association.hypotheses import (
-    Stacked,
     Support,
     explained,
     poses_from_pairs,
     poses_from_triples,
+    stack_candidates,
     support,
 )
+from measure.measuring.association.scoring import CandidateRows
 from measure.measuring.association.second_body import signs_of_another
 from measure.measuring.association.settings import AssociationSettings
 from measure.model import Body, Camera, Detection
@@ -66,7 +67,7 @@ class _Search:
     body: Body
     cameras: Sequence[Camera]
     candidates: Sequence[Candidates]
-    stacked: Stacked
+    stacked: CandidateRows
     settings: AssociationSettings
 
     def support(self, poses: RigidTransform) -> Support:
@@ -97,7 +98,7 @@ def associate(
     """
     settings = settings or AssociationSettings()
     candidates = by_ball(detections, body.balls, cameras)
-    stacked = Stacked.of(candidates, settings.sigmas, settings.extra_px)
+    stacked = stack_candidates(candidates, settings.sigmas, settings.extra_px)
     search = _Search(body, cameras, candidates, stacked, settings)
     points = [
         meeting_points(c, settings.sigmas, settings.range_ratio, settings.max_points)

@@ -113,14 +113,15 @@ def _candidates(
     radius_px = np.array([d.radius_px for d in detections])
     sd = np.sqrt(np.array([d.variance_px2 for d in detections]))
     pixels = np.array([d.center_px for d in detections]).reshape(-1, 2)
-    focal, lenses = rig.focal_px[cameras], rig.lenses[cameras]
+    views = rig.take(cameras)
+    focal = views.focal_px
     return Candidates(
         detections,
         cameras,
         pixels,
         sd,
-        rig.centers[cameras],
-        ray_rows(pixels, lenses, rig.reach[cameras], rig.rotation[cameras]),
+        views.centers,
+        ray_rows(pixels, views.rows),
         radius_mm * np.sqrt(1 + (focal / radius_px) ** 2),
         sd / focal,
     )

@@ -14,13 +14,13 @@ from measure.compiling import compiled
 from measure.geometry import RigidTransform
 from measure.measuring.association.candidates import BallPoints, Candidates
 from measure.measuring.association.scoring import (
+    CandidateRows,
     agreeing,
     fitting_pairs,
     fitting_triples,
     on_balls,
 )
 from measure.model import Body, Camera, Rig
-from measure.model.camera import MIN_DEPTH_MM
 
 _MOST_POSES = 400
 _SLACK_MM = 1.0
@@ -53,35 +53,18 @@ def poses_from_pairs(body: Body, points: Sequence[BallPoints], sigmas: float) ->
     return _joined(found)
 
 
-@dataclass(frozen=True, eq=False)
-class Stacked:
-    """The candidates of all balls as arrays of n rows, one ball's after the other's.
-
-    Attributes:
-        starts: (balls + 1,) first row of each ball's.
-        cameras: (n,) index of the camera.
-        pixels: (n, 2).
-        limit_px: (n,) the furthest that a candidate may be from where a pose puts its ball.
-        range_mm: (n,) distance that the outline's radius tells.
-    """
-
-    starts: Ints
-    cameras: Ints
-    pixels: Floats
-    limit_px: Floats
-    range_mm: Floats
-
-    @classmethod
-    def of(cls, candidates: Sequence[Candidates], sigmas: float, extra_px: float) -> Stacked:
-        """Stack the candidates of every ball."""
-        sd_px = np.concatenate([c.sd_px for c in candidates])
-        return cls(
-            np.cumsum([0, *map(len, candidates)]),
-            np.concatenate([c.cameras for c in candidates]),
-            np.concatenate([c.pixels for c in candidates]),
-            sigmas * np.hypot(sd_px, extra_px),
-            np.concatenate([c.range_mm for c in candidates]),
-        )
+def stack_candidates(
+    candidates: Sequence[Candidates], sigmas: float, extra_px: float
+) -> CandidateRows:
+    """Stack the candidates of every ball, which may be `sigmas` of theirs off."""
+    sd_px = np.concatenate([c.sd_px for c in candidates])
+    return CandidateRows(
+        np.cumsum([0, *map(len, candidates)]),
+        np.concatenate([c.cameras for c in candidates]),
+        np.concatenate([c.pixels for c in candidates]),
+        sigmas * np.hypot(sd_px, extra_px),
+        np.concatenate([c.range_mm for c in candidates]),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +91,7 @@ def support(
     poses: RigidTransform,
     body: Body,
     cameras: Sequence[Camera],
-    candidates: Stacked,
+    candidates: CandidateRows,
     range_ratio: float,
 ) -> Support:
     """Compare the balls of m poses, projected, with the candidates: in place and in size."""
@@ -118,18 +101,10 @@ def support(
             np.ascontiguousarray(poses.rotation),
             np.ascontiguousarray(poses.translation),
             body.centers,
-            rig.lenses,
-            rig.reach,
-            rig.rotation,
-            rig.centers,
+            rig.rows,
             np.array([c.intrinsics.size_wh for c in cameras]) - 1.0,
-            candidates.starts,
-            candidates.cameras,
-            candidates.pixels,
-            candidates.limit_px,
-            candidates.range_mm,
+            candidates,
             range_ratio,
-            MIN_DEPTH_MM,
         )
     )
 
@@ -150,19 +125,8 @@ def explained(
         seen_by: (n,) index of the candidates' cameras.
         pixels: (n, 2).
     """
-    rig = Rig.of(cameras)
-    return on_balls(
-        world_from_body.apply(body.centers),
-        body.radii,
-        rig.lenses,
-        rig.reach,
-        rig.rotation,
-        rig.centers,
-        seen_by,
-        pixels,
-        _OWN_RADII,
-        MIN_DEPTH_MM,
-    )
+    centers = world_from_body.apply(body.centers)
+    return on_balls(centers, body.radii, Rig.of(cameras).rows, seen_by, pixels, _OWN_RADII)
 
 
 def _targets(points: Sequence[BallPoints], balls: Sequence[int], rows: Ints) -> Floats:

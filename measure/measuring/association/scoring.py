@@ -2,11 +2,31 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from measure.arrays import Bools, Floats, Ints
 from measure.compiling import compiled
-from measure.model.rig_kernels import project_one
+from measure.model.rig_kernels import RigRows, project_one
+
+
+class CandidateRows(NamedTuple):
+    """The candidates of all balls as arrays of n rows, one ball's after the other's.
+
+    Attributes:
+        starts: (balls + 1,) first row of each ball's.
+        cameras: (n,) index of the camera.
+        pixels: (n, 2).
+        limit_px: (n,) the furthest that a candidate may be from where a pose puts its ball.
+        range_mm: (n,) distance that the outline's radius tells.
+    """
+
+    starts: Ints
+    cameras: Ints
+    pixels: Floats
+    limit_px: Floats
+    range_mm: Floats
 
 
 @compiled
@@ -14,18 +34,10 @@ def agreeing(
     rotations: Floats,
     translations: Floats,
     centers_body: Floats,
-    lenses: Floats,
-    reach: Floats,
-    rig_rotation: Floats,
-    rig_centers: Floats,
+    rig: RigRows,
     corners: Floats,
-    starts: Ints,
-    cameras: Ints,
-    pixels: Floats,
-    limit_px: Floats,
-    range_mm: Floats,
+    candidates: CandidateRows,
     range_ratio: float,
-    min_depth: float,
 ) -> tuple[Ints, Ints, Floats]:
     """Compare the balls of m poses, projected, with the candidates: in place and in size.
 
@@ -33,24 +45,17 @@ def agreeing(
         rotations: (m, 3, 3) of world_from_body.
         translations: (m, 3).
         centers_body: (balls, 3).
-        lenses: (cameras, 13).
-        reach: (cameras,) of the lens models.
-        rig_rotation: (cameras, 3, 3) of world_from_camera.
-        rig_centers: (cameras, 3).
+        rig: all cameras.
         corners: (cameras, 2) last pixel of each picture.
-        starts: (balls + 1,) first row of each ball's candidates in what follows.
-        cameras: (n,) index of the candidates' cameras.
-        pixels: (n, 2).
-        limit_px: (n,) the furthest that a candidate may be from where a pose puts its ball.
-        range_mm: (n,) distance that the outline's radius tells.
+        candidates: n of them.
         range_ratio: how far the outline's size may mislead about the distance, as a factor.
-        min_depth: see `rig_kernels.project_one`.
 
     Returns:
         Row of the agreeing candidate among those of its ball, or -1 (m, balls, cameras); number of
-        balls in view, over all cameras (m,); score (m,), see `poses.Support`.
+        balls in view, over all cameras (m,); score (m,), see `hypotheses.Support`.
     """
-    m, balls, views = len(rotations), len(centers_body), len(lenses)
+    m, balls, views = len(rotations), len(centers_body), len(rig.lenses)
+    starts, cameras, pixels, limit_px, range_mm = candidates
     chosen = np.full((m, balls, views), -1)
     expected, score = np.zeros(m, np.int64), np.zeros(m)
     center, pixel, by_point = np.empty(3), np.empty(2), np.empty((2, 3))
@@ -62,11 +67,8 @@ def agreeing(
                     center[a] = translations[row, a]
                     for b in range(3):
                         center[a] += rotations[row, a, b] * centers_body[ball, b]
-                    away2 += (center[a] - rig_centers[camera, a]) ** 2
-                project_one(
-                    lenses[camera], reach[camera], rig_rotation[camera], rig_centers[camera],
-                    center, min_depth, pixel, by_point,
-                )  # fmt: skip
+                    away2 += (center[a] - rig.centers[camera, a]) ** 2
+                project_one(rig, camera, center, pixel, by_point)
                 u, v = pixel[0], pixel[1]
                 if u >= 0 and v >= 0 and u <= corners[camera, 0] and v <= corners[camera, 1]:
                     expected[row] += 1
@@ -90,41 +92,30 @@ def agreeing(
 def on_balls(
     centers: Floats,
     radii: Floats,
-    lenses: Floats,
-    reach: Floats,
-    rig_rotation: Floats,
-    rig_centers: Floats,
+    rig: RigRows,
     cameras: Ints,
     pixels: Floats,
     share: float,
-    min_depth: float,
 ) -> Bools:
     """Which of n candidates (n,) lie on some ball.
 
     Args:
         centers: (balls, 3) in the world.
         radii: (balls,) mm.
-        lenses: (cameras, 13).
-        reach: (cameras,) of the lens models.
-        rig_rotation: (cameras, 3, 3) of world_from_camera.
-        rig_centers: (cameras, 3).
+        rig: all cameras.
         cameras: (n,) index of the candidates' cameras.
         pixels: (n, 2).
         share: of a ball's radius, how far from its centre.
-        min_depth: see `rig_kernels.project_one`.
     """
     out = np.zeros(len(cameras), np.bool_)
     pixel, by_point = np.empty(2), np.empty((2, 3))
     for i in range(len(cameras)):
         k = cameras[i]
-        focal = (lenses[k, 0] + lenses[k, 3]) / 2
+        focal = (rig.lenses[k, 0] + rig.lenses[k, 3]) / 2
         for ball in range(len(centers)):
-            project_one(
-                lenses[k], reach[k], rig_rotation[k], rig_centers[k],
-                centers[ball], min_depth, pixel, by_point,
-            )  # fmt: skip
+            project_one(rig, k, centers[ball], pixel, by_point)
             off = np.hypot(pixels[i, 0] - pixel[0], pixels[i, 1] - pixel[1])
-            away = _apart(centers[ball], rig_centers[k])
+            away = _apart(centers[ball], rig.centers[k])
             if off < share * focal * radii[ball] / away:
                 out[i] = True
     return out

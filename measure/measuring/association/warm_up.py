@@ -11,7 +11,7 @@ from measure.errors import DegenerateGeometryError
 from measure.estimation.pose_fit import Sightings, fit_pose
 from measure.geometry import RigidTransform
 from measure.measuring.association.candidates import by_ball, meeting_points
-from measure.measuring.association.hypotheses import Stacked, poses_from_triples, support
+from measure.measuring.association.hypotheses import poses_from_triples, stack_candidates, support
 from measure.measuring.association.scoring import fitting_ranges
 from measure.measuring.association.second_body import signs_of_another
 from measure.measuring.association.settings import AssociationSettings
@@ -28,7 +28,7 @@ def warm_up(body: Body, cameras: Sequence[Camera]) -> None:
     ]
     poses_from_triples(body, points, settings.sigmas)
     nowhere = RigidTransform(np.zeros((0, 3, 3)), np.zeros((0, 3)))
-    stacked = Stacked.of(candidates, settings.sigmas, settings.extra_px)
+    stacked = stack_candidates(candidates, settings.sigmas, settings.extra_px)
     support(nowhere, body, cameras, stacked, settings.range_ratio)
     signs_of_another(RigidTransform.identity(), body, cameras, candidates, settings.sigmas)
     fitting_ranges(np.zeros((0, 1, 3)), np.zeros((0, 1, 3)), 1.0, 1.0)

@@ -11,6 +11,7 @@ from measure.compiling import compiled
 from measure.estimation.pixel_sensitivity import by_lens
 from measure.geometry.rotation_kernels import times
 from measure.model.lens import bend
+from measure.model.rig_kernels import RigRows
 from measure_plugins._joint_fit.elimination import unseen
 from measure_plugins._joint_fit.problem import Contours
 from measure_plugins._joint_fit.solve import ContourFit, fit_contours
@@ -35,7 +36,6 @@ class Solution(NamedTuple):
         shifts_px: (k, 3) see `ContourFit`.
         offsets_px: (c,) see `ContourFit`.
         rms_px: of the shifts of the centres.
-        residual_mm: RMS distance of other positions from the body; not a number without any.
         solved: whether the outlines determine the pose.
         converged: whether the steps died out.
     """
@@ -46,7 +46,6 @@ class Solution(NamedTuple):
     shifts_px: Floats
     offsets_px: Floats
     rms_px: float
-    residual_mm: float
     solved: bool
     converged: bool
 
@@ -59,12 +58,9 @@ def solve_contours(
     prior_information: Floats,
     ball_of: Ints,
     balls: int,
-    lenses: Floats,
-    covariances: Floats,
+    rig: RigRows,
     aside_px2: Floats,
     widening: float,
-    points_body: Floats,
-    fixed: Floats,
 ) -> Solution:
     """Fit the pose, see `fit_contours`, and say what is uncertain about it; see below.
 
@@ -75,18 +71,15 @@ def solve_contours(
         prior_information: (6, 6) see `fit_contours`.
         ball_of: (k,) index of the ball.
         balls: how many there are.
-        lenses: (c, 13) lens rows.
-        covariances: (c, 18, 18) of the cameras' poses and intrinsics; zero where unknown.
+        rig: the c cameras.
         aside_px2: (c, 2, 2) covariances of what cameras that are off by that shift alike; likewise.
         widening: of the covariance, for a scatter that is itself estimated.
-        points_body: (f, 3) balls that were located otherwise.
-        fixed: (f, 3) where those are in the world, mm.
     """
     fit = fit_contours(contours, rotation, translation, prior_information, unseen(aside_px2))
     known = fit.covariance * widening
     if fit.solved:
-        known += of_light(contours, fit, ball_of, balls, lenses)
-        known += of_cameras(contours, fit, lenses, covariances)
+        known += of_light(contours, fit, ball_of, balls, rig.lenses)
+        known += of_cameras(contours, fit, rig)
     off = fit.shifts_px[:, :2]
     return Solution(
         fit.rotation,
@@ -95,43 +88,41 @@ def solve_contours(
         fit.shifts_px,
         fit.offsets_px,
         np.sqrt(np.sum(off * off) / len(off)),
-        _apart(fit, points_body, fixed),
         fit.solved,
         fit.converged,
     )
 
 
 @compiled
-def _apart(fit: ContourFit, points_body: Floats, fixed: Floats) -> float:
-    """RMS distance of positions (f, 3) from the body's points (f, 3)."""
+def rms_distance(fit: Solution, points_body: Floats, centers: Floats) -> float:
+    """RMS distance in mm of centres (f, 3) in the world from the body's (f, 3); NaN for f = 0."""
     total = 0.0
-    for i in range(len(fixed)):
-        off = fixed[i] - times(fit.rotation, points_body[i]) - fit.translation
+    for i in range(len(centers)):
+        off = centers[i] - times(fit.rotation, points_body[i]) - fit.translation
         total += np.sum(off * off)
-    return float(np.sqrt(total / len(fixed)))
+    return float(np.sqrt(total / len(centers)))
 
 
 @compiled
-def of_cameras(contours: Contours, fit: ContourFit, lenses: Floats, covariances: Floats) -> Floats:
+def of_cameras(contours: Contours, fit: ContourFit, rig: RigRows) -> Floats:
     """What the cameras' uncertain poses and lenses add to the pose's covariance (6, 6).
 
     Args:
         contours: k ball-views in c views.
         fit: the pose fitted to them.
-        lenses: (c, 13) lens rows.
-        covariances: (c, 18, 18) of the cameras' poses and intrinsics; zero where unknown.
+        rig: the c cameras.
     """
     out, lever = np.zeros((6, 6)), np.zeros((6, 18))
     shifts = np.empty((3, 12))
-    for view in range(len(lenses)):
-        if not np.any(covariances[view]):
+    for view in range(len(rig.lenses)):
+        if not np.any(rig.covariances[view]):
             continue
         lever[:, :6], lever[:, 6:] = fit.by_camera[view], 0.0
         for k in range(len(contours.view_of)):
             if contours.view_of[k] == view:
-                _shifts_by_lens(contours, fit, k, lenses[view], shifts)
+                _shifts_by_lens(contours, fit, k, rig.lenses[view], shifts)
                 lever[:, 6:] -= fit.by_shift[k] @ shifts
-        out += lever @ covariances[view] @ lever.T
+        out += lever @ rig.covariances[view] @ lever.T
     return out
 
 

@@ -99,7 +99,7 @@ class ContoursSolver(PoseSolver):
         Raises:
             ConfigError: the detector measures no outlines.
         """
-        from measure_plugins._joint_fit.covariance import solve_contours
+        from measure_plugins._joint_fit.covariance import rms_distance, solve_contours
 
         outlines = outlines_of(detections, self.body, cameras)
         if outlines is None and detections:
@@ -131,14 +131,27 @@ class ContoursSolver(PoseSolver):
             known,
             named.ball_of,
             len(self.body.balls),
-            rig.lenses,
-            rig.covariances,
+            rig.rows,
             aside_px2,
             _small_sample(2 * len(named.balls) - 6),
+        )
+        if not fit.solved:
+            return None
+        residual_mm = rms_distance(
+            fit,
             self.body.centers_of([position.ball for position in positions]),
             stacked_positions(tuple(positions))[0],
         )
-        return self._pose(fit, outlines, aside_px2, time_s) if fit.solved else None
+        return Pose(
+            time_s=time_s,
+            world_from_body=RigidTransform(fit.rotation, fit.translation),
+            covariance=fit.covariance,
+            residual_mm=residual_mm,
+            rms_px=fit.rms_px,
+            cameras=named.seen_by,
+            balls=named.shown,
+            flags=self._flags(fit, outlines, aside_px2),
+        )
 
     def _start(
         self,
@@ -163,18 +176,6 @@ class ContoursSolver(PoseSolver):
             return align_points(np.stack(list(located.values())), source)
         except DegenerateGeometryError:
             return None
-
-    def _pose(self, fit: Solution, outlines: Outlines, aside_px2: Floats, time_s: float) -> Pose:
-        return Pose(
-            time_s=time_s,
-            world_from_body=RigidTransform(fit.rotation, fit.translation),
-            covariance=fit.covariance,
-            residual_mm=fit.residual_mm,
-            rms_px=fit.rms_px,
-            cameras=outlines.named.seen_by,
-            balls=outlines.named.shown,
-            flags=self._flags(fit, outlines, aside_px2),
-        )
 
     def _flags(self, fit: Solution, outlines: Outlines, aside_px2: Floats) -> tuple[str, ...]:
         flags = []

@@ -20,7 +20,6 @@ from measure.estimation.multiview import Views, fit_point
 from measure.geometry import chi_square_quantile
 from measure.host import Settings, Triangulator, hookimpl, setting
 from measure.model import BallPosition, Camera, Detection, Rig
-from measure.model.camera import MIN_DEPTH_MM
 from measure.model.observations import stacked_detections
 
 if TYPE_CHECKING:
@@ -107,15 +106,10 @@ class ReprojectionTriangulator(Triangulator):
         pixels, noise = stacked_detections(tuple(detections))
         fits = fit_groups(
             seen.starts,
-            rig.lenses,
-            rig.reach,
-            rig.rotation,
-            rig.centers,
-            rig.covariances,
+            rig.rows,
             pixels[seen.rows],
             noise[seen.rows],
             self.config.tolerance_px,
-            MIN_DEPTH_MM,
         )
         ends, apart = fits.ends.tolist(), fits.disagreements.tolist()
         chi_squares, out = fits.chi_squares.tolist(), list[BallPosition | None]()

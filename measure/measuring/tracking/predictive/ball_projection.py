@@ -10,7 +10,7 @@ from measure.arrays import Floats
 from measure.compiling import compiled
 from measure.geometry.rotation_kernels import rotation_of, times
 from measure.measuring.tracking.predictive.motion_kernels import Course, carried, way
-from measure.model.rig_kernels import project_one
+from measure.model.rig_kernels import RigRows, project_one
 
 _OUT_OF_SIGHT_PX = -1e4
 
@@ -45,12 +45,8 @@ def predict_balls(
     leads_s: Floats,
     balls: Floats,
     radii: Floats,
-    lenses: Floats,
-    reach: Floats,
-    rig_rotation: Floats,
-    rig_centers: Floats,
+    rig: RigRows,
     readouts: Floats,
-    min_depth: float,
 ) -> Predicted:
     """Every ball of a moving body in every camera, at its picture's time.
 
@@ -63,17 +59,13 @@ def predict_balls(
         leads_s: (c,) times of the pictures after the pose's.
         balls: (k, 3) centres in the body.
         radii: (k,) mm.
-        lenses: (c, 13).
-        reach: (c,) of the lens models.
-        rig_rotation: (c, 3, 3) of world_from_camera.
-        rig_centers: (c, 3).
+        rig: the c cameras.
         readouts: (c, 2) time in s from one row to the next, and the middle row.
-        min_depth: see `rig_kernels.project_one`.
     """
     count = len(balls)
-    out = _room(len(lenses) * count)
+    out = _room(len(rig.lenses) * count)
     by_point, toward = np.empty((2, 3)), np.empty(3)
-    for camera in range(len(lenses)):
+    for camera in range(len(rig.lenses)):
         dt = leads_s[camera]
         known = carried(covariance, dt, variance)
         gone, velocity = way(course, dt)
@@ -83,13 +75,10 @@ def predict_balls(
             arm = times(turned, balls[ball])
             center = arm + translation + gone[:3]
             pixel = out.centers_px[row]
-            project_one(
-                lenses[camera], reach[camera], rig_rotation[camera], rig_centers[camera], center,
-                min_depth, pixel, by_point,
-            )  # fmt: skip
-            toward[:] = center - rig_centers[camera]
-            out.centers_camera[row] = times(rig_rotation[camera].T, toward)
-            out.radii_px[row] = _apparent(lenses[camera], toward, radii[ball])
+            project_one(rig, camera, center, pixel, by_point)
+            toward[:] = center - rig.centers[camera]
+            out.centers_camera[row] = times(rig.rotation[camera].T, toward)
+            out.radii_px[row] = _apparent(rig.lenses[camera], toward, radii[ball])
             if np.isfinite(pixel[0]) and np.isfinite(pixel[1]):
                 _fill_slopes(by_point, arm, out.jacobians[row])
                 _roll(readouts[camera], velocity, out.jacobians[row], pixel)

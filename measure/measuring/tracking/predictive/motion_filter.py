@@ -18,6 +18,7 @@ from measure.geometry import RigidTransform
 from measure.measuring.tracking.predictive.motion_kernels import (
     Accelerations,
     Course,
+    MeasuredPose,
     moved_on,
     possible,
     updated,
@@ -152,9 +153,11 @@ class MotionState:
             self.covariance,
             dt,
             acceleration_sd**2,
-            np.ascontiguousarray(seen.rotation),
-            np.ascontiguousarray(seen.translation),
-            pose.covariance,
+            MeasuredPose(
+                np.ascontiguousarray(seen.rotation),
+                np.ascontiguousarray(seen.translation),
+                pose.covariance,
+            ),
             extra**2,
             self.accelerations,
             self._share(dt),

@@ -47,6 +47,20 @@ class Accelerations(NamedTuple):
     product: Floats
 
 
+class MeasuredPose(NamedTuple):
+    """A measured world_from_body.
+
+    Attributes:
+        rotation: (3, 3).
+        translation: (3,) mm.
+        covariance: (6, 6) in its `perturb` chart.
+    """
+
+    rotation: Floats
+    translation: Floats
+    covariance: Floats
+
+
 @compiled
 def carried(covariance: Floats, dt: float, variance: Floats) -> Floats:
     """The covariance (12, 12) of pose and velocity `dt` seconds on: see `MotionState.at`.
@@ -109,9 +123,7 @@ def updated(
     covariance: Floats,
     dt: float,
     variance: Floats,
-    measured_rotation: Floats,
-    measured_translation: Floats,
-    noise: Floats,
+    measured: MeasuredPose,
     extra: Floats,
     accelerations: Accelerations,
     share: float,
@@ -125,9 +137,7 @@ def updated(
         covariance: (12, 12) of pose and velocity.
         dt: s until the measured pose.
         variance: (6,) of the acceleration.
-        measured_rotation: (3, 3) of the measured world_from_body.
-        measured_translation: (3,) the same.
-        noise: (6, 6) covariance of the measured pose.
+        measured: the pose then.
         extra: (6,) variances added to that.
         accelerations: so far.
         share: of one more in their means; 0 to leave them as they are.
@@ -140,9 +150,9 @@ def updated(
         rotation, translation, course, covariance, dt, usual
     )
     off = np.empty(6)
-    off[:3] = measured_translation - translation
-    off[3:] = rotvec_of(measured_rotation @ rotation.T)
-    step, covariance = corrected(known, noise + np.diag(extra), off)
+    off[:3] = measured.translation - translation
+    off[3:] = rotvec_of(measured.rotation @ rotation.T)
+    step, covariance = corrected(known, measured.covariance + np.diag(extra), off)
     if share > 0:
         accelerations = _one_more(course.acceleration + step[6:] / dt, accelerations, share)
     return (

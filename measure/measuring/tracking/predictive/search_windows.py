@@ -17,7 +17,6 @@ from measure.measuring.tracking.predictive.ball_projection import (
 from measure.measuring.tracking.predictive.gating import Sighted
 from measure.measuring.tracking.predictive.motion_filter import MotionState
 from measure.model import Body, Camera, Detection, Expectation, Rig
-from measure.model.camera import MIN_DEPTH_MM
 from measure.model.observations import stacked_detections
 from measure.records import record
 
@@ -107,12 +106,8 @@ def predict_windows(
         np.array([times_s[camera.name] - state.time_s for camera in present]),
         body.centers,
         body.radii,
-        rig.lenses,
-        rig.reach,
-        rig.rotation,
-        rig.centers,
+        rig.rows,
         _readouts(present),
-        MIN_DEPTH_MM,
     )
     noise = calibration_noise(rig, state.world_from_body.apply(body.middle))
     stated = np.repeat(noise, len(body.balls), axis=0)
