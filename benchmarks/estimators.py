@@ -49,7 +49,7 @@ against the reported position. CPU minutes are those of training on one thread, 
 """
 NOTE = """
 The paper reports -83.6 % RMS and -59.4 % SD on its robot. *Random rows* is the same forest, tested
-on rows picked at random: what one would have believed, and not what one would have got.
+on rows picked at random, whose neighbours are in the training set: it says nothing about use.
 """
 
 

@@ -3,7 +3,7 @@
 One file an action. Heavy libraries load when an action is called, not with this package.
 """
 
-from measure.api.calibrating import CalibrationResult, calibrate, draw_target
+from measure.api.calibrating import CalibrationResult, calibrate, draw_target, shipped_targets
 from measure.api.check import SessionCheck, check
 from measure.api.correcting import (
     correct_simulated_robot,
@@ -83,6 +83,7 @@ __all__ = [
     "run",
     "run_many",
     "shipped_model",
+    "shipped_targets",
     "simulate_dataset",
     "simulate_recording",
     "spawn_viewer",

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import measure
 from measure.calibration import Method, RigCalibration, Sheet, Verdict
 from measure.errors import ConfigError
 from measure.session import Calibration, read_body
@@ -61,7 +62,8 @@ def draw_target(target: Path | str, output: Path | str | None = None) -> tuple[S
     """Draw a target file as a printable sheet.
 
     Args:
-        target: TOML of a chessboard, ChArUco board, marker field or body.
+        target: TOML of a chessboard, ChArUco board, marker field or body: its path, or the name of
+            one that comes with the program (see `shipped_targets`).
         output: .pdf or .svg; the target's name with .pdf in the current folder if omitted.
 
     Returns:
@@ -69,12 +71,34 @@ def draw_target(target: Path | str, output: Path | str | None = None) -> tuple[S
 
     Raises:
         CalibrationError: the target file cannot be used.
-        ConfigError: an output of another kind.
+        ConfigError: no such target; or an output of another kind.
     """
     from measure.calibration import target_sheet, write_sheet
 
-    path = Path(target)
+    path = _find_target(Path(target))
     written = Path(f"{path.stem}.pdf") if output is None else Path(output)
     sheet = target_sheet(path)
     write_sheet(sheet, written)
     return sheet, written
+
+
+def shipped_targets() -> dict[str, Path]:
+    """The printable targets that come with the program, by name, with their files."""
+    package = Path(measure.__file__).parent
+    installed, checkout = (at / "calibration_targets" for at in (package, package.parent))
+    folder = installed if installed.is_dir() else checkout
+    return {path.stem: path for path in sorted(folder.glob("*.toml"))}
+
+
+def _find_target(path: Path) -> Path:
+    """The file at this path, else the shipped target of this name, with or without its suffix."""
+    if path.exists() or path.parent != Path():
+        return path
+    shipped = shipped_targets()
+    name = path.name.removesuffix(".toml")
+    if name not in shipped:
+        raise ConfigError(
+            f"{path}: neither a file nor the name of a target that comes with the program: "
+            f"{', '.join(shipped)}"
+        )
+    return shipped[name]

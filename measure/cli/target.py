@@ -21,7 +21,8 @@ def target(
     """Draw a printable board, marker field or body.
 
     Args:
-        target_file: TOML of the target, such as those in calibration_targets/.
+        target_file: TOML of the target, or the name of one that comes with the program:
+            charuco_8x5_27, chessboard_9x6_25, raven_markers_16, raven_three_ball.
         output: .pdf or .svg to write; the target's name with .pdf in this folder if omitted.
     """
     from measure.api import draw_target

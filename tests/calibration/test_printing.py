@@ -11,7 +11,7 @@ import numpy as np
 import pypdfium2
 import pytest
 
-from measure.api import draw_target
+from measure.api import draw_target, shipped_targets
 from measure.arrays import Bytes
 from measure.calibration import read_board
 from measure.calibration.drawing import BAR_MM, Sheet
@@ -178,3 +178,23 @@ def test_a_tolerance_finer_than_any_measurement(tmp_path):
         else:
             with pytest.raises(CalibrationError, match=r"markers.toml:\d+: 'tolerance_mm'"):
                 read_markers(field)
+
+
+def test_shipped_targets_are_drawn_by_name(tmp_path: Path) -> None:
+    assert set(shipped_targets()) == {path.stem for path in TARGETS.glob("*.toml")}
+    by_path = draw_target(TARGETS / "chessboard_9x6_25.toml", tmp_path / "path.svg")[1]
+    for name in ("chessboard_9x6_25.toml", "chessboard_9x6_25"):
+        by_name = draw_target(name, tmp_path / "name.svg")[1]
+        assert by_name.read_bytes() == by_path.read_bytes()
+
+
+def test_a_file_comes_before_a_shipped_target(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    mine = (TARGETS / "raven_three_ball.toml").read_text()
+    Path("chessboard_9x6_25.toml").write_text(mine)
+    assert "RAVEN" in draw_target("chessboard_9x6_25.toml", "mine.svg")[1].read_text().upper()
+
+
+def test_an_unknown_target_names_those_that_there_are(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"chessbord: neither a file nor .* chessboard_9x6_25"):
+        draw_target("chessbord", tmp_path / "board.svg")

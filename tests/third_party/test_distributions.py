@@ -25,6 +25,16 @@ def test_the_program_is_the_installed_one(environment: Environment):
     assert all(place.startswith(str(environment.folder)) for place in done.stdout.split())
 
 
+def test_printable_targets_are_installed_with_it(environment: Environment, tmp_path):
+    shipped = sorted(path.name for path in (HERE.parents[1] / "calibration_targets").glob("*.toml"))
+    assert shipped
+    help_text = environment.measure("target", "--help").stdout
+    for name in shipped:
+        sheet = str(tmp_path / "sheet.svg")
+        assert environment.measure_json("target", name, "--output", sheet)["output"] == sheet
+        assert name.removesuffix(".toml") in help_text
+
+
 def test_a_plugin_is_listed_beside_the_built_ins(environment: Environment):
     plugins = environment.measure_json("plugins", "list", *WITHOUT_CLASH)["plugins"]
     (blob,) = [p for p in plugins if p["name"] == "blob"]
