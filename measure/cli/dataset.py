@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class _Robot:
+class _RobotOptions:
     """The robot and its log.
 
     Attributes:
@@ -34,7 +34,7 @@ class _Robot:
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class _Assembly:
+class _AssemblyOptions:
     """How poses and states are paired; fields of `measure.learning.AssemblySettings`.
 
     Attributes:
@@ -54,7 +54,7 @@ class _Assembly:
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class _Simulation:
+class _SimulationOptions:
     """The simulated robot; its fields but the first go to `measure.api.simulate_dataset`.
 
     Attributes:
@@ -77,9 +77,9 @@ def dataset(
     /,
     *,
     out: Annotated[Path, Parameter(name=("--out", "-o"))],
-    source: _Robot = _Robot(),
-    assembly: _Assembly = _Assembly(),
-    simulation: _Simulation = _Simulation(),
+    source: _RobotOptions = _RobotOptions(),
+    assembly: _AssemblyOptions = _AssemblyOptions(),
+    simulation: _SimulationOptions = _SimulationOptions(),
     json: JsonFlag = False,
 ) -> None:
     """Pair a robot's states with measured position errors.

@@ -24,7 +24,7 @@ _LINE_EVERY_S = 2.0
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class _Destinations:
+class _DestinationOptions:
     """Where the results go.
 
     Attributes:
@@ -42,7 +42,7 @@ class _Destinations:
 
 def live(
     *cameras: str,
-    to: _Destinations,
+    to: _DestinationOptions,
     calibration: Path,
     body: Path,
     method: ProfileOptions = ProfileOptions(),

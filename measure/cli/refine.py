@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class _Outputs:
+class _OutputOptions:
     """The files to write.
 
     Attributes:
@@ -42,7 +42,7 @@ def refine(
     session: Path,
     /,
     *,
-    to: _Outputs,
+    to: _OutputOptions,
     profile: str = "precise",
     calibration: Path | None = None,
     body_tolerance_mm: float | None = None,

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class _Inputs:
+class _InputOptions:
     """What replaces files of the session.
 
     Attributes:
@@ -36,7 +36,7 @@ class _Inputs:
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class _Execution:
+class _ExecutionOptions:
     """What happens to earlier runs, and where the work is done.
 
     Attributes:
@@ -56,9 +56,9 @@ def run(
     *sessions: Path,
     out: Annotated[Path, Parameter(name=("--out", "-o"))],
     method: ProfileOptions = ProfileOptions(),
-    inputs: _Inputs = _Inputs(),
+    inputs: _InputOptions = _InputOptions(),
     viewer: ViewerOptions = ViewerOptions(),
-    execution: _Execution = _Execution(),
+    execution: _ExecutionOptions = _ExecutionOptions(),
     json: JsonFlag = False,
     registry: InjectedRegistry,
 ) -> int:

@@ -14,7 +14,7 @@ from measure.cli.options import SettingTexts
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class _Estimator:
+class _EstimatorOptions:
     """What is searched.
 
     Attributes:
@@ -32,7 +32,7 @@ def sweep(
     /,
     *,
     journal: Path,
-    of: _Estimator = _Estimator(),
+    of: _EstimatorOptions = _EstimatorOptions(),
     trials: int = 100,
     split_seed: int = 0,
     scheduler: str | None = None,

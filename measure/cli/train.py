@@ -17,7 +17,7 @@ from measure.cli.options import InjectedRegistry, SettingTexts
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class _Split:
+class _SplitOptions:
     """How labels are kept for validation and test; fields of `measure.api.TrainOptions`.
 
     Attributes:
@@ -37,7 +37,7 @@ class _Split:
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class _Fit:
+class _FitOptions:
     """What is trained, and from where; fields of `measure.api.TrainOptions` but for `set_`.
 
     Attributes:
@@ -58,8 +58,8 @@ def train(
     /,
     *,
     out: Annotated[Path, Parameter(name=("--out", "-o"))],
-    fit: _Fit = _Fit(),
-    split: _Split = _Split(),
+    fit: _FitOptions = _FitOptions(),
+    split: _SplitOptions = _SplitOptions(),
     about: str = "",
     json: JsonFlag = False,
     registry: InjectedRegistry,

@@ -12,9 +12,8 @@ from measure.host.interfaces import (
     Triangulator,
 )
 from measure.host.onnx_estimator import Core, OnnxEstimator, Scaling
-from measure.host.onnx_graph import Graph, Value
+from measure.host.onnx_graph import Graph, Value, seal
 from measure.host.onnx_model import Estimates, OnnxModel
-from measure.host.onnx_seal import seal
 from measure.host.registry import Registry
 from measure.host.settings import Setting, Settings, describe_settings, setting
 

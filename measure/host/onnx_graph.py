@@ -1,7 +1,13 @@
-"""A small builder of ONNX graphs: operations are method calls, arrays become constants."""
+"""A small builder of ONNX graphs: operations are method calls, arrays become constants.
+
+A finished model ends with a checksum. A serialised protobuf message may be continued by appending
+fields, so the model is followed by one more entry of its metadata, `sha256` of all bytes before it;
+any ONNX runtime reads it.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
@@ -11,13 +17,24 @@ from numpy.typing import ArrayLike
 
 from measure.arrays import Floats
 from measure.errors import EstimatorError
-from measure.host.onnx_seal import seal
 
 Value: TypeAlias = str
 """The name of a tensor inside a graph."""
 
 OPSET = 17
 ML_OPSET = 3
+# Field 14 of ModelProto (metadata_props), an entry of 74 bytes: key `sha256`, a value of 64 bytes.
+_CHECKSUM_HEAD = b"\x72\x4a\x0a\x06sha256\x12\x40"
+
+
+def seal(body: bytes) -> bytes:
+    """A serialised model with its checksum."""
+    return body + _CHECKSUM_HEAD + hashlib.sha256(body).hexdigest().encode()
+
+
+def is_intact(content: bytes) -> bool:
+    """Whether a file ends with the checksum of all bytes before it."""
+    return content == seal(content[: -len(_CHECKSUM_HEAD) - 64])
 
 
 class Graph:
@@ -88,6 +105,10 @@ class Graph:
     def mix(self, tick: Value, new: Value, old: Value) -> Value:
         """`new` where tick is one, `old` where it is zero."""
         return self.op("Add", old, self.op("Mul", tick, self.op("Sub", new, old)))
+
+    def ones_like(self, x: Value) -> Value:
+        """A tensor of ones in the shape of x."""
+        return self.op("Add", self.op("Mul", x, np.float32(0.0)), np.float32(1.0))
 
     def build(
         self,

@@ -26,7 +26,7 @@ from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.host.dataset import Dataset
 from measure.host.estimator import Correction
-from measure.host.onnx_seal import is_intact
+from measure.host.onnx_graph import is_intact
 from measure.robots import StateSchema
 
 FORMAT = 1

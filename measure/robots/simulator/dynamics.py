@@ -2,21 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TypeVar, cast
+from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from measure.arrays import Floats
+from measure.compiling import compiled
 from measure.robots import raven
 from measure.robots.simulator import constants as k
 from measure.robots.simulator.constants import Cables
 
-F = TypeVar("F", bound=Callable[..., object])
-
 SUBSTEPS = 4
 _N = raven.DRIVES
+
+
+class _Mechanics(NamedTuple):
+    """Constants of the drives.
+
+    Attributes:
+        motor: (7, drives) inertia, viscous and Coulomb friction, gains of position and velocity
+            of the controller, largest DAC counts, counts per torque.
+        cables: (8, drives) of `Cables.packed`.
+        coupling: (drives, drives) from link positions to drive positions.
+        ratio: (drives,) motor rad per drive rad or m.
+    """
+
+    motor: Floats
+    cables: Floats
+    coupling: Floats
+    ratio: Floats
 
 
 def integrate(desired: Floats, gravity: Floats, cables: Cables, log_every: int) -> Floats:
@@ -50,22 +64,14 @@ def integrate(desired: Floats, gravity: Floats, cables: Cables, log_every: int) 
         targets,
         desired,
         gravity,
-        motor,
-        cables.packed(),
-        raven.coupling(),
-        raven.RATIO,
+        _Mechanics(motor, cables.packed(), raven.coupling(), raven.RATIO),
         log_every,
         smoothing,
     )
     return result
 
 
-def _compiled(function: F) -> F:
-    """Numba's njit, keeping the types; exact arithmetic, the same on every run."""
-    return cast("F", numba.njit(cache=True, fastmath=False)(function))
-
-
-@_compiled
+@compiled
 def _control(
     target: Floats,
     ahead: Floats,
@@ -86,17 +92,16 @@ def _control(
         dac[i] = min(max(wish, -motor[5, i]), motor[5, i])
 
 
-@_compiled
+@compiled
 def _encoder(angle: float) -> float:
     quantum = 2.0 * np.pi / 4000.0
     return np.floor(angle / quantum) * quantum
 
 
-@_compiled
-def _pull(
-    angle: Floats, link: Floats, cables: Floats, coupling: Floats, ratio: Floats, tension: Floats
-) -> None:
+@compiled
+def _pull(angle: Floats, link: Floats, mechanics: _Mechanics, tension: Floats) -> None:
     """Cable tension from stretch beyond the slack."""
+    _, cables, coupling, ratio = mechanics
     for i in range(_N):
         pulled = 0.0
         for j in range(i + 1):
@@ -112,18 +117,18 @@ def _pull(
         tension[i] = linear * (1.0 + cables[1, i] * min(abs(linear) / cables[2, i], 3.0))
 
 
-@_compiled
+@compiled
 def _move_links(
     gravity: Floats,
     tension: Floats,
-    cables: Floats,
-    coupling: Floats,
+    mechanics: _Mechanics,
     bristle: Floats,
     speed: Floats,
     link: Floats,
     dt: float,
 ) -> None:
     """Links with Dahl friction, pulled by their cables and by gravity."""
+    _, cables, coupling, _ = mechanics
     for i in range(_N):
         torque = gravity[i]
         for j in range(i, _N):
@@ -136,17 +141,17 @@ def _move_links(
         link[i] += dt * speed[i]
 
 
-@_compiled
+@compiled
 def _move_motors(
     dac: Floats,
     tension: Floats,
-    motor: Floats,
-    ratio: Floats,
+    mechanics: _Mechanics,
     speed: Floats,
     angle: Floats,
     dt: float,
 ) -> None:
     """Motors with Coulomb friction that can hold them still."""
+    motor, _, _, ratio = mechanics
     for i in range(_N):
         load = tension[i] / ratio[i] * motor[6, i]
         drive = dac[i] - load - motor[1, i] * speed[i]
@@ -161,15 +166,12 @@ def _move_motors(
         angle[i] += dt * speed[i]
 
 
-@_compiled
+@compiled
 def _integrate(
     targets: Floats,
     desired: Floats,
     gravity: Floats,
-    motor: Floats,
-    cables: Floats,
-    coupling: Floats,
-    ratio: Floats,
+    mechanics: _Mechanics,
     log_every: int,
     smoothing: float,
 ) -> Floats:
@@ -182,13 +184,13 @@ def _integrate(
     previous = np.array([_encoder(a) for a in angle])
     for step in range(steps):
         ahead = targets[min(step + 1, steps - 1)]
-        _control(targets[step], ahead, angle, motor, smoothing, previous, filtered, dac)
+        _control(targets[step], ahead, angle, mechanics.motor, smoothing, previous, filtered, dac)
         if step % log_every == 0:
             row = out[step // log_every]
             row[0], row[1], row[2] = previous, filtered, dac
             row[3], row[4], row[5] = link, targets[step], desired[step]
         for _ in range(SUBSTEPS):
-            _pull(angle, link, cables, coupling, ratio, tension)
-            _move_links(gravity[step], tension, cables, coupling, bristle, link_speed, link, dt)
-            _move_motors(dac, tension, motor, ratio, speed, angle, dt)
+            _pull(angle, link, mechanics, tension)
+            _move_links(gravity[step], tension, mechanics, bristle, link_speed, link, dt)
+            _move_motors(dac, tension, mechanics, speed, angle, dt)
     return out

@@ -32,47 +32,71 @@ class HoughSettings(Settings):
     """Settings of `hough`."""
 
     blur_sigma_px: float = setting(
-        1.5, "Gaussian blur of the gray image before Canny", unit="px", gt=0, le=20
+        1.5, "Sigma of the Gaussian blur of the gray image before Canny.", unit="px", gt=0, le=20
     )
     blur_sigma_max_px: float = setting(
-        3.0, "largest tolerable blur; beyond it the search gives up", unit="px", gt=0, le=20
+        3.0,
+        "Largest sigma of that blur; where it is reached, the search ends.",
+        unit="px",
+        gt=0,
+        le=20,
     )
     blur_sigma_step_px: float = setting(
-        0.75, "how much the blur is raised when the circle count jumps", unit="px", ge=0.1
+        0.75, "Step by which sigma is raised when the number of circles jumps.", unit="px", ge=0.1
     )
     edge_threshold: float = setting(
-        40.0, "upper threshold of Canny on the gray image; the lower one is half of it", gt=0
+        40.0, "Upper threshold of Canny on the gray image; the lower one is half of it.", gt=0
     )
     channel_blur_percent: float = setting(
-        10.0, "Gaussian blur of a colour channel, as a share of the radius", unit="%", gt=0, le=100
+        10.0,
+        "Sigma of the Gaussian blur of a colour channel, as a share of the radius.",
+        unit="%",
+        gt=0,
+        le=100,
     )
     channel_level_percent: float = setting(
-        15.0, "level of the binarisation; lower enlarges the segments more", unit="%", gt=0, lt=100
+        15.0,
+        "Level of the binarisation; a lower level enlarges the segments.",
+        unit="%",
+        gt=0,
+        lt=100,
     )
-    dp: float = setting(1.0, "inverse resolution of the Hough accumulator", ge=0.5, le=8)
-    param1: float = setting(100.0, "upper Canny threshold inside the Hough transform", gt=0)
+    dp: float = setting(1.0, "Inverse resolution of the Hough accumulator.", ge=0.5, le=8)
+    param1: float = setting(100.0, "Upper Canny threshold inside the Hough transform.", gt=0)
     lowest_threshold: int = setting(
-        6, "lowest accumulator threshold (param2) the bisection may reach", unit="votes", ge=1
+        6, "Lowest accumulator threshold (param2) of the bisection.", unit="votes", ge=1
     )
     circles: int = setting(
-        1, "circles expected per colour when the whole frame is searched", ge=1, le=20
+        1, "Number of circles per colour in a search of the whole frame.", ge=1, le=20
     )
     min_distance_radii: float = setting(
-        2.0, "least distance of two centres in a search of the whole frame, in radii", gt=0
+        2.0, "Least distance of two centres in a search of the whole frame, in radii.", gt=0
     )
     nearest_mm: float = setting(
-        250.0, "least distance of a ball from the camera in a whole-frame search", unit="mm", gt=0
+        250.0,
+        "Least distance of a ball from the camera in a search of the whole frame.",
+        unit="mm",
+        gt=0,
     )
     farthest_mm: float = setting(
-        900.0, "largest distance of a ball from the camera in a whole-frame search", unit="mm", gt=0
+        900.0,
+        "Largest distance of a ball from the camera in a search of the whole frame.",
+        unit="mm",
+        gt=0,
     )
     color_percent: float = setting(
-        25.0, "share of samples near the border that must have the colour", unit="%", ge=0, le=100
+        25.0,
+        "Least share of the samples near the border that have the ball's colour.",
+        unit="%",
+        ge=0,
+        le=100,
     )
-    color_samples: int = setting(72, "directions sampled for the colour check", ge=8, le=3600)
+    color_samples: int = setting(
+        72, "Number of directions sampled for the colour check.", ge=8, le=3600
+    )
     center_sd_px: float = setting(
         1.0,
-        "standard deviation of a fully visible circle's centre, per axis",
+        "Standard deviation per axis of the centre of a fully visible circle.",
         unit="px",
         ge=1e-3,
         le=1e3,

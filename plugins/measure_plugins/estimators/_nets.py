@@ -1,7 +1,7 @@
 """The two kinds of small nets of `stream`: an ensemble of perceptrons, and stateful GRUs.
 
 Both map scaled inputs to joint errors and a direct tip error (or the latter alone). Here they are
-plain arrays and ONNX operators; `_training` makes them.
+plain arrays and ONNX operators; `_training` trains them.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.host import Graph, Value
 
-GAIN = 3.0  # brings differences between steps to the size of the other inputs
+STEP_GAIN = 3.0  # scales differences between steps to the size of the other inputs
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +63,7 @@ class Grus:
 
         `steps` are the differences of the moving inputs since the memory was last kept.
         """
-        seen = graph.op("Concat", inputs, graph.op("Mul", steps, np.float32(GAIN)), axis=1)
+        seen = graph.op("Concat", inputs, graph.op("Mul", steps, np.float32(STEP_GAIN)), axis=1)
         h = graph.op(
             "Transpose", graph.reshape(memory, -1, self.members, self.hidden), perm=[1, 0, 2]
         )

@@ -11,11 +11,11 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.errors import EstimatorError
-from measure_plugins.estimators._lesson import Lesson
-from measure_plugins.estimators._nets import GAIN, Grus, Perceptrons
+from measure_plugins.estimators._nets import STEP_GAIN, Grus, Perceptrons
+from measure_plugins.estimators._training_set import TrainingSet
 
-_BATCH = 512  # rows for a step of the perceptrons
-_WINDOWS = 32  # for a step of a GRU
+_BATCH_ROWS = 512  # of a step of the perceptrons
+_BATCH_WINDOWS = 32  # of a step of a GRU
 AfterEpoch = Callable[[int, float, float], None]
 
 
@@ -47,7 +47,7 @@ class Training:
 
 
 def train_perceptrons(
-    lesson: Lesson,
+    data: TrainingSet,
     sizes: tuple[int, ...],
     members: int,
     how: Training,
@@ -58,8 +58,8 @@ def train_perceptrons(
     torch = torch_or_explain()
     dice = torch.Generator().manual_seed(seed)
     net = _PerceptronStack(torch, sizes, members, dice)
-    rows = torch.nonzero(lesson.usable)[:, 0]
-    batch = min(_BATCH, len(rows))
+    rows = torch.nonzero(data.usable)[:, 0]
+    batch = min(_BATCH_ROWS, len(rows))
     rounds = len(rows) // batch
     step = _Stepper(torch, net.parameters, how, how.epochs * rounds)
     for epoch in range(how.epochs):
@@ -69,17 +69,17 @@ def train_perceptrons(
         total = 0.0
         for index in range(rounds):
             picked = order[:, index * batch : (index + 1) * batch]
-            x = lesson.inputs[picked]
+            x = data.inputs[picked]
             x = x + how.noise * torch.randn(x.shape, generator=dice)
-            total += step(lesson.loss(picked, net(x), None), members)
+            total += step(data.loss(picked, net(x), None), members)
         with torch.no_grad():
-            score = lesson.validate(lambda x: net(x.expand(members, -1, -1)).mean(dim=0))
+            score = data.validate(lambda x: net(x.expand(members, -1, -1)).mean(dim=0))
         after_epoch(epoch, total / rounds, score)
     return Perceptrons(tuple(map(_array, net.weights)), tuple(map(_array, net.biases)))
 
 
 def train_gru(
-    lesson: Lesson,
+    data: TrainingSet,
     hidden: int,
     outputs: int,
     window: int,
@@ -89,29 +89,29 @@ def train_gru(
 ) -> Grus:
     """Train one GRU on random windows of trajectories, sampled at random strides.
 
-    The windows begin from a forgotten state, so the first steps carry no loss.
+    The windows begin with a zero hidden state, so the first steps carry no loss.
     """
     torch = torch_or_explain()
     dice = np.random.default_rng(seed)
-    rounds = max(1, len(lesson.inputs) // (_WINDOWS * window))
+    rounds = max(1, len(data.inputs) // (_BATCH_WINDOWS * window))
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        net = _RecurrentNet(torch, lesson, hidden, outputs, how.dropout)
+        net = _RecurrentNet(torch, data, hidden, outputs, how.dropout)
         step = _Stepper(torch, net.parameters, how, how.epochs * rounds, clip=1.0)
         for epoch in range(how.epochs):
             net.drop.train()
             total = 0.0
-            for picked in _windows(lesson, window, rounds, dice):
-                x = lesson.inputs[picked]
+            for picked in _windows(data, window, rounds, dice):
+                x = data.inputs[picked]
                 x = x + how.noise * torch.randn_like(x)
-                keep = lesson.usable[picked].clone()
+                keep = data.usable[picked].clone()
                 keep[:, : min(8, window // 4)] = False
                 if keep.any():
-                    total += step(lesson.loss(picked, net(x), keep))
+                    total += step(data.loss(picked, net(x), keep))
             net.drop.eval()
             if epoch == how.epochs - 1 or epoch % max(1, how.epochs // 20) == 0:
                 with torch.no_grad():
-                    score = lesson.validate(lambda x: net(x[None])[0])
+                    score = data.validate(lambda x: net(x[None])[0])
                 after_epoch(epoch, total / rounds, score)
     return net.packed()
 
@@ -129,7 +129,7 @@ class _PerceptronStack:
 
     @property
     def parameters(self) -> list[Any]:
-        """What is trained."""
+        """The trained tensors."""
         return [*self.weights, *self.biases]
 
     def __call__(self, x: Any) -> Any:
@@ -144,11 +144,11 @@ class _RecurrentNet:
     """A GRU on inputs and their steps, and a head on (hidden, inputs), for training."""
 
     def __init__(
-        self, torch: Any, lesson: Lesson, hidden: int, outputs: int, dropout: float
+        self, torch: Any, data: TrainingSet, hidden: int, outputs: int, dropout: float
     ) -> None:
-        self._torch, self._moving = torch, lesson.moving
-        columns = lesson.inputs.shape[1]
-        self._gru = torch.nn.GRU(columns + len(lesson.moving), hidden, batch_first=True)
+        self._torch, self._moving = torch, data.moving
+        columns = data.inputs.shape[1]
+        self._gru = torch.nn.GRU(columns + len(data.moving), hidden, batch_first=True)
         self._head = torch.nn.Sequential(
             torch.nn.Linear(hidden + columns, 64), torch.nn.SiLU(), torch.nn.Linear(64, outputs)
         )
@@ -156,13 +156,13 @@ class _RecurrentNet:
 
     @property
     def parameters(self) -> list[Any]:
-        """What is trained."""
+        """The trained tensors."""
         return [*self._gru.parameters(), *self._head.parameters()]
 
     def __call__(self, x: Any) -> Any:
         torch, moving = self._torch, self._moving
         steps = torch.diff(x[..., moving], dim=1, prepend=x[:, :1, moving])
-        hidden = self._gru(torch.cat([x, GAIN * steps], -1))[0]
+        hidden = self._gru(torch.cat([x, STEP_GAIN * steps], -1))[0]
         return self._head(torch.cat([self.drop(hidden), x], dim=-1))
 
     def packed(self) -> Grus:
@@ -198,17 +198,19 @@ class _Stepper:
         return float(loss.detach())
 
 
-def _windows(lesson: Lesson, window: int, rounds: int, dice: np.random.Generator) -> Iterator[Any]:
+def _windows(
+    data: TrainingSet, window: int, rounds: int, dice: np.random.Generator
+) -> Iterator[Any]:
     import torch
 
-    chances = lesson.lengths / lesson.lengths.sum()
+    chances = data.lengths / data.lengths.sum()
     for _ in range(rounds):
-        runs = dice.choice(len(chances), _WINDOWS, p=chances)
-        strides = dice.choice([1, 1, 2, 3], _WINDOWS)
-        lengths = lesson.lengths[runs]
-        first = np.floor(dice.random(_WINDOWS) * lengths) - strides * window // 2
+        runs = dice.choice(len(chances), _BATCH_WINDOWS, p=chances)
+        strides = dice.choice([1, 1, 2, 3], _BATCH_WINDOWS)
+        lengths = data.lengths[runs]
+        first = np.floor(dice.random(_BATCH_WINDOWS) * lengths) - strides * window // 2
         rows = first[:, None] + strides[:, None] * np.arange(window)
-        rows = np.clip(rows, 0, lengths[:, None] - 1) + lesson.starts[runs][:, None]
+        rows = np.clip(rows, 0, lengths[:, None] - 1) + data.starts[runs][:, None]
         yield torch.from_numpy(rows.astype(np.int64))
 
 

@@ -1,4 +1,4 @@
-"""The last states as features: a shift register that the model's clock advances."""
+"""The last states as features: a shift register, advanced by the model's clock."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from measure.host import Dataset, Graph, Value
 
 
 @dataclass(frozen=True)
-class Window:
+class StateWindow:
     """The present and `length - 1` earlier rows of `width` columns, newest first.
 
-    Before the first row of a trajectory the first row counts as having been there for ever.
+    Before the first row of a trajectory, the first row is repeated.
     """
 
     width: int
@@ -44,6 +44,6 @@ class Window:
         earlier = graph.mix(started, earlier, repeated)
         window = graph.op("Concat", row, earlier, axis=1)
         shifted = graph.columns(window, range(held))
-        begun = graph.op("Add", graph.op("Mul", started, np.float32(0.0)), np.float32(1.0))
+        begun = graph.ones_like(started)
         kept = graph.mix(tick, shifted, earlier)
         return window, graph.op("Concat", begun, kept, axis=1)

@@ -14,35 +14,30 @@ from measure.host import (
     Dataset,
     Estimator,
     Graph,
-    OnnxEstimator,
     Report,
     Settings,
     Value,
     hookimpl,
     setting,
 )
-from measure_plugins.estimators._inputs import telling_features, watched_features
+from measure_plugins.estimators._inputs import WithinTrajectoryEstimator, informative_features
 
 
 class ForestSettings(Settings):
     """Settings of `forest`."""
 
-    trees: int = setting(60, "trees", ge=1)
-    leaf_rows: int = setting(8, "rows in a leaf at least", ge=1)
-    depth: int = setting(14, "levels at most", ge=1)
+    trees: int = setting(60, "Number of trees.", ge=1)
+    leaf_rows: int = setting(8, "Least number of rows in a leaf.", ge=1)
+    depth: int = setting(14, "Largest depth of a tree, in levels.", ge=1)
 
 
-class ForestEstimator(OnnxEstimator):
+class ForestEstimator(WithinTrajectoryEstimator):
     """Two phases (Seita 2018): a rigid transform of the position, then a random forest."""
 
     name = "forest"
     Config = ForestSettings
     config: ForestSettings
     memoryless = True
-
-    def watched(self, data: Dataset) -> list[int]:
-        """What only tells recordings apart is not used, and may differ."""
-        return watched_features(data)
 
     def learn(self, data: Dataset, validation: Dataset, *, seed: int, report: Report) -> None:
         """Align reported with measured positions, then grow trees on the residuals."""
@@ -59,7 +54,7 @@ class ForestEstimator(OnnxEstimator):
         rigid = align_points(reported, measured)
         self._turn, self._shift = rigid.rotation - np.eye(3), rigid.translation
         residual = measured - rigid.apply(reported)
-        self._columns = telling_features(data)
+        self._columns = informative_features(data)
         report(0.1, "aligned")
         grower = RandomForestRegressor(
             self.config.trees,

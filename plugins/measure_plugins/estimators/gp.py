@@ -10,7 +10,6 @@ from measure.host import (
     Dataset,
     Estimator,
     Graph,
-    OnnxEstimator,
     Report,
     Scaling,
     Settings,
@@ -18,19 +17,23 @@ from measure.host import (
     hookimpl,
     setting,
 )
-from measure_plugins.estimators._inputs import watched_features
-from measure_plugins.estimators._window import Window
+from measure_plugins.estimators._inputs import WithinTrajectoryEstimator
+from measure_plugins.estimators._window import StateWindow
 
 
 class GpSettings(Settings):
     """Settings of `gp`."""
 
-    points: int = setting(700, "training rows kept for prediction", ge=20)
-    tuning_points: int = setting(300, "rows used to choose the kernel's parameters", ge=20)
-    cleaning_sds: float = setting(3.0, "rows whose residual is farther off are dropped", gt=0)
+    points: int = setting(700, "Number of training rows kept for prediction.", ge=20)
+    tuning_points: int = setting(
+        300, "Number of rows from which the kernel's parameters are chosen.", ge=20
+    )
+    cleaning_sds: float = setting(
+        3.0, "Rows with residuals of more than this many standard deviations are dropped.", gt=0
+    )
 
 
-class GpEstimator(OnnxEstimator):
+class GpEstimator(WithinTrajectoryEstimator):
     """Gaussian process on joints and velocities, cleaned of outliers (Mahler 2014).
 
     Rows are a random subset; the process's own variance joins the reported covariance.
@@ -40,14 +43,10 @@ class GpEstimator(OnnxEstimator):
     Config = GpSettings
     config: GpSettings
 
-    def watched(self, data: Dataset) -> list[int]:
-        """What only tells recordings apart is not used, and may differ."""
-        return watched_features(data)
-
     def learn(self, data: Dataset, validation: Dataset, *, seed: int, report: Report) -> None:
         """Choose the kernel by marginal likelihood; fit, drop outliers, fit again."""
         self._reading = data.schema.reading_matrix(data.schema.joints or data.schema.position)
-        self._window = Window(self._reading.shape[1], 2)
+        self._window = StateWindow(self._reading.shape[1], 2)
         inputs = self._inputs(data)
         self._scaling = Scaling.of(inputs)
         inputs = self._scaling.apply(inputs)
@@ -116,7 +115,7 @@ def _tune(inputs: Floats, labels: Floats) -> tuple[Floats, float, float]:
 
     They maximise the marginal likelihood, the three axes being independent draws.
     """
-    from scipy.linalg import cho_factor, cho_solve  # slow to load, like the next
+    from scipy.linalg import cho_factor, cho_solve  # slow to load, as is scipy.optimize
     from scipy.optimize import minimize
 
     half = inputs.shape[1] // 2

@@ -34,16 +34,22 @@ class MlpSettings(Settings):
     (docs/explanation/learning.md shows it). Its penalty, 5e-6, lets ours overfit.
     """
 
-    layers: tuple[int, ...] = setting((600, 500, 400), "units of the hidden layers")
-    activation: Literal["sigmoid", "elu", "relu"] = setting("sigmoid", "of the hidden layers")
-    learning_rate: float = setting(
-        1e-2, "of Adam, at the peak of one cycle; the paper's text says 1e-8", gt=0
+    layers: tuple[int, ...] = setting((600, 500, 400), "Units of each hidden layer.")
+    activation: Literal["sigmoid", "elu", "relu"] = setting(
+        "sigmoid", "Activation function of the hidden layers."
     )
-    epochs: int = setting(80, "passes over the data, at which the cycle ends", ge=1)
-    patience: int = setting(40, "stop after so many epochs without a better validation", ge=1)
-    batch: int = setting(1024, "rows of a batch", ge=2)
-    l1: float = setting(2e-4, "L1 penalty on the weights; the paper's is 5e-6", ge=0)
-    loss: Literal["mse", "mae"] = setting("mse", "squared or absolute error")
+    learning_rate: float = setting(
+        1e-2, "Learning rate of Adam at the peak of its one cycle; the paper states 1e-8.", gt=0
+    )
+    epochs: int = setting(
+        80, "Largest number of passes over the data, at which the cycle of the rate ends.", ge=1
+    )
+    patience: int = setting(
+        40, "Training stops after this many epochs without a better validation error.", ge=1
+    )
+    batch: int = setting(1024, "Number of rows of a batch.", ge=2)
+    l1: float = setting(2e-4, "L1 penalty on the weights; the paper's is 5e-6.", ge=0)
+    loss: Literal["mse", "mae"] = setting("mse", "Loss: mean squared or mean absolute error.")
 
     @field_validator("layers")
     @classmethod
@@ -67,7 +73,7 @@ class MlpEstimator(OnnxEstimator):
         c = self.config
         self._scaling = Scaling.of(data.states)
         other = _tensors(torch, validation, self._scaling)
-        fit = _Fit(torch, _tensors(torch, data, self._scaling), c, seed)
+        fit = _MlpTraining(torch, _tensors(torch, data, self._scaling), c, seed)
         key = seed, c.model_dump(mode="json"), data.digest(), validation.digest()
         saved = Checkpoint(self.checkpoint, "mlp", key)
         state = saved.load()
@@ -114,7 +120,7 @@ def _tensors(torch: Any, data: Dataset, scaling: Scaling) -> tuple[Any, Any, Any
     )
 
 
-class _Fit:
+class _MlpTraining:
     """Training under way: network, optimiser, schedule, curve and the best epoch so far."""
 
     def __init__(

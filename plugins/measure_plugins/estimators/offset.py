@@ -9,25 +9,20 @@ from measure.host import (
     Dataset,
     Estimator,
     Graph,
-    OnnxEstimator,
     Report,
     Settings,
     Value,
     hookimpl,
 )
-from measure_plugins.estimators._inputs import watched_features
+from measure_plugins.estimators._inputs import WithinTrajectoryEstimator
 
 
-class OffsetEstimator(OnnxEstimator):
+class OffsetEstimator(WithinTrajectoryEstimator):
     """The weighted mean of the training errors."""
 
     name = "offset"
     Config = Settings
     memoryless = True
-
-    def watched(self, data: Dataset) -> list[int]:
-        """What only tells recordings apart is not used, and may differ."""
-        return watched_features(data)
 
     def learn(self, data: Dataset, validation: Dataset, *, seed: int, report: Report) -> None:
         """Average."""

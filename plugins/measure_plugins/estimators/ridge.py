@@ -12,7 +12,6 @@ from measure.host import (
     Dataset,
     Estimator,
     Graph,
-    OnnxEstimator,
     Report,
     Scaling,
     Settings,
@@ -20,39 +19,35 @@ from measure.host import (
     hookimpl,
     setting,
 )
-from measure_plugins.estimators._inputs import telling_features, watched_features
+from measure_plugins.estimators._inputs import WithinTrajectoryEstimator, informative_features
 from measure_plugins.estimators._play import PlayBank
-from measure_plugins.estimators._window import Window
+from measure_plugins.estimators._window import StateWindow
 
 
 class RidgeSettings(Settings):
     """Settings of `ridge`."""
 
     features: Literal["pose", "window", "play"] = setting(
-        "play", "the state alone, the last states, or the state and its play operators"
+        "play", "Features: the state, the last states, or the state and its play operators."
     )
-    window: int = setting(12, "states in a window", ge=2)
-    play_widths: int = setting(8, "play operators per joint combination", ge=1)
-    penalty: float = setting(1e-3, "ridge penalty, relative to the features' variance", ge=0)
+    window: int = setting(12, "Number of states in a window.", ge=2)
+    play_widths: int = setting(8, "Number of play operators per joint combination.", ge=1)
+    penalty: float = setting(1e-3, "Ridge penalty, relative to the features' variance.", ge=0)
 
 
-class RidgeEstimator(OnnxEstimator):
+class RidgeEstimator(WithinTrajectoryEstimator):
     """Weighted ridge regression on the pose, a window of poses, or play (hysteresis) states."""
 
     name = "ridge"
     Config = RidgeSettings
     config: RidgeSettings
 
-    def watched(self, data: Dataset) -> list[int]:
-        """What only tells recordings apart is not used, and may differ."""
-        return watched_features(data)
-
     def learn(self, data: Dataset, validation: Dataset, *, seed: int, report: Report) -> None:
         """Solve the normal equations."""
-        self._columns = telling_features(data)
+        self._columns = informative_features(data)
         self._scaling = Scaling.of(data.states[:, self._columns])
         self._bank = PlayBank.of(data, self.config.play_widths, 0.01, 0.2)
-        self._window = Window(len(self._columns), self.config.window)
+        self._window = StateWindow(len(self._columns), self.config.window)
         inputs = self._inputs(data)
         used = data.usable
         self._weight = fit_linear(
@@ -80,7 +75,7 @@ class RidgeEstimator(OnnxEstimator):
         sizes = graph.constant([1, self._bank.size], np.int64)
         started, states = graph.ops("Split", 2, memory, sizes, axis=1)
         play, states = self._bank.in_graph(graph, features, states, started)
-        begun = graph.op("Add", graph.op("Mul", started, np.float32(0.0)), np.float32(1.0))
+        begun = graph.ones_like(started)
         inputs = graph.op("Concat", pose, play, axis=1)
         after = graph.op("Concat", begun, states, axis=1)
         return Core(graph.affine(inputs, weight, bias), after, memory_size=1 + self._bank.size)

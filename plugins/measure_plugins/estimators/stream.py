@@ -1,4 +1,4 @@
-"""The default: what slack cables remember, seen by small nets with and without a memory."""
+"""The default: play operators, small perceptrons, and GRUs with a memory, averaged."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from measure.host import (
     Epoch,
     Estimator,
     Graph,
-    OnnxEstimator,
     Report,
     Scaling,
     Settings,
@@ -25,9 +24,8 @@ from measure.host import (
 )
 from measure_plugins.estimators import _nets
 from measure_plugins.estimators._checkpoint import Checkpoint
-from measure_plugins.estimators._inputs import telling_features, watched_features
+from measure_plugins.estimators._inputs import WithinTrajectoryEstimator, informative_features
 from measure_plugins.estimators._kinematics import tip_change
-from measure_plugins.estimators._lesson import Lesson, Outputs, make_lesson
 from measure_plugins.estimators._play import PlayBank
 from measure_plugins.estimators._training import (
     AfterEpoch,
@@ -36,32 +34,41 @@ from measure_plugins.estimators._training import (
     train_gru,
     train_perceptrons,
 )
+from measure_plugins.estimators._training_set import OutputUnits, TrainingSet, make_training_set
 
 N = TypeVar("N")
 
-_PERCEPTRON_SHARE = 0.2  # what a perceptron's epoch costs, of a GRU's
-_TURN, _SLIDE_MM, _TIP_MM = 0.05, 1.0, 1.0  # what an output of one stands for: rad, mm, mm
+_PERCEPTRON_SHARE = 0.2  # time of a perceptron's epoch, as a share of a GRU's
+_TURN_RAD, _SLIDE_MM, _TIP_MM = 0.05, 1.0, 1.0  # joint or tip errors of an output of one
 
 
 class StreamSettings(Settings):
     """Settings of `stream`."""
 
-    perceptrons: int = setting(5, "perceptrons in the ensemble", ge=1)
-    perceptron_units: int = setting(128, "units in each of their two layers", ge=4)
-    perceptron_epochs: int = setting(50, "passes over the data for them", ge=1)
-    grus: int = setting(3, "GRUs in the ensemble", ge=1)
-    gru_units: int = setting(96, "hidden units of each", ge=4)
-    gru_epochs: int = setting(120, "passes over the data for each", ge=1)
-    window: int = setting(128, "steps of one training window of a GRU", ge=8)
-    play_widths: int = setting(8, "play operators per joint combination", ge=1)
-    narrowest: float = setting(0.01, "narrowest play, share of the joint's range", gt=0, lt=1)
-    widest: float = setting(0.2, "widest play, share of the joint's range", gt=0, le=1)
-    dropout: float = setting(0.4, "share of a GRU's outputs dropped in training", ge=0, lt=1)
-    decay: float = setting(0.05, "weight decay", ge=0)
-    noise: float = setting(0.02, "SD of noise on scaled inputs in training", ge=0)
+    perceptrons: int = setting(5, "Number of perceptrons in the ensemble.", ge=1)
+    perceptron_units: int = setting(128, "Units in each of the two layers of a perceptron.", ge=4)
+    perceptron_epochs: int = setting(
+        50, "Passes over the data in the training of the perceptrons.", ge=1
+    )
+    grus: int = setting(3, "Number of GRUs in the ensemble.", ge=1)
+    gru_units: int = setting(96, "Hidden units of a GRU.", ge=4)
+    gru_epochs: int = setting(120, "Passes over the data in the training of a GRU.", ge=1)
+    window: int = setting(128, "Steps in a training window of a GRU.", ge=8)
+    play_widths: int = setting(8, "Number of play operators per joint combination.", ge=1)
+    narrowest: float = setting(
+        0.01, "Half-width of the narrowest play, as a share of the joint's range.", gt=0, lt=1
+    )
+    widest: float = setting(
+        0.2, "Half-width of the widest play, as a share of the joint's range.", gt=0, le=1
+    )
+    dropout: float = setting(0.4, "Share of a GRU's outputs dropped in training.", ge=0, lt=1)
+    decay: float = setting(0.05, "Weight decay of AdamW.", ge=0)
+    noise: float = setting(
+        0.02, "Standard deviation of the noise added to scaled inputs in training.", ge=0
+    )
 
 
-class StreamEstimator(OnnxEstimator):
+class StreamEstimator(WithinTrajectoryEstimator):
     """Play-operator features, small perceptrons and stateful GRUs, averaged; the default.
 
     Joint errors go through the forward kinematics where the robot's chain is known. The members'
@@ -72,58 +79,56 @@ class StreamEstimator(OnnxEstimator):
     Config = StreamSettings
     config: StreamSettings
 
-    def watched(self, data: Dataset) -> list[int]:
-        """What only tells recordings apart is not used, and may differ."""
-        return watched_features(data)
-
     def learn(self, data: Dataset, validation: Dataset, *, seed: int, report: Report) -> None:
-        """Scale, play, then train every net in turn."""
+        """Compute inputs, then train every net in turn."""
         torch_or_explain()
         c = self.config
         self._data_schema = data.schema
-        self._learnt_from = data.digest(), validation.digest()
-        self._columns = telling_features(data)
+        self._digests = data.digest(), validation.digest()
+        self._columns = informative_features(data)
         self._scaling = Scaling.of(data.states[:, self._columns])
         self._moving = self._moving_inputs()
         self._bank = PlayBank.of(data, c.play_widths, c.narrowest, c.widest)
         used = data.usable
         middle = np.average(data.errors_mm[used], axis=0, weights=data.weights()[used])
-        self._outputs = Outputs(self._output_scale(), middle)
-        lesson = make_lesson(data, validation, self._inputs, self._outputs, self._moving)
+        self._outputs = OutputUnits(self._output_scale(), middle)
+        training_set = make_training_set(
+            data, validation, self._inputs, self._outputs, self._moving
+        )
         log = _Log(_PERCEPTRON_SHARE * c.perceptrons * c.perceptron_epochs + c.grus * c.gru_epochs)
-        self._perceptrons = self._fit_perceptrons(lesson, seed, log, report)
-        self._grus = self._fit_grus(lesson, seed, log, report)
+        self._perceptrons = self._fit_perceptrons(training_set, seed, log, report)
+        self._grus = self._fit_grus(training_set, seed, log, report)
         self.curve = tuple(log.curve)
 
     def _fit_perceptrons(
-        self, lesson: Lesson, seed: int, log: _Log, report: Report
+        self, data: TrainingSet, seed: int, log: _Log, report: Report
     ) -> _nets.Perceptrons:
         c, outputs = self.config, len(self._outputs.scale)
         how = Training(c.perceptron_epochs, noise=c.noise, decay=0.2 * c.decay)
-        sizes = (lesson.inputs.shape[1], c.perceptron_units, c.perceptron_units, outputs)
+        sizes = (data.inputs.shape[1], c.perceptron_units, c.perceptron_units, outputs)
         share = _PERCEPTRON_SHARE * c.perceptrons
         note = log.part("perceptrons", share, c.perceptron_epochs, report)
         return self._resumed(
             "perceptrons",
             seed,
-            lambda: train_perceptrons(lesson, sizes, c.perceptrons, how, seed, note),
+            lambda: train_perceptrons(data, sizes, c.perceptrons, how, seed, note),
         )
 
-    def _fit_grus(self, lesson: Lesson, seed: int, log: _Log, report: Report) -> _nets.Grus:
+    def _fit_grus(self, data: TrainingSet, seed: int, log: _Log, report: Report) -> _nets.Grus:
         c, outputs = self.config, len(self._outputs.scale)
         how = Training(c.gru_epochs, noise=c.noise, decay=c.decay, dropout=c.dropout)
         found = []
         for index in range(c.grus):
             note = log.part(f"GRU {index + 1} of {c.grus}", 1.0, c.gru_epochs, report)
             fit = partial(
-                train_gru, lesson, c.gru_units, outputs, c.window, how, seed + 1 + index, note
+                train_gru, data, c.gru_units, outputs, c.window, how, seed + 1 + index, note
             )
             found.append(self._resumed(f"gru_{index}", seed, fit))
         return _nets.stack_grus(found)
 
     def _resumed(self, name: str, seed: int, fit: Callable[[], N]) -> N:
         """A net from an interrupted fit of the same data and settings, or freshly trained."""
-        key = seed, self.config.model_dump(mode="json"), self._learnt_from
+        key = seed, self.config.model_dump(mode="json"), self._digests
         saved = Checkpoint(self.checkpoint, name, key)
         if found := saved.load():
             net: N = found["net"]
@@ -150,7 +155,7 @@ class StreamEstimator(OnnxEstimator):
         away = graph.op("Mul", graph.op("Sub", members, mean), self._spread_scale())
         squares = graph.total(graph.op("Mul", away, away), 0, mean=True)
         spread = graph.op("ReduceSum", squares, graph.constant([1], np.int64), keepdims=1)
-        begun = graph.op("Add", graph.op("Mul", started, np.float32(0.0)), np.float32(1.0))
+        begun = graph.ones_like(started)
         slow = graph.mix(
             tick,
             graph.op("Concat", after, moving, axis=1),
@@ -178,13 +183,13 @@ class StreamEstimator(OnnxEstimator):
     def _output_scale(self) -> Floats:
         chain = self._data_schema.chain
         joints = (
-            [] if chain is None else [_SLIDE_MM if j.prismatic else _TURN for j in chain.joints]
+            [] if chain is None else [_SLIDE_MM if j.prismatic else _TURN_RAD for j in chain.joints]
         )
         return np.array([*joints, _TIP_MM, _TIP_MM, _TIP_MM])
 
     def _spread_scale(self) -> Floats:
         """Outputs to mm, roughly: a turn acts on a lever of 50 mm."""
-        lever = np.where(self._outputs.scale == _TURN, 50.0, 1.0)
+        lever = np.where(self._outputs.scale == _TURN_RAD, 50.0, 1.0)
         return self._outputs.scale * lever
 
     def _inputs(self, data: Dataset) -> Floats:

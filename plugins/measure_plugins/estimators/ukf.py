@@ -20,14 +20,13 @@ from measure.host import (
     Dataset,
     Estimator,
     Graph,
-    OnnxEstimator,
     Report,
     Settings,
     Value,
     hookimpl,
     setting,
 )
-from measure_plugins.estimators._inputs import watched_features
+from measure_plugins.estimators._inputs import WithinTrajectoryEstimator
 from measure_plugins.estimators._kinematics import tip_change
 from measure_plugins.estimators._play import PlayBank
 from measure_plugins.estimators.ridge import fit_linear
@@ -36,13 +35,13 @@ from measure_plugins.estimators.ridge import fit_linear
 class UkfSettings(Settings):
     """Settings of `ukf`."""
 
-    play_widths: int = setting(10, "widths tried for each joint's slack", ge=2)
+    play_widths: int = setting(10, "Number of half-widths tried for the slack of each joint.", ge=2)
     process_share: float = setting(
-        0.1, "process SD of a joint at each step, share of its slack", gt=0
+        0.1, "Process standard deviation of a joint per step, as a share of its slack.", gt=0
     )
 
 
-class UkfEstimator(OnnxEstimator):
+class UkfEstimator(WithinTrajectoryEstimator):
     """Joint-level unscented Kalman filter on slack and stretch (Haghighipanah 2015).
 
     Needs a robot whose kinematics are known; torques are used if the state has them.
@@ -51,10 +50,6 @@ class UkfEstimator(OnnxEstimator):
     name = "ukf"
     Config = UkfSettings
     config: UkfSettings
-
-    def watched(self, data: Dataset) -> list[int]:
-        """What only tells recordings apart is not used, and may differ."""
-        return watched_features(data)
 
     def learn(self, data: Dataset, validation: Dataset, *, seed: int, report: Report) -> None:
         """Fit slack, offset and compliance of every joint through the Jacobian."""
@@ -97,7 +92,7 @@ class UkfEstimator(OnnxEstimator):
         self._tip = linear[2 * count :]
         self._process = (self.config.process_share * self._width) ** 2 + 1e-12
         stretch = np.abs(self._compliance) * model.torque.std(axis=0)
-        # What the torque says is blurred by motor friction: as much as it varies.
+        # Motor friction disturbs the torque by as much as the torque varies.
         self._measure = stretch**2 + self._width**2 + 1e-12
 
     def compute(self, graph: Graph, features: Value, memory: Value, tick: Value) -> Core:
@@ -118,7 +113,7 @@ class UkfEstimator(OnnxEstimator):
         error = graph.op(
             "Add", tip_change(graph, self._data_schema, features, wrong), self._tip[None]
         )
-        begun = graph.op("Add", graph.op("Mul", started, np.float32(0.0)), np.float32(1.0))
+        begun = graph.ones_like(started)
         kept = graph.op("Concat", begun, link, limit, axis=1)
         return Core(error, kept, None, 1 + 2 * count)
 
@@ -141,7 +136,7 @@ class UkfEstimator(OnnxEstimator):
         return mean, graph.op("Add", scatter, self._process[None])
 
     def _stretch(self, graph: Graph, features: Value) -> Value:
-        """What the cables stretch under the motors' torques."""
+        """Stretch of the cables under the motors' torques."""
         stretched = np.zeros((len(self._data_schema.features), len(self._width)))
         if self._torque is not None:
             stretched = self._torque * self._compliance
@@ -150,11 +145,11 @@ class UkfEstimator(OnnxEstimator):
     def _correct(
         self, graph: Graph, motor: Value, stretch: Value, link: Value, variance: Value
     ) -> tuple[Value, Value]:
-        """The slack is the state; the stretch adds to it, and shows in the torque."""
-        gain = graph.op("Div", variance, graph.op("Add", variance, self._measure[None]))
+        """Update of the slack with the stretch that the torque measures."""
+        kalman = graph.op("Div", variance, graph.op("Add", variance, self._measure[None]))
         seen = graph.op("Sub", graph.op("Add", motor, stretch), link)
-        after = graph.op("Add", link, graph.op("Mul", gain, seen))
-        left = graph.op("Sub", variance, graph.op("Mul", gain, variance))
+        after = graph.op("Add", link, graph.op("Mul", kalman, seen))
+        left = graph.op("Sub", variance, graph.op("Mul", kalman, variance))
         return self._through(graph, motor, after), left
 
 
@@ -167,7 +162,7 @@ def _weighted(graph: Graph, points: list[Value]) -> Value:
 
 
 class _CableModel:
-    """What the fit knows of the labelled rows, and its linear part."""
+    """The labelled rows, and the linear part of the fit."""
 
     def __init__(self, data: Dataset, widths: Floats, slack: Floats, torque: Floats) -> None:
         assert data.schema.chain is not None

@@ -21,15 +21,17 @@ class SimplexSettings(Settings):
     """Settings of `simplex`."""
 
     first_step_mm: float = setting(
-        1.0, "size of the first simplex in position", unit="mm", gt=0, le=1e3
+        1.0, "Size of the first simplex in position.", unit="mm", gt=0, le=1e3
     )
     first_step_deg: float = setting(
-        1.5, "size of the first simplex in angle", unit="deg", gt=0, le=90
+        1.5, "Size of the first simplex in angle.", unit="deg", gt=0, le=90
     )
     tolerance: float = setting(
-        1e-5, "extent of the simplex, in mm and rad, at which the search ends", gt=0, le=1
+        1e-5, "Extent of the simplex, in mm and rad, at which the search ends.", gt=0, le=1
     )
-    max_evaluations: int = setting(4000, "most evaluations of the cost function", ge=100)
+    max_evaluations: int = setting(
+        4000, "Largest number of evaluations of the cost function.", ge=100
+    )
 
 
 class SimplexSolver(PoseSolver):

@@ -28,7 +28,11 @@ class MidpointSettings(Settings):
     """Settings of `midpoint`."""
 
     min_angle_deg: float = setting(
-        5.0, "pairs of rays that meet at a smaller angle are left out", unit="deg", gt=0, lt=90
+        5.0,
+        "Least angle between two rays; pairs that meet at a smaller one are left out.",
+        unit="deg",
+        gt=0,
+        lt=90,
     )
 
 

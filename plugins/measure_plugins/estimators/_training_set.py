@@ -1,4 +1,4 @@
-"""What the nets of `stream` learn from: inputs, and a robust loss at the tip."""
+"""The training set of the nets of `stream`: inputs, and a robust loss at the tip."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from measure.arrays import Floats, Ints
 from measure.host import Dataset
 from measure_plugins.estimators._kinematics import TorchTip
 
-_SOFT_MM2 = 0.25  # residuals below half a millimetre count squared, above linearly
+_SOFT_MM2 = 0.25  # of the pseudo-Huber loss: quadratic below half a millimetre, linear above
 
 
 @dataclass(frozen=True, eq=False)
-class Lesson:
-    """What nets learn from.
+class TrainingSet:
+    """Inputs and loss of the nets, as torch tensors.
 
     Attributes:
         inputs: (n, columns) scaled inputs, torch float32.
@@ -39,27 +39,27 @@ class Lesson:
 
 
 @dataclass(frozen=True, eq=False)
-class Outputs:
-    """What a net's outputs stand for.
+class OutputUnits:
+    """Units of a net's outputs.
 
     Attributes:
-        scale: (outputs,) what an output of one is, in rad and mm: joint errors where the chain is
+        scale: (outputs,) error in rad or mm of an output of one: joint errors where the chain is
             known, and a direct tip error (3).
-        middle_mm: (3,) mean error, which is added to what the net says.
+        middle_mm: (3,) mean error, which is added to the net's output.
     """
 
     scale: Floats
     middle_mm: Floats
 
 
-def make_lesson(
+def make_training_set(
     data: Dataset,
     validation: Dataset,
     inputs: Callable[[Dataset], Floats],
-    outputs: Outputs,
+    outputs: OutputUnits,
     moving: list[int],
-) -> Lesson:
-    """Prepare trajectories to learn from and to judge by; `inputs` scales them (n, columns)."""
+) -> TrainingSet:
+    """Tensors of training and validation trajectories; `inputs` scales them (n, columns)."""
     known, other = _Targets(data, outputs), _Targets(validation, outputs)
     weights, usable = _tensor(data.weights()), _bools(data.usable)
     inputs_other, usable_other = _tensor(inputs(validation)), _bools(validation.usable)
@@ -77,7 +77,7 @@ def make_lesson(
         return float(np.sqrt(total / validation.usable.sum()))
 
     runs = [rows for _, rows in data.runs()]
-    return Lesson(
+    return TrainingSet(
         inputs=_tensor(inputs(data)),
         loss=loss,
         usable=usable,
@@ -89,9 +89,9 @@ def make_lesson(
 
 
 class _Targets:
-    """Labels of a data set, and what is left of them after a net's outputs."""
+    """Labels of a data set, and their residuals after a net's outputs."""
 
-    def __init__(self, data: Dataset, outputs: Outputs) -> None:
+    def __init__(self, data: Dataset, outputs: OutputUnits) -> None:
         self._scale = _tensor(outputs.scale)
         self._labels = _tensor(data.errors_mm - outputs.middle_mm)
         self._tip = None if data.schema.chain is None else TorchTip(data.schema.chain)
