@@ -1,6 +1,6 @@
 """What the calibration alone costs a body measured with it, on a capture with exact truth.
 
-    python benchmarks/calibration.py CAPTURE TRUTH [--draws 20] [--captures 8]
+    python -m benchmarks.calibration CAPTURE TRUTH [--draws 20] [--captures 8]
 
 CAPTURE is a capture folder with marks.csv, TRUTH the calibration of its true cameras. True ball
 centres are seen through the true cameras and located with the estimated ones, over 200 poses in a

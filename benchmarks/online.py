@@ -15,6 +15,7 @@ import resource
 import subprocess
 import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +24,73 @@ import numpy as np
 from benchmarks.command import run_command
 from measure import api
 from measure.arrays import Floats
-from measure.host import OnnxModel
-from measure.learning import EstimateClient, EstimateServer, StatePacket, exercise
+from measure.host import Correction, OnnxModel
+from measure.learning import EstimateClient, EstimateServer, StatePacket
 from measure.robots.simulator import simulate
 
 BLOCKS, BLOCK = 10, 1000
+
+
+@dataclass(frozen=True)
+class RoundTrips:
+    """Round trips of states to the estimator and back.
+
+    Attributes:
+        sent: states sent.
+        answered: answers received.
+        corrected: of these, corrections.
+        late: ticks that began over a millisecond late: this machine was busy, or an answer slow.
+        p50_us: median round trip.
+        p99_us: 99th percentile.
+        rate_hz: states per second.
+        client_load: share of a core this client used, waiting included.
+    """
+
+    sent: int
+    answered: int
+    corrected: int
+    late: int
+    p50_us: float
+    p99_us: float
+    rate_hz: float
+    client_load: float
+
+
+def time_round_trips(
+    client: EstimateClient, states: Floats, seconds: float, rate_hz: float = 1000.0
+) -> RoundTrips:
+    """Send states at a fixed rate, one at a time, and time every answer.
+
+    Args:
+        client: connected.
+        states: (n, features), repeated as often as needed.
+        seconds: how long.
+        rate_hz: how often.
+    """
+    total = round(seconds * rate_hz)
+    trips = np.full(total, np.nan)
+    corrected = late = 0
+    before = resource.getrusage(resource.RUSAGE_SELF)
+    start = time.perf_counter()
+    for index in range(total):
+        due = start + index / rate_hz
+        wait = due - time.perf_counter()
+        if wait > 0:
+            time.sleep(wait)
+        begun = time.perf_counter()
+        late += begun - due > 1e-3
+        answer = client.ask(states[index % len(states)], (index + 1) / rate_hz)
+        if answer is not None:
+            trips[index] = time.perf_counter() - begun
+            corrected += isinstance(answer.answer, Correction)
+    elapsed = time.perf_counter() - start
+    after = resource.getrusage(resource.RUSAGE_SELF)
+    used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    answered = int(np.isfinite(trips).sum())
+    p50, p99 = np.nanpercentile(trips, [50, 99]) * 1e6 if answered else (np.nan, np.nan)
+    return RoundTrips(
+        total, answered, corrected, late, float(p50), float(p99), total / elapsed, used / elapsed
+    )
 
 
 def main() -> None:
@@ -69,7 +132,7 @@ def round_trip_lines(path: Path, states: Floats, seconds: float) -> list[str]:
     ) as server:
         client = EstimateClient(("127.0.0.1", _port(server)))
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        done = exercise(client, states, seconds)
+        done = time_round_trips(client, states, seconds)
         client.close()
         out, _ = server.communicate()
         counts = json.loads(out)

@@ -10,7 +10,13 @@ from measure.api.outputs import check_writable, is_one_of
 from measure.errors import ConfigError, EstimatorError
 
 if TYPE_CHECKING:
-    from measure.learning import Corrected, DriftMonitor, EstimateServer, Evaluation, Zeroing
+    from measure.learning import (
+        Corrected,
+        DriftMonitor,
+        EstimateServer,
+        EstimatorEvaluation,
+        Zeroing,
+    )
 
 
 def rezero(model_path: Path, stretch: Path) -> tuple[Zeroing, DriftMonitor]:
@@ -100,7 +106,7 @@ def shipped_model() -> Path:
     return Path(__file__).parents[1] / "learning" / "models" / "raven_simulated.onnx"
 
 
-def correct_simulated_robot(seconds: float = 60.0, seed: int = 7) -> Evaluation:
+def correct_simulated_robot(seconds: float = 60.0, seed: int = 7) -> EstimatorEvaluation:
     """What the shipped network does for a restart of the simulated robot it has not seen.
 
     Args:

@@ -49,7 +49,7 @@ class Demo:
     picture: Path
     summary: Summary
     evaluation: Evaluation
-    correction: learning.Evaluation
+    correction: learning.EstimatorEvaluation
 
 
 def demo(

@@ -44,22 +44,22 @@ def main(tokens: Sequence[str] | None = None) -> int:
         tokens: the words after `measure`; those of the process if omitted.
     """
     # Adjusting cameras takes many products too small to share: threads of the linear algebra cost
-    # a fifth more CPU time and gain none. It has to be said before NumPy is loaded.
+    # a fifth more CPU time and gain none. The variable is read when NumPy is loaded.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    _let_streams_take_anything()
+    _make_streams_safe()
     try:
         return _explained(sys.argv[1:] if tokens is None else list(tokens))
     except BrokenPipeError:
-        return _nobody_listens()
+        return _pipe_closed()
     except SystemExit as end:
         # How rich, which prints tables and help, takes a broken pipe.
         if not isinstance(end.__context__, BrokenPipeError):
             raise
-        return _nobody_listens()
+        return _pipe_closed()
 
 
 def _explained(tokens: list[str]) -> int:
-    """Run one command; what a user can mend is said in one line."""
+    """Run one command; errors that a user can mend are printed in one line."""
     try:
         code = _dispatch(tokens)
         sys.stdout.flush()
@@ -81,10 +81,10 @@ def _explained(tokens: list[str]) -> int:
     return code
 
 
-def _nobody_listens() -> int:
-    """Whoever read our output has gone (`measure ... | head`): say no more.
+def _pipe_closed() -> int:
+    """The reader of the output has gone (`measure ... | head`): write nothing more.
 
-    What could not be written would be tried again when python ends, and fail with noise.
+    Python would flush the rest when it ends, and print an error.
     """
     for stream in (sys.stdout, sys.stderr):
         try:
@@ -94,7 +94,7 @@ def _nobody_listens() -> int:
     return PIPE_CLOSED
 
 
-def _let_streams_take_anything() -> None:
+def _make_streams_safe() -> None:
     """Write escapes for letters that stdout or stderr do not know, and nowhere if they are closed.
 
     A closed one would be `None`, and its number go to the next file that is opened: libraries that
@@ -207,8 +207,8 @@ def _what_to_give(error: MissingArgumentError) -> str:
     first, *others = error.argument.names
     names = f"{first} (or {', '.join(others)})" if others else first
     known = error.app.assemble_argument_collection(parse_docstring=True)
-    told = [one.parameter.help or "" for one in known if first in one.names]
-    meaning = re.split(_CLAUSE_END, "".join(told))[0].rstrip(".")
+    texts = [one.parameter.help or "" for one in known if first in one.names]
+    meaning = re.split(_CLAUSE_END, "".join(texts))[0].rstrip(".")
     return f"{names}: {meaning}." if meaning else f"{names}."
 
 

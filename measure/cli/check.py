@@ -90,18 +90,18 @@ def _print(found: SessionCheck) -> None:
 
 
 def _print_clocks(clocks: tuple[CameraClock, ...]) -> None:
-    """The clocks, and what the motion does not tell of them."""
-    told = [c for c in clocks if np.isfinite(c.offset_sd_s)]
-    if told:
-        rows = [(c.camera, 1e3 * c.offset_s, 1e3 * c.offset_sd_s, *_readout(c)) for c in told]
+    """Print the clocks, and those that the motion does not determine."""
+    estimated = [c for c in clocks if np.isfinite(c.offset_sd_s)]
+    if estimated:
+        rows = [(c.camera, 1e3 * c.offset_s, 1e3 * c.offset_sd_s, *_readout(c)) for c in estimated]
         heads = ("clock", "offset_ms", "sd_ms", "readout_ms", "readout_sd_ms")
         console.print_table(heads, rows)
-    if unknown := [c.camera for c in clocks if c not in told]:
+    if unknown := [c.camera for c in clocks if c not in estimated]:
         console.print_text(
             f"whether the clocks of {', '.join(unknown)} agree cannot be seen: "
             "move the body to and fro for some seconds"
         )
-    if blurred := [c.camera for c in told if not np.isfinite(c.readout_sd_s)]:
+    if blurred := [c.camera for c in estimated if not np.isfinite(c.readout_sd_s)]:
         console.print_text(
             f"whether the shutters of {', '.join(blurred)} roll cannot be seen: "
             "move the body faster, and up and down in the pictures"

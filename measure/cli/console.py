@@ -1,4 +1,4 @@
-"""What commands say: progress on stderr, tables or one JSON object on stdout."""
+"""Output of commands: progress on stderr, tables or one JSON object on stdout."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ JsonFlag = Annotated[bool, Parameter(name="--json", help="Print one JSON object 
 """Type of every command's `json` option."""
 
 Report = Callable[[int, int | None], None]
-"""Told how much is done, of how much (None: nobody knows)."""
+"""Called with the amount done and the total (None if unknown)."""
 
 _LINE_EVERY_S = 5.0
 _PIPE_WIDTH = 120
@@ -59,18 +59,18 @@ def print_table(columns: Sequence[str], rows: Iterable[Sequence[object]], title:
 
 
 def note(text: str) -> None:
-    """Tell a person something on stderr, at once."""
+    """Print a line on stderr, at once."""
     print(text, file=sys.stderr, flush=True)
 
 
 def shares(report: Report) -> Callable[[float, str], None]:
-    """A callback for work that says which share of it is done: counted in per mille."""
+    """A callback that takes the share done (0 to 1), and reports it in per mille."""
 
-    def tell(done: float, what: str) -> None:
+    def take(done: float, what: str) -> None:
         del what
         report(round(1000.0 * done), 1000)
 
-    return tell
+    return take
 
 
 @contextmanager
@@ -94,7 +94,7 @@ def progress(
         with _bar(label, unit, out) as report:
             yield report
     else:
-        yield _Lines(label, unit, out)
+        yield _ProgressLines(label, unit, out)
 
 
 @contextmanager
@@ -122,7 +122,7 @@ def _bar(label: str, unit: str, out: TextIO) -> Iterator[Report]:
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
-class _Lines:
+class _ProgressLines:
     """Progress as lines of text, at most one every few seconds.
 
     The pace is counted from the first report on: what comes before it is start-up.

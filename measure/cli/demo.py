@@ -13,7 +13,7 @@ from measure.cli.console import JsonFlag
 from measure.cli.options import InjectedRegistry
 
 if TYPE_CHECKING:
-    from measure.learning import Evaluation
+    from measure.learning import EstimatorEvaluation
 
 
 def demo(
@@ -62,7 +62,7 @@ def demo(
     console.print_text(f"every error in detail: measure evaluate {made.run}")
 
 
-def _print_correction(found: Evaluation) -> None:
+def _print_correction(found: EstimatorEvaluation) -> None:
     """What the network that comes with the program does for a robot."""
     before, after = found.before, found.after
     title = (

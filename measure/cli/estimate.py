@@ -59,7 +59,7 @@ def estimate(
 
 
 def _zeroing(model: Path, stretch: Path) -> Zeroing:
-    """What a restart left, which is told, and what the rest says of drift."""
+    """Offsets after a restart, printed with the drift of the residuals."""
     from measure import api
 
     zeroing, monitor = api.rezero(model, stretch)

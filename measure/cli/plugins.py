@@ -1,4 +1,4 @@
-"""`measure plugins`: what is installed, what each can be told, and what is broken."""
+"""`measure plugins`: installed plugins, their settings, and what is broken."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an estimator is: it learns a robot's position error and corrects it, state by state."""
+"""The interface of estimators of a robot's position error."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Report: TypeAlias = Callable[[float, str], None]
 
 
 def quiet(done: float, what: str) -> None:
-    """A `Report` that tells nobody."""
+    """A `Report` that does nothing."""
     del done, what
 
 

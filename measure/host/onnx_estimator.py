@@ -1,4 +1,4 @@
-"""The base of estimators that become one ONNX graph: scaling, honesty, saving, streaming."""
+"""The base of estimators that become one ONNX graph: scaling, covariance, saving, streaming."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from measure.host.onnx_model import FORMAT, OnnxModel
 from measure.host.settings import Settings
 from measure.robots import StateSchema
 
-_ROOM = 1.5  # how far beyond training a state may lie before it counts as unfamiliar
-_ABSURD_MM = 1e6  # no estimator corrects a robot by a kilometre
-_CLIP = 8.0  # scaled features are held within this many SDs: a wild input gives no wild output
+_RANGE_MARGIN = 1.5  # range of familiar states, as a multiple of that in training
+_MAX_CORRECTION_MM = 1e6  # larger corrections mean a diverged fit
+_CLIP_SDS = 8.0  # scaled features are clipped to this many SDs
 
 
 @dataclass(frozen=True, eq=False)
 class Core:
-    """What a plugin's part of the graph yields.
+    """Outputs of a plugin's part of the graph.
 
     Attributes:
         error: (N, 3) mm.
         memory: (N, S), the new memory; None if the estimator has none.
-        spread: (N, 1) mm^2, disagreement inside the estimator; None if it has no idea of it.
+        spread: (N, 1) mm^2, variance within the estimator (of an ensemble, say); None if unknown.
         memory_size: S.
     """
 
@@ -62,20 +62,20 @@ class Scaling:
 
     def apply(self, values: Floats) -> Floats:
         """Scaled and held within 8 SDs."""
-        return np.clip((values - self.mean) / self.sd, -_CLIP, _CLIP)
+        return np.clip((values - self.mean) / self.sd, -_CLIP_SDS, _CLIP_SDS)
 
     def in_graph(self, graph: Graph, x: Value) -> Value:
         """The same, as operators."""
         scaled = graph.op("Mul", graph.op("Sub", x, self.mean), 1.0 / self.sd)
-        return graph.op("Clip", scaled, np.float32(-_CLIP), np.float32(_CLIP))
+        return graph.op("Clip", scaled, np.float32(-_CLIP_SDS), np.float32(_CLIP_SDS))
 
 
 class OnnxEstimator(Estimator):
-    """An estimator whose plugin says how to learn and how to compute; the rest is done here.
+    """An estimator whose plugin implements `learn` and `compute`.
 
     The covariance of a correction is the second moment of the validation residuals, scaled by
     `a + b strangeness + c spread` with a, b, c >= 0 fitted to those residuals, so that it grows
-    where the estimator is out of its depth.
+    with the distance from the training states.
     """
 
     memoryless = False
@@ -101,18 +101,18 @@ class OnnxEstimator(Estimator):
         return range(data.states.shape[1])
 
     def fit(self, data: Dataset, validation: Dataset, *, seed: int, report: Report) -> None:
-        """Learn, then judge covariance and familiarity on the validation trajectories.
+        """Learn, then fit the covariance to the validation trajectories.
 
         Raises:
             EstimatorError: the data cannot be learnt from.
-            DivergedError: what was learnt is no numbers, or absurd ones.
+            DivergedError: corrections are not finite, or of kilometres.
         """
         _check_data(data, validation)
         self._schema = data.schema
         steps = np.concatenate([np.diff(data.times_s[rows]) for _, rows in data.runs()])
         known = steps[np.isfinite(steps) & (steps > 0)]
         self._period_s = float(np.median(known)) if len(known) else 0.0
-        self._familiar = _Familiarity.of(data, validation, self.watched(data))
+        self._novelty = _Novelty.of(data, validation, self.watched(data))
         self._moment, self._growth = np.eye(3), np.array([1.0, 0.0, 0.0])
         self.learn(data, validation, seed=seed, report=report)
         self._calibrate(validation)
@@ -145,7 +145,7 @@ class OnnxEstimator(Estimator):
         assert self._schema is not None
         graph = Graph()
         core = self.compute(graph, "features", "memory", "tick")
-        strangeness = self._familiar.in_graph(graph, "features")
+        strangeness = self._novelty.in_graph(graph, "features")
         size = max(core.memory_size, 1)
         memory = core.memory or graph.op("Mul", "memory", np.float32(0.0))
         spread = core.spread or graph.op("Mul", strangeness, np.float32(0.0))
@@ -182,7 +182,7 @@ class OnnxEstimator(Estimator):
 
         with np.errstate(over="ignore"):  # what is too large for float32 is found here
             estimates = OnnxModel(self._build({}, judging=True)).predict(validation)
-        if not (np.abs(estimates.errors_mm) < _ABSURD_MM).all():
+        if not (np.abs(estimates.errors_mm) < _MAX_CORRECTION_MM).all():
             raise DivergedError(
                 f"the fit of estimator '{self.name}' diverged, its corrections are no numbers or "
                 "of kilometres: choose other settings, such as a lower learning rate"
@@ -206,8 +206,8 @@ class OnnxEstimator(Estimator):
 
 
 @dataclass(frozen=True, eq=False)
-class _Familiarity:
-    """How unlike training a state is: outside the range of a feature, or far by Mahalanobis."""
+class _Novelty:
+    """Distance of a state from the training states: in range of a feature, and Mahalanobis."""
 
     middle: Floats
     half_range: Floats
@@ -216,7 +216,7 @@ class _Familiarity:
     limit: float
 
     @classmethod
-    def of(cls, data: Dataset, validation: Dataset, watched: Sequence[int]) -> _Familiarity:
+    def of(cls, data: Dataset, validation: Dataset, watched: Sequence[int]) -> _Novelty:
         ignored = np.ones(data.states.shape[1], dtype=bool)
         ignored[list(watched)] = False
         states = np.concatenate([data.states, validation.states])
@@ -230,7 +230,7 @@ class _Familiarity:
         values, axes = np.linalg.eigh(covariance)
         whitener = axes / np.sqrt(values)
         distance = ((scaling.apply(states) @ whitener) ** 2).mean(axis=1)
-        limit = _ROOM * float(np.quantile(distance, 0.999))
+        limit = _RANGE_MARGIN * float(np.quantile(distance, 0.999))
         reach = np.where(ignored, np.inf, np.maximum(half, floor))
         return cls(middle, reach, scaling, whitener, limit)
 
@@ -238,7 +238,9 @@ class _Familiarity:
         outside = graph.op(
             "Abs",
             graph.op(
-                "Mul", graph.op("Sub", features, self.middle), 1.0 / (_ROOM * self.half_range)
+                "Mul",
+                graph.op("Sub", features, self.middle),
+                1.0 / (_RANGE_MARGIN * self.half_range),
             ),
         )
         farthest = graph.op("ReduceMax", outside, axes=[1], keepdims=1)

@@ -160,7 +160,7 @@ class OnnxModel:
         return Correction(
             error[0].astype(np.float64),
             covariance.reshape(3, 3).astype(np.float64),
-            not bool(strangeness[0, 0] <= 1.0),  # neither is NaN familiar
+            not bool(strangeness[0, 0] <= 1.0),  # NaN is unfamiliar too
         )
 
     def step(self, states: Any, memory: Any, tick: Any) -> tuple[Estimates, Any]:

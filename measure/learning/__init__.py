@@ -4,9 +4,7 @@ from measure.learning import files, sweeping
 from measure.learning.ablation import Importance, ablate, field_groups, single_fields
 from measure.learning.assemble import AssemblySettings, PoseTrack, TrajectoryFacts, assemble
 from measure.learning.clock import ClockOffset, estimate_offset
-from measure.learning.exercise import Exercise, exercise
 from measure.learning.guard import Counters, DriftMonitor, GuardedModel, Refusal
-from measure.learning.joining import join, same_robot
 from measure.learning.offline import (
     Corrected,
     StateTable,
@@ -16,10 +14,17 @@ from measure.learning.offline import (
     write_corrected,
 )
 from measure.learning.packets import AnswerPacket, StatePacket
-from measure.learning.scores import Evaluation, Score, evaluate
+from measure.learning.scores import EstimatorEvaluation, Score, evaluate
 from measure.learning.server import DEFAULT_ADDRESS, EstimateClient, EstimateServer
 from measure.learning.simulated import PAPER_MINUTES, PAPER_PAIRS, simulated_dataset
-from measure.learning.splits import Split, split_as_trained, split_by_rows, split_by_trajectory
+from measure.learning.splits import (
+    Split,
+    join,
+    same_robot,
+    split_as_trained,
+    split_by_rows,
+    split_by_trajectory,
+)
 from measure.learning.study import SweepState
 from measure.learning.training import Trained, train
 from measure.learning.zeroing import Zeroing, fit_zeroing
@@ -36,8 +41,7 @@ __all__ = [
     "DriftMonitor",
     "EstimateClient",
     "EstimateServer",
-    "Evaluation",
-    "Exercise",
+    "EstimatorEvaluation",
     "GuardedModel",
     "Importance",
     "PoseTrack",
@@ -55,7 +59,6 @@ __all__ = [
     "correct",
     "estimate_offset",
     "evaluate",
-    "exercise",
     "field_groups",
     "files",
     "fit_zeroing",

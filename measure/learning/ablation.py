@@ -1,4 +1,4 @@
-"""Which inputs an estimator needs: shuffle them, or leave them out and fit again."""
+"""Importance of an estimator's inputs: shuffle them, or leave them out and fit again."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import numpy as np
 from measure.host import Dataset, Estimator, OnnxModel, Report
 from measure.host.estimator import quiet
 from measure.learning.fitting import fit
-from measure.learning.scores import Score
+from measure.learning.scores import corrected_rms_mm
 from measure.learning.splits import Split
 
 
 @dataclass(frozen=True)
 class Importance:
-    """How much worse the test RMS gets without an input.
+    """Increase of the test RMS without an input.
 
     Attributes:
         name: of a feature or a group of features.
@@ -58,12 +58,12 @@ def ablate(
     Returns:
         The RMS with all inputs, in mm, and the importances, the largest first.
     """
-    base = _rms(model, split.test)
+    base = corrected_rms_mm(model, split.test)
     found = []
     for index, (name, members) in enumerate(groups.items()):
         report(index / len(groups), name)
         columns = split.test.schema.index(members)
-        permuted = _rms(model, _shuffled(split.test, columns, seed))
+        permuted = corrected_rms_mm(model, _shuffled(split.test, columns, seed))
         removed = None if refit is None else _removed(refit(), split, columns, seed)
         removal = None if removed is None else removed - base
         found.append(Importance(name, len(columns), permuted, removed, permuted - base, removal))
@@ -98,9 +98,4 @@ def _removed(estimator: Estimator, split: Split, columns: Sequence[int], seed: i
         return replace(data, states=states)
 
     fit(estimator, without(split.train), without(split.validation), seed=seed, report=quiet)
-    return _rms(estimator.model, without(split.test))  # type: ignore[attr-defined]
-
-
-def _rms(model: OnnxModel, data: Dataset) -> float:
-    residuals = data.errors_mm - model.predict(data).errors_mm
-    return Score.of(residuals[data.usable]).rms_mm
+    return corrected_rms_mm(estimator.model, without(split.test))  # type: ignore[attr-defined]

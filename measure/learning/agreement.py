@@ -1,4 +1,4 @@
-"""Whether measured and reported positions can be of one motion, in one unit and one frame."""
+"""Checks that measured and reported positions are in one unit and one frame."""
 
 from __future__ import annotations
 
@@ -7,28 +7,28 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import EstimatorError
 
-_MOVES_MM = 1.0
-"""Positions that spread less do not tell their unit."""
-_STANDS_STILL = 1e-4
-"""A tip that spreads less than this share of the measured one is not the same."""
-_LEAST_ROWS, _LEAST_SPREAD_MM = 20, 10.0
-"""Fewer positions, or positions nearer to one line, do not tell a frame."""
-_LEAST_CORRELATION = 0.8
-_MIRRORED = 3.0
-"""How many times less a mirrored frame must leave of the motion to be named."""
+_MIN_SPREAD_MM = 1.0
+"""Spread of the positions below which their unit is not checked."""
+_MIN_SPREAD_SHARE = 1e-4
+"""Least spread of the reported positions, as a share of that of the measured ones."""
+_MIN_ROWS, _MIN_PLANE_SPREAD_MM = 20, 10.0
+"""Fewer positions, or positions nearer to one line, do not determine a frame."""
+_MIN_CORRELATION = 0.8
+_MIN_MIRROR_RATIO = 3.0
+"""Of the residual motion to that in a mirrored frame, from which the frame is called mirrored."""
 _LARGEST_TURN_DEG, _LARGEST_SHIFT_MM = 20.0, 100.0
-"""No robot errs by more: joints homed wrongly turn its frame by a few degrees."""
+"""Largest errors of a robot: wrongly homed joints turn its frame by a few degrees."""
 
 
 def check_units(name: str, measured_mm: Floats, reported_mm: Floats) -> None:
     """Refuse positions (n, 3) of the same instants that are not both in mm.
 
     Raises:
-        EstimatorError: what they look like.
+        EstimatorError: with the unit they seem to have.
     """
     spread = np.linalg.norm(measured_mm.std(axis=0))
     expected = np.linalg.norm(reported_mm.std(axis=0))
-    if max(spread, expected) < _MOVES_MM:
+    if max(spread, expected) < _MIN_SPREAD_MM:
         return
     ratio = spread / max(float(expected), 1e-12)
     for factor, what in ((1e-3, "metres"), (1e-1, "centimetres"), (1e3, "micrometres")):
@@ -37,7 +37,7 @@ def check_units(name: str, measured_mm: Floats, reported_mm: Floats) -> None:
                 f"{name}: the measured positions look like {what} (they spread {ratio:.2g} times "
                 "as far as the robot's reported ones): convert them to mm"
             )
-    if expected < _STANDS_STILL * spread:
+    if expected < _MIN_SPREAD_SHARE * spread:
         raise EstimatorError(
             f"{name}: the robot's log reports a tip that stands still while the measured one moves "
             f"by {spread:.1f} mm: are these the right columns, and is their unit?"
@@ -55,19 +55,19 @@ def check_units(name: str, measured_mm: Floats, reported_mm: Floats) -> None:
 def check_frames(name: str, measured_mm: Floats, reported_mm: Floats) -> None:
     """Refuse positions (n, 3) of the same instants that are of two frames.
 
-    Their difference would be learnt as the robot's error. Frames are told apart by the rotation
-    that brings the reported positions nearest to the measured ones (Kabsch 1976), where they
-    spread enough to tell.
+    Their difference would be fitted as the robot's error. Frames are compared by the rotation
+    that brings the reported positions nearest to the measured ones (Kabsch 1976), where the
+    positions spread enough.
 
     Raises:
         EstimatorError: they do not go together, or one is mirrored, turned or shifted.
     """
-    if len(reported_mm) < _LEAST_ROWS:
+    if len(reported_mm) < _MIN_ROWS:
         return
     apart = measured_mm.mean(axis=0) - reported_mm.mean(axis=0)
     ours, theirs = (p - p.mean(axis=0) for p in (measured_mm, reported_mm))
     spread = np.linalg.svd(theirs, compute_uv=False) / np.sqrt(len(theirs))
-    if spread[1] < _LEAST_SPREAD_MM:
+    if spread[1] < _MIN_PLANE_SPREAD_MM:
         return
     u, values, v = np.linalg.svd(ours.T @ theirs)
     handed = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ v))])
@@ -75,9 +75,9 @@ def check_frames(name: str, measured_mm: Floats, reported_mm: Floats) -> None:
     turned, mirrored = float(handed @ values) / size, float(values.sum()) / size
     turn_deg = float(np.degrees(np.arccos(np.clip((np.trace(u * handed @ v) - 1) / 2, -1, 1))))
     wrong = ""
-    if mirrored < _LEAST_CORRELATION:
+    if mirrored < _MIN_CORRELATION:
         wrong = f"do not go together (correlation {mirrored:.2f}): is the clock offset right?"
-    elif 1 - turned**2 > _MIRRORED * (1 - mirrored**2) and spread[2] > _LEAST_SPREAD_MM:
+    elif 1 - turned**2 > _MIN_MIRROR_RATIO * (1 - mirrored**2) and spread[2] > _MIN_PLANE_SPREAD_MM:
         wrong = "are mirror images of each other: are two axes exchanged, or one reversed?"
     elif turn_deg > _LARGEST_TURN_DEG:
         wrong = f"are turned by {turn_deg:.0f} degrees to each other"

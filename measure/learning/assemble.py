@@ -1,4 +1,4 @@
-"""From measured poses and a robot's log to a data set: one clock, labels, doubts marked."""
+"""From measured poses and a robot's log to a data set: one clock, labels, and their quality."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from measure.errors import EstimatorError
 from measure.host import Dataset
 from measure.learning.agreement import check_frames, check_units
 from measure.learning.clock import ClockOffset, estimate_offset
-from measure.learning.joining import join
+from measure.learning.splits import join
 from measure.robots import RobotLog
 
 _LARGEST_OFFSET_S = 3600.0
@@ -38,7 +38,7 @@ class PoseTrack:
 
 @dataclass(frozen=True)
 class AssemblySettings:
-    """How poses and states are brought together.
+    """How poses and states are paired.
 
     Attributes:
         clock_offset_s: robot minus camera time; estimated from the motion if absent.
@@ -78,7 +78,7 @@ class AssemblySettings:
 
 @dataclass(frozen=True)
 class TrajectoryFacts:
-    """What happened to one recording, for the data card."""
+    """Counts of one recording, for the data card."""
 
     name: str
     rows: int
@@ -108,7 +108,7 @@ def assemble(
         raise EstimatorError("no recordings to make a data set of")
     parts, facts = [], []
     for track, log in pairs:
-        part, fact = _one(track, log, settings)
+        part, fact = _assemble_one(track, log, settings)
         parts.append(part)
         facts.append(fact)
     return join(parts), facts
@@ -116,7 +116,7 @@ def assemble(
 
 @dataclass(frozen=True, eq=False)
 class _Marks:
-    """What is true of each row (n,): measured, a state is near, an outlier, too uncertain."""
+    """Flags of each row (n,): pose measured, state near in time, outlier, too uncertain."""
 
     measured: Bools
     near: Bools
@@ -125,23 +125,23 @@ class _Marks:
 
     @property
     def usable(self) -> Bools:
-        """Its label may be learnt from."""
+        """Rows whose label is used for training."""
         return self.measured & self.near & ~self.outlier & ~self.uncertain
 
     @property
     def kept(self) -> Bools:
-        """It belongs to the data set, if only as history."""
+        """Rows of the data set, with or without a usable label."""
         return self.near | self.measured
 
 
-def _one(
+def _assemble_one(
     track: PoseTrack, log: RobotLog, settings: AssemblySettings
 ) -> tuple[Dataset, TrajectoryFacts]:
-    told = _of_numbers(track.name, log)
-    clock = _clock(track, told, settings)
+    finite = _finite_states(track.name, log)
+    clock = _clock(track, finite, settings)
     offset = clock.offset_s if clock else settings.clock_offset_s or 0.0
-    times, row_of_pose = _row_times(track.times_s + offset, told, settings.history_hz)
-    states, near = _interpolate(told, times, settings.longest_gap_s)
+    times, row_of_pose = _row_times(track.times_s + offset, finite, settings.history_hz)
+    states, near = _interpolate(finite, times, settings.longest_gap_s)
     positions = np.full((len(times), 3), np.nan)
     covariances = np.tile(np.eye(3), (len(times), 1, 1))
     positions[row_of_pose] = track.positions_mm
@@ -149,7 +149,7 @@ def _one(
     reported = log.schema.position_mm(states)
     errors = positions - reported
     measured = np.asarray(np.isfinite(errors).all(axis=1))
-    _check_common(track, told, offset, positions[measured & near], reported[measured & near])
+    _check_common(track, finite, offset, positions[measured & near], reported[measured & near])
     outlier = np.zeros(len(times), dtype=bool)
     outlier[row_of_pose] = _outliers(errors[row_of_pose], settings.outlier_sds)
     sd = np.sqrt(np.trace(covariances, axis1=1, axis2=2))
@@ -172,7 +172,7 @@ def _one(
     return part, _facts(track, marks, bad, float(times[-1] - times[0]), clock)
 
 
-def _of_numbers(name: str, log: RobotLog) -> RobotLog:
+def _finite_states(name: str, log: RobotLog) -> RobotLog:
     """The log without the states that are not all numbers."""
     bad = ~np.isfinite(log.states)
     good = ~bad.any(axis=1)
@@ -186,7 +186,7 @@ def _of_numbers(name: str, log: RobotLog) -> RobotLog:
 
 
 def _clock(track: PoseTrack, log: RobotLog, settings: AssemblySettings) -> ClockOffset | None:
-    """The offset as the motion tells it, or None if it was given."""
+    """The offset estimated from the motion, or None if it was given."""
     seen = np.isfinite(track.positions_mm).all(axis=1)
     if seen.sum() < 10:
         raise EstimatorError(f"{track.name}: only {int(seen.sum())} poses were measured")

@@ -12,19 +12,19 @@ from measure.arrays import Bools, Floats
 from measure.errors import EstimatorError
 
 _GRID_HZ = 100.0
-_SPAN_S = 0.1  # velocities are differences over twice this
-_LEAST_MOTION_S = 8.0  # shorter motions of one hand resemble each other
-_LEAST_SHARE = 0.5  # of the shorter recording must lie in the other
-_ENOUGH_S = 1e5  # of motion; what is beyond is not compared
-_GAP_S, _GAP_STEPS = 0.3, 3.0  # steps longer than both, the latter in usual steps, are gaps
+_HALF_SPAN_S = 0.1  # velocities are differences of positions over twice this time
+_MIN_MOTION_S = 8.0  # shorter motions of one operator resemble each other
+_MIN_COMMON_SHARE = 0.5  # of the shorter recording that must overlap the other
+_MAX_COMPARED_S = 1e5  # longest stretch of motion that is compared
+_GAP_S, _GAP_STEPS = 0.3, 3.0  # a step longer than both (s, median steps) is a gap
 _SLOPE_S = 0.01
-_LEAST_CORRELATION = 0.9
-_APART_S = 0.5  # offsets farther apart are different answers
-_LEAST_ADVANTAGE = 3.0  # what is left of the motion at any other offset, over what is left at best
-_ALIKE_S = 2.0  # residuals closer than this may belong together
-_AROUND = 5  # positions whose median one is compared with
-_LEAST_KEPT = 0.8  # of the positions; false detections are fewer than the rest
-_SPARSE_S = 0.4  # poses farther apart miss most of a hand's motion
+_MIN_CORRELATION = 0.9
+_MIN_RIVAL_DISTANCE_S = 0.5  # offsets nearer to the best one are not its rivals
+_MIN_RESIDUAL_RATIO = 3.0  # of the residual motion at a rival offset to that at the best
+_MAX_CORRELATION_S = 2.0  # residuals closer in time than this may be correlated
+_MEDIAN_SAMPLES = 5  # window of the median filter that finds outliers
+_MIN_KEPT_SHARE = 0.8  # of the positions; more outliers than the rest mean another cause
+_SPARSE_POSES_S = 0.4  # poses farther apart in time miss most of the motion
 
 
 @dataclass(frozen=True)
@@ -33,10 +33,9 @@ class ClockOffset:
 
     Attributes:
         offset_s: the offset.
-        sd_s: its standard deviation, from how sharply the velocities fit and how long what is
-            left of them keeps its sign.
-        correlation: of the two velocities at that offset, one turned into the other's frame; one
-            if they agree perfectly.
+        sd_s: its standard deviation, from the curvature of the fit and the autocorrelation of its
+            residuals.
+        correlation: of the two velocities at that offset, rotated into one frame; at most 1.
     """
 
     offset_s: float
@@ -54,9 +53,9 @@ def estimate_offset(
 ) -> ClockOffset:
     """Align measured and reported velocities.
 
-    At every offset the reported velocities are turned into the measured ones as well as a rotation
-    can; the offset at which they agree best is refined. Velocities, not positions: hysteresis
-    shifts positions along the motion as a delay would, but hardly changes how fast the tip moves.
+    At every offset the reported velocities are rotated onto the measured ones (least squares); the
+    offset of the largest correlation is refined. Velocities are compared because hysteresis shifts
+    positions along the motion as a delay does, but hardly changes velocities.
 
     Args:
         camera_times_s: (n,) and
@@ -69,21 +68,21 @@ def estimate_offset(
         EstimatorError: too little motion in common, no offset makes the velocities agree, or
             several do (motion that repeats itself).
     """
-    robot = _Motion(robot_times_s, reported_mm)
-    cameras = _without_slips(_Motion(camera_times_s, measured_mm), robot)
+    robot = _PositionTrack(robot_times_s, reported_mm)
+    cameras = _without_outliers(_PositionTrack(camera_times_s, measured_mm), robot)
     grid = _common_times(cameras.times_s, robot.times_s, largest_s)
     lags, scores = _agreements(cameras, robot, grid, largest_s)
     best = int(np.argmax(scores))
-    if not scores[best] >= _LEAST_CORRELATION:
+    if not scores[best] >= _MIN_CORRELATION:
         step = float(np.median(np.diff(camera_times_s)))
         hint = f" Poses every {step:.2g} s hardly show speeds: give the clock offset."
         raise EstimatorError(
             f"no clock offset within {largest_s:g} s makes the measured and the reported velocity "
             f"agree (best correlation {scores[best]:.2f}): is this the log of this recording, "
-            "and no axis reversed?" + (hint if step > _SPARSE_S else "")
+            "and no axis reversed?" + (hint if step > _SPARSE_POSES_S else "")
         )
-    rival = int(np.argmax(np.where(np.abs(lags - lags[best]) > _APART_S, scores, 0.0)))
-    if 1 - scores[rival] ** 2 < _LEAST_ADVANTAGE * (1 - scores[best] ** 2):
+    rival = int(np.argmax(np.where(np.abs(lags - lags[best]) > _MIN_RIVAL_DISTANCE_S, scores, 0.0)))
+    if 1 - scores[rival] ** 2 < _MIN_RESIDUAL_RATIO * (1 - scores[best] ** 2):
         raise EstimatorError(
             f"the motion fits clock offsets of {lags[best]:.2f} s and {lags[rival]:.2f} s alike "
             f"(correlations {scores[best]:.2f} and {scores[rival]:.2f}), as it repeats itself or "
@@ -94,8 +93,8 @@ def estimate_offset(
 
 def _common_times(camera_s: Floats, robot_s: Floats, largest_s: float) -> Floats:
     start = max(camera_s[0], robot_s[0] - largest_s)
-    stop = min(camera_s[-1], robot_s[-1] + largest_s, start + _ENOUGH_S)
-    if min(stop - start, robot_s[-1] - robot_s[0]) < _LEAST_MOTION_S:
+    stop = min(camera_s[-1], robot_s[-1] + largest_s, start + _MAX_COMPARED_S)
+    if min(stop - start, robot_s[-1] - robot_s[0]) < _MIN_MOTION_S:
         raise _too_little(camera_s, robot_s)
     return np.arange(start, stop, 1.0 / _GRID_HZ)
 
@@ -103,14 +102,14 @@ def _common_times(camera_s: Floats, robot_s: Floats, largest_s: float) -> Floats
 def _too_little(camera_s: Floats, robot_s: Floats) -> EstimatorError:
     return EstimatorError(
         f"cameras ({camera_s[0]:.1f} to {camera_s[-1]:.1f} s) and robot ({robot_s[0]:.1f} to "
-        f"{robot_s[-1]:.1f} s) share less than {_LEAST_MOTION_S:g} s of motion: give the clock "
+        f"{robot_s[-1]:.1f} s) share less than {_MIN_MOTION_S:g} s of motion: give the clock "
         "offset, or the log of this recording"
     )
 
 
 @dataclass(frozen=True, eq=False)
-class _Motion:
-    """Positions (n, 3) in mm over times (n,) in s, and what lies between them."""
+class _PositionTrack:
+    """Positions (n, 3) in mm at times (n,) in s, and velocities between them."""
 
     times_s: Floats
     positions_mm: Floats
@@ -119,45 +118,45 @@ class _Motion:
         """Velocities (m, 3) in mm/s at instants (m,); 0 where a gap or an end is near."""
         ahead, behind = (
             np.stack([np.interp(at, self.times_s, axis) for axis in self.positions_mm.T], axis=1)
-            for at in (at_s + _SPAN_S, at_s - _SPAN_S)
+            for at in (at_s + _HALF_SPAN_S, at_s - _HALF_SPAN_S)
         )
-        return (ahead - behind) / (2.0 * _SPAN_S) * self.known(at_s)[:, None]
+        return (ahead - behind) / (2.0 * _HALF_SPAN_S) * self.known(at_s)[:, None]
 
     def known(self, at_s: Floats) -> Bools:
         """Whether velocities at instants (m,) bridge no gap and pass no end."""
         steps = np.diff(self.times_s)
         gaps = steps > max(_GAP_S, _GAP_STEPS * float(np.median(steps)))
         before = np.concatenate([[0], np.cumsum(gaps)])  # gaps before every sample
-        first = np.searchsorted(self.times_s, at_s - _SPAN_S, side="right") - 1
-        last = np.searchsorted(self.times_s, at_s + _SPAN_S, side="left")
+        first = np.searchsorted(self.times_s, at_s - _HALF_SPAN_S, side="right") - 1
+        last = np.searchsorted(self.times_s, at_s + _HALF_SPAN_S, side="left")
         inside = (first >= 0) & (last < len(self.times_s))
         bridged = before[np.minimum(last, len(gaps))] - before[np.maximum(first, 0)]
         return np.asarray(inside & (bridged == 0))
 
 
-def _without_slips(cameras: _Motion, robot: _Motion) -> _Motion:
-    """What was measured, but for single positions that the robot cannot have got to and back from.
+def _without_outliers(cameras: _PositionTrack, robot: _PositionTrack) -> _PositionTrack:
+    """The measured track without single positions that the robot cannot have reached.
 
-    These are further from the median of the five around them than it ever goes in their time: one
-    false detection is a velocity that outweighs all others.
+    They are farther from the median of five neighbours than the robot's largest speed allows. One
+    false detection would outweigh all other velocities.
     """
     moving = robot.velocity(robot.times_s)
     fastest = float(np.linalg.norm(moving, axis=1).max())
-    middle = median_filter(cameras.positions_mm, size=(_AROUND, 1), mode="mirror")
+    middle = median_filter(cameras.positions_mm, size=(_MEDIAN_SAMPLES, 1), mode="mirror")
     off = np.linalg.norm(cameras.positions_mm - middle, axis=1)
-    side, last = _AROUND // 2, len(off) - 1
+    side, last = _MEDIAN_SAMPLES // 2, len(off) - 1
     at = np.arange(len(off))
     first, stop = np.maximum(at - side, 0), np.minimum(at + side, last)
     kept = off <= fastest * (cameras.times_s[stop] - cameras.times_s[first])
-    if kept.mean() < _LEAST_KEPT:  # another unit, or another robot's log: not for here to say
+    if kept.mean() < _MIN_KEPT_SHARE:  # another unit, or the log of another robot
         return cameras
-    return _Motion(cameras.times_s[kept], cameras.positions_mm[kept])
+    return _PositionTrack(cameras.times_s[kept], cameras.positions_mm[kept])
 
 
 def _agreements(
-    cameras: _Motion, robot: _Motion, grid: Floats, largest_s: float
+    cameras: _PositionTrack, robot: _PositionTrack, grid: Floats, largest_s: float
 ) -> tuple[Floats, Floats]:
-    """How well the velocities agree at every offset of the search range, after a rotation.
+    """Correlation of the velocities at every offset of the search range, after a rotation.
 
     Returns:
         Offsets (n,) in s and correlations (n,), 0 where too little motion is in common: the sum of
@@ -171,16 +170,21 @@ def _agreements(
     lags = np.arange(-reach, reach + 1) / _GRID_HZ
     wide = np.arange(len(grid) + 2 * reach) / _GRID_HZ + (grid[0] - largest_s)
     measured, reported = cameras.velocity(grid), robot.velocity(wide)
-    seen, told = cameras.known(grid).astype(np.float64), robot.known(wide).astype(np.float64)
-    common_s = _sliding(told, seen) / _GRID_HZ
-    shorter_s = min(seen.sum(), told.sum()) / _GRID_HZ
-    if not common_s.max() > _LEAST_MOTION_S:
+    measured_known, reported_known = (
+        cameras.known(grid).astype(np.float64),
+        robot.known(wide).astype(np.float64),
+    )
+    common_s = _sliding(reported_known, measured_known) / _GRID_HZ
+    shorter_s = min(measured_known.sum(), reported_known.sum()) / _GRID_HZ
+    if not common_s.max() > _MIN_MOTION_S:
         raise _too_little(cameras.times_s, robot.times_s)
     cross = [[_sliding(theirs, ours) for theirs in reported.T] for ours in measured.T]
     u, values, v = np.linalg.svd(np.moveaxis(np.array(cross), 2, 0))
     values[:, 2] *= np.sign(np.linalg.det(u @ v))
-    squares = _sliding(told, (measured**2).sum(axis=1)) * _sliding((reported**2).sum(axis=1), seen)
-    enough = (common_s > max(_LEAST_MOTION_S, _LEAST_SHARE * shorter_s)) & (squares > 1e-6)
+    squares = _sliding(reported_known, (measured**2).sum(axis=1)) * _sliding(
+        (reported**2).sum(axis=1), measured_known
+    )
+    enough = (common_s > max(_MIN_MOTION_S, _MIN_COMMON_SHARE * shorter_s)) & (squares > 1e-6)
     return lags, np.where(enough, values.sum(axis=1) / np.sqrt(np.where(enough, squares, 1)), 0.0)
 
 
@@ -190,7 +194,7 @@ def _sliding(long: Floats, short: Floats) -> Floats:
 
 
 def _refine(
-    cameras: _Motion, robot: _Motion, grid: Floats, lag: float, score: float
+    cameras: _PositionTrack, robot: _PositionTrack, grid: Floats, lag: float, score: float
 ) -> ClockOffset:
     """Gauss-Newton on the offset and the 3x3 map from reported to measured velocities."""
     pull, curvature = np.zeros(1), 1.0
@@ -212,8 +216,8 @@ def _refine(
 
 
 def _variance_of_sum(pull: Floats) -> float:
-    """Of the sum of a stationary series (n,), with lags up to `_ALIKE_S` (Newey and West 1987)."""
-    reach = min(round(_ALIKE_S * _GRID_HZ), len(pull) - 1)
+    """Variance of the sum of a stationary series (n,) (Newey and West 1987)."""
+    reach = min(round(_MAX_CORRELATION_S * _GRID_HZ), len(pull) - 1)
     products = correlate(pull, pull, mode="full", method="fft")[len(pull) - 1 :][: reach + 1]
     weights = 1 - np.arange(reach + 1) / (reach + 1)
     return float(2 * weights @ products - products[0])

@@ -190,7 +190,7 @@ def read_poses(path: Path) -> PoseTrack:
         raise EstimatorError(f"{path}: row {row} has no time")
     positions = columns[:, 1:]
     if "status" in table:
-        positions = _believed(positions, table.labels("status"))
+        positions = _where_ok(positions, table.labels("status"))
     return _ordered(path.stem, columns[:, 0], positions, covariances)
 
 
@@ -200,11 +200,11 @@ def _run_poses(path: Path) -> PoseTrack:
     positions, covariances = np.full((count, 3), np.nan), np.tile(np.eye(3), (count, 1, 1))
     positions[run.has_pose] = run.world_from_body.translation
     covariances[run.has_pose] = run.covariances[:, :3, :3]
-    positions = _believed(positions, run.poses["status"].to_pylist())
+    positions = _where_ok(positions, run.poses["status"].to_pylist())
     return _ordered(path.name, run.times_s, positions, covariances)
 
 
-def _believed(positions: Floats, statuses: Sequence[str]) -> Floats:
+def _where_ok(positions: Floats, statuses: Sequence[str]) -> Floats:
     sure = np.array(statuses) == "ok"
     return np.where(sure[:, None], positions, np.nan)
 

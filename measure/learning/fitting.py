@@ -1,4 +1,4 @@
-"""Letting an estimator learn, and telling its failures from those of who watches it."""
+"""Fitting an estimator; its failures are kept apart from those of the progress callback."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from measure.host.failures import failure
 def fit(
     estimator: Estimator, data: Dataset, validation: Dataset, *, seed: int, report: Report
 ) -> None:
-    """Let an estimator learn, as its own `fit` does.
+    """Fit an estimator.
 
-    What `report` raises, to end a fit for instance, comes out as it is, whatever the estimator
-    makes of it.
+    An exception raised by `report` (to end a fit, say) is raised unchanged, whether or not the
+    estimator catches it.
 
     Raises:
         EstimatorError: the data cannot be learnt from.
         FitError: the estimator fails.
     """
-    watch = _Watch(report)
+    tracked = _TrackedReport(report)
     try:
-        estimator.fit(data, validation, seed=seed, report=watch)
+        estimator.fit(data, validation, seed=seed, report=tracked)
     except Exception as error:
-        theirs = watch.raised_before(error)
+        theirs = tracked.raised_before(error)
         if theirs is None and not isinstance(error, MeasureError):
             raise FitError(str(failure("estimator", estimator, "fitting", error))) from error
         if theirs is None or theirs is error:
@@ -33,11 +33,10 @@ def fit(
     raise theirs
 
 
-class _Watch:
-    """A report that remembers what it raised.
+class _TrackedReport:
+    """A progress callback that keeps the exceptions it raised.
 
-    Shares are brought between 0 and 1 before they are reported: an estimator that says NaN is not
-    to blame whoever counts in whole numbers.
+    Shares are clipped to 0 to 1, and NaN becomes 0, before they are reported.
     """
 
     def __init__(self, report: Report) -> None:
@@ -53,7 +52,7 @@ class _Watch:
             raise
 
     def raised_before(self, error: BaseException | None) -> Exception | None:
-        """What it raised that `error` is, or came of."""
+        """The exception of the callback that is `error`, or its cause."""
         seen: list[BaseException] = []
         while error is not None and error not in seen:
             if isinstance(error, Exception) and error in self._raised:

@@ -1,4 +1,4 @@
-"""What stands before a model online: refusals that are counted, a re-zero, a drift monitor."""
+"""Guards of a model online: checks of the states, a re-zero, a drift monitor."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from measure.arrays import Floats
 from measure.host import Correction, OnnxModel
 from measure.learning.zeroing import Zeroing
 
-_REORDERED = 100
-"""A network that changes the order of packets brings none of them later than so many others."""
-_LARGEST_LEAP = 1_000_000
-"""So many packets in a row are not lost: a quarter of an hour at 1 kHz."""
+_MAX_REORDERED = 100
+"""Largest number of packets by which a network brings one late."""
+_MAX_LOST_IN_A_ROW = 1_000_000
+"""Largest number of packets lost in a row: a quarter of an hour at 1 kHz."""
 _JITTER_S = 1.0
-"""Stamps that go back by no more are refused one by one: they soon grow beyond the last again."""
-_LARGEST = float(np.finfo(np.float32).max)
-"""What is larger is no number to a network."""
-_LONGEST_PAUSE_S = 1000.0
-"""A stamp further ahead of the last one is not believed by itself."""
+"""Largest step back of a stamp that is jitter, not a clock that was set."""
+_MAX_FLOAT32 = float(np.finfo(np.float32).max)
+"""Largest value of a feature: networks compute in float32."""
+_MAX_PAUSE_S = 1000.0
+"""Largest step ahead of a stamp; a longer one needs a second stamp that confirms it."""
 
 
 class Refusal(StrEnum):
@@ -39,13 +39,13 @@ class Refusal(StrEnum):
 
 @dataclass
 class Counters:
-    """What happened so far.
+    """Counts of states and answers.
 
     Attributes:
         corrected: states that got a correction.
         unfamiliar: of these, flagged as unlike training.
         lost: sequence numbers that never came.
-        unsent: answers that nobody could be sent.
+        unsent: answers that could not be sent.
         refused: by reason.
     """
 
@@ -68,7 +68,7 @@ class Counters:
 
 
 class GuardedModel:
-    """A model that answers good states and refuses, and counts, all others."""
+    """A model that corrects valid states, and refuses and counts all others."""
 
     def __init__(
         self, model: OnnxModel, zeroing: Zeroing | None = None, counters: Counters | None = None
@@ -83,7 +83,7 @@ class GuardedModel:
     def update(
         self, state: Floats, time_s: float, sequence: int | None = None
     ) -> Correction | Refusal:
-        """Correct a state, or say why not; a re-zero is included.
+        """Correct a state, re-zero included, or return why it is refused.
 
         Args:
             state: the features.
@@ -127,41 +127,46 @@ class GuardedModel:
         if sequence == 0:
             return True
         last, stray = self._last_sequence, self._stray_sequence
-        near = last is None or -_REORDERED <= sequence - last <= _LARGEST_LEAP
+        near = last is None or -_MAX_REORDERED <= sequence - last <= _MAX_LOST_IN_A_ROW
         self._stray_sequence = None if near else sequence
-        return not near and stray is not None and 0 < sequence - stray <= _REORDERED
+        return not near and stray is not None and 0 < sequence - stray <= _MAX_REORDERED
 
     def _clock_was_set(self, time_s: float) -> bool:
-        """The same for stamps."""
+        """Whether two stamps in a row are far from the last and follow each other."""
         stray = self._stray_time_s
-        far = not -_JITTER_S <= time_s - self._last_time_s <= _LONGEST_PAUSE_S
+        far = not -_JITTER_S <= time_s - self._last_time_s <= _MAX_PAUSE_S
         self._stray_time_s = time_s if far else np.nan
-        return bool(far and 0 < time_s - stray <= _LONGEST_PAUSE_S)
+        return bool(far and 0 < time_s - stray <= _MAX_PAUSE_S)
 
     def _judge(self, state: Floats, time_s: float, sequence: int | None) -> Refusal | None:
         if len(state) != len(self.model.features):
             return Refusal.FEATURE_COUNT
-        if np.isinf(time_s) or not (np.abs(state) <= _LARGEST).all():
+        if np.isinf(time_s) or not (np.abs(state) <= _MAX_FLOAT32).all():
             return Refusal.NOT_A_NUMBER
         last = self._last_sequence
-        if sequence is not None and last is not None and not 0 < sequence - last <= _LARGEST_LEAP:
+        if (
+            sequence is not None
+            and last is not None
+            and not 0 < sequence - last <= _MAX_LOST_IN_A_ROW
+        ):
             return Refusal.REPEATED
         if time_s <= self._last_time_s:
             return Refusal.STALE
-        if time_s - self._last_time_s > _LONGEST_PAUSE_S:
+        if time_s - self._last_time_s > _MAX_PAUSE_S:
             return Refusal.LEAP
         return None
 
 
 @dataclass
 class DriftMonitor:
-    """Says when the cables have changed: measured residuals no longer fit the covariance.
+    """Detects changed cables: measured residuals that no longer fit the stated covariance.
 
-    A mean squared Mahalanobis length (per axis) near one is what the model promised. It is averaged
-    exponentially, and compared with a limit that honest residuals cross rarely.
+    The squared Mahalanobis length of a residual per axis is 1 on average if they fit. Its
+    exponential average is compared with a limit.
 
     Attributes:
-        limit: beyond which retraining is due; 2 means residuals 1.4 times as large as promised.
+        limit: of the average, beyond which retraining is due; 2 means residuals 1.4 times as large
+            as stated.
         memory: labels over which to average.
     """
 
@@ -171,7 +176,7 @@ class DriftMonitor:
     count: int = 0
 
     def add(self, residual_mm: Floats, covariance: Floats) -> None:
-        """Take one measured residual and the covariance that was promised for it."""
+        """Add one measured residual and its stated covariance."""
         squared = float(residual_mm @ np.linalg.solve(covariance, residual_mm)) / 3.0
         self.count += 1
         share = max(1.0 / self.count, 1.0 / self.memory)

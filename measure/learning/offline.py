@@ -114,7 +114,7 @@ def write_corrected(path: Path, table: StateTable, corrected: Corrected) -> None
 def rezero(
     model: OnnxModel, stretch: Dataset, monitor: DriftMonitor | None = None
 ) -> tuple[Zeroing, DriftMonitor]:
-    """What a restart left, from a measured stretch, and what the rest says of drift.
+    """The offsets after a restart, from a measured stretch, and drift from its residuals.
 
     Args:
         model: a trained one.
@@ -129,16 +129,16 @@ def rezero(
     residuals = (stretch.errors_mm - estimates.errors_mm)[used]
     zeroing = fit_zeroing(stretch.schema, stretch.states[used], residuals)
     monitor = monitor or DriftMonitor()
-    promised = estimates.covariances[used] + stretch.covariances[used]
-    promised = promised + zeroing.covariance
+    stated = estimates.covariances[used] + stretch.covariances[used]
+    stated = stated + zeroing.covariance
     left = residuals - zeroing.offset_mm(stretch.states[used])
-    for residual, covariance in zip(left, promised, strict=True):
+    for residual, covariance in zip(left, stated, strict=True):
         monitor.add(residual, covariance)
     return zeroing, monitor
 
 
 def schema_of(model: OnnxModel) -> StateSchema:
-    """As much of a schema as a model file tells: enough to read its features from a log."""
+    """A schema from the metadata of a model file: enough to read its features from a log."""
     matrix = np.array(model.facts["position_mm"])
     x, y, z = (
         Reading(tuple((model.features[i], float(column[i])) for i in np.flatnonzero(column)))

@@ -26,7 +26,7 @@ _HOME = np.array([np.deg2rad(40.0), np.deg2rad(90.0), 350.0, 0.0, 0.0, 0.0])
 
 
 @dataclass(frozen=True, eq=False)
-class _Recorded:
+class _InterpolatedTrajectory:
     """The true motion in the rig's frame, between the simulator's steps."""
 
     times_s: Floats
@@ -87,7 +87,7 @@ def _scene(run: SimulatedRun, seed: int) -> Scene:
         "raven-simulated",
         body,
         cameras,
-        _Recorded(run.times_s, rig_from_tip),
+        _InterpolatedTrajectory(run.times_s, rig_from_tip),
         Lighting(lamps(seed), (0.15, 0.15, 0.15), (0.12, 0.12, 0.12), shadows=True),
         finish=Material((1.0, 1.0, 1.0), 0.03, 0.08),
         attached=stems(body),

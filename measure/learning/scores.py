@@ -1,4 +1,4 @@
-"""How good corrections are: RMS, SD, reduction; per axis, by trajectory, by speed."""
+"""Accuracy of corrections: RMS, SD, reduction; per axis, by trajectory, by speed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from measure.arrays import Bools, Floats
-from measure.host import Dataset, Estimates
+from measure.host import Dataset, Estimates, OnnxModel
 
 SPEED_EDGES_MM_S = (0.0, 5.0, 15.0, 30.0, 60.0, np.inf)
 
@@ -56,7 +56,7 @@ class Score:
 
 
 @dataclass(frozen=True)
-class Evaluation:
+class EstimatorEvaluation:
     """An estimator on a data set, before and after the correction.
 
     Attributes:
@@ -64,7 +64,8 @@ class Evaluation:
         after: of the corrected position.
         rms_change: after / before - 1; negative is better.
         sd_change: the same for the SD.
-        consistency: mean squared Mahalanobis length of residuals per axis; one is honest.
+        consistency: mean squared Mahalanobis length of residuals per axis; 1 if the covariance
+            fits.
         unfamiliar: share of rows flagged as unlike training.
         by_trajectory: name -> (before, after).
         by_speed: (slowest mm/s, fastest mm/s, before, after).
@@ -84,7 +85,7 @@ class Evaluation:
         return asdict(self)
 
 
-def evaluate(data: Dataset, estimates: Estimates, used: Bools | None = None) -> Evaluation:
+def evaluate(data: Dataset, estimates: Estimates, used: Bools | None = None) -> EstimatorEvaluation:
     """Score corrections on the usable rows of a data set.
 
     Args:
@@ -98,7 +99,7 @@ def evaluate(data: Dataset, estimates: Estimates, used: Bools | None = None) -> 
     covariance = (estimates.covariances + data.covariances)[keep]
     squared = np.einsum("ni,nij,nj->n", residuals[keep], np.linalg.inv(covariance), residuals[keep])
     speed = speeds_mm_s(data)
-    return Evaluation(
+    return EstimatorEvaluation(
         before=before,
         after=after,
         rms_change=after.rms_mm / before.rms_mm - 1.0,
@@ -118,6 +119,12 @@ def evaluate(data: Dataset, estimates: Estimates, used: Bools | None = None) -> 
             for part in [keep & (speed >= low) & (speed < high)]
         ),
     )
+
+
+def corrected_rms_mm(model: OnnxModel, data: Dataset) -> float:
+    """RMS in mm of the usable rows' errors after a model's corrections."""
+    residuals = data.errors_mm - model.predict(data).errors_mm
+    return Score.of(residuals[data.usable]).rms_mm
 
 
 def speed_range(low: float, high: float) -> str:

@@ -1,4 +1,4 @@
-"""Estimating online: states come in by UDP, corrections go back to whoever sent them."""
+"""Estimating online: states come in by UDP, corrections go back to their senders."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from measure.learning.zeroing import Zeroing
 
 DEFAULT_ADDRESS = ("127.0.0.1", 47_118)
 _MOST_SENDERS = 16
-"""Whose histories are kept; of more, that of the one silent for longest is forgotten."""
+"""Largest number of senders whose histories are kept; the one silent for longest is dropped."""
 
 
 class EstimateServer:
-    """Answers every datagram with one datagram; what is refused is counted and said so.
+    """Answers every datagram with one datagram, a correction or a refusal, and counts both.
 
-    Every sender, an address and a port, has a history of its own.
+    Every sender (address and port) has a history of its own.
 
     Loopback unless another address is given: the packets are neither encrypted nor signed.
     """
@@ -62,17 +62,17 @@ class EstimateServer:
     def serve(
         self,
         seconds: float | None = None,
-        tell: Callable[[EstimateServer], None] | None = None,
-        tell_every_s: float = 5.0,
+        on_interval: Callable[[EstimateServer], None] | None = None,
+        interval_s: float = 5.0,
     ) -> None:
         """Answer until `seconds` are over, or for ever.
 
         Args:
             seconds: how long.
-            tell: called every few seconds, to show the counters.
-            tell_every_s: how often.
+            on_interval: called every `interval_s`, to show the counters.
+            interval_s: in seconds.
         """
-        start = told = time.monotonic()
+        start = called = time.monotonic()
         self._socket.settimeout(0.2)
         gc.collect()
         gc.freeze()  # what is loaded by now stays: collecting it would only cost milliseconds
@@ -84,9 +84,9 @@ class EstimateServer:
             if data:
                 self._send(self.answer(data, sender), sender)
             now = time.monotonic()
-            if tell is not None and now - told >= tell_every_s:
-                told = now
-                tell(self)
+            if on_interval is not None and now - called >= interval_s:
+                called = now
+                on_interval(self)
 
     def answer(self, data: bytes, sender: tuple[str, int]) -> bytes:
         """The datagram that goes back for one that came in; how long it takes is kept."""

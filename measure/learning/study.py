@@ -1,4 +1,4 @@
-"""A sweep's trials in an optuna journal: asked for, finished, given back by dead workers."""
+"""The trials of a sweep in an optuna journal."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, RootModel, model
 from measure.errors import DivergedError, EstimatorError, FitError
 from measure.session import load_toml
 
-_LEAST_PATIENCE_S = 600.0
+_MIN_PATIENCE_S = 600.0
 
 
 class Range(BaseModel):
-    """What one setting may be: a list of choices, or numbers between two limits."""
+    """Search range of a setting: a list of choices, or numbers between two limits."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -31,7 +31,7 @@ class Range(BaseModel):
     integer: bool = False
 
     @model_validator(mode="after")
-    def _says_what_to_try(self) -> Range:
+    def _is_complete(self) -> Range:
         if self.choices is not None:
             return self
         if self.low is None or self.high is None:
@@ -51,7 +51,7 @@ class _Space(RootModel[dict[str, Range]]):
 
 @dataclass(frozen=True)
 class SweepState:
-    """How far a sweep is: finished, failed, running, and the best trials as (mm, settings)."""
+    """Numbers of finished, failed and running trials, and the best as (mm, settings)."""
 
     finished: int
     failed: int
@@ -179,7 +179,7 @@ def _suggest(trial: Any, space: Mapping[str, Range]) -> dict[str, Any]:
 
 
 def finish(study: Any, trial: Any, work: Callable[[], float]) -> None:
-    """Do a trial's work and tell its score; settings that cannot be fitted fail."""
+    """Do a trial's work and store its score; settings that cannot be fitted fail."""
     try:
         value = work()
     except (DivergedError, FitError, ArithmeticError, ValueError, RuntimeError) as error:
@@ -200,18 +200,18 @@ def fail(study: Any, trial: Any, reason: str) -> None:
 
 
 def failures(study: Any) -> list[str]:
-    """Why trials failed, in order; those that were given back are not among them."""
+    """Reasons of the failed trials, in order, without those of dead workers."""
     trials = study.get_trials(deepcopy=False)
     return [trial.user_attrs["error"] for trial in trials if "error" in trial.user_attrs]
 
 
 def requeue_dead(study: Any) -> None:
-    """Give back what dead workers were trying: their settings are queued for the next worker."""
+    """Queue the settings of dead workers for the next worker."""
     import optuna
 
     trials = study.get_trials(deepcopy=False)
     took = [t.duration.total_seconds() for t in trials if t.duration is not None]
-    patience_s = max(_LEAST_PATIENCE_S, 10.0 * max(took, default=0.0))
+    patience_s = max(_MIN_PATIENCE_S, 10.0 * max(took, default=0.0))
     for trial in trials:
         if trial.state != optuna.trial.TrialState.RUNNING or not _abandoned(trial, patience_s):
             continue

@@ -14,7 +14,7 @@ from measure.host import Registry, Report
 from measure.host.cluster import connected
 from measure.learning.files import read_dataset
 from measure.learning.fitting import fit
-from measure.learning.scores import Score
+from measure.learning.scores import corrected_rms_mm
 from measure.learning.splits import split_by_trajectory
 from measure.learning.study import (
     Range,
@@ -50,7 +50,7 @@ class SweepJob:
 
     @property
     def identity(self) -> str:
-        """What all trials of a sweep have in common, wherever the data lie."""
+        """Text that is the same for all trials of a sweep, wherever the data lie."""
         return json.dumps([self.estimator, dict(self.settings), self.seed, self.digest])
 
 
@@ -73,9 +73,7 @@ def run_trial(job: SweepJob, settings: Mapping[str, Any]) -> float:
     model = getattr(estimator, "model", None)
     if model is None:
         raise EstimatorError(f"estimator '{job.estimator}' cannot be judged: it has no model")
-    estimates = model.predict(split.validation)
-    used = split.validation.usable
-    return Score.of((split.validation.errors_mm - estimates.errors_mm)[used]).rms_mm
+    return corrected_rms_mm(model, split.validation)
 
 
 def sweep(

@@ -1,4 +1,4 @@
-"""Where a robot said it was, where it was seen, and where its corrected states put it."""
+"""Reported, measured and corrected positions of a robot's tip on one clock."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ class RobotTraces:
 
     Attributes:
         times_s: (n,) on the cameras' clock.
-        measured_mm: (n, 3) by the cameras; NaN where not measured or in doubt.
+        measured_mm: (n, 3) by the cameras; NaN where not measured or unreliable.
         reported_mm: (n, 3) by the robot.
         corrected_mm: (n, 3) reported plus the estimated error; NaN without a model, or where it
             refused.
         corrected_sd_mm: (n,) of the correction, 3-D.
-        unfamiliar: (n,) where the model says it has seen nothing like that state.
+        unfamiliar: (n,) where the state is unlike the training states.
         clock_offset_s: robot minus camera time.
     """
 
@@ -41,9 +41,9 @@ class RobotTraces:
 def robot_traces(
     track: PoseTrack, log: Path, schema: StateSchema, model: OnnxModel | None = None
 ) -> RobotTraces:
-    """Bring a robot's log, the measured poses and a model together on one clock.
+    """Reported, measured and corrected positions at the instants of the poses.
 
-    The model sees every state of the log in order, as it would online; a correction holds until the
+    The model gets every state of the log in order, as it does online; a correction holds until the
     next one.
 
     Raises:
@@ -57,11 +57,11 @@ def robot_traces(
     if model is not None:
         model.check(schema)
         table = read_states(log, model)
-        answers = correct(table, model)
+        corrected = correct(table, model)
         at = np.searchsorted(table.times_s, data.times_s, side="right") - 1
         began = at >= 0
-        errors[began], sd[began] = answers.errors_mm[at[began]], answers.sd_mm[at[began]]
-        unfamiliar[began] = answers.unfamiliar[at[began]]
+        errors[began], sd[began] = corrected.errors_mm[at[began]], corrected.sd_mm[at[began]]
+        unfamiliar[began] = corrected.unfamiliar[at[began]]
     measured = reported + np.where(data.usable[:, None], data.errors_mm, np.nan)
     return RobotTraces(
         data.times_s - offset, measured, reported, reported + errors, sd, unfamiliar, offset

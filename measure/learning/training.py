@@ -18,7 +18,7 @@ from measure.host import Dataset, Epoch, Estimates, Estimator, OnnxModel, Report
 from measure.host.failures import named
 from measure.learning.card import write_card
 from measure.learning.fitting import fit
-from measure.learning.scores import Evaluation, evaluate
+from measure.learning.scores import EstimatorEvaluation, evaluate
 from measure.learning.splits import Split
 
 
@@ -35,7 +35,7 @@ class Trained:
     """
 
     path: Path
-    evaluation: Evaluation
+    evaluation: EstimatorEvaluation
     curve: tuple[Epoch, ...]
     test: Dataset
     estimates: Estimates

@@ -10,8 +10,7 @@ from measure.robots.logs import (
 )
 from measure.robots.psm import psm_schema
 from measure.robots.raven import raven_chain, raven_schema
-from measure.robots.robot_log import RobotLog
-from measure.robots.schema import Feature, Reading, StateSchema
+from measure.robots.schema import Feature, Reading, RobotLog, StateSchema
 
 __all__ = [
     "ROBOT_KEY",

@@ -10,8 +10,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.robots.raven import FIELDS, raven_schema
-from measure.robots.robot_log import RobotLog
-from measure.robots.schema import StateSchema
+from measure.robots.schema import RobotLog, StateSchema
 
 MESSAGE = "raven_2/msg/raven_state"
 TOPIC = "/ravenstate"

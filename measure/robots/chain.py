@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,6 +12,8 @@ from numpy.typing import ArrayLike
 from measure.arrays import Floats, floats
 from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform, skew
+
+_DAMPING = 1e-9  # mm^2 or rad^2, of the normal matrix
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +61,7 @@ class SerialChain:
         """Number of joints."""
         return len(self.joints)
 
+    @cached_property
     def parts(self) -> tuple[Floats, Floats, Floats, Floats]:
         """`Joint.parts` of all joints, each (joints, 4, 4); the tool is folded into the last."""
         stacked = np.array([joint.parts() for joint in self.joints])
@@ -75,7 +79,7 @@ class SerialChain:
             (..., joints, 4, 4).
         """
         angles = floats("q", q, "...", self.size)[..., None, None]
-        constant, cosine, sine, linear = self.parts()
+        constant, cosine, sine, linear = self.parts
         steps = constant + cosine * np.cos(angles) + sine * np.sin(angles) + linear * angles
         out = [steps[..., 0, :, :]]
         for index in range(1, self.size):
@@ -139,8 +143,7 @@ class SerialChain:
             miss = np.linalg.norm(gap, axis=-1)
             if np.all(miss < tolerance_mm):
                 return q
-            slope = self.jacobian(q)[..., :3, list(free)]
-            step = _damped(slope, gap, 1e-9 * np.ones(miss.shape))
+            step = _damped(self.jacobian(q)[..., :3, list(free)], gap)
             q[..., list(free)] += step * np.minimum(1.0, 40.0 / (miss + 1e-12))[..., None]
         lost = int(np.sum(~(miss < tolerance_mm)))
         raise DegenerateGeometryError(
@@ -148,42 +151,11 @@ class SerialChain:
             f"the worst stays {np.nanmax(miss):.3g} mm away: move them into the workspace"
         )
 
-    def solve_pose(
-        self, base_from_tool: RigidTransform, start: ArrayLike, *, tolerance_mm: float = 1e-6
-    ) -> Floats:
-        """Joint positions (..., joints) that reach a full pose, by damped least squares.
 
-        Args:
-            base_from_tool: poses to reach.
-            start: (..., joints) where the search begins; the nearest branch is found.
-            tolerance_mm: how near the tip must come; rotations must agree to 1e-8 rad per 1e-6 mm.
-
-        Raises:
-            DegenerateGeometryError: some pose is out of reach.
-        """
-        shape = base_from_tool.translation.shape[:-1]
-        q = np.array(np.broadcast_to(start, (*shape, self.size)), dtype=np.float64)
-        scale = np.array([1.0, 1.0, 1.0, 100.0, 100.0, 100.0])
-        miss = np.inf * np.ones(shape)
-        for _ in range(200):
-            gap = base_from_tool.difference(self.pose(q)) * scale
-            miss = np.linalg.norm(gap, axis=-1)
-            if np.all(miss < tolerance_mm):
-                return q
-            slope = self.jacobian(q) * scale[:, None]
-            step = _damped(slope, gap, 1e-6 * miss**2)
-            q += step * np.minimum(1.0, 40.0 / (miss + 1e-12))[..., None]
-        lost = int(np.sum(~(miss < tolerance_mm)))
-        raise DegenerateGeometryError(
-            f"{lost} of {miss.size} poses cannot be reached; the worst stays "
-            f"{np.nanmax(miss):.3g} mm away: start nearer, or move them into the workspace"
-        )
-
-
-def _damped(slope: Floats, gap: Floats, damping: Floats) -> Floats:
+def _damped(slope: Floats, gap: Floats) -> Floats:
     """Levenberg's step: least squares that shrinks where the Jacobian is singular."""
     turned = np.swapaxes(slope, -1, -2)
-    normal = turned @ slope + damping[..., None, None] * np.eye(slope.shape[-1])
+    normal = turned @ slope + _DAMPING * np.eye(slope.shape[-1])
     return np.asarray(np.linalg.solve(normal, turned @ gap[..., None])[..., 0], dtype=np.float64)
 
 

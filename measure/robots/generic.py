@@ -41,7 +41,7 @@ _Factor = Annotated[FiniteFloat, AfterValidator(_not_zero)]
 _Size = Annotated[FiniteFloat, Field(ge=-1e6, le=1e6)]
 
 
-class _Joint(_File):
+class _JointTable(_File):
     """A joint and its Craig link: alpha and a before it, offset and d along it."""
 
     feature: str
@@ -58,7 +58,7 @@ class _Robot(_File):
     features: list[_Column] = Field(min_length=1)
     position: list[str] = Field(min_length=3, max_length=3)
     position_to_mm: Annotated[FiniteFloat, Field(ge=1e-9, le=1e9)] = 1.0
-    joints: list[_Joint] = []
+    joints: list[_JointTable] = []
     coupled: list[int] = []
     tool_mm: tuple[_Size, _Size, _Size] = (0.0, 0.0, 0.0)
 

@@ -12,8 +12,7 @@ from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.robots.psm import psm_schema
 from measure.robots.raven import raven_schema
-from measure.robots.robot_log import RobotLog
-from measure.robots.schema import StateSchema
+from measure.robots.schema import RobotLog, StateSchema
 
 if TYPE_CHECKING:
     from measure.robots.tables import Table
@@ -97,7 +96,7 @@ def write_log(path: Path, log: RobotLog) -> None:
 
 
 def check_robot(table: Table, robot: str) -> None:
-    """Refuse a table that says it holds another robot's states; most files say nothing.
+    """Refuse a table whose metadata names another robot; most files name none.
 
     Raises:
         EstimatorError: it names another robot.

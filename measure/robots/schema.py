@@ -1,4 +1,4 @@
-"""What the numbers of a robot's state mean: names, units, where its position and joints stand."""
+"""A robot's state: names and units of its features, readings of position and joints."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from measure.arrays import Floats
+from measure.arrays import Floats, floats
 from measure.errors import EstimatorError
 from measure.robots.chain import Joint, SerialChain
 
@@ -142,3 +142,22 @@ class StateSchema:
             chain=chain,
             groups={name: tuple(members) for name, members in values["groups"].items()},
         )
+
+
+@dataclass(frozen=True, eq=False)
+class RobotLog:
+    """States of one robot on the robot's own clock.
+
+    Attributes:
+        schema: what the columns of `states` are.
+        times_s: (n,) strictly increasing.
+        states: (n, features).
+    """
+
+    schema: StateSchema
+    times_s: Floats
+    states: Floats
+
+    def __post_init__(self) -> None:
+        count = len(floats("times_s", self.times_s, "n"))
+        floats("states", self.states, count, len(self.schema.features))

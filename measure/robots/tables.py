@@ -1,4 +1,4 @@
-"""Tables of numbers, from Parquet and CSV files that people made: what is wrong is said at once."""
+"""Tables of numbers from Parquet and CSV files, with errors that name column and row."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Table:
         return int(self.content.num_rows)
 
     def metadata(self, key: bytes) -> str:
-        """What a Parquet file says of itself under a key; empty if nothing."""
+        """Metadata of a Parquet file under a key; empty if there is none."""
         return (self.content.schema.metadata or {}).get(key, b"").decode("utf-8", "replace")
 
     def numbers(self, *names: str) -> Floats:

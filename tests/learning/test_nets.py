@@ -44,7 +44,7 @@ def test_gru_steps_equal_torchs_sequence() -> None:
     steps = torch.randn(2, 9, 1)
     with torch.no_grad():
         wanted = [
-            head(torch.cat([gru(torch.cat([x, _nets.GAIN * steps], -1))[0], x], dim=-1))
+            head(torch.cat([gru(torch.cat([x, _nets.STEP_GAIN * steps], -1))[0], x], dim=-1))
             for gru, head in nets
         ]
     memory = np.zeros((2, 14))

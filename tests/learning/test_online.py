@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.online import time_round_trips
 from measure.errors import EstimatorError
 from measure.host import Correction, OnnxModel, Registry
 from measure.host.estimator import quiet
@@ -22,7 +23,6 @@ from measure.learning import (
     Split,
     StatePacket,
     correct,
-    exercise,
     read_states,
 )
 from measure.learning.offline import schema_of
@@ -251,7 +251,7 @@ def test_a_late_answer_is_not_taken_for_that_to_the_next_state() -> None:
 
 def test_a_hundred_hertz_lose_nothing(server: EstimateServer, split: Split) -> None:
     client = EstimateClient(server.address)
-    result = exercise(client, split.test.states[:50], 1.0, rate_hz=100.0)
+    result = time_round_trips(client, split.test.states[:50], 1.0, rate_hz=100.0)
     client.close()
     assert result.answered == result.sent == 100
     assert server.counters.lost == 0

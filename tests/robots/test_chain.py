@@ -40,15 +40,12 @@ def test_jacobian_is_the_derivative_of_the_pose(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", CHAINS)
-def test_inverse_kinematics_returns_to_the_pose(name: str) -> None:
+def test_inverse_kinematics_returns_to_the_tip(name: str) -> None:
     chain = CHAINS[name]
     assert chain is not None
     rng = np.random.default_rng(2)
     q = _joints(rng, 50)
     start = q + rng.normal(0.0, 0.05, q.shape) * np.array([1, 1, 100, 1, 1, 1])
-    again = chain.pose(chain.solve_pose(chain.pose(q), start))
-    np.testing.assert_allclose(again.translation, chain.pose(q).translation, atol=1e-5)
-    np.testing.assert_allclose(again.rotation, chain.pose(q).rotation, atol=1e-7)
     start[:, 3:] = q[:, 3:]
     tips = chain.tip_mm(chain.solve_tip(chain.tip_mm(q), start, (0, 1, 2)))
     np.testing.assert_allclose(tips, chain.tip_mm(q), atol=1e-5)

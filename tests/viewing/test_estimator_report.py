@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from measure.learning.scores import Evaluation, Score
+from measure.learning.scores import EstimatorEvaluation, Score
 from measure.viewing.report.estimator_report import judged_on, verdict
 
 
@@ -26,7 +26,7 @@ def _score(rms_mm: float) -> Score:
 def test_the_verdict(after_mm, consistency, unfamiliar, tone, said):
     before, after = _score(6.0), _score(after_mm)
     change = after_mm / 6.0 - 1
-    result = Evaluation(before, after, change, change, consistency, unfamiliar, {}, ())
+    result = EstimatorEvaluation(before, after, change, change, consistency, unfamiliar, {}, ())
     found, sentence = verdict(result)
     assert found == tone
     moves = "rises" if after_mm > 6 else "falls"

@@ -18,12 +18,12 @@ from measure.robots.simulator.teleoperation import Teleoperation, plan
 
 @dataclass(frozen=True, eq=False)
 class SimulatedRun:
-    """What one restart produced.
+    """The recording of one restart.
 
     Attributes:
         times_s: (n,) of the kept steps.
         states: (n, 118) in the order of `raven_schema`.
-        world_from_tip: the true poses (n), world = where the robot believes its base to be.
+        world_from_tip: the true poses (n), world = the base frame that the robot assumes.
     """
 
     times_s: Floats

@@ -11,7 +11,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from measure.learning import Trained
-from measure.learning.scores import Evaluation, Score, speed_range
+from measure.learning.scores import EstimatorEvaluation, Score, speed_range
 from measure.viewing.report import figures, style
 from measure.viewing.report.page import Page
 
@@ -65,7 +65,7 @@ def estimator_report(trained: Trained, card: Mapping[str, Any]) -> str:
     return page.render("Made by measure train. Everything on this page is inside this file.")
 
 
-def _tables(page: Page, result: Evaluation, judged: str) -> None:
+def _tables(page: Page, result: EstimatorEvaluation, judged: str) -> None:
     """Scores of the parts: every test trajectory, every range of speeds."""
     columns = ("trajectory", "labels", "RMS before", "RMS after", "SD before", "SD after")
     page.table(
@@ -94,7 +94,7 @@ def judged_on(data: Mapping[str, Any]) -> str:
     return "unseen trajectories"
 
 
-def verdict(result: Evaluation, judged: str = "unseen trajectories") -> tuple[str, str]:
+def verdict(result: EstimatorEvaluation, judged: str = "unseen trajectories") -> tuple[str, str]:
     """Tone and sentence; one that promises too much is not good, however much it corrects."""
     moves = "falls" if result.rms_change < 0 else "rises"
     words = (

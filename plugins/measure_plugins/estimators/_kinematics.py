@@ -17,7 +17,7 @@ class TorchTip:
         import torch
 
         self._torch = torch
-        self._parts = [torch.tensor(part, dtype=torch.float32) for part in chain.parts()]
+        self._parts = [torch.tensor(part, dtype=torch.float32) for part in chain.parts]
 
     def __call__(self, q: Any) -> Any:
         """Q (..., joints) in rad and mm -> (..., 3) mm."""
@@ -42,7 +42,7 @@ def tip_change(graph: Graph, schema: StateSchema, features: Value, joint_errors:
     q = graph.op("MatMul", features, schema.reading_matrix(schema.joints))
     pair = graph.op("Concat", graph.op("Add", q, joint_errors), q, axis=1)
     angle = graph.reshape(pair, -1, size, 1, 1)
-    constant, cosine, sine, linear = schema.chain.parts()
+    constant, cosine, sine, linear = schema.chain.parts
     steps = graph.op("Add", graph.op("Mul", graph.op("Cos", angle), cosine), constant)
     steps = graph.op("Add", steps, graph.op("Mul", graph.op("Sin", angle), sine))
     if np.any(linear):
