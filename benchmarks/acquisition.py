@@ -1,9 +1,9 @@
 """How often the body is found from nothing: `python -m benchmarks.acquisition SESSION...`.
 
 Every frame set is taken alone, as if it were the first of a recording: whole pictures are searched,
-the body is told from other things and measured. One line per session: frame sets; those with a pose
-(*acquired*), with one that is *flagged*, with one that is believed and more than 2 mm from the
-truth (*wrong*); RMS error of the poses; how many *candidates* all pictures gave together and how
+the body is distinguished from other things and measured. One line per session: frame sets; those
+with a pose (*acquired*), with a *flagged* one, with an unflagged one more than 2 mm from the truth
+(*wrong*); RMS error of the poses; how many *candidates* all pictures gave together and how
 many of them were *recognised* as balls of the body, on the average; CPU time of searching the
 pictures and of associating the candidates, the median over frame sets of the best of some repeats,
 in multiples of one `cv2.cvtColor(BGR2HSV)` of one picture.
@@ -23,13 +23,14 @@ import cv2
 import numpy as np
 
 from benchmarks.command import run_command
+from benchmarks.errors import pose_error, rms, truth_of
 from benchmarks.trial import WRONG_MM, reference_s
 from measure.api import build_pipeline, load_profile
 from measure.host import Registry
 from measure.measuring import Measurement, Status
 from measure.measuring.association import Association, associate
 from measure.model import Detection, FrameSet
-from measure.session import Session, Trajectory, open_session, read_trajectory, session_truth
+from measure.session import Session, Trajectory, open_session
 
 
 @dataclass(frozen=True)
@@ -65,20 +66,19 @@ def main() -> None:
     parser.add_argument("sessions", nargs="+", type=Path, help="session folders with truth")
     parser.add_argument("--profile", default="precise", help="the profile's name or file")
     parser.add_argument("--repeats", type=int, default=3, help="times each picture is searched")
-    parser.add_argument("--frames", action="store_true", help="tell what was not acquired, and why")
+    parser.add_argument(
+        "--frames", action="store_true", help="print what was not acquired, and why"
+    )
     given = parser.parse_args()
     cv2.setNumThreads(1)
     names = ("acquired", "flagged", "wrong", "mm", "deg", "candidates", "recognised", "search")
     print(f"{'session':16}{'sets':>6}" + "".join(f"{n:>11}" for n in (*names, "associate")))
     for folder in given.sessions:
-        file = session_truth(folder)
-        if file is None:
-            parser.error(f"{folder}: no truth, so nobody can tell which poses are wrong")
-        truth = read_trajectory(file)
+        truth = truth_of(folder)
         with open_session(folder) as session:
             rows = list(acquisitions(session, truth, given.profile, given.repeats))
-            sightings = len(session.body.balls) * len(session.cameras)
-        print(f"{folder.name:16}{_line(rows, sightings)}", flush=True)
+            views = len(session.body.balls) * len(session.cameras)
+        print(f"{folder.name:16}{_line(rows, views)}", flush=True)
         for row in rows if given.frames else ():
             if row.reason:
                 off = f", {row.error_mm:.3f} mm and {row.error_deg:.2f} deg off"
@@ -89,7 +89,7 @@ def main() -> None:
 def acquisitions(
     session: Session, truth: Trajectory, profile: str, repeats: int
 ) -> Iterator[Acquisition]:
-    """Search every frame set of a session by a pipeline that has seen none before."""
+    """Search every frame set of a session with a new pipeline."""
     registry = Registry.discover()
     for number, frame_set in enumerate(session.frame_sets()):
         pipeline = build_pipeline(load_profile(profile), registry, session.body, session.cameras)
@@ -120,11 +120,8 @@ def _acquisition(
     found: Association,
     times_ref: tuple[float, float],
 ) -> Acquisition:
-    error, reason = np.full(6, np.nan), measured.reason
-    if measured.pose is not None:
-        true = truth.at(np.array([measured.pose.time_s]))[0]
-        error = measured.pose.world_from_body.difference(true)
-        reason = "; ".join(measured.pose.flags)
+    error = pose_error(measured, truth)
+    reason = measured.reason if measured.pose is None else "; ".join(measured.pose.flags)
     places = {(d.camera, *d.center_px) for some in seen.values() for d in some}
     return Acquisition(
         index=frame_set.index,
@@ -139,24 +136,22 @@ def _acquisition(
     )
 
 
-def _line(rows: Sequence[Acquisition], sightings: int) -> str:
+def _line(rows: Sequence[Acquisition], views: int) -> str:
     posed = [row for row in rows if not np.isnan(row.error_mm)]
     flagged = sum(row.status is Status.FLAGGED for row in rows)
     wrong = sum(row.status is Status.OK and row.error_mm > WRONG_MM for row in rows)
-    mm, deg = (_rms([getattr(row, n) for row in posed]) for n in ("error_mm", "error_deg"))
+    mm, deg = (
+        rms(np.array([[getattr(row, n)] for row in posed])) for n in ("error_mm", "error_deg")
+    )
     candidates, recognised, search, associated = (
         [getattr(row, name) for row in rows]
         for name in ("candidates", "recognised", "search_ref", "associate_ref")
     )
     return (
         f"{len(rows):6}{len(posed):11}{flagged:11}{wrong:11}{mm:11.4f}{deg:11.4f}"
-        f"{np.mean(candidates):11.1f}{np.mean(recognised):7.1f}/{sightings:<3}"
+        f"{np.mean(candidates):11.1f}{np.mean(recognised):7.1f}/{views:<3}"
         f"{np.median(search):9.2f} x{np.median(associated):9.2f} x"
     )
-
-
-def _rms(values: Sequence[float]) -> float:
-    return float(np.sqrt(np.mean(np.square(values)))) if values else float("nan")
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.command import run_command
-from measure.arrays import Floats
+from benchmarks.errors import rms
 from measure.robots import raven_schema, read_log
 from measure.robots.tables import Table
 
@@ -66,15 +66,11 @@ def errors(folder: Path) -> list[str]:
     table = np.loadtxt(folder / "second" / "truth.csv", delimiter=",", skiprows=1)
     reported = log.schema.position_mm(log.states)
     wrong = table[:, 1:4] - reported
-    lines = [f"reported   {_rms(wrong):.3f} mm RMS"]
+    lines = [f"reported   {rms(wrong):.3f} mm RMS"]
     for name in ("corrected", "rezeroed"):
         left = wrong - Table.read(folder / f"{name}.parquet").numbers("ex", "ey", "ez")
-        lines.append(f"{name:10s} {_rms(left):.3f} mm RMS, {_rms(left) / _rms(wrong) - 1:+.1%}")
+        lines.append(f"{name:10s} {rms(left):.3f} mm RMS, {rms(left) / rms(wrong) - 1:+.1%}")
     return lines
-
-
-def _rms(errors_mm: Floats) -> float:
-    return float(np.sqrt((errors_mm**2).sum(axis=1).mean()))
 
 
 if __name__ == "__main__":

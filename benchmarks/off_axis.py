@@ -1,4 +1,4 @@
-"""How far centres come out too far from the optical axis, by the angle from it.
+"""Bias of detected centres away from the optical axis, by the angle from it.
 
 A ball's outline is an ellipse whose centre is not the image of the ball's: off the axis, methods
 that take the one for the other err outwards. The scene is the plain black one, recorded often: each
@@ -25,18 +25,18 @@ from measure.simulation import write_session
 from measure.simulation.catalogue import plain_scene
 
 BINS_DEG = (0.0, 4.0, 8.0, 12.0)
-_ASIDE_DEG = (2.0, 5.0, 7.0, 8.5)
+_TURN_DEG = (2.0, 5.0, 7.0, 8.5)
 _TOWARDS_DEG = (0.0, 90.0, 180.0, 270.0)
 
 
 def off_axis_recordings(folder: Path, frames: int) -> list[Path]:
     """Render the scene, once, into `folder`, as often as there are angles times directions."""
     scene, targets = plain_scene("black"), []
-    for first, towards in product(range(len(_ASIDE_DEG)), _TOWARDS_DEG):
+    for first, towards in product(range(len(_TURN_DEG)), _TOWARDS_DEG):
         targets.append(folder / f"off-axis-{frames}-{first}-{towards:.0f}")
         if not (targets[-1] / "truth.csv").exists():
             cameras = tuple(
-                _turned(camera, _ASIDE_DEG[(k + first) % len(_ASIDE_DEG)], towards)
+                _turned(camera, _TURN_DEG[(k + first) % len(_TURN_DEG)], towards)
                 for k, camera in enumerate(scene.cameras)
             )
             turned = replace(scene, name="off-axis", cameras=cameras)

@@ -23,6 +23,7 @@ import numpy as np
 
 from benchmarks.calibration import BODY, poses
 from benchmarks.command import run_command
+from benchmarks.errors import rms
 from measure.api import refine
 from measure.arrays import Floats
 from measure.calibration import RefineSettings, body_cost, refine_rig
@@ -36,11 +37,6 @@ from measure.session import Calibration, read_calibration, write_calibration
 SLIP = np.repeat([0.5, np.deg2rad(0.1)], 3)
 AT = poses(np.array([0.0, 0.0, 250.0]))
 NAMES = ("camera mm", "deg", "aligned mm", "deg", "body mm", "aligned mm")
-
-
-def rms(rows: Floats) -> float:
-    """Root mean squared length of rows."""
-    return float(np.sqrt(np.mean(np.sum(rows**2, axis=1))))
 
 
 def figures(found: tuple[Camera, ...], true: tuple[Camera, ...]) -> Floats:

@@ -7,8 +7,8 @@ lies between the stages. *first* is the whole first frame set, in which the body
 last two columns are its acquisition, from decoded pictures to named and located balls: *search*,
 all candidates of all pictures with a rough outline of each, and *associate*, which of them are the
 body. What *first* costs beyond them every tracked frame set costs as well: the outlines measured
-precisely, poses solved; and how looks at each ball answer. What pictures teach about their light
-`measure run` learns before, from the first eight or so; here it is learnt on the way.
+precisely, poses solved; and the step gain of each ball. `measure run` self-calibrates before, in
+the burn-in on the first eight or so; here it happens on the way.
 
 `--whole` measures the session's pictures forth and back many times over with everything that
 `measure run` does, images not logged: frame sets per second of the clock, from the first frame set

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from benchmarks.bound import pose_bound
+from benchmarks.errors import in_region, pose_error, rms
 from benchmarks.methods import Method
 from measure.arrays import Floats
 from measure.host import Registry
@@ -19,9 +20,9 @@ from measure.model import FrameSet
 from measure.session import Session, Trajectory
 
 WRONG_MM = 2.0
-"""A pose that is believed ("ok") and further off than this is a wrong answer."""
+"""Position error from which an unflagged pose ("ok") counts as wrong."""
 _REFERENCES = 3
-"""Reference operations before every frame set: what slows the machine down slows both."""
+"""Reference operations before every frame set; other load on the machine slows both."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class CenterError:
-    """How far one effective detection is off.
+    """Error of the centre of one effective detection.
 
     Attributes:
         error_px: (2,) detected minus true centre.
@@ -107,7 +108,7 @@ def measure_timed(
 ) -> tuple[list[Measurement], Floats]:
     """The measurements, and CPU time (n,) of every frame set, in reference operations.
 
-    What is learnt from the first pictures before they are measured is learnt before the clock runs.
+    The burn-in is not timed.
     """
     sets = [_decoded(frame_set) for frame_set in session.frame_sets()]
     method.pipeline(session, registry)  # compiled code is compiled now, not while it is timed
@@ -174,11 +175,9 @@ def _score(
     for one in measured:
         if one.pose is None:
             continue
-        true = truth.at(np.array([one.pose.time_s]))[0]
-        delta = one.pose.world_from_body.difference(true)
+        delta = pose_error(one, truth)
         errors.append(delta)
-        distance = delta[:3] @ np.linalg.solve(one.pose.covariance[:3, :3], delta[:3])
-        inside.append(distance < 7.8147)  # 95 % of chi-square with 3 degrees of freedom
+        inside.append(in_region(delta, one.pose, 3))
         wrong += one.status is Status.OK and float(np.linalg.norm(delta[:3])) > WRONG_MM
     count = len(measured)
     flagged = sum(one.status is Status.FLAGGED for one in measured)
@@ -186,10 +185,10 @@ def _score(
     off = [center.error_px for center in center_errors(session, truth, measured)]
     bound = float(np.sqrt(np.mean(np.trace(bounds[:, :3, :3], axis1=1, axis2=2))))
     return Trial(
-        center_px=_rms(np.array(off).reshape(-1, 2)) / np.sqrt(2),
-        position_mm=_rms(table[:, :3]),
-        rotation_deg=float(np.degrees(_rms(table[:, 3:]))),
-        over_bound=_rms(table[:, :3]) / bound,
+        center_px=rms(np.array(off).reshape(-1, 2)) / np.sqrt(2),
+        position_mm=rms(table[:, :3]),
+        rotation_deg=float(np.degrees(rms(table[:, 3:]))),
+        over_bound=rms(table[:, :3]) / bound,
         missing=1 - len(errors) / count,
         wrong=wrong / count,
         flagged=flagged / count,
@@ -197,8 +196,3 @@ def _score(
         first_ref=float(steps[0]),
         later_ref=float(np.median(steps[1:])),
     )
-
-
-def _rms(rows: Floats) -> float:
-    """Root of the mean squared length of rows; NaN if there are none."""
-    return float(np.sqrt(np.mean(np.sum(rows**2, axis=1)))) if len(rows) else float("nan")

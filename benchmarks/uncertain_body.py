@@ -1,12 +1,12 @@
-"""What balls beside their places cost a pose, where the body file says how exactly they sit.
+"""Pose errors by balls that are off, where the body file states their tolerance.
 
     python -m benchmarks.uncertain_body SESSION [--draws 6]
 
 SESSION is a recording with truth whose body file is exact. Its balls are shifted at random (1 sd
 per axis), and the recording is measured with the body file that results, which states the
 tolerance or does not. Printed for each, over all draws, is what `uncertain_cameras` prints; and how
-far the distances between the balls are off (RMS), in that file and once refining has learnt the
-body from the recording.
+far the distances between the balls are off (RMS), in that file and after the body has
+been refined from the recording.
 """
 
 from __future__ import annotations
@@ -20,15 +20,16 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from benchmarks.command import run_command
-from benchmarks.uncertain_cameras import judged
+from benchmarks.errors import truth_of
+from benchmarks.uncertain_cameras import cells, judged
 from measure.api import load_profile, measure_session
 from measure.arrays import Floats
 from measure.calibration import refine_measured
-from measure.errors import CalibrationError, SessionError
+from measure.errors import CalibrationError
 from measure.host import Registry
 from measure.measuring import Measurement
 from measure.model import Body, Camera
-from measure.session import open_session, read_trajectory, write_body
+from measure.session import open_session, write_body
 
 LEVELS_MM = (0.1, 0.2, 0.4)
 HEADER = (
@@ -49,10 +50,9 @@ def figures(
     session: Path, sd_mm: float, tolerance_mm: float, draws: int, registry: Registry
 ) -> tuple[Floats, float, float]:
     """Means (7,) of `judged`, and RMS errors of the distances before and after refining, mm."""
+    truth = truth_of(session)
     with open_session(session) as exact:
-        if exact.truth_path is None:
-            raise SessionError(f"{session}: the session has no truth: take one that has")
-        truth, true = read_trajectory(exact.truth_path), exact.body
+        true = exact.body
     rows, before, after = [], [], []
     with TemporaryDirectory() as folder:
         for seed in range(draws):
@@ -73,7 +73,7 @@ def figures(
 def _refined(
     cameras: Sequence[Camera], body: Body, measured: Sequence[Measurement], true: Body
 ) -> Floats:
-    """The same of the body that refining learns; NaN if the recording does not tell."""
+    """The same of the refined body; NaN if the recording does not determine it."""
     try:
         refined = refine_measured(tuple(cameras), body, measured).refinement
     except CalibrationError:
@@ -92,14 +92,8 @@ def main() -> None:
     for sd_mm in LEVELS_MM:
         for tolerance_mm, words in ((0.0, "unsaid"), (sd_mm, "stated")):
             found, *off = figures(given.session, sd_mm, tolerance_mm, given.draws, registry)
-            position, rotation, position_sd, rotation_sd = np.sqrt(found[:4])
-            inside, whole, flagged = 100 * found[4:]
-            print(
-                f"{sd_mm:6.2f}  {words}{position:16.3f}{position_sd:8.3f}"
-                f"{np.degrees(rotation):11.3f}{np.degrees(rotation_sd):8.3f}{inside:14.0f}"
-                f"{whole:12.0f}{flagged:9.0f}{off[0]:12.3f}{off[1]:9.3f}",
-                flush=True,
-            )
+            row = f"{sd_mm:6.2f}  {words}    {cells(found)}{off[0]:12.3f}{off[1]:9.3f}"
+            print(row, flush=True)
 
 
 if __name__ == "__main__":

@@ -1,10 +1,10 @@
-"""What cameras that are off cost a pose, where the calibration says how far off they may be.
+"""Pose errors by cameras that are off, where the calibration states their covariance.
 
     python -m benchmarks.uncertain_cameras SESSION [--draws 8]
 
 SESSION is a recording with truth whose calibration is exact. Its cameras are moved by draws from a
-covariance, which the calibration states, and the recording is measured with them. Poses are off by
-what that does to them, and should say so. Printed for each covariance (1 sd per axis), over all
+covariance, which the calibration states, and the recording is measured with them. The covariance of
+the poses should contain the resulting errors. Printed for each covariance (1 sd per axis), over all
 draws: RMS errors of position and rotation, the standard deviations that are stated of them, the
 share of poses whose 95 % regions hold the truth (of the position, and of all six), and of those
 that are flagged. A missing pose counts as a failure: its error is infinite.
@@ -19,10 +19,9 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from benchmarks.command import run_command
+from benchmarks.errors import in_region, pose_error, truth_of
 from measure.api import load_profile, measure_session
 from measure.arrays import Floats
-from measure.errors import SessionError
-from measure.geometry import chi_square_quantile
 from measure.host import Registry
 from measure.measuring import Measurement, Status
 from measure.model import Camera
@@ -30,7 +29,6 @@ from measure.session import (
     Calibration,
     Trajectory,
     open_session,
-    read_trajectory,
     write_calibration,
 )
 
@@ -58,24 +56,18 @@ def judged(one: Measurement, truth: Trajectory) -> Floats:
     flagged = float(one.status is Status.FLAGGED)
     if one.pose is None:
         return np.array([np.inf, np.inf, np.inf, np.inf, 0, 0, flagged])
-    true = truth.at(np.array([one.pose.time_s]))[0]
-    off, known = one.pose.world_from_body.difference(true), one.pose.covariance
-    inside = [
-        off[:n] @ np.linalg.solve(known[:n, :n], off[:n]) < chi_square_quantile(0.95, n)
-        for n in (3, 6)
-    ]
-    squares, variances = off**2, np.diag(known)
+    off = pose_error(one, truth)
+    inside = [in_region(off, one.pose, count) for count in (3, 6)]
+    squares, variances = off**2, np.diag(one.pose.covariance)
     parts = [np.sum(part) for part in (squares[:3], squares[3:], variances[:3], variances[3:])]
     return np.array([*parts, *inside, flagged])
 
 
 def figures(session: Path, covariance: Floats, draws: int, registry: Registry) -> Floats:
     """Means (7,) of `judged` over all frame sets and draws."""
-    rows = []
+    rows, truth = [], truth_of(session)
     with open_session(session) as exact:
-        if exact.truth_path is None:
-            raise SessionError(f"{session}: the session has no truth: take one that has")
-        truth, cameras = read_trajectory(exact.truth_path), exact.cameras
+        cameras = exact.cameras
     with TemporaryDirectory() as folder:
         for seed in range(draws):
             file = Path(folder) / f"{seed}.toml"
@@ -84,6 +76,16 @@ def figures(session: Path, covariance: Floats, draws: int, registry: Registry) -
                 measured = measure_session(opened, load_profile("precise"), registry)
                 rows += [judged(one, truth) for _, one in measured]
     return np.mean(rows, axis=0)
+
+
+def cells(found: Floats) -> str:
+    """The means (7,) of `judged` as cells of the table."""
+    position, rotation, position_sd, rotation_sd = np.sqrt(found[:4])
+    inside, whole, flagged = 100 * found[4:]
+    return (
+        f"{position:12.3f}{position_sd:8.3f}{np.degrees(rotation):11.3f}"
+        f"{np.degrees(rotation_sd):8.3f}{inside:14.0f}{whole:12.0f}{flagged:9.0f}"
+    )
 
 
 def main() -> None:
@@ -97,13 +99,7 @@ def main() -> None:
     for mm, deg in LEVELS:
         covariance = np.diag(np.repeat([mm, np.deg2rad(deg)], 3) ** 2)
         found = figures(given.session, covariance, given.draws, registry)
-        position, rotation, position_sd, rotation_sd = np.sqrt(found[:4])
-        inside, whole, flagged = 100 * found[4:]
-        print(
-            f"{mm:6.2f}{deg:8.3f}{position:12.3f}{position_sd:8.3f}{np.degrees(rotation):11.3f}"
-            f"{np.degrees(rotation_sd):8.3f}{inside:14.0f}{whole:12.0f}{flagged:9.0f}",
-            flush=True,
-        )
+        print(f"{mm:6.2f}{deg:8.3f}{cells(found)}", flush=True)
 
 
 if __name__ == "__main__":

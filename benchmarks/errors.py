@@ -1,0 +1,45 @@
+"""Errors of poses against the truth, as the benchmarks count them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.errors import SessionError
+from measure.geometry import chi_square_quantile
+from measure.measuring import Measurement
+from measure.model import Pose
+from measure.session import Trajectory, read_trajectory, session_truth
+
+
+def truth_of(session: Path) -> Trajectory:
+    """The true trajectory of a session's body.
+
+    Raises:
+        SessionError: the session has none.
+    """
+    file = session_truth(session)
+    if file is None:
+        raise SessionError(f"{session}: the session has no truth: take one that has")
+    return read_trajectory(file)
+
+
+def pose_error(measured: Measurement, truth: Trajectory) -> Floats:
+    """Difference (6,) of a pose from the truth in mm and rad; NaN without a pose."""
+    if measured.pose is None:
+        return np.full(6, np.nan)
+    true = truth.at(np.array([measured.pose.time_s]))[0]
+    return measured.pose.world_from_body.difference(true)
+
+
+def in_region(error: Floats, pose: Pose, count: int) -> bool:
+    """Whether the first `count` components of an error lie in the pose's 95 % region."""
+    off, covariance = error[:count], pose.covariance[:count, :count]
+    return bool(off @ np.linalg.solve(covariance, off) < chi_square_quantile(0.95, count))
+
+
+def rms(rows: Floats) -> float:
+    """Root mean squared length of rows (n, k); NaN if there are none."""
+    return float(np.sqrt(np.mean(np.sum(rows**2, axis=1)))) if len(rows) else float("nan")
