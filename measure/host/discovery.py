@@ -172,7 +172,7 @@ def _load(
 
 
 def _registered(
-    manager: pluggy.PluginManager, kind: hooks.Kind, module: object
+    manager: pluggy.PluginManager, kind: hooks.PluginKind, module: object
 ) -> Iterator[type[Plugin]]:
     others = [plugin for plugin in manager.get_plugins() if plugin is not module]
     for classes in manager.subset_hook_caller(kind.hook, others)():
@@ -183,7 +183,7 @@ def _registered(
             yield plugin
 
 
-def _check_class(kind: hooks.Kind, plugin: object) -> None:
+def _check_class(kind: hooks.PluginKind, plugin: object) -> None:
     if not (inspect.isclass(plugin) and issubclass(plugin, kind.interface)):
         raise TypeError(
             f"{kind.hook}() returned {plugin!r}, which is not a {kind.interface.__name__} class"

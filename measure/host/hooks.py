@@ -38,7 +38,7 @@ def measure_estimators() -> list[type[Estimator]]:  # type: ignore[empty-body]
 
 
 @dataclass(frozen=True)
-class Kind:
+class PluginKind:
     """A kind of plugin: its name for users, its hook, and what its classes must be."""
 
     name: str
@@ -47,8 +47,8 @@ class Kind:
 
 
 KINDS = (
-    Kind("detector", "measure_detectors", Detector),
-    Kind("triangulator", "measure_triangulators", Triangulator),
-    Kind("solver", "measure_pose_solvers", PoseSolver),
-    Kind("estimator", "measure_estimators", Estimator),
+    PluginKind("detector", "measure_detectors", Detector),
+    PluginKind("triangulator", "measure_triangulators", Triangulator),
+    PluginKind("solver", "measure_pose_solvers", PoseSolver),
+    PluginKind("estimator", "measure_estimators", Estimator),
 )

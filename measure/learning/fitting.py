@@ -12,8 +12,8 @@ def fit(
 ) -> None:
     """Fit an estimator.
 
-    An exception raised by `report` (to end a fit, say) is raised unchanged, whether or not the
-    estimator catches it.
+    An exception raised by `report` (to end a fit, say) is raised unchanged, also where the
+    estimator raises another one from it.
 
     Raises:
         EstimatorError: the data cannot be learnt from.

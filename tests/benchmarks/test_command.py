@@ -71,7 +71,7 @@ def test_a_session_that_is_not_there_is_one_line(monkeypatch, capsys, tmp_path) 
     assert err.count("\n") == 1
 
 
-def test_what_is_typical_of_recordings_is_their_geometric_mean_and_mean_share() -> None:
+def test_typical_rows_are_geometric_means_and_mean_shares() -> None:
     figures = ("0.100", "0.010", "0.040", "40", "0", "0", "10", "100", "5.0", "2.0")
     other = ("0.400", "0.040", "0.010", "10", "0", "50", "0", "50", "5.0", "8.0")
     paper = ("0.900", "0.900", "0.900", "90", "0", "0", "0", "0", "9.0", "9.0")

@@ -177,7 +177,7 @@ def test_pictures_of_a_moving_body_bring_the_cameras_together(rendered, tmp_path
         ("file/c.toml", "there is no folder"),
     ],
 )
-def test_a_place_that_cannot_be_written_is_refused_before_measuring(
+def test_an_unwritable_output_is_refused_before_measuring(
     session, tmp_path, monkeypatch, capsys, place, why
 ) -> None:
     def never(*_, **__):

@@ -29,7 +29,7 @@ def test_nothing_is_overwritten_by_a_slip(recording: Recording, capsys) -> None:
     assert (run / "poses.csv").read_bytes() == before
 
 
-def test_a_run_is_compared_with_the_truth_of_the_session_file_it_measured(
+def test_a_run_is_compared_with_its_own_session_file(
     recording: Recording, tmp_path: Path, capsys
 ) -> None:
     words = run_words(recording)

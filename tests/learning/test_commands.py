@@ -147,7 +147,7 @@ def test_an_interrupted_training_resumes(data: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("apart", [False, True])
-def test_inputs_of_a_model_of_several_files_are_ranked_on_its_own_test(
+def test_inputs_are_ranked_on_the_models_own_test_part(
     small: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], apart: bool
 ) -> None:
     """They needed a --split-seed, which mixes training into the test."""

@@ -57,9 +57,7 @@ def test_an_estimator_that_fails_is_named(data, tmp_path, monkeypatch, capsys, m
     assert re.search(r"estimator 'offset' of triball [\d.]+ fails", said)
 
 
-def test_a_stranger_is_named_with_its_distribution_and_its_own_line(
-    data, tmp_path, capsys, install
-):
+def test_a_failing_plugin_is_named_with_its_own_line(data, tmp_path, capsys, install):
     """Not with the line of the library that it called wrongly."""
     install("acme-hasty", STRANGER, version="2.1")
     words = ["train", str(data), "-o", str(tmp_path / "model.onnx")]
@@ -119,7 +117,7 @@ def test_what_a_watcher_raises_comes_out_as_it_is(split: Split, monkeypatch, lea
     assert caught.value is theirs
 
 
-def test_an_estimator_that_goes_on_when_told_to_stop_fails_by_itself(split: Split, monkeypatch):
+def test_an_error_after_a_caught_stop_is_the_estimators(split: Split, monkeypatch):
     def learn(self, data, validation, *, seed, report):
         with suppress(_Stop):
             report(0.5, "half")

@@ -71,7 +71,7 @@ def test_a_smooth_ball_shows_what_its_mirrored_rays_meet() -> None:
     assert len(np.unique(expected[clear], axis=0)) == 2
 
 
-def test_just_inside_the_outline_it_shows_what_is_seen_just_outside() -> None:
+def test_the_outline_mirrors_what_lies_just_outside() -> None:
     """Grazing rays go straight on: a smooth plastic ball fades into the wall behind it."""
     plastic = Material((0.0, 0.0, 0.0), 0.04, 0.0)
     wall = (0.2, 0.4, 0.7)
@@ -86,7 +86,7 @@ def test_just_inside_the_outline_it_shows_what_is_seen_just_outside() -> None:
     assert fresnel.max() > 0.25
 
 
-def test_a_moving_ball_mirrors_what_it_meets_at_every_row_of_a_rolling_shutter() -> None:
+def test_a_rolling_shutter_applies_to_mirror_images() -> None:
     velocity, row_time = np.array([30.0, -20.0, 15.0]), 4e-4
 
     class Straight:
@@ -117,7 +117,7 @@ def test_a_moving_ball_mirrors_what_it_meets_at_every_row_of_a_rolling_shutter()
     assert max(at_rest) > 0.1, "a ball that stands would mirror other places"
 
 
-def test_a_mirrored_thing_is_lit_and_shadowed_as_it_is_seen_directly() -> None:
+def test_mirrored_shapes_are_lit_as_seen_directly() -> None:
     """What is matt looks alike from everywhere: in the mirror as from a camera of its own."""
     target, source = beside(90.0, -90.0, -20.0), beside(130.0, 200.0, 600.0)
     lamp, up = (
@@ -213,7 +213,7 @@ def _facet_mean(place, normal, viewer, roughness):
     return weights @ colours / weights.sum()
 
 
-def test_where_nothing_is_the_surroundings_fade_to_black_at_the_horizon() -> None:
+def test_surroundings_fade_to_black_at_the_horizon() -> None:
     light = replace(EVEN, surround_rgb=(0.6, 0.8, 1.0))
     bare = scene(Sphere(CENTER, RADIUS, SMOOTH), light=light)
     pixels, _, _, on = mirrored_rays(bare.cameras[0])
