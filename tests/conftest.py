@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -45,6 +46,15 @@ def shared() -> Path:
     if not folder.is_dir():
         pytest.skip("the recordings in ../shared are not part of the project")
     return folder
+
+
+@pytest.fixture(scope="session")
+def still(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Twelve frame sets of rendered balls, 1/30 s apart; shared by all workers, so read-only."""
+    from tests.simulated.sessions import still_session
+
+    base = tmp_path_factory.getbasetemp()
+    return still_session((base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "shared")
 
 
 @pytest.fixture

@@ -22,19 +22,16 @@ from measure.cli import main
 from measure.host import Registry
 from measure.results import read_run
 from measure.session import read_trajectory
-from measure.simulation import write_session
-from measure.simulation.catalogue import webcam_scene
 from tests.camera_server import ServedCamera, serving
 
 PERIOD_S = 0.1
 """A busy machine may take its time."""
 
 
-@pytest.fixture(scope="module")
-def session(tmp_path_factory):
+@pytest.fixture
+def session(still):
     """Twelve frame sets of rendered balls that move by a millimetre or two from one to the next."""
-    folder = tmp_path_factory.mktemp("live") / "session"
-    return write_session(webcam_scene(), np.arange(12) / 30, folder)
+    return still
 
 
 def served(session, **manners):

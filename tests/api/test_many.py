@@ -7,19 +7,16 @@ import os
 import signal
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from measure.api import RunOptions, load_profile, run, run_many
 from measure.errors import ConfigError
 from measure.host import Registry
 from measure.results import read_run
-from measure.simulation import write_session
 from tests.dask_cluster import Cluster, wait_for
-from tests.simulated.catalogue import scene_catalogue
+from tests.simulated.sessions import part_of
 
 SCRIPT = """
 import sys
@@ -35,12 +32,11 @@ QUIET = RunOptions(recording=False)
 
 
 @pytest.fixture(scope="module")
-def sessions(tmp_path_factory) -> list[Path]:
+def sessions(still, tmp_path_factory) -> list[Path]:
     """Three short recordings of one scene, at different times of its motion."""
     folder = tmp_path_factory.mktemp("sessions")
-    scene = scene_catalogue()["still"]
     return [
-        write_session(replace(scene, name=name), 2.0 * k + np.arange(FRAMES) / 30, folder / name)
+        part_of(still, range(FRAMES * k, FRAMES * (k + 1)), folder / name)
         for k, name in enumerate(("a", "b", "c"))
     ]
 

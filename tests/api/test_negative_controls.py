@@ -31,6 +31,7 @@ from tests.simulated.degraded import (
     with_balls,
     without_balls,
 )
+from tests.simulated.sessions import part_of
 
 RIGHT_MM = 0.5
 pytestmark = pytest.mark.slow
@@ -42,9 +43,9 @@ def scene() -> Scene:
 
 
 @pytest.fixture(scope="module")
-def rendered(scene, tmp_path_factory) -> Path:
-    """Four frame sets, all as the files say."""
-    return write_session(scene, np.arange(4) / 30, tmp_path_factory.mktemp("good") / "session")
+def rendered(still, tmp_path_factory) -> Path:
+    """Four frame sets of `scene`, all as the files say."""
+    return part_of(still, range(4), tmp_path_factory.mktemp("good") / "session")
 
 
 @pytest.fixture(scope="module")

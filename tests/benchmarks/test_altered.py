@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import cv2
 import numpy as np
 import pytest
@@ -11,16 +9,12 @@ import pytest
 from benchmarks.altered import ALTERATIONS, altered_copy, contrast, defocused, dim, overexposed
 from benchmarks.recordings import ALTERED, altered_recordings, recordings_beside
 from measure.session import open_session
-from measure.simulation import write_session
-from tests.simulated.catalogue import scene_catalogue
+from tests.simulated.sessions import part_of
 
 
 @pytest.fixture(scope="module")
-def recording(tmp_path_factory):
-    scene = scene_catalogue()["still"]
-    folder = tmp_path_factory.mktemp("altered") / "still"
-    write_session(replace(scene, cameras=scene.cameras[:2]), np.arange(2) / 30, folder)
-    return folder
+def recording(still, tmp_path_factory):
+    return part_of(still, range(2), tmp_path_factory.mktemp("altered") / "still")
 
 
 def _first(folder):
