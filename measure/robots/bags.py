@@ -10,10 +10,9 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.robots.raven import FIELDS, raven_schema
-from measure.robots.schema import RobotLog, StateSchema
+from measure.robots.schema import StateSchema
 
 MESSAGE = "raven_2/msg/raven_state"
-TOPIC = "/ravenstate"
 # The message of the robot's public control software; ROS 2 has no `duration` word of its own.
 DEFINITION = """
 std_msgs/Header hdr
@@ -25,7 +24,7 @@ int32[6] pos
 float32[18] ori
 float32[18] ori_d
 int32[6] pos_d
-{duration} dt
+builtin_interfaces/Duration dt
 int32[16] encVals
 int32[16] dac_val
 float32[16] tau
@@ -45,24 +44,20 @@ float32[12] jac_f
 def _rosbags() -> Any:
     try:
         import rosbags.highlevel
-        import rosbags.rosbag1
-        import rosbags.rosbag2
         import rosbags.typesys
 
         return rosbags
     except ImportError:
         raise EstimatorError(
-            "reading and writing bags needs the extra 'ros': pip install 'triball[ros]'"
+            "reading bags needs the extra 'ros': pip install 'triball[ros]'"
         ) from None
 
 
-def _types(ros1: bool) -> Any:
+def _types() -> Any:
+    """Types of ROS 2; bags of ROS 1 bring their own."""
     typesys = _rosbags().typesys
-    store = typesys.get_typestore(
-        typesys.Stores.ROS1_NOETIC if ros1 else typesys.Stores.ROS2_HUMBLE
-    )
-    text = DEFINITION.format(duration="duration" if ros1 else "builtin_interfaces/Duration")
-    store.register(typesys.get_types_from_msg(text, MESSAGE))
+    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    store.register(typesys.get_types_from_msg(DEFINITION, MESSAGE))
     return store
 
 
@@ -82,7 +77,7 @@ def read_bag(path: Path, schema: StateSchema, topic: str | None = None) -> tuple
     highlevel = _rosbags().highlevel
     times, rows = [], []
     try:
-        with highlevel.AnyReader([path], default_typestore=_types(ros1=False)) as reader:
+        with highlevel.AnyReader([path], default_typestore=_types()) as reader:
             connection = _choose(path, reader.connections, topic)
             for _, _, raw in reader.messages(connections=[connection]):
                 message = reader.deserialize(raw, connection.msgtype)
@@ -96,36 +91,6 @@ def read_bag(path: Path, schema: StateSchema, topic: str | None = None) -> tuple
     if not rows:
         raise EstimatorError(f"{path}: holds no message of the topic {connection.topic}")
     return np.array(times), np.array(rows)
-
-
-def write_bag(path: Path, log: RobotLog) -> None:
-    """Write one arm's states as `raven_state` messages; the other arm's numbers are zero.
-
-    Args:
-        path: `.bag` (ROS 1), otherwise a ROS 2 folder: `NAME.mcap` in MCAP, else sqlite3.
-        log: RAVEN-II states.
-
-    Raises:
-        EstimatorError: the states are not a RAVEN-II's.
-    """
-    arm = _arm(log.schema)
-    if arm is None:
-        raise EstimatorError(f"{path}: only RAVEN-II states can be written as raven_state messages")
-    rosbags = _rosbags()
-    ros1 = path.suffix == ".bag"
-    types = _types(ros1)
-    if ros1:
-        writer = rosbags.rosbag1.Writer(path)
-    else:
-        storage = rosbags.rosbag2.StoragePlugin
-        kind = storage.MCAP if path.suffix == ".mcap" else storage.SQLITE3
-        writer = rosbags.rosbag2.Writer(path, version=9, storage_plugin=kind)
-    with writer:
-        connection = writer.add_connection(TOPIC, MESSAGE, typestore=types)
-        for index, (time_s, state) in enumerate(zip(log.times_s, log.states, strict=True)):
-            message = _message(types, index, float(time_s), state, arm, ros1)
-            data = (types.serialize_ros1 if ros1 else types.serialize_cdr)(message, MESSAGE)
-            writer.write(connection, round(time_s * 1e9), data)
 
 
 def _arm(schema: StateSchema) -> int | None:
@@ -160,25 +125,3 @@ def _row(path: Path, message: Any, arm: int) -> Floats:
             )
         parts.append(np.asarray(values)[arm * field.per_arm : (arm + 1) * field.per_arm])
     return np.concatenate(parts).astype(np.float64)
-
-
-def _message(types: Any, index: int, time_s: float, state: Floats, arm: int, ros1: bool) -> Any:
-    known = types.types
-    seconds, nano = divmod(round(time_s * 1e9), 1_000_000_000)
-    stamp = known["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nano)
-    header = {"stamp": stamp, "frame_id": "0"} | ({"seq": index} if ros1 else {})
-    values: dict[str, Any] = {}
-    start = 0
-    for field in FIELDS:
-        both = np.zeros(2 * field.per_arm, dtype=np.int32 if field.integer else np.float32)
-        both[arm * field.per_arm : (arm + 1) * field.per_arm] = state[start : start + field.per_arm]
-        values[field.name] = both
-        start += field.per_arm
-    return known[MESSAGE](
-        hdr=known["std_msgs/msg/Header"](**header),
-        runlevel=3,
-        sublevel=0,
-        last_seq=index,
-        dt=known["builtin_interfaces/msg/Duration"](sec=0, nanosec=1_000_000),
-        **values,
-    )

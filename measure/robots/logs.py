@@ -68,16 +68,7 @@ def read_log(path: Path, schema: StateSchema, *, topic: str | None = None) -> Ro
 
 
 def write_log(path: Path, log: RobotLog) -> None:
-    """Write Parquet, CSV, ROS 1 `.bag`, `.mcap` or a ROS 2 bag folder, by the name's suffix.
-
-    Raises:
-        EstimatorError: only RAVEN-II states can be written as messages.
-    """
-    if path.suffix not in (".parquet", ".csv"):
-        from measure.robots.bags import write_bag
-
-        write_bag(path, log)
-        return
+    """Write CSV, if the name ends with `.csv`, else Parquet."""
     import pyarrow as pa
 
     columns = {TIME: log.times_s}
