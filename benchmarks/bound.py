@@ -17,7 +17,13 @@ from measure.model import Body, Camera, FrameSet, Image
 from measure.session import Trajectory
 from measure_plugins._outline.appearance.interreflection import balls_nearer
 from measure_plugins._outline.sampling.edge_crossing import levels
-from measure_plugins._outline.sampling.rays import FREE, cast_rays, frame_about, sample, ways
+from measure_plugins._outline.sampling.rays import (
+    CLEAR,
+    cast_rays,
+    frame_about,
+    mark_occluded,
+    sample,
+)
 
 BLUR_PX = 0.76
 """Optics of 0.7 px and the pixel's own width."""
@@ -67,18 +73,18 @@ def _rays(
 ) -> tuple[Floats, Floats]:
     """How the outline moves, px by rad of its centre's direction (n, 3), and C^2 b' ds (n,)."""
     lens, frame = camera.intrinsics.row, frame_about(axis)
-    points, normals, scale, around = cast_rays(frame, half_angle, _RAYS, lens)
+    rays, scale = cast_rays(frame, half_angle, _RAYS, lens)
     reach = (_INSIDE_PX[0], _OUTSIDE_PX[1])
-    free = ways(frame, half_angle, scale, around, nearer, reach, 0.0)
+    mark_occluded(rays, scale, frame, half_angle, nearer, reach, 0.0)
     pixels = np.ascontiguousarray(image.pixels)
     no_light = np.zeros(len(_STEPS), np.bool_)
-    _, values = sample(pixels, _VALUES, points, normals, _STEPS, free, no_light, 0)
+    _, values = sample(pixels, _VALUES, rays, _STEPS, no_light, 0)
     contrast = levels(values, _STEPS, _INSIDE_PX) - levels(values, _STEPS, _OUTSIDE_PX)
-    length = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
+    length = np.linalg.norm(np.roll(rays.points, -1, axis=0) - rays.points, axis=1)
     told = np.sum(contrast**2, axis=0) / (2 * np.sqrt(np.pi) * BLUR_PX) * length
-    outward = around @ frame[:2]
+    outward = rays.around @ frame[:2]
     rows = scale[:, None] * (outward - np.tan(half_angle) * axis)
-    return rows, np.where(free == FREE, told, 0.0)
+    return rows, np.where(rays.status == CLEAR, told, 0.0)
 
 
 def _noise(image: Image) -> float:

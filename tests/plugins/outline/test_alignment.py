@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from measure_plugins._outline.sampling.rays import CLEAR, OCCLUDED
 from measure_plugins._outline.self_calibration.alignment import aligned_residuals
 
 STEP_PX, SAMPLES, RAYS, COMPARED = 0.5, 24, 30, 18
@@ -24,10 +25,10 @@ def around():
 
 
 def test_a_shift_and_growth_of_the_outline_leave_nothing(around):
-    free = np.zeros(RAYS)
+    status = np.zeros(RAYS, np.int8)
     predicted = edge(np.zeros(RAYS))
     seen = edge(0.02 * around[:, 0] - 0.01 * around[:, 1] + 0.015)
-    left, weights = aligned_residuals(seen, predicted, free, around, COMPARED, STEP_PX, NONE)
+    left, weights = aligned_residuals(seen, predicted, status, around, COMPARED, STEP_PX, NONE)
     assert left.shape == (RAYS, 3 * COMPARED)
     assert np.abs(left).max() < 0.1 * np.abs(seen - predicted).max()
     assert np.all((weights > 0) & (weights <= 1))
@@ -35,31 +36,31 @@ def test_a_shift_and_growth_of_the_outline_leave_nothing(around):
 
 def test_what_is_no_shift_stays_and_hidden_rays_do_not_count(around):
     rng = np.random.default_rng(3)
-    free = np.zeros(RAYS)
-    free[[4, 5, 20]] = 1.0
+    status = np.zeros(RAYS, np.int8)
+    status[[4, 5, 20]] = OCCLUDED
     predicted = edge(np.zeros(RAYS))
     seen = predicted + 0.01 * rng.normal(size=predicted.shape)
-    seen[:, :, free > 0] += 1.0
-    left, weights = aligned_residuals(seen, predicted, free, around, COMPARED, STEP_PX, NONE)
+    seen[:, :, status != CLEAR] += 1.0
+    left, weights = aligned_residuals(seen, predicted, status, around, COMPARED, STEP_PX, NONE)
     assert left.shape == (RAYS - 3, 3 * COMPARED)
-    expected, _ = by_numpy(seen, predicted, free, around, weights)
-    again, same = aligned_residuals(seen, predicted, free, around, COMPARED, STEP_PX, weights)
+    expected, _ = by_numpy(seen, predicted, status, around, weights)
+    again, same = aligned_residuals(seen, predicted, status, around, COMPARED, STEP_PX, weights)
     np.testing.assert_allclose(again, expected, atol=1e-12)
     assert np.array_equal(same, weights)
     assert np.sqrt(np.mean(left**2)) == pytest.approx(0.01, rel=0.1)
 
 
 def test_a_ray_unlike_the_others_loses_its_weight(around):
-    free, predicted = np.zeros(RAYS), edge(np.zeros(RAYS))
+    status, predicted = np.zeros(RAYS, np.int8), edge(np.zeros(RAYS))
     seen = predicted + 0.002 * np.random.default_rng(4).normal(size=predicted.shape)
     seen[:, :, 11] += 0.2
-    _, weights = aligned_residuals(seen, predicted, free, around, COMPARED, STEP_PX, NONE)
+    _, weights = aligned_residuals(seen, predicted, status, around, COMPARED, STEP_PX, NONE)
     assert weights[11] < 0.01 * np.median(weights)
 
 
-def by_numpy(seen, predicted, free, around, weights):
+def by_numpy(seen, predicted, status, around, weights):
     """The same written with arrays."""
-    use = free == 0
+    use = status == CLEAR
     slope = -np.gradient(predicted, STEP_PX, axis=1)[:, :COMPARED][:, :, use]
     off = (seen - predicted)[:, :COMPARED][:, :, use]
     off, slope = (part.reshape(-1, part.shape[-1]).T for part in (off, slope))

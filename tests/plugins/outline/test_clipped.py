@@ -8,7 +8,7 @@ import pytest
 from measure.geometry import tangent_cone
 from measure_plugins._outline.appearance.model import GLOSSY
 from measure_plugins._outline.sampling.edge_crossing import HIGHLIGHT_PX, clipped, in_highlights
-from measure_plugins._outline.sampling.rays import FREE, HIDDEN
+from measure_plugins._outline.sampling.rays import CLEAR, OCCLUDED
 from measure_plugins.detectors.outline import OutlineConfig, OutlineDetector
 from tests.plugins.detectors.drawing import draw, expect, image_of, to_picture
 from tests.plugins.outline.lessons import lessons
@@ -107,27 +107,27 @@ def insides(ball, n=12):
     """Picture values (3, n) inside an outline, white on the first three rays."""
     values = np.repeat(np.array([ball], np.float32).T / 255, n, axis=1)
     values[:, :3] = 0.97
-    return values, np.full(n, float(FREE))
+    return values, np.full(n, CLEAR, np.int8)
 
 
 def test_rays_that_begin_in_a_white_highlight_are_told():
-    values, free = insides((40, 40, 200))
-    assert in_highlights(values, free).tolist() == [True] * 3 + [False] * 9
+    values, status = insides((40, 40, 200))
+    assert in_highlights(values, status).tolist() == [True] * 3 + [False] * 9
     values[0, :3] = 0.9  # bright, and of some colour
-    assert not in_highlights(values, free).any()
+    assert not in_highlights(values, status).any()
 
 
 def test_what_is_white_on_a_white_ball_is_its_own_light():
-    values, free = insides((190, 200, 205))
-    assert not in_highlights(values, free).any()
-    assert not in_highlights(values, np.full(12, float(HIDDEN))).any()
+    values, status = insides((190, 200, 205))
+    assert not in_highlights(values, status).any()
+    assert not in_highlights(values, np.full(12, OCCLUDED, np.int8)).any()
 
 
 def test_hidden_rays_do_not_tell_how_white_a_ball_is():
-    values, free = insides((40, 40, 200))
-    values[:, 5:], free[5:] = 0.8, HIDDEN  # a white ball in front
-    free[:2] = HIDDEN
-    assert in_highlights(values, free).tolist() == [True] * 3 + [False] * 9
+    values, status = insides((40, 40, 200))
+    values[:, 5:], status[5:] = 0.8, OCCLUDED  # a white ball in front
+    status[:2] = OCCLUDED
+    assert in_highlights(values, status).tolist() == [True] * 3 + [False] * 9
 
 
 def test_edges_beside_a_highlight_near_the_rim_are_told_less_sure():

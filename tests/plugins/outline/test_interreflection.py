@@ -21,7 +21,7 @@ from measure_plugins._outline.appearance.model import (
 from measure_plugins._outline.appearance.point_lights import lamp_light
 from measure_plugins._outline.appearance.radial_basis import DEFLECTIONS, radial
 from measure_plugins._outline.appearance.render import Ambient
-from measure_plugins._outline.fitting.edges import corrected_edges, find_twice
+from measure_plugins._outline.fitting.edges import PredictionInputs, corrected_edges, find_twice
 from measure_plugins._outline.sampling.ray_groups import middle_angles
 from measure_plugins._outline.sampling.rays import angles_around, cast_rays, frame_about
 from tests.plugins.outline.lessons import cones
@@ -130,23 +130,15 @@ def _mean_error(view, known):
     appearance: Appearance = first_appearance("srgb")
     axis, half_angle = rows[green, :3], rows[green, 3]
     frame = frame_about(axis)
-    points, normals, scale, around = cast_rays(frame, half_angle, RAYS, lens)
+    rays, scale = cast_rays(frame, half_angle, RAYS, lens)
     tables = appearance.tables(half_angle * float(np.mean(scale)), half_angle)
-    middles = middle_angles(around)
+    middles = middle_angles(rays.around)
     shares = mirrored_behind(balls_behind(rows[green], rows), frame, half_angle, middles)
     lit = lamp_light(tables.diffuse, tables.kept_out[0], middles, appearance.lamps)
     told = shares if known else shares[:, :0].copy()
-    found = find_twice(
-        pixels,
-        appearance.table,
-        appearance.sensor,
-        points,
-        normals,
-        around,
-        np.zeros(RAYS),
-        tables,
-        Ambient(lit, np.zeros((3, 0, len(middles))), told),
-    )
+    ambient = Ambient(lit, np.zeros((3, 0, len(middles))), told)
+    inputs = PredictionInputs(pixels, appearance.table, appearance.sensor, rays, tables, ambient)
+    found = find_twice(inputs)
     edges = corrected_edges(found, BELIEVED)
     before = np.repeat(shares[0] > 0, RAYS // len(middles))
     good = before & (np.abs(edges.shifts) < 2.0)

@@ -17,9 +17,9 @@ from measure_plugins._outline.appearance.point_lights import (
 )
 from measure_plugins._outline.appearance.radial_basis import fresnel, radial
 from measure_plugins._outline.appearance.render import Ambient
-from measure_plugins._outline.fitting.edges import corrected_edges, find_twice
+from measure_plugins._outline.fitting.edges import PredictionInputs, corrected_edges, find_twice
 from measure_plugins._outline.sampling.ray_groups import middle_angles
-from measure_plugins._outline.sampling.rays import STEPS, cast_rays, frame_about
+from measure_plugins._outline.sampling.rays import OCCLUDED, STEPS, cast_rays, frame_about
 from tests.plugins.outline.lessons import cones, learner_of, lessons, settled
 
 CAMERA = "cam1"
@@ -82,11 +82,11 @@ def test_what_lights_a_ball_is_found_among_pixels_that_do_not_belong():
     lit = lamp_light(TABLES.diffuse, KEPT_OUT, AROUND, _lamp([0.3, -0.9, -0.2]))
     true = np.array([0.1, 0.02, -0.03, 0.05, 0.7])
     amounts = lamp_body(true, AROUND, TABLES.diffuse, lit, 0)
-    rng, free = np.random.default_rng(1), np.zeros(72)
+    rng, status = np.random.default_rng(1), np.zeros(72, np.int8)
     amounts[rng.random(amounts.shape) < 0.15] += 0.5  # a highlight, say
-    free[10:20] = 1
+    status[10:20] = OCCLUDED
     amounts[:, 10:20] = 5.0
-    found = fit_lamp_light(amounts, free, AROUND, TABLES.diffuse, lit, USED)
+    found = fit_lamp_light(amounts, status, AROUND, TABLES.diffuse, lit, USED)
     assert found == pytest.approx(true, abs=0.01)
 
 
@@ -207,31 +207,17 @@ def _mean_errors(scene, appearance):
         scene.body.balls, cones(scene, scene.camera(CAMERA), 0.0), strict=True
     ):
         frame = frame_about(axis)
-        points, normals, scale, around = cast_rays(frame, half_angle, 72, camera.intrinsics.row)
+        rays, scale = cast_rays(frame, half_angle, 72, camera.intrinsics.row)
         size = half_angle * float(np.mean(scale))
         tables = radial(size, half_angle, appearance.blur_px, appearance.index)
+        lamps = seen_from(appearance.lamps, frame, distance)
+        light = lamp_light(tables.diffuse, tables.kept_out[0], middle_angles(rays.around), lamps)
+        ambient = Ambient(light, np.zeros((3, 0, 36)), np.zeros((8, 0)))
         found = find_twice(
-            pixels,
-            table,
-            appearance.sensor,
-            points,
-            normals,
-            around,
-            np.zeros(72),
-            tables,
-            Ambient(
-                lamp_light(
-                    tables.diffuse,
-                    tables.kept_out[0],
-                    middle_angles(around),
-                    seen_from(appearance.lamps, frame, distance),
-                ),
-                np.zeros((3, 0, 36)),
-                np.zeros((8, 0)),
-            ),
+            PredictionInputs(pixels, table, appearance.sensor, rays, tables, ambient)
         )
         edges, center = corrected_edges(found, BELIEVED), pose.apply(ball.center_mm)
-        limb = around @ frame[:2] @ camera.camera_from_world.rotation
+        limb = rays.around @ frame[:2] @ camera.camera_from_world.rotation
         lit = np.full(72, -1.0)
         for light in scene.lighting.lights:
             way = light.position_mm - center

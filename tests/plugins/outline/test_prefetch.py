@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from measure_plugins._outline.sampling.prefetch import ask_for_outline, ask_for_row, ring_in_row
-from measure_plugins._outline.sampling.rays import FREE, STEPS, cast_rays, frame_about, sample
+from measure_plugins._outline.sampling.rays import STEPS, cast_rays, frame_about, sample
 
 WIDTH, HEIGHT, FOCAL = 320, 240, 700.0
 LENS = np.array([FOCAL, 0.0, 160.0, FOCAL, 120.0, *np.zeros(8)])
@@ -30,18 +30,17 @@ def _asked_for(u, v):
 @pytest.mark.parametrize("center", [(160.0, 120.0), (203.3, 91.8), (60.0, 180.0)])
 def test_what_rays_read_is_asked_for_and_little_else(center):
     axis, black = _axis(*center), np.zeros((HEIGHT, WIDTH, 3), np.uint8)
-    points, normals, _, _ = cast_rays(frame_about(axis), HALF_ANGLE, 720, LENS)
+    rays, _ = cast_rays(frame_about(axis), HALF_ANGLE, 720, LENS)
     read = np.zeros((HEIGHT, WIDTH), bool)
     for step in STEPS:
-        x, y = np.floor(points + step * normals).astype(int).T
+        x, y = np.floor(rays.points + step * rays.normals).astype(int).T
         for right, down in ((0, 0), (1, 0), (0, 1), (1, 1)):
             read[y + down, x + right] = True
     asked = _asked_for(*center)
     assert not np.any(read & ~asked)
     assert np.count_nonzero(asked) < 1.4 * np.count_nonzero(read)
     ask_for_outline(black, axis, HALF_ANGLE, LENS)
-    free, lit = np.full(720, FREE, float), np.ones(len(STEPS), np.bool_)
-    light, _ = sample(black, np.ones(256), points, normals, STEPS, free, lit, 0)
+    light, _ = sample(black, np.ones(256), rays, STEPS, np.ones(len(STEPS), np.bool_), 0)
     assert light == pytest.approx(1.0)
 
 

@@ -5,7 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from measure_plugins._outline.sampling.ray_groups import middle_angles, together
-from measure_plugins._outline.sampling.rays import FREE, HIDDEN, OUTSIDE, angles_around
+from measure_plugins._outline.sampling.rays import (
+    CLEAR,
+    OCCLUDED,
+    OUT_OF_IMAGE,
+    angles_around,
+)
 
 
 def test_middle_angles_lie_halfway_between_the_rays_of_a_pair() -> None:
@@ -16,14 +21,16 @@ def test_middle_angles_lie_halfway_between_the_rays_of_a_pair() -> None:
     np.testing.assert_allclose(np.linalg.norm(middle, axis=1), 1, atol=1e-12)
 
 
-def test_a_pair_shows_the_mean_of_its_free_rays() -> None:
+def test_a_pair_shows_the_mean_of_its_clear_rays() -> None:
     light = np.random.default_rng(1).uniform(size=(3, 5, 8))
-    free = np.array([FREE, FREE, FREE, HIDDEN, OUTSIDE, FREE, HIDDEN, OUTSIDE], np.float64)
+    status = np.array(
+        [CLEAR, CLEAR, CLEAR, OCCLUDED, OUT_OF_IMAGE, CLEAR, OCCLUDED, OUT_OF_IMAGE], np.int8
+    )
 
-    shown, ways = together(light, free)
+    shown, grouped = together(light, status)
 
     np.testing.assert_allclose(shown[:, :, 0], light[:, :, :2].mean(axis=2))
     np.testing.assert_allclose(shown[:, :, 1], light[:, :, 2])
     np.testing.assert_allclose(shown[:, :, 2], light[:, :, 5])
     np.testing.assert_array_equal(shown[:, :, 3], 0)
-    np.testing.assert_array_equal(ways, [FREE, FREE, FREE, HIDDEN])
+    np.testing.assert_array_equal(grouped, [CLEAR, CLEAR, CLEAR, OCCLUDED])

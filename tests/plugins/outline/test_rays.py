@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from measure_plugins._outline.sampling.rays import (
-    FREE,
-    HIDDEN,
-    OUTSIDE,
+    CLEAR,
+    OCCLUDED,
+    OUT_OF_IMAGE,
+    RaySet,
     frame_about,
     sample,
     sample_nearest,
@@ -29,15 +30,19 @@ def _all(steps):
     return np.ones(len(steps), np.bool_)
 
 
-def both(picture, points, normals, steps=STEPS, free=None):
+def rays_at(points, normals, status=None):
     points = np.asarray(points, dtype=np.float64)
     normals = np.ascontiguousarray(np.broadcast_to(normals, points.shape), dtype=np.float64)
-    state = np.full(len(points), FREE, np.uint8) if free is None else np.array(free, np.uint8)
-    other = state.copy()
-    light, _ = sample(picture, TABLE, points, normals, steps, state, _all(steps), len(steps))
-    nearest = sample_nearest(picture, TABLE, points, normals, steps, other)
-    np.testing.assert_array_equal(state, other)
-    return light, nearest, state
+    known = np.full(len(points), CLEAR, np.int8) if status is None else np.array(status, np.int8)
+    return RaySet(points, normals, normals, known)
+
+
+def both(picture, points, normals, steps=STEPS, status=None):
+    one, other = (rays_at(points, normals, status) for _ in range(2))
+    light, _ = sample(picture, TABLE, one, steps, _all(steps), len(steps))
+    nearest = sample_nearest(picture, TABLE, other, steps)
+    np.testing.assert_array_equal(one.status, other.status)
+    return light, nearest, one.status
 
 
 def test_on_pixels_the_two_are_the_same(picture):
@@ -57,8 +62,9 @@ def test_between_pixels_the_nearest_counts(picture, off):
 
 def test_rays_that_leave_the_picture_are_marked_and_hidden_ones_left_alone(picture):
     points = [(20.0, 15.0), (1.0, 15.0), (20.0, 15.0), (WIDTH - 2.5, 15.0)]
-    _, nearest, state = both(picture, points, ACROSS, free=[FREE, FREE, HIDDEN, FREE])
-    assert state.tolist() == [FREE, OUTSIDE, HIDDEN, OUTSIDE]
+    known = [CLEAR, CLEAR, OCCLUDED, CLEAR]
+    _, nearest, status = both(picture, points, ACROSS, status=known)
+    assert status.tolist() == [CLEAR, OUT_OF_IMAGE, OCCLUDED, OUT_OF_IMAGE]
     assert np.all(nearest[:, :, 0] == TABLE[picture[15, 18:23].T])
     assert not np.any(nearest[:, :, 1:])
 
@@ -78,7 +84,7 @@ def test_values_are_interpolated_between_pixels() -> None:
     picture = np.stack([2 * u + 3 * v, 4 * u, 5 * v], axis=-1).astype(np.uint8)
     points, normals = np.array([[20.3, 18.6], [30.0, 10.25]]), np.array([[0.6, 0.8], [1.0, 0.0]])
     steps, table = np.array([-2.0, 0.0, 1.5]), np.arange(256) / 255.0
-    light, values = sample(picture, table, points, normals, steps, np.zeros(2), _all(steps), 0)
+    light, values = sample(picture, table, rays_at(points, normals), steps, _all(steps), 0)
     x = points[:, 0] + steps[:, None] * normals[:, 0]
     y = points[:, 1] + steps[:, None] * normals[:, 1]
     assert np.allclose(255 * values, np.stack([2 * x + 3 * y, 4 * x, 5 * y]), atol=1e-9)
@@ -88,8 +94,8 @@ def test_values_are_interpolated_between_pixels() -> None:
 def test_light_is_read_where_it_is_wanted_and_nowhere_else(picture) -> None:
     points, normals = np.array([[20.3, 18.6], [30.0, 10.25]]), np.array([[0.6, 0.8], [1.0, 0.0]])
     steps, lit = np.array([-2.0, 0.0, 1.5]), np.array([True, False, True])
-    light, values = sample(picture, TABLE, points, normals, steps, np.zeros(2), lit, 1)
-    full, _ = sample(picture, TABLE, points, normals, steps, np.zeros(2), _all(steps), 1)
+    light, values = sample(picture, TABLE, rays_at(points, normals), steps, lit, 1)
+    full, _ = sample(picture, TABLE, rays_at(points, normals), steps, _all(steps), 1)
     np.testing.assert_array_equal(light[:, lit], full[:, lit])
     assert np.all(light[:, ~lit] == 0)
     assert np.any(full[:, ~lit] != 0)
@@ -101,7 +107,7 @@ def test_light_is_read_where_it_is_wanted_and_nowhere_else(picture) -> None:
 def test_values_are_read_up_to_the_last_pixel(picture, x, y) -> None:
     """Pixels are read four bytes at once; the picture's last one has but three."""
     points, one = np.array([[x + 0.25, y + 0.75]]), np.zeros(1)
-    light, values = sample(picture, TABLE, points, ACROSS, one, one.copy(), _all(one), 0)
+    light, values = sample(picture, TABLE, rays_at(points, ACROSS), one, _all(one), 0)
     upper = 0.75 * picture[y, x] + 0.25 * picture[y, x + 1]
     lower = 0.75 * picture[y + 1, x] + 0.25 * picture[y + 1, x + 1]
     assert values[:, 0, 0] == pytest.approx((0.25 * upper + 0.75 * lower) / 255, abs=1e-6)

@@ -12,7 +12,7 @@ from measure_plugins._outline.appearance.sensor import (
     encoding,
     read_off,
 )
-from measure_plugins._outline.sampling.rays import STEPS, sample
+from measure_plugins._outline.sampling.rays import STEPS, RaySet, sample
 
 YCC = np.array([[0.114, 0.587, 0.299], [1 - 0.114, -0.587, -0.299], [-0.114, -0.587, 1 - 0.299]])
 """Brightness, and blue and red minus it, of BGR."""
@@ -40,16 +40,9 @@ def test_brightness_is_blurred_as_much_as_sampling_blurs_a_grey_edge(tilt_deg):
     picture = np.repeat(np.rint(255 * _edge(beyond))[..., None], 3, axis=2).astype(np.uint8)
     along = np.linspace(-20, 20, 400)[:, None] * np.array([-normal[1], normal[0]])
     points, normals = 40 + along, np.tile(normal, (400, 1))
-    _, seen = sample(
-        picture,
-        np.linspace(0, 1, 256),
-        points,
-        normals,
-        STEPS,
-        np.zeros(400),
-        np.ones(len(STEPS), np.bool_),
-        0,
-    )
+    rays = RaySet(points, normals, normals, np.zeros(400, np.int8))
+    everywhere = np.ones(len(STEPS), np.bool_)
+    _, seen = sample(picture, np.linspace(0, 1, 256), rays, STEPS, everywhere, 0)
     alone = np.repeat(_edge(STEPS)[None, :, None], 3, axis=0)
     left = seen[0, CHROMA_REACH:].mean(axis=1) - read_off(alone, chroma_taps(0.8))[0, :, 0]
     without = seen[0, CHROMA_REACH:].mean(axis=1) - alone[0, CHROMA_REACH:, 0]

@@ -11,25 +11,26 @@ from measure_plugins._outline.appearance.spherical_harmonics import (
     fit_shading,
     shaded,
 )
-from measure_plugins._outline.sampling.rays import STEPS
+from measure_plugins._outline.sampling.rays import CLEAR, OCCLUDED, STEPS
 
 LOBES = radial(60.0, 0.045, 1.0, 1.5).diffuse
 COEFFICIENTS = np.array([0.1, 0.4, 0.02, 0.1, 0.05, -0.08, 0.04, 0.03, -0.02])
 AROUND = np.array([(np.cos(a), np.sin(a)) for a in np.linspace(0, 2 * np.pi, 72, endpoint=False)])
 ANGULAR = angular_terms(AROUND)
+ALL_CLEAR = np.full(72, CLEAR, np.int8)
 SHOWN = shaded(COEFFICIENTS, ANGULAR, LOBES)
 FIRST, LAST = (int(k) for k in np.searchsorted(STEPS, (-15.0, 1.0)))
 
 
-def _misfit(amounts: np.ndarray, free: np.ndarray) -> float:
+def _misfit(amounts: np.ndarray, status: np.ndarray) -> float:
     """Largest difference, inside, between the fitted and the true shading of all rays."""
-    fitted = fit_shading(amounts, free, ANGULAR, LOBES, LAST)
+    fitted = fit_shading(amounts, status, ANGULAR, LOBES, LAST)
     return float(np.abs(shaded(fitted, ANGULAR, LOBES) - SHOWN)[FIRST:LAST].max())
 
 
 def test_shading_is_recovered() -> None:
     """What every second ray tells holds for those between."""
-    assert _misfit(SHOWN, np.zeros(72)) < 0.01
+    assert _misfit(SHOWN, ALL_CLEAR) < 0.01
 
 
 def test_shading_shows_its_terms() -> None:
@@ -50,8 +51,8 @@ def test_the_fit_is_that_of_least_squares_where_nothing_is_off() -> None:
         terms = (lobes[:, :, None] * angular[None]).transpose(1, 0, 2).reshape(9, -1)
         normal = terms @ terms.T + 1e-3 * np.eye(9)
         wanted = np.linalg.solve(normal, terms @ seen[:LAST:2].ravel())
-        free = np.zeros(rays)
-        fitted = fit_shading(seen, free, angular, LOBES, LAST)
+        status = np.full(rays, CLEAR, np.int8)
+        fitted = fit_shading(seen, status, angular, LOBES, LAST)
         assert np.allclose(fitted, wanted, rtol=0, atol=2e-3)
         assert np.abs(shaded(fitted - wanted, angular, LOBES)[:LAST]).max() < 1e-4
 
@@ -60,16 +61,16 @@ def test_a_highlight_is_ignored() -> None:
     """Bright spots on a tenth of the pixels leave the shading alone."""
     seen = SHOWN.copy()
     seen[FIRST : FIRST + 8, 10:24] += 0.8
-    assert _misfit(seen, np.zeros(72)) < 0.02
+    assert _misfit(seen, ALL_CLEAR) < 0.02
 
 
 def test_hidden_rays_tell_nothing() -> None:
     """What stands before a third of the rays is taken for shading only if nobody says so."""
-    seen, free = SHOWN.copy(), np.zeros(72)
+    seen, status = SHOWN.copy(), ALL_CLEAR.copy()
     seen[:, 20:44] = 0.0
-    assert _misfit(seen, free) > 0.03
-    free[20:44] = 1.0
-    assert _misfit(seen, free) < 0.02
+    assert _misfit(seen, status) > 0.03
+    status[20:44] = OCCLUDED
+    assert _misfit(seen, status) < 0.02
 
 
 def test_packed_tables_are_the_same_tables():
@@ -84,16 +85,16 @@ def test_packed_tables_are_the_same_tables():
         assert len(row) == sum(table.size for table in tables)
 
 
-def test_reflected_light_is_found_behind_rays_that_are_not_free():
+def test_reflected_light_is_found_behind_rays_that_are_not_clear():
     tables = radial(60.0, 0.045, 1.0, 1.5)
     true = np.linspace(0.8, 0.2, tables.grey.shape[1])
-    grey, free = np.repeat((tables.grey @ true)[:, None], 72, axis=1), np.zeros(72)
-    grey[:, 10:30], free[10:30] = 5.0, 1
-    found = reflected_light(grey, free, tables.solve_grey) + tables.tie_grey[:, None] * true[0]
+    grey, status = np.repeat((tables.grey @ true)[:, None], 72, axis=1), ALL_CLEAR.copy()
+    grey[:, 10:30], status[10:30] = 5.0, OCCLUDED
+    found = reflected_light(grey, status, tables.solve_grey) + tables.tie_grey[:, None] * true[0]
     for ray in (0, 9, 30, 71):
         off = np.abs(tables.grey @ found[:, ray] - tables.grey @ true)[FIRST:LAST]
         assert off.max() < 0.02 * (tables.grey @ true).max()
 
 
 def test_paint_that_reflects_nothing_shows_no_reflected_light():
-    assert not reflected_light(np.ones((35, 72)), np.zeros(72), np.zeros((8, 46))).any()
+    assert not reflected_light(np.ones((35, 72)), ALL_CLEAR, np.zeros((8, 46))).any()

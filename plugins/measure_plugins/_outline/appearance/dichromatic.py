@@ -13,6 +13,7 @@ from measure.arrays import Floats, Ints
 from measure.compiling import compiled
 from measure.geometry.linear_kernels import times
 from measure_plugins._kernels.selection import DOUBLES, nearly_kth, whole_vectors
+from measure_plugins._outline.sampling.rays import CLEAR, Statuses
 
 GREY = 1 / np.sqrt(3.0)
 COLORLESS = 0.15
@@ -25,7 +26,7 @@ _NEIGHBOURS = tuple(float(w) for w in np.exp(-0.5 * (np.arange(5) / 1.5) ** 2))
 
 
 @compiled
-def own_color(profiles: Floats, free: Floats, steps: Floats) -> Floats:
+def own_color(profiles: Floats, status: Statuses, steps: Floats) -> Floats:
     """Unit colour (3,) of the ball's own light: the mean of its least grey well-lit pixels."""
     m, n = profiles.shape[1:]
     every = max(n // _COLOR_RAYS, 1)
@@ -36,7 +37,7 @@ def own_color(profiles: Floats, free: Floats, steps: Floats) -> Floats:
         if steps[j] > _OWN_LAST_PX:
             break
         for i in range(0, n, every):
-            if free[i] == 0:
+            if status[i] == CLEAR:
                 b, g, r = profiles[0, j, i], profiles[1, j, i], profiles[2, j, i]
                 colors[0, count], colors[1, count], colors[2, count] = b, g, r
                 brightest[count] = max(b, g, r)
@@ -91,16 +92,16 @@ def every_second(values: Floats, used: int, rays: Ints) -> Floats:
 
 
 @compiled
-def reflected_light(grey: Floats, free: Floats, solve: Floats) -> Floats:
+def reflected_light(grey: Floats, status: Statuses, solve: Floats) -> Floats:
     """Reflected light (k, n) from amounts of grey (m, n) along the rays.
 
     Args:
         grey: (m, n).
-        free: (n,) 0 for rays with a clear way.
+        status: (n,) see `RaySet`.
         solve: (k, m) from a profile to the reflected light.
 
     Returns:
-        Means over neighbouring free rays, all round (weights of a normal of 1.5 rays).
+        Means over neighbouring clear rays, all round (weights of a normal of 1.5 rays).
     """
     knots, n = len(solve), grey.shape[1]
     seen = np.nonzero(solve[0])[0]
@@ -109,7 +110,7 @@ def reflected_light(grey: Floats, free: Floats, solve: Floats) -> Floats:
         first, last = seen[0], seen[-1] + 1
         times(solve[:, first:last], grey[first:last], single[:knots])
     single[knots] = 1.0
-    _sum_of_neighbours(single, free, shares)
+    _sum_of_neighbours(single, status, shares)
     out = shares[:knots]
     for k in range(knots):
         for i in range(n):
@@ -118,15 +119,15 @@ def reflected_light(grey: Floats, free: Floats, solve: Floats) -> Floats:
 
 
 @compiled
-def _sum_of_neighbours(rows: Floats, free: Floats, out: Floats) -> None:
-    """Weighted sums over neighbouring free rays, all round, of rows (k, n) into `out` (k, n)."""
+def _sum_of_neighbours(rows: Floats, status: Statuses, out: Floats) -> None:
+    """Weighted sums over neighbouring clear rays, all round, of rows (k, n) into `out` (k, n)."""
     n = rows.shape[1]
     reach = len(_NEIGHBOURS) - 1
     a, b, c, d, e = _NEIGHBOURS
     ring = np.empty(n + 2 * reach)
     for k in range(len(rows)):
         for i in range(n):
-            ring[reach + i] = rows[k, i] if free[i] == 0 else 0.0
+            ring[reach + i] = rows[k, i] if status[i] == CLEAR else 0.0
         for i in range(reach):
             ring[i], ring[reach + n + i] = ring[n + i], ring[reach + i]
         for i in range(n):

@@ -17,6 +17,7 @@ from measure.compiling import compiled, inlined
 from measure.geometry.linear_kernels import cholesky, solve_factored
 from measure_plugins._kernels.selection import SINGLES, nearly_kth, whole_vectors
 from measure_plugins._outline.appearance.dichromatic import every_second
+from measure_plugins._outline.sampling.rays import CLEAR, Statuses
 
 REFERENCE_MM = 1000.0
 """A lamp's irradiance is what it gives at this distance."""
@@ -121,13 +122,13 @@ def _add_light(
 
 @compiled
 def fit_lamp_light(
-    amounts: Floats, free: Floats, around: Floats, diffuse: Floats, lit: Floats, used: int
+    amounts: Floats, status: Statuses, around: Floats, diffuse: Floats, lit: Floats, used: int
 ) -> Floats:
     """Coefficients (5,) of lamps' light and of what is linear in the normal, robustly.
 
     Args:
         amounts: (m, n) of the ball's own colour.
-        free: (n,) 0 for rays with a clear way.
+        status: (n,) see `RaySet`.
         around: (n, 2) cosine and sine around the axis.
         diffuse: (m, 6) see `radial.Radial`.
         lit: (m, n) see `lamp_light`.
@@ -136,7 +137,7 @@ def fit_lamp_light(
     Returns:
         Factors of even light, of that along the axis, of that along the other two, and of `lit`.
     """
-    clear = some_clear(free)
+    clear = some_clear(status)
     factors, angles = _factors(diffuse[:used:2]), around[clear]
     seen, bright = every_second(amounts, used, clear), every_second(lit, used, clear)
     coefficients, right = np.zeros(_COLUMNS), np.empty(_COLUMNS)
@@ -154,13 +155,13 @@ def fit_lamp_light(
 
 
 @compiled
-def some_clear(free: Floats) -> Ints:
+def some_clear(status: Statuses) -> Ints:
     """Of the rays with a clear way, those to which light is fitted (k,).
 
     Args:
-        free: (n,) 0 for rays with a clear way.
+        status: (n,) see `RaySet`.
     """
-    return np.nonzero(free == 0)[0][:: max(len(free) // _FITTED_RAYS, 1)]
+    return np.nonzero(status == CLEAR)[0][:: max(len(status) // _FITTED_RAYS, 1)]
 
 
 @compiled

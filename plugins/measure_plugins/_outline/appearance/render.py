@@ -23,6 +23,7 @@ from measure_plugins._outline.appearance.spherical_harmonics import (
     fit_shading,
     shaded,
 )
+from measure_plugins._outline.sampling.rays import Statuses
 
 FIT_LAST_PX = 1.0
 """No light further out is fitted."""
@@ -49,7 +50,7 @@ class Ambient(NamedTuple):
 @compiled
 def predict_light(
     profiles: Floats,
-    free: Floats,
+    status: Statuses,
     around: Floats,
     background: Floats,
     steps: Floats,
@@ -61,7 +62,7 @@ def predict_light(
 
     Args:
         profiles: (3, m, n) light the picture shows at `steps`.
-        free: (n,) 0 for rays with a clear way.
+        status: (n,) see `RaySet`.
         around: (n, 2) cosine and sine around the axis.
         background: (3, n) light outside the outline.
         steps: (m,) px along the normal.
@@ -71,17 +72,17 @@ def predict_light(
     """
     used = int(np.searchsorted(steps, FIT_LAST_PX, side="right"))
     lit, shown = ambient.lit, _without(profiles, ambient.mirrored, used)
-    own, amounts, grey, behind_grey = split_light(shown, free, background, steps, radial, used)
+    own, amounts, grey, behind_grey = split_light(shown, status, background, steps, radial, used)
     if lit.size > 0:
-        fitted = fit_lamp_light(amounts, free, around, radial.diffuse, lit, used)
+        fitted = fit_lamp_light(amounts, status, around, radial.diffuse, lit, used)
         body = lamp_body(fitted, around, radial.diffuse, lit, first)
     else:
         angular = angular_terms(around)
-        fitted = fit_shading(amounts, free, angular, radial.diffuse, used)
+        fitted = fit_shading(amounts, status, angular, radial.diffuse, used)
         body = shaded(fitted, angular, radial.diffuse[first:])
-    reflected = reflected_light(grey, free, radial.solve_grey)
+    reflected = reflected_light(grey, status, radial.solve_grey)
     for k in range(len(reflected)):
-        for i in range(len(free)):
+        for i in range(len(status)):
             tied = reflected[k, i] + radial.tie_grey[k] * behind_grey[i]
             reflected[k, i] = max(tied, 0.0)
     out = _compose(own, body, reflected, background, behind_grey, radial, first)
@@ -115,16 +116,16 @@ def _add(mirrored: Floats, first: int, out: Floats) -> None:
 
 @compiled
 def split_light(
-    profiles: Floats, free: Floats, background: Floats, steps: Floats, radial: Radial, used: int
+    profiles: Floats, status: Statuses, background: Floats, steps: Floats, radial: Radial, used: int
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """What a ball's light is made of, the surroundings taken off.
 
     Args:
-        profiles: as above.
-        free: as above.
-        background: as above.
-        steps: as above.
-        radial: as above.
+        profiles: (3, m, n) light the picture shows at `steps`.
+        status: (n,) see `RaySet`.
+        background: (3, n) light outside the outline.
+        steps: (m,) px along the normal.
+        radial: the ball's tables at the same steps.
         used: how many of the steps are wanted.
 
     Returns:
@@ -132,7 +133,7 @@ def split_light(
         the surroundings' grey (n,).
     """
     n = profiles.shape[2]
-    own = own_color(profiles, free, steps)
+    own = own_color(profiles, status, steps)
     behind, behind_grey = np.empty(n), np.empty(n)
     split(background[0], background[1], background[2], own, behind, behind_grey)
     amounts, grey = np.empty((used, n)), np.empty((used, n))

@@ -12,6 +12,7 @@ from measure.compiling import compiled
 from measure.geometry.linear_kernels import cholesky, solve_factored, times
 from measure_plugins._kernels.selection import nearly_kth
 from measure_plugins._outline.appearance.dichromatic import every_second
+from measure_plugins._outline.sampling.rays import CLEAR, Statuses
 
 LOBE = np.array([0, 1, 2, 3, 3, 4, 4, 5, 5])
 """Which radial function each of the nine angular terms goes with."""
@@ -57,17 +58,19 @@ def shaded(coefficients: Floats, angular: Floats, lobes: Floats) -> Floats:
 
 
 @compiled
-def fit_shading(amounts: Floats, free: Floats, angular: Floats, lobes: Floats, used: int) -> Floats:
+def fit_shading(
+    amounts: Floats, status: Statuses, angular: Floats, lobes: Floats, used: int
+) -> Floats:
     """Coefficients (9,) of quadratic shading, robustly.
 
     Args:
         amounts: (m, n) of the ball's own colour.
-        free: (n,) 0 for rays with a clear way.
+        status: (n,) see `RaySet`.
         angular: (9, n).
         lobes: (m, 6) the radial functions.
         used: how many steps to use, of which every second one is.
     """
-    clear = np.nonzero(free == 0)[0]
+    clear = np.nonzero(status == CLEAR)[0]
     seen, along = every_second(amounts, used, clear), lobes[:used:2].copy()
     around = np.zeros((_TERMS, seen.shape[1]))
     around[:, : len(clear)] = angular[:, clear]

@@ -21,7 +21,7 @@ from measure_plugins._outline.sampling.edge_crossing import (
     uncertainty,
 )
 from measure_plugins._outline.sampling.ray_groups import TOGETHER, middle_angles, together
-from measure_plugins._outline.sampling.rays import FREE, STEPS, sample
+from measure_plugins._outline.sampling.rays import CLEAR, STEPS, RaySet, Statuses, sample
 
 INSIDE_PX = (-7.0, -3.0)
 """Where the colour inside is taken: clear of the blurred edge, near enough to have its shade."""
@@ -63,6 +63,26 @@ class Edges(NamedTuple):
     contrast: Floats
     inside: Floats
     outside: Floats
+
+
+class PredictionInputs(NamedTuple):
+    """A ball in a picture, and all that the picture is predicted from along rays across it.
+
+    Attributes:
+        pixels: (h, w, 3) uint8.
+        table: (256,) light of each picture value.
+        sensor: how the camera turns light into values.
+        rays: n rays across the predicted outline; those that leave the picture are marked.
+        radial: what the ball shows along a ray, see `radial.radial`.
+        ambient: the light round it, along the rays that are predicted.
+    """
+
+    pixels: Bytes
+    table: Floats
+    sensor: Sensor
+    rays: RaySet
+    radial: Radial
+    ambient: Ambient
 
 
 class FoundTwice(NamedTuple):
@@ -112,46 +132,27 @@ def corrected_edges(found: FoundTwice, believed: float) -> Edges:
 
 
 @compiled
-def find_twice(
-    pixels: Bytes,
-    table: Floats,
-    sensor: Sensor,
-    points: Floats,
-    normals: Floats,
-    around: Floats,
-    free: Floats,
-    radial: Radial,
-    ambient: Ambient,
-) -> FoundTwice:
+def find_twice(inputs: PredictionInputs) -> FoundTwice:
     """Find edges without grey and by all colours, in a picture and on the prediction of it.
 
     Without grey, colourless reflections do not count; with it, brightness does, which the camera
-    shows sharper.
-
-    Args:
-        pixels: (h, w, 3) uint8.
-        table: (256,) light of each picture value.
-        sensor: of the camera.
-        points: (n, 2) predicted outline, px.
-        normals: (n, 2) its outward unit normals.
-        around: (n, 2) cosine and sine around the axis.
-        free: (n,) `rays.FREE` where nothing is known to be in the way; may be set to OUTSIDE.
-        radial: what the ball shows along a ray, see `radial.radial`.
-        ambient: what is known of the light round it, along the n / 2 rays that are predicted.
+    shows sharper. The ambient light of `inputs` is that along the n / 2 groups of its rays.
     """
-    light, values = sample(pixels, table, points, normals, STEPS, free, _LIT, _FIRST)
-    window = inside_window(points)
+    rays = inputs.rays
+    light, values = sample(inputs.pixels, inputs.table, rays, STEPS, _LIT, _FIRST)
+    window = inside_window(rays.points)
     within, background = levels(light, STEPS, window), levels(light, STEPS, _BACKGROUND_PX)
-    predicted = _predicted_together(light, free, around, sensor, radial, ambient)
+    some, status = together(light, rays.status)
+    predicted = _predicted_values(inputs, some, status, middle_angles(rays.around))
     inside = levels(values, LATER_STEPS, window)
     outside = levels(values, LATER_STEPS, OUTSIDE_PX)
     model_inside = levels(predicted, LATER_STEPS, window)
     model_outside = levels(predicted, LATER_STEPS, OUTSIDE_PX)
-    n, lit = len(points), in_highlights(inside, free)
+    n, lit = len(rays.points), in_highlights(inside, rays.status)
     at, sd, contrasts = np.empty((2, n)), np.empty((2, n)), np.empty((2, n))
     biases = np.empty((2, n // TOGETHER))
     for k in range(2):
-        without_grey = k == 0 and _is_colorful(within, background, free)
+        without_grey = k == 0 and _is_colorful(within, background, rays.status)
         x, contrasts[k] = project(values, inside, outside, without_grey)
         seen, slope = crossings(x, LATER_STEPS, SEARCH_PX)
         at[k], sd[k] = seen, uncertainty(x, LATER_STEPS, seen, slope, window)
@@ -178,17 +179,6 @@ def _joined(
     return Edges(shift, sd, contrast, inside.astype(np.float64), outside.astype(np.float64))
 
 
-@folded
-def _predicted_together(
-    light: Reals, free: Floats, around: Floats, sensor: Sensor, radial: Radial, ambient: Ambient
-) -> Reals:
-    """Picture values (3, m, n / 2) at `LATER_STEPS` that the model predicts for groups of rays."""
-    some, ways = together(light, free)
-    background = levels(some, STEPS, _BACKGROUND_PX)
-    angles = middle_angles(around)
-    return predicted_values(some, ways, angles, background, sensor, radial, ambient)
-
-
 @compiled
 def inside_window(points: Floats) -> tuple[float, float]:
     """Where the colour inside an outline (n, 2) is taken, px along its normals."""
@@ -211,59 +201,48 @@ def _middle(values: Reals) -> float:
 
 
 @compiled
-def compare(
-    pixels: Bytes,
-    table: Floats,
-    sensor: Sensor,
-    points: Floats,
-    normals: Floats,
-    around: Floats,
-    free: Floats,
-    radial: Radial,
-    ambient: Ambient,
-) -> tuple[Floats, Floats]:
-    """Picture values (3, m, n) at `LATER_STEPS`: seen, and predicted. Arguments as above."""
-    seen, values = sample(pixels, table, points, normals, STEPS, free, _LIT, _FIRST)
-    light = seen.astype(np.float64)
-    background = levels(light, STEPS, _BACKGROUND_PX)
-    predicted = predicted_values(light, free, around, background, sensor, radial, ambient)
+def compare(inputs: PredictionInputs) -> tuple[Floats, Floats]:
+    """Picture values (3, m, n) along all rays at `LATER_STEPS`: seen, and predicted."""
+    rays = inputs.rays
+    seen, values = sample(inputs.pixels, inputs.table, rays, STEPS, _LIT, _FIRST)
+    predicted = _predicted_values(inputs, seen.astype(np.float64), rays.status, rays.around)
     return values.astype(np.float64), predicted.astype(np.float64)
 
 
 @compiled
-def sampled_light(
-    pixels: Bytes, table: Floats, points: Floats, normals: Floats, free: Floats
-) -> tuple[Floats, Floats]:
-    """Light (3, m, n) at `STEPS`, and of the surroundings (3, n). Arguments as above."""
+def sampled_light(pixels: Bytes, table: Floats, rays: RaySet) -> tuple[Floats, Floats]:
+    """Light (3, m, n) along rays at `STEPS`, and of the surroundings (3, n); see `sample`."""
     everywhere = np.ones(len(STEPS), np.bool_)
-    seen, _ = sample(pixels, table, points, normals, STEPS, free, everywhere, len(STEPS))
+    seen, _ = sample(pixels, table, rays, STEPS, everywhere, len(STEPS))
     light = seen.astype(np.float64)
     return light, levels(light, STEPS, _BACKGROUND_PX).astype(np.float64)
 
 
 @folded
-def predicted_values(
-    light: Floats,
-    free: Floats,
-    around: Floats,
-    background: Reals,
-    sensor: Sensor,
-    radial: Radial,
-    ambient: Ambient,
+def _predicted_values(
+    inputs: PredictionInputs, light: Floats, status: Statuses, around: Floats
 ) -> Reals:
     """Picture values (3, m, n) at `LATER_STEPS` that the model predicts along rays of `light`."""
-    first = _FIRST - CHROMA_REACH
-    behind = background.astype(np.float64)
-    predicted = predict_light(light, free, around, behind, STEPS, radial, ambient, first)
-    return read_off(encode(predicted, sensor.encoding), sensor.taps)
+    background = levels(light, STEPS, _BACKGROUND_PX).astype(np.float64)
+    predicted = predict_light(
+        light,
+        status,
+        around,
+        background,
+        STEPS,
+        inputs.radial,
+        inputs.ambient,
+        _FIRST - CHROMA_REACH,
+    )
+    return read_off(encode(predicted, inputs.sensor.encoding), inputs.sensor.taps)
 
 
 @compiled
-def _is_colorful(inside: Reals, outside: Reals, free: Floats) -> bool:
+def _is_colorful(inside: Reals, outside: Reals, status: Statuses) -> bool:
     """Whether the edges differ enough in colour alone."""
     whole, part = 0.0, 0.0
-    for i in range(len(free)):
-        if free[i] == FREE:
+    for i in range(len(status)):
+        if status[i] == CLEAR:
             a = inside[0, i] - outside[0, i]
             b = inside[1, i] - outside[1, i]
             c = inside[2, i] - outside[2, i]

@@ -74,7 +74,7 @@ def _settled(view: View, search: Search, radial: Radial, axis: Floats) -> Outlin
         restore(look, fit, search.gain)
         if moved(fit) < _FURTHEST_PX:
             weights, off = residuals(look, fit, INLIER)
-            spread = center_covariance(look.around, weights, off, fit.normal)
+            spread = center_covariance(look.rays.around, weights, off, fit.normal)
             if _is_settled(fit, spread):
                 share = agreeing_share(look, fit)
                 return outline_of(view, look, search.half_angle, fit, share, spread, 1.0)

@@ -14,7 +14,7 @@ from measure_plugins._outline.fitting.covariance import image_directions
 from measure_plugins._outline.fitting.edges import SEARCH_PX
 from measure_plugins._outline.fitting.robust_cone import consensus, refine
 from measure_plugins._outline.fitting.scan import Look, Search, View
-from measure_plugins._outline.sampling.rays import FREE
+from measure_plugins._outline.sampling.rays import CLEAR
 
 _CONSENSUS_TRIALS = 60
 _CONSENSUS_GATE_PX = 1.2
@@ -75,10 +75,10 @@ def fit_look(look: Look, growth: tuple[float, float], first: bool) -> Fit:
     start, gate = np.zeros(3), SEARCH_PX
     shifts, sd = look.edges.shifts, look.edges.sd
     if first:
-        start = consensus(shifts, look.around, look.use, _CONSENSUS_GATE_PX, _CONSENSUS_TRIALS)
+        start = consensus(shifts, look.rays.around, look.use, _CONSENSUS_GATE_PX, _CONSENSUS_TRIALS)
         gate = _FIRST_GATE_PX
     solution, normal, weights, scale = refine(
-        shifts, look.around, sd, look.use, start, gate, growth
+        shifts, look.rays.around, sd, look.use, start, gate, growth
     )
     return Fit(solution, normal, weights, scale)
 
@@ -110,7 +110,7 @@ def residuals(look: Look, fit: Fit, least: float) -> tuple[Floats, Floats]:
     weights, off = np.zeros(len(fit.weights)), np.zeros(len(fit.weights))
     for i in range(len(off)):
         if fit.weights[i] > least:
-            x, y = look.around[i]
+            x, y = look.rays.around[i]
             along = x * fit.solution[0] + y * fit.solution[1]
             off[i] = look.edges.shifts[i] - along - fit.solution[2]
             weights[i] = fit.weights[i] / (look.edges.sd[i] * fit.scale) ** 2
@@ -161,14 +161,14 @@ def outline_of(
     points, sd = np.empty((len(inliers), 2)), np.empty(len(inliers))
     for k, i in enumerate(inliers):
         s = look.edges.shifts[i]
-        points[k, 0] = look.points[i, 0] + s * look.normals[i, 0]
-        points[k, 1] = look.points[i, 1] + s * look.normals[i, 1]
+        points[k, 0] = look.rays.points[i, 0] + s * look.rays.normals[i, 0]
+        points[k, 1] = look.rays.points[i, 1] + s * look.rays.normals[i, 1]
         sd[k] = look.edges.sd[i] * max(fit.scale, 1.0) * wider
     total = 0.0
-    for ray in range(len(look.points)):
-        right, down = look.points[ray, 0] - center[0], look.points[ray, 1] - center[1]
+    for ray in range(len(look.rays.points)):
+        right, down = look.rays.points[ray, 0] - center[0], look.rays.points[ray, 1] - center[1]
         total += np.sqrt(right * right + down * down)
-    radius = fit.solution[2] + total / len(look.points)
+    radius = fit.solution[2] + total / len(look.rays.points)
     to_image = image_directions(look.frame, view.lens) / px
     return Outline(
         axis,
@@ -208,8 +208,8 @@ def _overflow(look: Look, inliers: Ints) -> int:
             ball[c] += inside[c, i] * per
             ground[c] += outside[c, i] * per
     count = 0
-    for i in range(len(look.free)):
-        if look.free[i] == FREE and look.clear[i] == 0:
+    for i in range(len(look.clear)):
+        if look.rays.status[i] == CLEAR and look.clear[i] == 0:
             nearer_ball = 0.0
             for c in range(3):
                 nearer_ball += (outside[c, i] - ground[c]) ** 2 - (outside[c, i] - ball[c]) ** 2

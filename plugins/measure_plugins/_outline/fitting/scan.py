@@ -19,19 +19,22 @@ from measure_plugins._outline.fitting.edges import (
     OUTSIDE_PX,
     SEARCH_PX,
     Edges,
+    PredictionInputs,
     corrected_edges,
     find_twice,
 )
 from measure_plugins._outline.sampling.edge_crossing import crossings, levels, project, uncertainty
 from measure_plugins._outline.sampling.ray_groups import middle_angles
 from measure_plugins._outline.sampling.rays import (
-    FREE,
+    CLEAR,
+    RaySet,
+    Statuses,
     angles_around,
     cast_rays,
     frame_about,
+    mark_occluded,
     sample,
     sample_nearest,
-    ways,
 )
 
 _STEP_PX, _WHOLE_PX, _WIDE_PX = 0.5, 1.0, 2.0
@@ -97,22 +100,16 @@ class Look(NamedTuple):
 
     Attributes:
         frame: (3, 3) see `rays.frame_about`.
-        points: (n, 2) the predicted outline, px.
-        normals: (n, 2) its outward unit normals.
-        scale: (n,) px per rad along them.
-        around: (n, 2) cosine and sine around the axis.
-        free: (n,) `rays.FREE` where nothing is known to be in the way.
+        rays: those rays.
+        scale: (n,) px per rad along their normals.
         edges: what was found along them.
-        clear: (n,) 1 for free rays on which inside and outside differ enough, else 0.
+        clear: (n,) 1 for clear rays on which inside and outside differ enough, else 0.
         use: (n,) 1 for clear rays with an edge, else 0.
     """
 
     frame: Floats
-    points: Floats
-    normals: Floats
+    rays: RaySet
     scale: Floats
-    around: Floats
-    free: Floats
     edges: Edges
     clear: Floats
     use: Floats
@@ -139,14 +136,14 @@ def look_roughly(
         step = _WIDE_PX
     steps = np.arange(inside[0], outside[1] + 1e-9, step)
     frame = frame_about(axis)
-    points, normals, scale, around = cast_rays(frame, half_angle, search.rays, view.lens)
+    rays, scale = cast_rays(frame, half_angle, search.rays, view.lens)
     reach = (inside[0], outside[1])
-    free = ways(frame, half_angle, scale, around, search.nearer, reach, search.margin_px)
+    mark_occluded(rays, scale, frame, half_angle, search.nearer, reach, search.margin_px)
     if wider > 0 or quickly:
-        profiles = sample_nearest(view.pixels, view.table, points, normals, steps, free)
+        profiles = sample_nearest(view.pixels, view.table, rays, steps)
     else:
         lit = np.ones(len(steps), np.bool_)
-        near, _ = sample(view.pixels, view.table, points, normals, steps, free, lit, len(steps))
+        near, _ = sample(view.pixels, view.table, rays, steps, lit, len(steps))
         profiles = near.astype(np.float64)
     within, without = levels(profiles, steps, inside), levels(profiles, steps, outside)
     x, contrast = project(profiles, within, without, False)
@@ -155,8 +152,8 @@ def look_roughly(
     lights = within.astype(np.float64), without.astype(np.float64)
     edges = Edges(at.astype(np.float64), sd, contrast, lights[0], lights[1])
     least = _LIGHT_PER_VALUE * search.min_contrast
-    clear, use = _usable(edges, free, least, np.inf)
-    return Look(frame, points, normals, scale, around, free, edges, clear, use)
+    clear, use = _usable(edges, rays.status, least, np.inf)
+    return Look(frame, rays, scale, edges, clear, use)
 
 
 @compiled
@@ -165,15 +162,15 @@ def look_closely(
 ) -> Look:
     """The same with the edge finder's own error taken off; `ambient` by `light_about` there."""
     frame = frame_about(axis)
-    points, normals, scale, around = cast_rays(frame, half_angle, search.rays, view.lens)
+    rays, scale = cast_rays(frame, half_angle, search.rays, view.lens)
     reach = (INSIDE_PX[0], OUTSIDE_PX[1])
-    free = ways(frame, half_angle, scale, around, search.nearer, reach, search.margin_px)
+    mark_occluded(rays, scale, frame, half_angle, search.nearer, reach, search.margin_px)
     found = find_twice(
-        view.pixels, view.table, view.sensor, points, normals, around, free, radial, ambient
+        PredictionInputs(view.pixels, view.table, view.sensor, rays, radial, ambient)
     )
     edges = corrected_edges(found, view.believed)
-    clear, use = _usable(edges, free, search.min_contrast, SEARCH_PX)
-    return Look(frame, points, normals, scale, around, free, edges, clear, use)
+    clear, use = _usable(edges, rays.status, search.min_contrast, SEARCH_PX)
+    return Look(frame, rays, scale, edges, clear, use)
 
 
 @compiled
@@ -193,13 +190,13 @@ def light_about(view: View, search: Search, axis: Floats, radial: Radial) -> Amb
 
 @compiled
 def _usable(
-    edges: Edges, free: Floats, min_contrast: float, furthest_px: float
+    edges: Edges, status: Statuses, min_contrast: float, furthest_px: float
 ) -> tuple[Floats, Floats]:
     """Which rays are clear, and which of them have an edge to use."""
-    n = len(free)
+    n = len(status)
     clear, use = np.zeros(n), np.zeros(n)
     for i in range(n):
-        if free[i] == FREE and edges.contrast[i] >= min_contrast:
+        if status[i] == CLEAR and edges.contrast[i] >= min_contrast:
             clear[i] = 1.0
             if abs(edges.shifts[i]) < furthest_px:
                 use[i] = 1.0

@@ -32,8 +32,9 @@ def restore(look: Look, fit: Fit, gain: Floats) -> None:
     for a in range(2):
         fit.solution[a] = gain[a, 0] * found[0] + gain[a, 1] * found[1]
     more = fit.solution[:2] - found
-    for i in range(len(look.around)):
-        look.edges.shifts[i] += look.around[i, 0] * more[0] + look.around[i, 1] * more[1]
+    around = look.rays.around
+    for i in range(len(around)):
+        look.edges.shifts[i] += around[i, 0] * more[0] + around[i, 1] * more[1]
 
 
 @folded

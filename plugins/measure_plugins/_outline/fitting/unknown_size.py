@@ -130,6 +130,6 @@ def _doubts(look: Look, fit: Fit, share: float) -> tuple[Floats, float]:
     """
     told = max((share - _CHANCE) / (1 - _CHANCE), _LEAST_TOLD)
     weights, off = residuals(look, fit, 0.0)
-    spread = in_pieces(look.around, weights, off, fit.normal)
+    spread = in_pieces(look.rays.around, weights, off, fit.normal)
     wider = np.sqrt(np.trace(spread) / np.trace(np.linalg.inv(fit.normal)[:2, :2])) / told
     return spread / told**2, wider

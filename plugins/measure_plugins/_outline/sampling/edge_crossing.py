@@ -12,7 +12,7 @@ from measure.arrays import Bools, Bytes, Floats, Reals
 from measure.compiling import compiled
 from measure.model.frames import FULL
 from measure_plugins._kernels.selection import NINE, median, median_rows
-from measure_plugins._outline.sampling.rays import FREE
+from measure_plugins._outline.sampling.rays import CLEAR, Statuses
 
 _MIN_SD_PX = 0.03
 """No crossing is better known: quantisation, and what the interpolation does."""
@@ -219,21 +219,21 @@ def clipped(pixels: Bytes, points: Floats, normals: Floats, steps: Floats) -> Bo
 
 
 @compiled
-def in_highlights(inside: Reals, free: Floats) -> Bools:
+def in_highlights(inside: Reals, status: Statuses) -> Bools:
     """Which of n rays begin in a highlight that is white, where the ball is not.
 
     Near the rim, what ends there is the highlight: the ball goes on beyond it, dark.
 
     Args:
         inside: (3, n) picture values inside the outline, from 0 to 1.
-        free: (n,) `rays.FREE` where nothing is in the way.
+        status: (n,) see `RaySet`.
     """
     n = inside.shape[1]
     out, some, count = np.zeros(n, np.bool_), np.empty(n), 0
     for i in range(n):
         white = min(inside[0, i], min(inside[1, i], inside[2, i]))
         out[i] = white > _WHITE
-        if free[i] == FREE:
+        if status[i] == CLEAR:
             some[count] = white
             count += 1
     if count == 0 or median(some, count) >= _PALE:

@@ -11,7 +11,7 @@ import numpy as np
 
 from measure.arrays import Floats, Reals
 from measure.compiling import compiled
-from measure_plugins._outline.sampling.rays import FREE
+from measure_plugins._outline.sampling.rays import CLEAR, Statuses
 
 TOGETHER = 2
 """So many rays make a group. Three are too far apart: predictions get worse again."""
@@ -32,26 +32,26 @@ def middle_angles(around: Floats) -> Floats:
 
 
 @compiled
-def together(light: Reals, free: Floats) -> tuple[Floats, Floats]:
-    """Mean light of the free rays of each group, and which groups are free: those with such a ray.
+def together(light: Reals, status: Statuses) -> tuple[Floats, Statuses]:
+    """Mean light of the clear rays of each group, and the status of the groups.
 
     Args:
         light: (3, m, n) along the rays.
-        free: (n,) `rays.FREE` for rays with a clear way.
+        status: (n,) see `RaySet`.
 
     Returns:
-        Light (3, m, n / 2), and FREE or what stands in the way (n / 2,).
+        Light (3, m, n / 2); and status (n / 2,): CLEAR where a ray is, else that of the first.
     """
     colors, m, n = light.shape
     groups = n // TOGETHER
-    weights, ways = np.zeros((TOGETHER, groups)), np.empty(groups)
+    weights, grouped = np.zeros((TOGETHER, groups)), np.empty(groups, np.int8)
     for i in range(groups):
         count = 0
         for k in range(TOGETHER):
-            count += int(free[TOGETHER * i + k] == FREE)
-        ways[i] = FREE if count > 0 else free[TOGETHER * i]
+            count += int(status[TOGETHER * i + k] == CLEAR)
+        grouped[i] = CLEAR if count > 0 else status[TOGETHER * i]
         for k in range(TOGETHER):
-            weights[k, i] = 1 / count if free[TOGETHER * i + k] == FREE else 0.0
+            weights[k, i] = 1 / count if status[TOGETHER * i + k] == CLEAR else 0.0
     out = np.empty((colors, m, groups))
     for c in range(colors):
         for j in range(m):
@@ -60,4 +60,4 @@ def together(light: Reals, free: Floats) -> tuple[Floats, Floats]:
                 for k in range(TOGETHER):
                     total += weights[k, i] * light[c, j, TOGETHER * i + k]
                 out[c, j, i] = total
-    return out, ways
+    return out, grouped

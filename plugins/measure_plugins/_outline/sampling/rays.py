@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple, TypeAlias
+
 import numpy as np
+from numpy.typing import NDArray
 
 from measure.arrays import Bools, Bytes, Floats, Ints, Singles
 from measure.compiling import compiled, inlined
@@ -13,12 +16,29 @@ from measure_plugins._outline.sampling.bilinear import between_pixels, light_bet
 STEPS = np.arange(-16.5, 6.51, 1.0)
 """Samples along a ray, px along the outward normal: a pixel apart, for there are no more to read,
 and half a pixel to either side of the outline, where an edge then rests on two of them."""
-FREE, HIDDEN, OUTSIDE = 0, 1, 2
-"""What stands in a ray's way: nothing, a nearer ball, the picture's border."""
+CLEAR, OCCLUDED, OUT_OF_IMAGE = 0, 1, 2
+"""Status of a ray: nothing in its way, a nearer ball in front of it, or it leaves the image."""
+Statuses: TypeAlias = NDArray[np.int8]
 
 _LEVEL = np.float32(1 / 255)
 _TILT = 1e-4
 """Angle in rad over which the outline's normal and scale are taken."""
+
+
+class RaySet(NamedTuple):
+    """n rays across a predicted outline.
+
+    Attributes:
+        points: (n, 2) where they cross it, px.
+        normals: (n, 2) its outward unit normals there.
+        around: (n, 2) cosine and sine of their angles around the axis of the ball's cone.
+        status: (n,) int8, CLEAR, OCCLUDED or OUT_OF_IMAGE each; sampling sets the last in place.
+    """
+
+    points: Floats
+    normals: Floats
+    around: Floats
+    status: Statuses
 
 
 @compiled
@@ -60,12 +80,11 @@ def cast_rays(
     half_angle: float,
     count: int,
     lens: Floats,
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """Evenly spaced rays across the outline of the cone `half_angle` about `frame[2]`.
+) -> tuple[RaySet, Floats]:
+    """Evenly spaced rays across the outline of the cone `half_angle` about `frame[2]`, all clear.
 
     Returns:
-        Outline points (n, 2), outward unit normals (n, 2) in px, px per rad along them (n,), and
-        cosine and sine of the angle around the axis (n, 2).
+        The rays; and the outline's scale along their normals (n,), px per rad.
     """
     points, normals, scale = np.empty((count, 2)), np.empty((count, 2)), np.empty(count)
     around, at, beyond = angles_around(count), np.empty((2, count)), np.empty((2, count))
@@ -78,7 +97,7 @@ def cast_rays(
         points[i, 0], points[i, 1] = u, v
         normals[i, 0], normals[i, 1] = right / length, down / length
         scale[i] = length / _TILT
-    return points, normals, scale, around
+    return RaySet(points, normals, around, np.zeros(count, np.int8)), scale
 
 
 @compiled
@@ -98,37 +117,34 @@ def _see(frame: Floats, half_angle: float, around: Floats, lens: Floats, out: Fl
 @compiled
 def radius_px(axis: Floats, half_angle: float, lens: Floats) -> float:
     """Mean radius of an outline, as the scale across it times its half angle."""
-    scale = cast_rays(frame_about(axis), half_angle, 8, lens)[2]
+    _, scale = cast_rays(frame_about(axis), half_angle, 8, lens)
     return half_angle * float(np.mean(scale))
 
 
 @compiled
-def ways(
+def mark_occluded(
+    rays: RaySet,
+    scale: Floats,
     frame: Floats,
     half_angle: float,
-    scale: Floats,
-    around: Floats,
     nearer: Floats,
     reach: tuple[float, float],
     margin_px: float,
-) -> Floats:
-    """Which rays pass within `margin_px` of a nearer ball.
+) -> None:
+    """Set the status of rays that pass within `margin_px` of a nearer ball to OCCLUDED.
 
     Args:
+        rays: from `cast_rays`.
+        scale: (n,) px per rad, from `cast_rays`.
         frame: (3, 3) of the cone, see `frame_about`.
         half_angle: of the cone, rad.
-        scale: (n,) px per rad.
-        around: (n, 2) cosine and sine around the axis.
         nearer: (k, 4) unit axes and half angles of the outlines of nearer balls.
         reach: start and end of the rays along the normal, px.
         margin_px: distance to keep.
-
-    Returns:
-        (n,) FREE or HIDDEN.
     """
-    out = np.zeros(len(scale))
     if len(nearer) == 0:
-        return out
+        return
+    around = rays.around
     least = np.min(scale)
     near = _near(frame, half_angle, nearer, (reach[1] + margin_px) / least)
     along, aside = np.cos(half_angle), np.sin(half_angle)
@@ -142,8 +158,7 @@ def ways(
                     s = reach[0] + (reach[1] - reach[0]) * step / 4
                     beta = half_angle + s / scale[i]
                     if _cosine(frame, around[i], np.cos(beta), np.sin(beta), nearer[k]) > hides:
-                        out[i] = HIDDEN
-    return out
+                        rays.status[i] = OCCLUDED
 
 
 @compiled
@@ -175,10 +190,8 @@ def _near(frame: Floats, half_angle: float, nearer: Floats, reach: float) -> Int
 def sample(
     image: Bytes,
     table: Floats,
-    points: Floats,
-    normals: Floats,
+    rays: RaySet,
     steps: Floats,
-    free: Floats,
     lit: Bools,
     values_from: int,
 ) -> tuple[Singles, Singles]:
@@ -187,26 +200,24 @@ def sample(
     Args:
         image: (h, w, 3) uint8.
         table: (256,) light of each picture value.
-        points: (n, 2) px.
-        normals: (n, 2) unit vectors.
+        rays: n rays, of which clear ones are sampled; those that leave the picture are marked.
         steps: (m,) px along the normals.
-        free: (n,) FREE to sample a ray; set to OUTSIDE in place where it leaves the picture.
         lit: (m,) at which steps light is wanted; it is zero at the others.
         values_from: the first step at which picture values are wanted.
 
     Returns:
         Light (3, m, n), and values from 0 to 1 (3, m - values_from, n), in single precision: loops
-        over them do twice as many at once. Zeros where the ray is not free.
+        over them do twice as many at once. Zeros where the ray is not clear.
     """
-    m, n, every = len(steps), len(points), _filled_up(steps)
+    m, n, every = len(steps), len(rays.points), _filled_up(steps)
     light, values = np.zeros((3, m, n), np.float32), np.zeros((3, m - values_from, n), np.float32)
-    _mark_outside(image, points, normals, steps, free)
+    _mark_outside(image, rays, steps)
     flat, of, row = image.reshape(-1), table.astype(np.float32), 3 * image.shape[1]
     first, weights = np.empty(len(every), np.int64), np.empty((4, len(every)), np.float32)
     for i in range(n):  # ray by ray: a ray's pixels are near each other in memory
-        if free[i] != FREE:
+        if rays.status[i] != CLEAR:
             continue
-        _pixels_along(points[i], normals[i], every, row, first, weights)
+        _pixels_along(rays.points[i], rays.normals[i], every, row, first, weights)
         _light_between(flat, of, row, first, weights, lit, light[:, :, i])
         for j in range(values_from, m):
             shares = weights[0, j], weights[1, j], weights[2, j], weights[3, j]
@@ -268,16 +279,15 @@ def _pixels_along(
 
 
 @compiled
-def sample_nearest(
-    image: Bytes, table: Floats, points: Floats, normals: Floats, steps: Floats, free: Floats
-) -> Floats:
+def sample_nearest(image: Bytes, table: Floats, rays: RaySet, steps: Floats) -> Floats:
     """Light (3, m, n) of the nearest pixels, where a pixel is near enough; else as `sample`."""
+    points, normals = rays.points, rays.normals
     m, n = len(steps), len(points)
     light = np.zeros((3, m, n))
-    _mark_outside(image, points, normals, steps, free)
+    _mark_outside(image, rays, steps)
     for j in range(m):
         for i in range(n):
-            if free[i] != FREE:
+            if rays.status[i] != CLEAR:
                 continue
             x = np.uint64(points[i, 0] + steps[j] * normals[i, 0] + 0.5)
             y = np.uint64(points[i, 1] + steps[j] * normals[i, 1] + 0.5)
@@ -287,15 +297,14 @@ def sample_nearest(
 
 
 @compiled
-def _mark_outside(
-    image: Bytes, points: Floats, normals: Floats, steps: Floats, free: Floats
-) -> None:
-    """Set free rays that leave the picture to OUTSIDE."""
+def _mark_outside(image: Bytes, rays: RaySet, steps: Floats) -> None:
+    """Set the status of clear rays that leave the picture to OUT_OF_IMAGE."""
+    points, normals = rays.points, rays.normals
     height, width = image.shape[:2]
     for i in range(len(points)):
-        if free[i] != FREE:
+        if rays.status[i] != CLEAR:
             continue
         for end in (steps[0], steps[len(steps) - 1]):
             u, v = points[i, 0] + end * normals[i, 0], points[i, 1] + end * normals[i, 1]
             if not (u >= 0 and v >= 0 and u < width - 1 and v < height - 1):
-                free[i] = OUTSIDE
+                rays.status[i] = OUT_OF_IMAGE

@@ -7,7 +7,7 @@ import numpy as np
 from measure.arrays import Floats, Ints
 from measure.compiling import compiled
 from measure_plugins._kernels.selection import median
-from measure_plugins._outline.sampling.rays import FREE
+from measure_plugins._outline.sampling.rays import CLEAR, Statuses
 
 _ROUNDS = 3
 _TYPICAL = 3.0
@@ -18,7 +18,7 @@ _TYPICAL = 3.0
 def aligned_residuals(
     seen: Floats,
     predicted: Floats,
-    free: Floats,
+    status: Statuses,
     around: Floats,
     compared: int,
     step_px: float,
@@ -29,7 +29,7 @@ def aligned_residuals(
     Args:
         seen: (3, m, n) picture values along n rays.
         predicted: (3, m, n) the same as predicted.
-        free: (n,) `rays.FREE` for the k rays to compare.
+        status: (n,) see `RaySet`; the k clear rays are compared.
         around: (n, 2) cosine and sine around the axis.
         compared: how many of the m samples count, from the inside.
         step_px: their distance.
@@ -38,7 +38,7 @@ def aligned_residuals(
     Returns:
         (k, 3 compared) what is left, and the weights (k,).
     """
-    rays = np.flatnonzero(free == FREE)
+    rays = np.flatnonzero(status == CLEAR)
     left, slopes = _off(seen, predicted, rays, compared, step_px)
     sums, where, moved = _sums(left, slopes), around[rays], np.empty(left.shape)
     if len(weights) > 0:

@@ -19,7 +19,7 @@ from measure_plugins._outline.appearance.dichromatic import COLORLESS, GREY, own
 from measure_plugins._outline.appearance.environment_map import Room, by_side, no_room, room_light
 from measure_plugins._outline.appearance.model import GLOSSY, Appearance
 from measure_plugins._outline.fitting.edges import sampled_light
-from measure_plugins._outline.sampling.rays import FREE, STEPS
+from measure_plugins._outline.sampling.rays import CLEAR, STEPS
 from measure_plugins._outline.self_calibration.patch import Sight
 
 _LONGER = 80
@@ -204,17 +204,13 @@ def with_room(
 
 def _foreign(sight: Sight, appearance: Appearance) -> _Foreign | None:
     """A sight's foreign colour that is not seen beside the ball; None if it cannot be told."""
-    free, tables = (
-        sight.free.copy(),
-        appearance.tables(sight.half_angle * sight.scale, sight.half_angle),
-    )
-    light, background = sampled_light(
-        sight.pixels, appearance.table, sight.points, sight.normals, free
-    )
-    clear = free == FREE
+    rays = sight.own_rays()
+    tables = appearance.tables(sight.half_angle * sight.scale, sight.half_angle)
+    light, background = sampled_light(sight.pixels, appearance.table, rays)
+    clear = rays.status == CLEAR
     if np.count_nonzero(clear) < _FEWEST_RAYS:
         return None
-    way = np.cross(own_color(light, free, STEPS), np.full(3, GREY))
+    way = np.cross(own_color(light, rays.status, STEPS), np.full(3, GREY))
     if np.linalg.norm(way) < COLORLESS:
         return None
     way /= np.linalg.norm(way)
@@ -234,10 +230,10 @@ def _likeness(told: Sequence[_Foreign], room: Room) -> Floats:
     seen2, mirrored2, both = np.zeros(4), np.zeros(4), np.zeros(4)
     for one in told:
         sight = one.sight
-        light = room_light(room, one.grey, sight.frame, sight.half_angle, sight.around)
+        light = room_light(room, one.grey, sight.frame, sight.half_angle, sight.rays.around)
         mirrored = np.tensordot(one.way, light[:, one.rows][:, :, one.clear], 1)
         sides = np.zeros((np.count_nonzero(one.clear), 4))
-        for i, around in enumerate(sight.around[one.clear]):
+        for i, around in enumerate(sight.rays.around[one.clear]):
             by_side(sight.frame, around, sides[i])
         seen2 += np.sum(one.seen**2, axis=0) @ sides
         mirrored2 += np.sum(mirrored**2, axis=0) @ sides

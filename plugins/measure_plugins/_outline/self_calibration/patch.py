@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -13,8 +12,9 @@ from measure_plugins._outline.appearance.model import Appearance
 from measure_plugins._outline.appearance.point_lights import lamp_light, seen_from
 from measure_plugins._outline.appearance.radial_basis import Radial
 from measure_plugins._outline.appearance.render import Ambient
-from measure_plugins._outline.appearance.sensor import Sensor
+from measure_plugins._outline.fitting.edges import PredictionInputs
 from measure_plugins._outline.sampling.ray_groups import TOGETHER, middle_angles
+from measure_plugins._outline.sampling.rays import RaySet
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,10 +23,7 @@ class Sight:
 
     Attributes:
         pixels: (h, w, 3) the part of the picture.
-        points: (n, 2) the outline as found, px in that part.
-        normals: (n, 2) outward.
-        around: (n, 2) cosine and sine around the axis.
-        free: (n,) 0 where the way is clear and an edge agrees with the outline.
+        rays: n rays across the outline as found, px in that part.
         half_angle: of the cone, rad.
         scale: px per rad.
         frame: (3, 3) about the axis, see `rays.frame_about`.
@@ -35,42 +32,28 @@ class Sight:
     """
 
     pixels: Bytes
-    points: Floats
-    normals: Floats
-    around: Floats
-    free: Floats
+    rays: RaySet
     half_angle: float
     scale: float
     frame: Floats
     behind: Floats
     distance: float
 
-
-class Asked(NamedTuple):
-    """The arguments of `corrected.find_twice`, and of `corrected.compare`, in order."""
-
-    pixels: Bytes
-    table: Floats
-    sensor: Sensor
-    points: Floats
-    normals: Floats
-    around: Floats
-    free: Floats
-    radial: Radial
-    ambient: Ambient
+    def own_rays(self) -> RaySet:
+        """Its rays with a status of their own, which sampling may change."""
+        return self.rays._replace(status=self.rays.status.copy())
 
 
-def asked(sight: Sight, appearance: Appearance, in_groups: bool = False) -> Asked:
+def prediction_inputs(
+    sight: Sight, appearance: Appearance, in_groups: bool = False
+) -> PredictionInputs:
     """A sight before a camera of this appearance; the light round it on its rays, or on groups."""
     tables = appearance.tables(sight.half_angle * sight.scale, sight.half_angle)
-    return Asked(
+    return PredictionInputs(
         sight.pixels,
         appearance.table,
         appearance.sensor,
-        sight.points,
-        sight.normals,
-        sight.around,
-        sight.free.copy(),
+        sight.own_rays(),
         tables,
         _ambient(sight, appearance, tables, in_groups),
     )
@@ -78,7 +61,7 @@ def asked(sight: Sight, appearance: Appearance, in_groups: bool = False) -> Aske
 
 def _ambient(sight: Sight, appearance: Appearance, tables: Radial, in_groups: bool) -> Ambient:
     """What the appearance says of the light round a ball, on its rays or between them."""
-    around, behind = sight.around, sight.behind
+    around, behind = sight.rays.around, sight.behind
     if in_groups:
         around, behind = middle_angles(around), np.ascontiguousarray(behind[:, ::TOGETHER])
     lamps = seen_from(appearance.lamps, sight.frame, sight.distance)

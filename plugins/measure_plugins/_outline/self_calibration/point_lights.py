@@ -34,7 +34,7 @@ from measure_plugins._outline.appearance.point_lights import (
 from measure_plugins._outline.appearance.radial_basis import Radial
 from measure_plugins._outline.appearance.render import split_light
 from measure_plugins._outline.fitting.edges import sampled_light
-from measure_plugins._outline.sampling.rays import STEPS
+from measure_plugins._outline.sampling.rays import STEPS, RaySet
 from measure_plugins._outline.self_calibration.patch import Sight
 from measure_plugins._outline.self_calibration.response_and_blur import misfits
 
@@ -124,10 +124,7 @@ def light_on(sights: Sequence[Sight], appearance: Appearance, world_from_camera:
         one, amounts = _shaded(
             sight.pixels,
             appearance.table,
-            sight.points,
-            sight.normals,
-            sight.around,
-            sight.free.copy(),
+            sight.own_rays(),
             tables,
             sight.frame @ world_from_camera.T,
             seen_from(places, sight.frame, sight.distance),
@@ -222,10 +219,7 @@ def non_negative(normal: Floats, right: Floats, start: Floats, sweeps: int) -> F
 def _shaded(
     pixels: Bytes,
     table: Floats,
-    points: Floats,
-    normals: Floats,
-    around: Floats,
-    free: Floats,
+    rays: RaySet,
     tables: Radial,
     frame: Floats,
     lamps: Floats,
@@ -235,11 +229,11 @@ def _shaded(
     Returns:
         That (p, k + 6), see `_from_all_round`; and the amounts (p,) seen there.
     """
-    light, background = sampled_light(pixels, table, points, normals, free)
+    light, background = sampled_light(pixels, table, rays)
     inside = int(np.searchsorted(STEPS, _LAST_PX, side="right"))
-    _, amounts, _, _ = split_light(light, free, background, STEPS, tables, inside)
-    used, clear = np.arange(0, inside, _EVERY), some_clear(free)
-    rows, angles = tables.diffuse[used], around[clear]
+    _, amounts, _, _ = split_light(light, rays.status, background, STEPS, tables, inside)
+    used, clear = np.arange(0, inside, _EVERY), some_clear(rays.status)
+    rows, angles = tables.diffuse[used], rays.around[clear]
     out = np.empty((len(used), len(clear), len(lamps) + _ALL_ROUND))
     for k in range(len(lamps)):
         out[:, :, k] = lamp_light(rows, tables.kept_out[0], angles, lamps[k : k + 1])

@@ -19,9 +19,9 @@ from measure_plugins._outline.appearance.point_lights import no_lamps
 from measure_plugins._outline.appearance.sensor import CHROMA_PX
 from measure_plugins._outline.fitting.edges import LATER_STEPS, compare
 from measure_plugins._outline.sampling.edge_crossing import clipped
-from measure_plugins._outline.sampling.rays import FREE, HIDDEN
+from measure_plugins._outline.sampling.rays import CLEAR, OCCLUDED
 from measure_plugins._outline.self_calibration.alignment import aligned_residuals
-from measure_plugins._outline.self_calibration.patch import Sight, asked
+from measure_plugins._outline.self_calibration.patch import Sight, prediction_inputs
 from measure_plugins._outline.self_calibration.specularity import highlights
 
 _COMPARED = int(np.count_nonzero(LATER_STEPS <= 4.0))
@@ -98,7 +98,7 @@ def surface_bounds(sights: Sequence[Sight], table: Floats) -> tuple[Bounds, Boun
     Returns:
         For straight curves, and for bent ones.
     """
-    seen = highlights([(s.pixels, s.points, s.free == FREE) for s in sights], table)
+    seen = highlights([(s.pixels, s.rays.points, s.rays.status == CLEAR) for s in sights], table)
     if np.isnan(seen):
         return (_CLEARLY_GLOSSY, _MATT_ABOVE), (0.0, _MATT_ABOVE_BENT)
     least = np.inf if seen > _HIGHLIT else _CLEARLY_GLOSSY
@@ -127,14 +127,16 @@ def _plain_misfit(sight: Sight, appearance: Appearance) -> float:
 
 def telling(sights: Sequence[Sight]) -> list[Sight]:
     """Those seen well enough to learn from; none if there are too few of them."""
-    useful = [s for s in sights if np.count_nonzero(s.free == 0) >= _FEWEST_RAYS]
+    useful = [s for s in sights if np.count_nonzero(s.rays.status == CLEAR) >= _FEWEST_RAYS]
     return useful if len(useful) >= _FEWEST_SIGHTS else []
 
 
 def _without_clipped(sight: Sight) -> Sight:
     """The sight without rays on which light is clipped: curves and blurs would take that up."""
-    full = clipped(sight.pixels, sight.points, sight.normals, _LOOKED_AT)
-    return replace(sight, free=np.where(full & (sight.free == FREE), HIDDEN, sight.free))
+    rays = sight.own_rays()
+    full = clipped(sight.pixels, rays.points, rays.normals, _LOOKED_AT)
+    rays.status[full & (rays.status == CLEAR)] = OCCLUDED
+    return replace(sight, rays=rays)
 
 
 def _of_either_surface(
@@ -238,7 +240,7 @@ def _moved(at: Appearance, change: Floats) -> Appearance:
 def _residuals(
     sight: Sight, appearance: Appearance, weights: Floats | None = None
 ) -> tuple[Floats, Floats]:
-    """Picture minus prediction (k, m) along the free rays, the outline moved to fit; weights."""
-    seen, predicted = compare(*asked(sight, appearance))
-    known = np.empty(0) if weights is None else weights
-    return aligned_residuals(seen, predicted, sight.free, sight.around, _COMPARED, _STEP, known)
+    """Picture minus prediction (k, m) along the clear rays, the outline moved to fit; weights."""
+    seen, predicted = compare(prediction_inputs(sight, appearance))
+    known, rays = np.empty(0) if weights is None else weights, sight.rays
+    return aligned_residuals(seen, predicted, rays.status, rays.around, _COMPARED, _STEP, known)

@@ -17,7 +17,7 @@ from measure_plugins._outline.appearance.interreflection import (
 )
 from measure_plugins._outline.appearance.model import Appearance
 from measure_plugins._outline.fitting.edges import INSIDE_PX, OUTSIDE_PX
-from measure_plugins._outline.sampling.rays import STEPS, cast_rays, frame_about, ways
+from measure_plugins._outline.sampling.rays import STEPS, cast_rays, frame_about, mark_occluded
 from measure_plugins._outline.self_calibration.environment_map import Backdrop, backdrop_of, room_of
 from measure_plugins._outline.self_calibration.estimate import Lesson, take_lesson
 from measure_plugins._outline.self_calibration.patch import Sight
@@ -160,13 +160,13 @@ class AppearanceLearner:
         axis, half_angle, distance = cone
         rows = np.array([[*a, h, d] for a, h, d in (cone, *all_cones)])
         nearer, frame = balls_nearer(rows[0], rows), frame_about(axis)
-        points, normals, scale, around = cast_rays(frame, half_angle, self._rays, self._lens)
+        rays, scale = cast_rays(frame, half_angle, self._rays, self._lens)
         reach = (INSIDE_PX[0], OUTSIDE_PX[1])
-        free = ways(frame, half_angle, scale, around, nearer, reach, self._margin_px)
-        part, corner = _cut(pixels, points)
-        behind = mirrored_behind(balls_behind(rows[0], rows), frame, half_angle, around)
-        at, scale_px = points - corner, float(np.mean(scale))
-        return Sight(part, at, normals, around, free, half_angle, scale_px, frame, behind, distance)
+        mark_occluded(rays, scale, frame, half_angle, nearer, reach, self._margin_px)
+        part, corner = _cut(pixels, rays.points)
+        behind = mirrored_behind(balls_behind(rows[0], rows), frame, half_angle, rays.around)
+        rays, scale_px = rays._replace(points=rays.points - corner), float(np.mean(scale))
+        return Sight(part, rays, half_angle, scale_px, frame, behind, distance)
 
 
 def _cut(pixels: Bytes, points: Floats) -> tuple[Bytes, Floats]:

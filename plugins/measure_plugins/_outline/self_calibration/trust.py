@@ -17,8 +17,8 @@ from measure.arrays import Floats
 from measure_plugins._outline.appearance.model import BELIEVED, Appearance
 from measure_plugins._outline.fitting.edges import find_twice
 from measure_plugins._outline.sampling.ray_groups import TOGETHER
-from measure_plugins._outline.sampling.rays import FREE
-from measure_plugins._outline.self_calibration.patch import Sight, asked
+from measure_plugins._outline.sampling.rays import CLEAR
+from measure_plugins._outline.self_calibration.patch import Sight, prediction_inputs
 
 _UNSEEN, _SEEN = 0.65, 0.4
 """What is believed where nothing of what is foreseen is seen, and how much more where all is:
@@ -69,11 +69,11 @@ def agreement_on(sights: Sequence[Sight], appearance: Appearance) -> Agreement:
 
 def _apart(sight: Sight, appearance: Appearance) -> tuple[Floats, Floats]:
     """How far the two edges lie apart on clear rays (k,), seen and foreseen, less the medians."""
-    known = asked(sight, appearance, in_groups=True)
-    found = find_twice(*known)
+    inputs = prediction_inputs(sight, appearance, in_groups=True)
+    found = find_twice(inputs)
     seen = found.at[0] - found.at[1]
     foreseen = np.repeat(found.predicted[0] - found.predicted[1], TOGETHER)
-    clear = (known.free == FREE) & np.isfinite(seen) & np.isfinite(foreseen)
+    clear = (inputs.rays.status == CLEAR) & np.isfinite(seen) & np.isfinite(foreseen)
     clear &= found.contrast.min(axis=0) > _LEAST_CONTRAST
     if not clear.any():
         return np.empty(0), np.empty(0)
