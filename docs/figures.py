@@ -28,15 +28,15 @@ from measure_plugins._outline.fitting.edges import (
     INSIDE_PX,
     LATER_STEPS,
     OUTSIDE_PX,
+    EdgePairs,
     Edges,
-    FoundTwice,
     compare,
     corrected_edges,
-    find_twice,
+    find_edge_pairs,
 )
 from measure_plugins._outline.sampling.rays import cast_rays, frame_about
-from measure_plugins._outline.self_calibration.patch import Sight, asked
-from measure_plugins._outline.self_calibration.schedule import AppearanceLearner, Cone
+from measure_plugins._outline.self_calibration.patch import BallPatch, prediction_inputs
+from measure_plugins._outline.self_calibration.schedule import Cone, SelfCalibration
 
 Row = Sequence[float] | Floats
 IMAGES = Path(__file__).parent / "images"
@@ -213,17 +213,17 @@ def outline() -> str:
     scene = webcam_scene()
     camera, renderer = scene.camera("cam0"), Renderer(scene, "cam0")
     shown = [(renderer.picture(t, k), _cones(scene, camera, t)) for k, t in enumerate((0.0, 0.4))]
-    appearance = _learnt(camera, shown)
-    sight = _sight(camera, shown[0][0], shown[0][1][0])
-    found = find_twice(*asked(sight, appearance, in_groups=True))
-    edges = corrected_edges(found, appearance.believed)
+    appearance = _estimated(camera, shown)
+    patch = _patch(camera, shown[0][0], shown[0][1][0])
+    found = find_edge_pairs(prediction_inputs(patch, appearance, in_groups=True))
+    edges = corrected_edges(found, appearance.correction_weight)
     bias = np.repeat(found.predicted[1], RAYS // found.predicted.shape[1])
     typical = int(np.nanargmin(np.abs(bias - np.nanmedian(bias))))
     middle = [float(np.nanmedian(some)) for some in (found.at[1], bias, edges.shifts)]
     said = "half level {:.2f} px, predicted {:.2f} px, corrected {:.2f} px".format(*middle)
     print(f"outside the true outline, median of {RAYS} rays: {said}")
     return _figure(
-        760, 310, [*_profile(sight, appearance, typical), *_all_round(sight, found, edges)]
+        760, 310, [*_profile(patch, appearance, typical), *_all_round(patch, found, edges)]
     )
 
 
@@ -238,27 +238,27 @@ def _cones(scene: Scene, camera: Camera, time_s: float) -> list[Cone]:
     ]
 
 
-def _learnt(camera: Camera, shown: Sequence[tuple[Bytes, list[Cone]]]) -> Appearance:
-    """What a camera is known to do after eight pictures: two, again and again."""
+def _estimated(camera: Camera, shown: Sequence[tuple[Bytes, list[Cone]]]) -> Appearance:
+    """A camera's appearance after eight pictures: two, again and again."""
     turned = camera.world_from_camera.rotation
-    learner = AppearanceLearner(camera.intrinsics.row, turned, RAYS, MARGIN_PX)
+    calibration = SelfCalibration(camera.intrinsics.row, turned, RAYS, MARGIN_PX)
     now = first_appearance("srgb")
     for number in range(8):
         pixels, cones = shown[number % len(shown)]
-        if learner.wants(len(cones), float(number)):
-            lesson = learner.shown(pixels, cones, [], now)
-            now = now if lesson is None else lesson()
+        if calibration.wants_image(len(cones), float(number)):
+            estimation = calibration.add_image(pixels, cones, [], now)
+            now = now if estimation is None else estimation()
     return now
 
 
-def _sight(camera: Camera, pixels: Bytes, cone: Cone) -> Sight:
+def _patch(camera: Camera, pixels: Bytes, cone: Cone) -> BallPatch:
     """A ball with the rays across its true outline."""
     axis, half_angle, distance = cone
     frame = frame_about(axis)
-    points, normals, scale, around = cast_rays(frame, half_angle, RAYS, camera.intrinsics.row)
-    free, behind = np.zeros(RAYS), np.empty((8, 0))
+    rays, scale = cast_rays(frame, half_angle, RAYS, camera.intrinsics.row)
+    behind = np.empty((8, 0))
     px = float(np.mean(scale))
-    return Sight(pixels, points, normals, around, free, half_angle, px, frame, behind, distance)
+    return BallPatch(pixels, rays, half_angle, px, frame, behind, distance)
 
 
 def _share(values: Floats) -> Floats:
@@ -278,9 +278,9 @@ def _crossing(share: Floats) -> float:
     return float(at[np.argmin(np.abs(at))])
 
 
-def _profile(sight: Sight, appearance: Appearance, ray: int) -> list[str]:
+def _profile(patch: BallPatch, appearance: Appearance, ray: int) -> list[str]:
     """The ray whose bias is the median one: picture, prediction and their half levels."""
-    seen, predicted = compare(*asked(sight, appearance))
+    seen, predicted = compare(prediction_inputs(patch, appearance))
     panel = Panel(50, 40, 310, 220, (-7, 6), (-0.2, 1.4))
     out = panel.axes(
         "across one edge: 1 inside, 0 outside", range(-6, 7, 2), (0, 0.5, 1), "px outside the truth"
@@ -299,13 +299,13 @@ def _profile(sight: Sight, appearance: Appearance, ray: int) -> list[str]:
     return out
 
 
-def _all_round(sight: Sight, found: FoundTwice, edges: Edges) -> list[str]:
+def _all_round(patch: BallPatch, found: EdgePairs, edges: Edges) -> list[str]:
     """Crossings in picture and prediction, and corrected edges, by direction in the picture."""
     panel = Panel(430, 40, 310, 220, (0, 360), (-3, 1))
     title = "half level outside the true outline, px"
     unit = "direction, deg (0 right, 90 down)"
     out = panel.axes(title, range(0, 361, 90), (-3, -2, -1, 0, 1), unit)
-    turn = np.degrees(np.arctan2(sight.normals[:, 1], sight.normals[:, 0])) % 360
+    turn = np.degrees(np.arctan2(patch.rays.normals[:, 1], patch.rays.normals[:, 0])) % 360
     together = RAYS // found.predicted.shape[1]
     order = np.argsort(turn)
     out.append(panel.dots(turn, found.at[1], "#333"))

@@ -14,7 +14,7 @@ from measure_plugins.detectors._hough_steps import hough_circles
 
 
 @dataclass(frozen=True)
-class Search:
+class OutlineSearch:
     """What is looked for in a window.
 
     Attributes:
@@ -31,7 +31,7 @@ class Search:
 
 
 def finder(
-    border: Bytes, parts: Sequence[Region], search: Search, dp: float, param1: float
+    border: Bytes, parts: Sequence[Region], search: OutlineSearch, dp: float, param1: float
 ) -> Find:
     """The Hough detection on edges (h, w) of step 6, region by region.
 

@@ -1,4 +1,4 @@
-"""A body's balls as compiled code takes them: what is known of them is put together once."""
+"""A body's balls as records for compiled code."""
 
 from __future__ import annotations
 
@@ -16,31 +16,31 @@ from measure_plugins._outline.fitting.batch import (
     Measured,
     cones_of,
     measure_balls,
-    measure_gains,
+    measure_step_gains,
 )
-from measure_plugins._outline.fitting.scan import View
+from measure_plugins._outline.fitting.scan import CameraImage
 from measure_plugins.detectors._outline_settings import (
-    FEWEST_RAYS,
-    HOPELESS,
-    ROUGHLY,
+    FEWER_RAYS,
+    GIVE_UP_SHARE,
+    MIN_RAYS,
     OutlineConfig,
 )
 from measure_plugins.detectors._wide_windows import center_by_size
 
-_NO_GAIN = np.eye(2)
+_UNIT_GAIN = np.eye(2)
 
 
-class _Known(NamedTuple):
-    """What is known of k balls wherever they are: radii (k,) in mm, the others as in `Expected`."""
+class _Constants(NamedTuple):
+    """Constants of k balls: radii (k,) in mm, the others as in `Expected`."""
 
     radii: Floats
     sized: Bools
     bits: Ints
-    gains: Floats
+    step_gains: Floats
 
 
 class KnownBalls:
-    """Measures expected balls of one body in one camera; remembers how looks at each answer."""
+    """Measures expected balls of one body in one camera; keeps the step gain of each."""
 
     def __init__(
         self,
@@ -50,18 +50,24 @@ class KnownBalls:
         bits: Mapping[str, int],
         colors: Bytes,
     ) -> None:
-        """Balls of a body before a camera; `bits` of their colours in a table of `colors`."""
+        """For the balls of a body; `bits` of their colours in the table `colors`."""
         self._config, self._camera, self._lens = config, camera, camera.intrinsics.row
         self._bits, self._colors = bits, colors
         self._radii = {ball.name: ball.radius_mm for ball in body.balls}
-        self._gains: dict[str, Floats] = {}
-        self._known: dict[tuple[str, ...], _Known] = {}
+        self._step_gains: dict[str, Floats] = {}
+        self._known: dict[tuple[str, ...], _Constants] = {}
 
-    def view(self, image: Image, seen: Appearance) -> View:
-        """A picture ready to be looked at, as the camera shows things."""
-        pixels = np.ascontiguousarray(image.pixels)
-        lens, believed = self._lens, seen.believed
-        return View(pixels, seen.table, seen.sensor, lens, seen.lamps, seen.room, believed)
+    def view(self, image: Image, appearance: Appearance) -> CameraImage:
+        """A picture and its camera's appearance, for compiled code."""
+        return CameraImage(
+            np.ascontiguousarray(image.pixels),
+            appearance.table,
+            appearance.sensor,
+            self._lens,
+            appearance.point_lights,
+            appearance.environment,
+            appearance.correction_weight,
+        )
 
     def cones(self, expected: Sequence[Expectation]) -> Floats:
         """Axes, half angles in rad, distances in mm, and radii in px of outlines: (k, 6)."""
@@ -74,78 +80,90 @@ class KnownBalls:
         return cones_of(stacked(centers), self._of(expected).radii, self._lens)
 
     def measured(
-        self, view: View, expected: Sequence[Expectation], cones: Floats, seen: Appearance
+        self,
+        view: CameraImage,
+        expected: Sequence[Expectation],
+        cones: Floats,
+        appearance: Appearance,
     ) -> Measured:
-        """Corrected edges where the distance, and so the size, is known; else rough ones.
+        """With corrected edges where the distance, and so the size, is known; else without.
 
         Args:
             view: the picture.
             expected: k >= 1 balls.
             cones: (k, 6) as from `cones`.
-            seen: how the camera shows them.
+            appearance: of the balls in this camera.
         """
-        c, balls = self._config, self._packed(expected, cones, seen)
-        rays = c.rays if balls.tables.size else max(c.rays // ROUGHLY, FEWEST_RAYS)
-        hopeless = HOPELESS * c.min_agreement
-        return measure_balls(view, balls, rays, c.min_contrast, c.margin_px, hopeless, self._colors)
+        c, balls = self._config, self._packed(expected, cones, appearance)
+        rays = c.rays if balls.tables.size else max(c.rays // FEWER_RAYS, MIN_RAYS)
+        give_up_share = GIVE_UP_SHARE * c.min_agreement
+        return measure_balls(
+            view, balls, rays, c.min_contrast, c.margin_px, give_up_share, self._colors
+        )
 
-    def gains_about(
-        self, view: View, expected: Sequence[Expectation], settled: Floats, seen: Appearance
+    def measured_step_gains(
+        self,
+        view: CameraImage,
+        expected: Sequence[Expectation],
+        cones: Floats,
+        appearance: Appearance,
     ) -> Floats:
-        """How looks answer (k, 2, 2) at balls whose outlines (k, 6) are `settled`."""
-        c, balls = self._config, self._packed(expected, settled, seen)
-        return measure_gains(view, balls, c.rays, c.min_contrast, c.margin_px)
+        """Step gains (k, 2, 2) of balls whose outlines `cones` (k, 6) have converged."""
+        c, balls = self._config, self._packed(expected, cones, appearance)
+        return measure_step_gains(view, balls, c.rays, c.min_contrast, c.margin_px)
 
     @property
-    def knows_gains(self) -> bool:
-        """Whether it is known how looks at each ball answer."""
-        return len(self._gains) == len(self._radii)
+    def knows_step_gains(self) -> bool:
+        """Whether the step gains of all balls are known."""
+        return len(self._step_gains) == len(self._radii)
 
-    def without_gain(self, balls: Iterable[str]) -> list[str]:
-        """Those of which it is not known how looks answer."""
-        return [ball for ball in balls if ball not in self._gains]
+    def without_step_gain(self, balls: Iterable[str]) -> list[str]:
+        """Those whose step gain is not known."""
+        return [ball for ball in balls if ball not in self._step_gains]
 
-    def learn_gains(self, gains: Mapping[str, Floats]) -> None:
-        """How looks answer (2, 2) at some balls, by name."""
-        self._gains.update(gains)
+    def set_step_gains(self, step_gains: Mapping[str, Floats]) -> None:
+        """Keep the step gains (2, 2) of some balls, by name."""
+        self._step_gains.update(step_gains)
         self._known.clear()
 
-    def forget_gains(self) -> None:
-        """They hold for one way in which the camera shows balls."""
-        self._gains.clear()
+    def clear_step_gains(self) -> None:
+        """Forget the step gains: they hold for one appearance."""
+        self._step_gains.clear()
         self._known.clear()
 
-    def _packed(self, expected: Sequence[Expectation], cones: Floats, seen: Appearance) -> Expected:
+    def _packed(
+        self, expected: Sequence[Expectation], cones: Floats, appearance: Appearance
+    ) -> Expected:
         known, reach_px = self._of(expected), np.array([e.reach_px for e in expected])
         unsized = [e.center_camera is None for e in expected]
         if all(unsized):
             no_tables = np.empty((len(cones), 0))
-            return Expected(cones, reach_px, no_tables, ~known.sized, known.bits, known.gains)
-        tables = seen.packed_tables([(size, angle) for *_, angle, _, size in cones.tolist()])
+            return Expected(cones, reach_px, no_tables, ~known.sized, known.bits, known.step_gains)
+        tables = appearance.packed_tables([(size, angle) for *_, angle, _, size in cones.tolist()])
         sized = ~np.array(unsized) if any(unsized) else known.sized
-        return Expected(cones, reach_px, tables, sized, known.bits, known.gains)
+        return Expected(cones, reach_px, tables, sized, known.bits, known.step_gains)
 
-    def _of(self, expected: Sequence[Expectation]) -> _Known:
-        """What is known of the balls, which are nearly always the same ones."""
+    def _of(self, expected: Sequence[Expectation]) -> _Constants:
+        """The constants of balls, cached: nearly always of the same ones."""
         balls = tuple([e.ball for e in expected])
         known = self._known.get(balls)
         if known is None:
-            known = self._known[balls] = _Known(
+            known = self._known[balls] = _Constants(
                 np.array([self._radii[ball] for ball in balls]),
                 np.ones(len(balls), np.bool_),
                 np.array([self._bits[ball] for ball in balls]),
-                np.array([self._gains.get(ball, _NO_GAIN) for ball in balls]),
+                np.array([self._step_gains.get(ball, _UNIT_GAIN) for ball in balls]),
             )
         return known
 
 
 _RADIUS_PX = 40.0
 _SHARE = 0.3
-"""Of a small picture's shorter side: the rays must find the disc's surroundings in it."""
+"""Largest radius, per shorter side of the picture: the rays must end inside it."""
 
 
 def drawn_disc(body: Body, camera: Camera) -> tuple[Image, list[Expectation]]:
-    """A picture with one white disc in its middle, and the expectation of the first ball there."""
+    """A picture of one white disc in its middle, and the expectation of the first ball there."""
     width, height = camera.intrinsics.size_wh
     radius = min(_RADIUS_PX, _SHARE * min(width, height))
     pixels = np.zeros((height, width, 3), np.uint8)

@@ -1,4 +1,4 @@
-"""What can be set of the detector `outline`."""
+"""Settings of the detector `outline`, and its fixed proportions."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from typing import ClassVar
 
 from measure.host import Settings, setting
 
-ROUGHLY, FEWEST_RAYS = 2, 16
-"""So many times fewer rays recognise an outline; but not too few."""
-HOPELESS = 2 / 3
-"""A candidate that so far reaches less than this of the least agreement is given up."""
+FEWER_RAYS, MIN_RAYS = 2, 16
+"""Divisor of the number of rays across outlines of unknown size, and the least number."""
+GIVE_UP_SHARE = 2 / 3
+"""Share of the least agreement below which a candidate is given up before it has converged."""
 
 
 class OutlineConfig(Settings):

@@ -1,7 +1,7 @@
-"""Windows wider than the balls they are for: what is to be measured there is told by colour first.
+"""Windows wider than their balls, in which balls are searched by colour first.
 
-Looks outward and inward from a predicted outline tell nothing of a ball that lies beside it. A body
-that was just found and moves, or is seen a few times a second, may lie anywhere in such a window.
+Rays across a predicted outline miss a ball that lies beside it. A body that was just found and
+moves, or is seen a few times a second, may be anywhere in such a window.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from measure.arrays import Floats
 from measure.model import Camera, Detection, Expectation
 from measure.model.lens import bearing
 
-_CONVINCING = 2 / 3
-"""An outline that agrees with so much of the prediction need not be looked for elsewhere."""
-_ROUGHLY_PX = 4.0
-"""By how much the circle that a colour shows may be off, and larger or smaller than the ball."""
+_CONVINCING_SHARE = 2 / 3
+"""Score above which a ball is not searched elsewhere."""
+_CIRCLE_ERROR_PX = 4.0
+"""Error of a circle found by colour, in centre and radius."""
 _REACH_SIGMAS = 3.5
-"""Windows reach about so many standard deviations of the prediction."""
+"""Reach of a window in standard deviations of the prediction."""
 
 
 def lost_in_wide_windows(
     expected: Sequence[Expectation], found: Sequence[Detection]
 ) -> tuple[Expectation, ...]:
-    """Balls that were not, or hardly, found in a window that reaches further than their radius."""
-    sure = {d.ball for d in found if d.score >= _CONVINCING}
+    """Balls not found, or with a low score, in a window that reaches further than their radius."""
+    sure = {d.ball for d in found if d.score >= _CONVINCING_SHARE}
     return tuple(
         e
         for e in expected
@@ -39,10 +39,10 @@ def lost_in_wide_windows(
 def moved_to_circles(
     lost: Sequence[Expectation], circles: Mapping[str, Floats], camera: Camera
 ) -> list[Expectation]:
-    """What to expect of those lost balls of whose colour a circle lies in their window.
+    """Expectations of lost balls at circles of their colour in their windows.
 
-    One circle is one ball: the likeliest pairs count, by how far a circle lies from where the ball
-    is expected, and by how much of a circle it is.
+    One circle is one ball: pairs are taken in the order of their likelihood, by the distance of a
+    circle from the expected place and by how complete it is.
 
     Args:
         lost: balls expected somewhere in wide windows.
@@ -63,10 +63,13 @@ def moved_to_circles(
 
 
 def _nearness(expected: Expectation, x: float, y: float, radius: float) -> float:
-    """How likely a ball is to show a circle there, 1 at best; 0 outside its window."""
+    """Relative likelihood of a ball at a circle, 1 at best; 0 outside its window."""
     low, high = expected.radius_px
     away_px = math.hypot(x - expected.center_px[0], y - expected.center_px[1])
-    if away_px > expected.reach_px or not low - _ROUGHLY_PX <= radius <= high + _ROUGHLY_PX:
+    if (
+        away_px > expected.reach_px
+        or not low - _CIRCLE_ERROR_PX <= radius <= high + _CIRCLE_ERROR_PX
+    ):
         return 0.0
     return math.exp(-((_REACH_SIGMAS * away_px / expected.reach_px) ** 2) / 2)
 
@@ -74,7 +77,7 @@ def _nearness(expected: Expectation, x: float, y: float, radius: float) -> float
 def better_of(
     found: Sequence[Detection], again: Sequence[Detection], lost: Sequence[Expectation]
 ) -> list[Detection]:
-    """Of what was found twice of `lost` balls the better."""
+    """Detections `found`, with those of `lost` balls replaced by better ones of `again`."""
     best, names = {d.ball: d for d in found}, {e.ball for e in lost}
     for d in again:
         if d.ball in names and (d.ball not in best or d.score > best[d.ball].score):
@@ -88,18 +91,18 @@ def _moved(expected: Expectation, center_px: Floats, camera: Camera) -> Expectat
     distance = float(np.linalg.norm(expected.center_camera))
     axis = bearing(center_px, camera.intrinsics.row)
     return replace(
-        expected, center_px=center_px, reach_px=_ROUGHLY_PX, center_camera=distance * axis
+        expected, center_px=center_px, reach_px=_CIRCLE_ERROR_PX, center_camera=distance * axis
     )
 
 
 def radii_about(radius_px: float) -> tuple[float, float]:
-    """Smallest and largest radius, px, of an outline that a rough circle leads to."""
+    """Smallest and largest radius in px of an outline found from a rough circle."""
     spread = 0.25 * radius_px + 3
     return radius_px - spread, radius_px + spread
 
 
 def center_by_size(expectation: Expectation, camera: Camera, radius_mm: float) -> Floats:
-    """Where (3,) in the camera frame, in mm, a ball is that looks as large as expected."""
+    """Centre (3,) in mm in the camera frame of a ball of the expected size in the picture."""
     axis = bearing(expectation.center_px, camera.intrinsics.row)
     half_angle = sum(expectation.radius_px) / 2 / camera.intrinsics.focal_px
     return axis * (radius_mm / np.sin(half_angle))

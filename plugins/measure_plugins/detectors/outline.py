@@ -18,9 +18,9 @@ from measure.arrays import Floats
 from measure.host import Detector, SelfCalibratingDetector, Settings, hookimpl
 from measure.model import BallColor, Body, Camera, Detection, Expectation, Image
 from measure_plugins.detectors._outline_settings import (
-    FEWEST_RAYS,
-    HOPELESS,
-    ROUGHLY,
+    FEWER_RAYS,
+    GIVE_UP_SHARE,
+    MIN_RAYS,
     OutlineConfig,
 )
 from measure_plugins.detectors._wide_windows import (
@@ -33,11 +33,11 @@ from measure_plugins.detectors._wide_windows import (
 if TYPE_CHECKING:
     from measure_plugins._outline.appearance.model import Appearance
     from measure_plugins._outline.fitting.batch import Measured
-    from measure_plugins._outline.fitting.scan import View
-    from measure_plugins._outline.self_calibration.schedule import LessonsAside
+    from measure_plugins._outline.fitting.scan import CameraImage
+    from measure_plugins._outline.self_calibration.schedule import BackgroundEstimation
 
-_APPROACHING = 3
-"""So many times fewer rays lead to where outlines are."""
+_APPROACH_RAYS = 3
+"""Divisor of the number of rays while an outline is approached."""
 
 
 class OutlineDetector(SelfCalibratingDetector):
@@ -53,14 +53,14 @@ class OutlineDetector(SelfCalibratingDetector):
         from measure_plugins._acquisition import AcquisitionSettings
         from measure_plugins._acquisition.shade import with_shade
         from measure_plugins._outline.appearance.model import first_appearance
-        from measure_plugins._outline.self_calibration.schedule import AppearanceLearner
+        from measure_plugins._outline.self_calibration.schedule import SelfCalibration
         from measure_plugins.detectors._known_balls import KnownBalls
 
         c, lens = self.config, camera.intrinsics.row
         self._appearance = first_appearance(c.tone)
         turned = camera.world_from_camera.rotation
-        self._learner = AppearanceLearner(lens, turned, c.rays, c.margin_px)
-        self._aside: LessonsAside | None = None
+        self._self_calibration = SelfCalibration(lens, turned, c.rays, c.margin_px)
+        self._background: BackgroundEstimation | None = None
         self._acquisition = AcquisitionSettings()
         self._colors = tuple(dict.fromkeys(ball.color for ball in body.balls))
         self._table = with_shade(self._colors)
@@ -68,9 +68,9 @@ class OutlineDetector(SelfCalibratingDetector):
         self._balls = KnownBalls(c, body, camera, self._bits, self._table)
 
     def warm_up(self) -> None:
-        """Hot loops to compile (seconds, once per machine), by measuring a drawn disc.
+        """Compile hot loops (seconds, once per machine) by measuring a drawn disc.
 
-        A detector of its own measures it: what a disc teaches is not so of a ball.
+        With a detector of its own, whose estimates are of the disc.
         """
         from measure_plugins import _acquisition
         from measure_plugins.detectors._known_balls import drawn_disc
@@ -82,48 +82,52 @@ class OutlineDetector(SelfCalibratingDetector):
         pixels, cone, now = image.pixels, _cones(cones)[0], own._appearance
         own._measure(image, expected)
         own._measure(image, unsized)
-        own._balls.gains_about(view, expected, cones, now)
-        own._learner.warm_up(pixels, cone, now)
+        own._balls.measured_step_gains(view, expected, cones, now)
+        own._self_calibration.warm_up(pixels, cone, now)
         own._searched(image, ())
         _acquisition.warm_up()
 
     @property
     def needs_burn_in(self) -> bool:
-        """While it has not seen enough of what the camera does to light."""
-        return self.config.self_calibrate and not self._learner.settled
+        """While there have not been enough estimates of the appearance."""
+        return self.config.self_calibrate and not self._self_calibration.settled
 
     @property
     def calibration_state(self) -> object:
-        """The last lesson, if there have been enough."""
-        return self._learner.lesson
+        """The last estimate of the appearance, if there have been enough."""
+        return self._self_calibration.estimate
 
     def fuse_calibration(self, states: Sequence[object]) -> None:
-        """All cameras together know the light, and a bend of the tone curve, better than one."""
-        from measure_plugins._outline.self_calibration.estimate import Lesson, bent_together
+        """Fuse point lights, correction weight and a common tone curve over all cameras."""
+        from measure_plugins._outline.self_calibration.estimate import (
+            AppearanceEstimate,
+            has_common_response,
+        )
 
-        lessons = [lesson for lesson in states if isinstance(lesson, Lesson)]
-        told = self._learner.told(self._appearance, lessons, bent_together(lessons))
-        if told is not self._appearance:
-            self._believe(told)
+        estimates = [state for state in states if isinstance(state, AppearanceEstimate)]
+        bent = has_common_response(estimates)
+        fused = self._self_calibration.fuse(self._appearance, estimates, bent)
+        if fused is not self._appearance:
+            self._set_appearance(fused)
 
     def enter_realtime(self) -> None:
-        """Take lessons in a thread of their own: they take as long as dozens of pictures."""
-        from measure_plugins._outline.self_calibration.schedule import LessonsAside
+        """Estimate in a thread from now on: an estimation takes as long as dozens of pictures."""
+        from measure_plugins._outline.self_calibration.schedule import BackgroundEstimation
 
-        self._aside = LessonsAside()
+        self._background = BackgroundEstimation()
 
     def detect(self, image: Image, expected: Sequence[Expectation]) -> list[Detection]:
         """Measure the expected balls; search the frame for the others."""
-        if self._aside is not None and (learnt := self._aside.done()) is not None:
-            self._believe(learnt)
+        if self._background is not None and (new := self._background.result()) is not None:
+            self._set_appearance(new)
         found = self._measure(image, expected)
         known = {expectation.ball for expectation in expected}
         if len(known) == len(self.body.balls):
-            return self._learnt(image, expected, found) or found
+            return self._recalibrated(image, expected, found) or found
         return found + self._searched(image, known)
 
     def _searched(self, image: Image, known: Collection[str]) -> list[Detection]:
-        """All that may be balls that are not `known`; what one ball may be, any of its colour."""
+        """Candidates of balls that are not `known`; each may be any ball of its colour."""
         from measure_plugins._outline.fitting.batch import measure_circles
 
         c, view = self.config, self._view(image)
@@ -138,10 +142,10 @@ class OutlineDetector(SelfCalibratingDetector):
             view,
             rough,
             np.array([self._bits[first] for first, *_ in names], np.int64),
-            (max(c.rays // _APPROACHING, FEWEST_RAYS), max(c.rays // ROUGHLY, FEWEST_RAYS)),
+            (max(c.rays // _APPROACH_RAYS, MIN_RAYS), max(c.rays // FEWER_RAYS, MIN_RAYS)),
             c.min_contrast,
             c.margin_px,
-            (c.min_agreement, HOPELESS * c.min_agreement),
+            (c.min_agreement, GIVE_UP_SHARE * c.min_agreement),
             self._table,
         )
         numbers, sizes = found.numbers.tolist(), rough[:, 2].tolist()
@@ -152,45 +156,46 @@ class OutlineDetector(SelfCalibratingDetector):
         )
         return [detection for detection in each if detection is not None]
 
-    def _circles(self, view: View) -> dict[BallColor, Floats]:
+    def _circles(self, view: CameraImage) -> dict[BallColor, Floats]:
         """Circles (k, 5) of each of the body's colours in a whole picture, see `find_circles`."""
         from measure_plugins._acquisition import find_circles
 
         circles = find_circles(view.pixels, self._colors, self._acquisition)
         return dict(zip(self._colors, circles, strict=True))
 
-    def _learnt(
+    def _recalibrated(
         self, image: Image, expected: Sequence[Expectation], found: Sequence[Detection]
     ) -> list[Detection]:
-        """A picture's detections once more, if it has just taught something; else none."""
+        """Detections measured anew if the picture has changed the appearance; else none."""
         if not self.config.self_calibrate or any(e.center_camera is None for e in expected):
             return []
-        if not self._learner.wants(len(found), image.time_s):
+        if not self._self_calibration.wants_image(len(found), image.time_s):
             return []
         cones = dict(
             zip((e.ball for e in expected), _cones(self._balls.cones(expected)), strict=True)
         )
         axes = {d.ball: self.camera.intrinsics.unproject(d.center_px[None])[0] for d in found}
         seen = [(axis, *cones.pop(ball)[1:]) for ball, axis in axes.items()]
-        lesson = self._learner.shown(image.pixels, seen, list(cones.values()), self._appearance)
-        if lesson is None:
+        estimation = self._self_calibration.add_image(
+            image.pixels, seen, list(cones.values()), self._appearance
+        )
+        if estimation is None:
             return []
-        if self._aside is not None:
-            self._aside.begin(lesson)
+        if self._background is not None:
+            self._background.start(estimation)
             return []
-        self._believe(lesson())
+        self._set_appearance(estimation())
         return self._measure(image, expected)
 
-    def _believe(self, appearance: Appearance) -> None:
-        """Take it that the camera shows things so, from now on."""
+    def _set_appearance(self, appearance: Appearance) -> None:
         self._appearance = appearance
-        self._balls.forget_gains()
+        self._balls.clear_step_gains()
 
-    def _view(self, image: Image) -> View:
+    def _view(self, image: Image) -> CameraImage:
         return self._balls.view(image, self._appearance)
 
     def _measure(self, image: Image, expected: Sequence[Expectation]) -> list[Detection]:
-        """The expected balls, once more if how looks answer is learnt from what was found."""
+        """The expected balls; once more if step gains were measured at those found."""
         if not expected:
             return []
         view, cones = self._view(image), self._balls.cones(expected)
@@ -199,14 +204,14 @@ class OutlineDetector(SelfCalibratingDetector):
         if moved := self._moved_by_color(view, expected, lost):
             expected, cones = moved, self._balls.cones(moved)
             found = better_of(found, self._measure_at(image, view, expected, cones), lost)
-        if not self._learn_gains(view, expected, cones, found):
+        if not self._update_step_gains(view, expected, cones, found):
             return found
         return self._measure_at(image, view, expected, cones)
 
     def _moved_by_color(
-        self, view: View, expected: Sequence[Expectation], lost: Sequence[Expectation]
+        self, view: CameraImage, expected: Sequence[Expectation], lost: Sequence[Expectation]
     ) -> list[Expectation]:
-        """What is expected, `lost` balls where circles show them in their windows; or nothing."""
+        """Expectations with `lost` balls moved to circles in their windows; none if none was."""
         if not lost:
             return []
         circles = self._circles(view)
@@ -214,31 +219,31 @@ class OutlineDetector(SelfCalibratingDetector):
         moved = {e.ball: e for e in moved_to_circles(lost, shown, self.camera)}
         return [moved.get(e.ball, e) for e in expected] if moved else []
 
-    def _learn_gains(
+    def _update_step_gains(
         self,
-        view: View,
+        view: CameraImage,
         expected: Sequence[Expectation],
         cones: Floats,
         found: Sequence[Detection],
     ) -> bool:
-        """Learn how looks answer at balls where that is not known; whether there were any."""
-        if self._balls.knows_gains:
+        """Measure the step gains of balls that have none yet; whether there were any."""
+        if self._balls.knows_step_gains:
             return False
         sized = {e.ball for e in expected if e.center_camera is not None}
-        new = self._balls.without_gain([d.ball for d in found if d.ball in sized])
+        new = self._balls.without_step_gain([d.ball for d in found if d.ball in sized])
         if not new:
             return False
         row, cones = {e.ball: i for i, e in enumerate(expected)}, cones.copy()
         for d in found:
             cones[row[d.ball], :3] = self.camera.intrinsics.unproject(d.center_px[None])[0]
-        gains = self._balls.gains_about(view, expected, cones, self._appearance)
-        self._balls.learn_gains({ball: gains[row[ball]] for ball in new})
+        step_gains = self._balls.measured_step_gains(view, expected, cones, self._appearance)
+        self._balls.set_step_gains({ball: step_gains[row[ball]] for ball in new})
         return True
 
     def _measure_at(
-        self, image: Image, view: View, expected: Sequence[Expectation], cones: Floats
+        self, image: Image, view: CameraImage, expected: Sequence[Expectation], cones: Floats
     ) -> list[Detection]:
-        """What is found of expected balls with these outlines, see `KnownBalls.measured`."""
+        """Detections of expected balls with these outlines, see `KnownBalls.measured`."""
         found = self._balls.measured(view, expected, cones, self._appearance)
         numbers = found.numbers.tolist()
         each = [
@@ -256,7 +261,7 @@ class OutlineDetector(SelfCalibratingDetector):
         found: Measured,
         numbers: Sequence[float],
     ) -> Detection | None:
-        """What was found of a ball of some size, with its row of numbers, unless it is no ball."""
+        """The detection of a ball by its row of numbers; None if it fails the limits of a ball."""
         radius_px, points, agreement, match = numbers
         c, count, (low, high) = self.config, int(points), limits_px
         least = c.min_rays * found.points_px.shape[1] / c.rays

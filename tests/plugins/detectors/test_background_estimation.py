@@ -1,4 +1,4 @@
-"""Where poses are waited for, lessons are taken in a thread of their own."""
+"""In real time, the appearance is estimated in a thread."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import pytest
 
 from measure.simulation.catalogue import webcam_scene
 from measure.simulation.renderer import Renderer
-from measure_plugins._outline.self_calibration import schedule as learner
+from measure_plugins._outline.self_calibration import schedule as calibration
 from measure_plugins.detectors.outline import OutlineConfig, OutlineDetector
 from tests.plugins.detectors.drawing import expect, image_of
 
-FIRST_LESSON = 2
+FIRST_ESTIMATE = 2
 """The picture with which the first one begins."""
 
 
@@ -41,40 +41,42 @@ def centers(found):
     return np.array([detection.center_px for detection in found])
 
 
-def test_pictures_are_measured_while_a_lesson_is_taken_and_differently_after_it(shown, monkeypatch):
+def test_pictures_are_measured_during_an_estimation(shown, monkeypatch):
     scene, camera, pictures = shown
-    go, really = threading.Event(), learner.take_lesson
-    monkeypatch.setattr(learner, "take_lesson", lambda *told: go.wait(60) and really(*told))
+    go, really = threading.Event(), calibration.estimate_appearance
+    monkeypatch.setattr(
+        calibration, "estimate_appearance", lambda *given: go.wait(60) and really(*given)
+    )
     live = detector_of(scene, camera)
     live.enter_realtime()
     before = live._appearance
-    seen = [centers(live.detect(*picture)) for picture in pictures[:FIRST_LESSON]]
-    assert live._appearance is before, "the lesson still waits"
+    seen = [centers(live.detect(*picture)) for picture in pictures[:FIRST_ESTIMATE]]
+    assert live._appearance is before, "the estimation still waits"
     go.set()
-    live._aside._lesson.result(60)
-    after = centers(live.detect(*pictures[FIRST_LESSON]))
+    live._background._running.result(60)
+    after = centers(live.detect(*pictures[FIRST_ESTIMATE]))
     assert live._appearance is not before
 
     waiting = detector_of(scene, camera)
-    told = [centers(waiting.detect(*picture)) for picture in pictures[:FIRST_LESSON]]
-    np.testing.assert_array_equal(seen[0], told[0])
-    assert np.any(seen[1] != told[1]), "the control: it is measured anew with what it teaches"
-    np.testing.assert_array_equal(live._appearance.lamps, waiting._appearance.lamps)
+    expected = [centers(waiting.detect(*picture)) for picture in pictures[:FIRST_ESTIMATE]]
+    np.testing.assert_array_equal(seen[0], expected[0])
+    assert np.any(seen[1] != expected[1]), "the control: it is measured anew with what it teaches"
+    np.testing.assert_array_equal(live._appearance.point_lights, waiting._appearance.point_lights)
     # How looks answer was measured with one picture here, with another there.
-    np.testing.assert_allclose(after, centers(waiting.detect(*pictures[FIRST_LESSON])), atol=0.02)
+    np.testing.assert_allclose(after, centers(waiting.detect(*pictures[FIRST_ESTIMATE])), atol=0.02)
 
 
-def test_what_goes_wrong_in_a_lesson_is_told(shown, monkeypatch):
+def test_an_error_of_an_estimation_is_raised(shown, monkeypatch):
     scene, camera, pictures = shown
 
-    def broken(*told):
-        raise ArithmeticError("no lesson")
+    def broken(*arguments):
+        raise ArithmeticError("no estimate")
 
-    monkeypatch.setattr(learner, "take_lesson", broken)
+    monkeypatch.setattr(calibration, "estimate_appearance", broken)
     live = detector_of(scene, camera)
     live.enter_realtime()
-    for picture in pictures[:FIRST_LESSON]:
+    for picture in pictures[:FIRST_ESTIMATE]:
         live.detect(*picture)
-    assert isinstance(live._aside._lesson.exception(60), ArithmeticError)
-    with pytest.raises(ArithmeticError, match="no lesson"):
-        live.detect(*pictures[FIRST_LESSON])
+    assert isinstance(live._background._running.exception(60), ArithmeticError)
+    with pytest.raises(ArithmeticError, match="no estimate"):
+        live.detect(*pictures[FIRST_ESTIMATE])

@@ -151,13 +151,17 @@ def test_two_balls_of_one_colour_are_refused_by_name():
 
 def test_colours_learnt_from_the_same_kind_of_ball_are_refused():
     rng = np.random.default_rng(0)
-    learnt = [
+    estimated_appearance = [
         BallColor.from_samples(np.array([40.0, 30.0, 180.0]) + rng.normal(0, 12, (200, 3)))
         for _ in range(2)
     ]
-    assert learnt[0] != learnt[1]
+    assert estimated_appearance[0] != estimated_appearance[1]
     green, yellow, red = SCENE.body.balls
-    balls = (replace(green, color=learnt[0]), yellow, replace(red, color=learnt[1]))
+    balls = (
+        replace(green, color=estimated_appearance[0]),
+        yellow,
+        replace(red, color=estimated_appearance[1]),
+    )
     with pytest.raises(ConfigError, match="two balls of one colour"):
         detector(body=replace(SCENE.body, balls=balls))
 

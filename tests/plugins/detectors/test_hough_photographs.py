@@ -70,8 +70,8 @@ def test_perforated_balls_in_clutter(shared, color, hues, samples, balls):
     near = np.any([np.hypot(x - cx, y - cy) < 20 for cx, cy in samples], axis=0)
     hsv = cv2.cvtColor(image.pixels, cv2.COLOR_BGR2HSV)
     plastic = near & (hsv[..., 0] >= hues[0]) & (hsv[..., 0] <= hues[1]) & (hsv[..., 1] > 40)
-    learnt = BallColor.from_samples(image.pixels[plastic])
-    finder = detector(image, learnt, (14, 50), circles=5)
+    estimated_appearance = BallColor.from_samples(image.pixels[plastic])
+    finder = detector(image, estimated_appearance, (14, 50), circles=5)
     found = [d for d in finder.detect(image, []) if d.ball == "ball"]
     assert found, color
     for place in balls:

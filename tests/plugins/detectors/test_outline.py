@@ -195,7 +195,7 @@ def test_warm_up_compiles_every_hot_loop(camera):
     OutlineDetector(OutlineConfig(), RAVEN, camera).warm_up()
     loops = (
         balls.measure_balls,
-        balls.measure_gains,
+        balls.measure_step_gains,
         balls.cones_of,
         balls.measure_circles,
         candidates._bits_of,
@@ -281,8 +281,8 @@ def test_a_candidate_given_up_early_is_one_that_would_not_have_become_a_ball(
     cv2.line(pixels, (0, int(middle[1]) + 8), (SIZE[0], int(middle[1]) + 8), (5, 5, 5), 14)
     pixels = cv2.GaussianBlur(pixels, (0, 0), 0.8)
     found = []
-    for hopeless in (2 / 3, 0.0):
-        monkeypatch.setattr(outline, "HOPELESS", hopeless)
+    for give_up_share in (2 / 3, 0.0):
+        monkeypatch.setattr(outline, "HOPELESS", give_up_share)
         seen = OutlineDetector(OutlineConfig(), RAVEN, camera).detect(image_of(camera, pixels), ())
         found.append(sorted((d.ball, *d.center_px.tolist(), d.score) for d in seen))
     assert found[0] == found[1]

@@ -15,53 +15,54 @@ from measure_plugins._outline.appearance.model import (
     first_appearance,
     tone_table,
 )
-from tests.plugins.outline.lessons import TIMES_S, cones, learner_of, lessons, taught
+from tests.plugins.outline.estimates import TIMES_S, calibration_of, cones, estimated, estimates
 from tests.simulated.catalogue import scene_catalogue
 
 CAMERA = "cam1"
 
 
 @pytest.fixture(scope="module")
-def learnt():
-    """What is learnt from two pictures of each scene by one camera."""
-    return {name: _learn(name) for name in ("still", "sharpened", "matt")}
+def estimated_appearance():
+    """Estimates from two pictures of each scene by one camera."""
+    return {name: _estimated(name) for name in ("still", "sharpened", "matt")}
 
 
-def _learn(name):
-    first, second = lessons(scene_catalogue()[name], CAMERA)
+def _estimated(name):
+    first, second = estimates(scene_catalogue()[name], CAMERA)
     assert first is None, "the first picture is only kept"
     return second
 
 
-def test_a_standard_camera_and_glossy_balls_are_left_as_they_are(learnt):
-    assert learnt["still"].index == GLOSSY
-    assert np.all(np.abs(learnt["still"].bends) < 1e-6)
-    assert 0.8 < learnt["still"].blur_px < 1.3
+def test_a_standard_camera_and_glossy_balls_are_left_as_they_are(estimated_appearance):
+    assert estimated_appearance["still"].index == GLOSSY
+    assert np.all(np.abs(estimated_appearance["still"].bends) < 1e-6)
+    assert 0.8 < estimated_appearance["still"].blur_px < 1.3
 
 
-def test_how_far_colour_is_blurred_is_told_by_pictures(learnt):
+def test_blur_of_chroma_is_estimated(estimated_appearance):
     """JPEG 4:2:0 keeps colour at half the resolution."""
 
     def halved(_, pixels, balls):
         stored = np.frombuffer(encode(pixels, CameraSensor(quality=90, chroma="420")), np.uint8)
         return cv2.imdecode(stored, cv2.IMREAD_COLOR), balls
 
-    colour_at_half = lessons(scene_catalogue()["still"], CAMERA, halved)[1]
-    assert learnt["still"].chroma_px < 0.7 < 0.85 < colour_at_half.chroma_px < 1.1
+    colour_at_half = estimates(scene_catalogue()["still"], CAMERA, halved)[1]
+    assert estimated_appearance["still"].chroma_px < 0.7 < 0.85 < colour_at_half.chroma_px < 1.1
 
 
-def test_a_bent_tone_curve_is_found(learnt):
+def test_a_bent_tone_curve_is_found(estimated_appearance):
     true = _true_table("sharpened")
     seen = slice(20, 160)  # the values that the balls before black cloth show
     before, after = (
-        _off(table[seen], true[seen]) for table in (tone_table("srgb"), learnt["sharpened"].table)
+        _off(table[seen], true[seen])
+        for table in (tone_table("srgb"), estimated_appearance["sharpened"].table)
     )
-    assert learnt["sharpened"].index == GLOSSY
+    assert estimated_appearance["sharpened"].index == GLOSSY
     assert after < 0.5 * before
 
 
 @pytest.mark.parametrize("strength", [0.04, 0.06])
-def test_a_mild_bend_is_found_by_the_light_of_lamps(strength):
+def test_a_mild_bend_is_found_with_point_lights(strength):
     """A third and half as strong an S as above: free shading explains it nearly as well."""
 
     def contrasty(_, pixels, balls):
@@ -69,13 +70,13 @@ def test_a_mild_bend_is_found_by_the_light_of_lamps(strength):
         curve = np.rint(255 * (values - strength * np.sin(2 * np.pi * values)))
         return curve.astype(np.uint8)[pixels], balls
 
-    taught = lessons(scene_catalogue()["still"], "cam3", contrasty)[1]
-    assert 0.4 * strength < taught.bends[2] < 1.2 * strength
+    estimated = estimates(scene_catalogue()["still"], "cam3", contrasty)[1]
+    assert 0.4 * strength < estimated.bends[2] < 1.2 * strength
 
 
-def test_matt_paint_is_found(learnt):
-    assert learnt["matt"].index == MATT
-    assert np.all(np.abs(learnt["matt"].bends) < 1e-6)
+def test_matt_paint_is_found(estimated_appearance):
+    assert estimated_appearance["matt"].index == MATT
+    assert np.all(np.abs(estimated_appearance["matt"].bends) < 1e-6)
 
 
 def _true_table(name):
@@ -101,13 +102,13 @@ def test_tables_rise_from_0_to_1(bends):
     assert np.allclose(bent_table("srgb", np.zeros(3)), tone_table("srgb"), atol=1e-3)
 
 
-def test_too_few_balls_teach_nothing():
+def test_too_few_balls_give_no_estimate():
     scene = replace(scene_catalogue()["still"], shown=("red",))
     renderer, camera = Renderer(scene, CAMERA), scene.camera(CAMERA)
-    learner = learner_of(camera)
+    calibration = calibration_of(camera)
     start = first_appearance("srgb")
     for k, time_s in enumerate(TIMES_S):
         red = cones(scene, camera, time_s)[scene.body.index("red")]
-        assert learner.wants(1, time_s)
-        learnt = taught(learner, renderer.picture(time_s, k), [red], [], start)
-    assert learnt is start
+        assert calibration.wants_image(1, time_s)
+        estimated_appearance = estimated(calibration, renderer.picture(time_s, k), [red], [], start)
+    assert estimated_appearance is start

@@ -1,4 +1,4 @@
-"""Rays on which light is clipped, and what is learnt in spite of them."""
+"""Rays that meet saturated pixels, and estimates in spite of them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from measure_plugins._outline.sampling.edge_crossing import HIGHLIGHT_PX, clippe
 from measure_plugins._outline.sampling.rays import CLEAR, OCCLUDED
 from measure_plugins.detectors.outline import OutlineConfig, OutlineDetector
 from tests.plugins.detectors.drawing import draw, expect, image_of, to_picture
-from tests.plugins.outline.lessons import lessons
+from tests.plugins.outline.estimates import estimates
 from tests.scenes import RAVEN, ring
 from tests.simulated.catalogue import scene_catalogue
 
@@ -67,16 +67,16 @@ def overexposed_limb(share):
     return changed
 
 
-def test_clipped_light_teaches_nothing():
+def test_saturated_pixels_do_not_bias_estimates():
     still = scene_catalogue()["still"]
-    clear, glare = (lessons(still, "cam1", overexposed_limb(share))[1] for share in (0.0, 0.2))
+    clear, glare = (estimates(still, "cam1", overexposed_limb(share))[1] for share in (0.0, 0.2))
     assert glare.index == clear.index == GLOSSY
     assert np.abs(glare.bends).max() < 1e-6
     assert glare.blur_px == pytest.approx(clear.blur_px, rel=0.15)
 
 
-def test_where_nothing_else_is_seen_something_is_learnt_all_the_same():
-    drowned = lessons(scene_catalogue()["still"], "cam1", overexposed_limb(1.0))[1]
+def test_pictures_saturated_all_round_still_give_an_estimate():
+    drowned = estimates(scene_catalogue()["still"], "cam1", overexposed_limb(1.0))[1]
     assert np.isfinite(drowned.bends).all()
     assert 0.5 <= drowned.blur_px <= 2.0
 
@@ -110,7 +110,7 @@ def insides(ball, n=12):
     return values, np.full(n, CLEAR, np.int8)
 
 
-def test_rays_that_begin_in_a_white_highlight_are_told():
+def test_rays_that_begin_in_a_white_highlight_are_found():
     values, status = insides((40, 40, 200))
     assert in_highlights(values, status).tolist() == [True] * 3 + [False] * 9
     values[0, :3] = 0.9  # bright, and of some colour
@@ -123,14 +123,14 @@ def test_what_is_white_on_a_white_ball_is_its_own_light():
     assert not in_highlights(values, np.full(12, OCCLUDED, np.int8)).any()
 
 
-def test_hidden_rays_do_not_tell_how_white_a_ball_is():
+def test_occluded_rays_do_not_count_for_a_balls_whiteness():
     values, status = insides((40, 40, 200))
     values[:, 5:], status[5:] = 0.8, OCCLUDED  # a white ball in front
     status[:2] = OCCLUDED
     assert in_highlights(values, status).tolist() == [True] * 3 + [False] * 9
 
 
-def test_edges_beside_a_highlight_near_the_rim_are_told_less_sure():
+def test_edges_at_a_highlight_have_a_larger_sd():
     camera, center = ring()["cam0"], np.array([10.0, 8.0, 420.0])
     light = draw(camera, [center], [20.0], [(30, 30, 130)], background=(110, 110, 110))
     middle = camera.intrinsics.project(center[None])[0]

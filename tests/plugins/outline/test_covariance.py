@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from measure_plugins._outline.fitting.covariance import in_pieces
+from measure_plugins._outline.fitting.covariance import piecewise_covariance
 from measure_plugins._outline.fitting.robust_cone import refine
 
 RAYS, PIECES, TRIALS = 72, 12, 400
@@ -27,7 +27,7 @@ def fits(in_sight, piece_px, seed=0):
             shifts, AROUND, SD, use, np.zeros(3), 3.0, NOTHING_KNOWN
         )
         off = shifts - AROUND @ solution[:2] - solution[2]
-        spread = in_pieces(AROUND, weights / (SD * scale) ** 2, off, normal)
+        spread = piecewise_covariance(AROUND, weights / (SD * scale) ** 2, off, normal)
         found.append(solution[:2])
         claimed.append(np.trace(spread))
         by_rays.append(np.trace(np.linalg.inv(normal)[:2, :2]))

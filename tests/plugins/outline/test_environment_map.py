@@ -7,46 +7,56 @@ import pytest
 
 from measure.simulation import Renderer
 from measure.simulation.catalogue import plain_scene
-from measure_plugins._outline.appearance.environment_map import Room, no_room, room_light
+from measure_plugins._outline.appearance.environment_map import (
+    EnvironmentMap,
+    environment_reflection,
+    no_environment,
+)
 from measure_plugins._outline.appearance.model import GLOSSY, tone_table
-from measure_plugins._outline.appearance.radial_basis import DEFLECTIONS, radial
+from measure_plugins._outline.appearance.radial_basis import DEFLECTIONS, radial_tables
 from measure_plugins._outline.sampling.rays import STEPS, angles_around, frame_about
-from measure_plugins._outline.self_calibration.environment_map import backdrop_of, room_of
-from tests.plugins.outline.lessons import cones, lessons
+from measure_plugins._outline.self_calibration.environment_map import background_of, environment_of
+from tests.plugins.outline.estimates import cones, estimates
 
 CAMERA = "cam3"
 HALF_ANGLE = 0.045
 AXIS = np.array([0.0, 0.0, 1.0])
 BLUE = np.array([0.2, -0.1, -0.1])
-TABLES = radial(60.0, HALF_ANGLE, 1.0, GLOSSY)
+TABLES = radial_tables(60.0, HALF_ANGLE, 1.0, GLOSSY)
 
 
 def _mirrored(colors, share=0.5):
     """What a ball in the middle of a view 2 x 2 wide mirrors (3, m, 36) of these colours."""
     step = 2 / colors.shape[0]
-    room = Room(colors, np.full(2, step / 2 - 1), step, np.full(4, share), np.ones(4))
-    return room_light(room, TABLES.grey, frame_about(AXIS), HALF_ANGLE, angles_around(36))
+    environment = EnvironmentMap(
+        colors, np.full(2, step / 2 - 1), step, np.full(4, share), np.ones(4)
+    )
+    return environment_reflection(
+        environment, TABLES.grey, frame_about(AXIS), HALF_ANGLE, angles_around(36)
+    )
 
 
-def test_nothing_is_mirrored_of_a_room_that_is_not_known():
+def test_an_unknown_map_is_not_mirrored():
     frame, around = frame_about(AXIS), angles_around(36)
-    assert room_light(no_room(), TABLES.grey, frame, HALF_ANGLE, around).size == 0
+    assert (
+        environment_reflection(no_environment(), TABLES.grey, frame, HALF_ANGLE, around).size == 0
+    )
 
 
-def test_nothing_is_mirrored_of_a_grey_room():
+def test_a_grey_map_adds_no_colour():
     assert np.all(_mirrored(np.zeros((40, 40, 3))) == 0)
 
 
-def test_a_room_of_one_colour_is_seen_beside_the_ball_already_and_further_in_too():
-    """Just inside the outline `nearby` shows it; deeper, where that has faded, the room does."""
+def test_a_map_of_one_colour_extends_the_grazing_reflection():
+    """Just inside the outline as grazing reflection; deeper, where that fades, as the map."""
     mirrored = _mirrored(np.tile(BLUE, (40, 40, 1)))
-    whole = mirrored[0] + BLUE[0] * TABLES.nearby[:, None]
+    whole = mirrored[0] + BLUE[0] * TABLES.grazing_reflection[:, None]
     seen = BLUE[0] * TABLES.grey[:, :-1].sum(axis=1)
     assert np.allclose(whole[STEPS > -6.0], seen[STEPS > -6.0, None], atol=0.002)
 
 
 @pytest.mark.parametrize("share", [0.4, 0.8])
-def test_a_thing_beside_is_mirrored_on_its_side_at_the_angle_it_is_seen_at(share):
+def test_an_object_is_mirrored_on_its_side_at_its_angle(share):
     colors, at = np.zeros((80, 80, 3)), np.tan(HALF_ANGLE + share * DEFLECTIONS[2])
     column = round((at + 1) * 40 - 0.5)
     colors[38:42, column - 1 : column + 2] = BLUE
@@ -68,45 +78,51 @@ def test_colours_end_gradually_at_the_pictures_border():
     values = []
     for turn in turns:
         frame = frame_about(np.array([np.sin(turn), 0.0, np.cos(turn)]))
-        room = Room(colors, np.full(2, 0.025 - 1), 0.05, np.full(4, 0.5), np.ones(4))
+        environment = EnvironmentMap(
+            colors, np.full(2, 0.025 - 1), 0.05, np.full(4, 0.5), np.ones(4)
+        )
         around = np.array([[frame[0, 0], frame[1, 0]]]) / np.hypot(frame[0, 0], frame[1, 0])
-        values.append(room_light(room, TABLES.grey, frame, HALF_ANGLE, around)[0, :, 0].sum())
+        values.append(
+            environment_reflection(environment, TABLES.grey, frame, HALF_ANGLE, around)[
+                0, :, 0
+            ].sum()
+        )
     steps = np.abs(np.diff(values))
     assert np.ptp(values) > 0.05
     assert steps.max() < 0.2 * np.ptp(values)
 
 
-def test_balls_are_left_out_of_the_room():
+def test_balls_are_left_out_of_the_map():
     scene = plain_scene("grey", 3)
     camera = scene.camera(CAMERA)
     balls = np.array([[*axis, half] for axis, half, _ in cones(scene, camera, 0.0)])
     pixels = Renderer(scene, CAMERA).picture(0.0)
     table = tone_table("srgb")
-    without = backdrop_of(pixels, camera.intrinsics.row, balls)
-    with_them = backdrop_of(pixels, camera.intrinsics.row, np.empty((0, 4)))
-    room = room_of([without], table)
-    assert room.colors.shape[1] == 80
-    assert np.abs(room.colors).max() < 0.02, "grey cloth has no colour"
-    assert np.abs(room_of([with_them], table).colors).max() > 0.1
+    without = background_of(pixels, camera.intrinsics.row, balls)
+    with_them = background_of(pixels, camera.intrinsics.row, np.empty((0, 4)))
+    environment = environment_of([without], table)
+    assert environment.colors.shape[1] == 80
+    assert np.abs(environment.colors).max() < 0.02, "grey cloth has no colour"
+    assert np.abs(environment_of([with_them], table).colors).max() > 0.1
     everywhere = np.array([[*AXIS, 2.0]])
-    nothing = backdrop_of(pixels, camera.intrinsics.row, everywhere)
-    assert room_of([nothing], table).colors.size == 0
+    nothing = background_of(pixels, camera.intrinsics.row, everywhere)
+    assert environment_of([nothing], table).colors.size == 0
 
 
-def test_a_room_is_learnt_from_balls_that_mirror_it():
+def test_the_map_is_used_where_balls_mirror_it():
     scene = plain_scene("clutter", 21)
-    learnt = lessons(scene, CAMERA)[-1]
-    assert learnt.room.colors.size > 0
+    estimated_appearance = estimates(scene, CAMERA)[-1]
+    assert estimated_appearance.environment.colors.size > 0
 
 
-def test_a_room_that_balls_do_not_mirror_is_not(monkeypatch):
+def test_a_map_that_balls_do_not_mirror_is_not_used(monkeypatch):
     """As no room could be: what is seen behind the balls is pasted in, and they mirror another."""
     scene = plain_scene("clutter", 21)
     seen = Renderer(scene, CAMERA)._backdrop
     monkeypatch.setattr(Renderer, "_backdrop", property(lambda _: seen))
-    other = lessons(replace(scene, backdrop=plain_scene("grey", 21).backdrop), CAMERA)[-1]
-    assert other.room.colors.size == 0
+    other = estimates(replace(scene, backdrop=plain_scene("grey", 21).backdrop), CAMERA)[-1]
+    assert other.environment.colors.size == 0
 
 
-def test_a_room_without_colour_is_not_learnt():
-    assert lessons(plain_scene("grey", 3), CAMERA)[-1].room.colors.size == 0
+def test_a_map_without_colour_is_not_used():
+    assert estimates(plain_scene("grey", 3), CAMERA)[-1].environment.colors.size == 0

@@ -7,31 +7,35 @@ import pytest
 
 from measure.simulation import Renderer
 from measure_plugins._outline.appearance.interreflection import (
+    add_ball_reflection,
+    ball_reflection_shares,
     balls_behind,
-    mirror_behind,
-    mirrored_behind,
 )
 from measure_plugins._outline.appearance.model import (
-    BELIEVED,
+    DEFAULT_CORRECTION_WEIGHT,
     GLOSSY,
     MATT,
     Appearance,
     first_appearance,
 )
-from measure_plugins._outline.appearance.point_lights import lamp_light
-from measure_plugins._outline.appearance.radial_basis import DEFLECTIONS, radial
+from measure_plugins._outline.appearance.point_lights import shade_by_lights
+from measure_plugins._outline.appearance.radial_basis import DEFLECTIONS, radial_tables
 from measure_plugins._outline.appearance.render import Ambient
-from measure_plugins._outline.fitting.edges import PredictionInputs, corrected_edges, find_twice
+from measure_plugins._outline.fitting.edges import (
+    PredictionInputs,
+    corrected_edges,
+    find_edge_pairs,
+)
 from measure_plugins._outline.sampling.ray_groups import middle_angles
 from measure_plugins._outline.sampling.rays import angles_around, cast_rays, frame_about
-from tests.plugins.outline.lessons import cones
+from tests.plugins.outline.estimates import cones
 from tests.simulated.catalogue import scene_catalogue
 
 RAYS = 72
 STEP = np.radians(10.0)
 
 
-def test_balls_behind_are_told_by_distance_and_in_radii():
+def test_balls_behind_are_given_in_radii():
     one, far, near = (np.array([x, 0.0, z]) for x, z in [(0, 500), (30, 540), (-20, 450)])
     found = balls_behind(_cone(one, 10.0), np.array([_cone(one, 10), _cone(far, 15), _cone(near)]))
     assert found == pytest.approx(np.array([[3.0, 0.0, 4.0, 1.5]]))
@@ -43,14 +47,14 @@ def _cone(center, radius=10.0):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_lines_of_sight_past_an_outline_leave_the_ball_behind_where_geometry_says(seed):
+def test_shares_of_the_ball_behind_follow_geometry(seed):
     rng = np.random.default_rng(seed)
     center, radius = np.array([*rng.uniform(-100, 100, 2), rng.uniform(300, 600)]), 16.0
     behind = center * 1.1 + rng.uniform(-20, 20, 3)
     cone = _cone(center, radius)
     frame, around = frame_about(cone[:3]), angles_around(RAYS)
     balls = balls_behind(cone, np.array([cone, _cone(behind, radius)]))
-    shares = mirrored_behind(balls, frame, cone[3], around)
+    shares = ball_reflection_shares(balls, frame, cone[3], around)
     if shares.size == 0:
         shares = np.full((len(DEFLECTIONS), RAYS), -1.0)
     bends = np.radians(np.arange(0, 90, 0.02))
@@ -73,19 +77,22 @@ def test_geometry_is_tried_with_balls_before_each_other():
     """Else the test above would compare nothing."""
     cone, behind = _cone(np.array([0.0, 0, 400]), 16), _cone(np.array([0.0, 20, 440]), 16)
     balls = balls_behind(cone, np.array([cone, behind]))
-    shares = mirrored_behind(balls, frame_about(cone[:3]), cone[3], angles_around(RAYS))
+    shares = ball_reflection_shares(balls, frame_about(cone[:3]), cone[3], angles_around(RAYS))
     assert 10 < np.count_nonzero(shares[0] > 0) < 40
-    assert mirrored_behind(balls[:0], frame_about(cone[:3]), cone[3], angles_around(RAYS)).size == 0
+    assert (
+        ball_reflection_shares(balls[:0], frame_about(cone[:3]), cone[3], angles_around(RAYS)).size
+        == 0
+    )
 
 
-def test_of_balls_behind_each_other_the_first_is_mirrored_in_whatever_order_they_come():
+def test_the_first_of_several_balls_behind_is_mirrored():
     cone = _cone(np.array([0.0, 0, 400]), 16)
     near, far = _cone(np.array([0.0, 20, 440]), 16), _cone(np.array([0.0, 30, 520]), 16)
     frame, around = frame_about(cone[:3]), angles_around(RAYS)
 
     def shares(*others):
         balls = balls_behind(cone, np.array([cone, *others]))
-        return mirrored_behind(balls, frame, cone[3], around)
+        return ball_reflection_shares(balls, frame, cone[3], around)
 
     alone, further = shares(near), shares(far)
     both = (alone[0] > 0) & (further[0] > 0)
@@ -97,13 +104,16 @@ def test_of_balls_behind_each_other_the_first_is_mirrored_in_whatever_order_they
 
 @pytest.mark.parametrize(("index", "mirrors"), [(MATT, True), (GLOSSY, False)])
 def test_balls_that_mirror_no_surroundings_mirror_no_ball(index, mirrors):
-    tables = radial(60.0, 0.045, 1.0, index, mirrors)
-    shares, light = np.ones((len(DEFLECTIONS), 4)), np.full((3, len(tables.nearby), 4), 0.2)
+    tables = radial_tables(60.0, 0.045, 1.0, index, mirrors)
+    shares, light = (
+        np.ones((len(DEFLECTIONS), 4)),
+        np.full((3, len(tables.grazing_reflection), 4), 0.2),
+    )
     background = np.tile([[0.9], [0.5], [0.1]], 4)
     grey = np.full(4, 0.5 * np.sqrt(3))
-    mirror_behind(shares, background, grey, tables, 0, light)
+    add_ball_reflection(shares, background, grey, tables, 0, light)
     assert light == pytest.approx(np.full(light.shape, 0.2), abs=1e-3)
-    mirror_behind(shares, background, grey, radial(60.0, 0.045, 1.0, GLOSSY), 0, light)
+    add_ball_reflection(shares, background, grey, radial_tables(60.0, 0.045, 1.0, GLOSSY), 0, light)
     assert np.abs(light - 0.2).max() > 0.02
 
 
@@ -118,7 +128,7 @@ def view():
     return pixels, camera.intrinsics.row, rows, names.index("green")
 
 
-def test_edges_before_another_ball_lie_nearer_to_the_outline_where_it_ends_in_the_mirror(view):
+def test_reflection_of_the_ball_behind_reduces_edge_error(view):
     with_it, without = _mean_error(view, True), _mean_error(view, False)
     assert without > 0.4, "surroundings that went on would be mirrored further"
     assert abs(with_it) < 0.5 * without
@@ -133,13 +143,13 @@ def _mean_error(view, known):
     rays, scale = cast_rays(frame, half_angle, RAYS, lens)
     tables = appearance.tables(half_angle * float(np.mean(scale)), half_angle)
     middles = middle_angles(rays.around)
-    shares = mirrored_behind(balls_behind(rows[green], rows), frame, half_angle, middles)
-    lit = lamp_light(tables.diffuse, tables.kept_out[0], middles, appearance.lamps)
-    told = shares if known else shares[:, :0].copy()
-    ambient = Ambient(lit, np.zeros((3, 0, len(middles))), told)
+    shares = ball_reflection_shares(balls_behind(rows[green], rows), frame, half_angle, middles)
+    lit = shade_by_lights(tables.diffuse, tables.fresnel_loss[0], middles, appearance.point_lights)
+    used = shares if known else shares[:, :0].copy()
+    ambient = Ambient(lit, np.zeros((3, 0, len(middles))), used)
     inputs = PredictionInputs(pixels, appearance.table, appearance.sensor, rays, tables, ambient)
-    found = find_twice(inputs)
-    edges = corrected_edges(found, BELIEVED)
+    found = find_edge_pairs(inputs)
+    edges = corrected_edges(found, DEFAULT_CORRECTION_WEIGHT)
     before = np.repeat(shares[0] > 0, RAYS // len(middles))
     good = before & (np.abs(edges.shifts) < 2.0)
     assert np.count_nonzero(good) > 8

@@ -7,30 +7,34 @@ import pytest
 
 from measure.simulation import Renderer
 from measure.simulation.catalogue import plain_scene
-from measure_plugins._outline.appearance.model import BELIEVED, MATT
+from measure_plugins._outline.appearance.model import DEFAULT_CORRECTION_WEIGHT, MATT
 from measure_plugins._outline.appearance.point_lights import (
-    fit_lamp_light,
-    lamp_body,
-    lamp_light,
-    no_lamps,
-    seen_from,
+    fit_light_shading,
+    lights_about,
+    no_point_lights,
+    shade_by_lights,
+    shaded_body,
 )
-from measure_plugins._outline.appearance.radial_basis import fresnel, radial
+from measure_plugins._outline.appearance.radial_basis import fresnel, radial_tables
 from measure_plugins._outline.appearance.render import Ambient
-from measure_plugins._outline.fitting.edges import PredictionInputs, corrected_edges, find_twice
+from measure_plugins._outline.fitting.edges import (
+    PredictionInputs,
+    corrected_edges,
+    find_edge_pairs,
+)
 from measure_plugins._outline.sampling.ray_groups import middle_angles
 from measure_plugins._outline.sampling.rays import OCCLUDED, STEPS, cast_rays, frame_about
-from tests.plugins.outline.lessons import cones, learner_of, lessons, settled
+from tests.plugins.outline.estimates import calibration_of, cones, estimates, settled
 
 CAMERA = "cam1"
 HALF_ANGLE, RADIUS_PX = 0.045, 63.0
-TABLES = radial(RADIUS_PX, HALF_ANGLE, 0.9, 1.5)
+TABLES = radial_tables(RADIUS_PX, HALF_ANGLE, 0.9, 1.5)
 TURNS = np.linspace(0, 2 * np.pi, 72, endpoint=False)
 AROUND = np.column_stack([np.cos(TURNS), np.sin(TURNS)])
 USED = int(np.searchsorted(STEPS, 1.0, side="right"))
 
 
-KEPT_OUT = float(TABLES.kept_out[0])
+KEPT_OUT = float(TABLES.fresnel_loss[0])
 
 
 def _lamp(direction, power=1.0):
@@ -46,47 +50,47 @@ def _normals(j):
     return np.column_stack([np.sin(tilt) * AROUND, np.full(72, -np.cos(tilt))]), incidence
 
 
-def test_a_lamp_lights_by_the_cosine_and_not_beyond_its_terminator():
-    lamp = _lamp([0.0, -0.8, 0.6], 2.0)  # from behind the ball, as a lamp overhead often is
-    matt, j = radial(RADIUS_PX, HALF_ANGLE, 0.9, MATT), int(np.searchsorted(STEPS, -8.0))
-    expected = 2 * np.maximum(_normals(j)[0] @ lamp[0, :3], 0)
-    lit = lamp_light(matt.diffuse, matt.kept_out[0], AROUND, lamp)[j]
+def test_a_point_light_shades_by_the_cosine_up_to_its_terminator():
+    light = _lamp([0.0, -0.8, 0.6], 2.0)  # from behind the ball, as a lamp overhead often is
+    matt, j = radial_tables(RADIUS_PX, HALF_ANGLE, 0.9, MATT), int(np.searchsorted(STEPS, -8.0))
+    expected = 2 * np.maximum(_normals(j)[0] @ light[0, :3], 0)
+    lit = shade_by_lights(matt.diffuse, matt.fresnel_loss[0], AROUND, light)[j]
     assert lit == pytest.approx(expected, abs=0.02)
     assert np.count_nonzero(expected) < 40
 
 
-def test_a_glossy_surface_reflects_what_enters_slantwise_as_it_does_what_leaves():
-    lamp, j = _lamp([0.0, -0.8, 0.6], 2.0), int(np.searchsorted(STEPS, -8.0))
+def test_light_entering_a_glossy_surface_has_a_fresnel_loss():
+    light, j = _lamp([0.0, -0.8, 0.6], 2.0), int(np.searchsorted(STEPS, -8.0))
     normals, incidence = _normals(j)
-    cosine = np.maximum(normals @ lamp[0, :3], 0)
+    cosine = np.maximum(normals @ light[0, :3], 0)
     entering = (1 - fresnel(cosine, 1.5)) / (1 - fresnel(np.ones(1), 1.5))
     leaving = 1 - fresnel(np.array([np.cos(incidence)]), 1.5)[0]
-    lit = lamp_light(TABLES.diffuse, KEPT_OUT, AROUND, lamp)[j]
+    lit = shade_by_lights(TABLES.diffuse, KEPT_OUT, AROUND, light)[j]
     assert lit == pytest.approx(2 * cosine * entering * leaving, abs=0.03)
-    unweakened = lamp_light(TABLES.diffuse, 0.0, AROUND, lamp)[j]
+    unweakened = shade_by_lights(TABLES.diffuse, 0.0, AROUND, light)[j]
     assert np.max(unweakened - lit) > 0.1
 
 
-def test_a_lamp_nearby_is_elsewhere_for_another_ball():
-    lamp = np.array([[0.0, -800.0, 300.0, 0.5]])  # above the camera, mm
+def test_a_near_light_has_another_direction_for_each_ball():
+    light = np.array([[0.0, -800.0, 300.0, 0.5]])  # above the camera, mm
     left, right = np.array([-0.2, 0.0, 1.0]), np.array([0.2, 0.0, 1.0])
     for axis in (left / np.linalg.norm(left), right / np.linalg.norm(right)):
         frame, ball = frame_about(axis), 400 * axis
-        seen = seen_from(lamp, frame, 400.0)[0]
-        way = lamp[0, :3] - ball
+        seen = lights_about(light, frame, 400.0)[0]
+        way = light[0, :3] - ball
         assert frame.T @ seen[:3] == pytest.approx(way / np.linalg.norm(way))
         assert seen[3] == pytest.approx(0.5 * 1e6 / (way @ way))
 
 
-def test_what_lights_a_ball_is_found_among_pixels_that_do_not_belong():
-    lit = lamp_light(TABLES.diffuse, KEPT_OUT, AROUND, _lamp([0.3, -0.9, -0.2]))
+def test_shading_is_fitted_robustly():
+    lit = shade_by_lights(TABLES.diffuse, KEPT_OUT, AROUND, _lamp([0.3, -0.9, -0.2]))
     true = np.array([0.1, 0.02, -0.03, 0.05, 0.7])
-    amounts = lamp_body(true, AROUND, TABLES.diffuse, lit, 0)
+    amounts = shaded_body(true, AROUND, TABLES.diffuse, lit, 0)
     rng, status = np.random.default_rng(1), np.zeros(72, np.int8)
     amounts[rng.random(amounts.shape) < 0.15] += 0.5  # a highlight, say
     status[10:20] = OCCLUDED
     amounts[:, 10:20] = 5.0
-    found = fit_lamp_light(amounts, status, AROUND, TABLES.diffuse, lit, USED)
+    found = fit_light_shading(amounts, status, AROUND, TABLES.diffuse, lit, USED)
     assert found == pytest.approx(true, abs=0.01)
 
 
@@ -96,17 +100,17 @@ def scene():
 
 
 @pytest.fixture(scope="module")
-def learnt(scene):
-    return lessons(scene, CAMERA)[-1]
+def estimated_appearance(scene):
+    return estimates(scene, CAMERA)[-1]
 
 
 @pytest.fixture(scope="module")
 def together(scene):
-    """What the camera knows when it has conferred with the others."""
-    learners = {camera.name: learner_of(camera) for camera in scene.cameras}
-    alone = {name: settled(learner, scene, name) for name, learner in learners.items()}
-    heard = [learner.lesson for learner in learners.values()]
-    return learners[CAMERA].told(alone[CAMERA], heard, bent=False)
+    """The camera's appearance fused with the others'."""
+    calibrations = {camera.name: calibration_of(camera) for camera in scene.cameras}
+    alone = {name: settled(calibration, scene, name) for name, calibration in calibrations.items()}
+    known = [calibration.estimate for calibration in calibrations.values()]
+    return calibrations[CAMERA].fuse(alone[CAMERA], known, bent=False)
 
 
 def _upside_down(scene):
@@ -129,25 +133,25 @@ def _turned(camera, axis, middle):
     return ray / np.linalg.norm(ray)
 
 
-def test_learnt_lamps_light_a_ball_as_the_scenes_lamps_do(scene, learnt):
+def test_estimated_lights_shade_a_ball_as_the_scenes_do(scene, estimated_appearance):
     normals, true = _true_light(scene)
     seen = normals[:, 2] < -0.1
-    assert np.all(learnt.lamps[:, 3] > 0)
-    lamps = _from_the_middle(scene, learnt.lamps)
-    assert _unlike(lamps, normals[seen], true[seen]) < 0.03
-    from_below = lamps * [1, -1, 1, 1]
+    assert np.all(estimated_appearance.point_lights[:, 3] > 0)
+    point_lights = _from_the_middle(scene, estimated_appearance.point_lights)
+    assert _unlike(point_lights, normals[seen], true[seen]) < 0.03
+    from_below = point_lights * [1, -1, 1, 1]
     assert _unlike(from_below, normals[seen], true[seen]) > 0.1
 
 
-def test_what_lights_the_far_side_of_balls_other_cameras_tell(scene, learnt, together):
+def test_other_cameras_improve_the_light_on_the_far_side(scene, estimated_appearance, together):
     normals, true = _true_light(scene)
     far = normals[:, 2] > 0.1
-    alone, told = (
-        _unlike(_from_the_middle(scene, one.lamps), normals[far], true[far])
-        for one in (learnt, together)
+    alone, fused = (
+        _unlike(_from_the_middle(scene, one.point_lights), normals[far], true[far])
+        for one in (estimated_appearance, together)
     )
-    assert told < 0.02
-    assert told < 0.75 * alone
+    assert fused < 0.02
+    assert fused < 0.75 * alone
 
 
 def _true_light(scene):
@@ -169,33 +173,37 @@ def _true_light(scene):
     return normals, true
 
 
-def _from_the_middle(scene, lamps):
+def _from_the_middle(scene, point_lights):
     """Lamps (k, 4) as a ball in the middle sees them, in the camera frame."""
     middle = scene.trajectory.at(np.array([0.0]))[0].apply(np.zeros(3))
     at = scene.camera(CAMERA).camera_from_world.apply(middle)
     distance = float(np.linalg.norm(at))
     frame = frame_about(at / distance)
-    seen = seen_from(lamps, frame, distance)
+    seen = lights_about(point_lights, frame, distance)
     seen[:, :3] = seen[:, :3] @ frame
     return seen
 
 
-def _unlike(lamps, normals, true):
+def _unlike(point_lights, normals, true):
     """What is left of true light (n,), as a share, by that of lamps and light from all round."""
-    cosine = np.maximum(normals @ lamps[:, :3].T, 0)
-    found = (cosine * (1 - KEPT_OUT * (1 - cosine) ** 5)) @ lamps[:, 3]
+    cosine = np.maximum(normals @ point_lights[:, :3].T, 0)
+    found = (cosine * (1 - KEPT_OUT * (1 - cosine) ** 5)) @ point_lights[:, 3]
     design = np.column_stack([found, np.ones(len(normals)), normals])
     left = true - design @ np.linalg.lstsq(design, true, rcond=None)[0]
     return np.sqrt(np.mean(left**2) / np.mean(true**2))
 
 
-def test_edges_on_the_dark_side_lie_nearer_to_the_outline_with_lamps(scene, learnt, together):
+def test_point_lights_reduce_edge_error_on_the_dark_side(scene, estimated_appearance, together):
     dark_with, bright_with = _mean_errors(scene, together)
-    dark_without, bright_without = _mean_errors(scene, replace(together, lamps=no_lamps()))
+    dark_without, bright_without = _mean_errors(
+        scene, replace(together, point_lights=no_point_lights())
+    )
     assert dark_without > 0.1, "a polynomial runs on past the terminator"
     assert abs(dark_with) < 0.5 * dark_without
     assert abs(bright_with) < abs(bright_without) + 0.05
-    assert abs(dark_with) < 0.5 * abs(_mean_errors(scene, learnt)[0]), "one camera alone"
+    assert abs(dark_with) < 0.5 * abs(_mean_errors(scene, estimated_appearance)[0]), (
+        "one camera alone"
+    )
 
 
 def _mean_errors(scene, appearance):
@@ -209,14 +217,19 @@ def _mean_errors(scene, appearance):
         frame = frame_about(axis)
         rays, scale = cast_rays(frame, half_angle, 72, camera.intrinsics.row)
         size = half_angle * float(np.mean(scale))
-        tables = radial(size, half_angle, appearance.blur_px, appearance.index)
-        lamps = seen_from(appearance.lamps, frame, distance)
-        light = lamp_light(tables.diffuse, tables.kept_out[0], middle_angles(rays.around), lamps)
+        tables = radial_tables(size, half_angle, appearance.blur_px, appearance.index)
+        point_lights = lights_about(appearance.point_lights, frame, distance)
+        light = shade_by_lights(
+            tables.diffuse, tables.fresnel_loss[0], middle_angles(rays.around), point_lights
+        )
         ambient = Ambient(light, np.zeros((3, 0, 36)), np.zeros((8, 0)))
-        found = find_twice(
+        found = find_edge_pairs(
             PredictionInputs(pixels, table, appearance.sensor, rays, tables, ambient)
         )
-        edges, center = corrected_edges(found, BELIEVED), pose.apply(ball.center_mm)
+        edges, center = (
+            corrected_edges(found, DEFAULT_CORRECTION_WEIGHT),
+            pose.apply(ball.center_mm),
+        )
         limb = rays.around @ frame[:2] @ camera.camera_from_world.rotation
         lit = np.full(72, -1.0)
         for light in scene.lighting.lights:
@@ -228,12 +241,12 @@ def _mean_errors(scene, appearance):
     return float(np.mean(np.concatenate(dark))), float(np.mean(np.concatenate(bright)))
 
 
-def test_pictures_that_no_lamps_explain_teach_none(scene):
-    assert len(lessons(scene, CAMERA, _upside_down(scene))[-1].lamps) == 0
+def test_inconsistent_pictures_give_no_point_lights(scene):
+    assert len(estimates(scene, CAMERA, _upside_down(scene))[-1].point_lights) == 0
 
 
-def test_light_from_all_round_passes_for_no_lamps(scene):
+def test_light_from_all_round_gives_no_point_lights(scene):
     """More of it comes from above: that needs no lamps either."""
     dull = replace(scene, lighting=replace(scene.lighting, lights=(), ambient_rgb=(0.6, 0.6, 0.6)))
-    assert len(lessons(dull, CAMERA)[-1].lamps) == 0
-    assert len(lessons(scene, CAMERA)[-1].lamps) > 1
+    assert len(estimates(dull, CAMERA)[-1].point_lights) == 0
+    assert len(estimates(scene, CAMERA)[-1].point_lights) > 1

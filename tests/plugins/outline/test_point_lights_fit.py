@@ -1,4 +1,4 @@
-"""Lamps' powers from what balls show: sums, unknowns that are not negative, several cameras."""
+"""Powers of point lights: normal equations, non-negative unknowns, several cameras."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from scipy.optimize import nnls
 
 from measure.processes import usable_cores
 from measure_plugins._outline.self_calibration.point_lights import (
-    Light,
+    LightEquations,
     add_normal,
     equations,
-    lamps_by,
     non_negative,
+    solve_point_lights,
 )
 
 
@@ -32,7 +32,7 @@ def test_normal_equations_are_weighted_sums_over_pixels():
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_unknowns_that_cannot_be_negative_are_those_of_lawson_and_hanson(seed):
+def test_non_negative_unknowns_are_those_of_lawson_and_hanson(seed):
     rng = np.random.default_rng(seed)
     a, b = rng.normal(size=(40, 8)), rng.normal(size=40)
     found = non_negative(a.T @ a, a.T @ b, np.zeros(8), 500)
@@ -40,28 +40,30 @@ def test_unknowns_that_cannot_be_negative_are_those_of_lawson_and_hanson(seed):
     assert np.any(found == 0)
 
 
-def test_cameras_tell_together_of_lamps_that_no_camera_sees_all_of():
+def test_cameras_together_find_lights_that_none_sees_all_of():
     """The second is exposed for half as long, and sees lamps from the second on only."""
     rng, true = np.random.default_rng(0), np.array([1.0, 0, 0.5, 2.0, 0, 1.5, 0, 0.2, *[0.1] * 6])
     places = rng.uniform(1, 2, (8, 4))
     seen_by = (slice(0, 6), slice(1, 8))
     lights = []
-    for exposure, lamps in zip((1.0, 0.5), seen_by, strict=True):
+    for exposure, point_lights in zip((1.0, 0.5), seen_by, strict=True):
         shares = rng.random((400, 14))
-        hidden = np.setdiff1d(np.arange(8), np.arange(8)[lamps])
+        hidden = np.setdiff1d(np.arange(8), np.arange(8)[point_lights])
         shares[:, hidden] = 0.0
         noise = 1e-4 * rng.normal(size=400)
-        lights.append(Light(places, *equations([shares], [exposure * shares @ true + noise])))
-    for light, lamps in zip(lights, seen_by, strict=True):
-        assert len(lamps_by([light])) == np.count_nonzero(true[:8][lamps])
-    found = lamps_by(lights)
+        lights.append(
+            LightEquations(places, *equations([shares], [exposure * shares @ true + noise]))
+        )
+    for light, point_lights in zip(lights, seen_by, strict=True):
+        assert len(solve_point_lights([light])) == np.count_nonzero(true[:8][point_lights])
+    found = solve_point_lights(lights)
     assert found[:, :3] == pytest.approx(places[true[:8] > 0, :3])
     power = found[:, 3] / places[true[:8] > 0, 3]
     assert power / power.sum() == pytest.approx(true[:8][true[:8] > 0] / 5.2, abs=0.01)
 
 
 @pytest.mark.skipif(usable_cores() < 2, reason="one core: no library has threads to share work")
-def test_learning_lamps_keeps_to_the_thread_that_asks():
+def test_point_lights_are_solved_in_the_calling_thread():
     """Threads of the linear algebra library wait for each other where cameras run side by side."""
     script = (
         "import sys, time\n"

@@ -10,7 +10,7 @@ from measure_plugins._outline.appearance.radial_basis import (
     _hats,
     fresnel,
     packed_radials,
-    radial,
+    radial_tables,
     unpacked,
 )
 
@@ -35,16 +35,16 @@ def test_paint_without_a_boundary_reflects_nothing():
 
 
 def test_inside_and_outside_share_a_ray_and_the_ball_is_none_of_what_is_outside():
-    tables = radial(*SIZES[0], blur_px=0.5, index=1.5)
+    tables = radial_tables(*SIZES[0], blur_px=0.5, index=1.5)
     assert tables.outside[0] == pytest.approx(0, abs=1e-9)
     assert tables.outside[-1] == pytest.approx(1, abs=1e-9)
     # What a matt ball sends out alike from everywhere is what the surroundings leave.
-    matt = radial(*SIZES[0], blur_px=0.5, index=1.0)
+    matt = radial_tables(*SIZES[0], blur_px=0.5, index=1.0)
     assert np.allclose(matt.diffuse[:, 0], 1 - matt.outside)
 
 
 def test_packed_tables_are_those_of_each_ball():
     rows = packed_radials(SIZES, 0.9, 1.5)
     for row, size in zip(rows, SIZES, strict=True):
-        for packed, table in zip(unpacked(row), radial(*size, 0.9, 1.5), strict=True):
+        for packed, table in zip(unpacked(row), radial_tables(*size, 0.9, 1.5), strict=True):
             assert np.array_equal(packed, table)

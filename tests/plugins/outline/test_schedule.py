@@ -1,39 +1,39 @@
-"""Which pictures of a recording are lessons."""
+"""Which pictures of a recording are estimated from."""
 
 from __future__ import annotations
 
 from measure.simulation import Renderer
 from measure_plugins._outline.appearance.model import first_appearance
-from tests.plugins.outline.lessons import cones, learner_of
+from tests.plugins.outline.estimates import calibration_of, cones
 from tests.simulated.catalogue import scene_catalogue
 
 
-def lessons_of(learner, scene, camera_name, pictures):
-    """Those of the numbered pictures that teach something; one picture stands for all."""
+def estimates_of(calibration, scene, camera_name, pictures):
+    """Those of the numbered pictures with which an estimate is due; all show the same."""
     camera = scene.camera(camera_name)
     pixels, balls = Renderer(scene, camera_name).picture(0.0, 0), cones(scene, camera, 0.0)
     out = []
     for number in pictures:
-        if learner.wants(len(balls), number / 30):
+        if calibration.wants_image(len(balls), number / 30):
             now = first_appearance("srgb")
-            if learner.shown(pixels, balls[:1], balls[1:], now) is not None:
+            if calibration.add_image(pixels, balls[:1], balls[1:], now) is not None:
                 out.append(number)
     return out
 
 
-def test_pictures_that_come_again_teach_nothing_again():
+def test_pictures_that_come_again_are_not_estimated_from():
     scene = scene_catalogue()["still"]
-    learner = learner_of(scene.camera("cam1"))
-    assert lessons_of(learner, scene, "cam1", range(1, 8)) == [2]
-    assert not learner.settled
-    assert lessons_of(learner, scene, "cam1", range(8, 9)) == [8]
-    assert learner.settled
-    assert lessons_of(learner, scene, "cam1", range(1, 40)) == [32]
-    assert lessons_of(learner, scene, "cam1", range(40)) == []
+    calibration = calibration_of(scene.camera("cam1"))
+    assert estimates_of(calibration, scene, "cam1", range(1, 8)) == [2]
+    assert not calibration.settled
+    assert estimates_of(calibration, scene, "cam1", range(8, 9)) == [8]
+    assert calibration.settled
+    assert estimates_of(calibration, scene, "cam1", range(1, 40)) == [32]
+    assert estimates_of(calibration, scene, "cam1", range(40)) == []
 
 
-def test_of_a_short_rehearsal_the_lesson_that_is_left_comes_in_its_turn():
+def test_the_second_estimate_follows_a_short_burn_in():
     scene = scene_catalogue()["still"]
-    learner = learner_of(scene.camera("cam1"))
-    assert lessons_of(learner, scene, "cam1", range(1, 6)) == [2]
-    assert lessons_of(learner, scene, "cam1", range(1, 10)) == [8]
+    calibration = calibration_of(scene.camera("cam1"))
+    assert estimates_of(calibration, scene, "cam1", range(1, 6)) == [2]
+    assert estimates_of(calibration, scene, "cam1", range(1, 10)) == [8]

@@ -1,7 +1,7 @@
-"""Looks that lead to and fro settle, because a step back is halved.
+"""Iterations that oscillate converge, because a step back is halved.
 
-What a look shows of a displacement is learnt, and may since have changed: where nearly twice
-as much is made of it as it is, each look leads about as far off on the other side.
+A step gain is measured once and may since have changed: where it is nearly twice too large, each
+scan leads about as far off on the other side.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import pytest
 from measure.simulation.renderer import Renderer
 from measure.simulation.sensor import encode
 from measure_plugins._outline.fitting import batch as balls
-from measure_plugins._outline.fitting import known_size as close_outlines
+from measure_plugins._outline.fitting import measurement
 from measure_plugins.detectors import _known_balls
 from measure_plugins.detectors.outline import OutlineConfig, OutlineDetector
 from tests.plugins.detectors.drawing import expect, image_of
@@ -29,13 +29,13 @@ _FALSE_GAIN = 1.8
 
 def without_halving():
     """`measure_balls` that steps back as far as it came."""
-    source = inspect.getsource(close_outlines._settled.py_func)
+    source = inspect.getsource(measurement._iterate_corrected.py_func)
     assert source.count(_HALVING) == 1
-    settled = _compiled(close_outlines, source.replace(_HALVING, "step *= 1.0"), "_settled")
-    source = inspect.getsource(close_outlines.measure_closely.py_func)
-    closely = _compiled(close_outlines, source, "measure_closely", _settled=settled)
+    iterate = _compiled(measurement, source.replace(_HALVING, "step *= 1.0"), "_iterate_corrected")
+    source = inspect.getsource(measurement.measure_known_size.py_func)
+    closely = _compiled(measurement, source, "measure_known_size", _iterate_corrected=iterate)
     source = inspect.getsource(balls.measure_balls.py_func)
-    return _compiled(balls, source, "measure_balls", measure_closely=closely)
+    return _compiled(balls, source, "measure_balls", measure_known_size=closely)
 
 
 def _compiled(module, source, name, **other):
@@ -61,7 +61,9 @@ def views():
         ]
         out.append((image_of(camera, cv2.imdecode(data, cv2.IMREAD_COLOR)), expected))
     detector = OutlineDetector(OutlineConfig(self_calibrate=False), scene.body, camera)
-    detector._balls.learn_gains({ball.name: _FALSE_GAIN * np.eye(2) for ball in scene.body.balls})
+    detector._balls.set_step_gains(
+        {ball.name: _FALSE_GAIN * np.eye(2) for ball in scene.body.balls}
+    )
     return detector, out
 
 
@@ -70,7 +72,7 @@ def measured(views):
     return [[d.ball for d in detector.detect(image, expected)] for image, expected in pictures]
 
 
-def test_outlines_settle_though_looks_overshoot(views):
+def test_outlines_converge_though_scans_overshoot(views):
     assert measured(views) == [["green", "yellow", "red"]] * len(_FRAMES)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from measure_plugins._outline.appearance.dichromatic import reflected_light
-from measure_plugins._outline.appearance.radial_basis import packed_radials, radial, unpacked
+from measure_plugins._outline.appearance.radial_basis import packed_radials, radial_tables, unpacked
 from measure_plugins._outline.appearance.spherical_harmonics import (
     angular_terms,
     fit_shading,
@@ -13,7 +13,7 @@ from measure_plugins._outline.appearance.spherical_harmonics import (
 )
 from measure_plugins._outline.sampling.rays import CLEAR, OCCLUDED, STEPS
 
-LOBES = radial(60.0, 0.045, 1.0, 1.5).diffuse
+LOBES = radial_tables(60.0, 0.045, 1.0, 1.5).diffuse
 COEFFICIENTS = np.array([0.1, 0.4, 0.02, 0.1, 0.05, -0.08, 0.04, 0.03, -0.02])
 AROUND = np.array([(np.cos(a), np.sin(a)) for a in np.linspace(0, 2 * np.pi, 72, endpoint=False)])
 ANGULAR = angular_terms(AROUND)
@@ -78,7 +78,7 @@ def test_packed_tables_are_the_same_tables():
     packed = packed_radials(outlines, 1.0, 1.5)
     assert len(packed) == 2
     for row, (radius_px, half_angle) in zip(packed, outlines, strict=True):
-        tables = radial(radius_px, half_angle, 1.0, 1.5)
+        tables = radial_tables(radius_px, half_angle, 1.0, 1.5)
         for name, one, other in zip(tables._fields, tables, unpacked(row), strict=True):
             assert one.shape == other.shape, name
             assert np.array_equal(one, other), name
@@ -86,11 +86,14 @@ def test_packed_tables_are_the_same_tables():
 
 
 def test_reflected_light_is_found_behind_rays_that_are_not_clear():
-    tables = radial(60.0, 0.045, 1.0, 1.5)
+    tables = radial_tables(60.0, 0.045, 1.0, 1.5)
     true = np.linspace(0.8, 0.2, tables.grey.shape[1])
     grey, status = np.repeat((tables.grey @ true)[:, None], 72, axis=1), ALL_CLEAR.copy()
     grey[:, 10:30], status[10:30] = 5.0, OCCLUDED
-    found = reflected_light(grey, status, tables.solve_grey) + tables.tie_grey[:, None] * true[0]
+    found = (
+        reflected_light(grey, status, tables.reflection_solver)
+        + tables.reflection_prior[:, None] * true[0]
+    )
     for ray in (0, 9, 30, 71):
         off = np.abs(tables.grey @ found[:, ray] - tables.grey @ true)[FIRST:LAST]
         assert off.max() < 0.02 * (tables.grey @ true).max()

@@ -12,7 +12,7 @@ from measure_plugins._outline.appearance.model import GLOSSY, tone_table
 from measure_plugins._outline.appearance.model import MATT as MATT_INDEX
 from measure_plugins._outline.self_calibration import response_and_blur as appearance_fit
 from measure_plugins._outline.self_calibration.specularity import highlights
-from tests.plugins.outline.lessons import lessons
+from tests.plugins.outline.estimates import estimates
 
 SIZE, CENTER, RADIUS = 101, np.array([50.0, 50.0]), 40.0
 ANGLES = np.linspace(0, 2 * np.pi, 72, endpoint=False)
@@ -33,12 +33,12 @@ def _ball(color, spot_px=0.0, spot_at=(60, 40), noise=3.0):
     return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
 
 
-def test_a_lamps_spot_tells_and_noise_and_shade_do_not():
+def test_a_lights_spot_counts_and_noise_and_shade_do_not():
     assert highlights([(_ball(RED, 4.0), OUTLINE, CLEAR)], LIGHT) > 0.5
     assert highlights([(_ball(RED), OUTLINE, CLEAR)], LIGHT) < 0.1
 
 
-def test_a_white_ball_does_not_tell():
+def test_a_white_ball_has_no_measurable_highlight():
     assert np.isnan(highlights([(_ball(WHITE, 4.0), OUTLINE, CLEAR)], LIGHT))
     assert np.isnan(highlights([], LIGHT))
 
@@ -51,7 +51,7 @@ def test_what_stands_in_front_of_a_ball_does_not_count():
     assert np.isnan(highlights([(shown, OUTLINE, ~CLEAR)], LIGHT))
 
 
-def test_one_ball_of_three_that_shows_another_lamp_or_a_stem_does_not_decide():
+def test_one_ball_of_three_does_not_decide():
     balls = [(_ball(RED, spot), OUTLINE, CLEAR) for spot in (0.0, 5.0, 0.0)]
     assert highlights(balls, LIGHT) < 0.1
 
@@ -71,8 +71,8 @@ def _sharpened(finish):
     return replace(scene, sensor=replace(scene.sensor, tone="2.2", sharpen=0.8), finish=finish)
 
 
-def _learnt_index(scene, camera):
-    return lessons(scene, camera)[1].index
+def _estimated_index(scene, camera):
+    return estimates(scene, camera)[1].index
 
 
 def _without_highlights(monkeypatch):
@@ -82,21 +82,21 @@ def _without_highlights(monkeypatch):
 def test_glossy_balls_in_small_pictures_are_not_taken_for_matt_ones(monkeypatch):
     cameras = ("cam0", "cam1", "cam2", "cam3")
     scene = _small_pictures()
-    assert {_learnt_index(scene, camera) for camera in cameras} == {GLOSSY}
+    assert {_estimated_index(scene, camera) for camera in cameras} == {GLOSSY}
     _without_highlights(monkeypatch)
-    by_prediction = {_learnt_index(scene, camera) for camera in cameras}
+    by_prediction = {_estimated_index(scene, camera) for camera in cameras}
     assert MATT_INDEX in by_prediction, "predictions alone mistake them"
 
 
 @pytest.mark.parametrize(("finish", "index"), [(MATT, MATT_INDEX), (PLASTIC, GLOSSY)])
-def test_the_surface_is_told_where_pictures_are_sharpened(finish, index):
-    assert _learnt_index(_sharpened(finish), "cam1") == index
+def test_the_surface_is_found_where_pictures_are_sharpened(finish, index):
+    assert _estimated_index(_sharpened(finish), "cam1") == index
 
 
 def test_without_highlights_the_glossy_model_must_be_clearly_better(monkeypatch):
     """Of sharpened pictures of matt paint it left 0.8 to 0.87 of what the matt one did."""
     monkeypatch.setattr(appearance_fit, "_share", lambda *_: 0.86)
-    assert _learnt_index(_sharpened(MATT), "cam1") == MATT_INDEX
-    assert _learnt_index(_sharpened(PLASTIC), "cam1") == GLOSSY
+    assert _estimated_index(_sharpened(MATT), "cam1") == MATT_INDEX
+    assert _estimated_index(_sharpened(PLASTIC), "cam1") == GLOSSY
     _without_highlights(monkeypatch)
-    assert _learnt_index(_sharpened(MATT), "cam1") == GLOSSY
+    assert _estimated_index(_sharpened(MATT), "cam1") == GLOSSY

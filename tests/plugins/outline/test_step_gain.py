@@ -1,4 +1,4 @@
-"""One look leads to where many do, once it is known how much it shows of a displacement."""
+"""One scan leads to where many do, once the step gain is known."""
 
 from __future__ import annotations
 
@@ -9,20 +9,24 @@ import pytest
 from measure.simulation.renderer import Renderer
 from measure.simulation.sensor import encode
 from measure_plugins._outline.fitting.batch import cones_of
-from measure_plugins._outline.fitting.outline import fit_look, turned
-from measure_plugins._outline.fitting.scan import Search, light_about, look_closely
-from measure_plugins._outline.fitting.step_gain import CORRECTED_GROWTH, measured_gain, restore
+from measure_plugins._outline.fitting.outline import corrected_axis, fit_scan
+from measure_plugins._outline.fitting.scan import OutlineSearch, ambient_light, scan_with_model
+from measure_plugins._outline.fitting.step_gain import (
+    CORRECTED_GROWTH,
+    apply_step_gain,
+    measure_step_gain,
+)
 from measure_plugins.detectors.outline import OutlineConfig, OutlineDetector
 from tests.plugins.detectors.drawing import expect, image_of
 from tests.simulated.catalogue import scene_catalogue
 
-_ASIDE_PX = 0.3
+_OFFSET_PX = 0.3
 _UNKNOWN = np.eye(2)
-_NO_LAMPS_MM = 300.0  # only lamps ask how far a ball is, and there are none
+_NO_LIGHTS_MM = 300.0  # only point lights need the distance, and there are none
 
 
-def sight(camera_name):
-    """A picture before a cluttered background: body, camera, picture and the balls' centres, mm."""
+def patch(camera_name):
+    """Body, camera, picture with a cluttered background, and the balls' centres in mm."""
     scene = scene_catalogue()["plain-clutter"]
     camera = scene.camera(camera_name)
     picture = Renderer(scene, camera_name).picture(0.0, 0)
@@ -36,87 +40,89 @@ def sight(camera_name):
 
 @pytest.fixture(scope="module")
 def scene_view():
-    return sight("cam0")
+    return patch("cam0")
 
 
 @pytest.fixture(scope="module")
 def balls(scene_view):
-    """For every ball: its settled search, the picture, and what the model says it shows."""
+    """For every ball: the picture, its converged search, and its tables."""
     body, camera, image, seen = scene_view
     detector = OutlineDetector(OutlineConfig(self_calibrate=False), body, camera)
     radii = np.array([ball.radius_mm for ball in body.balls])
     view, cones = detector._view(image), cones_of(seen, radii, camera.intrinsics.row)
     out = []
     for axis, half_angle, size_px in zip(cones[:, :3], cones[:, 3], cones[:, 5], strict=True):
-        radial = detector._appearance.tables(size_px, half_angle)
+        tables = detector._appearance.tables(size_px, half_angle)
         for _ in range(12):
-            axis, _ = looked(view, axis, half_angle, radial, _UNKNOWN)
-        out.append((view, search_for(axis, half_angle), radial))
+            axis, _ = scanned(view, axis, half_angle, tables, _UNKNOWN)
+        out.append((view, search_for(axis, half_angle), tables))
     return out
 
 
-def search_for(axis, half_angle, gain=_UNKNOWN):
+def search_for(axis, half_angle, step_gain=_UNKNOWN):
     none = np.empty((0, 4))
-    return Search(axis, half_angle, none, none, 0.0, 72, 0.06, 7.0, _NO_LAMPS_MM, gain)
+    return OutlineSearch(axis, half_angle, none, none, 0.0, 72, 0.06, 7.0, _NO_LIGHTS_MM, step_gain)
 
 
-def looked(view, axis, half_angle, radial, gain):
-    """The axis that one look leads to, and the look."""
+def scanned(view, axis, half_angle, tables, step_gain):
+    """The axis that one scan leads to, and the scan."""
     search = search_for(axis, half_angle)
-    ambient = light_about(view, search, axis, radial)
-    look = look_closely(view, search, axis, half_angle, radial, ambient)
-    fit = fit_look(look, CORRECTED_GROWTH, False)
-    restore(look, fit, gain)
-    return turned(look, fit), look
+    ambient = ambient_light(view, search, axis, tables)
+    scan = scan_with_model(view, search, axis, half_angle, tables, ambient)
+    fit = fit_scan(scan, CORRECTED_GROWTH, False)
+    apply_step_gain(scan, fit, step_gain)
+    return corrected_axis(scan, fit), scan
 
 
-def off_after_one_look(balls, gains):
-    """How far looks from around lead past the settled outlines, RMS in px."""
+def off_after_one_scan(balls, step_gains):
+    """RMS distance in px of single scans from around to the converged outlines."""
     off = []
-    for (view, search, radial), gain in zip(balls, gains, strict=True):
-        _, look = looked(view, search.axis, search.half_angle, radial, gain)
-        px_per_rad = float(np.mean(look.scale))
+    for (view, search, tables), step_gain in zip(balls, step_gains, strict=True):
+        _, scan = scanned(view, search.axis, search.half_angle, tables, step_gain)
+        px_per_rad = float(np.mean(scan.scale))
         for angle in np.radians([20, 110, 200, 290]):
-            aside = np.cos(angle) * look.frame[0] + np.sin(angle) * look.frame[1]
-            start = search.axis + _ASIDE_PX / px_per_rad * aside
-            axis, _ = looked(view, start / np.linalg.norm(start), search.half_angle, radial, gain)
+            offset = np.cos(angle) * scan.frame[0] + np.sin(angle) * scan.frame[1]
+            start = search.axis + _OFFSET_PX / px_per_rad * offset
+            axis, _ = scanned(
+                view, start / np.linalg.norm(start), search.half_angle, tables, step_gain
+            )
             off.append(px_per_rad * np.linalg.norm(axis - search.axis))
     return float(np.sqrt(np.mean(np.square(off))))
 
 
-def test_with_the_gain_one_look_does_what_takes_several_without(balls):
-    unknown = off_after_one_look(balls, [_UNKNOWN] * len(balls))
-    known = off_after_one_look(balls, [measured_gain(*ball) for ball in balls])
+def test_one_scan_with_the_step_gain_replaces_several(balls):
+    unknown = off_after_one_scan(balls, [_UNKNOWN] * len(balls))
+    known = off_after_one_scan(balls, [measure_step_gain(*ball) for ball in balls])
     assert unknown > 0.1
     assert known < 0.65 * unknown
 
 
-def test_little_is_made_of_a_look_that_hardly_answers(balls):
+def test_step_gain_of_a_picture_without_response_is_one(balls):
     """A ball whose picture is all model: shaded so evenly that no displacement shows."""
-    view, search, radial = balls[0]
+    view, search, tables = balls[0]
     blank = view._replace(pixels=np.full_like(view.pixels, 128))
-    np.testing.assert_array_equal(measured_gain(blank, search, radial), _UNKNOWN)
+    np.testing.assert_array_equal(measure_step_gain(blank, search, tables), _UNKNOWN)
 
 
 def test_edges_move_with_the_axis(balls):
-    view, search, radial = balls[0]
-    gain = np.array([[1.5, 0.2], [0.1, 1.3]])
+    view, search, tables = balls[0]
+    step_gain = np.array([[1.5, 0.2], [0.1, 1.3]])
     start = search.axis + 0.4e-3 * np.array([1.0, 0.0, 0.0])
     start /= np.linalg.norm(start)
-    _, plain = looked(view, start, search.half_angle, radial, _UNKNOWN)
-    before = fit_look(plain, CORRECTED_GROWTH, False)
-    _, moved = looked(view, start, search.half_angle, radial, gain)
-    after = fit_look(moved, CORRECTED_GROWTH, False)
-    np.testing.assert_allclose(after.solution[:2], gain @ before.solution[:2], atol=2e-3)
+    _, plain = scanned(view, start, search.half_angle, tables, _UNKNOWN)
+    before = fit_scan(plain, CORRECTED_GROWTH, False)
+    _, moved = scanned(view, start, search.half_angle, tables, step_gain)
+    after = fit_scan(moved, CORRECTED_GROWTH, False)
+    np.testing.assert_allclose(after.solution[:2], step_gain @ before.solution[:2], atol=2e-3)
     assert after.solution[2] == pytest.approx(before.solution[2], abs=2e-3)
 
 
 def test_detections_do_not_lean_towards_their_predictions():
-    """Twice the same picture, predicted from either side: a look each, and the same centres.
+    """Twice the same picture, predicted from either side: a scan each, and the same centres.
 
     One camera's picture tells little: how much balls lean differs from picture to picture.
     """
-    leanings = [_leaning(*sight(f"cam{k}")) for k in range(4)]
+    leanings = [_leaning(*patch(f"cam{k}")) for k in range(4)]
     assert np.sqrt(np.mean(np.square(leanings))) < 0.15
 
 

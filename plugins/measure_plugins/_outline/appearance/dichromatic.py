@@ -1,8 +1,8 @@
-"""What lights a ball, fitted to what its rays show.
+"""The dichromatic reflection model (Shafer 1985): a ball's light is body plus surface reflection.
 
-Each pixel inside is split into an amount of the ball's own colour and an amount of grey (reflected
-light). The first is fitted along the whole contour (`lamps`, `quadratic`), the second ray by ray.
-Profiles are (3, m, n): colours, steps along the rays, rays.
+Each pixel inside is split into an amount of the body colour and an amount of grey, the reflected
+light. The former is fitted along the whole outline (`point_lights`, `spherical_harmonics`), the
+latter ray by ray. Profiles are (3, m, n): colours, steps along the rays, rays.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ COLORLESS = 0.15
 """Sine of the angle between a ball's colour and grey below which the two cannot be told apart."""
 _OWN_LAST_PX = -3.0
 _COLOR_RAYS = 36
-"""Neighbouring rays show much the same: a ball's colour is taken from about so many of them."""
+"""The body colour is taken from about so many rays, evenly spaced."""
 _NEIGHBOURS = tuple(float(w) for w in np.exp(-0.5 * (np.arange(5) / 1.5) ** 2))
-"""Weights of a ray, and of those one to four further on."""
+"""Weights of a ray and of those one to four further on: a normal distribution of sd 1.5 rays."""
 
 
 @compiled
-def own_color(profiles: Floats, status: Statuses, steps: Floats) -> Floats:
-    """Unit colour (3,) of the ball's own light: the mean of its least grey well-lit pixels."""
+def body_color(profiles: Floats, status: Statuses, steps: Floats) -> Floats:
+    """Unit colour (3,) of the body reflection: the mean of the least grey well-lit pixels."""
     m, n = profiles.shape[1:]
     every = max(n // _COLOR_RAYS, 1)
     colors = np.empty((3, n * m))
@@ -63,7 +63,7 @@ def own_color(profiles: Floats, status: Statuses, steps: Floats) -> Floats:
 def split(
     blue: Floats, green: Floats, red: Floats, own: Floats, amount: Floats, grey: Floats
 ) -> None:
-    """Amounts (n,) of a ball's own colour and of grey in colours (n,), by least squares."""
+    """Fill amounts (n,) of the body colour and of grey in colours (n,), by least squares."""
     b = np.sum(own) * GREY
     apart = 1 - b * b
     separable = apart > COLORLESS**2
@@ -82,7 +82,7 @@ def every_second(values: Floats, used: int, rays: Ints) -> Floats:
     """Every second of the first `used` rows of (m, n), on the rays (k,).
 
     Returns:
-        (p, k or more): columns of zeros fill up the last vector of the machine.
+        (p, k or more): filled with columns of zeros up to a whole number of vectors.
     """
     out = np.zeros(((used + 1) // 2, whole_vectors(len(rays), DOUBLES)))
     for j in range(len(out)):
@@ -101,12 +101,12 @@ def reflected_light(grey: Floats, status: Statuses, solve: Floats) -> Floats:
         solve: (k, m) from a profile to the reflected light.
 
     Returns:
-        Means over neighbouring clear rays, all round (weights of a normal of 1.5 rays).
+        Weighted means over neighbouring clear rays.
     """
     knots, n = len(solve), grey.shape[1]
     seen = np.nonzero(solve[0])[0]
     single, shares = np.zeros((knots + 1, n)), np.zeros((knots + 1, n))
-    if len(seen) > 0:  # some paint reflects nothing
+    if len(seen) > 0:  # else the surface reflects nothing
         first, last = seen[0], seen[-1] + 1
         times(solve[:, first:last], grey[first:last], single[:knots])
     single[knots] = 1.0
@@ -120,7 +120,7 @@ def reflected_light(grey: Floats, status: Statuses, solve: Floats) -> Floats:
 
 @compiled
 def _sum_of_neighbours(rows: Floats, status: Statuses, out: Floats) -> None:
-    """Weighted sums over neighbouring clear rays, all round, of rows (k, n) into `out` (k, n)."""
+    """Fill `out` (k, n) with weighted sums of rows (k, n) over neighbouring clear rays."""
     n = rows.shape[1]
     reach = len(_NEIGHBOURS) - 1
     a, b, c, d, e = _NEIGHBOURS

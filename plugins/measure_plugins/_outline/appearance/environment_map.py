@@ -1,8 +1,8 @@
-"""What balls mirror of a room, as the camera's own pictures show that room.
+"""What balls mirror of their surroundings, taken from the camera's own pictures of those.
 
-Just inside its outline a ball turns the line of sight outwards by some tens of degrees. It goes on
-away from the camera, into a part of the room that is in the camera's picture too, further out than
-the ball: not as much further as the line of sight is turned, for the camera stands further back.
+Just inside its outline a ball deflects the line of sight outwards by some tens of degrees. The ray
+goes on away from the camera, to something that the camera sees too, at an angle from the ball that
+is a share of the deflection, because the camera stands further back.
 """
 
 from __future__ import annotations
@@ -16,27 +16,27 @@ from measure.compiling import compiled, inlined
 from measure.geometry.linear_kernels import times
 from measure_plugins._outline.appearance.radial_basis import DEFLECTIONS, FADE_RAD
 
-_AHEAD = 0.2
-"""Cosine from the optical axis of directions that no camera of this kind sees any more."""
+_MIN_COSINE = 0.2
+"""Cosine from the optical axis below which directions count as unseen."""
 _BEYOND_RAD = float(DEFLECTIONS[1] - DEFLECTIONS[0])
-"""Past the picture's border colours go on, and are gone after the step in which mirrored directions
-are told apart: a ball that moves must not see them end at once."""
-_EVEN = 7
-"""So many of these are even steps; further in, little is mirrored."""
-_NOTHING = 1e-6
+"""Angle past the picture's border over which colours fade out, so that they change continuously
+where a ball moves: the step of `DEFLECTIONS`."""
+_EVEN_KNOTS = 7
+"""The first so many deflections are evenly spaced; at larger ones little is mirrored."""
+_MIN_STRENGTH = 1e-6
 
 
-class Room(NamedTuple):
-    """A camera's surroundings, coarsely, over even steps of the undistorted image plane.
+class EnvironmentMap(NamedTuple):
+    """A camera's surroundings on a coarse grid of the undistorted image plane.
 
     Attributes:
-        colors: (h, w, 3) how far the light there is from grey, B G R; none (0, 0, 3) if not known.
-        corner: (2,) x / z and y / z of the first of them.
-        step: their distance in either direction.
-        share: (4,) of the angle by which a ball turns a line of sight, how far from the ball the
-            camera sees what it meets, on the right of the picture, below, on the left and above:
-            what is near, like a floor, less than what is far.
-        strength: (4,) how much of it is seen on balls, on these sides.
+        colors: (h, w, 3) chromatic component of the light, B G R; (0, 0, 3) if not known.
+        corner: (2,) x / z and y / z of the first cell.
+        step: of the grid, in x / z and y / z.
+        share: (4,) angle from the ball at which the camera sees what the ball mirrors, as a share
+            of the deflection, on the right of the picture, below, left and above; less for what is
+            near, like a floor.
+        strength: (4,) factor of the light on these sides.
     """
 
     colors: Floats
@@ -46,33 +46,32 @@ class Room(NamedTuple):
     strength: Floats
 
 
-def no_room() -> Room:
-    """Nothing known."""
-    return Room(np.zeros((0, 0, 3)), np.zeros(2), 1.0, np.zeros(4), np.zeros(4))
+def no_environment() -> EnvironmentMap:
+    """The map where nothing is known."""
+    return EnvironmentMap(np.zeros((0, 0, 3)), np.zeros(2), 1.0, np.zeros(4), np.zeros(4))
 
 
 @compiled
-def room_light(
-    room: Room, grey: Floats, frame: Floats, half_angle: float, around: Floats
+def environment_reflection(
+    environment: EnvironmentMap, grey: Floats, frame: Floats, half_angle: float, around: Floats
 ) -> Floats:
-    """Colour (3, m, n) a ball mirrors beyond what is seen beside it; empty without a room.
+    """Chromatic light (3, m, n) that a ball mirrors of the map; empty where none is known.
 
-    Found on every second ray: in between it is the mean of its neighbours.
-    Where the room is as it is beside the ball, that is nothing; what is seen beside it, be it
-    another ball, `radial.Radial.nearby` adds.
+    Less what is seen beside the ball, which `RadialTables.grazing_reflection` adds. It is computed
+    on every second ray, and the mean of its neighbours in between.
 
     Args:
-        room: the surroundings.
-        grey: (m, k) see `radial.Radial`.
+        environment: the map.
+        grey: (m, k) see `RadialTables`.
         frame: (3, 3) about the ball's axis, see `rays.frame_about`.
         half_angle: of its cone, rad.
         around: (n, 2) cosine and sine around the axis.
     """
-    n, known = len(around), room.colors.size > 0
+    n, known = len(around), environment.colors.size > 0
     out = np.zeros((3, len(grey) if known else 0, n))
     if not known:
         return out
-    colors = _at_knots(room, frame, half_angle, np.ascontiguousarray(around[::2]))
+    colors = _at_knots(environment, frame, half_angle, np.ascontiguousarray(around[::2]))
     some = np.zeros((len(grey), colors.shape[2]))
     for c in range(3):
         some[:] = 0.0
@@ -88,47 +87,49 @@ def room_light(
 
 
 @compiled
-def _at_knots(room: Room, frame: Floats, half_angle: float, around: Floats) -> Floats:
-    """Colours (3, k, n) beyond those beside the ball, by how far it turns the line of sight."""
+def _at_knots(
+    environment: EnvironmentMap, frame: Floats, half_angle: float, around: Floats
+) -> Floats:
+    """Colours (3, k, n) of the map at `DEFLECTIONS`, less those beside the ball."""
     n, sides, beside = len(around), np.empty(4), np.empty(3)
-    colors, flat = np.zeros((3, len(DEFLECTIONS), n)), room.colors.reshape(-1)
-    rows, columns = room.colors.shape[0], room.colors.shape[1]
-    left, top, per = room.corner[0], room.corner[1], 1 / room.step
+    colors, flat = np.zeros((3, len(DEFLECTIONS), n)), environment.colors.reshape(-1)
+    rows, columns = environment.colors.shape[0], environment.colors.shape[1]
+    left, top, per = environment.corner[0], environment.corner[1], 1 / environment.step
     row, one = np.uint64(3 * columns), np.uint64(3)
     for i in range(n):
-        by_side(frame, around[i], sides)
-        share, strength = _mean(room.share, sides), _mean(room.strength, sides)
-        if strength < _NOTHING:
+        side_weights(frame, around[i], sides)
+        share, strength = _mean(environment.share, sides), _mean(environment.strength, sides)
+        if strength < _MIN_STRENGTH:
             continue
         x = around[i, 0] * frame[0, 0] + around[i, 1] * frame[1, 0]
         y = around[i, 0] * frame[0, 1] + around[i, 1] * frame[1, 1]
         z = around[i, 0] * frame[0, 2] + around[i, 1] * frame[1, 2]
-        along, aside = np.cos(half_angle), np.sin(half_angle)
+        axial, radial = np.cos(half_angle), np.sin(half_angle)
         cosine, sine = np.cos(share * _BEYOND_RAD), np.sin(share * _BEYOND_RAD)
-        for k in range(_EVEN):
-            depth = along * frame[2, 2] + aside * z
-            deep = max(depth, _AHEAD)
-            u = ((along * frame[2, 0] + aside * x) / deep - left) * per
-            v = ((along * frame[2, 1] + aside * y) / deep - top) * per
+        for k in range(_EVEN_KNOTS):
+            depth = axial * frame[2, 2] + radial * z
+            deep = max(depth, _MIN_COSINE)
+            u = ((axial * frame[2, 0] + radial * x) / deep - left) * per
+            v = ((axial * frame[2, 1] + radial * y) / deep - top) * per
             first, a, b, beyond = _place(u, v, rows, columns)
-            weight = strength * max(1 - beyond * room.step / _BEYOND_RAD, 0.0)
-            weight = weight if depth > _AHEAD else 0.0
+            weight = strength * max(1 - beyond * environment.step / _BEYOND_RAD, 0.0)
+            weight = weight if depth > _MIN_COSINE else 0.0
             fades = max(1 - k * _BEYOND_RAD / FADE_RAD, 0.0)
             for c in range(3):
-                at = np.uint64(first + c)  # unsigned: no look whether it counts from the end
+                at = np.uint64(first + c)  # unsigned: no check for negative indices
                 upper = (1 - a) * flat[at] + a * flat[at + one]
                 lower = (1 - a) * flat[at + row] + a * flat[at + row + one]
                 seen = (1 - b) * upper + b * lower
                 if k == 0:
                     beside[c] = seen
                 colors[c, k, i] = weight * (seen - fades * beside[c])
-            along, aside = cosine * along - sine * aside, sine * along + cosine * aside
+            axial, radial = cosine * axial - sine * radial, sine * axial + cosine * radial
     return colors
 
 
 @inlined
 def _place(u: float, v: float, rows: int, columns: int) -> tuple[int, float, float, float]:
-    """Where a place's upper left neighbour is, how far right of and below it, how far outside."""
+    """Index of a place's upper left cell, offsets from it, distance outside the grid (cells)."""
     s, t = min(max(u, 0.0), columns - 1.001), min(max(v, 0.0), rows - 1.001)
     column, row = int(s), int(t)
     beyond = np.sqrt((u - s) ** 2 + (v - t) ** 2)
@@ -141,8 +142,8 @@ def _mean(values: Floats, sides: Floats) -> float:
 
 
 @compiled
-def by_side(frame: Floats, around: Floats, out: Floats) -> None:
-    """How much a direction about an axis is to the right, below, to the left and above (4,)."""
+def side_weights(frame: Floats, around: Floats, out: Floats) -> None:
+    """Fill weights (4,), of sum 1, of a direction: right, below, left and above the axis."""
     x = around[0] * frame[0, 0] + around[1] * frame[1, 0]
     y = around[0] * frame[0, 1] + around[1] * frame[1, 1]
     per = 1 / (x * x + y * y)

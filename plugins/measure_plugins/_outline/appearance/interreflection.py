@@ -1,8 +1,7 @@
-"""A ball's neighbours: which hide it, and what it mirrors at grazing angles of one right behind it.
+"""A ball's neighbours: those that occlude it, and the reflection of one right behind it.
 
-Surroundings go on behind a ball, and are mirrored the less the further its surface turns the line
-of sight away from them. Another ball ends: where it does, and so how much of it is mirrored, is
-known, because balls' places and sizes are.
+What is seen beside a ball is mirrored at grazing angles, and taken to extend as far as the surface
+deflects the line of sight. Another ball ends: where it does follows from its place and size.
 """
 
 from __future__ import annotations
@@ -12,11 +11,11 @@ import numpy as np
 from measure.arrays import Floats
 from measure.compiling import compiled
 from measure_plugins._outline.appearance.dichromatic import GREY
-from measure_plugins._outline.appearance.radial_basis import DEFLECTIONS, Radial
+from measure_plugins._outline.appearance.radial_basis import DEFLECTIONS, RadialTables
 
 _SPACING = float(DEFLECTIONS[1] - DEFLECTIONS[0])
 _SAME_MM = 1e-6
-"""Balls whose distances differ by less neither hide nor mirror each other."""
+"""Balls whose distances differ by less neither occlude nor mirror each other."""
 
 
 @compiled
@@ -30,7 +29,7 @@ def balls_behind(cone: Floats, cones: Floats) -> Floats:
     """Balls further away than one (m, 4): their centres from its centre and radii, in its radii.
 
     Args:
-        cone: (5,) its axis, half angle in rad and distance in mm, see `balls.Expected`.
+        cone: (5,) its axis, half angle in rad and distance in mm, see `batch.Expected`.
         cones: (k, 5) of all balls; columns beyond those are ignored.
     """
     further = cones[cones[:, 4] > cone[4] + _SAME_MM]
@@ -43,10 +42,12 @@ def balls_behind(cone: Floats, cones: Floats) -> Floats:
 
 
 @compiled
-def mirrored_behind(behind: Floats, frame: Floats, half_angle: float, around: Floats) -> Floats:
-    """How much of what each ray mirrors from about `DEFLECTIONS` is the ball behind its outline.
+def ball_reflection_shares(
+    behind: Floats, frame: Floats, half_angle: float, around: Floats
+) -> Floats:
+    """Shares of the light mirrored about `DEFLECTIONS` that are of the ball right behind a ray.
 
-    Where several stand behind one another, that is the first.
+    Where several stand behind one another, it is the first.
 
     Args:
         behind: (m, 4) see `balls_behind`.
@@ -78,20 +79,20 @@ def _ends(
 
     Args:
         ball: (4,) see `balls_behind`.
-        frame: as above.
+        frame: (3, 3) about the axis of the ball before.
         edge: cosine and sine of the half angle.
-        around: (2,) where on the outline.
+        around: (2,) cosine and sine of the place on the outline.
 
     Returns:
-        That, not above 0 where the line of sight does not meet the ball undeflected; and how far
-        behind the outline it meets it, in radii of the ball before.
+        The angle, 0 or less where the undeflected line of sight misses the ball; and the distance
+        behind the outline at which it meets it, in radii of the ball before.
     """
-    along, aside = edge
+    axial, radial = edge
     up, ahead, sideways = -1.0, 0.0, 0.0  # of the ball's centre, from the outline
     for a in range(3):
         outward = around[0] * frame[0, a] + around[1] * frame[1, a]
-        up += ball[a] * (along * outward - aside * frame[2, a])
-        ahead += ball[a] * (along * frame[2, a] + aside * outward)
+        up += ball[a] * (axial * outward - radial * frame[2, a])
+        ahead += ball[a] * (axial * frame[2, a] + radial * outward)
         sideways += ball[a] * (around[0] * frame[1, a] - around[1] * frame[0, a])
     square = ball[3] * ball[3] - sideways * sideways
     far = ahead * ahead + up * up
@@ -102,29 +103,34 @@ def _ends(
 
 
 @compiled
-def mirror_behind(
-    shares: Floats, background: Floats, behind_grey: Floats, radial: Radial, first: int, out: Floats
+def add_ball_reflection(
+    shares: Floats,
+    background: Floats,
+    behind_grey: Floats,
+    tables: RadialTables,
+    first: int,
+    out: Floats,
 ) -> None:
-    """Let rays before another ball mirror so much of it, in place of surroundings that go on.
+    """Replace the grazing reflection of rays in front of another ball by that of the ball.
 
-    A ball that does not mirror those mirrors no ball either.
+    Surfaces without grazing reflection are left alone.
 
     Args:
-        shares: see `mirrored_behind`.
+        shares: see `ball_reflection_shares`.
         background: (3, n) light outside the outline.
-        behind_grey: (n,) grey of that: what is mirrored of grey is fitted anyway.
-        radial: the ball's tables.
+        behind_grey: (n,) grey component of that, whose reflection is fitted anyway.
+        tables: of the ball.
         first: the step at which the prediction begins.
         out: (3, m - first, n) the predicted light, changed.
     """
-    if np.max(radial.nearby) <= 0.0:
+    if np.max(tables.grazing_reflection) <= 0.0:
         return
     for i in range(shares.shape[1]):
         if shares[0, i] >= 0.0:
             for j in range(out.shape[1]):
-                more = -radial.nearby[first + j]
+                more = -tables.grazing_reflection[first + j]
                 for k in range(len(shares)):
-                    more += shares[k, i] * radial.grey[first + j, k]
+                    more += shares[k, i] * tables.grey[first + j, k]
                 for c in range(3):
                     value = out[c, j, i] + more * (background[c, i] - behind_grey[i] * GREY)
                     out[c, j, i] = value if value > 0.0 else 0.0

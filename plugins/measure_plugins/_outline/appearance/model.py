@@ -1,4 +1,4 @@
-"""How a camera shows balls: tone curve, blur, whether they are glossy or matt, what lights them."""
+"""How a camera shows balls: tone curve, blur, surface, lights and surroundings."""
 
 from __future__ import annotations
 
@@ -10,40 +10,40 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.errors import ConfigError
-from measure_plugins._outline.appearance.environment_map import Room, no_room
-from measure_plugins._outline.appearance.point_lights import no_lamps
+from measure_plugins._outline.appearance.environment_map import EnvironmentMap, no_environment
+from measure_plugins._outline.appearance.point_lights import no_point_lights
 from measure_plugins._outline.appearance.radial_basis import (
     BLUR_PX,
     REFRACTIVE_INDEX,
-    Radial,
+    RadialTables,
     packed_radials,
-    radial,
+    radial_tables,
 )
 from measure_plugins._outline.appearance.sensor import CHROMA_PX, Sensor, chroma_taps, encoding
 
 GLOSSY, MATT = REFRACTIVE_INDEX, 1.0001
 """Refractive index of lacquer and clear plastic; and of paint without a boundary that reflects."""
 BENDS = 3
-BELIEVED = 0.9
-"""What is believed of predictions before it is known how well they tell what is seen."""
+DEFAULT_CORRECTION_WEIGHT = 0.9
+"""Correction weight before it is estimated how well predictions agree with pictures."""
 _VALUES = np.arange(256) / 255.0
 _FLATTEST = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
 class Appearance:
-    """What the prediction of a ball's picture rests on.
+    """Parameters of the model that predicts a ball's picture.
 
     Attributes:
-        tone: name of the tone curve to start from, as in `tone.tone_table`.
-        bends: (3,) how the camera's curve departs from it, see `bent_table`.
+        tone: name of the tone curve to start from, as in `tone_table`.
+        bends: (3,) the camera's deviation from it, see `bent_table`.
         blur_px: sigma of the blur of brightness.
         chroma_px: sigma of the blur of colour beyond that.
         index: refractive index of the balls' surface.
         mirrors: whether it mirrors, at grazing angles, the colours of what is behind the ball.
-        lamps: (k, 4) what lights the balls, in the camera frame, see `lamps`; none if not known.
-        room: what else they mirror of the room.
-        believed: share of what a prediction says of an edge that is taken off, see `believing`.
+        point_lights: (k, 4) in the camera frame, see `point_lights`; none if not known.
+        environment: the surroundings that balls mirror.
+        correction_weight: share of the predicted bias of edges that is subtracted, see `trust`.
     """
 
     tone: str
@@ -52,9 +52,9 @@ class Appearance:
     index: float
     chroma_px: float = CHROMA_PX
     mirrors: bool = True
-    lamps: Floats = field(default_factory=no_lamps)
-    room: Room = field(default_factory=no_room)
-    believed: float = BELIEVED
+    point_lights: Floats = field(default_factory=no_point_lights)
+    environment: EnvironmentMap = field(default_factory=no_environment)
+    correction_weight: float = DEFAULT_CORRECTION_WEIGHT
 
     @cached_property
     def table(self) -> Floats:
@@ -66,9 +66,9 @@ class Appearance:
         """How the camera turns light into picture values."""
         return Sensor(encoding(self.table), chroma_taps(self.chroma_px))
 
-    def tables(self, radius_px: float, half_angle: float) -> Radial:
-        """What a ball of this size shows along a ray across its outline."""
-        return radial(radius_px, half_angle, self.blur_px, self.index, self.mirrors)
+    def tables(self, radius_px: float, half_angle: float) -> RadialTables:
+        """Profiles of a ball of this size along a ray across its outline."""
+        return radial_tables(radius_px, half_angle, self.blur_px, self.index, self.mirrors)
 
     def packed_tables(self, outlines: Sequence[tuple[float, float]]) -> Floats:
         """The same of k outlines (radius in px, half angle in rad), a row each."""
@@ -76,19 +76,18 @@ class Appearance:
 
 
 def first_appearance(tone: str) -> Appearance:
-    """What is assumed before a picture is seen: the stated curve, a webcam's blur, glossy balls."""
+    """Assumed before the first estimate: the stated curve, a webcam's blur, glossy balls."""
     return Appearance(tone, np.zeros(BENDS), BLUR_PX, GLOSSY)
 
 
 def bent_table(tone: str, bends: Floats) -> Floats:
-    """A tone table whose picture values are raised, bowed and bent before the curve is undone.
+    """A tone table with a lift of the blacks, a bow and an S added to the picture values.
 
-    A camera's processing lifts or crushes the blacks, and lays a bow or an S over the standard's
-    curve; the response curves of real cameras lie near a space of few dimensions (Grossberg and
-    Nayar 2003).
+    The response curves of real cameras lie near a space of few dimensions (Grossberg and Nayar
+    2003).
 
     Args:
-        tone: the curve that is departed from.
+        tone: the curve that is deviated from.
         bends: (3,) lift of the blacks, bow, S; shares of the largest value.
 
     Returns:

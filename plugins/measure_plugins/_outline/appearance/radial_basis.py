@@ -1,10 +1,10 @@
-"""What a lit ball shows along a ray across its outline, blurred, for unit amounts of light.
+"""Blurred profiles of a ball along a ray across its outline, for unit amounts of light.
 
-The body's own (diffuse) light leaves a glossy surface through a boundary that reflects more and
-more towards grazing angles (Fresnel), so it fades to nothing at the outline, and the reflection of
-the surroundings takes its place. Shading by lights far from the ball is a quadratic polynomial of
-the normal (Ramamoorthi and Hanrahan 2001); around the view axis that is a sum of five angular
-functions times six radial ones, so that everything that is costly depends on the radius alone.
+Diffuse light leaves a glossy surface through a boundary whose reflectance rises towards grazing
+angles (Fresnel): it fades to nothing at the outline, and the reflection of the surroundings takes
+its place. Shading by distant lights is a quadratic polynomial of the normal (Ramamoorthi and
+Hanrahan 2001); around the view axis it is a sum of angular times six radial functions, and all that
+is costly depends on the radius alone.
 """
 
 from __future__ import annotations
@@ -20,50 +20,52 @@ from measure.compiling import compiled
 from measure_plugins._outline.sampling.rays import STEPS
 
 DEFLECTIONS = np.radians([0, 10, 20, 30, 40, 50, 60, 75])
-"""Angles by which the ball turns the line of sight, where reflected light is unknown."""
+"""Angles in rad by which the ball deflects the line of sight: the knots of the reflected light."""
 REFRACTIVE_INDEX = 1.5
 """Of clear plastics and lacquers (1.45 to 1.6)."""
 BLUR_PX = 1.0
-"""A webcam's optics, pixel, colour mosaic and interpolation together, until it is learnt."""
+"""Blur of a webcam's optics, pixels, colour mosaic and interpolation, before it is estimated."""
 _FINE = np.arange(-24.0, 12.01, 0.25)
 _INSIDE = (_FINE < 0).astype(np.float64)
 _WIDTHS = np.diff(DEFLECTIONS)
-_GREY_RANGE = (-13.0, 0.6)
-_GREY_USED = np.abs(STEPS - np.mean(_GREY_RANGE))[:, None] <= np.ptp(_GREY_RANGE) / 2
-_GREY_STIFFNESS, _FIRM = 0.02, 1e3
+_REFLECTION_RANGE_PX = (-13.0, 0.6)
+_REFLECTION_USED = (
+    np.abs(STEPS - np.mean(_REFLECTION_RANGE_PX))[:, None] <= np.ptp(_REFLECTION_RANGE_PX) / 2
+)
+_STIFFNESS, _FIRM = 0.02, 1e3
 _SLANTING = 0.3
 """Cosine at which Schlick's formula is fitted to a surface."""
 FADE_RAD = np.radians(40)
 _LOBES = 6
 
 
-class Radial(NamedTuple):
-    """Blurred radial functions at `STEPS`; a tuple, because compiled code takes it as it is.
+class RadialTables(NamedTuple):
+    """Blurred radial functions at `STEPS`.
 
     Attributes:
-        diffuse: (m, 6) of the body's own light, see `_lobes`.
+        diffuse: (m, 6) of the diffuse light, see `_lobes`.
         grey: (m, k) of light reflected from the directions around each of `DEFLECTIONS`.
-        nearby: (m,) of what is right behind the ball, mirrored at grazing angles.
-        outside: (m,) of the surroundings past the outline.
-        kept_out: (1,) share of light entering ever more slantwise that is reflected off in the
-            end; it is (1 - cosine)^5 times as much before (Schlick 1994).
-        solve_grey: (k, m) from a profile to the reflected light; grows smooth where unseen.
-        tie_grey: (k,) the same for what is known at the outline: the surroundings.
+        grazing_reflection: (m,) of what is right behind the ball, mirrored at grazing angles.
+        outside: (m,) of the background outside the outline.
+        fresnel_loss: (1,) share of light that the surface reflects at grazing incidence; at other
+            incidence it is (1 - cosine)^5 times as much (Schlick 1994).
+        reflection_solver: (k, m) from a profile to the reflected light, smooth where unobserved.
+        reflection_prior: (k,) from the grey of the background to the same.
     """
 
     diffuse: Floats
     grey: Floats
-    nearby: Floats
+    grazing_reflection: Floats
     outside: Floats
-    kept_out: Floats
-    solve_grey: Floats
-    tie_grey: Floats
+    fresnel_loss: Floats
+    reflection_solver: Floats
+    reflection_prior: Floats
 
 
-def radial(
+def radial_tables(
     radius_px: float, half_angle: float, blur_px: float, index: float, mirrors: bool = True
-) -> Radial:
-    """Tables for a ball; radius, angle and blur are rounded to what makes no difference.
+) -> RadialTables:
+    """Tables for a ball; radius, angle and blur are rounded to negligible steps.
 
     Args:
         radius_px: of the outline.
@@ -88,7 +90,7 @@ def _sizes(radius_px: float, half_angle: float, blur_px: float) -> tuple[int, in
 
 @lru_cache(maxsize=256)
 def _packed(sizes: tuple[tuple[int, int, int], ...], index: float, mirrors: bool) -> Floats:
-    """Balls keep their sizes from picture to picture, nearly always all of them."""
+    """Cached: balls keep their sizes from picture to picture."""
     return stacked([_row(*one, index, mirrors) for one in sizes])
 
 
@@ -98,11 +100,11 @@ def _row(radius4: int, angle200: int, blur20: int, index: float, mirrors: bool) 
 
 
 @compiled
-def unpacked(row: Floats) -> Radial:
+def unpacked(row: Floats) -> RadialTables:
     """The tables of a row of `packed_radials`."""
     m, k, lobes = len(STEPS), len(DEFLECTIONS), _LOBES
     ends = np.cumsum(np.array([m * lobes, m * k, m, m, 1, k * m, k]))
-    return Radial(
+    return RadialTables(
         row[: ends[0]].reshape(m, lobes),
         row[ends[0] : ends[1]].reshape(m, k),
         row[ends[1] : ends[2]],
@@ -114,7 +116,7 @@ def unpacked(row: Floats) -> Radial:
 
 
 @lru_cache(maxsize=1024)
-def _radial(radius4: int, angle200: int, blur20: int, index: float, mirrors: bool) -> Radial:
+def _radial(radius4: int, angle200: int, blur20: int, index: float, mirrors: bool) -> RadialTables:
     half_angle = max(angle200, 1) / 200
     tilt, cosine = _surface(half_angle, half_angle / (radius4 / 4))
     mirrored = fresnel(cosine, index) * _INSIDE
@@ -128,21 +130,21 @@ def _radial(radius4: int, angle200: int, blur20: int, index: float, mirrors: boo
     )
     blurred = _blur(blur20) @ shown.T
     grey = np.ascontiguousarray(blurred[:, _LOBES:-2])
-    solve, tie = _grey_solver(grey)
-    return Radial(
+    solve, tie = _reflection_solver(grey)
+    return RadialTables(
         diffuse=np.ascontiguousarray(blurred[:, :_LOBES]),
         grey=grey,
-        nearby=mirrors * blurred[:, -2],
+        grazing_reflection=mirrors * blurred[:, -2],
         outside=np.ascontiguousarray(blurred[:, -1]),
-        kept_out=_kept_out(index),
-        solve_grey=solve,
-        tie_grey=tie,
+        fresnel_loss=_fresnel_loss(index),
+        reflection_solver=solve,
+        reflection_prior=tie,
     )
 
 
 @lru_cache(maxsize=64)
-def _kept_out(index: float) -> Floats:
-    """See `Radial`: 0 of paint without a boundary, 1 of clear plastic."""
+def _fresnel_loss(index: float) -> Floats:
+    """See `RadialTables`: 0 of paint without a boundary, 1 of clear plastic."""
     straight, slanting = fresnel(np.array([1.0, _SLANTING]), index)
     return np.array([min((slanting - straight) / (1 - straight) / (1 - _SLANTING) ** 5, 1.0)])
 
@@ -171,7 +173,7 @@ def _lobes(tilt: Floats) -> Floats:
 
 
 def _hats(deflection: Floats) -> Floats:
-    """How much (k, n) directions turned by `deflection` (n,) belong to each of `DEFLECTIONS`."""
+    """Linear interpolation weights (k, n) of `DEFLECTIONS` at `deflection` (n,)."""
     last = len(DEFLECTIONS) - 2
     lower = np.minimum(np.searchsorted(DEFLECTIONS, deflection, side="right") - 1, last)
     start, width = DEFLECTIONS[lower], _WIDTHS[lower]
@@ -188,19 +190,19 @@ def _blur(blur20: int) -> Floats:
     return np.asarray(kernel / kernel.sum(axis=1, keepdims=True))
 
 
-def _grey_solver(grey: Floats) -> tuple[Floats, Floats]:
-    """Ridge regression of the reflected light, smooth in angle, tied to what is outside."""
-    design = grey * _GREY_USED
-    inverse = np.linalg.inv(design.T @ design + _GREY_PRIOR)
+def _reflection_solver(grey: Floats) -> tuple[Floats, Floats]:
+    """Ridge regression of the reflected light, smooth in angle, and tied to the background."""
+    design = grey * _REFLECTION_USED
+    inverse = np.linalg.inv(design.T @ design + _REFLECTION_PRIOR)
     return np.ascontiguousarray(inverse @ design.T), np.ascontiguousarray(_FIRM * inverse[:, 0])
 
 
-def _grey_prior() -> Floats:
-    """What the regression adds to the normal matrix (k, k)."""
+def _reflection_normal() -> Floats:
+    """What the prior adds to the normal matrix (k, k)."""
     bend = np.diff(np.eye(len(DEFLECTIONS)), 2, axis=0)
-    out = _GREY_STIFFNESS * bend.T @ bend + 1e-6 * np.eye(len(DEFLECTIONS))
+    out = _STIFFNESS * bend.T @ bend + 1e-6 * np.eye(len(DEFLECTIONS))
     out[0, 0] += _FIRM
     return np.asarray(out)
 
 
-_GREY_PRIOR = _grey_prior()
+_REFLECTION_PRIOR = _reflection_normal()

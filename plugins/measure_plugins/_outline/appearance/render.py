@@ -1,8 +1,7 @@
-"""The picture a ball's model predicts along its rays, were its outline where it is predicted.
+"""The light along a ball's rays that the model predicts for an outline at the assumed place.
 
-The ball's own light and what it reflects are fitted to the picture (`shading`), the surroundings
-are taken as seen. Together and blurred they say what the camera would show, so the edge finder's
-own error there can be measured.
+Body and surface reflection are fitted to the picture, the background is taken as seen. The bias of
+the edge finder on the result is known, because the outline is.
 """
 
 from __future__ import annotations
@@ -14,10 +13,10 @@ import numpy as np
 from measure.arrays import Floats
 from measure.compiling import compiled
 from measure.geometry.linear_kernels import times
-from measure_plugins._outline.appearance.dichromatic import GREY, own_color, reflected_light, split
-from measure_plugins._outline.appearance.interreflection import mirror_behind
-from measure_plugins._outline.appearance.point_lights import fit_lamp_light, lamp_body
-from measure_plugins._outline.appearance.radial_basis import Radial
+from measure_plugins._outline.appearance.dichromatic import GREY, body_color, reflected_light, split
+from measure_plugins._outline.appearance.interreflection import add_ball_reflection
+from measure_plugins._outline.appearance.point_lights import fit_light_shading, shaded_body
+from measure_plugins._outline.appearance.radial_basis import RadialTables
 from measure_plugins._outline.appearance.spherical_harmonics import (
     angular_terms,
     fit_shading,
@@ -26,25 +25,26 @@ from measure_plugins._outline.appearance.spherical_harmonics import (
 from measure_plugins._outline.sampling.rays import Statuses
 
 FIT_LAST_PX = 1.0
-"""No light further out is fitted."""
-_NOTHING = 1e-9
-"""Share of the surroundings' light too small to take off."""
+"""Last step along the normal that light is fitted to."""
+_MIN_OUTSIDE = 1e-9
+"""Share of the background's light that is not subtracted."""
 
 
 class Ambient(NamedTuple):
-    """What a camera's pictures taught about the light round a ball, along n rays across it.
+    """The light on a ball along n rays across it, as far as it is known.
 
     Attributes:
-        lit: (m, n) light its lamps draw from the ball, see `lamps.lamp_light`; empty if none are
-            known, then shading is a polynomial.
-        mirrored: (3, m, n) what the ball mirrors of the room, see `room.room_light`; empty if
-            that is not known.
-        behind: (k, n) how much of that is a ball behind, see `behind.mirrored_behind`.
+        light_shading: (m, n) diffuse light by the point lights, see `shade_by_lights`; empty if
+            none are known: shading is then a polynomial.
+        mirrored: (3, m, n) reflection of the surroundings, see `environment_reflection`; empty if
+            unknown.
+        ball_shares: (k, n) share of the mirrored light that is a ball's, see
+            `ball_reflection_shares`.
     """
 
-    lit: Floats
+    light_shading: Floats
     mirrored: Floats
-    behind: Floats
+    ball_shares: Floats
 
 
 @compiled
@@ -54,11 +54,11 @@ def predict_light(
     around: Floats,
     background: Floats,
     steps: Floats,
-    radial: Radial,
+    tables: RadialTables,
     ambient: Ambient,
     first: int,
 ) -> Floats:
-    """Light (3, m - first, n) the model predicts along the rays.
+    """Light (3, m - first, n) that the model predicts along the rays.
 
     Args:
         profiles: (3, m, n) light the picture shows at `steps`.
@@ -66,34 +66,34 @@ def predict_light(
         around: (n, 2) cosine and sine around the axis.
         background: (3, n) light outside the outline.
         steps: (m,) px along the normal.
-        radial: the ball's tables at the same steps.
+        tables: of the ball, at the same steps.
         ambient: of the same rays and steps.
         first: the step at which the prediction begins.
     """
     used = int(np.searchsorted(steps, FIT_LAST_PX, side="right"))
-    lit, shown = ambient.lit, _without(profiles, ambient.mirrored, used)
-    own, amounts, grey, behind_grey = split_light(shown, status, background, steps, radial, used)
-    if lit.size > 0:
-        fitted = fit_lamp_light(amounts, status, around, radial.diffuse, lit, used)
-        body = lamp_body(fitted, around, radial.diffuse, lit, first)
+    lighted, shown = ambient.light_shading, _without(profiles, ambient.mirrored, used)
+    own, amounts, grey, behind_grey = split_light(shown, status, background, steps, tables, used)
+    if lighted.size > 0:
+        fitted = fit_light_shading(amounts, status, around, tables.diffuse, lighted, used)
+        body = shaded_body(fitted, around, tables.diffuse, lighted, first)
     else:
         angular = angular_terms(around)
-        fitted = fit_shading(amounts, status, angular, radial.diffuse, used)
-        body = shaded(fitted, angular, radial.diffuse[first:])
-    reflected = reflected_light(grey, status, radial.solve_grey)
+        fitted = fit_shading(amounts, status, angular, tables.diffuse, used)
+        body = shaded(fitted, angular, tables.diffuse[first:])
+    reflected = reflected_light(grey, status, tables.reflection_solver)
     for k in range(len(reflected)):
         for i in range(len(status)):
-            tied = reflected[k, i] + radial.tie_grey[k] * behind_grey[i]
+            tied = reflected[k, i] + tables.reflection_prior[k] * behind_grey[i]
             reflected[k, i] = max(tied, 0.0)
-    out = _compose(own, body, reflected, background, behind_grey, radial, first)
-    mirror_behind(ambient.behind, background, behind_grey, radial, first, out)
+    out = _compose(own, body, reflected, background, behind_grey, tables, first)
+    add_ball_reflection(ambient.ball_shares, background, behind_grey, tables, first, out)
     _add(ambient.mirrored, first, out)
     return out
 
 
 @compiled
 def _without(profiles: Floats, mirrored: Floats, used: int) -> Floats:
-    """Profiles (3, m, n), at least the first `used` steps, less what is mirrored, if known."""
+    """Profiles (3, m, n), at least the first `used` steps, less the mirrored light, if known."""
     if mirrored.size == 0:
         return profiles
     out = np.empty((3, used, profiles.shape[2]))
@@ -106,7 +106,7 @@ def _without(profiles: Floats, mirrored: Floats, used: int) -> Floats:
 
 @compiled
 def _add(mirrored: Floats, first: int, out: Floats) -> None:
-    """Add what is mirrored (3, m, n), if that is known, to light (3, m - first, n)."""
+    """Add mirrored light (3, m, n), if known, to light (3, m - first, n)."""
     if mirrored.size > 0:
         for c in range(3):
             for j in range(out.shape[1]):
@@ -116,24 +116,29 @@ def _add(mirrored: Floats, first: int, out: Floats) -> None:
 
 @compiled
 def split_light(
-    profiles: Floats, status: Statuses, background: Floats, steps: Floats, radial: Radial, used: int
+    profiles: Floats,
+    status: Statuses,
+    background: Floats,
+    steps: Floats,
+    tables: RadialTables,
+    used: int,
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """What a ball's light is made of, the surroundings taken off.
+    """Body and surface reflection of a ball, without the background.
 
     Args:
         profiles: (3, m, n) light the picture shows at `steps`.
         status: (n,) see `RaySet`.
         background: (3, n) light outside the outline.
         steps: (m,) px along the normal.
-        radial: the ball's tables at the same steps.
+        tables: of the ball, at the same steps.
         used: how many of the steps are wanted.
 
     Returns:
-        The ball's own colour (3,), how much of it and of grey the rays show, both (used, n), and
-        the surroundings' grey (n,).
+        The body colour (3,), amounts of it and of grey along the rays, both (used, n), and the grey
+        of the background (n,).
     """
     n = profiles.shape[2]
-    own = own_color(profiles, status, steps)
+    own = body_color(profiles, status, steps)
     behind, behind_grey = np.empty(n), np.empty(n)
     split(background[0], background[1], background[2], own, behind, behind_grey)
     amounts, grey = np.empty((used, n)), np.empty((used, n))
@@ -147,10 +152,10 @@ def split_light(
         grey.reshape(-1),
     )
     for j in range(used):
-        if radial.outside[j] > _NOTHING:
+        if tables.outside[j] > _MIN_OUTSIDE:
             for i in range(n):
-                amounts[j, i] -= radial.outside[j] * behind[i]
-                grey[j, i] -= radial.outside[j] * behind_grey[i]
+                amounts[j, i] -= tables.outside[j] * behind[i]
+                grey[j, i] -= tables.outside[j] * behind_grey[i]
     return own, amounts, grey, behind_grey
 
 
@@ -161,17 +166,17 @@ def _compose(
     reflected: Floats,
     background: Floats,
     behind_grey: Floats,
-    radial: Radial,
+    tables: RadialTables,
     first: int,
 ) -> Floats:
-    """Own light (m, n), reflected light (k, n) and surroundings (3, n), laid along the rays."""
+    """Light (3, m, n) of body (m, n), reflection (k, n) and background (3, n)."""
     m, n = body.shape
     out, grey = np.empty((3, m, n)), np.zeros((m, n))
-    times(radial.grey[first:], reflected, grey)
+    times(tables.grey[first:], reflected, grey)
     for j in range(m):
         near, through = (
-            radial.nearby[first + j],
-            radial.nearby[first + j] + radial.outside[first + j],
+            tables.grazing_reflection[first + j],
+            tables.grazing_reflection[first + j] + tables.outside[first + j],
         )
         for i in range(n):
             grey[j, i] = (grey[j, i] - near * behind_grey[i]) * GREY

@@ -1,7 +1,7 @@
-"""From light to what is read off a picture: tone curve, colour blurred more than brightness.
+"""From light to sampled picture values: tone curve, chroma blurred more than luma.
 
-Webcams interpolate a colour mosaic and store colour at half the resolution of brightness (4:2:0 or
-4:2:2), both in encoded values. Reading between pixels blurs those once more.
+Webcams interpolate a colour mosaic and store chroma at half the resolution of luma (4:2:0 or
+4:2:2), both in encoded values. Interpolation between pixels blurs those once more.
 """
 
 from __future__ import annotations
@@ -15,24 +15,24 @@ from measure.compiling import compiled
 from measure_plugins._outline.sampling.rays import STEPS
 
 CHROMA_PX = 0.8
-"""Blur of the colour channels beyond that of brightness, until it is learnt."""
+"""Blur of chroma beyond that of luma, before it is estimated."""
 _BLUE, _GREEN, _RED = 0.114, 0.587, 0.299
-"""What brightness is made of, in JPEG."""
+"""Weights of the luma of JPEG (BT.601)."""
 CHROMA_REACH = 3
-"""How many steps colour is blurred to either side: three sigma."""
+"""Steps to either side over which chroma is blurred: three sigma."""
 _STEP = float(STEPS[1] - STEPS[0])
 _INTERPOLATED = 1 / 6
-"""Variance in px^2 by which bilinear interpolation blurs what is read off a picture: t (1 - t), on
-average over all places t between two pixels."""
-_ASIDE = _INTERPOLATED / (2 * _STEP**2)
+"""Variance in px^2 of the blur by bilinear interpolation: t (1 - t), averaged over all places t
+between two pixels."""
+_SIDE_WEIGHT = _INTERPOLATED / (2 * _STEP**2)
 """Weight of either neighbouring step in a blur of that variance."""
-_AWAY = np.arange(-CHROMA_REACH, CHROMA_REACH + 1) * _STEP
-_ENCODED = 2048
+_TAP_OFFSETS_PX = np.arange(-CHROMA_REACH, CHROMA_REACH + 1) * _STEP
+_TABLE_STEPS = 2048
 _NO_LIGHT, _FULL_LIGHT = np.float32(0), np.float32(1)
 
 
 class Sensor(NamedTuple):
-    """How a camera turns light into what is read off its pictures.
+    """How a camera turns light into picture values.
 
     Attributes:
         encoding: (2050,) see `encoding`.
@@ -46,11 +46,11 @@ class Sensor(NamedTuple):
 def encoding(table: Floats) -> Singles:
     """The inverse of a tone table (256,): picture values, 0 to 1, at even steps of sqrt(light).
 
-    The root spreads the shade, where tone curves are steep: interpolated linearly, the error is
-    below a thirtieth of a picture level. The last entry stands twice, so that full light has a
-    neighbour too.
+    In steps of the root, since tone curves are steep in the shade: the error of linear
+        interpolation
+    is below a thirtieth of a level. The last entry is repeated for the interpolation at full light.
     """
-    light = np.linspace(0.0, 1.0, _ENCODED + 1) ** 2
+    light = np.linspace(0.0, 1.0, _TABLE_STEPS + 1) ** 2
     values = np.interp(light, table, np.arange(len(table)) / (len(table) - 1))
     return np.append(values, values[-1]).astype(np.float32)
 
@@ -61,7 +61,7 @@ def chroma_taps(chroma_px: float) -> Floats:
     Args:
         chroma_px: sigma of the camera's blur of colour beyond that of brightness.
     """
-    weights = np.exp(-0.5 * _AWAY**2 / (chroma_px**2 + _INTERPOLATED))
+    weights = np.exp(-0.5 * _TAP_OFFSETS_PX**2 / (chroma_px**2 + _INTERPOLATED))
     return np.ascontiguousarray((weights / weights.sum())[CHROMA_REACH:])
 
 
@@ -70,7 +70,7 @@ def encode(light: Floats, inverse: Singles) -> Singles:
     """Picture values, 0 to 1, of light (3, m, n), by the table of `encoding`."""
     out, lows = np.empty(light.shape, np.float32), np.empty(light.size, np.int32)
     flat, read, top = light.reshape(-1), out.reshape(-1), np.float32(len(inverse) - 2)
-    for i in range(light.size):  # in single precision roots take half the time
+    for i in range(light.size):  # single precision halves the time of the roots
         x = np.float32(flat[i])
         x = x if x > _NO_LIGHT else _NO_LIGHT
         x = x if x < _FULL_LIGHT else _FULL_LIGHT
@@ -78,7 +78,7 @@ def encode(light: Floats, inverse: Singles) -> Singles:
         lows[i] = np.int32(place)
         read[i] = place - np.float32(lows[i])
     for i in range(light.size):
-        low = np.uint32(lows[i])  # unsigned: no look whether it counts from the end
+        low = np.uint32(lows[i])  # unsigned: no check for negative indices
         value = inverse[low]
         read[i] = value + read[i] * (inverse[low + np.uint32(1)] - value)
     return out
@@ -86,10 +86,10 @@ def encode(light: Floats, inverse: Singles) -> Singles:
 
 @compiled
 def read_off(values: Reals, taps: Floats) -> Reals:
-    """Blur BGR values (3, m, n) along the rays as pictures and reading them off do.
+    """Blur BGR values (3, m, n) along the rays as cameras and interpolation do.
 
-    Blue and red minus brightness (JPEG's YCbCr) are blurred by the camera and by interpolation
-    between pixels, brightness by the latter: what the camera does to that is in the light already.
+    Chroma (blue and red minus luma) is blurred by the camera and by interpolation between pixels,
+    luma by the latter alone: the camera's blur of luma is in the light already.
 
     Args:
         values: (3, m, n).
@@ -108,23 +108,23 @@ def read_off(values: Reals, taps: Floats) -> Reals:
         values[1].reshape(-1),
         values[2].reshape(-1),
     )
-    _take_apart(blue, green, red, grey, bluer, redder)
+    _to_chroma(blue, green, red, grey, bluer, redder)
     for j in range(m, beyond):
         for i in range(n):
             bluer[j * n + i], redder[j * n + i] = bluer[(m - 1) * n + i], redder[(m - 1) * n + i]
     blue, green, red = out[0].reshape(-1), out[1].reshape(-1), out[2].reshape(-1)
     _blur(bluer, n, taps, blue)
     _blur(redder, n, taps, red)
-    _put_together(_interpolated(grey[(CHROMA_REACH - 1) * n :], n), blue, green, red)
+    _from_chroma(_interpolated(grey[(CHROMA_REACH - 1) * n :], n), blue, green, red)
     return out
 
 
 @compiled
-def _take_apart(
+def _to_chroma(
     blue: Reals, green: Reals, red: Reals, grey: Reals, bluer: Reals, redder: Reals
 ) -> None:
-    """Brightness, and blue and red minus it, of colours (k,), into the last three."""
-    number = grey.dtype.type  # of the values' precision, else loops do half as many at once
+    """Fill luma, and blue and red minus luma, of colours (k,), into the last three."""
+    number = grey.dtype.type  # of the values' precision: loops stay in single precision
     of_blue, of_green, of_red = number(_BLUE), number(_GREEN), number(_RED)
     for i in range(len(grey)):
         brightness = of_blue * blue[i] + of_green * green[i] + of_red * red[i]
@@ -132,8 +132,8 @@ def _take_apart(
 
 
 @compiled
-def _put_together(grey: Reals, blue: Reals, green: Reals, red: Reals) -> None:
-    """Colours (k,) in place of what makes blue and red differ from brightness."""
+def _from_chroma(grey: Reals, blue: Reals, green: Reals, red: Reals) -> None:
+    """Replace blue and red minus luma (k,) by colours, and fill green."""
     number = grey.dtype.type
     blue_share, red_share = number(_BLUE / _GREEN), number(_RED / _GREEN)
     for i in range(len(grey)):
@@ -144,23 +144,20 @@ def _put_together(grey: Reals, blue: Reals, green: Reals, red: Reals) -> None:
 
 @compiled
 def _interpolated(grey: Reals, n: int) -> Reals:
-    """Rows of n from the second on, blurred across as interpolation does; the last goes on."""
+    """Rows of n from the second on, blurred across as interpolation does; the last is repeated."""
     number, out = grey.dtype.type, np.empty(len(grey) - n, grey.dtype)
-    aside, inner, end = number(_ASIDE), number(1 - 2 * _ASIDE), number(1 - _ASIDE)
+    side, inner, end = number(_SIDE_WEIGHT), number(1 - 2 * _SIDE_WEIGHT), number(1 - _SIDE_WEIGHT)
     last = len(out) - n
     for i in range(last):
-        out[i] = inner * grey[n + i] + aside * (grey[i] + grey[2 * n + i])
+        out[i] = inner * grey[n + i] + side * (grey[i] + grey[2 * n + i])
     for i in range(last, len(out)):
-        out[i] = end * grey[n + i] + aside * grey[i]
+        out[i] = end * grey[n + i] + side * grey[i]
     return out
 
 
 @compiled
 def _blur(values: Reals, n: int, taps: Floats, out: Reals) -> None:
-    """Blur rows of n, one after the other, across; into those from the row CHROMA_REACH on.
-
-    All taps at once: what adds them up stays in registers.
-    """
+    """Blur rows of n across, into the rows from CHROMA_REACH on; all taps in one pass."""
     number = out.dtype.type
     a, b, c, d = number(taps[0]), number(taps[1]), number(taps[2]), number(taps[3])
     v1, v2, v3 = values[n:], values[2 * n :], values[3 * n :]

@@ -1,6 +1,6 @@
-"""Quadratic shading, fitted to a ball's own light where no lamps are known (see `radial`).
+"""Quadratic shading of the diffuse light, where no point lights are known (see `radial_basis`).
 
-It has nine coefficients: each goes with one of six functions of the radius, times an angular one.
+Nine coefficients, each of one of six radial functions times an angular one.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _PAIR = np.array(
 )
 """Which product of two radial functions, see `_pairs`, each entry of the normal matrix has."""
 _PRODUCTS = _LOBES * (_LOBES + 1) // 2
-_ROUNDS = 4
+_ITERATIONS = 4
 
 
 @compiled
@@ -41,7 +41,7 @@ def angular_terms(around: Floats) -> Floats:
 
 @compiled
 def radial_amounts(coefficients: Floats, angular: Floats) -> Floats:
-    """How much of each of the six radial functions every ray shows (6, n)."""
+    """Amounts (6, n) of the radial functions on every ray."""
     out = np.zeros((_LOBES, angular.shape[1]))
     for k in range(_TERMS):
         for i in range(angular.shape[1]):
@@ -51,7 +51,7 @@ def radial_amounts(coefficients: Floats, angular: Floats) -> Floats:
 
 @compiled
 def shaded(coefficients: Floats, angular: Floats, lobes: Floats) -> Floats:
-    """The ball's own light (m, n) at angular functions (9, n) and radial ones (m, 6)."""
+    """Diffuse light (m, n) at angular functions (9, n) and radial ones (m, 6)."""
     out = np.zeros((len(lobes), angular.shape[1]))
     times(lobes, radial_amounts(coefficients, angular), out)
     return out
@@ -64,31 +64,31 @@ def fit_shading(
     """Coefficients (9,) of quadratic shading, robustly.
 
     Args:
-        amounts: (m, n) of the ball's own colour.
+        amounts: (m, n) of the body colour.
         status: (n,) see `RaySet`.
         angular: (9, n).
         lobes: (m, 6) the radial functions.
-        used: how many steps to use, of which every second one is.
+        used: number of steps, of which every second one is used.
     """
     clear = np.nonzero(status == CLEAR)[0]
-    seen, along = every_second(amounts, used, clear), lobes[:used:2].copy()
+    seen, radial = every_second(amounts, used, clear), lobes[:used:2].copy()
     around = np.zeros((_TERMS, seen.shape[1]))
     around[:, : len(clear)] = angular[:, clear]
-    products, angular_products = _pairs(along.T), _pairs(around)
+    products, angular_products = _pairs(radial.T), _pairs(around)
     coefficients, right = np.zeros(_TERMS), np.empty(_TERMS)
     factor, normal = np.empty((_TERMS, _TERMS)), np.empty((_TERMS, _TERMS))
     shown, per_limit = np.zeros(seen.shape), 0.0
-    for turn in range(_ROUNDS):
+    for turn in range(_ITERATIONS):
         weights, weighted = _weighted(seen, shown, per_limit)
         sums, sides = np.zeros((_PRODUCTS, seen.shape[1])), np.zeros((_LOBES, seen.shape[1]))
         times(products, weights, sums)
-        times(along.T, weighted, sides)
+        times(radial.T, weighted, sides)
         _equations(sums, sides, around, angular_products, normal, right)
         cholesky(normal, factor)
         solve_factored(factor, right, coefficients)
-        if turn < _ROUNDS - 1:
-            shown = shaded(coefficients, around, along)
-            off = _typically_off(seen, shown, len(clear))
+        if turn < _ITERATIONS - 1:
+            shown = shaded(coefficients, around, radial)
+            off = _median_residual(seen, shown, len(clear))
             per_limit = 1 / (5 * 1.4826 * off + 5e-4)
     return coefficients
 
@@ -109,7 +109,7 @@ def _pairs(rows: Floats) -> Floats:
 
 @compiled
 def _weighted(seen: Floats, shown: Floats, per_limit: float) -> tuple[Floats, Floats]:
-    """Tukey's weights (p, n) of what is seen, and those times it; 1 / where they end, or 0."""
+    """Tukey's weights (p, n), and weights times `seen`; `per_limit` is 1 / limit, or 0."""
     p, n = seen.shape
     weights, weighted = np.empty((p, n)), np.empty((p, n))
     for j in range(p):
@@ -135,7 +135,7 @@ def _equations(
 
     Args:
         sums: (21, n) along each ray, weights times products of radial functions.
-        sides: (6, n) along each ray, what is seen, weighted, times radial functions.
+        sides: (6, n) along each ray, weighted amounts times radial functions.
         around: (9, n) angular functions, zero where a ray does not count.
         angular_products: (45, n) of them.
         normal: filled.
@@ -152,7 +152,7 @@ def _equations(
 
 @compiled
 def _total(values: Floats, weights: Floats) -> float:
-    """Sum of products of n values, a multiple of four, in as many parts at once."""
+    """Sum of products of n values, a multiple of four, in four partial sums."""
     p, q, r, s = 0.0, 0.0, 0.0, 0.0
     for i in range(0, len(values), 4):
         p += values[i] * weights[i]
@@ -163,8 +163,8 @@ def _total(values: Floats, weights: Floats) -> float:
 
 
 @compiled
-def _typically_off(seen: Floats, shown: Floats, rays: int) -> float:
-    """Median size of what the shading fitted leaves at every third step of the first rays."""
+def _median_residual(seen: Floats, shown: Floats, rays: int) -> float:
+    """Median absolute residual at every third step of the first rays."""
     sizes = np.empty((-(-len(seen) // 3), rays))
     for j in range(len(sizes)):
         for i in range(rays):

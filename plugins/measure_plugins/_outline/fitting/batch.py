@@ -1,7 +1,4 @@
-"""All balls expected in one picture, measured in one call.
-
-What it costs to enter compiled code, and to hand back what it found, is paid once a picture.
-"""
+"""All balls expected in one picture, measured in one call of compiled code."""
 
 from __future__ import annotations
 
@@ -13,27 +10,31 @@ from measure.arrays import Bools, Bytes, Floats, Ints
 from measure.compiling import compiled
 from measure_plugins._outline.appearance.interreflection import balls_behind, balls_nearer
 from measure_plugins._outline.appearance.radial_basis import unpacked
-from measure_plugins._outline.fitting.known_size import measure_closely
+from measure_plugins._outline.fitting.measurement import (
+    approach_outline,
+    measure_known_size,
+    measure_unknown_size,
+    unoccluded_search,
+)
 from measure_plugins._outline.fitting.outline import Outline
-from measure_plugins._outline.fitting.scan import Search, View
-from measure_plugins._outline.fitting.step_gain import measured_gain
-from measure_plugins._outline.fitting.unknown_size import approach, measure_roughly, unhidden
+from measure_plugins._outline.fitting.scan import CameraImage, OutlineSearch
+from measure_plugins._outline.fitting.step_gain import measure_step_gain
 from measure_plugins._outline.sampling.prefetch import ask_for_outline
 from measure_plugins._outline.sampling.rays import radius_px
 
 
 class Expected(NamedTuple):
-    """k balls to look for.
+    """k balls to search for.
 
     Attributes:
         cones: (k, 5) unit axis of each outline in the camera frame, half angle in rad, and the
             ball's distance in mm; columns beyond those are ignored.
         reach_px: (k,) how far the outline may be from there.
-        tables: (k, r) what its size makes a ball show, see `radial.packed_radials`;
+        tables: (k, r) what its size makes a ball show, see `tables.packed_radials`;
             unused where that is not known.
         sized: (k,) whether the size is known: if not, edges are not corrected.
         bits: (k,) of the balls' colours in the table of colours.
-        gains: (k, 2, 2) see `gain.measured_gain`; the unit matrix where not known.
+        step_gains: (k, 2, 2) see `step_gain.measure_step_gain`; the unit matrix where not known.
     """
 
     cones: Floats
@@ -41,7 +42,7 @@ class Expected(NamedTuple):
     tables: Floats
     sized: Bools
     bits: Ints
-    gains: Floats
+    step_gains: Floats
 
 
 class Measured(NamedTuple):
@@ -82,12 +83,12 @@ def cones_of(centers: Floats, radii: Floats, lens: Floats) -> Floats:
 
 @compiled
 def measure_balls(
-    view: View,
+    view: CameraImage,
     expected: Expected,
     rays: int,
     min_contrast: float,
     margin_px: float,
-    hopeless: float,
+    give_up_share: float,
     colors: Bytes,
 ) -> Measured:
     """Measure every expected ball.
@@ -96,27 +97,27 @@ def measure_balls(
         view: the picture.
         expected: what is to be found in it.
         rays: cast across each outline.
-        min_contrast: see `Search`.
-        margin_px: see `Search`.
-        hopeless: see `measure_roughly`.
+        min_contrast: see `OutlineSearch`.
+        margin_px: see `OutlineSearch`.
+        give_up_share: see `measure_unknown_size`.
         colors: see `color_share`.
     """
-    found = _nothing(len(expected.cones), rays)
+    found = _none_found(len(expected.cones), rays)
     _ask_for(view, expected, 0)
     for i in range(len(expected.cones)):
         _ask_for(view, expected, i + 1)
         search = _search(expected, i, rays, min_contrast, margin_px)
         if expected.sized[i]:
-            outline = measure_closely(view, search, unpacked(expected.tables[i]))
+            outline = measure_known_size(view, search, unpacked(expected.tables[i]))
         else:
-            outline = measure_roughly(view, search, hopeless)
-        _note(view, outline, colors, expected.bits[i], i, found)
+            outline = measure_unknown_size(view, search, give_up_share)
+        _store(view, outline, colors, expected.bits[i], i, found)
     return found
 
 
 @compiled
 def measure_circles(
-    view: View,
+    view: CameraImage,
     circles: Floats,
     bits: Ints,
     rays: tuple[int, int],
@@ -125,35 +126,37 @@ def measure_circles(
     agreement: tuple[float, float],
     colors: Bytes,
 ) -> Measured:
-    """Measure what rough circles lead to, of unknown size each and hidden by nothing known.
+    """Measure the outlines near rough circles, of unknown size and behind no known ball.
 
     Args:
         view: the picture.
         circles: (k, 5) of which the first are centre x, y and radius, px.
         bits: (k,) of their colours in the table of colours.
-        rays: cast to come near an outline, and to measure it.
-        min_contrast: see `Search`.
-        margin_px: see `Search`.
-        agreement: the least share of edges that agree in the end, see `approach`; and the share
-            below which it is `hopeless`, see `measure_roughly`.
+        rays: their number while an outline is approached, and while it is measured.
+        min_contrast: see `OutlineSearch`.
+        margin_px: see `OutlineSearch`.
+        agreement: least share of edges that agree in the end, see `approach_outline`; and the
+            `give_up_share` of `measure_unknown_size`.
         colors: see `color_share`.
     """
-    found = _nothing(len(circles), rays[1])
+    found = _none_found(len(circles), rays[1])
     cones = np.empty((len(circles), 4))
-    for i in range(len(circles)):  # apart from the next loop: the code of each stays near
-        axis, half_angle = approach(view, circles[i], rays[0], min_contrast, agreement[0])
+    for i in range(len(circles)):  # apart from the next loop: either's code stays cached
+        axis, half_angle = approach_outline(view, circles[i], rays[0], min_contrast, agreement[0])
         cones[i, :3], cones[i, 3] = axis, half_angle
     for i in range(len(circles)):
         if cones[i, 3] > 0:
-            search = unhidden(cones[i, :3], cones[i, 3], 0.0, rays[1], min_contrast, margin_px)
-            outline = measure_roughly(view, search, agreement[1])
-            _note(view, outline, colors, bits[i], i, found)
+            search = unoccluded_search(
+                cones[i, :3], cones[i, 3], 0.0, rays[1], min_contrast, margin_px
+            )
+            outline = measure_unknown_size(view, search, agreement[1])
+            _store(view, outline, colors, bits[i], i, found)
     return found
 
 
 @compiled
-def _nothing(k: int, rays: int) -> Measured:
-    """Room for k balls, nothing found of any yet."""
+def _none_found(k: int, rays: int) -> Measured:
+    """Arrays for k balls, none of them found yet."""
     return Measured(
         np.empty((k, 2)),
         np.empty((k, 2, 2)),
@@ -164,7 +167,7 @@ def _nothing(k: int, rays: int) -> Measured:
 
 
 @compiled
-def _ask_for(view: View, expected: Expected, i: int) -> None:
+def _ask_for(view: CameraImage, expected: Expected, i: int) -> None:
     """Have the part of the picture fetched that shows ball i, if there is one."""
     if i < len(expected.cones):
         cone = expected.cones[i]
@@ -172,21 +175,23 @@ def _ask_for(view: View, expected: Expected, i: int) -> None:
 
 
 @compiled
-def measure_gains(
-    view: View, settled: Expected, rays: int, min_contrast: float, margin_px: float
+def measure_step_gains(
+    view: CameraImage, converged: Expected, rays: int, min_contrast: float, margin_px: float
 ) -> Floats:
-    """How looks at balls of known size answer when they are off, see `measured_gain` (k, 2, 2)."""
-    gains = np.empty((len(settled.cones), 2, 2))
-    for i in range(len(gains)):
-        search = _search(settled, i, rays, min_contrast, margin_px)
-        gains[i] = measured_gain(view, search, unpacked(settled.tables[i]))
-    return gains
+    """Step gains (k, 2, 2) of balls of known size, see `measure_step_gain`."""
+    step_gains = np.empty((len(converged.cones), 2, 2))
+    for i in range(len(step_gains)):
+        search = _search(converged, i, rays, min_contrast, margin_px)
+        step_gains[i] = measure_step_gain(view, search, unpacked(converged.tables[i]))
+    return step_gains
 
 
 @compiled
-def _search(expected: Expected, i: int, rays: int, min_contrast: float, margin_px: float) -> Search:
-    """How to look for ball i."""
-    return Search(
+def _search(
+    expected: Expected, i: int, rays: int, min_contrast: float, margin_px: float
+) -> OutlineSearch:
+    """The search for ball i."""
+    return OutlineSearch(
         expected.cones[i, :3],
         expected.cones[i, 3],
         balls_nearer(expected.cones[i], expected.cones),
@@ -196,13 +201,15 @@ def _search(expected: Expected, i: int, rays: int, min_contrast: float, margin_p
         min_contrast,
         margin_px,
         expected.cones[i, 4],
-        expected.gains[i],
+        expected.step_gains[i],
     )
 
 
 @compiled
-def _note(view: View, outline: Outline, colors: Bytes, bit: int, i: int, found: Measured) -> None:
-    """Write down ball i's outline, if one was found, and how much inside has its colour."""
+def _store(
+    view: CameraImage, outline: Outline, colors: Bytes, bit: int, i: int, found: Measured
+) -> None:
+    """Store ball i's outline, if one was found, and how much of its inside has its colour."""
     count = outline.agreeing
     if count == 0:
         return
@@ -215,7 +222,7 @@ def _note(view: View, outline: Outline, colors: Bytes, bit: int, i: int, found: 
 
 
 _RINGS = (0.25, 0.5, 0.7, 0.85)
-"""Radii, as shares of the outline's, where the colour is looked at."""
+"""Radii, as shares of the outline's, at which the colour is sampled."""
 _LEVELS = 256
 
 

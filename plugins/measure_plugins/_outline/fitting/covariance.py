@@ -1,4 +1,4 @@
-"""How an outline's edges spread about it, and what that means for its centre in the picture."""
+"""Covariance of an outline's centre in the picture, from how its edges scatter about it."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from measure.model.lens import to_pixel
 _BLOCKS = 12
 _WAVES = 12
 _STEEPNESS = 1.5
-"""The power of an outline's errors falls with this power of their waves round it: so fall, in the
-mean of seventeen rendered recordings, the residuals' waves from the second one to the fifth."""
+"""The power of the k-th wave of an outline's errors is taken as k to the minus this: so fall, in
+the mean of seventeen rendered recordings, the residuals' waves from the second to the fifth."""
 _POWERS = tuple(float(max(wave, 1) ** -_STEEPNESS) for wave in range(_WAVES + 1))
 _LANES = 16
-"""Waves are filled up to a multiple of the machine's vector; one more than `_WAVES` is used."""
+"""Waves computed: a whole number of vectors, and one more than `_WAVES` is used."""
 _ARCS = 24
-"""Edges scatter within such arcs by noise, which their means are all but free of."""
+"""Arcs of the outline, whose means are nearly without noise."""
 
 
 @compiled
@@ -38,10 +38,10 @@ def image_directions(frame: Floats, lens: Floats) -> Floats:
 def center_covariance(around: Floats, weights: Floats, off: Floats, normal: Floats) -> Floats:
     """Covariance (2, 2) of a cone's axis along e1 and e2, in px^2, by how its edges scatter.
 
-    Shading, reflections and what stands behind shift edges alike over arcs of any length; what
-    shifts one half of the outline out and the other in moves the centre and leaves no residual. So
-    it is inferred from the shorter waves, which do: the fit's answer to all waves, scaled by the
-    scatter of short arcs' means, comes on top of what independent edges leave open.
+    Shading, reflections and background shift edges alike over arcs of any length. Errors that
+    shift one half of the outline out and the other in move the centre and leave no residual; their
+    size is inferred from shorter waves, which leave some. The covariance is that of independent
+    edges plus the fit's response to all waves, scaled to the scatter of the arcs' means.
 
     Args:
         around: (n, 2) cosine and sine of evenly spaced rays around the axis.
@@ -50,11 +50,11 @@ def center_covariance(around: Floats, weights: Floats, off: Floats, normal: Floa
         normal: (3, 3) of the fit: axis along e1 and e2, growth.
     """
     known, (cosines, sines) = inverse(normal), _waves_in_arcs(around, weights)
-    answers = _answers(_summed(cosines), _summed(sines), known)
-    out, left, seen = np.zeros((2, 2)), _left(answers, cosines, sines), 0.0
+    responses = _wave_responses(_summed(cosines), _summed(sines), known)
+    out, left, seen = np.zeros((2, 2)), _unexplained(responses, cosines, sines), 0.0
     for wave in range(_WAVES + 1):
         for part in range(2):
-            x, y = answers[part, 0, wave], answers[part, 1, wave]
+            x, y = responses[part, 0, wave], responses[part, 1, wave]
             out[0, 0] += _POWERS[wave] * x * x
             out[0, 1] += _POWERS[wave] * x * y
             out[1, 1] += _POWERS[wave] * y * y
@@ -62,7 +62,7 @@ def center_covariance(around: Floats, weights: Floats, off: Floats, normal: Floa
     for arc in range(_ARCS):
         if cosines[arc, 0] > 0:
             total = 0.0
-            for i in range(_begins(arc, len(off)), _begins(arc + 1, len(off))):
+            for i in range(_arc_start(arc, len(off)), _arc_start(arc + 1, len(off))):
                 total += weights[i] * off[i]
             seen += total * total / cosines[arc, 0]
     return out * (seen / left) + known[:2, :2]
@@ -72,8 +72,7 @@ def center_covariance(around: Floats, weights: Floats, off: Floats, normal: Floa
 def _waves_in_arcs(around: Floats, weights: Floats) -> tuple[Floats, Floats]:
     """Weighted sums over each arc of the cosines (a, w) and sines (a, w) of waves round an outline.
 
-    Wave 0 is even: its cosines' sums are those of the weights. All waves at once: each turns by its
-    own angle from ray to ray.
+    Wave 0 is constant: the sums of its cosines are those of the weights.
     """
     n = len(weights)
     cosines, sines = np.zeros((_ARCS, _LANES)), np.zeros((_ARCS, _LANES))
@@ -81,7 +80,7 @@ def _waves_in_arcs(around: Floats, weights: Floats) -> tuple[Floats, Floats]:
     for wave in range(_LANES):
         by[0, wave], by[1, wave] = around[wave % n, 0], around[wave % n, 1]
     for arc in range(_ARCS):
-        for i in range(_begins(arc, n), _begins(arc + 1, n)):
+        for i in range(_arc_start(arc, n), _arc_start(arc + 1, n)):
             for wave in range(len(x)):
                 cosine, sine = x[wave], y[wave]
                 cosines[arc, wave] += weights[i] * cosine
@@ -102,14 +101,14 @@ def _summed(rows: Floats) -> Floats:
 
 
 @compiled
-def _begins(arc: int, rays: int) -> int:
+def _arc_start(arc: int, rays: int) -> int:
     """The first of so many rays that lies in an arc."""
     return (arc * rays + _ARCS - 1) // _ARCS
 
 
 @compiled
-def _answers(cosines: Floats, sines: Floats, known: Floats) -> Floats:
-    """The fit's answers (2, 3, w) to edges shifted by cosine and by sine waves.
+def _wave_responses(cosines: Floats, sines: Floats, known: Floats) -> Floats:
+    """Solutions (2, 3, w) of the fit to edges shifted by cosine and by sine waves.
 
     Args:
         cosines: (w,) the waves' weighted sums all round the outline.
@@ -118,26 +117,26 @@ def _answers(cosines: Floats, sines: Floats, known: Floats) -> Floats:
     """
     out = np.zeros((2, 3, _LANES))
     for wave in range(_WAVES + 1):
-        # A product of waves, here with the first one, is half the sum of two others.
+        # The product of a wave and the first one is half the sum of two others.
         more, less, sign = wave + 1, abs(wave - 1), 1.0 if wave > 0 else -1.0
         x1, y2 = cosines[less] + cosines[more], cosines[less] - cosines[more]
         x2, y1 = sines[more] + sign * sines[less], sines[more] - sign * sines[less]
         for a in range(3):
-            along, aside, even = 0.5 * known[a, 0], 0.5 * known[a, 1], known[a, 2]
-            out[0, a, wave] = along * x1 + aside * y1 + even * cosines[wave]
-            out[1, a, wave] = along * x2 + aside * y2 + even * sines[wave]
+            first, second, growth = 0.5 * known[a, 0], 0.5 * known[a, 1], known[a, 2]
+            out[0, a, wave] = first * x1 + second * y1 + growth * cosines[wave]
+            out[1, a, wave] = first * x2 + second * y2 + growth * sines[wave]
     return out
 
 
 @compiled
-def _left(answers: Floats, cosines: Floats, sines: Floats) -> float:
-    """Weighted square sum of what the answers leave of waves of `_POWERS` in the arcs' means."""
+def _unexplained(responses: Floats, cosines: Floats, sines: Floats) -> float:
+    """Expected square sum of the arcs' mean residuals for waves of `_POWERS`."""
     left = np.zeros(_LANES)
     for arc in range(len(cosines)):
         x, y, mass = cosines[arc, 1], sines[arc, 1], cosines[arc, 0]
         per = 1 / mass if mass > 0 else 0.0
         for wave in range(len(left)):
-            first, second = answers[0, :, wave], answers[1, :, wave]
+            first, second = responses[0, :, wave], responses[1, :, wave]
             a = cosines[arc, wave] - (first[0] * x + first[1] * y + first[2] * mass)
             b = sines[arc, wave] - (second[0] * x + second[1] * y + second[2] * mass)
             left[wave] += per * (a * a + b * b)
@@ -148,12 +147,11 @@ def _left(answers: Floats, cosines: Floats, sines: Floats) -> float:
 
 
 @compiled
-def in_pieces(around: Floats, weights: Floats, off: Floats, normal: Floats) -> Floats:
-    """Covariance (2, 2) in px^2 of an axis fitted to edges whose errors go together piece by piece.
+def piecewise_covariance(around: Floats, weights: Floats, off: Floats, normal: Floats) -> Floats:
+    """Covariance (2, 2) in px^2 of an axis fitted to edges whose errors are alike in each piece.
 
-    Half-level crossings that are not corrected are off by shading, reflections and what stands
-    behind: each piece of the outline as a whole, by about as much as the edges leave unexplained.
-    A piece seen alone hardly tells a shift from growth, and so counts by its lever.
+    Shading, reflections and background shift uncorrected half-level crossings: each of the
+    `_BLOCKS` pieces of the outline as a whole, by about the RMS residual.
 
     Args:
         around: (n, 2) cosine and sine around the axis.
@@ -175,7 +173,7 @@ def in_pieces(around: Floats, weights: Floats, off: Floats, normal: Floats) -> F
         for a in range(3):
             for b in range(3):
                 total[a, b] += row[a] * row[b]
-    # Three unknowns fitted to so many pieces take their part of the scatter with them.
+    # The three unknowns fitted take up their share of the pieces' scatter.
     each = rest / max(used, 1) * _BLOCKS / (_BLOCKS - 3)
     known = inverse(normal)
     return (known + each * (known @ total @ known))[:2, :2]

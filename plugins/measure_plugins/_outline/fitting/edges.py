@@ -9,7 +9,7 @@ import numpy as np
 from measure.arrays import Bytes, Floats, Reals, Singles
 from measure.compiling import compiled, folded
 from measure_plugins._kernels.selection import median
-from measure_plugins._outline.appearance.radial_basis import Radial
+from measure_plugins._outline.appearance.radial_basis import RadialTables
 from measure_plugins._outline.appearance.render import FIT_LAST_PX, Ambient, predict_light
 from measure_plugins._outline.appearance.sensor import CHROMA_REACH, Sensor, encode, read_off
 from measure_plugins._outline.sampling.edge_crossing import (
@@ -24,27 +24,31 @@ from measure_plugins._outline.sampling.ray_groups import TOGETHER, middle_angles
 from measure_plugins._outline.sampling.rays import CLEAR, STEPS, RaySet, Statuses, sample
 
 INSIDE_PX = (-7.0, -3.0)
-"""Where the colour inside is taken: clear of the blurred edge, near enough to have its shade."""
-_DEEPEST, _LEAST_SHARE = 1 / 7, 0.6
-"""Inside small outlines no deeper than this share of the radius, where a ball faces the light
-otherwise than at its edge; but at least so much of the window's depth, clear of the blur. Of two
-depths tried on own scenes of half the size, the lesser was better on six of eight."""
+"""Where the colour inside is taken, px along the normal: inside the blurred edge, and near it."""
+_MAX_DEPTH_RADII, _MIN_DEPTH_SHARE = 1 / 7, 0.6
+"""Limits of that window in small outlines: no deeper than this share of the radius, since further
+in the shading differs from that at the edge; but at least this share of its depth, because of the
+blur. Of two depths tried on simulated scenes of half the size, the lesser was better on six of
+eight."""
 OUTSIDE_PX = (3.0, 6.5)
 """Where the colour outside is taken."""
 SEARCH_PX = 3.0
 _BACKGROUND_PX = (3.0, 6.0)
-_COLORFUL = 0.35
-"""Share of the edges' contrast that is colour, above which grey is left out of it."""
-_TRUST = 0.25
-"""Share of a ray's correction, beyond the contour's common one, that counts as its uncertainty."""
+_MIN_COLOR_SHARE = 0.35
+"""Share of the edges' contrast that must be chromatic for edges to be found without grey."""
+_CORRECTION_SD_SHARE = 0.25
+"""Standard deviation of a ray's correction, per difference from the outline's median."""
 _SYSTEMATIC_PX = 0.25
-"""What the prediction leaves on a ray, however low the noise: it keeps bright rays from ruling."""
+"""Standard deviation that the model leaves on a ray, however low the noise: it bounds the weight of
+bright rays."""
 _FIRST = int(np.searchsorted(STEPS, INSIDE_PX[0]))
-"""The step at which the edge finder begins to look."""
+"""The first step that edges are found from."""
 LATER_STEPS = STEPS[_FIRST:]
 """Where the picture is predicted, px along the normal."""
-_LIT = (STEPS <= FIT_LAST_PX) | ((_BACKGROUND_PX[0] <= STEPS) & (_BACKGROUND_PX[1] >= STEPS))
-"""The steps at which light is asked for, not picture values alone."""
+_LIGHT_STEPS = (STEPS <= FIT_LAST_PX) | (
+    (_BACKGROUND_PX[0] <= STEPS) & (_BACKGROUND_PX[1] >= STEPS)
+)
+"""The steps at which light is sampled besides picture values."""
 
 
 class Edges(NamedTuple):
@@ -73,20 +77,20 @@ class PredictionInputs(NamedTuple):
         table: (256,) light of each picture value.
         sensor: how the camera turns light into values.
         rays: n rays across the predicted outline; those that leave the picture are marked.
-        radial: what the ball shows along a ray, see `radial.radial`.
-        ambient: the light round it, along the rays that are predicted.
+        tables: what the ball shows along a ray, see `tables.tables`.
+        ambient: the light on it, along the rays that are predicted.
     """
 
     pixels: Bytes
     table: Floats
     sensor: Sensor
     rays: RaySet
-    radial: Radial
+    tables: RadialTables
     ambient: Ambient
 
 
-class FoundTwice(NamedTuple):
-    """Edges along n rays, found by all colours but grey, then by all.
+class EdgePairs(NamedTuple):
+    """Edges along n rays, found without the grey component of their colours, then with it.
 
     Attributes:
         at: (2, n) px outward from the prediction, NaN where there is none.
@@ -106,18 +110,18 @@ class FoundTwice(NamedTuple):
 
 
 @folded
-def corrected_edges(found: FoundTwice, believed: float) -> Edges:
-    """Edges found twice, less the finder's errors on a prediction.
+def corrected_edges(found: EdgePairs, correction_weight: float) -> Edges:
+    """Mean of both edges of a ray, each corrected by its bias on the predicted picture.
 
-    What the prediction gets wrong moves the two differently: their mean is less off than either,
-    and their difference tells by how much.
+    Errors of the prediction move the two differently: their mean is better than either, and half
+    their difference is part of its standard deviation.
 
     Args:
-        found: by `find_twice`.
-        believed: share of a ray's correction, beyond the contour's common one, that is taken off.
+        found: from `find_edge_pairs`.
+        correction_weight: share subtracted of the difference of a ray's bias from the median.
 
     Returns:
-        The edges; their contrast in picture values from 0 to 1.
+        The edges; contrast in picture values from 0 to 1.
     """
     n = found.at.shape[1]
     shifts, variances = np.empty((2, n)), np.empty((2, n))
@@ -126,29 +130,29 @@ def corrected_edges(found: FoundTwice, believed: float) -> Edges:
         for i in range(n):
             own = found.predicted[k, i // TOGETHER] - common
             sd = found.sd[k, i]
-            shifts[k, i] = found.at[k, i] - common - believed * own
-            variances[k, i] = sd * sd + _TRUST * own * _TRUST * own
+            shifts[k, i] = found.at[k, i] - common - correction_weight * own
+            variances[k, i] = sd * sd + _CORRECTION_SD_SHARE * own * _CORRECTION_SD_SHARE * own
     return _joined(shifts, variances, found.contrast, found.inside, found.outside)
 
 
 @compiled
-def find_twice(inputs: PredictionInputs) -> FoundTwice:
-    """Find edges without grey and by all colours, in a picture and on the prediction of it.
+def find_edge_pairs(inputs: PredictionInputs) -> EdgePairs:
+    """Find edges without grey and with it, in a picture and on its prediction.
 
     Without grey, colourless reflections do not count; with it, brightness does, which the camera
-    shows sharper. The ambient light of `inputs` is that along the n / 2 groups of its rays.
+    blurs less. The ambient light of `inputs` is that along the n / 2 groups of its rays.
     """
     rays = inputs.rays
-    light, values = sample(inputs.pixels, inputs.table, rays, STEPS, _LIT, _FIRST)
+    light, values = sample(inputs.pixels, inputs.table, rays, STEPS, _LIGHT_STEPS, _FIRST)
     window = inside_window(rays.points)
     within, background = levels(light, STEPS, window), levels(light, STEPS, _BACKGROUND_PX)
-    some, status = together(light, rays.status)
-    predicted = _predicted_values(inputs, some, status, middle_angles(rays.around))
+    grouped, status = together(light, rays.status)
+    predicted = _predicted_values(inputs, grouped, status, middle_angles(rays.around))
     inside = levels(values, LATER_STEPS, window)
     outside = levels(values, LATER_STEPS, OUTSIDE_PX)
     model_inside = levels(predicted, LATER_STEPS, window)
     model_outside = levels(predicted, LATER_STEPS, OUTSIDE_PX)
-    n, lit = len(rays.points), in_highlights(inside, rays.status)
+    n, highlights = len(rays.points), in_highlights(inside, rays.status)
     at, sd, contrasts = np.empty((2, n)), np.empty((2, n)), np.empty((2, n))
     biases = np.empty((2, n // TOGETHER))
     for k in range(2):
@@ -157,17 +161,17 @@ def find_twice(inputs: PredictionInputs) -> FoundTwice:
         seen, slope = crossings(x, LATER_STEPS, SEARCH_PX)
         at[k], sd[k] = seen, uncertainty(x, LATER_STEPS, seen, slope, window)
         for i in range(n):
-            sd[k, i] += HIGHLIGHT_PX * lit[i]
+            sd[k, i] += HIGHLIGHT_PX * highlights[i]
         y, _ = project(predicted, model_inside, model_outside, without_grey)
         biases[k], _ = crossings(y, LATER_STEPS, SEARCH_PX)
-    return FoundTwice(at, sd, contrasts, biases, within, background)
+    return EdgePairs(at, sd, contrasts, biases, within, background)
 
 
 @compiled
 def _joined(
     shifts: Floats, variances: Floats, contrasts: Floats, inside: Reals, outside: Reals
 ) -> Edges:
-    """Edges from both ways (2, n) of finding them."""
+    """Edges from pairs (2, n) of corrected ones."""
     n = shifts.shape[1]
     shift, sd, contrast = np.empty(n), np.empty(n), np.empty(n)
     for i in range(n):
@@ -185,7 +189,7 @@ def inside_window(points: Floats) -> tuple[float, float]:
     across = 0.0
     for k in range(2):
         across += (np.max(points[:, k]) - np.min(points[:, k])) / 4
-    share = min(max(_DEEPEST * across / -INSIDE_PX[0], _LEAST_SHARE), 1.0)
+    share = min(max(_MAX_DEPTH_RADII * across / -INSIDE_PX[0], _MIN_DEPTH_SHARE), 1.0)
     return share * INSIDE_PX[0], share * INSIDE_PX[1]
 
 
@@ -204,7 +208,7 @@ def _middle(values: Reals) -> float:
 def compare(inputs: PredictionInputs) -> tuple[Floats, Floats]:
     """Picture values (3, m, n) along all rays at `LATER_STEPS`: seen, and predicted."""
     rays = inputs.rays
-    seen, values = sample(inputs.pixels, inputs.table, rays, STEPS, _LIT, _FIRST)
+    seen, values = sample(inputs.pixels, inputs.table, rays, STEPS, _LIGHT_STEPS, _FIRST)
     predicted = _predicted_values(inputs, seen.astype(np.float64), rays.status, rays.around)
     return values.astype(np.float64), predicted.astype(np.float64)
 
@@ -230,7 +234,7 @@ def _predicted_values(
         around,
         background,
         STEPS,
-        inputs.radial,
+        inputs.tables,
         inputs.ambient,
         _FIRST - CHROMA_REACH,
     )
@@ -239,7 +243,7 @@ def _predicted_values(
 
 @compiled
 def _is_colorful(inside: Reals, outside: Reals, status: Statuses) -> bool:
-    """Whether the edges differ enough in colour alone."""
+    """Whether enough of the edges' contrast is chromatic."""
     whole, part = 0.0, 0.0
     for i in range(len(status)):
         if status[i] == CLEAR:
@@ -249,4 +253,4 @@ def _is_colorful(inside: Reals, outside: Reals, status: Statuses) -> bool:
             mean = (a + b + c) / 3
             whole += np.sqrt(a * a + b * b + c * c)
             part += np.sqrt((a - mean) ** 2 + (b - mean) ** 2 + (c - mean) ** 2)
-    return part > _COLORFUL * whole
+    return part > _MIN_COLOR_SHARE * whole

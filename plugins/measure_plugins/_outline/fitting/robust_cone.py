@@ -14,10 +14,10 @@ from measure.geometry.linear_kernels import cholesky, solve_factored
 from measure_plugins._kernels.selection import DOUBLES, nearly_kth, whole_vectors
 
 _TUKEY = 4.685
-_ROUNDS, _ENOUGH_PX = 6, 1e-3
-_FEWEST = 4
-FURTHEST_PX = 1.6
-"""A point further off than this belongs to something else, whatever the others scatter by."""
+_ITERATIONS, _CONVERGED_PX = 6, 1e-3
+_MIN_POINTS = 4
+MAX_RESIDUAL_PX = 1.6
+"""Points with larger residuals are left out, whatever the scatter of the others."""
 
 
 @compiled
@@ -38,7 +38,7 @@ def consensus(shifts: Floats, around: Floats, use: Floats, gate_px: float, trial
     at, cosine, sine = shifts[index], around[index, 0], around[index, 1]
     found, score = _three_point_solutions(at, cosine, sine, trials)
     per_gate = 1 / gate_px
-    # All trials in the inner loop: many at once, and each one's sum in the points' order.
+    # Trials in the inner loop, which is vectorised; each one's sum is in the points' order.
     for j in range(len(at)):
         for t in range(len(score)):
             r = (at[j] - (cosine[j] * found[0, t] + sine[j] * found[1, t] + found[2, t])) * per_gate
@@ -56,9 +56,9 @@ def consensus(shifts: Floats, around: Floats, use: Floats, gate_px: float, trial
 def _three_point_solutions(
     at: Floats, cosine: Floats, sine: Floats, trials: int
 ) -> tuple[Floats, Floats]:
-    """Solutions (3, k) through triples of points (n,); -inf (k,) for those with none.
+    """Solutions (3, k) through triples of points (n,); scores (k,), -inf for those without one.
 
-    Beyond the trials, such columns fill up the last vector of the machine.
+    k is the number of trials, filled up to a whole number of vectors.
     """
     columns = whole_vectors(trials, DOUBLES)
     found, score = np.zeros((3, columns)), np.full(columns, -np.inf)
@@ -100,7 +100,7 @@ def refine(
         use: (n,) 1 for points to use, else 0.
         start: (3,) to start from.
         gate_px: how near a point must be at first.
-        growth: mean and sd in px of what is known of the growth before.
+        growth: prior mean and sd of the growth, px.
 
     Returns:
         Solution (3,) as in `consensus`, normal matrix (3, 3) of the weighted fit in px^-2, the
@@ -110,7 +110,7 @@ def refine(
     normal, right, scale = np.zeros((3, 3)), np.empty(3), 1.0
     factor, nothing = np.empty((3, 3)), np.zeros(len(shifts))
     off, scratch = np.empty(len(shifts)), np.empty(len(shifts))
-    for turn in range(_ROUNDS):
+    for turn in range(_ITERATIONS):
         d1, d2, growing = solution
         for i in range(len(shifts)):
             off[i] = shifts[i] - (around[i, 0] * d1 + around[i, 1] * d2 + growing)
@@ -130,7 +130,7 @@ def refine(
             return solution, normal, nothing, np.inf
         solve_factored(factor, right, solution)
         change = max(abs(solution[0] - d1), abs(solution[1] - d2), abs(solution[2] - growing))
-        if change < _ENOUGH_PX:
+        if change < _CONVERGED_PX:
             break
     return solution, normal, weights, scale
 
@@ -139,15 +139,15 @@ def refine(
 def _scatter(off: Floats, sd: Floats, use: Floats, gate_px: float, standard: Floats) -> float:
     """Robust scale of the residuals in use, in units of `sd`; infinite if there are too few.
 
-    What `standard` (n,) holds is written over.
+    `standard` (n,) is scratch memory.
     """
     unused = 0
-    for i in range(len(off)):  # without branches: those not in use stand before all others
+    for i in range(len(off)):  # without branches: points not in use sort before all others
         used = (use[i] > 0) & (abs(off[i]) < gate_px)
         standard[i] = abs(off[i]) / sd[i] if used else -1.0
         unused += int(not used)
     count = len(off) - unused
-    if count < _FEWEST:
+    if count < _MIN_POINTS:
         return np.inf
     return max(1.4826 * nearly_kth(standard, unused + count // 2), 0.3)
 
@@ -155,9 +155,9 @@ def _scatter(off: Floats, sd: Floats, use: Floats, gate_px: float, standard: Flo
 @compiled
 def _weigh(off: Floats, sd: Floats, use: Floats, scale: float, weights: Floats) -> None:
     """Tukey's weights of residuals (n,) of those points that are to be used."""
-    for i in range(len(off)):  # without branches, so that it does many points at once
+    for i in range(len(off)):  # without branches, so that the loop is vectorised
         limit = sd[i] * scale * _TUKEY
-        t = off[i] / (limit if limit < FURTHEST_PX else FURTHEST_PX)
+        t = off[i] / (limit if limit < MAX_RESIDUAL_PX else MAX_RESIDUAL_PX)
         root = 1 - t * t
         weights[i] = root * root if (root > 0.0) & (use[i] > 0) else 0.0
 
@@ -171,7 +171,7 @@ def _equations(
     normal: Floats,
     right: Floats,
 ) -> None:
-    """Normal matrix (3, 3) and right side (3,) of the weighted fit and what is known before."""
+    """Normal matrix (3, 3) and right side (3,) of the weighted fit and the prior of the growth."""
     xx, xy, yy, x1, y1, xs, ys = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     mass, shift = 1 / growth[1] ** 2, growth[0] / growth[1] ** 2
     for i in range(len(shifts)):

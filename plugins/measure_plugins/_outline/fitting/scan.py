@@ -1,4 +1,4 @@
-"""One look at an outline: rays across its prediction, and the edges along them."""
+"""One scan of an outline: rays across its prediction, and the edges along them."""
 
 from __future__ import annotations
 
@@ -8,10 +8,13 @@ import numpy as np
 
 from measure.arrays import Bytes, Floats
 from measure.compiling import compiled
-from measure_plugins._outline.appearance.environment_map import Room, room_light
-from measure_plugins._outline.appearance.interreflection import mirrored_behind
-from measure_plugins._outline.appearance.point_lights import lamp_light, seen_from
-from measure_plugins._outline.appearance.radial_basis import Radial
+from measure_plugins._outline.appearance.environment_map import (
+    EnvironmentMap,
+    environment_reflection,
+)
+from measure_plugins._outline.appearance.interreflection import ball_reflection_shares
+from measure_plugins._outline.appearance.point_lights import lights_about, shade_by_lights
+from measure_plugins._outline.appearance.radial_basis import RadialTables
 from measure_plugins._outline.appearance.render import Ambient
 from measure_plugins._outline.appearance.sensor import Sensor
 from measure_plugins._outline.fitting.edges import (
@@ -21,7 +24,7 @@ from measure_plugins._outline.fitting.edges import (
     Edges,
     PredictionInputs,
     corrected_edges,
-    find_twice,
+    find_edge_pairs,
 )
 from measure_plugins._outline.sampling.edge_crossing import crossings, levels, project, uncertainty
 from measure_plugins._outline.sampling.ray_groups import middle_angles
@@ -38,49 +41,50 @@ from measure_plugins._outline.sampling.rays import (
 )
 
 _STEP_PX, _WHOLE_PX, _WIDE_PX = 0.5, 1.0, 2.0
-"""A wide look only leads to a near one, and a quick one to a better one: whole pixels will do."""
+"""Distance of samples: of a narrow scan, of a wide or coarse one, and of one that is both. The
+latter two only start a better scan."""
 _FAR_PX = 3.0
-"""A quick look that goes so much further than a near one takes every other pixel."""
+"""Reach beyond `SEARCH_PX` above which a coarse scan takes every other pixel."""
 _LIGHT_PER_VALUE = 0.3
-"""Slope of tone curves in the shade, where contrast is scarce."""
+"""Slope of tone curves in the shade, light per picture value, where contrast is scarce."""
 
 
-class View(NamedTuple):
-    """A picture with all that is needed to look at it.
+class CameraImage(NamedTuple):
+    """A picture and how its camera shows balls.
 
     Attributes:
         pixels: (h, w, 3) uint8.
         table: (256,) light of each picture value.
-        sensor: how it turned light into values.
+        sensor: how the camera turns light into values.
         lens: (13,) lens row.
-        lamps: (k, 4) in the camera frame, see `lamps`.
-        room: what balls mirror of the room.
-        believed: see `appearance.Appearance`.
+        point_lights: (k, 4) in the camera frame, see `appearance.point_lights`.
+        environment: the surroundings that balls mirror.
+        correction_weight: see `Appearance`.
     """
 
     pixels: Bytes
     table: Floats
     sensor: Sensor
     lens: Floats
-    lamps: Floats
-    room: Room
-    believed: float
+    point_lights: Floats
+    environment: EnvironmentMap
+    correction_weight: float
 
 
-class Search(NamedTuple):
-    """How to look for one outline.
+class OutlineSearch(NamedTuple):
+    """Where and how one outline is searched for.
 
     Attributes:
         axis: (3,) predicted unit direction of the ball's centre in the camera frame.
         half_angle: predicted half angle of its cone, rad.
         nearer: (k, 4) unit axes and half angles of nearer balls.
-        behind: (k, 4) balls further away, see `behind.balls_behind`.
+        behind: (k, 4) balls further away, see `balls_behind`.
         reach_px: how far the outline may be from the prediction.
         rays: number of rays.
         min_contrast: least difference of inside and outside, in picture values from 0 to 1.
         margin_px: distance to keep from nearer balls.
         distance: of the ball, mm; unused where its size is not known.
-        gain: (2, 2) see `gain.measured_gain`; used for corrected edges only.
+        step_gain: (2, 2) see `measure_step_gain`; used for corrected edges only.
     """
 
     axis: Floats
@@ -92,17 +96,17 @@ class Search(NamedTuple):
     min_contrast: float
     margin_px: float
     distance: float
-    gain: Floats
+    step_gain: Floats
 
 
-class Look(NamedTuple):
-    """What n rays across a predicted outline show.
+class EdgeScan(NamedTuple):
+    """Edges found along n rays across a predicted outline.
 
     Attributes:
         frame: (3, 3) see `rays.frame_about`.
         rays: those rays.
         scale: (n,) px per rad along their normals.
-        edges: what was found along them.
+        edges: along them.
         clear: (n,) 1 for clear rays on which inside and outside differ enough, else 0.
         use: (n,) 1 for clear rays with an edge, else 0.
     """
@@ -116,30 +120,30 @@ class Look(NamedTuple):
 
 
 @compiled
-def look_roughly(
-    view: View,
-    search: Search,
+def scan_half_level(
+    view: CameraImage,
+    search: OutlineSearch,
     axis: Floats,
     half_angle: float,
     reach_px: float,
-    quickly: bool = False,
-) -> Look:
+    coarse: bool = False,
+) -> EdgeScan:
     """Find the half-level crossings, in light, within `reach_px` of the prediction.
 
-    Far looks, and those that have to be quick, take the nearest pixels.
+    Wide and coarse scans take the nearest pixels, without interpolation.
     """
     wider = max(reach_px - SEARCH_PX, 0.0)
     inside = (INSIDE_PX[0] - wider, INSIDE_PX[1] - wider)
     outside = (OUTSIDE_PX[0] + wider, OUTSIDE_PX[1] + wider)
-    step = _WHOLE_PX if wider > 0 or quickly else _STEP_PX
-    if quickly and wider > _FAR_PX:
+    step = _WHOLE_PX if wider > 0 or coarse else _STEP_PX
+    if coarse and wider > _FAR_PX:
         step = _WIDE_PX
     steps = np.arange(inside[0], outside[1] + 1e-9, step)
     frame = frame_about(axis)
     rays, scale = cast_rays(frame, half_angle, search.rays, view.lens)
     reach = (inside[0], outside[1])
     mark_occluded(rays, scale, frame, half_angle, search.nearer, reach, search.margin_px)
-    if wider > 0 or quickly:
+    if wider > 0 or coarse:
         profiles = sample_nearest(view.pixels, view.table, rays, steps)
     else:
         lit = np.ones(len(steps), np.bool_)
@@ -153,38 +157,45 @@ def look_roughly(
     edges = Edges(at.astype(np.float64), sd, contrast, lights[0], lights[1])
     least = _LIGHT_PER_VALUE * search.min_contrast
     clear, use = _usable(edges, rays.status, least, np.inf)
-    return Look(frame, rays, scale, edges, clear, use)
+    return EdgeScan(frame, rays, scale, edges, clear, use)
 
 
 @compiled
-def look_closely(
-    view: View, search: Search, axis: Floats, half_angle: float, radial: Radial, ambient: Ambient
-) -> Look:
-    """The same with the edge finder's own error taken off; `ambient` by `light_about` there."""
+def scan_with_model(
+    view: CameraImage,
+    search: OutlineSearch,
+    axis: Floats,
+    half_angle: float,
+    tables: RadialTables,
+    ambient: Ambient,
+) -> EdgeScan:
+    """Find edges corrected by the model's prediction; `ambient` as from `ambient_light`."""
     frame = frame_about(axis)
     rays, scale = cast_rays(frame, half_angle, search.rays, view.lens)
     reach = (INSIDE_PX[0], OUTSIDE_PX[1])
     mark_occluded(rays, scale, frame, half_angle, search.nearer, reach, search.margin_px)
-    found = find_twice(
-        PredictionInputs(view.pixels, view.table, view.sensor, rays, radial, ambient)
+    found = find_edge_pairs(
+        PredictionInputs(view.pixels, view.table, view.sensor, rays, tables, ambient)
     )
-    edges = corrected_edges(found, view.believed)
+    edges = corrected_edges(found, view.correction_weight)
     clear, use = _usable(edges, rays.status, search.min_contrast, SEARCH_PX)
-    return Look(frame, rays, scale, edges, clear, use)
+    return EdgeScan(frame, rays, scale, edges, clear, use)
 
 
 @compiled
-def light_about(view: View, search: Search, axis: Floats, radial: Radial) -> Ambient:
-    """What the camera has taught about the light round a ball, along its groups of rays.
+def ambient_light(
+    view: CameraImage, search: OutlineSearch, axis: Floats, tables: RadialTables
+) -> Ambient:
+    """The light on a ball, along its groups of rays, as far as it is known.
 
-    Looks a few pixels away may use it too: lamps and walls are far, a degree does not matter.
+    It holds for scans a few pixels away too, because lights and walls are far away.
     """
     frame, around = frame_about(axis), middle_angles(angles_around(search.rays))
-    lamps = seen_from(view.lamps, frame, search.distance)
+    point_lights = lights_about(view.point_lights, frame, search.distance)
     return Ambient(
-        lamp_light(radial.diffuse, radial.kept_out[0], around, lamps),
-        room_light(view.room, radial.grey, frame, search.half_angle, around),
-        mirrored_behind(search.behind, frame, search.half_angle, around),
+        shade_by_lights(tables.diffuse, tables.fresnel_loss[0], around, point_lights),
+        environment_reflection(view.environment, tables.grey, frame, search.half_angle, around),
+        ball_reflection_shares(search.behind, frame, search.half_angle, around),
     )
 
 
@@ -192,7 +203,7 @@ def light_about(view: View, search: Search, axis: Floats, radial: Radial) -> Amb
 def _usable(
     edges: Edges, status: Statuses, min_contrast: float, furthest_px: float
 ) -> tuple[Floats, Floats]:
-    """Which rays are clear, and which of them have an edge to use."""
+    """Which rays (n,) have enough contrast, and which of them an edge; 1 or 0 each."""
     n = len(status)
     clear, use = np.zeros(n), np.zeros(n)
     for i in range(n):

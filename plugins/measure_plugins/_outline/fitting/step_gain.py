@@ -1,8 +1,9 @@
-"""How far an outline is off where a look finds it off by a pixel.
+"""Displacement of an outline per displacement that a scan with the model shows.
 
-The prediction of the picture is fitted to it at the place where the outline is looked for, and
-takes up part of a displacement: how much depends on the light on the ball, on its size and on what
-it mirrors, and hardly changes from picture to picture.
+The prediction is fitted to the picture where the outline is assumed to be, and takes up part of its
+displacement. How much depends on the light on the ball, on its size and on its reflections, and
+hardly changes from picture to picture: it is measured once, and each scan's result multiplied by
+the inverse.
 """
 
 from __future__ import annotations
@@ -11,58 +12,61 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled, folded
-from measure_plugins._outline.appearance.radial_basis import Radial
-from measure_plugins._outline.fitting.outline import Fit, fit_look
-from measure_plugins._outline.fitting.scan import Look, Search, View, light_about, look_closely
+from measure_plugins._outline.appearance.radial_basis import RadialTables
+from measure_plugins._outline.fitting.outline import Fit, fit_scan
+from measure_plugins._outline.fitting.scan import (
+    CameraImage,
+    EdgeScan,
+    OutlineSearch,
+    ambient_light,
+    scan_with_model,
+)
 from measure_plugins._outline.sampling.rays import frame_about, radius_px
 
 CORRECTED_GROWTH = (0.0, 0.3)
-"""Mean and sd in px by which corrected edges show an outline of known distance larger."""
-_ASIDE_PX = 0.3
-_LEAST = 1e-3
-"""Determinant of what is shown of displacements below which nothing can be made of them."""
-_MOST = 1.0
-"""How far gains go beyond one (Frobenius norm): of a look that hardly answers, not all is made."""
+"""Prior mean and sd in px of the radius of corrected edges minus the one predicted by distance."""
+_OFFSET_PX = 0.3
+_MIN_DETERMINANT = 1e-3
+"""Determinant of the step response below which it is not inverted."""
+_MAX_EXCESS = 1.0
+"""Limit of the gain minus the unit matrix (Frobenius norm), where the response is weak."""
 
 
 @compiled
-def restore(look: Look, fit: Fit, gain: Floats) -> None:
-    """Move a fit's axis, and the edges with it, all the way that it was found off in part."""
+def apply_step_gain(scan: EdgeScan, fit: Fit, step_gain: Floats) -> None:
+    """Multiply the shift of a fit's axis by the gain, and move the scan's edges along."""
     found = fit.solution[:2].copy()
     for a in range(2):
-        fit.solution[a] = gain[a, 0] * found[0] + gain[a, 1] * found[1]
+        fit.solution[a] = step_gain[a, 0] * found[0] + step_gain[a, 1] * found[1]
     more = fit.solution[:2] - found
-    around = look.rays.around
+    around = scan.rays.around
     for i in range(len(around)):
-        look.edges.shifts[i] += around[i, 0] * more[0] + around[i, 1] * more[1]
+        scan.edges.shifts[i] += around[i, 0] * more[0] + around[i, 1] * more[1]
 
 
 @folded
-def measured_gain(view: View, search: Search, radial: Radial) -> Floats:
-    """How far (2, 2) an axis is off, along e1 and e2, per px that a look finds it off.
+def measure_step_gain(view: CameraImage, search: OutlineSearch, tables: RadialTables) -> Floats:
+    """Displacement (2, 2) of the axis along e1 and e2, px per px that a scan shows.
 
-    Measured by looks from either side of a settled outline: the inverse of what they show of it.
-
-    Args:
-        view: the picture.
-        search: the outline, settled.
-        radial: see `close_outlines.measure_closely`.
+    The inverse of the response to displacements of `_OFFSET_PX` to either side of the outline that
+    `search` holds, which must have converged.
     """
-    axis, shown = search.axis, np.zeros((2, 2))
-    ambient = light_about(view, search, axis, radial)
+    axis, response = search.axis, np.zeros((2, 2))
+    ambient = ambient_light(view, search, axis, tables)
     frame, scale = frame_about(axis), radius_px(axis, search.half_angle, view.lens)
     for k in range(2):
         for side in (-1, 1):
-            aside = axis + side * _ASIDE_PX * search.half_angle / scale * frame[k]
-            aside /= np.sqrt(np.sum(aside * aside))
-            look = look_closely(view, search, aside, search.half_angle, radial, ambient)
-            fit = fit_look(look, CORRECTED_GROWTH, False)
+            offset = axis + side * _OFFSET_PX * search.half_angle / scale * frame[k]
+            offset /= np.sqrt(np.sum(offset * offset))
+            scan = scan_with_model(view, search, offset, search.half_angle, tables, ambient)
+            fit = fit_scan(scan, CORRECTED_GROWTH, False)
             if not np.isfinite(fit.scale):
                 return np.eye(2)
             for a in range(2):
-                shown[a, k] -= side * fit.solution[a] / (2 * _ASIDE_PX)
-    det = shown[0, 0] * shown[1, 1] - shown[0, 1] * shown[1, 0]
-    if not det > _LEAST:
+                response[a, k] -= side * fit.solution[a] / (2 * _OFFSET_PX)
+    det = response[0, 0] * response[1, 1] - response[0, 1] * response[1, 0]
+    if not det > _MIN_DETERMINANT:
         return np.eye(2)
-    more = np.array([[shown[1, 1], -shown[0, 1]], [-shown[1, 0], shown[0, 0]]]) / det - np.eye(2)
-    return np.eye(2) + more * min(1.0, _MOST / (np.sqrt(np.sum(more * more)) + 1e-12))
+    adjugate = np.array([[response[1, 1], -response[0, 1]], [-response[1, 0], response[0, 0]]])
+    more = adjugate / det - np.eye(2)
+    return np.eye(2) + more * min(1.0, _MAX_EXCESS / (np.sqrt(np.sum(more * more)) + 1e-12))

@@ -1,7 +1,7 @@
 """Where a profile across an outline passes half-way between inside and outside.
 
-Profiles are (3, m, n): colours, steps along the rays, rays; rays last, so that a loop over them
-does many at once: twice as many in single precision, where all that such a loop takes is single.
+Profiles are (3, m, n): colours, steps along the rays, rays; rays last, so that loops over them are
+vectorised, twice as wide in single precision.
 """
 
 from __future__ import annotations
@@ -15,15 +15,11 @@ from measure_plugins._kernels.selection import NINE, median, median_rows
 from measure_plugins._outline.sampling.rays import CLEAR, Statuses
 
 _MIN_SD_PX = 0.03
-"""No crossing is better known: quantisation, and what the interpolation does."""
-
-
+"""Least standard deviation of a crossing: quantisation and interpolation leave as much."""
 _SLOPE_PX = 4.0
-"""Shading that goes on into the edge moves its half level: px per share of contrast and px.
-
-The level at the edge is then off by the slope times the 5 px to the window, half of that counts,
-and the blurred edge falls by about a third per px; half of the whole is taken as one sd.
-"""
+"""Standard deviation in px of a crossing, per slope of the shading inside (share of contrast per
+px): the slope over the 5 px to the window shifts the level, half of that the half level, which
+costs 3 px per share of contrast on a blurred edge; half of the whole is taken."""
 
 
 @compiled
@@ -99,7 +95,7 @@ def crossings(x: Reals, steps: Floats, search_px: float) -> tuple[Reals, Reals]:
         search_px: the furthest crossing from 0.
 
     Returns:
-        Crossing (n,) in px, NaN if there is none; and how steeply it falls there (n,) per px.
+        Crossing (n,) in px, NaN if there is none; and the slope there (n,) per px, positive.
     """
     m, n = x.shape
     number = x.dtype.type
@@ -109,7 +105,7 @@ def crossings(x: Reals, steps: Floats, search_px: float) -> tuple[Reals, Reals]:
         here = number(steps[j])
         if not -furthest - step <= here <= furthest:
             continue
-        for i in range(n):  # without branches, so that it does many rays at once
+        for i in range(n):  # without branches, so that the loop is vectorised
             drop = x[j, i] - x[j + 1, i]
             falls = (x[j, i] > half) & (x[j + 1, i] <= half)
             s = here + (x[j, i] - half) / (drop if falls else one) * step
@@ -126,7 +122,7 @@ def crossings(x: Reals, steps: Floats, search_px: float) -> tuple[Reals, Reals]:
 def uncertainty(
     x: Reals, steps: Floats, at: Reals, slope: Reals, window: tuple[float, float]
 ) -> Floats:
-    """Standard deviations (n,) in px of crossings, from the profiles' scatter about their levels.
+    """Standard deviations (n,) in px of crossings, from the noise and the slope of the profiles.
 
     Args:
         x: (m, n) see `project`.
@@ -149,7 +145,7 @@ def uncertainty(
 
 @compiled
 def _unevenness(x: Reals, steps: Floats, window: tuple[float, float]) -> Reals:
-    """How much normalised profiles rise or fall over the inside window (n,), per px."""
+    """Absolute slope of normalised profiles over the inside window (n,), per px."""
     m, n = x.shape
     middle = 0.5 * (window[0] + window[1])
     rise, number = np.zeros(n, x.dtype), x.dtype.type
@@ -174,9 +170,9 @@ def _unevenness(x: Reals, steps: Floats, window: tuple[float, float]) -> Reals:
 
 @compiled
 def _roughness(x: Reals, steps: Floats, at: Reals) -> Reals:
-    """Scatter of normalised profiles (n,) away from their edges, from second differences.
+    """Noise of normalised profiles (n,) more than 3 px from their edges, from second differences.
 
-    Samples are a pixel apart so that interpolation between the same pixels does not hide the noise.
+    Of samples a whole pixel apart: those between the same two pixels share their noise.
     """
     m, n = x.shape
     total, count, number = np.zeros(n, x.dtype), np.zeros(n, x.dtype), x.dtype.type
@@ -196,21 +192,21 @@ def _roughness(x: Reals, steps: Floats, at: Reals) -> Reals:
 
 
 _WHITE, _PALE = 0.93, 0.6
-"""Picture values, from 0 to 1, of a highlight that is full or nearly so, in all colours; and of
-balls that are about as white themselves."""
+"""Picture values, 0 to 1, above which a pixel is a highlight in all colours, and above which the
+median of a ball's own inside is white itself."""
 HIGHLIGHT_PX = 0.5
-"""How far edges may be off that begin in such a highlight. Of two values tried, with the truth in
-view, 1 was worse before desk lamps."""
+"""Standard deviation in px added to edges of rays that begin in a highlight. Of 0.5 and 1, compared
+on scenes with known truth, the latter was worse under desk lamps."""
 
 
 def clipped(pixels: Bytes, points: Floats, normals: Floats, steps: Floats) -> Bools:
-    """Which of n rays meet a pixel of which one colour is full.
+    """Which of n rays meet a pixel that is saturated in one colour.
 
     Args:
         pixels: (h, w, 3).
         points: (n, 2) where the rays begin, px.
         normals: (n, 2) their unit directions.
-        steps: (m,) where they are looked at, px.
+        steps: (m,) px along the normals, where they are sampled.
     """
     at = np.rint(points + steps[:, None, None] * normals).astype(np.intp)
     height, width = pixels.shape[:2]
@@ -220,22 +216,22 @@ def clipped(pixels: Bytes, points: Floats, normals: Floats, steps: Floats) -> Bo
 
 @compiled
 def in_highlights(inside: Reals, status: Statuses) -> Bools:
-    """Which of n rays begin in a highlight that is white, where the ball is not.
+    """Which of n rays begin in a white highlight, on a ball that is not white itself.
 
-    Near the rim, what ends there is the highlight: the ball goes on beyond it, dark.
+    The edge such a ray shows near the rim is the highlight's, not the outline of the ball.
 
     Args:
         inside: (3, n) picture values inside the outline, from 0 to 1.
         status: (n,) see `RaySet`.
     """
     n = inside.shape[1]
-    out, some, count = np.zeros(n, np.bool_), np.empty(n), 0
+    out, clear, count = np.zeros(n, np.bool_), np.empty(n), 0
     for i in range(n):
         white = min(inside[0, i], min(inside[1, i], inside[2, i]))
         out[i] = white > _WHITE
         if status[i] == CLEAR:
-            some[count] = white
+            clear[count] = white
             count += 1
-    if count == 0 or median(some, count) >= _PALE:
+    if count == 0 or median(clear, count) >= _PALE:
         out[:] = False
     return out

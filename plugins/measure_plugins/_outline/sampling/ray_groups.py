@@ -1,8 +1,7 @@
-"""Neighbouring rays taken together, where the picture that a ball's model predicts is fitted.
+"""Groups of neighbouring rays, to whose mean profile the predicted picture is fitted.
 
-A prediction fitted to a single ray follows that ray's noise, and takes off what the same noise does
-to the ray's edge as if the model had foreseen it. What two neighbours show is the same but for
-their noise, and there are half as many predictions to make.
+A prediction fitted to one ray would follow the noise of that ray, and the correction would then
+subtract the effect of the noise. The mean of two neighbours has less of it, and halves the work.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from measure.compiling import compiled
 from measure_plugins._outline.sampling.rays import CLEAR, Statuses
 
 TOGETHER = 2
-"""So many rays make a group. Three are too far apart: predictions get worse again."""
+"""Rays in a group; with three, which are further apart, predictions are worse."""
 
 
 @compiled

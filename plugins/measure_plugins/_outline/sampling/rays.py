@@ -14,8 +14,8 @@ from measure_plugins._kernels.selection import DOUBLES, whole_vectors
 from measure_plugins._outline.sampling.bilinear import between_pixels, light_between
 
 STEPS = np.arange(-16.5, 6.51, 1.0)
-"""Samples along a ray, px along the outward normal: a pixel apart, for there are no more to read,
-and half a pixel to either side of the outline, where an edge then rests on two of them."""
+"""Samples along a ray, px along the outward normal: a pixel apart, as the picture's pixels are, and
+half a pixel to either side of the outline, so that an edge lies between two of them."""
 CLEAR, OCCLUDED, OUT_OF_IMAGE = 0, 1, 2
 """Status of a ray: nothing in its way, a nearer ball in front of it, or it leaves the image."""
 Statuses: TypeAlias = NDArray[np.int8]
@@ -45,9 +45,9 @@ class RaySet(NamedTuple):
 def frame_about(axis: Floats) -> Floats:
     """Rows e1, e2, axis: a right-handed frame about a unit vector (3,).
 
-    It turns with the axis without a jump, wherever in a picture that is: what is known along the
-    rays about one axis, and how looks answer along e1 and e2, hold about its neighbours too (Duff
-    et al. 2017, "Building an Orthonormal Basis, Revisited").
+    It is continuous in the axis wherever a camera looks, so that what is known about one axis, ray
+    by ray or along e1 and e2, holds for its neighbours (Duff et al. 2017, "Building an Orthonormal
+    Basis, Revisited").
     """
     x, y, z = axis[0], axis[1], axis[2]
     sign = 1.0 if z >= 0 else -1.0
@@ -63,7 +63,7 @@ def frame_about(axis: Floats) -> Floats:
 def angles_around(count: int) -> Floats:
     """Cosine and sine (count, 2) of the angles of evenly spaced rays around an axis.
 
-    Each is the one before turned by their distance: a look costs too little for so many cosines.
+    Each is the one before turned by their distance, which costs no cosine.
     """
     out = np.empty((count, 2))
     x, y = 1.0, 0.0
@@ -88,8 +88,8 @@ def cast_rays(
     """
     points, normals, scale = np.empty((count, 2)), np.empty((count, 2)), np.empty(count)
     around, at, beyond = angles_around(count), np.empty((2, count)), np.empty((2, count))
-    _see(frame, half_angle, around, lens, at)
-    _see(frame, half_angle + _TILT, around, lens, beyond)
+    _project_ring(frame, half_angle, around, lens, at)
+    _project_ring(frame, half_angle + _TILT, around, lens, beyond)
     for i in range(count):
         u, v = at[0, i], at[1, i]
         right, down = beyond[0, i] - u, beyond[1, i] - v
@@ -101,9 +101,11 @@ def cast_rays(
 
 
 @compiled
-def _see(frame: Floats, half_angle: float, around: Floats, lens: Floats, out: Floats) -> None:
-    """Pixels (2, n) of the directions at `half_angle` from `frame[2]`, (n, 2) around it."""
-    near, aside = np.cos(half_angle), np.sin(half_angle)
+def _project_ring(
+    frame: Floats, half_angle: float, around: Floats, lens: Floats, out: Floats
+) -> None:
+    """Fill pixels (2, n) of the directions at `half_angle` from `frame[2]`, at (n, 2) around it."""
+    near, radial = np.cos(half_angle), np.sin(half_angle)
     a, b, c = near * frame[2, 0], near * frame[2, 1], near * frame[2, 2]
     numbers = lens_numbers(lens)
     for i in range(len(around)):
@@ -111,7 +113,7 @@ def _see(frame: Floats, half_angle: float, around: Floats, lens: Floats, out: Fl
         x = cosine * frame[0, 0] + sine * frame[1, 0]
         y = cosine * frame[0, 1] + sine * frame[1, 1]
         z = cosine * frame[0, 2] + sine * frame[1, 2]
-        out[0, i], out[1, i] = to_pixel(a + aside * x, b + aside * y, c + aside * z, numbers)
+        out[0, i], out[1, i] = to_pixel(a + radial * x, b + radial * y, c + radial * z, numbers)
 
 
 @compiled
@@ -147,12 +149,12 @@ def mark_occluded(
     around = rays.around
     least = np.min(scale)
     near = _near(frame, half_angle, nearer, (reach[1] + margin_px) / least)
-    along, aside = np.cos(half_angle), np.sin(half_angle)
+    axial, radial = np.cos(half_angle), np.sin(half_angle)
     far_px = margin_px + max(abs(reach[0]), abs(reach[1]))
     for k in near:
         meets = np.cos(nearer[k, 3] + far_px / least)
         for i in range(len(scale)):
-            if _cosine(frame, around[i], along, aside, nearer[k]) > meets:
+            if _cosine(frame, around[i], axial, radial, nearer[k]) > meets:
                 hides = np.cos(nearer[k, 3] + margin_px / scale[i])
                 for step in range(5):
                     s = reach[0] + (reach[1] - reach[0]) * step / 4
@@ -162,12 +164,12 @@ def mark_occluded(
 
 
 @compiled
-def _cosine(frame: Floats, around: Floats, along: float, aside: float, ball: Floats) -> float:
-    """Of the angle between a ball's axis and a direction `along` and `aside` from `frame[2]`."""
+def _cosine(frame: Floats, around: Floats, axial: float, radial: float, ball: Floats) -> float:
+    """Of the angle between a ball's axis and a direction of these components about `frame[2]`."""
     total = 0.0
     for a in range(3):
         side = around[0] * frame[0, a] + around[1] * frame[1, a]
-        total += (along * frame[2, a] + aside * side) * ball[a]
+        total += (axial * frame[2, a] + radial * side) * ball[a]
     return total
 
 
@@ -192,7 +194,7 @@ def sample(
     table: Floats,
     rays: RaySet,
     steps: Floats,
-    lit: Bools,
+    light_wanted: Bools,
     values_from: int,
 ) -> tuple[Singles, Singles]:
     """Light and picture values along the rays, both by bilinear interpolation.
@@ -202,12 +204,12 @@ def sample(
         table: (256,) light of each picture value.
         rays: n rays, of which clear ones are sampled; those that leave the picture are marked.
         steps: (m,) px along the normals.
-        lit: (m,) at which steps light is wanted; it is zero at the others.
+        light_wanted: (m,) at which steps; light is zero at the others.
         values_from: the first step at which picture values are wanted.
 
     Returns:
-        Light (3, m, n), and values from 0 to 1 (3, m - values_from, n), in single precision: loops
-        over them do twice as many at once. Zeros where the ray is not clear.
+        Light (3, m, n), and values from 0 to 1 (3, m - values_from, n), in single precision; zeros
+        on rays that are not clear.
     """
     m, n, every = len(steps), len(rays.points), _filled_up(steps)
     light, values = np.zeros((3, m, n), np.float32), np.zeros((3, m - values_from, n), np.float32)
@@ -218,7 +220,7 @@ def sample(
         if rays.status[i] != CLEAR:
             continue
         _pixels_along(rays.points[i], rays.normals[i], every, row, first, weights)
-        _light_between(flat, of, row, first, weights, lit, light[:, :, i])
+        _light_between(flat, of, row, first, weights, light_wanted, light[:, :, i])
         for j in range(values_from, m):
             shares = weights[0, j], weights[1, j], weights[2, j], weights[3, j]
             b, g, r = between_pixels(flat, first[j], row, shares)
@@ -234,12 +236,12 @@ def _light_between(
     row: int,
     first: Ints,
     weights: Singles,
-    lit: Bools,
+    wanted: Bools,
     out: Singles,
 ) -> None:
     """Light (3, m) between four pixels each where it is wanted, see `_pixels_along`."""
     for j in range(out.shape[1]):
-        if lit[j]:
+        if wanted[j]:
             shares = weights[0, j], weights[1, j], weights[2, j], weights[3, j]
             b, g, r = light_between(flat, table, first[j], row, shares)
             out[0, j], out[1, j], out[2, j] = b, g, r
@@ -247,7 +249,7 @@ def _light_between(
 
 @compiled
 def _filled_up(steps: Floats) -> Floats:
-    """Steps (m or more,), the last of them again and again up to a whole vector of the machine."""
+    """Steps (m or more,), the last repeated up to a whole number of vectors."""
     out = np.full(whole_vectors(len(steps), DOUBLES), steps[len(steps) - 1])
     out[: len(steps)] = steps
     return out
@@ -280,7 +282,7 @@ def _pixels_along(
 
 @compiled
 def sample_nearest(image: Bytes, table: Floats, rays: RaySet, steps: Floats) -> Floats:
-    """Light (3, m, n) of the nearest pixels, where a pixel is near enough; else as `sample`."""
+    """Light (3, m, n) of the nearest pixels; else as `sample`."""
     points, normals = rays.points, rays.normals
     m, n = len(steps), len(points)
     light = np.zeros((3, m, n))

@@ -1,4 +1,4 @@
-"""What a prediction leaves of a picture, its outline moved to where it fits best."""
+"""Residuals of a predicted picture, its outline moved to where it fits best."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from measure.compiling import compiled
 from measure_plugins._kernels.selection import median
 from measure_plugins._outline.sampling.rays import CLEAR, Statuses
 
-_ROUNDS = 3
+_ITERATIONS = 3
 _TYPICAL = 3.0
-"""Rays that are this many times as far off as the median, squared, lose most of their weight."""
+"""Mean square of a ray's residuals, per median of all rays, at which its weight falls to a
+quarter."""
 
 
 @compiled
@@ -24,7 +25,7 @@ def aligned_residuals(
     step_px: float,
     weights: Floats,
 ) -> tuple[Floats, Floats]:
-    """Picture minus prediction, less the best shift and growth of the outline.
+    """Picture minus prediction, after the best shift and growth of the outline.
 
     Args:
         seen: (3, m, n) picture values along n rays.
@@ -33,10 +34,10 @@ def aligned_residuals(
         around: (n, 2) cosine and sine around the axis.
         compared: how many of the m samples count, from the inside.
         step_px: their distance.
-        weights: (k,) of the rays; empty, they are made robust.
+        weights: (k,) of the rays; if empty, robust ones are computed.
 
     Returns:
-        (k, 3 compared) what is left, and the weights (k,).
+        Residuals (k, 3 compared), and the weights (k,).
     """
     rays = np.flatnonzero(status == CLEAR)
     left, slopes = _off(seen, predicted, rays, compared, step_px)
@@ -45,7 +46,7 @@ def aligned_residuals(
         _move(left, slopes, _shifts(sums, where, weights), moved)
         return moved, weights
     robust, power = np.ones(len(rays)), np.empty(len(rays))
-    for _ in range(_ROUNDS):
+    for _ in range(_ITERATIONS):
         _move(left, slopes, _shifts(sums, where, robust), moved)
         for i in range(len(rays)):
             total = 0.0
@@ -61,7 +62,7 @@ def aligned_residuals(
 def _off(
     seen: Floats, predicted: Floats, rays: Ints, compared: int, step_px: float
 ) -> tuple[Floats, Floats]:
-    """Seen minus predicted, and how that changes as the outline moves outward, both ray by ray."""
+    """Seen minus predicted, and its derivative by an outward shift, both ray by ray."""
     m = predicted.shape[1]
     left, slopes = np.empty((len(rays), 3 * compared)), np.empty((len(rays), 3 * compared))
     for k, i in enumerate(rays):
@@ -76,7 +77,7 @@ def _off(
 
 @compiled
 def _sums(left: Floats, slopes: Floats) -> Floats:
-    """Sums (2, k) along each ray of the slopes' squares, and of slopes times what is left."""
+    """Sums (2, k) along each ray of squared slopes, and of slopes times residuals."""
     out = np.zeros((2, len(left)))
     for i in range(len(left)):
         for j in range(left.shape[1]):
@@ -87,7 +88,7 @@ def _sums(left: Floats, slopes: Floats) -> Floats:
 
 @compiled
 def _shifts(sums: Floats, around: Floats, weights: Floats) -> Floats:
-    """How far (k,), in px, the outline is off along each ray: a shift of it, and growth.
+    """Displacement (k,) of the outline in px along each ray, by its best shift and growth.
 
     Args:
         sums: (2, k) see `_sums`.
@@ -111,7 +112,7 @@ def _shifts(sums: Floats, around: Floats, weights: Floats) -> Floats:
 
 @compiled
 def _move(left: Floats, slopes: Floats, shifts: Floats, out: Floats) -> None:
-    """Fill what is left (k, m) when the outline has moved by shifts (k,)."""
+    """Fill the residuals (k, m) that are left when the outline moves by shifts (k,)."""
     for i in range(len(left)):
         for j in range(left.shape[1]):
             out[i, j] = left[i, j] - slopes[i, j] * shifts[i]

@@ -1,4 +1,4 @@
-"""A ball in a picture, cut out, and what is to be known to predict it."""
+"""The part of a picture that shows a ball, and the inputs of its prediction."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from measure.arrays import Bytes, Floats
-from measure_plugins._outline.appearance.environment_map import room_light
+from measure_plugins._outline.appearance.environment_map import environment_reflection
 from measure_plugins._outline.appearance.model import Appearance
-from measure_plugins._outline.appearance.point_lights import lamp_light, seen_from
-from measure_plugins._outline.appearance.radial_basis import Radial
+from measure_plugins._outline.appearance.point_lights import lights_about, shade_by_lights
+from measure_plugins._outline.appearance.radial_basis import RadialTables
 from measure_plugins._outline.appearance.render import Ambient
 from measure_plugins._outline.fitting.edges import PredictionInputs
 from measure_plugins._outline.sampling.ray_groups import TOGETHER, middle_angles
@@ -18,16 +18,16 @@ from measure_plugins._outline.sampling.rays import RaySet
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
-    """A ball in a picture, cut out, with the rays across its outline.
+class BallPatch:
+    """The part of a picture that shows a ball, with the rays across its outline.
 
     Attributes:
         pixels: (h, w, 3) the part of the picture.
-        rays: n rays across the outline as found, px in that part.
+        rays: n rays across the outline as found, in px of that part.
         half_angle: of the cone, rad.
         scale: px per rad.
         frame: (3, 3) about the axis, see `rays.frame_about`.
-        behind: see `behind.mirrored_behind`.
+        behind: see `behind.ball_reflection_shares`.
         distance: of the ball, mm.
     """
 
@@ -40,33 +40,37 @@ class Sight:
     distance: float
 
     def own_rays(self) -> RaySet:
-        """Its rays with a status of their own, which sampling may change."""
+        """Its rays with a copy of their status, which sampling changes."""
         return self.rays._replace(status=self.rays.status.copy())
 
 
 def prediction_inputs(
-    sight: Sight, appearance: Appearance, in_groups: bool = False
+    patch: BallPatch, appearance: Appearance, in_groups: bool = False
 ) -> PredictionInputs:
-    """A sight before a camera of this appearance; the light round it on its rays, or on groups."""
-    tables = appearance.tables(sight.half_angle * sight.scale, sight.half_angle)
+    """Inputs of a prediction by an appearance, its ambient light on rays or on groups of them."""
+    tables = appearance.tables(patch.half_angle * patch.scale, patch.half_angle)
     return PredictionInputs(
-        sight.pixels,
+        patch.pixels,
         appearance.table,
         appearance.sensor,
-        sight.own_rays(),
+        patch.own_rays(),
         tables,
-        _ambient(sight, appearance, tables, in_groups),
+        _ambient(patch, appearance, tables, in_groups),
     )
 
 
-def _ambient(sight: Sight, appearance: Appearance, tables: Radial, in_groups: bool) -> Ambient:
-    """What the appearance says of the light round a ball, on its rays or between them."""
-    around, behind = sight.rays.around, sight.behind
+def _ambient(
+    patch: BallPatch, appearance: Appearance, tables: RadialTables, in_groups: bool
+) -> Ambient:
+    """The light on a ball, on its rays or between them."""
+    around, behind = patch.rays.around, patch.behind
     if in_groups:
         around, behind = middle_angles(around), np.ascontiguousarray(behind[:, ::TOGETHER])
-    lamps = seen_from(appearance.lamps, sight.frame, sight.distance)
+    point_lights = lights_about(appearance.point_lights, patch.frame, patch.distance)
     return Ambient(
-        lamp_light(tables.diffuse, tables.kept_out[0], around, lamps),
-        room_light(appearance.room, tables.grey, sight.frame, sight.half_angle, around),
+        shade_by_lights(tables.diffuse, tables.fresnel_loss[0], around, point_lights),
+        environment_reflection(
+            appearance.environment, tables.grey, patch.frame, patch.half_angle, around
+        ),
         behind,
     )

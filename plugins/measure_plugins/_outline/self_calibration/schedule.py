@@ -1,4 +1,4 @@
-"""When a camera's appearance is learnt, and from which pictures."""
+"""When the appearance of balls in a camera is estimated, and from which pictures."""
 
 from __future__ import annotations
 
@@ -11,152 +11,166 @@ import numpy as np
 
 from measure.arrays import Bytes, Floats
 from measure_plugins._outline.appearance.interreflection import (
+    ball_reflection_shares,
     balls_behind,
     balls_nearer,
-    mirrored_behind,
 )
 from measure_plugins._outline.appearance.model import Appearance
 from measure_plugins._outline.fitting.edges import INSIDE_PX, OUTSIDE_PX
 from measure_plugins._outline.sampling.rays import STEPS, cast_rays, frame_about, mark_occluded
-from measure_plugins._outline.self_calibration.environment_map import Backdrop, backdrop_of, room_of
-from measure_plugins._outline.self_calibration.estimate import Lesson, take_lesson
-from measure_plugins._outline.self_calibration.patch import Sight
-from measure_plugins._outline.self_calibration.point_lights import Light, lamps_by, light_on
+from measure_plugins._outline.self_calibration.environment_map import (
+    BackgroundAccumulator,
+    background_of,
+    environment_of,
+)
+from measure_plugins._outline.self_calibration.estimate import (
+    AppearanceEstimate,
+    estimate_appearance,
+)
+from measure_plugins._outline.self_calibration.patch import BallPatch
+from measure_plugins._outline.self_calibration.point_lights import (
+    LightEquations,
+    light_equations,
+    solve_point_lights,
+)
 from measure_plugins._outline.self_calibration.response_and_blur import misfits
-from measure_plugins._outline.self_calibration.trust import Agreement, agreement_on, believed_share
+from measure_plugins._outline.self_calibration.trust import (
+    PredictionAgreement,
+    correction_weight_of,
+    prediction_agreement,
+)
 
-_FIRST = 2
-"""The first picture is only kept: finding the balls in it is slow enough."""
-_LATER = 4
-"""Each lesson waits for this many times as many pictures as the one before: light and exposure may
-change, but what a lesson costs must not be felt."""
-_REMEMBERED = 4
-_SETTLED = 2
-"""After so many lessons, what pictures teach is known about as well as it ever will be."""
+_FIRST_ESTIMATE = 2
+"""Number of the picture of the first estimate; the one before is only kept."""
+_INTERVAL_FACTOR = 4
+"""Each estimate waits for this many times as many pictures as the one before: light and exposure
+may change, but estimates must take little of the whole time."""
+_KEPT_IMAGES = 4
+_ENOUGH_ESTIMATES = 2
+"""Later estimates are hardly better than the one of this number."""
 _BORDER_PX = 2.0
 
 Cone = tuple[Floats, float, float]
 """Unit axis (3,), half angle in rad, distance in mm."""
 
 
-class AppearanceLearner:
-    """Counts one camera's pictures; now and then, learns from the balls in one and those before."""
+class SelfCalibration:
+    """Estimates the appearance of balls in one camera now and then, from its last pictures."""
 
     def __init__(
         self, lens: Floats, world_from_camera: Floats, rays: int, margin_px: float
     ) -> None:
-        """Of a camera with this lens row (13,), turned this way in the world (3, 3)."""
+        """For a camera with this lens row (13,) and rotation (3, 3)."""
         self._lens, self._world_from_camera = lens, world_from_camera
         self._rays, self._margin_px = rays, margin_px
-        self._count, self._kept, self._due = 0, 1, _FIRST
-        self._pictures: deque[list[Sight]] = deque(maxlen=_REMEMBERED)
-        self._backdrops: deque[Backdrop] = deque(maxlen=_REMEMBERED)
-        self._lessons, self._latest_s = 0, -np.inf
-        self._lesson: Lesson | None = None
-        self._believe_bent = False
-        self._others: list[Light] = []
-        self._agreements: list[Agreement] = []
+        self._count, self._kept, self._due = 0, 1, _FIRST_ESTIMATE
+        self._patches: deque[list[BallPatch]] = deque(maxlen=_KEPT_IMAGES)
+        self._backgrounds: deque[BackgroundAccumulator] = deque(maxlen=_KEPT_IMAGES)
+        self._estimates, self._latest_s = 0, -np.inf
+        self._estimate: AppearanceEstimate | None = None
+        self._assume_bent = False
+        self._lights_of_others: list[LightEquations] = []
+        self._agreements_of_others: list[PredictionAgreement] = []
 
     @property
     def settled(self) -> bool:
-        """Whether there have been lessons enough to start measuring."""
-        return self._lessons >= _SETTLED
+        """Whether there have been enough estimates to start measuring."""
+        return self._estimates >= _ENOUGH_ESTIMATES
 
     @property
-    def lesson(self) -> Lesson | None:
-        """The last of enough lessons; None before, and where there was too little to see."""
-        return self._lesson if self.settled else None
+    def estimate(self) -> AppearanceEstimate | None:
+        """The last estimate; None before there have been enough, or if patches were too few."""
+        return self._estimate if self.settled else None
 
-    def told(self, now: Appearance, lessons: Sequence[Lesson], bent: bool) -> Appearance:
-        """Hear what all cameras have learnt.
+    def fuse(
+        self, now: Appearance, estimates: Sequence[AppearanceEstimate], bent: bool
+    ) -> Appearance:
+        """The appearance by the estimates of all cameras.
 
         Args:
-            now: the appearance at present.
-            lessons: the last of every camera, this one's own among them.
-            bent: whether to believe that the tone curve is bent, as the other cameras' is.
-
-        Returns:
-            The appearance with that: what was shown last, explained once more.
+            now: the present appearance.
+            estimates: the last of every camera, this one's own among them.
+            bent: whether the cameras have shown together that their tone curve is bent.
         """
-        if self._lesson is None:
+        if self._estimate is None:
             return now
-        others = [one for one in lessons if one is not self._lesson]
+        others = [one for one in estimates if one is not self._estimate]
         lights = [one.light_by(bent or one.bent) for one in others]
-        self._others = [light for light in lights if light is not None]
-        self._agreements = [one.agreement for one in others]
-        self._believe_bent |= bent
-        if bent and not self._lesson.bent:
-            return self._lesson_on(now)()
-        return self._lit_alike(self._lesson)
+        self._lights_of_others = [light for light in lights if light is not None]
+        self._agreements_of_others = [one.agreement for one in others]
+        self._assume_bent |= bent
+        if bent and not self._estimate.bent:
+            return self._estimation(now)()
+        return self._fused(self._estimate)
 
-    def wants(self, found: int, time_s: float) -> bool:
-        """Whether a picture is one to keep or to learn from; asked about every picture.
+    def wants_image(self, found: int, time_s: float) -> bool:
+        """Whether a picture is one to keep or to estimate from; to be called for every picture.
 
         Args:
             found: number of balls found in it.
-            time_s: when it was taken. One that is no later than all before teaches nothing new.
+            time_s: its time stamp; pictures no later than all before are not wanted.
         """
         if found == 0 or time_s <= self._latest_s:
             return False
         self._count, self._latest_s = self._count + 1, time_s
         return self._count >= self._kept
 
-    def shown(
+    def add_image(
         self, pixels: Bytes, seen: Sequence[Cone], others: Sequence[Cone], now: Appearance
     ) -> Callable[[], Appearance] | None:
-        """Keep a picture that is wanted; the lesson it makes possible, if it is one to learn from.
+        """Keep a wanted picture; return an estimation if one is due.
 
-        A lesson takes long. It is on what has been shown so far, whenever it is taken.
+        The estimation takes as long as dozens of pictures, and may run later: it uses the pictures
+        that are kept now.
 
         Args:
             pixels: (h, w, 3) the picture.
             seen: outlines found in it; their half angles from known distances.
             others: outlines of balls that are there but were not found.
-            now: the appearance at present.
+            now: the present appearance.
         """
         self._kept = 2 * self._count
-        self._backdrops.append(self._backdrop(pixels, (*seen, *others)))
-        self._pictures.append([self._sight(pixels, cone, (*seen, *others)) for cone in seen])
+        self._backgrounds.append(self._background(pixels, (*seen, *others)))
+        self._patches.append([self._patch(pixels, cone, (*seen, *others)) for cone in seen])
         if self._count < self._due:
             return None
-        self._due, self._lessons = _LATER * self._count, self._lessons + 1
-        return self._lesson_on(now)
+        self._due, self._estimates = _INTERVAL_FACTOR * self._count, self._estimates + 1
+        return self._estimation(now)
 
-    def _lesson_on(self, now: Appearance) -> Callable[[], Appearance]:
-        """What is known by now, and yet to be learnt from."""
-        sights = [sight for picture in self._pictures for sight in picture]
-        backdrops = list(self._backdrops)
+    def _estimation(self, now: Appearance) -> Callable[[], Appearance]:
+        patches = [patch for picture in self._patches for patch in picture]
+        backgrounds = list(self._backgrounds)
 
-        def taken() -> Appearance:
-            self._lesson = take_lesson(
-                sights, now, self._world_from_camera, self._believe_bent, backdrops
+        def run() -> Appearance:
+            self._estimate = estimate_appearance(
+                patches, now, self._world_from_camera, self._assume_bent, backgrounds
             )
-            return now if self._lesson is None else self._lit_alike(self._lesson)
+            return now if self._estimate is None else self._fused(self._estimate)
 
-        return taken
+        return run
 
-    def _lit_alike(self, lesson: Lesson) -> Appearance:
-        """What a lesson taught, by the light that other cameras see, believed as they agree."""
-        own, now = lesson.light_by(lesson.bent), lesson.appearance
-        if own is not None and self._others and len(now.lamps) > 0:
-            now = replace(now, lamps=lamps_by([own, *self._others]))
-        share = believed_share([lesson.agreement, *self._agreements])
-        return now if share == now.believed else replace(now, believed=share)
+    def _fused(self, estimate: AppearanceEstimate) -> Appearance:
+        """An estimate, with point lights and correction weight by the other cameras too."""
+        own, now = estimate.light_by(estimate.bent), estimate.appearance
+        if own is not None and self._lights_of_others and len(now.point_lights) > 0:
+            now = replace(now, point_lights=solve_point_lights([own, *self._lights_of_others]))
+        weight = correction_weight_of([estimate.agreement, *self._agreements_of_others])
+        return now if weight == now.correction_weight else replace(now, correction_weight=weight)
 
     def warm_up(self, pixels: Bytes, cone: Cone, now: Appearance) -> None:
-        """Compile what a lesson runs."""
-        sights = [self._sight(pixels, cone, [])]
-        misfits(sights, now)
-        agreement_on(sights, now)
-        lamps_by([light_on(sights, now, self._world_from_camera)])
-        backdrop = self._backdrop(pixels, [cone])
-        misfits(sights, replace(now, room=room_of([backdrop], now.table)))
+        """Compile what an estimation runs."""
+        patches = [self._patch(pixels, cone, [])]
+        misfits(patches, now)
+        prediction_agreement(patches, now)
+        solve_point_lights([light_equations(patches, now, self._world_from_camera)])
+        background = self._background(pixels, [cone])
+        misfits(patches, replace(now, environment=environment_of([background], now.table)))
 
-    def _backdrop(self, pixels: Bytes, balls: Sequence[Cone]) -> Backdrop:
+    def _background(self, pixels: Bytes, balls: Sequence[Cone]) -> BackgroundAccumulator:
         rows = np.array([[*axis, half_angle] for axis, half_angle, _ in balls])
-        return backdrop_of(pixels, self._lens, rows.reshape(-1, 4))
+        return background_of(pixels, self._lens, rows.reshape(-1, 4))
 
-    def _sight(self, pixels: Bytes, cone: Cone, all_cones: Sequence[Cone]) -> Sight:
+    def _patch(self, pixels: Bytes, cone: Cone, all_cones: Sequence[Cone]) -> BallPatch:
         axis, half_angle, distance = cone
         rows = np.array([[*a, h, d] for a, h, d in (cone, *all_cones)])
         nearer, frame = balls_nearer(rows[0], rows), frame_about(axis)
@@ -164,9 +178,9 @@ class AppearanceLearner:
         reach = (INSIDE_PX[0], OUTSIDE_PX[1])
         mark_occluded(rays, scale, frame, half_angle, nearer, reach, self._margin_px)
         part, corner = _cut(pixels, rays.points)
-        behind = mirrored_behind(balls_behind(rows[0], rows), frame, half_angle, rays.around)
+        behind = ball_reflection_shares(balls_behind(rows[0], rows), frame, half_angle, rays.around)
         rays, scale_px = rays._replace(points=rays.points - corner), float(np.mean(scale))
-        return Sight(part, rays, half_angle, scale_px, frame, behind, distance)
+        return BallPatch(part, rays, half_angle, scale_px, frame, behind, distance)
 
 
 def _cut(pixels: Bytes, points: Floats) -> tuple[Bytes, Floats]:
@@ -179,21 +193,21 @@ def _cut(pixels: Bytes, points: Floats) -> tuple[Bytes, Floats]:
     return part, low.astype(np.float64)
 
 
-class LessonsAside:
-    """Takes a lesson at a time in a thread of its own."""
+class BackgroundEstimation:
+    """Runs one estimation at a time in a thread."""
 
     def __init__(self) -> None:
-        self._pool = ThreadPoolExecutor(1, thread_name_prefix="lesson")
-        self._lesson: Future[Appearance] | None = None
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="estimation")
+        self._running: Future[Appearance] | None = None
 
-    def begin(self, lesson: Callable[[], Appearance]) -> None:
-        """Begin a lesson; while one is taken, others are left out."""
-        if self._lesson is None:
-            self._lesson = self._pool.submit(lesson)
+    def start(self, estimation: Callable[[], Appearance]) -> None:
+        """Start an estimation, unless another is running."""
+        if self._running is None:
+            self._running = self._pool.submit(estimation)
 
-    def done(self) -> Appearance | None:
-        """What has been learnt, once; None as long as there is nothing."""
-        if self._lesson is None or not self._lesson.done():
+    def result(self) -> Appearance | None:
+        """The result of a finished estimation, once; else None."""
+        if self._running is None or not self._running.done():
             return None
-        lesson, self._lesson = self._lesson, None
-        return lesson.result()
+        finished, self._running = self._running, None
+        return finished.result()

@@ -1,4 +1,4 @@
-"""What a camera learns from rendered pictures of a scene's balls."""
+"""Estimates of a camera's appearance from rendered pictures of a scene's balls."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from measure.geometry import tangent_cone
 from measure.simulation import Renderer
 from measure_plugins._outline.appearance.model import first_appearance
-from measure_plugins._outline.self_calibration.schedule import AppearanceLearner
+from measure_plugins._outline.self_calibration.schedule import SelfCalibration
 
 TIMES_S = (0.0, 0.4)
 
@@ -23,32 +23,32 @@ def cones(scene, camera, time_s):
     return out
 
 
-def learner_of(camera):
-    """Of one camera that has seen nothing yet."""
-    return AppearanceLearner(
+def calibration_of(camera):
+    """The self-calibration of a camera before its first picture."""
+    return SelfCalibration(
         camera.intrinsics.row, camera.world_from_camera.rotation, rays=72, margin_px=7.0
     )
 
 
-def taught(learner, pixels, seen, others, now):
-    """What a picture that is shown teaches at once; None if nothing."""
-    lesson = learner.shown(pixels, seen, others, now)
-    return None if lesson is None else lesson()
+def estimated(calibration, pixels, seen, others, now):
+    """The estimate that is due with a picture; None if none is."""
+    estimate = calibration.add_image(pixels, seen, others, now)
+    return None if estimate is None else estimate()
 
 
-def lessons(scene, camera_name, changed=lambda _, pixels, balls: (pixels, balls)):
-    """What each of two pictures teaches one camera; `changed` may alter what is shown of each."""
+def estimates(scene, camera_name, changed=lambda _, pixels, balls: (pixels, balls)):
+    """One camera's estimates with each of two pictures, which `changed` may alter."""
     renderer, camera = Renderer(scene, camera_name), scene.camera(camera_name)
-    learner, out = learner_of(camera), []
+    calibration, out = calibration_of(camera), []
     for k, time_s in enumerate(TIMES_S):
         pixels, balls = changed(k, renderer.picture(time_s, k), cones(scene, camera, time_s))
-        assert learner.wants(len(balls), time_s)
-        out.append(taught(learner, pixels, balls, [], first_appearance("srgb")))
+        assert calibration.wants_image(len(balls), time_s)
+        out.append(estimated(calibration, pixels, balls, [], first_appearance("srgb")))
     return out
 
 
-def settled(learner, scene, camera_name):
-    """What a camera knows after the eight pictures, two and two alike, that it wants to see."""
+def settled(calibration, scene, camera_name):
+    """A camera's appearance after eight pictures, every other one the same."""
     renderer, camera = Renderer(scene, camera_name), scene.camera(camera_name)
     shown = [
         (renderer.picture(time_s, k), cones(scene, camera, time_s))
@@ -57,7 +57,7 @@ def settled(learner, scene, camera_name):
     now = first_appearance("srgb")
     for number in range(8):
         pixels, balls = shown[number % 2]
-        if learner.wants(len(balls), number / 30):
-            now = taught(learner, pixels, balls, [], now) or now
-    assert learner.settled
+        if calibration.wants_image(len(balls), number / 30):
+            now = estimated(calibration, pixels, balls, [], now) or now
+    assert calibration.settled
     return now

@@ -1,0 +1,206 @@
+"""Outlines by repeated scans: with corrected edges where the ball's size is known, else without."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.compiling import compiled, folded
+from measure.model.lens import bearing
+from measure_plugins._outline.appearance.radial_basis import RadialTables
+from measure_plugins._outline.fitting.covariance import center_covariance, piecewise_covariance
+from measure_plugins._outline.fitting.edges import SEARCH_PX
+from measure_plugins._outline.fitting.outline import (
+    INLIER,
+    Fit,
+    Outline,
+    agreeing_share,
+    axis_shift_px,
+    corrected_axis,
+    fit_scan,
+    no_outline,
+    outline_of,
+    reach_px,
+    residuals,
+)
+from measure_plugins._outline.fitting.robust_cone import MAX_RESIDUAL_PX
+from measure_plugins._outline.fitting.scan import (
+    CameraImage,
+    EdgeScan,
+    OutlineSearch,
+    ambient_light,
+    scan_half_level,
+    scan_with_model,
+)
+from measure_plugins._outline.fitting.step_gain import CORRECTED_GROWTH, apply_step_gain
+
+_MAX_ITERATIONS = 8
+_CONVERGED_PX, _CONVERGED_SD, _MAX_MOVE_PX = 0.3, 3.0, 0.5
+"""Corrected edges have converged when the axis moves less than the first, or than so many of its
+standard deviations and the last: each iteration leaves about a twentieth of the distance, which is
+little against the scatter of the edges."""
+_CONVINCING_SHARE = 2 / 3
+"""Share of agreeing edges (see `agreeing_share`) above which no wider scan is made."""
+_GROWTH_SEEN = (-0.5, 0.5)
+"""Prior mean and sd in px of the radius of half-level crossings minus the one predicted by
+distance: diffuse light fades at grazing angles, so the crossing lies inside the outline."""
+_HALF_LEVEL_CONVERGED_PX = 0.5
+_ANY_GROWTH = (0.0, 1e3)
+"""The same prior where the size is not known."""
+_CIRCLE_REACH = 0.2
+"""How far an outline may be from a circle found by colour, as a share of its radius."""
+_FAR_SHARE, _CONVERGED_SHARE = 0.67, 0.9
+"""Shares of the least agreement demanded in the end below which coarse scans are given up, before
+and when they have converged: they are less sharp, more so from further away."""
+_CHANCE_SHARE = np.sqrt(1 - np.sqrt(INLIER)) * MAX_RESIDUAL_PX / SEARCH_PX
+"""Share of edges that lie anywhere, not on the ball's outline, that agree with it by chance."""
+_MIN_INFORMATIVE = 0.05
+
+
+@folded
+def measure_known_size(view: CameraImage, search: OutlineSearch, tables: RadialTables) -> Outline:
+    """Measure an outline of known size by corrected edges, from its prediction if that converges.
+
+    Wide scans show much besides the outline and are often further off than the prediction: one is
+    made only where the corrected edges about the prediction do not agree.
+    """
+    near = _iterate_corrected(view, search, tables, search.axis)
+    reach = reach_px(view, search)
+    if reach <= SEARCH_PX or near.share >= _CONVINCING_SHARE:
+        return near
+    scan = scan_half_level(view, search, search.axis, search.half_angle, reach)
+    fit = fit_scan(scan, _GROWTH_SEEN, True)
+    if not np.isfinite(fit.scale):
+        return near
+    far = _iterate_corrected(view, search, tables, corrected_axis(scan, fit))
+    return far if far.agreeing > near.agreeing else near
+
+
+@compiled
+def _iterate_corrected(
+    view: CameraImage, search: OutlineSearch, tables: RadialTables, axis: Floats
+) -> Outline:
+    """The outline that scans with the model converge to from `axis`, the predicted or another."""
+    ambient = ambient_light(view, search, axis, tables)
+    before, predicted = np.zeros(2), bool(np.all(axis == search.axis))
+    for turn in range(_MAX_ITERATIONS):
+        scan = scan_with_model(view, search, axis, search.half_angle, tables, ambient)
+        fit = fit_scan(scan, CORRECTED_GROWTH, predicted and turn == 0)
+        if not np.isfinite(fit.scale):
+            break
+        apply_step_gain(scan, fit, search.step_gain)
+        if axis_shift_px(fit) < _MAX_MOVE_PX:
+            weights, off = residuals(scan, fit, INLIER)
+            spread = center_covariance(scan.rays.around, weights, off, fit.normal)
+            if _is_converged(fit, spread):
+                share = agreeing_share(scan, fit)
+                return outline_of(view, scan, fit, share, spread, 1.0)
+        step = fit.solution[:2]
+        if np.sum(step * before) < 0:
+            step *= 0.5  # else the iteration may oscillate
+        before = step
+        axis = corrected_axis(scan, fit)
+    return no_outline()
+
+
+@compiled
+def _is_converged(fit: Fit, spread: Floats) -> bool:
+    """Whether the last step is small against the axis' covariance `spread` (2, 2), px^2."""
+    sd = np.sqrt((spread[0, 0] + spread[1, 1]) / 2)
+    return axis_shift_px(fit) < max(_CONVERGED_SD * sd, _CONVERGED_PX)
+
+
+@compiled
+def approach_outline(
+    view: CameraImage, circle: Floats, rays: int, min_contrast: float, agreement: float
+) -> tuple[Floats, float]:
+    """Go from a rough circle to about where its outline is, by coarse scans.
+
+    Args:
+        view: the picture.
+        circle: (5,) of which the first are centre x, y and radius, px.
+        rays: across the outline.
+        min_contrast: see `OutlineSearch`.
+        agreement: least share of edges that agree in the end.
+
+    Returns:
+        Unit axis (3,) and half angle of the outline; half angle 0 if there is none.
+    """
+    axis, radius = bearing(circle[:2], view.lens), circle[2]
+    half_angle = 2 * radius / (view.lens[0] + view.lens[3])
+    far = _CIRCLE_REACH * radius
+    search = unoccluded_search(axis, half_angle, far, rays, min_contrast, 0.0)
+    reach = reach_px(view, search)
+    for turn in range(_MAX_ITERATIONS):
+        scan = scan_half_level(view, search, axis, half_angle, reach, True)
+        fit = fit_scan(scan, _ANY_GROWTH, turn == 0)
+        converged = turn > 0 and axis_shift_px(fit) < _HALF_LEVEL_CONVERGED_PX
+        share = _CONVERGED_SHARE if converged else _FAR_SHARE
+        if not np.isfinite(fit.scale) or agreeing_share(scan, fit) < share * agreement:
+            break
+        axis = corrected_axis(scan, fit)
+        half_angle += fit.solution[2] / np.mean(scan.scale)
+        if converged:
+            return axis, half_angle
+        reach = SEARCH_PX
+    return axis, 0.0
+
+
+@compiled
+def unoccluded_search(
+    axis: Floats,
+    half_angle: float,
+    far: float,
+    rays: int,
+    min_contrast: float,
+    margin_px: float,
+) -> OutlineSearch:
+    """The search for an outline of unknown size in front of which no ball is known."""
+    none, unit = np.empty((0, 4)), np.eye(2)
+    return OutlineSearch(
+        axis, half_angle, none, none, far, rays, min_contrast, margin_px, np.inf, unit
+    )
+
+
+@compiled
+def measure_unknown_size(view: CameraImage, search: OutlineSearch, give_up_share: float) -> Outline:
+    """Measure an outline of unknown size by its half-level crossings.
+
+    Args:
+        view: the picture.
+        search: where the outline is.
+        give_up_share: share of agreeing edges in a narrow scan below which no further one is made.
+    """
+    axis, half_angle, reach = search.axis, search.half_angle, reach_px(view, search)
+    for turn in range(_MAX_ITERATIONS):
+        scan = scan_half_level(view, search, axis, half_angle, reach)
+        near = reach <= SEARCH_PX
+        fit = fit_scan(scan, _ANY_GROWTH, (turn == 0 and search.reach_px > 0) or not near)
+        if not np.isfinite(fit.scale):
+            break
+        if near and axis_shift_px(fit) < _HALF_LEVEL_CONVERGED_PX:
+            share = agreeing_share(scan, fit)
+            spread, wider = _chance_corrected(scan, fit, share)
+            return outline_of(view, scan, fit, share, spread, wider)
+        if turn > 0 and agreeing_share(scan, fit) < give_up_share:
+            break
+        axis = corrected_axis(scan, fit)
+        half_angle += fit.solution[2] / np.mean(scan.scale)
+        reach = SEARCH_PX
+    return no_outline()
+
+
+@compiled
+def _chance_corrected(scan: EdgeScan, fit: Fit, share: float) -> tuple[Floats, float]:
+    """Covariance of an axis by edges that are not corrected and may belong to another object.
+
+    Some edges agree with the outline by chance: only the agreement beyond that counts (Cohen 1960).
+
+    Returns:
+        Covariance (2, 2) along e1 and e2, px^2; by what factor it is wider than that of the fit.
+    """
+    informative = max((share - _CHANCE_SHARE) / (1 - _CHANCE_SHARE), _MIN_INFORMATIVE)
+    weights, off = residuals(scan, fit, 0.0)
+    spread = piecewise_covariance(scan.rays.around, weights, off, fit.normal)
+    wider = np.sqrt(np.trace(spread) / np.trace(np.linalg.inv(fit.normal)[:2, :2])) / informative
+    return spread / informative**2, wider
