@@ -83,11 +83,11 @@ a strongly bent curve, overexposed, dim, defocused.
 
 """
 APART = {ALTERED: ALTERED_RECORDINGS, RELIT: RELIT_SCENES, UNUSUAL: UNUSUAL_PICTURES}
-"""What recordings in a table of their own are called, and what stands above that."""
+"""Prefixes of recordings with a table of their own, and the text above it."""
 
 
 def _options() -> argparse.Namespace:
-    """What the command line says; a filter that nothing passes is refused."""
+    """The options of the command line; a filter that matches nothing is refused."""
     methods = ", ".join(method.name for method in METHODS)
     parser = argparse.ArgumentParser(
         prog="benchmarks",

@@ -1,4 +1,4 @@
-"""What the calibration alone costs a body measured with it, on a capture with exact truth.
+"""Errors of a body's position by the calibration alone, on a capture with exact truth.
 
     python -m benchmarks.calibration CAPTURE TRUTH [--draws 20] [--captures 8]
 
@@ -44,7 +44,7 @@ Poses = list[RigidTransform]
 
 
 def poses(middle: np.ndarray) -> Poses:
-    """Where the body is."""
+    """Poses of the body, world_from_body."""
     rng = np.random.default_rng(1)
     out = []
     for _ in range(200):
@@ -170,14 +170,14 @@ def print_simulated(count: int, at: Poses) -> None:
 
 
 def print_methods(rows: dict[str, tuple[Camera, ...]], true: tuple[Camera, ...], at: Poses) -> None:
-    """What each method's cameras cost the body, and each camera against the truth."""
+    """Print the body's error by each method's cameras, and the cameras' errors."""
     for name, cameras in rows.items():
         print(f"{name:8} body position error {cost(cameras, true, at):.4f} mm RMS")
         print_cameras(name, cameras, true)
 
 
 def print_marks(by_hand: RigCalibration, found: RigCalibration, true: tuple[Camera, ...]) -> None:
-    """How far the marks are off."""
+    """Print the errors of the marks."""
     hand, offsets = mark_errors(by_hand.sights, true), mark_errors(found.sights, true)
     print(
         f"marks: by hand {np.sqrt(np.mean(np.concatenate(hand) ** 2)):.3f} px, found "

@@ -1,4 +1,4 @@
-"""What all the commands of the benchmarks have in common."""
+"""Helpers of the benchmarks' commands."""
 
 from __future__ import annotations
 

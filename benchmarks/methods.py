@@ -33,7 +33,7 @@ class Method:
 
 
 DEFAULT = "precise profile"
-"""What a user gets who asks for nothing else."""
+"""The default profile of the program."""
 METHODS = (
     Method("paper profile", profile="paper"),
     *(Method(f"{baseline.name} + kabsch", baseline=baseline) for baseline in BASELINES),

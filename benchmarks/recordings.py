@@ -1,4 +1,4 @@
-"""What is measured: the program's own scenes, and recordings that lie beside the repository."""
+"""The measured recordings: rendered scenes, and recordings beside the repository."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `measure refine` does to cameras, on a recording whose true cameras are known.
+"""Errors of cameras before and after `measure refine`, on a recording with known cameras.
 
     python -m benchmarks.refine SESSION TRUTH [--calibration FIRST] [--slips 5]
 
@@ -80,7 +80,7 @@ def show(name: str, before: Floats, after: Floats) -> None:
 
 
 def best_possible(recording: Recording, first: tuple[Camera, ...], joint: Floats) -> None:
-    """What unbiased centres would do for a first calibration, by their noise."""
+    """Print the accuracy that unbiased centres would give, by their noise."""
     for noise_px in (0.1, 0.03, 0.01, 0.003):
         tracks = {}
         for camera in first:
@@ -104,7 +104,7 @@ def best_possible(recording: Recording, first: tuple[Camera, ...], joint: Floats
 
 
 def try_given(session: str, calibration: str, registry: Registry, true: tuple[Camera, ...]) -> None:
-    """Refine a given calibration, and tell what could be reached at best."""
+    """Refine a given calibration; print the result and the best possible one."""
     first = read_calibration(calibration)
     result = refine(session, registry, calibration=calibration)
     refinement = result.rig.refinement

@@ -1,4 +1,4 @@
-"""What is systematic in the edges: `python -m benchmarks.residuals SESSION TRUTH OUT.svg`.
+"""Systematic errors of edges: `python -m benchmarks.residuals SESSION TRUTH OUT.svg`.
 
 Measures the session and draws, for each camera and ball, how far outside the true outline its
 edges lie, by the direction in the picture in which they lie from the ball's centre: median over the

@@ -30,7 +30,7 @@ FIGURES = (
 
 
 def measured_rows(name: str, path: Path, methods: str) -> Rows:
-    """What every method whose name contains `methods` makes of a recording: name and figures."""
+    """Rows of a recording, by every method whose name contains `methods`: name and figures."""
     cv2.setNumThreads(1)
     registry = Registry.discover()
     truth = read_trajectory(path / "truth.csv")

@@ -29,9 +29,9 @@ DONE, DEFECT, MISTAKE, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 130, 141
 """Exit codes. An exception we did not foresee is a defect: python prints it and exits with 1."""
 
 _MACHINE_FAULTS = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EMFILE}
-"""Errors of the operating system that are never ours: full or read-only disks, permissions."""
+"""Errors of the machine, not of the program: full or read-only disks, permissions."""
 _PATH_FAULTS = {errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ENAMETOOLONG}
-"""Those that are the user's where the path is: a folder for a file, or none to write it to."""
+"""Errors of paths, which are the user's if the path is: a missing folder, a file in its place."""
 
 _CLAUSE_END = r"(?:;|\. )(?![^(]*\))"
 """A semicolon or full stop, but not one in brackets."""
@@ -171,7 +171,7 @@ def _dispatch(tokens: list[str]) -> int:
 
 
 def _injected(wanted: dict[str, Any], disabled: Sequence[str]) -> dict[str, Any]:
-    """What a command asked to be given rather than typed."""
+    """Arguments of a command that are not typed."""
     if "registry" not in wanted:
         return {}
     from measure.host import Registry
@@ -201,7 +201,7 @@ def _explain(error: CycloptsError, tokens: Sequence[str]) -> str:
 
 
 def _what_to_give(error: MissingArgumentError) -> str:
-    """How to give a missing argument, and what it is: the first clause of its help."""
+    """Names of a missing argument, and the first clause of its help."""
     if error.argument is None or error.app is None:
         return "an argument more."
     first, *others = error.argument.names

@@ -19,7 +19,7 @@ class Command:
 
     @property
     def import_path(self) -> str:
-        """What is imported once the command is chosen."""
+        """Import path of the command's function."""
         return f"measure.cli.{self.name}:{self.name}"
 
 

@@ -63,7 +63,7 @@ def demo(
 
 
 def _print_correction(found: EstimatorEvaluation) -> None:
-    """What the network that comes with the program does for a robot."""
+    """Print the accuracy of the shipped network on a simulated robot."""
     before, after = found.before, found.after
     title = (
         "a simulated cable-driven robot, freshly switched on: where it believes its tip to be, and "

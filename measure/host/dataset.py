@@ -1,4 +1,4 @@
-"""What an estimator learns from: states and measured position errors, trajectory by trajectory."""
+"""Training data of estimators: states and measured position errors, by trajectory."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from measure.robots import StateSchema
 class Dataset:
     """Rows of (state, position error), each trajectory's rows together and in time order.
 
-    A row without a usable label stays: the robot did execute it, so it belongs to the history.
+    Rows without a usable label are kept: they belong to the history of the trajectory.
 
     Attributes:
-        schema: what the columns of `states` are.
+        schema: meaning of the columns of `states`.
         states: (n, features).
         times_s: (n,) NaN where not recorded.
         trajectory: (n,) index into `names`.
         names: of the trajectories.
         errors_mm: (n, 3) measured minus reported position; NaN where not measured.
         covariances: (n, 3, 3) of the label, in mm^2.
-        usable: (n,) True if the label may be learnt from and scored.
+        usable: (n,) whether the label is used for training and scoring.
     """
 
     schema: StateSchema

@@ -1,4 +1,4 @@
-"""Finding plugins, one entry point at a time; a broken stranger stops nobody."""
+"""Finding plugins, one entry point at a time; a broken one does not stop the others."""
 
 from __future__ import annotations
 

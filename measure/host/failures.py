@@ -13,7 +13,7 @@ from measure.host.interfaces import Plugin
 
 
 def failure(kind: str, plugin: Plugin, place: str, error: Exception) -> PluginError:
-    """What to raise from `error`.
+    """The error to raise from a plugin's own.
 
     Args:
         kind: of the plugin.

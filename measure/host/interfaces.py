@@ -1,7 +1,7 @@
-"""What a detector, a triangulator and a pose solver are.
+"""The interfaces of detectors, triangulators and pose solvers.
 
-A plugin is a class with a `name`, a `Config` and one method. Built-ins and strangers are treated
-alike; a class need not live in this project, only keep this contract (`measure.testing` checks it).
+A plugin is a class with a `name`, a `Config` and one method. Plugins of this project and of others
+are treated alike; `measure.testing` checks that a class keeps its contract.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from measure.host.settings import Settings
 from measure.model import BallPosition, Body, Camera, Detection, Expectation, Image, Motion, Pose
 
 NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
-"""What a plugin may be called: lower case, words joined by "-"."""
+"""Pattern of plugin names: lower case, words joined by "-"."""
 
 
 class Plugin(ABC):
-    """What all kinds share.
+    """Base of all kinds of plugins.
 
     Attributes:
         name: how a user selects it; lower case, words joined by "-".
@@ -42,8 +42,8 @@ class Detector(Plugin):
         stateful: whether results depend on the images seen before. Images then come in order of
             time and each once. A detector that keeps no state may be shown earlier images again,
             the latest first.
-        provides_outlines: whether its detections hold outlines (`Detection.outline_px`); None if it
-            does not say: its first images tell.
+        provides_outlines: whether its detections hold outlines (`Detection.outline_px`); None if
+            that depends on the images, and is found out from the first ones.
     """
 
     stateful: ClassVar[bool] = False
@@ -70,10 +70,10 @@ class Detector(Plugin):
 
 
 class SelfCalibratingDetector(Detector):
-    """Optional interface: a detector that estimates how its camera shows balls from the images.
+    """Optional interface: a detector that estimates its camera's image formation from the images.
 
-    It learns only from an image later than all before. Images known to it may therefore come again,
-    in any order, and the same image then gives the same detections; it is not `stateful`.
+    It uses an image for that only if it is later than all before. Images known to it may therefore
+    come again, in any order, and then give the same detections; it is not `stateful`.
     """
 
     @property
@@ -89,11 +89,11 @@ class SelfCalibratingDetector(Detector):
     @property
     @abstractmethod
     def calibration_state(self) -> object:
-        """What it has estimated, for the detectors of the other cameras; None if nothing yet."""
+        """Its estimates, for the detectors of the other cameras; None if there are none yet."""
 
     @abstractmethod
     def fuse_calibration(self, states: Sequence[object]) -> None:
-        """Combine what the cameras have estimated; called once, at the end of the burn-in.
+        """Combine the estimates of all cameras; called once, at the end of the burn-in.
 
         Args:
             states: `calibration_state` of the detectors of all cameras, its own among them.
@@ -139,8 +139,8 @@ class Triangulator(Plugin):
             cameras: by name.
 
         Returns:
-            What `triangulate` gives for each ball of two detections or more, in the order in which
-            the balls first come.
+            The results of `triangulate` for all balls of two detections or more, in order of first
+            appearance.
         """
         by_ball: dict[str, list[Detection]] = {}
         for detection in detections:
@@ -151,10 +151,10 @@ class Triangulator(Plugin):
 
 
 class PoseSolver(Plugin):
-    """Turns what was seen of all balls into the body's pose.
+    """Turns detections and positions of the balls into the body's pose.
 
     Attributes:
-        requires_outlines: whether it finds none without detections that hold outlines.
+        requires_outlines: whether it needs detections that hold outlines.
     """
 
     requires_outlines: ClassVar[bool] = False

@@ -1,4 +1,4 @@
-"""Model cards: what a network is for, what it was trained on, how good it is, where it ends."""
+"""Model cards: purpose, training data, accuracy and limits of a network."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def write_card(path: Path, card: Mapping[str, Any]) -> None:
 
 
 def _state(features: Sequence[tuple[str, str]]) -> list[str]:
-    """What a state is made of, names and units, in the order in which it is sent."""
+    """Names and units of the features of a state, in the order in which they are sent."""
     return [
         "## A state",
         "",

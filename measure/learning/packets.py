@@ -1,4 +1,4 @@
-"""What travels over UDP, little-endian.
+"""The packets of the UDP interface, little-endian.
 
 A state: magic `TBs1`, sequence number (uint64; zero begins a trajectory, without history), stamp
 (float64, s), count (uint16), then `count` float32 features. An answer: magic `TBe1`, the same

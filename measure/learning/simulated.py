@@ -26,7 +26,7 @@ def recording(
     clock_offset_s: float = 1.5,
     pairs: int | None = None,
 ) -> tuple[PoseTrack, RobotLog]:
-    """What cameras and the robot's computer would have recorded of a simulated run.
+    """Poses and robot log that a simulated run would give.
 
     Args:
         run: the robot's true motion and its log.

@@ -73,7 +73,7 @@ class CaptureScene:
     seed: int = 0
 
     def true_markers(self) -> dict[str, Floats]:
-        """Where the dots really are."""
+        """True places of the dots, mm."""
         rng = np.random.default_rng([self.seed, 1])
         return {n: p + rng.normal(0, self.marker_sd_mm, 3) for n, p in self.markers.items()}
 
@@ -113,7 +113,7 @@ class CaptureScene:
         return (*dots, *posts)
 
     def _unhidden(self, camera: Camera) -> np.ndarray:
-        """Which dots no other dot or post hides from a camera."""
+        """Whether dots (n,) are not occluded by another dot or post."""
         shapes = tuple(s.moved(camera.camera_from_world) for s in self.marker_shapes())
         stage = Stage(shapes, Lighting(()), camera.intrinsics.focal_px)
         count = len(self.markers)

@@ -1,4 +1,4 @@
-"""What a perfect detector would report, plus known noise: solvers tested without pictures."""
+"""Detections of an ideal detector with known noise, for tests of solvers without pictures."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MIN_POINTS = 8
 
 @dataclass(frozen=True)
 class Observation:
-    """How balls are observed.
+    """Noise and sampling of observations.
 
     Attributes:
         noise_px: standard deviation of an outline point along its normal.
@@ -126,7 +126,7 @@ def _detection(
 
 
 def _in_front(bearings: Floats, depth: Floats, others: list[Shape], scene: Scene) -> Bools:
-    """Which outline points (n,) at the given depths nothing else hides."""
+    """Whether outline points (n,) at the given depths are not occluded."""
     if not others:
         return np.ones(len(bearings), bool)
     ideal = np.ascontiguousarray(bearings[:, :2] / bearings[:, 2:])

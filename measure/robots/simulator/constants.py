@@ -1,4 +1,4 @@
-"""What the simulated RAVEN-II is made of. Every constant has a source or is marked an assumption.
+"""Constants of the simulated RAVEN-II, each with its source or marked as an assumption.
 
 Seven drives: shoulder, elbow (rad), insertion (m), roll, wrist, jaw 1, jaw 2 (rad); SI units.
 

@@ -1,4 +1,4 @@
-"""Resuming a fit: what was reached is written to a file now and then."""
+"""Checkpoints of a fit, from which it can be resumed."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Checkpoint:
         self._stored_s = time.monotonic()
 
     def load(self) -> dict[str, Any] | None:
-        """What was stored last, if it belongs to this fit.
+        """The last stored state, if it belongs to this fit.
 
         Raises:
             EstimatorError: it is damaged.

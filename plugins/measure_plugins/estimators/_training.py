@@ -37,7 +37,7 @@ def torch_or_explain() -> Any:
 
 @dataclass(frozen=True)
 class Training:
-    """How nets are trained: passes over the data, noise on inputs, weight decay, drop-out."""
+    """Options of training: epochs, learning rate, SD of input noise, weight decay, dropout."""
 
     epochs: int
     rate: float = 3e-3
