@@ -39,7 +39,7 @@ class Run:
         self.tracker = FrameUpdate(FrameUpdateSettings(**settings), body, tuple(cameras.values()))
         self.solver = SimplexSolver(SimplexSettings(), body)
         self.frame = -1
-        self.expected = self.views = self.verdict = None
+        self.expected = self.views = self.conclusion = None
 
     def step(self, spoil=lambda detection: detection, without=()):
         """One frame set; `spoil` changes or drops (None) detections, `without` drops cameras."""
@@ -50,7 +50,7 @@ class Run:
         frame_set = FrameSet(self.frame, time_s, images)
         self.expected = self.tracker.expect(frame_set)
         if self.expected is None:
-            self.views, self.verdict = (), None
+            self.views, self.conclusion = (), None
             return self
         seen = [spoil(d) for d in see(self.real_cameras, self.body, self.motion, 0.5, None, time_s)]
         by_camera = {name: [d for d in seen if d and d.camera == name] for name in names}
@@ -61,7 +61,7 @@ class Run:
         ]
         positions = [position for position in positions if position]
         pose = self.solver.solve(positions, effective, self.cameras, time_s)
-        self.verdict = self.tracker.conclude(frame_set, self.views, positions, pose, {})
+        self.conclusion = self.tracker.conclude(frame_set, self.views, positions, pose, {})
         return self
 
     def steps(self, count, **kwargs):

@@ -80,7 +80,7 @@ def run(
     world,
     true_cameras,
     count=20,
-    believed=None,
+    assumed=None,
     phases=None,
     smoothing=False,
     remeasure_after_search=False,
@@ -89,11 +89,11 @@ def run(
     **oracle,
 ):
     """Measure `count` frame sets; returns measurements, detectors and the tracker."""
-    believed = believed or true_cameras
+    assumed = assumed or true_cameras
     detectors = {
         name: Oracle(body, camera, world, **oracle) for name, camera in true_cameras.items()
     }
-    tracker = PredictiveTracker(config or PredictiveConfig(), body, list(believed.values()))
+    tracker = PredictiveTracker(config or PredictiveConfig(), body, list(assumed.values()))
     stages = Stages(
         detectors=detectors,
         tracker=tracker,
@@ -103,7 +103,7 @@ def run(
         smoothing=smoothing,
         remeasure_after_search=remeasure_after_search,
     )
-    pipeline = Pipeline(body, list(believed.values()), stages)
+    pipeline = Pipeline(body, list(assumed.values()), stages)
     measured = list(
         pipeline.measure(frame_sets(true_cameras, count, phases=phases, start_s=start_s))
     )

@@ -16,25 +16,25 @@ from measure.api.profiles import load_profile
 from measure.api.warming_up import warm_pipeline
 from measure.arrays import Floats
 from measure.checking import (
+    CameraMisfit,
     ColorlessCount,
     Coverage,
+    DuplicateCount,
     Finding,
     Level,
-    Misfit,
     OverexposedCount,
-    RepeatCount,
-    Surveyed,
+    SearchSample,
     camera_misfits,
     coverage_findings,
     damage_findings,
+    duplicate_findings,
     expected_accuracy,
     misfit_findings,
-    repeat_findings,
+    search_sample,
     stamp_findings,
-    survey_frame_set,
     with_velocities,
 )
-from measure.checking.body import BodyCheck, Located, check_body, locate_in_candidates
+from measure.checking.body import BodyCheck, LocatedBalls, check_body, locate_balls
 from measure.checking.clocks import CameraClock, estimate_clocks
 from measure.errors import ConfigError
 from measure.geometry import RigidTransform
@@ -75,7 +75,7 @@ class SessionCheck:
     looked_at: int
     findings: tuple[Finding, ...]
     coverage: tuple[Coverage, ...]
-    misfits: tuple[Misfit, ...]
+    misfits: tuple[CameraMisfit, ...]
     body: BodyCheck
     clocks: tuple[CameraClock, ...]
     accuracy: Floats | None
@@ -115,23 +115,23 @@ def check(
         total = len(session.pair().times_s)
         chosen = _spread_pairs(total, samples)
         warm_pipeline(profile, registry, session.body, session.cameras)
-        surveys, located, repeats, colorless = [], [], RepeatCount(), ColorlessCount()
+        searched, located, duplicates, colorless = [], [], DuplicateCount(), ColorlessCount()
         overexposed = OverexposedCount()
         jpeg = [stream for stream in session.streams.values() if holds_jpeg(stream)]
         longest = max(map(len, jpeg), default=0)
         step = _steps(report, len(chosen) + min(clock_samples, total) + longest)
         for frame_set, seen in _search(session, chosen, registry, profile):
-            surveys.append(survey_frame_set(seen, session.body, session.cameras, frame_set.time_s))
-            repeats.look(frame_set)
-            colorless.look(frame_set)
-            overexposed.look(frame_set, surveys[-1].agreeing)
-            located.append(locate_in_candidates(seen, session.body, session.cameras))
+            searched.append(search_sample(seen, session.body, session.cameras, frame_set.time_s))
+            duplicates.add(frame_set)
+            colorless.add(frame_set)
+            overexposed.add(frame_set, searched[-1].agreeing)
+            located.append(locate_balls(seen, session.body, session.cameras))
             step()
-        clocks = _clocks(session, surveys, registry, profile, clock_samples, repeats, step)
-        pictures = _stalls(session, repeats) + colorless.findings() + overexposed.findings()
+        clocks = _clocks(session, searched, registry, profile, clock_samples, duplicates, step)
+        pictures = _stalls(session, duplicates) + colorless.findings() + overexposed.findings()
         for name, frames in damaged_frames(jpeg, step).items():
             pictures += damage_findings(name, frames, len(session.streams[name]))
-        return _concluded(session, total, surveys, located, clocks, pictures)
+        return _concluded(session, total, searched, located, clocks, pictures)
 
 
 def _steps(report: Report | None, total: int) -> Callable[[], None]:
@@ -171,45 +171,45 @@ def _search(
 
 def _clocks(
     session: Session,
-    surveys: Sequence[Surveyed],
+    searched: Sequence[SearchSample],
     registry: Registry,
     profile: Profile,
     samples: int,
-    repeats: RepeatCount,
+    duplicates: DuplicateCount,
     step: Callable[[], None],
 ) -> tuple[CameraClock, ...]:
     """Compare the clocks, if the body can be followed at all."""
-    found = sum(survey.world_from_body is not None for survey in surveys)
-    if not samples or found < len(surveys) / 2:
+    found = sum(sample.world_from_body is not None for sample in searched)
+    if not samples or found < len(searched) / 2:
         return ()
 
     def measured() -> Iterator[Measurement]:
         for frame_set, measurement in islice(measure_session(session, profile, registry), samples):
-            repeats.look(frame_set)
+            duplicates.add(frame_set)
             step()
             yield measurement
 
     return estimate_clocks(measured(), session.body, session.cameras)
 
 
-def _stalls(session: Session, passed: RepeatCount) -> list[Finding]:
+def _stalls(session: Session, passed: DuplicateCount) -> list[Finding]:
     """Pictures that come twice: in all files, or among those of a video that were decoded."""
     out = []
     for name, stream in session.streams.items():
-        positions, looked_at = stream.repeated(), len(stream) - 1
+        positions, compared = stream.repeated(), len(stream) - 1
         if positions is None:
             again = sorted(passed.repeated.get(name, ()))
             positions = np.nonzero(np.isin(stream.frames, again))[0]
-            looked_at = len(passed.looked_at.get(name, ()))
-        out += repeat_findings(name, positions, looked_at, stream.times_s, stream.frames)
+            compared = len(passed.compared.get(name, ()))
+        out += duplicate_findings(name, positions, compared, stream.times_s, stream.frames)
     return out
 
 
 def _concluded(
     session: Session,
     total: int,
-    surveys: Sequence[Surveyed],
-    located: Sequence[Located],
+    searched: Sequence[SearchSample],
+    located: Sequence[LocatedBalls],
     clocks: tuple[CameraClock, ...],
     pictures: list[Finding],
 ) -> SessionCheck:
@@ -217,23 +217,23 @@ def _concluded(
     findings += [Finding(Level.WRONG, "clock", text) for text in session.clock_notes()]
     for stream in session.streams.values():
         findings += stamp_findings(stream.name, stream.times_s, stream.frames)
-    misfits = camera_misfits(with_velocities(surveys), session.body, session.cameras)
+    misfits = camera_misfits(with_velocities(searched), session.body, session.cameras)
     aside = misfit_findings(misfits)
     shape = check_body(located, session.body)
     findings += _body_findings(shape, aside)
-    coverage, weak = coverage_findings(surveys, session.body, session.cameras, misfits)
+    coverage, weak = coverage_findings(searched, session.body, session.cameras, misfits)
     findings += weak + aside + _clock_findings(clocks)
     levels = list(Level)
     return SessionCheck(
         session.name,
         total,
-        len(surveys),
+        len(searched),
         tuple(sorted(findings, key=lambda finding: levels.index(finding.level))),
         coverage,
         misfits,
         shape,
         clocks,
-        _accuracy(session, surveys),
+        _accuracy(session, searched),
     )
 
 
@@ -265,13 +265,13 @@ def _clock_findings(clocks: Sequence[CameraClock]) -> list[Finding]:
     return out
 
 
-def _accuracy(session: Session, surveys: Sequence[Surveyed]) -> Floats | None:
-    poses = [s.world_from_body for s in surveys if s.world_from_body is not None]
+def _accuracy(session: Session, searched: Sequence[SearchSample]) -> Floats | None:
+    poses = [s.world_from_body for s in searched if s.world_from_body is not None]
     if not poses:
         return None
     place = np.median([pose.translation for pose in poses], axis=0)
     turn = poses[len(poses) // 2].rotation
-    noise = [d.variance_px2 for s in surveys for d in s.agreeing]
+    noise = [d.variance_px2 for s in searched for d in s.agreeing]
     noise_px = float(np.hypot(_LEAST_NOISE_PX, np.sqrt(np.median(noise))))
     return expected_accuracy(
         RigidTransform(turn, place), _REACH_MM, session.body, session.cameras, noise_px

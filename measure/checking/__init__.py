@@ -1,4 +1,4 @@
-"""What is wrong or weak in a recording, told from the recording itself; no files, no printing."""
+"""Checks of a whole recording: errors and weaknesses that it shows by itself; no files."""
 
 from measure.checking.coverage import (
     Coverage,
@@ -6,32 +6,32 @@ from measure.checking.coverage import (
     expected_accuracy,
 )
 from measure.checking.duplicates import (
-    RepeatCount,
+    DuplicateCount,
     damage_findings,
-    repeat_findings,
+    duplicate_findings,
     stamp_findings,
 )
 from measure.checking.finding import Finding, Level
-from measure.checking.moved_cameras import Misfit, camera_misfits, misfit_findings
+from measure.checking.moved_cameras import CameraMisfit, camera_misfits, misfit_findings
 from measure.checking.overexposure import ColorlessCount, OverexposedCount
-from measure.checking.sampled_search import Surveyed, survey_frame_set, with_velocities
+from measure.checking.sampled_search import SearchSample, search_sample, with_velocities
 
 __all__ = [
+    "CameraMisfit",
     "ColorlessCount",
     "Coverage",
+    "DuplicateCount",
     "Finding",
     "Level",
-    "Misfit",
     "OverexposedCount",
-    "RepeatCount",
-    "Surveyed",
+    "SearchSample",
     "camera_misfits",
     "coverage_findings",
     "damage_findings",
+    "duplicate_findings",
     "expected_accuracy",
     "misfit_findings",
-    "repeat_findings",
+    "search_sample",
     "stamp_findings",
-    "survey_frame_set",
     "with_velocities",
 ]

@@ -1,6 +1,6 @@
-"""Is the body in front of the cameras the body in the file? Distances, radii, colours, handedness.
+"""The recorded body compared with its file: distances, radii, colours, handedness.
 
-Works without a pose, so a body file too wrong to track with is still told from the recording.
+No pose is needed, so the check works with a body file too wrong to track with.
 """
 
 from __future__ import annotations
@@ -14,19 +14,21 @@ import numpy as np
 from measure.arrays import Floats
 from measure.checking.body_explanations import Compared, blind_to, layout_findings, radius_findings
 from measure.estimation.body_layout import looks_mirrored
-from measure.measuring.association.candidates import by_ball, meeting_points
+from measure.measuring.association.candidates import by_ball, intersect_rays
 from measure.model import Body, Camera, Detection
 
 _SIGMAS = 4.0
-_LEAST_FRAMES = 3
+_MIN_FRAMES = 3
 _RANGE_RATIO = 2.5
 _EDGE_BIAS_PX = 0.8
-"""How far inside a ball's true outline its colour may end (glossy paint): limits the radius."""
+"""Systematic error of a ball's radius: glossy paint loses its colour inside the true outline."""
+_MAX_INDEPENDENT_FRAMES = 10
+"""Frames share errors of calibration and edges: no more count as independent."""
 
 
 @dataclass(frozen=True, eq=False)
-class Located:
-    """Balls located in one frame set, without regard to the body's shape.
+class LocatedBalls:
+    """Balls located in one frame set, independent of the body's shape.
 
     Attributes:
         centers: (3,) in the world by ball name, mm.
@@ -41,13 +43,13 @@ class Located:
 
 @dataclass(frozen=True)
 class BodyCheck:
-    """What the recording says about the body.
+    """The body as recorded, compared with its file.
 
     Attributes:
         distances: of every pair of balls that was located often enough.
         radii: of every ball that was located often enough.
         findings: what is wrong, a line each; empty if nothing is.
-        blind_to: what the balls located cannot show, a line each.
+        blind_to: mistakes that the located balls cannot show, a line each.
     """
 
     distances: tuple[Compared, ...]
@@ -56,10 +58,10 @@ class BodyCheck:
     blind_to: tuple[str, ...]
 
 
-def locate_in_candidates(
+def locate_balls(
     detections: Mapping[str, Sequence[Detection]], body: Body, cameras: Sequence[Camera]
-) -> Located:
-    """Balls where most cameras' candidates meet; for bodies whose colours do not repeat.
+) -> LocatedBalls:
+    """Balls where the rays of most cameras intersect; for bodies whose colours do not repeat.
 
     Args:
         detections: candidates by camera name, from a search of the whole frame.
@@ -68,7 +70,7 @@ def locate_in_candidates(
     """
     centers, variances, radii = {}, {}, {}
     for ball, candidates in zip(body.balls, by_ball(detections, body.balls, cameras), strict=True):
-        points = meeting_points(candidates, _SIGMAS, _RANGE_RATIO, most=1)
+        points = intersect_rays(candidates, _SIGMAS, _RANGE_RATIO, max_points=1)
         if not len(points.points) or points.support[0] < min(3, len(cameras)):
             continue
         centers[ball.name] = points.points[0]
@@ -76,11 +78,11 @@ def locate_in_candidates(
         near = _sizes(candidates.detections, points.points[0], cameras)
         if near:
             radii[ball.name] = _mean_radius(near)
-    return Located(centers, variances, radii)
+    return LocatedBalls(centers, variances, radii)
 
 
-def check_body(located: Iterable[Located], body: Body) -> BodyCheck:
-    """Compare what was located, over all frames, with the body file."""
+def check_body(located: Iterable[LocatedBalls], body: Body) -> BodyCheck:
+    """Compare the balls located in all frames with the body file."""
     frames = list(located)
     distances = tuple(
         compared
@@ -119,25 +121,25 @@ def _sizes(
 
 
 def _mean_radius(sizes: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """Median radius; its deviation is a single view's: the edge's bias is common to all."""
+    """Median radius; its deviation is that of one view, as the bias of edges is common to all."""
     return float(np.median([r for r, _ in sizes])), float(np.median([sd for _, sd in sizes]))
 
 
-def _distance(frames: Sequence[Located], body: Body, a: str, b: str) -> Compared | None:
+def _distance(frames: Sequence[LocatedBalls], body: Body, a: str, b: str) -> Compared | None:
     both = [f for f in frames if a in f.centers and b in f.centers]
-    if len(both) < _LEAST_FRAMES:
+    if len(both) < _MIN_FRAMES:
         return None
     lengths = np.array([np.linalg.norm(f.centers[a] - f.centers[b]) for f in both])
-    told = np.sqrt(np.median([f.variances[a] + f.variances[b] for f in both]))
+    stated = np.sqrt(np.median([f.variances[a] + f.variances[b] for f in both]))
     file_mm = float(np.linalg.norm(body.centers[body.index(a)] - body.centers[body.index(b)]))
-    median, scatter = _robust_mean(lengths, float(told))
+    median, scatter = _robust_mean(lengths, float(stated))
     sd = float(np.hypot(scatter, body.distance_sd_mm))
     return Compared((a, b), median, sd, file_mm, len(both))
 
 
-def _radius(frames: Sequence[Located], body: Body, name: str) -> Compared | None:
+def _radius(frames: Sequence[LocatedBalls], body: Body, name: str) -> Compared | None:
     seen = [f.radii[name] for f in frames if name in f.radii]
-    if len(seen) < _LEAST_FRAMES:
+    if len(seen) < _MIN_FRAMES:
         return None
     values = np.array([radius for radius, _ in seen])
     common = float(np.median([sd for _, sd in seen]))
@@ -146,19 +148,18 @@ def _radius(frames: Sequence[Located], body: Body, name: str) -> Compared | None
     return Compared((name,), median, float(np.hypot(scatter, common)), file_mm, len(seen))
 
 
-def _robust_mean(values: Floats, told_sd: float) -> tuple[float, float]:
-    """Median, and its standard deviation by the scatter or as told, whichever is larger."""
+def _robust_mean(values: Floats, stated_sd: float) -> tuple[float, float]:
+    """Median, and its standard deviation by scatter or as stated, whichever is larger."""
     median = float(np.median(values))
     scatter = 1.4826 * float(np.median(np.abs(values - median)))
-    # Frames share calibration and edge errors: no more than ten count as independent.
-    count = min(len(values), 10)
-    return median, float(1.25 * max(scatter, told_sd) / np.sqrt(count))
+    count = min(len(values), _MAX_INDEPENDENT_FRAMES)
+    return median, float(1.25 * max(scatter, stated_sd) / np.sqrt(count))
 
 
-def _mostly_mirrored(frames: Sequence[Located], body: Body) -> bool:
+def _mostly_mirrored(frames: Sequence[LocatedBalls], body: Body) -> bool:
     votes = [
         looks_mirrored(body.centers, np.stack([f.centers[name] for name in body.names]))
         for f in frames
         if all(name in f.centers for name in body.names)
     ]
-    return len(votes) >= _LEAST_FRAMES and float(np.mean(votes)) > 0.5
+    return len(votes) >= _MIN_FRAMES and float(np.mean(votes)) > 0.5

@@ -1,4 +1,4 @@
-"""Explanations, a line each, for a body that does not look like its file."""
+"""Explanations, a line each, for a recorded body that differs from its file."""
 
 from __future__ import annotations
 
@@ -13,15 +13,16 @@ from measure.model import Body
 
 _SIGMAS = 4.0
 _SHARED_SIGMAS = 2.5
-"""Radii that are off all alike are told sooner than one that is: standard deviations of radii are a
-bound on how far outside or inside the outlines edges lie, not scatter."""
-_FLAT_MM = 1.0
-_SAME_MM = 1.0
+"""Gate of an error that all radii share: smaller, as their standard deviations bound the bias of
+edges and are no scatter."""
+_MAX_PLANAR_MM = 1.0
+_SAME_DISTANCE_MM = 1.0
+_MAX_BALLS_PERMUTED = 6
 
 
 @dataclass(frozen=True)
 class Compared:
-    """One length of the body: as measured, and as the file says.
+    """One length of the body: as measured, and in the file.
 
     Attributes:
         what: the ball whose radius it is, or the two whose distance.
@@ -61,12 +62,12 @@ def layout_findings(distances: Sequence[Compared], body: Body) -> list[str]:
         return [scale]
     if len(wrong) > 1 and (shared := set.intersection(*(set(d.what) for d in wrong))):
         name = shared.pop()
-        apart = ", ".join(_said(d) for d in wrong)
+        apart = ", ".join(_line(d) for d in wrong)
         return [f"ball {name} is not where the body file says: {apart}"]
-    return [_said(d) for d in wrong]
+    return [_line(d) for d in wrong]
 
 
-def _said(d: Compared) -> str:
+def _line(d: Compared) -> str:
     return (
         f"{d.measured_mm:.2f} +- {d.sd_mm:.2f} mm between {d.what[0]} and {d.what[1]}, "
         f"the body file says {d.file_mm:.2f} mm"
@@ -77,7 +78,7 @@ def _swap(distances: Sequence[Compared], body: Body) -> str | None:
     """The exchange of colours that explains all distances, if there is one."""
     length = {frozenset(d.what): d.file_mm for d in distances}
     names = body.names
-    if len(names) > 6:
+    if len(names) > _MAX_BALLS_PERMUTED:
         return None
     ways = sorted(
         permutations(names), key=lambda p: sum(a != b for a, b in zip(names, p, strict=True))
@@ -122,23 +123,23 @@ def radius_findings(radii: Sequence[Compared]) -> list[str]:
 
 
 def _shared_size(radii: Sequence[Compared]) -> list[str]:
-    """What wrong radii, all by the same share, look like: no single ball is far enough off."""
+    """One line for radii that differ by a common factor, where no single one differs enough."""
     if len(radii) < 3:
         return []
     off = float(np.median([(r.measured_mm - r.file_mm) / r.sd_mm for r in radii]))
     if abs(off) <= _SHARED_SIGMAS:
         return []
     factor = float(np.median([r.measured_mm / r.file_mm for r in radii]))
-    said = ", ".join(f"{r.what[0]} {r.measured_mm:.1f} for {r.file_mm:.1f} mm" for r in radii)
-    return [f"the balls are {factor:.2f} times as large as the body file says ({said})"]
+    radii_text = ", ".join(f"{r.what[0]} {r.measured_mm:.1f} for {r.file_mm:.1f} mm" for r in radii)
+    return [f"the balls are {factor:.2f} times as large as the body file says ({radii_text})"]
 
 
 def blind_to(body: Body, located: Collection[str]) -> tuple[str, ...]:
-    """Mistakes in the file that leave all distances between the balls located as they are.
+    """Mistakes in the file that leave all distances between the located balls unchanged.
 
     Args:
         body: as its file says.
-        located: names of the balls whose places are known.
+        located: names of the located balls.
     """
     names = [name for name in body.names if name in located]
     centers = body.centers[[body.index(name) for name in names]].reshape(-1, 3)
@@ -151,8 +152,8 @@ def blind_to(body: Body, located: Collection[str]) -> tuple[str, ...]:
     for a, b in combinations(range(len(names)), 2):
         order = list(range(len(names)))
         order[a], order[b] = b, a
-        if np.max(np.abs(before - before[np.ix_(order, order)])) < _SAME_MM:
+        if np.max(np.abs(before - before[np.ix_(order, order)])) < _SAME_DISTANCE_MM:
             out.append(f"an exchange of {names[a]} and {names[b]}")
-    if len(names) < 4 or thickness(centers) < _FLAT_MM:
+    if len(names) < 4 or thickness(centers) < _MAX_PLANAR_MM:
         out.append("a mirrored layout: the balls located lie in one plane")
     return tuple(out)

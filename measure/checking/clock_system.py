@@ -11,17 +11,19 @@ from measure.arrays import Bools, Floats, Ints
 from measure.estimation.pose_fit import Sightings
 from measure.geometry import RigidTransform, skew
 
-_HUBER = 3.0
-_STILL_PX_S = 1e-3
-_BLOCKS = 8
+_HUBER_SIGMAS = 3.0
+_MIN_IMAGE_SPEED_PX_S = 1e-3
+_JACKKNIFE_BLOCKS = 8
+_PRIOR_SD_S = 10.0
+"""A weak prior keeps a parameter that is nearly unobservable from diverging."""
 
 
 @dataclass(frozen=True, eq=False)
 class Instant:
-    """One instant's sightings, and the motion around it.
+    """The observations of one instant, and the motion around it.
 
     Attributes:
-        sightings: n balls seen.
+        sightings: n ball-views.
         cameras: (n,) index of the camera.
         rows: (n,) the ball's image row, from -0.5 at the top to 0.5 at the bottom.
         pose: at the instant.
@@ -52,10 +54,10 @@ def _linearise(instant: Instant, clocks: Floats) -> tuple[Floats, Floats, Floats
 
 
 def bias_deviations(instants: Sequence[Instant], clocks: Floats, bias_px: float) -> Floats:
-    """What a constant error of a camera's detections does to its clock (c, 2), in s.
+    """Standard deviations (c, 2) in s of the clocks from a constant bias of a camera's detections.
 
-    A ball's edge that is seen `bias_px` off all the time looks like a late stamp while the body
-    moves one way, and like an early one on the way back: it cancels as far as the motion does.
+    A bias of `bias_px` resembles a late stamp while the body moves one way, and an early one on the
+    way back: it cancels as far as the image velocities sum to zero.
     """
     count = len(clocks)
     totals, squares = np.zeros((count, 2, 2)), np.full((count, 2), 1e-30)
@@ -67,17 +69,17 @@ def bias_deviations(instants: Sequence[Instant], clocks: Floats, bias_px: float)
     return np.asarray(bias_px * np.linalg.norm(totals, axis=2) / squares)
 
 
-def from_the_middle(offsets_s: Floats, told: Bools) -> Floats:
+def relative_to_median(offsets_s: Floats, observable: Bools) -> Floats:
     """The matrix (c, c) that gives offsets (c,) relative to their median.
 
-    Motion shows differences only. Most often it is one clock that is wrong: measured from the
-    median, that one has the whole offset and the others have none.
+    Only differences are observable. Usually one clock is wrong: relative to the median it has the
+    whole offset and the others have none.
 
     Args:
         offsets_s: (c,).
-        told: (c,) which of them the motion tells; the others are left alone.
+        observable: (c,) which of them the motion determines; the others stay unchanged.
     """
-    matrix, index = np.eye(len(offsets_s)), np.nonzero(told)[0]
+    matrix, index = np.eye(len(offsets_s)), np.nonzero(observable)[0]
     if len(index):
         order = index[np.argsort(offsets_s[index])]
         middle = order[[(len(order) - 1) // 2, len(order) // 2]]
@@ -88,7 +90,7 @@ def from_the_middle(offsets_s: Floats, told: Bools) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Reduced:
-    """One instant's say about the clocks, its pose eliminated."""
+    """The normal equations of one instant for the clocks, its pose eliminated."""
 
     normal: Floats
     right: Floats
@@ -98,8 +100,8 @@ class Reduced:
     pose_clock: Floats
     pose_right: Floats
 
-    def move(self, step: Floats) -> Floats:
-        """The pose's own step (6,) that goes with the clocks' (c, 2)."""
+    def pose_step(self, step: Floats) -> Floats:
+        """The pose's step (6,) for a step of the clocks (c, 2)."""
         return np.asarray(self.pose_pose @ (self.pose_right - self.pose_clock @ step.reshape(-1)))
 
 
@@ -112,15 +114,15 @@ def reduce_instant(instant: Instant, clocks: Floats, readout: Bools) -> Reduced:
     rolling = readout[instant.cameras] * instant.rows
     by_clock[rows, :, 2 * instant.cameras + 1] = flow * rolling[:, None]
     weight = _weights(residuals, instant.sightings.noise)
-    gain_pose = np.swapaxes(by_pose, 1, 2) @ weight
-    gain_clock = np.swapaxes(by_clock, 1, 2) @ weight
-    pose_pose = np.linalg.inv((gain_pose @ by_pose).sum(axis=0) + 1e-12 * np.eye(6))
-    pose_clock = (gain_pose @ by_clock).sum(axis=0)
-    pose_right = np.einsum("nij,nj->i", gain_pose, residuals)
+    weighted_pose = np.swapaxes(by_pose, 1, 2) @ weight
+    weighted_clock = np.swapaxes(by_clock, 1, 2) @ weight
+    pose_pose = np.linalg.inv((weighted_pose @ by_pose).sum(axis=0) + 1e-12 * np.eye(6))
+    pose_clock = (weighted_pose @ by_clock).sum(axis=0)
+    pose_right = np.einsum("nij,nj->i", weighted_pose, residuals)
     back = pose_clock.T @ pose_pose
     return Reduced(
-        (gain_clock @ by_clock).sum(axis=0) - back @ pose_clock,
-        np.einsum("nij,nj->i", gain_clock, residuals) - back @ pose_right,
+        (weighted_clock @ by_clock).sum(axis=0) - back @ pose_clock,
+        np.einsum("nij,nj->i", weighted_clock, residuals) - back @ pose_right,
         float(np.einsum("ni,nij,nj->", residuals, weight, residuals)),
         2 * len(residuals) - 6,
         pose_pose,
@@ -134,8 +136,8 @@ def solve_clocks(
 ) -> tuple[Floats, Floats]:
     """One Gauss-Newton step (c, 2) for the clocks, and their standard deviations (c, 2).
 
-    Errors of neighbouring frames are alike (the light, the edges), so what the residuals say is
-    compared with a jackknife over stretches of the recording; the larger one counts.
+    Errors of neighbouring frames are correlated (light, edges), so the variances by the residuals
+    are compared with a jackknife over blocks of the recording; the larger ones count.
 
     Args:
         parts: of all instants, linearised about `clocks`.
@@ -145,54 +147,57 @@ def solve_clocks(
     """
     normal = sum((p.normal for p in parts), np.zeros_like(parts[0].normal))
     right = sum((p.right for p in parts), np.zeros_like(parts[0].right))
-    told = np.diag(normal) > _STILL_PX_S**2
-    told = told & np.stack([np.ones_like(readout), readout], axis=1).reshape(-1)
+    observable = np.diag(normal) > _MIN_IMAGE_SPEED_PX_S**2
+    observable = observable & np.stack([np.ones_like(readout), readout], axis=1).reshape(-1)
     scale = sum(p.chi_square for p in parts) / max(sum(p.degrees for p in parts), 1)
-    step, covariance = _constrained(normal, right, told)
+    step, covariance = _constrained(normal, right, observable)
     gauge = np.eye(len(step))
-    gauge[::2, ::2] = from_the_middle((clocks.reshape(-1) + step)[::2], told[::2])
+    gauge[::2, ::2] = relative_to_median((clocks.reshape(-1) + step)[::2], observable[::2])
     finite = np.where(np.isfinite(covariance), covariance, 0.0)
     variance = np.diag(gauge @ finite @ gauge.T)
-    # Rounding leaves less than nothing where the motion says next to nothing.
+    # Rounding makes variances negative where the motion determines next to nothing.
     formal = np.sqrt(np.where(variance >= 0, variance, np.inf) * max(1.0, scale))
-    off = _left_out(parts, normal, right, told) - step
+    off = _jackknife_steps(parts, normal, right, observable) - step
     blocks = len(off)
     spread = np.sqrt((blocks - 1) * np.mean((off @ gauge.T) ** 2, axis=0))
     sd = np.hypot(np.maximum(formal, spread), np.sqrt(gauge**2 @ bias.reshape(-1) ** 2))
-    sd[~told] = np.inf
+    sd[~observable] = np.inf
     step = gauge @ (clocks.reshape(-1) + step) - clocks.reshape(-1)
     return step.reshape(-1, 2), sd.reshape(-1, 2)
 
 
-def _left_out(parts: Sequence[Reduced], normal: Floats, right: Floats, told: Bools) -> Floats:
-    """The steps (b, 2 c) without one of b stretches of the recording each."""
-    blocks = np.array_split(np.arange(len(parts)), min(_BLOCKS, len(parts)))
+def _jackknife_steps(
+    parts: Sequence[Reduced], normal: Floats, right: Floats, observable: Bools
+) -> Floats:
+    """The steps (b, 2 c), each without one of b blocks of the recording."""
+    blocks = np.array_split(np.arange(len(parts)), min(_JACKKNIFE_BLOCKS, len(parts)))
     steps = []
     for block in blocks:
         less = normal - sum(parts[i].normal for i in block)
-        steps.append(_constrained(less, right - sum(parts[i].right for i in block), told)[0])
+        steps.append(_constrained(less, right - sum(parts[i].right for i in block), observable)[0])
     return np.stack(steps)
 
 
 def _weights(residuals: Floats, noise: Floats) -> Floats:
     inverse = np.linalg.inv(noise)
     distance = np.sqrt(np.einsum("ni,nij,nj->n", residuals, inverse, residuals))
-    return np.asarray(inverse * np.minimum(1.0, _HUBER / np.maximum(distance, 1e-9))[:, None, None])
+    return np.asarray(
+        inverse * np.minimum(1.0, _HUBER_SIGMAS / np.maximum(distance, 1e-9))[:, None, None]
+    )
 
 
-def _constrained(normal: Floats, right: Floats, told: Bools) -> tuple[Floats, Floats]:
-    """Solve for the parameters that are told, with offsets of zero mean (bordered system)."""
+def _constrained(normal: Floats, right: Floats, observable: Bools) -> tuple[Floats, Floats]:
+    """Solve for the observable parameters, with offsets of zero mean (bordered system)."""
     size = len(right)
-    step, covariance = np.zeros(size), np.diag(np.where(told, 0.0, np.inf))
-    index = np.nonzero(told)[0]
+    step, covariance = np.zeros(size), np.diag(np.where(observable, 0.0, np.inf))
+    index = np.nonzero(observable)[0]
     if not len(index):
         return step, covariance
     level = float(np.max(np.diag(normal)))
     border = np.where(index % 2 == 0, 1.0, 0.0)
     system = np.zeros((len(index) + 1, len(index) + 1))
     system[:-1, :-1] = normal[np.ix_(index, index)] / level
-    # A weak prior (10 s) keeps a parameter that is all but invisible from exploding.
-    system[:-1, :-1] += np.eye(len(index)) / (level * 100.0)
+    system[:-1, :-1] += np.eye(len(index)) / (level * _PRIOR_SD_S**2)
     system[-1, :-1] = system[:-1, -1] = border
     inverse = np.linalg.inv(system)
     step[index] = (inverse @ np.append(right[index] / level, 0.0))[:-1]

@@ -1,11 +1,10 @@
-"""Cameras' clocks, from the motion they all saw.
+"""Clock offsets and rolling-shutter times of cameras, from a motion that all of them saw.
 
-A picture stamped too late shows the moving body where it is not yet: the error runs along each
-ball's path in the image and grows with its speed. All pictures are fitted together: one pose per
-instant, and per camera a clock offset and the time its rolling shutter takes. The poses are
-eliminated instant by instant (Schur complement; Triggs et al. 2000, section 6), which leaves a
-small system for the clocks. Only differences between cameras can be seen: the offsets' median is
-0.
+An image with a wrong stamp shows the moving body displaced along each ball's path, in proportion to
+its speed. All images are fitted together: one pose per instant, and per camera a clock offset and
+the readout time of its shutter. The poses are eliminated instant by instant (Schur complement;
+Triggs et al. 2000, section 6), which leaves a small system for the clocks. Only differences between
+cameras are observable: the median of the offsets is set to 0.
 """
 
 from __future__ import annotations
@@ -28,11 +27,12 @@ from measure.measuring.measurement import Measurement
 from measure.measuring.pose_spline import REACH, motion_at
 from measure.model import Body, Camera, Pose
 
-_ROUNDS = 4
-_VISIBLE_SIGMAS = 4.0
+_ITERATIONS = 4
+_SIGNIFICANT_SIGMAS = 4.0
 _MIN_INSTANTS = 5
+_MOTION_CONFIDENCE = 0.9999
 _MAX_READOUT_SD_S = 0.008
-"""A readout time less certain than this is not told apart from the offset: it is left out."""
+"""A less certain readout time cannot be separated from the offset and is not estimated."""
 
 
 @dataclass(frozen=True)
@@ -42,10 +42,10 @@ class CameraClock:
     Attributes:
         camera: its name.
         offset_s: add this to the camera's time stamps to bring them in line with the others.
-        offset_sd_s: its standard deviation; infinite if the motion does not tell.
+        offset_sd_s: its standard deviation; infinite if the motion does not determine it.
         readout_s: time from the first row's exposure to the last row's; negative if from the
             bottom up; NaN if not estimated.
-        readout_sd_s: its standard deviation; infinite if the motion does not tell.
+        readout_sd_s: its standard deviation; infinite if the motion does not determine it.
     """
 
     camera: str
@@ -56,13 +56,13 @@ class CameraClock:
 
     @property
     def offset_visible(self) -> bool:
-        """Whether the clock is off beyond doubt."""
-        return abs(self.offset_s) > _VISIBLE_SIGMAS * self.offset_sd_s
+        """Whether the offset is significant."""
+        return abs(self.offset_s) > _SIGNIFICANT_SIGMAS * self.offset_sd_s
 
     @property
     def rolling(self) -> bool:
-        """Whether a rolling shutter is seen beyond doubt."""
-        return abs(self.readout_s) > _VISIBLE_SIGMAS * self.readout_sd_s
+        """Whether the readout time is significant."""
+        return abs(self.readout_s) > _SIGNIFICANT_SIGMAS * self.readout_sd_s
 
 
 def estimate_clocks(
@@ -79,7 +79,7 @@ def estimate_clocks(
         body: the body.
         cameras: its cameras.
         readout: whether to estimate rolling-shutter times as well.
-        extra_px: systematic error of a detection: part of its weight, and of the uncertainty.
+        extra_px: systematic error of a detection, in its weight and in the uncertainty.
 
     Returns:
         One clock per camera, in order. A camera that saw too little, or a body that stood still,
@@ -91,8 +91,8 @@ def estimate_clocks(
         return unknown
     with_readout = np.full(len(cameras), readout)
     clocks, sd = _estimate(usable, body, cameras, with_readout, extra_px)
-    if np.any(blurred := with_readout & (sd[:, 1] > _MAX_READOUT_SD_S)):
-        clocks, sd = _estimate(usable, body, cameras, with_readout & ~blurred, extra_px)
+    if np.any(uncertain := with_readout & (sd[:, 1] > _MAX_READOUT_SD_S)):
+        clocks, sd = _estimate(usable, body, cameras, with_readout & ~uncertain, extra_px)
     return tuple(
         CameraClock(
             camera.name,
@@ -120,7 +120,7 @@ def _estimate(
     heights = np.array([camera.intrinsics.size_wh[1] for camera in cameras])
     clocks = np.zeros((len(cameras), 2))
     sd = np.full((len(cameras), 2), np.inf)
-    for _ in range(_ROUNDS):
+    for _ in range(_ITERATIONS):
         motion = _derivatives(poses)
         instants = [
             _instant(s, names, heights, pose.world_from_body, v, a)
@@ -131,7 +131,7 @@ def _estimate(
         step, sd = solve_clocks(parts, clocks, readout, bias)
         clocks = clocks + step
         poses = [
-            replace(pose, world_from_body=pose.world_from_body.perturb(p.move(step)))
+            replace(pose, world_from_body=pose.world_from_body.perturb(p.pose_step(step)))
             for pose, p in zip(poses, parts, strict=True)
         ]
     return clocks, sd
@@ -165,9 +165,9 @@ def _instant(
 def _derivatives(poses: Sequence[Pose]) -> list[tuple[Floats, Floats]]:
     """Velocity and acceleration (6,) at each pose, by a spline through the poses around it.
 
-    A velocity that the poses' noise explains is taken for none: a clock must not be read from it.
+    Zero where the noise of the poses explains the velocity: it holds no information on clocks.
     """
-    gate = chi_square_quantile(0.9999, 6)
+    gate = chi_square_quantile(_MOTION_CONFIDENCE, 6)
     out = []
     for k, pose in enumerate(poses):
         motion = motion_at(pose, poses[max(k - REACH, 0) : k], poses[k + 1 : k + 1 + REACH])

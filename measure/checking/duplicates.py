@@ -1,4 +1,4 @@
-"""Pictures that a stalled camera or driver handed out again, with a new stamp."""
+"""Findings on the frames of a camera: duplicates, dropped frames, uneven stamps, damage."""
 
 from __future__ import annotations
 
@@ -8,53 +8,63 @@ import numpy as np
 
 from measure.arrays import Floats, Ints
 from measure.checking.finding import Finding, Level
-from measure.measuring.duplicate_images import Repeats
+from measure.measuring.duplicate_images import DuplicateImages
 from measure.model import FrameSet
 
-_FEW, _MOST = 0.02, 0.5
+_NOTE_SHARE, _WEAK_SHARE = 0.02, 0.5
+"""Largest shares of duplicates that are only noted, and that only weaken the results."""
+_DROPPED_STEPS = 1.5
+"""A gap longer than this, in periods, has dropped frames."""
+_MAX_JITTER = 0.1
+"""Standard deviation of stamps, in periods."""
+_MAX_DROPPED_SHARE = 0.02
+_MAX_PERIOD_S = 10.0
+"""A longer period means stamps in milliseconds rather than images taken by hand."""
+_MAX_FRAMES_NAMED = 8
 
 
-class RepeatCount:
-    """Counts repeats among the pictures that pass by, for recordings that tell them no other way.
+class DuplicateCount:
+    """Counts duplicates among decoded images, for recordings whose files do not show them.
 
     Attributes:
-        looked_at: frame numbers by camera.
-        repeated: those of pictures that repeat the one that passed before, by camera.
+        compared: frame numbers by camera.
+        repeated: those of images that are the same as the one before, by camera.
     """
 
     def __init__(self) -> None:
-        self._repeats = Repeats()
-        self.looked_at: dict[str, set[int]] = {}
+        self._duplicates = DuplicateImages()
+        self.compared: dict[str, set[int]] = {}
         self.repeated: dict[str, set[int]] = {}
 
-    def look(self, frame_set: FrameSet) -> None:
+    def add(self, frame_set: FrameSet) -> None:
         """Compare each camera's picture with its last one."""
         for name, image in frame_set.images.items():
-            self.looked_at.setdefault(name, set()).add(image.frame)
-        for name in self._repeats.repeated(frame_set):
+            self.compared.setdefault(name, set()).add(image.frame)
+        for name in self._duplicates.of(frame_set):
             self.repeated.setdefault(name, set()).add(frame_set.images[name].frame)
 
 
-def repeat_findings(
-    camera: str, repeated: Ints, looked_at: int, times_s: Floats, frames: Ints
+def duplicate_findings(
+    camera: str, repeated: Ints, compared: int, times_s: Floats, frames: Ints
 ) -> list[Finding]:
-    """One line if pictures repeat the one before them.
+    """One line if images are the same as the one before.
 
     Args:
         camera: its name.
-        repeated: (k,) positions of the pictures that do, increasing.
-        looked_at: how many pictures were compared with the one before.
-        times_s: (n,) stamps of all pictures.
-        frames: (n,) frame numbers of all pictures.
+        repeated: (k,) positions of the duplicates, increasing.
+        compared: number of images compared with the one before.
+        times_s: (n,) stamps of all images.
+        frames: (n,) frame numbers of all images.
     """
     if not len(repeated):
         return []
-    share = len(repeated) / max(looked_at, 1)
+    share = len(repeated) / max(compared, 1)
     runs = np.split(repeated, np.nonzero(np.diff(repeated) > 1)[0] + 1)
     longest = max(runs, key=len)
-    level = Level.NOTE if share <= _FEW else Level.WEAK if share <= _MOST else Level.WRONG
+    level = Level.WRONG if share > _WEAK_SHARE else Level.WEAK
+    level = Level.NOTE if share <= _NOTE_SHARE else level
     text = (
-        f"{camera}: {len(repeated)} of {looked_at} pictures repeat the one before "
+        f"{camera}: {len(repeated)} of {compared} pictures repeat the one before "
         f"({100 * share:.1f} %), at most {len(longest)} in a row, from frame "
         f"{frames[longest[0]]} at {times_s[longest[0]]:.3f} s: the camera or its driver stalled; "
         "they are not measured; record at a lower rate, or mend its cable or power"
@@ -62,15 +72,8 @@ def repeat_findings(
     return [Finding(level, "frames", text)]
 
 
-_DROPPED = 1.5
-_UNEVEN = 0.1
-_MOST_DROPPED = 0.02
-_SLOWEST_S = 10.0
-"""Pictures further apart are rather stamped in milliseconds than taken by hand."""
-
-
 def stamp_findings(camera: str, times_s: Floats, frames: Ints) -> list[Finding]:
-    """Look at one camera's time stamps.
+    """Dropped frames, uneven stamps and wrong units of one camera.
 
     Args:
         camera: its name.
@@ -81,10 +84,10 @@ def stamp_findings(camera: str, times_s: Floats, frames: Ints) -> list[Finding]:
         return [Finding(Level.WEAK, "frames", f"{camera}: only {len(times_s)} frames")]
     steps = np.diff(times_s)
     period = float(np.median(steps))
-    gaps = np.nonzero(steps > _DROPPED * period)[0]
+    gaps = np.nonzero(steps > _DROPPED_STEPS * period)[0]
     lost = int(np.sum(np.rint(steps[gaps] / period) - 1))
     out = []
-    if period > _SLOWEST_S:
+    if period > _MAX_PERIOD_S:
         text = f"{camera}: {period:.1f} s from picture to picture: are the times milliseconds?"
         out.append(Finding(Level.WEAK, "clock", f"{text} Write seconds"))
     if lost:
@@ -92,7 +95,7 @@ def stamp_findings(camera: str, times_s: Floats, frames: Ints) -> list[Finding]:
         share = lost / (len(times_s) + lost)
         out.append(
             Finding(
-                Level.WEAK if share > _MOST_DROPPED else Level.NOTE,
+                Level.WEAK if share > _MAX_DROPPED_SHARE else Level.NOTE,
                 "frames",
                 f"{camera}: {lost} frames dropped ({100 * share:.1f} %), the longest gap "
                 f"{steps[worst]:.3f} s after frame {frames[worst]} at {times_s[worst]:.3f} s",
@@ -100,7 +103,7 @@ def stamp_findings(camera: str, times_s: Floats, frames: Ints) -> list[Finding]:
         )
     even = np.delete(steps, gaps)
     jitter = float(np.std(even - np.median(even)))
-    if jitter > _UNEVEN * period:
+    if jitter > _MAX_JITTER * period:
         out.append(
             Finding(
                 Level.WEAK,
@@ -112,20 +115,19 @@ def stamp_findings(camera: str, times_s: Floats, frames: Ints) -> list[Finding]:
     return out
 
 
-_NAMED = 8
-
-
 def damage_findings(camera: str, frames: Sequence[int], count: int) -> list[Finding]:
-    """One line if pictures are damaged.
+    """One line if images are damaged.
 
     Args:
         camera: its name.
-        frames: the numbers of those that are.
-        count: how many pictures were looked at.
+        frames: numbers of the damaged ones.
+        count: number of images examined.
     """
     if not frames:
         return []
-    named = ", ".join(map(str, frames[:_NAMED])) + (", ..." if len(frames) > _NAMED else "")
+    named = ", ".join(map(str, frames[:_MAX_FRAMES_NAMED])) + (
+        ", ..." if len(frames) > _MAX_FRAMES_NAMED else ""
+    )
     which = "frames" if len(frames) > 1 else "frame"
     text = (
         f"{camera}: {len(frames)} of {count} pictures are damaged ({which} {named}): a part is "

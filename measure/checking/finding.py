@@ -1,4 +1,4 @@
-"""One thing worth knowing about a recording."""
+"""One result of a check."""
 
 from __future__ import annotations
 

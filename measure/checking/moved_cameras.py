@@ -1,41 +1,43 @@
-"""Cameras that do not stand where the calibration says: which, how far off, and since when.
+"""Cameras whose pose differs from the calibration: which, by how much, and since when.
 
-A pose from all other cameras predicts where a camera should see the balls. A constant difference is
-a calibration that does not fit; a step is a camera that was knocked.
+The pose from all other cameras predicts where a camera should see the balls. A constant difference
+means a wrong calibration, a step means that the camera was moved.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from measure.arrays import Floats
 from measure.checking.finding import Finding, Level
-from measure.checking.sampled_search import Surveyed
+from measure.checking.sampled_search import SearchSample
 from measure.errors import DegenerateGeometryError
 from measure.estimation.pose_fit import Sightings, fit_pose
 from measure.model import Body, Camera
 
-_EXTRA_PX = 0.5
-_LEAST_STEP_PX, _LEAST_BIAS_PX = 2.5, 3.5
-"""Steps are told apart from edges that are a little off; a constant difference is not."""
-_LEAST_INSTANTS = 3
-_LEAST_SHARE = 0.25
+_SYSTEMATIC_PX = 0.5
+_MIN_STEP_PX, _MIN_BIAS_PX = 2.5, 3.5
+"""A step may be smaller than a constant difference, which systematic errors of edges resemble."""
+_MIN_INSTANTS = 3
+_MIN_SHARE = 0.25
 _SIGMAS = 5.0
-_ALIKE_PX = 0.7
-_FAR_OFF = 6.0
+_MAX_SPREAD_PX, _MAX_SPREAD_RATIO = 0.7, 0.3
+_MAX_SIGMAS = 6.0
+"""Limit of one ball-view's deviation in the mean over the other cameras."""
 
 
 @dataclass(frozen=True)
-class Misfit:
-    """How one camera differs from what the others predict.
+class CameraMisfit:
+    """The difference of one camera from what the others predict.
 
     Attributes:
         camera: its name.
         shift_px: mean length of the difference.
-        turn_deg: the turn of the camera that explains it best.
+        turn_deg: the least rotation of the camera that explains it.
         since_s: when it began; None if it was there from the start.
         instants: how many frame sets it was seen in.
     """
@@ -47,48 +49,48 @@ class Misfit:
     instants: int
 
 
-@dataclass(frozen=True, eq=False)
-class _Differences:
-    """One camera's differences over time.
+class _Difference(NamedTuple):
+    """One camera's difference from what the others predict in one frame set.
 
     Attributes:
-        times_s: (k,) instants.
-        shifts_px: (k, 2) mean difference of its balls.
-        turns: (k, 3) least rotation vectors of the camera that explain them, rad.
-        unsure_px: standard deviation of what the others predict; cameras that face each other see
-            the body's place along their common line badly.
-        others_off: how far the others are off among themselves, mean in standard deviations.
+        time_s: the instant.
+        shift_px: (2,) median over its balls.
+        turn: (3,) least rotation vector of the camera that explains it, rad.
+        prediction_sd_px: standard deviation of the others' prediction: large for cameras that face
+            each other, which determine the depth badly.
+        others_deviation: mean deviation of the others from their common pose, in standard
+            deviations.
     """
 
-    times_s: Floats
-    shifts_px: Floats
-    turns: Floats
-    unsure_px: float
-    others_off: float
+    time_s: float
+    shift_px: Floats
+    turn: Floats
+    prediction_sd_px: float
+    others_deviation: float
 
 
 def camera_misfits(
-    surveys: Sequence[Surveyed], body: Body, cameras: Sequence[Camera]
-) -> tuple[Misfit, ...]:
-    """Find cameras that do not fit, each judged without those before it.
+    samples: Sequence[SearchSample], body: Body, cameras: Sequence[Camera]
+) -> tuple[CameraMisfit, ...]:
+    """Find cameras that do not fit, one after the other, each without those before it.
 
-    A camera that is off spoils the pose by which the others are judged, so those seem to be off as
-    well. It is taken for the culprit if the others agree best without it, not if it differs most.
-    Needs three cameras: of two that disagree nobody can tell which one errs.
+    A wrong camera distorts the pose to which the others are compared, so they seem to be off as
+    well. The wrong one is that without which the others agree best, not that which differs most.
+    Three cameras are needed: of two that disagree either may be wrong.
     """
-    found: list[Misfit] = []
+    found: list[CameraMisfit] = []
     while len(cameras) - len(found) >= 3:
         out = {misfit.camera for misfit in found}
         rest = [camera for camera in cameras if camera.name not in out]
-        judged = [_judged(camera, surveys, body, rest) for camera in rest]
-        doubted = [pair for pair in judged if pair is not None]
-        if not doubted:
+        compared = [_misfit(camera, samples, body, rest) for camera in rest]
+        misfits = [pair for pair in compared if pair is not None]
+        if not misfits:
             break
-        found.append(min(doubted, key=lambda pair: pair[1])[0])
+        found.append(min(misfits, key=lambda pair: pair[1])[0])
     return tuple(found)
 
 
-def misfit_findings(misfits: Collection[Misfit]) -> list[Finding]:
+def misfit_findings(misfits: Collection[CameraMisfit]) -> list[Finding]:
     """One line for each."""
     out = []
     for m in misfits:
@@ -104,88 +106,74 @@ def misfit_findings(misfits: Collection[Misfit]) -> list[Finding]:
     return out
 
 
-def _judged(
-    camera: Camera, surveys: Sequence[Surveyed], body: Body, cameras: Sequence[Camera]
-) -> tuple[Misfit, float] | None:
-    """How a camera differs, and how badly the others fit without it; None if it does not."""
-    differences = _differences(camera, surveys, body, cameras)
-    if differences is None:
+def _misfit(
+    camera: Camera, samples: Sequence[SearchSample], body: Body, cameras: Sequence[Camera]
+) -> tuple[CameraMisfit, float] | None:
+    """A camera's misfit and the deviation of the others without it; None if it fits."""
+    rows = [_difference(camera, sample, body, cameras) for sample in samples]
+    kept = [row for row in rows if row is not None]
+    if len(kept) < max(_MIN_INSTANTS, _MIN_SHARE * len(samples)):
         return None
-    shifts, turns = differences.shifts_px, differences.turns
-    split = _step(shifts, differences.unsure_px)
+    shifts, turns = np.stack([row.shift_px for row in kept]), np.stack([row.turn for row in kept])
+    prediction_sd_px = float(np.median([row.prediction_sd_px for row in kept]))
+    split = _step(shifts, prediction_sd_px)
     since = None
     if split is not None:
-        since = float(differences.times_s[split])
+        since = kept[split].time_s
         shift = shifts[split:].mean(axis=0) - shifts[:split].mean(axis=0)
         turn = turns[split:].mean(axis=0) - turns[:split].mean(axis=0)
     else:
         shift, turn = np.median(shifts, axis=0), np.median(turns, axis=0)
-        noise = np.hypot(_spread(shifts) / np.sqrt(len(shifts)), differences.unsure_px)
-        if np.linalg.norm(shift) < max(_LEAST_BIAS_PX, _SIGMAS * noise):
+        noise = np.hypot(_spread(shifts) / np.sqrt(len(shifts)), prediction_sd_px)
+        if np.linalg.norm(shift) < max(_MIN_BIAS_PX, _SIGMAS * noise):
             return None
     size, angle = float(np.linalg.norm(shift)), float(np.degrees(np.linalg.norm(turn)))
-    return Misfit(camera.name, size, angle, since, len(shifts)), differences.others_off
-
-
-def _differences(
-    camera: Camera, surveys: Sequence[Surveyed], body: Body, cameras: Sequence[Camera]
-) -> _Differences | None:
-    """Seen minus predicted, instant by instant; None if too few."""
-    rows = [_difference(camera, survey, body, cameras) for survey in surveys]
-    kept = [row for row in rows if row is not None]
-    if len(kept) < max(_LEAST_INSTANTS, _LEAST_SHARE * len(surveys)):
-        return None
-    times, shifts, turns, unsure, off = zip(*kept, strict=True)
-    return _Differences(
-        np.array(times),
-        np.stack(shifts),
-        np.stack(turns),
-        float(np.median(unsure)),
-        float(np.mean(off)),
-    )
+    others_deviation = float(np.mean([row.others_deviation for row in kept]))
+    return CameraMisfit(camera.name, size, angle, since, len(kept)), others_deviation
 
 
 def _difference(
-    camera: Camera, survey: Surveyed, body: Body, cameras: Sequence[Camera]
-) -> tuple[float, Floats, Floats, float, float] | None:
-    """A row of `_Differences`; None if too little was seen, or a ball is off by itself."""
+    camera: Camera, sample: SearchSample, body: Body, cameras: Sequence[Camera]
+) -> _Difference | None:
+    """Detected minus predicted; None if too few balls were seen, or their differences disagree."""
     by_name = {c.name: c for c in cameras}
-    own = [d for d in survey.nearest if d.camera == camera.name]
-    others = [d for d in survey.nearest if d.camera != camera.name and d.camera in by_name]
-    if len(own) < 2 or len(others) < 4 or survey.world_from_body is None:
+    own = [d for d in sample.nearest if d.camera == camera.name]
+    others = [d for d in sample.nearest if d.camera != camera.name and d.camera in by_name]
+    if len(own) < 2 or len(others) < 4 or sample.world_from_body is None:
         return None
     try:
-        seen = Sightings.of(others, body, by_name, survey.time_s, _EXTRA_PX)
-        fit = fit_pose(survey.world_from_body, seen, survey.velocity)
+        seen = Sightings.of(others, body, by_name, sample.time_s, _SYSTEMATIC_PX)
+        fit = fit_pose(sample.world_from_body, seen, sample.velocity)
     except DegenerateGeometryError:
         return None
-    mine = Sightings.of(own, body, by_name, survey.time_s)
-    residuals, by_body, _ = mine.residuals(fit.world_from_body, survey.velocity)
-    if not _alike(residuals):
+    mine = Sightings.of(own, body, by_name, sample.time_s)
+    residuals, by_body, _ = mine.residuals(fit.world_from_body, sample.velocity)
+    if not _consistent(residuals):
         return None
     _, _, by_pose, _ = camera.project_with_jacobians(fit.world_from_body.apply(mine.points_body))
-    # The least turn: half-hidden balls tell nothing of one about the line of sight.
+    # The least rotation: partly hidden balls do not determine one about the line of sight.
     turn = np.linalg.lstsq(by_pose[:, :, 3:].mean(axis=0), np.median(residuals, axis=0))[0]
     together = by_body.mean(axis=0)
     variance = np.linalg.eigvalsh(together @ fit.covariance @ together.T)[-1]
-    off = float(np.mean(np.minimum(np.sqrt(fit.distances), _FAR_OFF)))
-    return survey.time_s, np.median(residuals, axis=0), turn, float(np.sqrt(variance)), off
+    off = float(np.mean(np.minimum(np.sqrt(fit.distances), _MAX_SIGMAS)))
+    shift = np.median(residuals, axis=0)
+    return _Difference(sample.time_s, shift, turn, float(np.sqrt(variance)), off)
 
 
-def _alike(residuals: Floats) -> bool:
-    """Whether all balls (n, 2) are off in the same way, as a camera that stands wrong makes them.
+def _consistent(residuals: Floats) -> bool:
+    """Whether the balls' differences (n, 2) agree, as for a moved camera.
 
-    One that is half hidden is off by itself.
+    That of a partly hidden ball differs from the others'.
     """
     middle = residuals.mean(axis=0)
     apart = np.max(np.linalg.norm(residuals - middle, axis=1))
-    return bool(apart < _ALIKE_PX + 0.3 * np.linalg.norm(middle))
+    return bool(apart < _MAX_SPREAD_PX + _MAX_SPREAD_RATIO * np.linalg.norm(middle))
 
 
-def _step(shifts: Floats, unsure_px: float) -> int | None:
-    """Where a step in (k, 2) is, by least deviations; None if there is none beyond doubt."""
+def _step(shifts: Floats, prediction_sd_px: float) -> int | None:
+    """The index of a step in (k, 2), by least absolute deviations; None if none is significant."""
     best: tuple[float, int] | None = None
-    for split in range(_LEAST_INSTANTS, len(shifts) - _LEAST_INSTANTS + 1):
+    for split in range(_MIN_INSTANTS, len(shifts) - _MIN_INSTANTS + 1):
         before, after = shifts[:split], shifts[split:]
         left = np.sum(np.abs(before - np.median(before, axis=0)))
         left += np.sum(np.abs(after - np.median(after, axis=0)))
@@ -197,8 +185,8 @@ def _step(shifts: Floats, unsure_px: float) -> int | None:
     before, after = shifts[:split], shifts[split:]
     step = float(np.linalg.norm(np.median(after, axis=0) - np.median(before, axis=0)))
     noise = np.hypot(_spread(before) / np.sqrt(len(before)), _spread(after) / np.sqrt(len(after)))
-    noise = float(np.hypot(noise, unsure_px))
-    return split if step > max(_LEAST_STEP_PX, _SIGMAS * noise) else None
+    noise = float(np.hypot(noise, prediction_sd_px))
+    return split if step > max(_MIN_STEP_PX, _SIGMAS * noise) else None
 
 
 def _spread(shifts: Floats) -> float:

@@ -1,8 +1,9 @@
-"""Balls so bright that the sensor is full: their edges show further out than they are."""
+"""Images that spoil detection: overexposed balls, whose edges shift outwards, and no colour."""
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -12,31 +13,34 @@ from measure.checking.finding import Finding, Level
 from measure.model import Detection, FrameSet
 from measure.model.frames import FULL
 
-_MUCH = 0.1
-"""Share of a ball: highlights of lamps and windows have less."""
-_OFTEN = 0.5
+_MAX_SATURATED_SHARE = 0.1
+"""Of a ball's pixels: highlights of lamps and windows have less."""
+_MIN_FRAME_SHARE = 0.5
+_PIXEL_STEP = 8
+_MAX_CHANNEL_DIFFERENCE = 3
+"""Levels between channels of a grey image, by rounding in JPEG; in colour, noise exceeds it."""
 
 
 class OverexposedCount:
-    """Counts balls that are overexposed among those that pass by."""
+    """Counts overexposed balls."""
 
     def __init__(self) -> None:
-        self._seen: dict[tuple[str, str], int] = {}
-        self._full: dict[tuple[str, str], int] = {}
+        self._seen = Counter[tuple[str, str]]()
+        self._overexposed = Counter[tuple[str, str]]()
 
-    def look(self, frame_set: FrameSet, balls: Sequence[Detection]) -> None:
-        """Look at the balls that were found in a frame set."""
+    def add(self, frame_set: FrameSet, balls: Sequence[Detection]) -> None:
+        """Count the balls found in a frame set."""
         for ball in balls:
             key = ball.camera, ball.ball
-            full = _full(frame_set.images[ball.camera].pixels, ball)
-            self._seen[key] = self._seen.get(key, 0) + 1
-            self._full[key] = self._full.get(key, 0) + (full.size > 0 and full.mean() > _MUCH)
+            full = _saturated(frame_set.images[ball.camera].pixels, ball)
+            self._seen[key] += 1
+            self._overexposed[key] += full.size > 0 and full.mean() > _MAX_SATURATED_SHARE
 
     def findings(self) -> list[Finding]:
-        """One line for each camera before which balls are overexposed half the time or more."""
+        """One line for each camera that sees a ball overexposed in half of its images or more."""
         bright: dict[str, list[str]] = {}
-        for (camera, ball), count in self._full.items():
-            if count >= _OFTEN * self._seen[camera, ball]:
+        for (camera, ball), count in self._overexposed.items():
+            if count >= _MIN_FRAME_SHARE * self._seen[camera, ball]:
                 bright.setdefault(camera, []).append(
                     f"{ball} in {count} of {self._seen[camera, ball]}"
                 )
@@ -51,8 +55,8 @@ class OverexposedCount:
         ]
 
 
-def _full(pixels: Bytes, ball: Detection) -> Bools:
-    """Of the pixels inside a ball's outline, whether a colour is full (n,)."""
+def _saturated(pixels: Bytes, ball: Detection) -> Bools:
+    """Whether a channel is saturated (n,) in each pixel inside a ball's outline."""
     (x, y), r = ball.center_px.tolist(), ball.radius_px
     top, left = max(math.floor(y - r), 0), max(math.floor(x - r), 0)
     part = pixels[top : math.ceil(y + r) + 1, left : math.ceil(x + r) + 1]
@@ -61,26 +65,19 @@ def _full(pixels: Bytes, ball: Detection) -> Bools:
     return np.asarray(part.max(axis=2) >= FULL)[inside]
 
 
-_EVERY = 8
-_MOST_APART = 3
-"""Levels by which the channels of a grey picture differ at most: a JPEG of one rounds them apart.
-Those of a colour camera differ by more, by noise alone."""
-
-
 class ColorlessCount:
-    """Counts pictures without colour among those that pass by."""
+    """Counts images without colour."""
 
     def __init__(self) -> None:
-        self._seen: dict[str, int] = {}
-        self._colorless: dict[str, int] = {}
+        self._seen, self._colorless = Counter[str](), Counter[str]()
 
-    def look(self, frame_set: FrameSet) -> None:
+    def add(self, frame_set: FrameSet) -> None:
         """Compare the channels of each camera's picture."""
         for name, image in frame_set.images.items():
-            some = np.asarray(image.pixels)[::_EVERY, ::_EVERY].astype(np.int16)
-            grey = bool(np.ptp(some, axis=2).max() <= _MOST_APART)
-            self._seen[name] = self._seen.get(name, 0) + 1
-            self._colorless[name] = self._colorless.get(name, 0) + grey
+            some = np.asarray(image.pixels)[::_PIXEL_STEP, ::_PIXEL_STEP].astype(np.int16)
+            grey = bool(np.ptp(some, axis=2).max() <= _MAX_CHANNEL_DIFFERENCE)
+            self._seen[name] += 1
+            self._colorless[name] += grey
 
     def findings(self) -> list[Finding]:
         """One line for each camera whose pictures have no colour."""

@@ -1,4 +1,4 @@
-"""One frame set looked at with no idea where the body is, and what every camera says about it."""
+"""Frame sets sampled from a recording: the body found without a prediction, camera by camera."""
 
 from __future__ import annotations
 
@@ -10,28 +10,28 @@ import numpy as np
 from measure.arrays import Floats
 from measure.geometry import RigidTransform
 from measure.measuring.association import associate
-from measure.measuring.tracking.predictive.pose_checks import strangers
+from measure.measuring.tracking.predictive.pose_checks import disagreeing_cameras
 from measure.model import Body, Camera, Detection
 
-_SIZE_RATIO = 1.25
-_NEIGHBOUR_S = 0.12
-"""Frames further apart say little about the velocity."""
+_RADIUS_RATIO = 1.25
+_MAX_STEP_S = 0.12
+"""Longest time between two samples that give a velocity."""
 
 
 @dataclass(frozen=True, eq=False)
-class Surveyed:
-    """What was found.
+class SearchSample:
+    """The association of one frame set.
 
     Attributes:
-        time_s: mean time of the pictures.
-        world_from_body: the pose most cameras agree on, or None.
+        time_s: mean time of the images.
+        world_from_body: the pose with the highest score, or None.
         agreeing: the detections it rests on.
         nearest: per camera and ball, the candidate of about the right size nearest to where the
             ball should be, however far off.
-        in_view: per camera, how many balls should lie in its picture.
+        in_view: per camera, how many balls should lie in its image.
         reason: why there is no pose.
-        doubts: what makes the pose one to doubt.
-        strangers: cameras that see balls, but none where the body should appear.
+        flags: of the pose.
+        disagreeing_cameras: those that see balls, but none where the body should appear.
         velocity: (6,) in the pose's `perturb` chart, per second; zero if unknown.
     """
 
@@ -41,51 +41,51 @@ class Surveyed:
     nearest: tuple[Detection, ...]
     in_view: Mapping[str, int]
     reason: str
-    doubts: tuple[str, ...] = ()
-    strangers: tuple[str, ...] = ()
+    flags: tuple[str, ...] = ()
+    disagreeing_cameras: tuple[str, ...] = ()
     velocity: Floats = field(default_factory=lambda: np.zeros(6))
 
 
-def with_velocities(surveys: Sequence[Surveyed]) -> list[Surveyed]:
-    """Add velocities, from the nearest survey in time that has a pose, if it is near enough."""
+def with_velocities(samples: Sequence[SearchSample]) -> list[SearchSample]:
+    """Add velocities, from the nearest sample in time that has a pose, if it is near enough."""
     out = []
-    for k, survey in enumerate(surveys):
+    for k, sample in enumerate(samples):
         near = [
             other
-            for other in surveys[max(k - 1, 0) : k + 2]
-            if other is not survey
+            for other in samples[max(k - 1, 0) : k + 2]
+            if other is not sample
             and other.world_from_body is not None
-            and 0 < abs(other.time_s - survey.time_s) < _NEIGHBOUR_S
+            and 0 < abs(other.time_s - sample.time_s) < _MAX_STEP_S
         ]
-        if survey.world_from_body is None or not near:
-            out.append(survey)
+        if sample.world_from_body is None or not near:
+            out.append(sample)
             continue
-        other = min(near, key=lambda o: abs(o.time_s - survey.time_s))
+        other = min(near, key=lambda o: abs(o.time_s - sample.time_s))
         assert other.world_from_body is not None
-        step = other.world_from_body.difference(survey.world_from_body)
-        out.append(replace(survey, velocity=step / (other.time_s - survey.time_s)))
+        step = other.world_from_body.difference(sample.world_from_body)
+        out.append(replace(sample, velocity=step / (other.time_s - sample.time_s)))
     return out
 
 
-def survey_frame_set(
+def search_sample(
     detections: Mapping[str, Sequence[Detection]],
     body: Body,
     cameras: Sequence[Camera],
     time_s: float,
     reach_px: float = 80.0,
-) -> Surveyed:
-    """Find the body among candidates, and each camera's candidates near it.
+) -> SearchSample:
+    """Find the body among candidates, and each camera's candidates nearest to it.
 
     Args:
-        detections: candidates by camera name, from a search of whole pictures.
+        detections: candidates by camera name, from a search of whole images.
         body: the body.
         cameras: the cameras.
         time_s: of the frame set.
-        reach_px: how far off a camera may see a ball for it to count as the same.
+        reach_px: largest distance of a candidate from where the ball should be.
     """
     found = associate(body, cameras, detections)
     if found.world_from_body is None:
-        return Surveyed(time_s, None, (), (), {}, found.reason)
+        return SearchSample(time_s, None, (), (), {}, found.reason)
     centers = found.world_from_body.apply(body.centers)
     nearest: list[Detection] = []
     in_view = {}
@@ -98,18 +98,18 @@ def survey_frame_set(
             near = [
                 (float(np.linalg.norm(d.center_px - pixels[k])), d)
                 for d in detections.get(camera.name, ())
-                if d.ball == ball.name and 1 / _SIZE_RATIO < d.radius_px / radius < _SIZE_RATIO
+                if d.ball == ball.name and 1 / _RADIUS_RATIO < d.radius_px / radius < _RADIUS_RATIO
             ]
             best = min(near, key=lambda item: item[0], default=None)
             if best is not None and best[0] < reach_px:
                 nearest.append(best[1])
-    return Surveyed(
+    return SearchSample(
         time_s,
         found.world_from_body,
         found.detections,
         tuple(nearest),
         in_view,
         "",
-        found.doubts,
-        strangers(found, body, cameras, detections),
+        found.flags,
+        disagreeing_cameras(found, body, cameras, detections),
     )

@@ -1,8 +1,7 @@
 """From frame sets to detections, states, positions and poses; no files, no printing."""
 
 from measure.measuring.measurement import Measurement, Status
-from measure.measuring.pipeline import Pipeline
-from measure.measuring.profile import Profile
-from measure.measuring.stages import Stages
+from measure.measuring.pipeline import Pipeline, Stages
+from measure.measuring.profile import Profile, Stage
 
-__all__ = ["Measurement", "Pipeline", "Profile", "Stages", "Status"]
+__all__ = ["Measurement", "Pipeline", "Profile", "Stage", "Stages", "Status"]

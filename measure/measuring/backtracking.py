@@ -1,7 +1,7 @@
-"""Frame sets in which the body was not found, waiting for one in which it is.
+"""Backtracking: frame sets without a pose wait for the next accepted one and are tracked from it.
 
-A search of whole pictures may fail where looking near the right place does not. Once the body is
-found, the pictures before are near; a detector and a tracker that can go back may be sent there.
+A search of whole images may fail where measuring in a predicted window succeeds, and once the body
+is found its motion predicts windows in the frame sets before.
 """
 
 from __future__ import annotations
@@ -14,50 +14,52 @@ from typing import NamedTuple
 from measure.measuring.measurement import Draft, Status
 from measure.model import FrameSet
 
-_MOST = 4
-"""So many frame sets wait with their pictures in memory."""
+MAX_WAITING = 4
+"""Frame sets that wait with their images in memory."""
 
 
-class Looked(NamedTuple):
-    """Pictures, and what was made of them.
+class ProcessedFrameSet(NamedTuple):
+    """Images and what was measured in them.
 
     Attributes:
-        frame_set: the pictures.
-        draft: what they show.
-        doubt: a flag for any pose from these pictures; empty if there is nothing to doubt.
+        frame_set: the images.
+        draft: the measurement.
+        flag: a flag for every pose from these images; empty if there is none.
     """
 
     frame_set: FrameSet
     draft: Draft
-    doubt: str
+    flag: str
 
     def or_better(self, again: Draft) -> Draft:
-        """The draft, or another of the same pictures: any pose for none, a believed one for any."""
+        """The draft, or `again` of the same images if it has a pose for none or an accepted one."""
         before, after = self.draft.measurement, again.measurement
         if before.status is not Status.LOST and after.status is not Status.OK:
             return self.draft
         again = replace(again, measurement=replace(after, searched=before.searched))
-        return again.doubted(self.doubt) if self.doubt else again
+        return again.flagged(self.flag) if self.flag else again
 
 
-def looked_back(
-    looked: Iterable[Looked], go_back: Callable[[Sequence[Looked]], Sequence[Draft]]
+def backtracked(
+    processed: Iterable[ProcessedFrameSet],
+    backtrack: Callable[[Sequence[ProcessedFrameSet]], Sequence[Draft]],
 ) -> Iterator[Draft]:
-    """Drafts in order; those that wait come as `go_back` returns them, once a pose is believed.
+    """Drafts in order; those without an accepted pose as `backtrack` returns them.
 
     Args:
-        looked: at every frame set, in order of time.
-        go_back: called right after a pose is believed, with what waits, in order of time.
+        processed: every frame set, in order of time.
+        backtrack: called right after an accepted pose with the waiting frame sets, in order of
+            time.
     """
-    waiting: deque[Looked] = deque()
-    for one in looked:
+    waiting: deque[ProcessedFrameSet] = deque()
+    for one in processed:
         if one.draft.measurement.status is Status.OK:
-            yield from go_back(waiting) if waiting else ()
+            yield from backtrack(waiting) if waiting else ()
             waiting.clear()
             yield one.draft
         elif waiting or _not_found(one.draft):
             waiting.append(one)
-            if len(waiting) > _MOST:
+            if len(waiting) > MAX_WAITING:
                 yield waiting.popleft().draft
         else:
             yield one.draft
@@ -65,6 +67,6 @@ def looked_back(
 
 
 def _not_found(draft: Draft) -> bool:
-    """Whether there is no pose, or one from a search that is not believed."""
+    """Whether there is no pose, or a flagged one from a search."""
     measured = draft.measurement
     return measured.status is Status.LOST or bool(measured.searched)

@@ -13,22 +13,21 @@ from dataclasses import replace
 
 from measure.errors import MeasureError
 from measure.host import Detector, SelfCalibratingDetector
-from measure.measuring.pipeline import Pipeline
-from measure.measuring.stages import Stages
+from measure.measuring.pipeline import Pipeline, Stages
 from measure.model import Body, Camera, FrameSet
 
 _FRAME_SETS_WITH_BODY = 16
-"""After so many with a pose every camera has seen a ball often enough, if it ever will."""
+"""Frame sets with a pose after which every camera has seen enough balls, if it ever will."""
 _MAX_FRAME_SETS = 64
 """Two seconds of most recordings."""
 
 
 def needed(detectors: Mapping[str, Detector]) -> bool:
     """Whether any of the detectors, one per camera, needs more images first."""
-    return any(one.needs_burn_in and not one.stateful for one in _learners(detectors))
+    return any(one.needs_burn_in and not one.stateful for one in _self_calibrating(detectors))
 
 
-def _learners(detectors: Mapping[str, Detector]) -> list[SelfCalibratingDetector]:
+def _self_calibrating(detectors: Mapping[str, Detector]) -> list[SelfCalibratingDetector]:
     return [one for one in detectors.values() if isinstance(one, SelfCalibratingDetector)]
 
 
@@ -36,20 +35,20 @@ def burn_in_if_needed(
     body: Body,
     cameras: Sequence[Camera],
     detectors: Mapping[str, Detector],
-    fresh: Callable[[], Stages],
+    new_stages: Callable[[], Stages],
     frame_sets: Iterable[FrameSet],
 ) -> None:
-    """Show detectors, one per camera, the start of a recording, if any of them needs that.
+    """Measure the start of a recording with detectors, one per camera, if any needs a burn-in.
 
     Args:
         body: what is measured.
         cameras: calibrated.
         detectors: those that will measure the recording.
-        fresh: builds stages of which all but the detectors are used, and are of no use after.
+        new_stages: builds stages of which all but the detectors are used; discarded afterwards.
         frame_sets: of the recording, from its start.
     """
     if needed(detectors):
-        burn_in(body, cameras, replace(fresh(), detectors=detectors), frame_sets)
+        burn_in(body, cameras, replace(new_stages(), detectors=detectors), frame_sets)
 
 
 def burn_in(
@@ -57,13 +56,13 @@ def burn_in(
 ) -> None:
     """Measure frame sets until the detectors are calibrated, then combine their estimates.
 
-    Errors of the frame sets are left for when they are measured again.
+    Errors of the frame sets are ignored here: they recur when the recording is measured.
 
     Args:
         body: what is measured.
         cameras: calibrated.
-        stages: the detectors that are to learn; tracker, triangulator and solver, which have seen
-            a recording begin after this, are of no use any more.
+        stages: with the detectors to calibrate; its tracker is left in the state of the last frame
+            set and must not be used again.
         frame_sets: of the recording, from its start.
     """
     pipeline, found = Pipeline(body, cameras, replace(stages, smoothing=False)), 0
@@ -74,13 +73,13 @@ def burn_in(
                 break
             if not needed(stages.detectors):
                 break
-    learners = _learners(stages.detectors)
-    states = [learner.calibration_state for learner in learners]
-    for learner in learners:
-        learner.fuse_calibration(states)
+    calibrating = _self_calibrating(stages.detectors)
+    states = [detector.calibration_state for detector in calibrating]
+    for detector in calibrating:
+        detector.fuse_calibration(states)
 
 
 def enter_realtime(detectors: Mapping[str, Detector]) -> None:
     """Let detectors, one per camera, do slow work in the background from now on."""
-    for one in _learners(detectors):
+    for one in _self_calibrating(detectors):
         one.enter_realtime()

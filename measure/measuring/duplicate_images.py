@@ -1,7 +1,7 @@
-"""Pictures that come twice: a camera or a driver that stalls hands out its last one again.
+"""Duplicate images: a stalled camera or driver delivers its last image again, with a new stamp.
 
-No sensor takes the same picture twice, to the last bit: its noise differs. Such a picture carries a
-new stamp and shows where the body was, so it must not be measured as if it were new.
+Sensor noise makes two exposures differ, so identical pixels mean the same exposure. Measured at the
+new stamp it would put the body where it was before.
 """
 
 from __future__ import annotations
@@ -12,38 +12,41 @@ import numpy as np
 
 from measure.model import FrameSet, Image
 
-_EVERY_ROW = 32
-_START = 64
-_ENOUGH = 2
+_ROW_STEP = 32
+"""Every so many rows are compared."""
+_FIRST_PIXELS = 64
+"""Pixels of the middle row that are compared first: nearly always enough to tell images apart."""
+_MIN_IMAGES = 2
+"""New images with which a frame set is measured without the duplicates."""
 
 
-class Repeats:
-    """Remembers every camera's last picture."""
+class DuplicateImages:
+    """Compares every camera's image with its last one."""
 
     def __init__(self) -> None:
         self._last: dict[str, Image] = {}
 
-    def sort_out(self, frame_set: FrameSet) -> tuple[FrameSet, str]:
-        """The frame set without repeated pictures, if two others are left; else a doubt in words.
+    def without_duplicates(self, frame_set: FrameSet) -> tuple[FrameSet, str]:
+        """The frame set without duplicates if two other images are left; else unchanged.
 
         Returns:
-            The frame set to measure; and a flag for its pose, empty if there is nothing to doubt.
+            The frame set to measure, and a flag for its pose: empty unless duplicates are left.
         """
-        again = self.repeated(frame_set)
-        if not again:
+        duplicates = self.of(frame_set)
+        if not duplicates:
             return frame_set, ""
-        fresh = {name: i for name, i in frame_set.images.items() if name not in again}
-        if len(fresh) >= _ENOUGH:
-            return replace(frame_set, images=fresh), ""
-        return frame_set, f"the pictures of {', '.join(again)} repeat those before: a stall?"
+        new = {name: i for name, i in frame_set.images.items() if name not in duplicates}
+        if len(new) >= _MIN_IMAGES:
+            return replace(frame_set, images=new), ""
+        return frame_set, f"the pictures of {', '.join(duplicates)} repeat those before: a stall?"
 
-    def repeated(self, frame_set: FrameSet) -> list[str]:
-        """The cameras whose picture is the last one that was asked about, once more."""
-        again = [name for name, image in frame_set.images.items() if self._repeats(image)]
+    def of(self, frame_set: FrameSet) -> list[str]:
+        """The cameras whose image is the same as in the frame set of the last call."""
+        duplicates = [name for name, image in frame_set.images.items() if self._same(image)]
         self._last.update(frame_set.images)
-        return again
+        return duplicates
 
-    def _repeats(self, image: Image) -> bool:
+    def _same(self, image: Image) -> bool:
         last = self._last.get(image.camera)
         if last is None or last.frame == image.frame:
             return False
@@ -53,9 +56,8 @@ class Repeats:
         if a.ndim != 3 or a.shape != b.shape:
             return False
         middle = len(a) // 2
-        # A row's start tells nearly always, and at a fraction of the cost.
-        if a[middle, :_START].tobytes() != b[middle, :_START].tobytes():
+        if a[middle, :_FIRST_PIXELS].tobytes() != b[middle, :_FIRST_PIXELS].tobytes():
             return False
         return np.array_equal(a[middle], b[middle]) and np.array_equal(
-            a[::_EVERY_ROW], b[::_EVERY_ROW]
+            a[::_ROW_STEP], b[::_ROW_STEP]
         )

@@ -1,4 +1,4 @@
-"""What the pipeline says about one frame set."""
+"""The result of the pipeline for one frame set."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from measure.model import BallPosition, BallView, Body, Motion, Pose
 from measure.records import record
 
 if TYPE_CHECKING:
-    from measure.measuring.time_alignment import Seen
+    from measure.measuring.time_alignment import FrameSetObservations
 
 
 class Status(StrEnum):
@@ -35,7 +35,7 @@ class Measurement:
         views: the state of every ball in every camera, with its detection if there is one.
         positions: at most one per ball.
         pose: the body's pose, None unless `status` is OK or FLAGGED.
-        status: OK; FLAGGED (a pose to doubt); LOST (no pose); SKIPPED (not tried).
+        status: OK; FLAGGED (a pose with flags); LOST (no pose); SKIPPED (not tried).
         reason: why it is not OK, in words; empty otherwise.
         residuals_px: by (ball, camera), detected minus predicted centre (2,) in px, for every
             effective view of a frame set with a pose.
@@ -64,25 +64,25 @@ class Measurement:
 
 @record
 class Draft:
-    """A measurement that may be solved once more when later ones are known.
+    """A measurement that may be solved again when later poses are known.
 
     Attributes:
-        measurement: as it stands.
-        motion: the motion that brought its pictures to one instant; None if none was known.
-        doubts: the flags that its pose solver did not raise.
-        seen: what it rests on; None if it was not tried.
+        measurement: so far.
+        motion: used to bring its images to one instant; None if none was known.
+        tracker_flags: flags of its pose that the tracker or the pipeline raised, not the solver.
+        seen: the observations it rests on; None if the frame set was skipped.
     """
 
     measurement: Measurement
     motion: Motion | None
-    doubts: tuple[str, ...]
-    seen: Seen | None = None
+    tracker_flags: tuple[str, ...]
+    seen: FrameSetObservations | None = None
 
-    def doubted(self, flag: str) -> Draft:
-        """The same with one more reason to doubt its pose, if it has one."""
+    def flagged(self, flag: str) -> Draft:
+        """The same with one more flag of its pose, if it has one."""
         measured = self.measurement
         if measured.pose is None:
             return self
         pose = replace(measured.pose, flags=(*measured.pose.flags, flag))
         measured = replace(measured, pose=pose, status=Status.FLAGGED)
-        return replace(self, measurement=measured, doubts=(*self.doubts, flag))
+        return replace(self, measurement=measured, tracker_flags=(*self.tracker_flags, flag))

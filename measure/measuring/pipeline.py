@@ -1,40 +1,66 @@
-"""The way of an image: detector -> tracking -> triangulator -> pose solver."""
+"""The way of an image: detector -> tracker -> triangulator -> pose solver."""
 
 from __future__ import annotations
 
 from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from measure.arrays import Floats
 from measure.errors import MeasureError
-from measure.measuring import plugin_calls as asking
-from measure.measuring import pose_spline
-from measure.measuring import time_alignment as instants
-from measure.measuring.backtracking import Looked, looked_back
-from measure.measuring.duplicate_images import Repeats
+from measure.host import Detector, PoseSolver, Triangulator
+from measure.measuring import plugin_calls, pose_spline, time_alignment
+from measure.measuring.backtracking import ProcessedFrameSet, backtracked
+from measure.measuring.duplicate_images import DuplicateImages
 from measure.measuring.measurement import Draft, Measurement, Status
-from measure.measuring.pose_spline import motion_at, with_neighbours
-from measure.measuring.stages import Stages
-from measure.measuring.thread_pool import SideBySide
-from measure.measuring.time_alignment import Seen
+from measure.measuring.pose_spline import motion_at, with_surrounding_poses
+from measure.measuring.thread_pool import CameraPool
+from measure.measuring.time_alignment import FrameSetObservations
+from measure.measuring.tracking import Tracker
 from measure.model import BallPosition, Body, Camera, Detection, Expectation, FrameSet, Motion, Pose
 
-_SAME_MM = 5e-3
-"""Motions that carry pictures to places no further apart are the same."""
+_SAME_MOTION_MM = 5e-3
+"""Two motions are the same if they displace the body by no more than this at the images' times."""
 _ARM_MM = np.array([1.0, 1.0, 1.0, 40.0, 40.0, 40.0])
+"""Displacement in mm per mm and per rad of a pose: balls are about 40 mm off the origin."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stages:
+    """The parts a pipeline is made of.
+
+    Attributes:
+        detectors: one per camera, by name.
+        tracker: holds the state between frame sets.
+        triangulator: locates single balls.
+        solver: locates the body.
+        per_image_timestamps: whether each image counts at its own time.
+        smoothing: whether poses wait for later ones: each is solved again with the motion of a
+            spline through the poses around it, and a body just found is tracked back through the
+            frame sets in which it was not found.
+        remeasure_after_search: whether, after a search of whole frames, the balls are measured once
+            more where they were found, and images in which the body was lost are searched.
+    """
+
+    detectors: Mapping[str, Detector]
+    tracker: Tracker
+    triangulator: Triangulator
+    solver: PoseSolver
+    per_image_timestamps: bool
+    smoothing: bool
+    remeasure_after_search: bool
 
 
 class Pipeline:
-    """Measures frame sets one after the other; cameras side by side."""
+    """Measures frame sets one after the other, the cameras of each in parallel."""
 
     def __init__(self, body: Body, cameras: Sequence[Camera], stages: Stages) -> None:
         self._body = body
         self._cameras = {camera.name: camera for camera in cameras}
         self._rolling = any(camera.readout_s for camera in cameras)
-        self._repeats = Repeats()
-        self._goes_back = stages.smoothing and all(
+        self._duplicates = DuplicateImages()
+        self._can_backtrack = stages.smoothing and all(
             not detector.stateful for detector in stages.detectors.values()
         )
         self.stages = stages
@@ -45,17 +71,17 @@ class Pipeline:
         self.warm_up_what_follows()
 
     def warm_up_detectors(self) -> None:
-        """One of them: those of all cameras share what is slow."""
+        """One of them: what they compile is shared by all cameras."""
         for one in list(self.stages.detectors.values())[:1]:
-            asking.warm_up("detector", one)
+            plugin_calls.warm_up("detector", one)
 
     def warm_up_what_follows(self) -> None:
         """Tracking, triangulation, poses and motion."""
         self.stages.tracker.warm_up()
-        asking.warm_up("triangulator", self.stages.triangulator)
-        asking.warm_up("solver", self.stages.solver)
+        plugin_calls.warm_up("triangulator", self.stages.triangulator)
+        plugin_calls.warm_up("solver", self.stages.solver)
         for camera in list(self._cameras.values())[:1]:
-            instants.warm_up(self._body, camera)
+            time_alignment.warm_up(self._body, camera)
         if self.stages.smoothing:
             pose_spline.warm_up()
 
@@ -65,91 +91,91 @@ class Pipeline:
         Raises:
             MeasureError: what the frame sets raise, after those before it have been measured.
         """
-        broken = list[MeasureError]()
-        with SideBySide(len(self._cameras)) as pool:
-            readable = _until_broken(frame_sets, broken)
-            looked = (self._draft(frame_set, pool) for frame_set in readable)
-            if self._goes_back:
-                drafts = looked_back(looked, lambda waiting: self._back(waiting, pool))
+        errors = list[MeasureError]()
+        with CameraPool(len(self._cameras)) as pool:
+            readable = _until_error(frame_sets, errors)
+            processed = (self._process(frame_set, pool) for frame_set in readable)
+            if self._can_backtrack:
+                drafts = backtracked(processed, lambda waiting: self._backtrack(waiting, pool))
             else:
-                drafts = (one.draft for one in looked)
+                drafts = (one.draft for one in processed)
             if self.stages.smoothing:
-                drafts = map(self._again, with_neighbours(drafts))
+                drafts = map(self._smooth, with_surrounding_poses(drafts))
             for draft in drafts:
                 yield draft.measurement.with_tolerance(self._body)
-        if broken:
-            raise broken[0]
+        if errors:
+            raise errors[0]
 
-    def _draft(self, frame_set: FrameSet, pool: SideBySide) -> Looked:
-        frame_set, doubt = self._repeats.sort_out(frame_set)
+    def _process(self, frame_set: FrameSet, pool: CameraPool) -> ProcessedFrameSet:
+        frame_set, flag = self._duplicates.without_duplicates(frame_set)
         draft = self._first_draft(frame_set, pool)
-        return Looked(frame_set, draft.doubted(doubt) if doubt else draft, doubt)
+        return ProcessedFrameSet(frame_set, draft.flagged(flag) if flag else draft, flag)
 
-    def _back(self, waiting: Sequence[Looked], pool: SideBySide) -> list[Draft]:
-        """Track the body back through frame sets before it was found, as far as that leads."""
+    def _backtrack(self, waiting: Sequence[ProcessedFrameSet], pool: CameraPool) -> list[Draft]:
+        """Track the body backwards in time through the frame sets before it was found."""
         drafts = [one.draft for one in waiting]
         tracker = self.stages.tracker.backwards()
         if tracker is None:
             return drafts
         cameras = list(self._cameras.values())
-        back = Pipeline(self._body, cameras, replace(self.stages, tracker=tracker))
+        backward = Pipeline(self._body, cameras, replace(self.stages, tracker=tracker))
         for i in reversed(range(len(drafts))):
-            again = back._tracked(waiting[i].frame_set, pool)
+            again = backward._track(waiting[i].frame_set, pool)
             if again is None:
                 break
             drafts[i] = waiting[i].or_better(again)
         return drafts
 
-    def _tracked(self, frame_set: FrameSet, pool: SideBySide) -> Draft | None:
-        """The body where it is expected; None if it is nowhere expected, or not there."""
+    def _track(self, frame_set: FrameSet, pool: CameraPool) -> Draft | None:
+        """The body measured in predicted windows; None without a prediction or without a pose."""
         expected = self.stages.tracker.expect(frame_set)
         if not expected or not all(expected.values()):
             return None
-        draft = self._look(frame_set, expected, pool)
+        draft = self._measure_once(frame_set, expected, pool)
         return None if draft.measurement.pose is None else draft
 
-    def _first_draft(self, frame_set: FrameSet, pool: SideBySide) -> Draft:
+    def _first_draft(self, frame_set: FrameSet, pool: CameraPool) -> Draft:
         expected = self.stages.tracker.expect(frame_set)
         if expected is None:
             return Draft(_skipped(frame_set), None, ())
-        draft = self._look(frame_set, expected, pool)
+        draft = self._measure_once(frame_set, expected, pool)
         if not self.stages.remeasure_after_search:
             return draft
-        return self._looked_again(frame_set, self._searched_again(frame_set, draft, pool), pool)
+        return self._remeasured(frame_set, self._searched(frame_set, draft, pool), pool)
 
-    def _searched_again(self, frame_set: FrameSet, draft: Draft, pool: SideBySide) -> Draft:
-        """Search the very pictures in which the tracker lost the body, so that none is lost."""
+    def _searched(self, frame_set: FrameSet, draft: Draft, pool: CameraPool) -> Draft:
+        """Search the images in which the tracker just lost the body, so that no pose is missed."""
         if draft.measurement.searched or draft.measurement.status is Status.OK:
             return draft
         expected = self.stages.tracker.expect(frame_set)
         if expected is None or any(expected.values()):
             return draft
-        found = self._look(frame_set, expected, pool)
+        found = self._measure_once(frame_set, expected, pool)
         return draft if found.measurement.pose is None else found
 
-    def _looked_again(self, frame_set: FrameSet, draft: Draft, pool: SideBySide) -> Draft:
-        """A search only finds the balls; knowing where they are, they can be measured."""
+    def _remeasured(self, frame_set: FrameSet, draft: Draft, pool: CameraPool) -> Draft:
+        """Measure again in predicted windows what a search of whole frames has found."""
         measured = draft.measurement
         if not measured.searched or measured.pose is None:
             return draft
         expected = self.stages.tracker.expect(frame_set)
         if expected is None:
             return draft
-        again = self._look(frame_set, expected, pool)
+        again = self._measure_once(frame_set, expected, pool)
         return replace(again, measurement=replace(again.measurement, searched=measured.searched))
 
-    def _look(
-        self, frame_set: FrameSet, expected: Mapping[str, Sequence[Expectation]], pool: SideBySide
+    def _measure_once(
+        self, frame_set: FrameSet, expected: Mapping[str, Sequence[Expectation]], pool: CameraPool
     ) -> Draft:
         tracker = self.stages.tracker
         views = tracker.judge(frame_set, self._detect(frame_set, expected, pool))
         time_s = self._instant(frame_set)
         prior = tracker.motion(time_s)
-        seen = Seen.of(views, time_s, self._body, self._cameras)
+        seen = FrameSetObservations.of(views, time_s, self._body, self._cameras)
         positions = self._triangulate(seen, prior)
         pose = self._solve(seen, positions, prior)
         residuals_px = self._residuals(seen, pose, prior)
-        verdict = tracker.conclude(frame_set, views, positions, pose, residuals_px)
+        conclusion = tracker.conclude(frame_set, views, positions, pose, residuals_px)
         balls = len(self._body.balls)
         measured = Measurement(
             index=frame_set.index,
@@ -157,27 +183,27 @@ class Pipeline:
             frames=_frames(frame_set),
             views=views,
             positions=positions,
-            pose=verdict.pose,
-            status=_status(verdict.pose),
-            reason=verdict.reason,
-            residuals_px=residuals_px if verdict.pose is not None else {},
+            pose=conclusion.pose,
+            status=_status(conclusion.pose),
+            reason=conclusion.reason,
+            residuals_px=residuals_px if conclusion.pose is not None else {},
             searched=tuple(n for n in frame_set.images if len(expected.get(n, ())) < balls),
         )
-        raised = () if pose is None else pose.flags
-        flags = () if verdict.pose is None else verdict.pose.flags
-        return Draft(measured, prior, tuple(flag for flag in flags if flag not in raised), seen)
+        by_solver = () if pose is None else pose.flags
+        flags = () if conclusion.pose is None else conclusion.pose.flags
+        return Draft(measured, prior, tuple(flag for flag in flags if flag not in by_solver), seen)
 
     def _detect(
-        self, frame_set: FrameSet, expected: Mapping[str, Sequence[Expectation]], pool: SideBySide
+        self, frame_set: FrameSet, expected: Mapping[str, Sequence[Expectation]], pool: CameraPool
     ) -> dict[str, list[Detection]]:
         def detect(name: str) -> list[Detection]:
             detector, image = self.stages.detectors[name], frame_set.images[name]
-            found = asking.detections(detector, image, expected.get(name, ()), self._body)
-            return self._at_their_rows(found) if self.stages.per_image_timestamps else found
+            found = plugin_calls.detections(detector, image, expected.get(name, ()), self._body)
+            return self._at_row_times(found) if self.stages.per_image_timestamps else found
 
         return pool.map(detect, frame_set.images)
 
-    def _at_their_rows(self, found: list[Detection]) -> list[Detection]:
+    def _at_row_times(self, found: list[Detection]) -> list[Detection]:
         """Detections at the times when a rolling shutter exposed their rows."""
         cameras = self._cameras
         if not self._rolling:
@@ -190,43 +216,46 @@ class Pipeline:
         ]
 
     def _instant(self, frame_set: FrameSet) -> float:
-        """With own times: the middle of the images' times, where moving them costs least."""
+        """With per-image timestamps their mean: moving detections there costs least accuracy."""
         if not self.stages.per_image_timestamps or not frame_set.images:
             return frame_set.time_s
         return sum(image.time_s for image in frame_set.images.values()) / len(frame_set.images)
 
-    def _triangulate(self, seen: Seen, motion: Motion | None) -> tuple[BallPosition, ...]:
+    def _triangulate(
+        self, seen: FrameSetObservations, motion: Motion | None
+    ) -> tuple[BallPosition, ...]:
         if not seen.detections:
             return ()
         used: Sequence[Detection] = seen.detections
         if motion is not None and self.stages.per_image_timestamps:
-            used = seen.carried(motion)
-        asked = self.stages.triangulator
-        positions = asking.positions(asked, used, self._cameras, self._body, seen.time_s)
+            used = seen.at_instant(motion)
+        positions = plugin_calls.positions(
+            self.stages.triangulator, used, self._cameras, self._body, seen.time_s
+        )
         return tuple(
-            [f if f.time_s == seen.time_s else replace(f, time_s=seen.time_s) for f in positions]
+            [p if p.time_s == seen.time_s else replace(p, time_s=seen.time_s) for p in positions]
         )
 
     def _solve(
-        self, seen: Seen, positions: Sequence[BallPosition], prior: Motion | None
+        self, seen: FrameSetObservations, positions: Sequence[BallPosition], prior: Motion | None
     ) -> Pose | None:
         if not seen.detections:
             return None
-        asked, cameras = self.stages.solver, self._cameras
-        pose = asking.pose(asked, positions, seen.detections, cameras, seen.time_s, prior)
+        solver, cameras = self.stages.solver, self._cameras
+        pose = plugin_calls.pose(solver, positions, seen.detections, cameras, seen.time_s, prior)
         if pose is None or prior is None or not self.stages.per_image_timestamps:
             return pose
-        share = seen.velocity_share(pose, prior)
+        share = seen.motion_covariance(pose, prior)
         return pose if share is None else replace(pose, covariance=pose.covariance + share)
 
-    def _again(self, near: tuple[Sequence[Pose], Draft, Sequence[Pose]]) -> Draft:
-        """Solve a pose once more, with the motion that the poses round it show."""
-        before, draft, after = near
+    def _smooth(self, surrounded: tuple[Sequence[Pose], Draft, Sequence[Pose]]) -> Draft:
+        """Solve a pose again with the motion of a spline through the poses before and after it."""
+        before, draft, after = surrounded
         current, seen = draft.measurement, draft.seen
-        if current.pose is None or seen is None or seen.at_once:
+        if current.pose is None or seen is None or seen.simultaneous:
             return draft
         motion = motion_at(current.pose, before, after)
-        if motion is None or not _differ(motion, draft.motion, seen.instants):
+        if motion is None or not _differ(motion, draft.motion, seen.times_s):
             return draft
         positions = self._triangulate(seen, motion)
         pose = self._solve(seen, positions, motion)
@@ -234,8 +263,8 @@ class Pipeline:
             return draft
         pose = replace(
             pose,
-            covariance=pose.covariance * motion.gain(seen.instants) ** 2,
-            flags=tuple(dict.fromkeys((*pose.flags, *draft.doubts))),
+            covariance=pose.covariance * motion.error_growth(seen.times_s) ** 2,
+            flags=tuple(dict.fromkeys((*pose.flags, *draft.tracker_flags))),
         )
         again = replace(
             current,
@@ -247,19 +276,19 @@ class Pipeline:
         return replace(draft, measurement=again, motion=motion)
 
     def _residuals(
-        self, seen: Seen, pose: Pose | None, prior: Motion | None
+        self, seen: FrameSetObservations, pose: Pose | None, prior: Motion | None
     ) -> dict[tuple[str, str], Floats]:
         if pose is None:
             return {}
         return seen.residuals_px(pose, prior if self.stages.per_image_timestamps else None)
 
 
-def _until_broken(frame_sets: Iterable[FrameSet], broken: list[MeasureError]) -> Iterator[FrameSet]:
-    """Frame sets up to one that cannot be read, which must not take those before it along."""
+def _until_error(frame_sets: Iterable[FrameSet], errors: list[MeasureError]) -> Iterator[FrameSet]:
+    """Frame sets up to one that cannot be read: the error is kept until those are measured."""
     try:
         yield from frame_sets
     except MeasureError as error:
-        broken.append(error)
+        errors.append(error)
 
 
 def _status(pose: Pose | None) -> Status:
@@ -269,12 +298,12 @@ def _status(pose: Pose | None) -> Status:
 
 
 def _differ(one: Motion, other: Motion | None, times_s: Sequence[float]) -> bool:
-    """Whether two motions carry pictures of these times to places that differ at all."""
+    """Whether two motions displace the body differently between the images' times."""
     if other is None:
         return True
     others = other.moved([*times_s, one.time_s])
     change = one.moved(times_s) - others[:-1] + others[-1]
-    return bool(np.max(np.abs(change) * _ARM_MM) > _SAME_MM)
+    return bool(np.max(np.abs(change) * _ARM_MM) > _SAME_MOTION_MM)
 
 
 def _frames(frame_set: FrameSet) -> dict[str, int]:

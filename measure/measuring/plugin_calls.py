@@ -1,6 +1,6 @@
-"""Asking plugins, and naming the one that fails or answers nonsense.
+"""Calls of plugins: their results are checked, and errors name the plugin.
 
-Answers are looked at once, where they come in, and no closer than costs nothing.
+The checks are those that cost next to nothing: types, shapes and finite numbers.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from measure.model import BallPosition, Body, Camera, Detection, Expectation, Im
 
 
 def warm_up(kind: str, plugin: Plugin, part: Callable[[], object] | None = None) -> None:
-    """Let a plugin of a kind get ready, or a part of it.
+    """Let a plugin of a kind, or a part of it, compile or load what is slow.
 
     Raises:
         PluginError: it fails.
@@ -28,26 +28,26 @@ def warm_up(kind: str, plugin: Plugin, part: Callable[[], object] | None = None)
 def detections(
     detector: Detector, image: Image, expected: Sequence[Expectation], body: Body
 ) -> list[Detection]:
-    """What a detector sees in an image.
+    """What a detector finds in an image.
 
     Raises:
-        PluginError: it fails, or answers nonsense.
+        PluginError: it fails, or its result is invalid.
     """
     try:
         found = detector.detect(image, expected)
-        _check_kind(found, list)
+        _check_type(found, list)
         for one in found:
-            _check_kind(one, Detection)
+            _check_type(one, Detection)
             _check_numbers(one.center_px, one.covariance_px, 2)
             if one.ball not in body.names or one.camera != image.camera:
-                raise _NonsenseError(f"a ball '{one.ball}' in camera '{one.camera}'")
+                raise _InvalidResultError(f"a ball '{one.ball}' in camera '{one.camera}'")
             if not (isfinite(one.radius_px) and isfinite(one.time_s)):
-                raise _NonsenseError(f"a radius of {one.radius_px} px at {one.time_s} s")
+                raise _InvalidResultError(f"a radius of {one.radius_px} px at {one.time_s} s")
     except MeasureError:
         raise
     except Exception as error:
         place = f"camera '{image.camera}', frame {image.frame}"
-        raise _explained("detector", detector, place, error) from error
+        raise _error("detector", detector, place, error) from error
     return found
 
 
@@ -58,21 +58,21 @@ def positions(
     body: Body,
     time_s: float,
 ) -> list[BallPosition]:
-    """Where a triangulator locates balls, in the order of the body's.
+    """Positions of balls by a triangulator, in the order of the body's balls.
 
     Raises:
-        PluginError: it fails, or answers nonsense.
+        PluginError: it fails, or its result is invalid.
     """
     try:
         found = triangulator.triangulate_all(seen, cameras)
         for one in found:
-            _check_kind(one, BallPosition)
+            _check_type(one, BallPosition)
             _check_numbers(one.center, one.covariance, 3)
         return sorted(found, key=lambda position: body.index(position.ball))
     except MeasureError:
         raise
     except Exception as error:
-        raise _explained("triangulator", triangulator, f"at {time_s:.6f} s", error) from error
+        raise _error("triangulator", triangulator, f"at {time_s:.6f} s", error) from error
 
 
 def pose(
@@ -83,44 +83,44 @@ def pose(
     time_s: float,
     prior: Motion | None,
 ) -> Pose | None:
-    """Where a solver locates the body.
+    """The body's pose by a solver; None if it finds none.
 
     Raises:
-        PluginError: it fails, or answers nonsense.
+        PluginError: it fails, or its result is invalid.
     """
     try:
         found = solver.solve(located, seen, cameras, time_s, prior)
         if found is not None:
-            _check_kind(found, Pose)
+            _check_type(found, Pose)
             place = found.world_from_body
             _check_numbers(place.translation, found.covariance, 6)
             if not isfinite(place.rotation.sum()):
-                raise _NonsenseError(f"a pose turned by {place.rotation.tolist()}")
+                raise _InvalidResultError(f"a pose turned by {place.rotation.tolist()}")
     except MeasureError:
         raise
     except Exception as error:
-        raise _explained("solver", solver, f"at {time_s:.6f} s", error) from error
+        raise _error("solver", solver, f"at {time_s:.6f} s", error) from error
     return found
 
 
-class _NonsenseError(Exception):
-    """An answer that is none."""
+class _InvalidResultError(Exception):
+    """A plugin returned something of the wrong type or shape, or not finite."""
 
 
-def _check_kind(answer: object, kind: type) -> None:
-    if not isinstance(answer, kind):
-        raise _NonsenseError(f"no {kind.__name__} but {answer!r:.60}")
+def _check_type(result: object, kind: type) -> None:
+    if not isinstance(result, kind):
+        raise _InvalidResultError(f"no {kind.__name__} but {result!r:.60}")
 
 
 def _check_numbers(place: Floats, covariance: Floats, size: int) -> None:
     if covariance.shape != (size, size) or place.shape != (min(size, 3),):
-        raise _NonsenseError(f"arrays of shape {place.shape} and {covariance.shape}")
+        raise _InvalidResultError(f"arrays of shape {place.shape} and {covariance.shape}")
     if not isfinite(sum(place.tolist(), sum(covariance.ravel().tolist()))):
-        raise _NonsenseError(f"{place.tolist()} with the covariance {covariance.tolist()}")
+        raise _InvalidResultError(f"{place.tolist()} with the covariance {covariance.tolist()}")
 
 
-def _explained(kind: str, plugin: Plugin, place: str, error: Exception) -> PluginError:
-    """What a plugin did, in one line."""
-    if isinstance(error, _NonsenseError):
+def _error(kind: str, plugin: Plugin, place: str, error: Exception) -> PluginError:
+    """A plugin's failure in one line."""
+    if isinstance(error, _InvalidResultError):
         return PluginError(f"{kind} '{plugin.name}' answers nonsense ({place}): {error}")
     return failure(kind, plugin, place, error)

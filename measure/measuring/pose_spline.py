@@ -1,9 +1,9 @@
-"""How the body moves at a pose: a cubic spline through the poses before and after it.
+"""The body's motion at a pose by a cubic spline through the poses before and after it.
 
 The slopes of a cubic spline are the compact differences of Lele (1992, J. Comput. Phys. 103,
-section 2): at ten pictures a period of a shaking body they are 0.1 % off, where the difference of
-the two neighbours is 7 % off. The spline runs through the poses' coordinates in the chart of the
-one it is asked about, so nothing is lost where it is evaluated.
+section 2): with ten images per period of a shaking body their error is 0.1 %, that of a central
+difference 7 %. The spline interpolates the poses' coordinates in the chart of the pose at which it
+is evaluated, where the chart is exact.
 """
 
 from __future__ import annotations
@@ -25,13 +25,15 @@ from measure.model import Motion, Pose
 
 REACH = 3
 """Poses on either side: the fourth would change a slope by 2 % of its own noise."""
-_LONGEST_PAUSE_S = 0.5
-"""What lies beyond a pause says nothing about the motion."""
+_MAX_PAUSE_S = 0.5
+"""Longest time between two poses of one spline."""
+_POLYNOMIAL_KNOTS = 5
+"""Nearest knots of the polynomial whose slope is compared with the spline's."""
 
 
 @dataclass(frozen=True, eq=False)
 class SplineMotion(Motion):
-    """The motion round one knot of a spline through poses.
+    """The motion around one knot of a spline through poses.
 
     Attributes:
         knots_s: (n,) times of the knots after the pose's.
@@ -44,36 +46,32 @@ class SplineMotion(Motion):
     @property
     def acceleration(self) -> Floats:
         """(6,) at the pose, mm/s^2 and rad/s^2."""
-        return self.spline.bend
+        return self.spline.acceleration
 
     def moved(self, time_s: ArrayLike) -> Floats:
         """How far (..., 6) the body has moved at other times (...), in the chart of the pose."""
-        from measure.measuring.pose_spline import along
-
         lead_s = np.asarray(time_s, dtype=np.float64) - self.time_s
-        path = along(self.knots_s, self.spline.places, self.spline.slopes, lead_s.reshape(-1))
+        path = evaluated(self.knots_s, self.spline.places, self.spline.slopes, lead_s.reshape(-1))
         return path.reshape(*lead_s.shape, 6)
 
-    def gain(self, times_s: Collection[float]) -> float:
-        """By how much an error of the pose grows in pictures of these times.
+    def error_growth(self, times_s: Collection[float]) -> float:
+        """Factor on an error of the pose after solving it again with images of these times.
 
-        A pose that is off bends the spline, which then carries the pictures off as well.
+        An error of the pose curves the spline, which then moves the detections the same way.
         """
         mean_s = sum(times_s) / len(times_s)
         variance = sum((time_s - mean_s) ** 2 for time_s in times_s) / len(times_s)
-        return 1.0 + abs(self.spline.own_bend) / 2 * variance
+        return 1.0 + abs(self.spline.own_acceleration) / 2 * variance
 
 
 def motion_at(pose: Pose, before: Sequence[Pose], after: Sequence[Pose]) -> SplineMotion | None:
-    """The motion at `pose` by the spline through it and the poses round it; None if it is alone.
+    """The motion at `pose` by the spline through it and the poses around it; None if it is alone.
 
     Args:
         pose: where the motion is wanted.
         before: earlier poses, in order of time.
         after: later poses, in order of time.
     """
-    from measure.measuring.pose_spline import spline_through
-
     knots, own = [*before, pose, *after], len(before)
     if len(knots) < 2:
         return None
@@ -95,43 +93,45 @@ def motion_at(pose: Pose, before: Sequence[Pose], after: Sequence[Pose]) -> Spli
     )
 
 
-def with_neighbours(drafts: Iterable[Draft]) -> Iterator[tuple[list[Pose], Draft, list[Pose]]]:
-    """Every draft with the believed poses up to `REACH` before and after it, in order."""
+def with_surrounding_poses(
+    drafts: Iterable[Draft],
+) -> Iterator[tuple[list[Pose], Draft, list[Pose]]]:
+    """Every draft with up to `REACH` accepted poses before and after it, in order."""
     held: deque[Draft] = deque()
     at = 0
     for draft in drafts:
         held.append(draft)
         if len(held) > at + REACH:
-            yield _neighbours(held, at)
+            yield _surrounding_poses(held, at)
             at = min(at + 1, REACH)
             if len(held) > 2 * REACH:
                 held.popleft()
     for rest in range(at, len(held)):
-        yield _neighbours(held, rest)
+        yield _surrounding_poses(held, rest)
 
 
-def _neighbours(held: Sequence[Draft], at: int) -> tuple[list[Pose], Draft, list[Pose]]:
-    """The believed poses before and after one of `held`, as far as they hang together.
+def _surrounding_poses(held: Sequence[Draft], at: int) -> tuple[list[Pose], Draft, list[Pose]]:
+    """The accepted poses before and after one of `held` without a long pause between them.
 
-    None for pictures of one instant.
+    None for images of one instant.
     """
     seen = held[at].seen
-    if seen is not None and seen.at_once:
+    if seen is not None and seen.simultaneous:
         return [], held[at], []
     measured = [draft.measurement for draft in held]
     time_s = measured[at].time_s
-    before = _unbroken(time_s, measured[max(at - REACH, 0) : at][::-1])
-    after = _unbroken(time_s, measured[at + 1 : at + 1 + REACH])
+    before = _without_pause(time_s, measured[max(at - REACH, 0) : at][::-1])
+    after = _without_pause(time_s, measured[at + 1 : at + 1 + REACH])
     return before[::-1], held[at], after
 
 
-def _unbroken(time_s: float, others: Sequence[Measurement]) -> list[Pose]:
-    """The believed poses of `others`, the nearest first, until one is too far from the last."""
+def _without_pause(time_s: float, others: Sequence[Measurement]) -> list[Pose]:
+    """The accepted poses of `others`, nearest first, up to a pause longer than allowed."""
     found: list[Pose] = []
     for other in others:
         if other.pose is None or other.status is not Status.OK:
             continue
-        if not 0 < abs(other.time_s - time_s) <= _LONGEST_PAUSE_S:
+        if not 0 < abs(other.time_s - time_s) <= _MAX_PAUSE_S:
             break
         found.append(other.pose)
         time_s = other.time_s
@@ -139,7 +139,7 @@ def _unbroken(time_s: float, others: Sequence[Measurement]) -> list[Pose]:
 
 
 def warm_up() -> None:
-    """Compile the spline, or load it, by laying one through two poses in one place."""
+    """Compile or load the loops of a spline through two poses in one place."""
     still = RigidTransform.identity()
     one, two = (Pose(time_s, still, np.eye(6), 0.0, 0.0, (), ()) for time_s in (0.0, 1.0))
     motion = motion_at(one, [], [two])
@@ -147,25 +147,23 @@ def warm_up() -> None:
     motion.moved(0.5)
 
 
-_PLAIN_KNOTS = 5
-
-
 class Spline(NamedTuple):
-    """A curve through n poses, in the chart of one of them, and what it says at that one.
+    """A cubic spline through n poses in the chart of one of them, and its derivatives at that one.
 
     Attributes:
         places: (n, 6) of the poses.
         slopes: (n, 6) of the curve at each, per second.
-        slope_covariance: (6, 6) at its own pose, from the poses' and from where plainer curves go.
-        bend: (6,) the second derivative there, per s^2.
-        own_bend: the same where the own knot is one off, and no other.
+        slope_covariance: (6, 6) at the own pose, from the poses' covariances and from the
+            difference to the slope of a polynomial through the nearest poses.
+        acceleration: (6,) second derivative there, per s^2.
+        own_acceleration: its derivative by the own pose's coordinate, per s^2.
     """
 
     places: Floats
     slopes: Floats
     slope_covariance: Floats
-    bend: Floats
-    own_bend: float
+    acceleration: Floats
+    own_acceleration: float
 
 
 @compiled
@@ -179,35 +177,35 @@ def spline_through(
         rotations: (n, 3, 3) of world_from_body.
         translations: (n, 3) the same.
         covariances: (n, 6, 6) of the poses.
-        own: which of them is asked about.
+        own: index of the pose in whose chart the spline lies.
     """
     n = len(times_s)
-    # With the places goes what the own knot alone does to the curve.
+    # The seventh curve is the response to a unit displacement of the own knot.
     curves = np.zeros((n, 7))
     curves[own, 6] = 1.0
     for k in range(n):
         curves[k, :3] = translations[k] - translations[own]
         curves[k, 3:6] = rotvec_of(rotations[k] @ rotations[own].T)
     weights = slope_weights(times_s)
-    slopes, bend = weights @ curves, np.empty(7)
+    slopes, acceleration = weights @ curves, np.empty(7)
     places, noise = curves[:, :6].copy(), np.zeros((6, 6))
     for k in range(n):
         noise += weights[own, k] ** 2 * covariances[k]
-    # Where a plainer curve through the nearest poses goes another way, neither is to be trusted.
-    astray = (weights[own] - plainer_weights(times_s, own)) @ places
-    noise += np.outer(astray, astray)
+    # The difference of the two slopes bounds the error of interpolation.
+    difference = (weights[own] - polynomial_weights(times_s, own)) @ places
+    noise += np.outer(difference, difference)
     k = min(own, n - 2)
     for a in range(7):
-        square, cubic = _bends(times_s, curves[:, a], slopes[:, a], k)
-        bend[a] = 2 * square + 6 * cubic * (times_s[own] - times_s[k])
-    return Spline(places, slopes[:, :6].copy(), noise, bend[:6], bend[6])
+        square, cubic = _piece(times_s, curves[:, a], slopes[:, a], k)
+        acceleration[a] = 2 * square + 6 * cubic * (times_s[own] - times_s[k])
+    return Spline(places, slopes[:, :6].copy(), noise, acceleration[:6], acceleration[6])
 
 
 @compiled
 def slope_weights(times_s: Floats) -> Floats:
-    """How much each knot counts in the slope at each: (n, n), not-a-knot at both ends.
+    """Weights (n, n) of the knots in the slope at each knot; not-a-knot at both ends.
 
-    Three knots lie on one parabola, two on a line.
+    Three knots give one parabola, two a line.
     """
     n, width = len(times_s), np.diff(times_s)
     out = np.empty((n, n))
@@ -234,7 +232,7 @@ def slope_weights(times_s: Floats) -> Floats:
 
 @compiled
 def _fill_end(width: Floats, rise: Floats, system: Floats, right: Floats) -> None:
-    """The first knot's equation: the curve's third derivative does not change at the next one."""
+    """The first knot's equation: the third derivative is continuous at the second knot."""
     both = width[0] + width[1]
     system[0], system[1] = width[1], both
     right[:] = (width[0] + 2 * both) * width[1] * rise[0] + width[0] ** 2 * rise[1]
@@ -242,10 +240,10 @@ def _fill_end(width: Floats, rise: Floats, system: Floats, right: Floats) -> Non
 
 
 @compiled
-def plainer_weights(times_s: Floats, own: int) -> Floats:
-    """Weights (n,) of the knots in the slope at one: a polynomial through some of the nearest."""
+def polynomial_weights(times_s: Floats, own: int) -> Floats:
+    """Weights (n,) of the knots in the slope at one, by a polynomial through the nearest."""
     away = times_s - times_s[own]
-    near = np.argsort(np.abs(away), kind="mergesort")[: min(_PLAIN_KNOTS, len(away) - 1)]
+    near = np.argsort(np.abs(away), kind="mergesort")[: min(_POLYNOMIAL_KNOTS, len(away) - 1)]
     out = np.zeros(len(away))
     for j in near:
         if j == own:
@@ -259,10 +257,10 @@ def plainer_weights(times_s: Floats, own: int) -> Floats:
 
 
 @compiled
-def along(knots_s: Floats, places: Floats, slopes: Floats, times_s: Floats) -> Floats:
-    """Points (m, 6) at other times of the curve with these places and slopes (n, 6) at its knots.
+def evaluated(knots_s: Floats, places: Floats, slopes: Floats, times_s: Floats) -> Floats:
+    """Points (m, 6) at other times of the curve with places and slopes (n, 6) at its knots.
 
-    Beyond the knots its first and last piece go on.
+    Beyond the knots its first and last piece are extrapolated.
     """
     out = np.empty((len(times_s), 6))
     for i in range(len(times_s)):
@@ -271,14 +269,14 @@ def along(knots_s: Floats, places: Floats, slopes: Floats, times_s: Floats) -> F
             k += 1
         t = times_s[i] - knots_s[k]
         for a in range(6):
-            square, cubic = _bends(knots_s, places[:, a], slopes[:, a], k)
+            square, cubic = _piece(knots_s, places[:, a], slopes[:, a], k)
             out[i, a] = places[k, a] + t * (slopes[k, a] + t * (square + t * cubic))
     return out
 
 
 @compiled
-def _bends(knots_s: Floats, places: Floats, slopes: Floats, k: int) -> tuple[float, float]:
-    """The square and the cubic coefficient of one coordinate's piece from knot k on."""
+def _piece(knots_s: Floats, places: Floats, slopes: Floats, k: int) -> tuple[float, float]:
+    """The quadratic and cubic coefficients of one coordinate's piece from knot k on."""
     width = knots_s[k + 1] - knots_s[k]
     rise = (places[k + 1] - places[k]) / width
     cubic = (slopes[k] + slopes[k + 1] - 2 * rise) / width

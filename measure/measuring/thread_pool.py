@@ -1,4 +1,4 @@
-"""Work on the cameras of a frame set, shared among the machine's cores."""
+"""Work on the cameras of a frame set, distributed over the machine's cores."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from measure.processes import usable_cores
 R = TypeVar("R")
 
 
-class SideBySide:
-    """As many threads as there are cores, the caller's own among them.
+class CameraPool:
+    """As many threads as cores, the caller's own among them; each takes the next camera when free.
 
-    To hand work to a thread and wait for it costs as much as tracking a ball or two: one core alone
-    does without, and with several each takes the next camera when it is done with its last.
+    Submitting work to a thread and waiting for it costs as much as tracking a ball or two, so the
+    caller works as well, and alone on a single core.
     """
 
-    def __init__(self, most: int, cores: int | None = None) -> None:
-        """At most `most` threads; on `cores` cores, those this process may use if omitted."""
-        self._helpers = min(most, cores or usable_cores()) - 1
+    def __init__(self, max_threads: int, cores: int | None = None) -> None:
+        """At most `max_threads`; on `cores` cores, those this process may use if omitted."""
+        self._helpers = min(max_threads, cores or usable_cores()) - 1
         self._pool = ThreadPoolExecutor(max(self._helpers, 1))
 
     def __enter__(self) -> Self:

@@ -1,4 +1,4 @@
-"""Bringing what was seen at different times to one instant."""
+"""Moving detections of different times to one instant by the body's predicted motion."""
 
 from __future__ import annotations
 
@@ -18,30 +18,30 @@ from measure.model.observations import State
 from measure.model.rig_kernels import RigRows, project_one
 from measure.records import record
 
-_COMMON_PX = 0.3
-"""What a detection is off by besides its noise: it makes all of them count about alike."""
+_SYSTEMATIC_PX = 0.3
+"""Systematic error of a detection, added to its noise: it limits differences of their weights."""
 
 
 @record
-class Seen:
-    """The n believed detections of one frame set, also as arrays, stacked once.
+class FrameSetObservations:
+    """The n effective detections of one frame set, also as arrays.
 
     Attributes:
         detections: n of them.
-        time_s: the instant they are brought to.
-        instants: their own times, each once.
-        sightings: the same as arrays; None if there are none.
+        time_s: the common instant.
+        times_s: their own times, each once.
+        rows: the same as arrays; None if there are none.
     """
 
     detections: tuple[Detection, ...]
     time_s: float
-    instants: tuple[float, ...]
-    sightings: Sightings | None
+    times_s: tuple[float, ...]
+    rows: Sightings | None
 
     @property
-    def at_once(self) -> bool:
-        """Whether they are of one instant: whatever the motion, they need not be moved."""
-        return len(self.instants) < 2
+    def simultaneous(self) -> bool:
+        """Whether they are all of one time, so that no motion matters."""
+        return len(self.times_s) < 2
 
     @classmethod
     def of(
@@ -50,21 +50,21 @@ class Seen:
         time_s: float,
         body: Body,
         cameras: Mapping[str, Camera],
-    ) -> Seen:
-        """What of `views` is effective."""
+    ) -> FrameSetObservations:
+        """The effective ones of `views`."""
         seen = tuple([v.detection for v in views if v.effective and v.detection is not None])
-        instants = tuple(dict.fromkeys([d.time_s for d in seen]))
+        times_s = tuple(dict.fromkeys([d.time_s for d in seen]))
         stacked = Sightings.of(seen, body, cameras, time_s) if seen else None
-        return cls(seen, time_s, instants, stacked)
+        return cls(seen, time_s, times_s, stacked)
 
-    def carried(self, motion: Motion) -> list[Detection]:
-        """The detections as they would have been at the instant, by the body's predicted motion.
+    def at_instant(self, motion: Motion) -> list[Detection]:
+        """The detections with their centres moved to the common instant by the predicted motion.
 
-        Only the centres are moved; outline points stay as they were seen. To first order the error
-        of the prediction's *position* cancels, only that of its velocity counts.
+        Outline points are not moved. To first order errors of the predicted *pose* cancel in the
+        displacement; only those of its velocity count.
         """
-        s = self.sightings
-        if s is None or self.instants == (self.time_s,):
+        s = self.rows
+        if s is None or self.times_s == (self.time_s,):
             return list(self.detections)
         then = self._pixels(motion.world_from_body, motion.moved(s.lead_s + self.time_s))
         there = np.repeat(motion.moved(self.time_s)[None], len(s), axis=0)
@@ -75,34 +75,32 @@ class Seen:
         ]
 
     def residuals_px(self, pose: Pose, prior: Motion | None) -> dict[tuple[str, str], Floats]:
-        """Detected minus predicted sphere centre (2,) in px of everything seen, by (ball, camera).
+        """Detected minus predicted centre (2,) in px of every detection, by (ball, camera).
 
         Args:
             pose: the measured one.
-            prior: how the body moves; at rest without.
+            prior: the body's motion; at rest if None.
         """
-        s = self.sightings
+        s = self.rows
         if s is None:
             return {}
         moved = np.zeros((len(s), 6))
-        if prior is not None and self.instants != (pose.time_s,):
+        if prior is not None and self.times_s != (pose.time_s,):
             moved[:] = prior.moved(s.lead_s + (self.time_s - pose.time_s + prior.time_s))
         off = s.pixels - self._pixels(pose.world_from_body, moved)
         return {(d.ball, d.camera): row for d, row in zip(self.detections, off, strict=True)}
 
-    def velocity_share(self, pose: Pose, motion: Motion) -> Floats | None:
-        """What an uncertain velocity, and none that changes, add to a pose's covariance (6, 6).
+    def motion_covariance(self, pose: Pose, motion: Motion) -> Floats | None:
+        """Covariance (6, 6) that uncertain velocity and acceleration add to a pose.
 
-        A motion that is wrong carries the pictures of different times to different places, and the
-        pose to their weighted mean. None if it adds nothing.
+        An error of the motion displaces images of different times differently, and the pose goes
+        to their weighted mean. None if it adds nothing.
         """
-        from measure.measuring.time_alignment import velocity_share
-
-        s = self.sightings
-        if motion.velocity_covariance is None or self.at_once or s is None:
+        s = self.rows
+        if motion.velocity_covariance is None or self.simultaneous or s is None:
             return None
-        bend = motion.acceleration_square
-        return velocity_share(
+        square = motion.acceleration_square
+        return motion_covariance(
             s.rig.rows,
             s.points_body,
             s.noise,
@@ -111,17 +109,15 @@ class Seen:
             np.ascontiguousarray(pose.world_from_body.translation),
             np.ascontiguousarray(motion.velocity),
             np.ascontiguousarray(motion.velocity_covariance),
-            np.zeros((6, 6)) if bend is None else np.ascontiguousarray(bend),
-            _COMMON_PX,
+            np.zeros((6, 6)) if square is None else np.ascontiguousarray(square),
+            _SYSTEMATIC_PX,
         )
 
     def _pixels(self, world_from_body: RigidTransform, moved: Floats) -> Floats:
-        """Where (n, 2) the balls appear if the body has moved by (n, 6) in each picture."""
-        from measure.measuring.time_alignment import carried_pixels
-
-        assert self.sightings is not None
-        s = self.sightings
-        return carried_pixels(
+        """Pixels (n, 2) of the balls if the body has moved by (n, 6) in each image."""
+        assert self.rows is not None
+        s = self.rows
+        return moved_pixels(
             s.rig.rows,
             s.points_body,
             np.ascontiguousarray(world_from_body.rotation),
@@ -131,7 +127,7 @@ class Seen:
 
 
 def warm_up(body: Body, camera: Camera) -> None:
-    """Compile the loops, or load them, by carrying balls that nobody sees to one instant."""
+    """Compile the loops, or load them, by moving balls out of view to one instant."""
     seen = [
         Detection(ball.name, camera.name, float(i), np.zeros(2), 1.0, np.eye(2))
         for i, ball in enumerate(body.balls)
@@ -139,18 +135,18 @@ def warm_up(body: Body, camera: Camera) -> None:
     views = [BallView(d.ball, d.camera, State.EFFECTIVE, detection=d) for d in seen]
     pose = Pose(0.0, RigidTransform.identity(), np.eye(6), 0.0, 0.0, (), ())
     moving = Motion(pose.world_from_body, 0.0, np.zeros(6), velocity_covariance=np.eye(6))
-    all_seen = Seen.of(views, 0.0, body, {camera.name: camera})
-    all_seen.carried(moving)
+    all_seen = FrameSetObservations.of(views, 0.0, body, {camera.name: camera})
+    all_seen.at_instant(moving)
     all_seen.residuals_px(pose, moving)
-    all_seen.velocity_share(pose, moving)
+    all_seen.motion_covariance(pose, moving)
 
 
 _SINGULAR = 1e-9
-"""Of equations, relative to the best determined unknown."""
+"""Inverse condition number below which scaled normal equations are taken for singular."""
 
 
 @compiled
-def carried_pixels(
+def moved_pixels(
     rig: RigRows,
     points_body: Floats,
     rotation: Floats,
@@ -164,7 +160,7 @@ def carried_pixels(
         points_body: (n, 3).
         rotation: (3, 3) of world_from_body.
         translation: (3,) the same.
-        moved: (n, 6) how far the body has moved from there in each picture, mm and rad.
+        moved: (n, 6) displacement of the body from there in each image, mm and rad.
     """
     out, by_point, place = np.empty((len(rig.lenses), 2)), np.empty((2, 3)), np.empty(3)
     for i in range(len(rig.lenses)):
@@ -178,7 +174,7 @@ def carried_pixels(
 
 
 @compiled
-def velocity_share(
+def motion_covariance(
     rig: RigRows,
     points_body: Floats,
     noise: Floats,
@@ -188,31 +184,31 @@ def velocity_share(
     velocity: Floats,
     velocity_covariance: Floats,
     acceleration_square: Floats,
-    common_px: float,
+    systematic_px: float,
 ) -> Floats:
-    """Covariance (6, 6) of a pose fitted to n points: see `Seen.velocity_share`.
+    """Covariance (6, 6) of a pose fitted to n points: see `FrameSetObservations.motion_covariance`.
 
-    Points without an image say nothing.
+    Points without an image are left out.
 
     Args:
         rig: the n cameras.
         points_body: (n, 3).
         noise: (n, 2, 2) covariances of the pixels.
-        lead_s: (n,) times of the pictures after the pose's.
+        lead_s: (n,) times of the images after the pose's.
         rotation: (3, 3) of world_from_body.
         translation: (3,) the same.
         velocity: (6,) mm/s and rad/s in the world.
         velocity_covariance: (6, 6) of that.
-        acceleration_square: (6, 6) mean square of what changes it, mm/s^2 and rad/s^2.
-        common_px: added to the pixels' standard deviations in quadrature.
+        acceleration_square: (6, 6) mean square of the acceleration, mm/s^2 and rad/s^2.
+        systematic_px: added to the pixels' standard deviations in quadrature.
     """
     normal, moved = np.zeros((6, 6)), np.zeros((6, 12))
     pixel, by_point, slopes = np.empty(2), np.empty((2, 3)), np.empty((2, 6))
-    variance = common_px**2 * np.eye(2)
+    variance = systematic_px**2 * np.eye(2)
     for i in range(len(rig.lenses)):
         arm, lead = times(rotation, points_body[i]), lead_s[i]
-        swung = np.cross(velocity[3:], arm)
-        place = arm + translation + lead * (velocity[:3] + swung)
+        velocity_arm = np.cross(velocity[3:], arm)
+        place = arm + translation + lead * (velocity[:3] + velocity_arm)
         project_one(rig, i, place, pixel, by_point)
         if np.isnan(pixel[0]):
             continue
@@ -228,16 +224,19 @@ def velocity_share(
                 normal[a, b] += share
                 moved[a, b] += lead * share
                 moved[a, 6 + b] += lead * lead / 2 * share
-    lever = levers(normal, moved)
-    swing, bend = lever[:, :6].copy(), lever[:, 6:].copy()
-    return swing @ velocity_covariance @ swing.T + bend @ acceleration_square @ bend.T
+    by_motion = least_norm_solution(normal, moved)
+    by_velocity, by_acceleration = by_motion[:, :6].copy(), by_motion[:, 6:].copy()
+    return (
+        by_velocity @ velocity_covariance @ by_velocity.T
+        + by_acceleration @ acceleration_square @ by_acceleration.T
+    )
 
 
 @compiled
-def levers(normal: Floats, moved: Floats) -> Floats:
-    """What normal equations (6, 6) make of their right sides (6, 12); the least that they may.
+def least_norm_solution(normal: Floats, moved: Floats) -> Floats:
+    """The least-squares solution (6, 12) of normal equations (6, 6), of least norm if singular.
 
-    One ball alone leaves a turn open: its pose is the prediction's, whatever the velocity.
+    One ball alone leaves rotations undetermined: they are the prediction's, whatever the velocity.
     """
     inverse = np.empty((6, 6))
     if invert_scaled(normal.copy(), inverse) < 1 / _SINGULAR:

@@ -60,7 +60,7 @@ def test_no_frame_set_of_a_sharpened_recording_is_lost(shared, tmp_path, without
 
 
 @pytest.mark.parametrize("name", ["still", "occluded", "clutter"])
-def test_a_mild_bend_is_told_better_by_all_cameras_together(shared, tmp_path, monkeypatch, name):
+def test_a_mild_bend_is_estimated_better_by_all_cameras(shared, tmp_path, monkeypatch, name):
     folder = tmp_path / "contrast"
     altered_copy(shared / "renders" / name, folder, "contrast")
     together = [position_mm for _, position_mm, _ in first_errors(folder, 6)]

@@ -102,7 +102,7 @@ def test_a_camera_upside_down_is_named_before_a_second_body(shared, tmp_path, ca
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["cam0", "cam2"])
-def test_only_the_camera_that_was_moved_by_half_a_degree_is_named(shared, tmp_path, capsys, name):
+def test_only_the_camera_moved_by_half_a_degree_is_named(shared, tmp_path, capsys, name):
     cameras = list(read_calibration(still(shared) / "calibration.toml").cameras)
     at = [camera.name for camera in cameras].index(name)
     pose = cameras[at].world_from_camera
@@ -117,7 +117,7 @@ def test_only_the_camera_that_was_moved_by_half_a_degree_is_named(shared, tmp_pa
 
 
 @pytest.mark.slow
-def test_a_camera_that_is_knocked_on_the_way_is_named_with_the_time(shared, tmp_path, capsys):
+def test_a_camera_moved_midway_is_named_with_the_time(shared, tmp_path, capsys):
     session = tmp_path / "still"
     shutil.copytree(still(shared), session, copy_function=shutil.copyfile)
     for folder in (session, *filter(Path.is_dir, session.iterdir())):
@@ -134,7 +134,7 @@ def test_a_camera_that_is_knocked_on_the_way_is_named_with_the_time(shared, tmp_
 
 
 @pytest.mark.slow
-def test_a_recording_with_a_pole_before_the_body_is_looked_at_to_the_end(shared, capsys):
+def test_an_occluder_does_not_end_the_check(shared, capsys):
     assert alarms(shared / "renders" / "occluded", capsys) == []
 
 

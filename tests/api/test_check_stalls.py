@@ -34,7 +34,7 @@ def test_a_recording_without_repeats_is_left_alone(tmp_path, capsys):
     assert said(write_recording(tmp_path / "rec", frames=FRAMES).path, capsys) == {}
 
 
-def test_repeated_picture_files_are_counted_in_the_whole_recording(tmp_path, capsys):
+def test_duplicate_files_are_counted_in_the_whole_recording(tmp_path, capsys):
     recording = write_recording(tmp_path / "rec", frames=FRAMES)
     freeze(recording, "cam1", [3, 4])
     freeze(recording, "cam2", [1, 2, 3, 4, 5, 6, 7])
@@ -57,7 +57,7 @@ def test_pictures_of_one_size_that_differ_are_no_repeats(tmp_path):
 
 
 @pytest.mark.parametrize("repeated", [[], [4, 5]])
-def test_repeated_pictures_of_a_video_are_found_among_those_decoded(tmp_path, capsys, repeated):
+def test_duplicates_of_a_video_are_found_by_decoding(tmp_path, capsys, repeated):
     recording = write_recording(tmp_path / "rec", frames=FRAMES)
     shows = [2 * (3 if k in repeated else k) for k in range(FRAMES)]
     write_video(recording.path / "cam0.mp4", "libx264", frames=FRAMES, shows=shows)

@@ -36,7 +36,7 @@ def test_every_first_frame_set_shows_the_body(shared, name, least):
             found = {n: stages.detectors[n].detect(im, ()) for n, im in frame_set.images.items()}
             body = associate(session.body, session.cameras, found)
             assert body.reason == ""
-            assert body.doubts == ()
+            assert body.flags == ()
             assert sum(map(len, found.values())) <= _MOST_CANDIDATES
             time_s = np.mean([d.time_s for d in body.detections])
             off = body.world_from_body.translation - truth.at(time_s).translation

@@ -20,7 +20,7 @@ from tests.simulated.degraded import with_second_body
 
 
 @pytest.mark.slow
-def test_a_second_body_in_view_is_refused_in_every_frame_not_guessed(tmp_path):
+def test_a_second_body_in_view_gives_no_pose(tmp_path):
     scene = scene_catalogue()["still"]
     beside = scene.trajectory.at(np.array([0.0]))[0].perturb([-90.0, 70.0, -60.0, 0.2, 0.1, 0.4])
     write_session(with_second_body(scene, Still(beside)), np.arange(3) / 30, tmp_path)
@@ -50,7 +50,7 @@ def measured(folder):
 
 
 @pytest.mark.slow
-def test_two_balls_that_are_left_of_the_first_in_one_camera_are_enough_to_doubt(tmp_path):
+def test_two_balls_of_a_hidden_body_suffice_for_a_flag(tmp_path):
     """The second stands 70 mm beside the first, in full view; the first is hidden but for these."""
     scene = scene_catalogue()["still"]
     middle = scene.trajectory.at(np.array([0.0]))[0]
@@ -67,7 +67,7 @@ def test_two_balls_that_are_left_of_the_first_in_one_camera_are_enough_to_doubt(
 
 
 @pytest.mark.slow
-def test_lone_balls_of_the_same_colours_in_a_room_are_no_second_body(shared):
+def test_single_balls_in_a_scene_are_no_second_body(shared):
     folder = shared / "renders" / "clutter"
     if not folder.is_dir():
         pytest.skip("no rendered sessions in ../shared")
@@ -78,7 +78,7 @@ def test_lone_balls_of_the_same_colours_in_a_room_are_no_second_body(shared):
 
 
 @pytest.mark.slow
-def test_a_second_body_beside_one_that_is_mostly_hidden_is_flagged(tmp_path):
+def test_a_second_body_beside_a_hidden_one_is_flagged(tmp_path):
     """Of the first, one ball is behind posts for all cameras; the second is in full view."""
     scene = scene_catalogue()["still"]
     middle = scene.trajectory.at(np.array([0.0]))[0]

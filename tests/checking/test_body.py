@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from measure.checking.body import check_body, locate_in_candidates
+from measure.checking.body import check_body, locate_balls
 from measure.checking.body_explanations import Compared, radius_findings
 from measure.model import Body
 from tests.scenes import FOUR, RAVEN, a_pose, ring, see
@@ -24,8 +24,7 @@ def recording(body, count=12, sd_px=0.3):
 
 def check(real, file, **kwargs):
     located = [
-        locate_in_candidates(frame, file, list(CAMERAS.values()))
-        for frame in recording(real, **kwargs)
+        locate_balls(frame, file, list(CAMERAS.values())) for frame in recording(real, **kwargs)
     ]
     return check_body(located, file)
 
@@ -99,7 +98,7 @@ def _radii(shares, file_mm=20.0, sd_mm=0.28):
 
 
 @pytest.mark.parametrize("factor", [0.95, 1.05])
-def test_radii_that_are_all_off_alike_are_told_where_none_is_off_far_enough_alone(factor):
+def test_a_common_factor_of_all_radii_is_found(factor):
     shares = factor + np.array([-0.005, 0.0, 0.005])
     assert all(radius.agrees for radius in _radii(shares))
     (finding,) = radius_findings(_radii(shares))
@@ -110,7 +109,7 @@ def test_radii_that_are_all_off_alike_are_told_where_none_is_off_far_enough_alon
 
 
 @pytest.mark.parametrize("shares", [(0.97, 0.99, 0.98), (0.94, 0.99, 1.0), (1.02, 0.97, 1.03)])
-def test_radii_within_what_edges_err_by_are_believed(shares):
+def test_radii_within_the_bias_of_edges_agree(shares):
     """Edges lie inside the outlines of glossy balls, and one ball may look worse than others."""
     assert radius_findings(_radii(shares)) == []
     assert radius_findings(_radii((0.95, 0.95, 0.95))[:2]) == [], "two balls are too few"

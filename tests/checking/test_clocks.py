@@ -103,7 +103,7 @@ def test_too_short_a_recording_tells_nothing():
         assert not clock.offset_visible
 
 
-def test_a_constant_error_of_one_camera_is_within_the_uncertainty():
+def test_a_constant_bias_is_within_the_clock_uncertainty():
     """A short one-way motion: edges seen 0.3 px off look like a clock that is wrong."""
     biased = []
     for m in recorded(moving, count=15, sd_px=0.02):

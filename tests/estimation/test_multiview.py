@@ -14,8 +14,8 @@ from measure.estimation.point_fit import _nearest
 from measure.estimation.pose_fit import fit_pose
 from measure.geometry import RigidTransform, propagate
 from measure.geometry.rays import MIN_PARALLAX_RAD
-from measure.measuring import time_alignment as instants
-from measure.measuring.time_alignment import Seen, levers
+from measure.measuring import time_alignment
+from measure.measuring.time_alignment import FrameSetObservations, least_norm_solution
 from measure.model import BallView, Camera, Detection, Intrinsics, Motion, Pose
 from measure.model.observations import State
 from tests.scenes import RAVEN, TARGET, ring, see
@@ -105,7 +105,7 @@ def test_detections_are_carried_to_one_instant():
     seen = [d for d in seen if d.time_s == times[d.camera]]
     assert len(seen) == 12
     views = [BallView(d.ball, d.camera, State.EFFECTIVE, detection=d) for d in seen]
-    carried = Seen.of(views, 1.0, RAVEN, cameras).carried(motion)
+    carried = FrameSetObservations.of(views, 1.0, RAVEN, cameras).at_instant(motion)
     truth = see(cameras, RAVEN, motion.at(1.0), 0.0, time_s=1.0)
     expected = {(d.ball, d.camera): d.center_px for d in truth}
     for before, after in zip(seen, carried, strict=True):
@@ -116,7 +116,7 @@ def test_detections_are_carried_to_one_instant():
 
 
 def test_a_velocity_that_may_be_wrong_makes_the_pose_of_pictures_out_of_step_less_sure():
-    """As much as the pose moves if the pictures are carried by a velocity that is off."""
+    """As much as the pose moves if detections are moved by a wrong velocity."""
     cameras = ring()
     still = RigidTransform.from_rotvec([0.1, 0.2, 0.3], TARGET)
     times = {name: 1.0 + 0.01 * i for i, name in enumerate(cameras)}
@@ -126,27 +126,30 @@ def test_a_velocity_that_may_be_wrong_makes_the_pose_of_pictures_out_of_step_les
     ]
     views = [BallView(d.ball, d.camera, State.EFFECTIVE, detection=d) for d in found]
     pose = Pose(1.015, still, np.eye(6), 0.0, 0.0, (), ())
-    seen, wrong = Seen.of(views, 1.015, RAVEN, cameras), np.diag([3.0, 0, 0, 0, 0.02, 0])
-    share = seen.velocity_share(pose, _moving(pose, np.zeros(6), velocity_covariance=wrong**2))
+    seen, wrong = (
+        FrameSetObservations.of(views, 1.015, RAVEN, cameras),
+        np.diag([3.0, 0, 0, 0, 0.02, 0]),
+    )
+    share = seen.motion_covariance(pose, _moving(pose, np.zeros(6), velocity_covariance=wrong**2))
     for axis in (0, 4):
         fitted = fit_pose(still, seen.sightings, np.eye(6)[axis] * wrong[axis, axis], 1e6)
         moved = fitted.world_from_body.difference(still)
         only = np.diag(np.eye(6)[axis]) * wrong[axis, axis] ** 2
-        alone = seen.velocity_share(pose, _moving(pose, np.zeros(6), velocity_covariance=only))
+        alone = seen.motion_covariance(pose, _moving(pose, np.zeros(6), velocity_covariance=only))
         np.testing.assert_allclose(alone, np.outer(moved, moved), atol=2e-2 * np.max(alone))
         share = share - alone
     np.testing.assert_allclose(share, 0, atol=1e-12)
-    assert seen.velocity_share(pose, _moving(pose, np.zeros(6))) is None
+    assert seen.motion_covariance(pose, _moving(pose, np.zeros(6))) is None
 
 
 @pytest.mark.parametrize("rows", [20, 5, 3], ids=["determined", "a turn open", "half open"])
-def test_levers_are_the_least_that_solve_the_equations(rows: int) -> None:
+def test_least_norm_solution_are_the_least_that_solve_the_equations(rows: int) -> None:
     rng = np.random.default_rng(rows)
     slopes = rng.normal(size=(rows, 6)) * [1, 1, 1, 40, 40, 40]
     normal = slopes.T @ slopes
     moved = normal @ rng.normal(size=(6, 12))
     least = np.linalg.pinv(normal, rcond=1e-9, hermitian=True) @ moved
-    np.testing.assert_allclose(levers(normal, moved), least, atol=1e-6)
+    np.testing.assert_allclose(least_norm_solution(normal, moved), least, atol=1e-6)
 
 
 def test_balls_without_an_image_say_nothing_of_a_velocity() -> None:
@@ -161,12 +164,12 @@ def test_balls_without_an_image_say_nothing_of_a_velocity() -> None:
             for i, ball in enumerate(RAVEN.names)
         ]
         views = [BallView(d.ball, d.camera, State.EFFECTIVE, detection=d) for d in found]
-        seen = Seen.of(views, 0.0, RAVEN, {camera.name: camera for camera in some})
+        seen = FrameSetObservations.of(views, 0.0, RAVEN, {camera.name: camera for camera in some})
         pose = Pose(0.0, still, np.eye(6), 0.0, 0.0, (), ())
-        shares.append(seen.velocity_share(pose, _moving(pose, np.zeros(6), **known)))
+        shares.append(seen.motion_covariance(pose, _moving(pose, np.zeros(6), **known)))
     assert np.max(shares[0]) > 0
     np.testing.assert_array_equal(shares[1], shares[0])
-    instants.warm_up(RAVEN, away)
+    time_alignment.warm_up(RAVEN, away)
 
 
 def _lone(name: str, z_mm: float) -> Camera:

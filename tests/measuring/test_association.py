@@ -8,10 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from measure.estimation import pose_fit as fit_kernels
 from measure.geometry import RigidTransform
-from measure.measuring.association import associate, warm_up
-from measure.measuring.association import candidates as meeting
-from measure.measuring.association import hypotheses as triangles
-from measure.measuring.association import scoring as agreement
+from measure.measuring.association import associate, candidates, hypotheses, scoring, warm_up
 from measure.model import Ball, BallColor, Body, Camera, Detection, rig_kernels
 from tests.compiled import nothing_compiles
 from tests.scenes import FOUR, RAVEN, TARGET, a_pose, ring, see
@@ -120,7 +117,7 @@ def test_balls_taken_for_others_are_no_other_body(confused):
         assert found.world_from_body is None
         return
     assert_found(found, truth)
-    assert not found.doubts
+    assert not found.flags
 
 
 def test_colours_may_repeat():
@@ -208,7 +205,7 @@ def test_triangles_are_put_on_others_by_least_squares():
     source = rng.normal(0, 50, (3, 3))
     turned = source @ Rotation.random(30, random_state=rng).as_matrix().swapaxes(1, 2)
     target = turned + rng.normal(0, 15, (30, 3, 3)) + TARGET
-    rotation, translation = triangles.align_triangles(target, source)
+    rotation, translation = hypotheses.align_triangles(target, source)
     middle = target.mean(axis=1)
     best = [
         Rotation.align_vectors(corners - corners.mean(axis=0), source - source.mean(axis=0))[0]
@@ -217,21 +214,19 @@ def test_triangles_are_put_on_others_by_least_squares():
     assert rotation == pytest.approx(np.array([r.as_matrix() for r in best]), abs=1e-9)
     assert rotation @ source.mean(axis=0) + translation == pytest.approx(middle, abs=1e-9)
     on_a_line = np.outer([0.0, 1, 2], [1.0, 2, 3])[None]
-    assert np.isnan(triangles.align_triangles(on_a_line, source)[0]).all()
+    assert np.isnan(hypotheses.align_triangles(on_a_line, source)[0]).all()
 
 
 def test_warming_up_compiles_all_that_a_search_runs():
     """For the very types that a search uses: else the first one would compile them again."""
     warm_up(RAVEN, list(CAMERAS.values()))
     loops = (
-        meeting.meeting_centers,
-        agreement.agreeing,
-        agreement.fitting_pairs,
-        agreement.fitting_triples,
+        candidates.intersections,
+        scoring.agreement,
         fit_kernels.fit_rows,
-        agreement.on_balls,
+        scoring.lie_on_balls,
         rig_kernels.ray_rows,
-        triangles.align_triangles,
+        hypotheses.align_triangles,
     )
     with nothing_compiles(*loops):
         truth = a_pose(np.random.default_rng(2))

@@ -41,7 +41,7 @@ def measure(body, rig, **options):
 
 
 @pytest.mark.usefixtures("searches_fail")
-def test_what_a_search_missed_is_found_from_later_pictures(paper_body, rig, monkeypatch):
+def test_backtracking_finds_what_a_search_missed(paper_body, rig, monkeypatch):
     monkeypatch.setattr(Oracle, "stateful", False)
     measured, detectors, _ = measure(paper_body, rig, smoothing=True)
     assert [one.index for one in measured] == list(range(8))
@@ -55,7 +55,7 @@ def test_what_a_search_missed_is_found_from_later_pictures(paper_body, rig, monk
 
 @pytest.mark.usefixtures("searches_fail")
 @pytest.mark.parametrize(("stateful", "smoothing"), [(True, True), (False, False)])
-def test_time_runs_on_for_other_detectors_and_where_poses_do_not_wait(
+def test_no_backtracking_when_stateful_or_without_smoothing(
     paper_body, rig, monkeypatch, stateful, smoothing
 ):
     monkeypatch.setattr(Oracle, "stateful", stateful)
@@ -66,7 +66,7 @@ def test_time_runs_on_for_other_detectors_and_where_poses_do_not_wait(
 
 
 @pytest.mark.usefixtures("searches_fail")
-def test_a_body_that_came_into_view_is_not_put_where_it_was_not(paper_body, rig, monkeypatch):
+def test_backtracking_ends_where_the_body_came_into_view(paper_body, rig, monkeypatch):
     """The search was right: there is nothing in the first pictures."""
     monkeypatch.setattr(Oracle, "stateful", False)
     measured, _, _ = measure(
@@ -77,8 +77,8 @@ def test_a_body_that_came_into_view_is_not_put_where_it_was_not(paper_body, rig,
 
 
 @pytest.mark.usefixtures("searches_fail")
-def test_no_more_frame_sets_wait_than_memory_is_for(paper_body, rig, monkeypatch):
+def test_the_number_of_waiting_frame_sets_is_limited(paper_body, rig, monkeypatch):
     monkeypatch.setattr(Oracle, "stateful", False)
-    monkeypatch.setattr("measure.measuring.backtracking._MOST", 2)
+    monkeypatch.setattr("measure.measuring.backtracking.MAX_WAITING", 2)
     measured, _, _ = measure(paper_body, rig, smoothing=True)
     assert [one.status for one in measured] == [Status.LOST] + [Status.OK] * 7

@@ -102,7 +102,7 @@ def measure(folder, detector, start=0):
     return measured, [one for one in Blind.instances if one.shown]
 
 
-def test_a_detector_that_does_not_ask_never_sees_time_run_backwards(recording):
+def test_without_burn_in_time_never_runs_backwards(recording):
     _, detectors = measure(recording.path, Blind)
     for detector in detectors:
         assert sorted(set(detector.shown)) == list(range(_FRAMES))
@@ -110,13 +110,13 @@ def test_a_detector_that_does_not_ask_never_sees_time_run_backwards(recording):
         assert len(detector.heard) == 0
 
 
-def test_nor_does_a_stateful_one_that_asks(recording, monkeypatch):
+def test_a_stateful_detector_gets_no_burn_in(recording, monkeypatch):
     monkeypatch.setattr(Curious, "stateful", True)
     _, detectors = measure(recording.path, Curious)
     assert _in_turn(detectors[0].shown) == list(range(_FRAMES))
 
 
-def test_one_that_asks_sees_the_first_pictures_and_then_all_of_them(recording):
+def test_burn_in_shows_the_first_images_then_all(recording):
     measured, detectors = measure(recording.path, Curious)
     assert measured == list(range(_FRAMES))
     assert len(detectors) == 3, "the detectors that learnt measure"
@@ -125,7 +125,7 @@ def test_one_that_asks_sees_the_first_pictures_and_then_all_of_them(recording):
         assert detector.heard == [[("cam0", 3), ("cam1", 3), ("cam2", 3)]]
 
 
-def test_a_recording_too_short_for_a_burn_in_is_used_as_far_as_it_goes(recording, monkeypatch):
+def test_a_short_recording_is_used_whole_for_burn_in(recording, monkeypatch):
     monkeypatch.setattr(Curious, "wants", 100)
     measured, detectors = measure(recording.path, Curious)
     assert len(measured) == _FRAMES

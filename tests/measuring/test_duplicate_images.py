@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from measure.measuring import Status
-from measure.measuring.duplicate_images import Repeats
+from measure.measuring.duplicate_images import DuplicateImages
 from measure.measuring.measurement import Draft
 from measure.model import FrameSet, Image
 from tests.measurements import measurement
@@ -25,12 +25,12 @@ def frame_set(index, contents, encoded=True):
 
 @pytest.mark.parametrize("encoded", [True, False])
 def test_a_camera_that_stalls_is_left_out_until_it_goes_on(encoded):
-    repeats = Repeats()
+    duplicates = DuplicateImages()
     seen = []
     for index, stalled in enumerate([0, 1, 1, 3]):
         given = frame_set(index, {"a": index, "b": index + 9, "c": stalled}, encoded)
-        left, doubt = repeats.sort_out(given)
-        seen.append((sorted(left.images), doubt))
+        left, flag = duplicates.without_duplicates(given)
+        seen.append((sorted(left.images), flag))
     assert seen == [
         (["a", "b", "c"], ""),
         (["a", "b", "c"], ""),
@@ -39,29 +39,29 @@ def test_a_camera_that_stalls_is_left_out_until_it_goes_on(encoded):
     ]
 
 
-def test_if_all_stall_the_pose_is_doubted():
-    repeats = Repeats()
-    repeats.sort_out(frame_set(0, {"a": 1, "b": 2}))
-    left, doubt = repeats.sort_out(frame_set(1, {"a": 1, "b": 2}))
+def test_if_all_cameras_stall_the_pose_is_flagged():
+    duplicates = DuplicateImages()
+    duplicates.without_duplicates(frame_set(0, {"a": 1, "b": 2}))
+    left, flag = duplicates.without_duplicates(frame_set(1, {"a": 1, "b": 2}))
     assert sorted(left.images) == ["a", "b"]
-    assert "a, b repeat those before" in doubt
-    assert repeats.sort_out(frame_set(2, {"a": 3, "b": 4}))[1] == ""
+    assert "a, b repeat those before" in flag
+    assert duplicates.without_duplicates(frame_set(2, {"a": 3, "b": 4}))[1] == ""
 
 
 def test_one_frame_in_two_sets_is_no_stall():
     """A slower camera's picture may serve twice, with the time that it has."""
-    repeats = Repeats()
+    duplicates = DuplicateImages()
     one = FrameSet(0, 0.0, {"a": picture("a", 0, 5), "b": picture("b", 0, 6)})
     two = FrameSet(1, 0.03, {"a": picture("a", 0, 5), "b": picture("b", 1, 7)})
-    repeats.sort_out(one)
-    left, doubt = repeats.sort_out(two)
-    assert (sorted(left.images), doubt) == (["a", "b"], "")
+    duplicates.without_duplicates(one)
+    left, flag = duplicates.without_duplicates(two)
+    assert (sorted(left.images), flag) == (["a", "b"], "")
 
 
-def test_a_doubt_is_a_flag_that_stays():
-    draft = Draft(measurement(0), None, ()).doubted("a stall?")
+def test_a_flag_stays_with_its_draft():
+    draft = Draft(measurement(0), None, ()).flagged("a stall?")
     assert draft.measurement.status is Status.FLAGGED
     assert draft.measurement.pose.flags == ("a stall?",)
-    assert draft.doubts == ("a stall?",)
+    assert draft.tracker_flags == ("a stall?",)
     lost = Draft(measurement(0, lost=True), None, ())
-    assert lost.doubted("a stall?") is lost
+    assert lost.flagged("a stall?") is lost

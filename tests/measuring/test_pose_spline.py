@@ -10,8 +10,8 @@ import pytest
 from measure.geometry import RigidTransform
 from measure.measuring import Measurement, Status
 from measure.measuring.measurement import Draft
-from measure.measuring.pose_spline import REACH, motion_at, with_neighbours
-from measure.measuring.time_alignment import Seen
+from measure.measuring.pose_spline import REACH, motion_at, with_surrounding_poses
+from measure.measuring.time_alignment import FrameSetObservations
 from measure.model import Pose
 from tests.scenes import RAVEN, TARGET, moved, ring
 from tests.tracking_rig import run
@@ -56,7 +56,7 @@ def test_at_its_own_time_the_spline_is_the_pose():
 
 
 @pytest.mark.parametrize("at", [0, 1, 3, 6])
-def test_a_straight_path_is_exact_and_its_noise_is_what_the_knots_say(at):
+def test_a_straight_path_is_exact_with_the_noise_of_its_knots(at):
     way = np.array([40.0, -20, 10])
     knots = poses(7, lambda t: RigidTransform(np.eye(3), TARGET + way * t))
     motion = motion_at(knots[at], knots[:at], knots[at + 1 :])
@@ -90,7 +90,7 @@ def test_the_spline_is_the_not_a_knot_spline_of_the_textbooks(count, at):
     np.testing.assert_allclose(motion.velocity, curve(times[at], 1)[:6], atol=1e-9)
     np.testing.assert_allclose(motion.acceleration, curve(times[at], 2)[:6], atol=1e-7)
     wide = 1 + abs(curve(times[at], 2)[6 + at]) / 2 * np.var([0.0, 0.01, 0.05])
-    assert motion.gain([1.0, 1.01, 1.05]) == pytest.approx(wide)
+    assert motion.error_growth([1.0, 1.01, 1.05]) == pytest.approx(wide)
 
 
 def test_a_path_with_a_kink_is_known_to_be_uncertain():
@@ -102,7 +102,7 @@ def test_a_path_with_a_kink_is_known_to_be_uncertain():
     assert motion.velocity_covariance[1, 1] ** 0.5 < 0.1
 
 
-def test_a_pose_alone_has_no_motion_and_two_have_an_uncertain_one():
+def test_one_pose_has_no_motion_two_an_uncertain_one():
     one, two = poses(2)
     assert motion_at(one, [], []) is None
     motion = motion_at(one, [], [two])
@@ -119,8 +119,8 @@ def draft(index, status=Status.OK, time_s=None):
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 4, 6, 7, 8, 20])
-def test_every_measurement_comes_once_in_order_with_its_neighbours(count):
-    got = list(with_neighbours(draft(k) for k in range(count)))
+def test_every_draft_comes_once_in_order_with_its_poses(count):
+    got = list(with_surrounding_poses(draft(k) for k in range(count)))
     assert [d.measurement.index for _, d, _ in got] == list(range(count))
     for before, d, after in got:
         k = d.measurement.index
@@ -132,25 +132,27 @@ def test_every_measurement_comes_once_in_order_with_its_neighbours(count):
 
 def test_no_more_is_read_ahead_than_needed():
     read = []
-    drafts = with_neighbours(draft(k) for k in range(100) if read.append(k) is None)
+    drafts = with_surrounding_poses(draft(k) for k in range(100) if read.append(k) is None)
     next(drafts)
     assert len(read) == REACH + 1
 
 
 def test_only_pictures_of_different_instants_have_neighbours():
-    together, apart = (Seen((), 0.0, instants, None) for instants in ((0.0,), (0.0, 0.01)))
+    together, apart = (
+        FrameSetObservations((), 0.0, times_s, None) for times_s in ((0.0,), (0.0, 0.01))
+    )
     drafts = [replace(draft(k), seen=apart if k == 2 else together) for k in range(5)]
-    counts = [(len(before), len(after)) for before, _, after in with_neighbours(drafts)]
+    counts = [(len(before), len(after)) for before, _, after in with_surrounding_poses(drafts)]
     assert counts == [(0, 0), (0, 0), (2, 2), (0, 0), (0, 0)]
 
 
-def test_lost_and_doubted_poses_are_no_knots_and_a_pause_ends_the_spline():
+def test_knots_are_accepted_poses_without_a_pause():
     drafts = [draft(0), draft(1, Status.FLAGGED), draft(2), draft(3, Status.LOST), draft(4)]
-    before, _, after = list(with_neighbours(drafts))[2]
+    before, _, after = list(with_surrounding_poses(drafts))[2]
     assert [p.time_s for p in before] == [0.0]
     assert [p.time_s for p in after] == [4 / 30]
     drafts = [draft(0), draft(1), draft(2, time_s=5.0), draft(3, time_s=5.03)]
-    before, _, after = list(with_neighbours(drafts))[1]
+    before, _, after = list(with_surrounding_poses(drafts))[1]
     assert (len(before), len(after)) == (1, 0)
 
 
@@ -194,7 +196,7 @@ def moving(hertz, reach_mm, reach_rad):
     ],
     ids=["shaken", "rattled", "beaten", "swung", "waved by hand"],
 )
-def test_a_body_that_moves_more_wildly_than_is_set_is_followed(hertz, reach_mm, reach_rad, doubted):
+def test_faster_motion_than_configured_is_tracked(hertz, reach_mm, reach_rad, doubted):
     """To 650 mm/s and 6 m/s^2 where 1.5 are set: lost until that is known, and no more."""
     path = moving(hertz, reach_mm, reach_rad)
     scene = RAVEN, lambda t: [(RAVEN, path(t))], CAMERAS, 100
@@ -209,13 +211,13 @@ def test_a_body_that_moves_more_wildly_than_is_set_is_followed(hertz, reach_mm, 
     assert np.mean(inside) >= 0.9
 
 
-def test_a_camera_that_was_moved_is_not_hidden_by_a_body_that_moves_wildly():
+def test_fast_motion_does_not_hide_a_moved_camera():
     """What motion explains of one camera it does not explain while cameras contradict others."""
     path, turn = moving(3.0, 20.0, 0.05), np.radians([0.0, 0.2, 0.0])
     there = CAMERAS["cam1"].world_from_camera
     knocked = moved(CAMERAS["cam1"], there.perturb([0, 0, 0, *there.rotate(turn)]))
     scene = RAVEN, lambda t: [(RAVEN, path(t))], {**CAMERAS, "cam1": knocked}, 100
-    measured, _, _ = run(*scene, phases=PHASES, smoothing=True, sd_px=0.03, believed=CAMERAS)
+    measured, _, _ = run(*scene, phases=PHASES, smoothing=True, sd_px=0.03, assumed=CAMERAS)
     assert sum(m.status is Status.OK for m in measured) <= 3
 
 

@@ -141,8 +141,8 @@ def test_a_camera_upside_down_is_named():
     c = CAMERAS["cam2"]
     pose = c.world_from_camera
     rolled = RigidTransform(pose.rotation @ np.diag([-1.0, -1, 1]), pose.translation)
-    believed = {**CAMERAS, "cam2": Camera("cam2", c.intrinsics, rolled)}
-    measured, _, _ = run(RAVEN, one_body(), CAMERAS, 6, believed=believed, start_s=1.0)
+    assumed = {**CAMERAS, "cam2": Camera("cam2", c.intrinsics, rolled)}
+    measured, _, _ = run(RAVEN, one_body(), CAMERAS, 6, assumed=assumed, start_s=1.0)
     for m in measured:
         if m.pose is not None:
             assert any("cam2" in flag for flag in m.pose.flags)
@@ -152,11 +152,11 @@ def test_a_camera_upside_down_is_named():
 @pytest.mark.parametrize("pair", [("cam0", "cam1"), ("cam0", "cam2"), ("cam1", "cam3")])
 def test_swapped_calibrations_are_never_a_confident_wrong_pose(pair):
     a, b = pair
-    believed = dict(CAMERAS)
+    assumed = dict(CAMERAS)
     for here, there in ((a, b), (b, a)):
-        believed[here] = Camera(here, CAMERAS[there].intrinsics, CAMERAS[there].world_from_camera)
+        assumed[here] = Camera(here, CAMERAS[there].intrinsics, CAMERAS[there].world_from_camera)
     for start_s in (0.0, 1.0, 2.0):
-        measured, _, _ = run(RAVEN, one_body(), CAMERAS, 6, believed=believed, start_s=start_s)
+        measured, _, _ = run(RAVEN, one_body(), CAMERAS, 6, assumed=assumed, start_s=start_s)
         for m in measured:
             assert m.pose is None or m.pose.flags
 
@@ -183,7 +183,7 @@ def test_a_long_pause_starts_a_new_search():
         ((0.1, 0.1, 0.1, 0.01, 0.01, 2.0), False),
     ],
 )
-def test_a_body_known_less_well_than_a_ball_is_large_is_searched_again(sd, followed):
+def test_a_pose_less_certain_than_a_ball_is_searched_again(sd, followed):
     """Windows as large as the picture would be followed from one wrong ball to the next."""
     measured, _, tracker = run(RAVEN, one_body(), CAMERAS, 5)
     last = measured[-1]

@@ -11,7 +11,7 @@ import pytest
 from measure.geometry import RigidTransform
 from measure.measuring import Status
 from measure.measuring.association import associate
-from measure.measuring.association.scoring import fitting_ranges, on_balls
+from measure.measuring.association.scoring import lie_on_balls, possible_distances
 from measure.model import Rig
 from tests.hidden_scenes import balls_of, lone_balls, seen, two_bodies
 from tests.scenes import RAVEN, TARGET, a_pose, ring
@@ -51,7 +51,7 @@ def measured_which(found, first, second):
 
 
 @pytest.mark.parametrize(("count", "most_blobs"), [(2, 5), (3, 6), (4, 16)])
-def test_the_wrong_one_of_two_is_never_measured_without_doubt(count, most_blobs):
+def test_the_wrong_one_of_two_is_always_flagged(count, most_blobs):
     cameras = some_cameras(count)
     outcomes = Counter()
     for seed in range(120):
@@ -62,7 +62,7 @@ def test_the_wrong_one_of_two_is_never_measured_without_doubt(count, most_blobs)
         found = associate(RAVEN, list(cameras.values()), detections)
         if found.world_from_body is not None:
             which = measured_which(found, first, second)
-            outcomes[which, min(left, 1), bool(found.doubts)] += 1
+            outcomes[which, min(left, 1), bool(found.flags)] += 1
     assert outcomes["second", 1, True] >= 5
     assert outcomes["second", 1, False] == 0
     assert not any(which == "neither" for which, _, _ in outcomes)
@@ -72,7 +72,7 @@ def test_the_wrong_one_of_two_is_never_measured_without_doubt(count, most_blobs)
 
 @pytest.mark.parametrize("count", [2, 3, 4])
 def test_lone_balls_of_the_same_colours_are_no_second_body(count):
-    cameras, doubts = some_cameras(count), 0
+    cameras, flags = some_cameras(count), 0
     for seed in range(60):
         rng = np.random.default_rng([seed, count, 1])
         truth = a_pose(rng, 25, 60)
@@ -80,11 +80,11 @@ def test_lone_balls_of_the_same_colours_are_no_second_body(count):
         found = associate(RAVEN, list(cameras.values()), detections)
         assert found.reason == ""
         assert measured_which(found, truth, truth) == "first"
-        doubts += bool(found.doubts)
-    assert doubts <= 10  # two that are as far apart as in the body, by chance
+        flags += bool(found.flags)
+    assert flags <= 10  # two that are as far apart as in the body, by chance
 
 
-def test_the_doubt_stays_as_long_as_the_body_is_followed():
+def test_the_flag_stays_while_the_body_is_tracked():
     first = RigidTransform.from_rotvec([0, 0, 0.2], TARGET + np.array([-30.0, 0, 10]))
     second = RigidTransform.from_rotvec([0.1, 0.2, 1.2], TARGET + np.array([60.0, 30, -10]))
     rng = np.random.default_rng(0)
@@ -99,7 +99,7 @@ def test_the_doubt_stays_as_long_as_the_body_is_followed():
     kept = {name: [d for d in some if not hide(d)] for name, some in both.items()}
     found = associate(RAVEN, list(CAMERAS.values()), kept)
     assert measured_which(found, first, second) == "second"
-    assert "second body near" in found.doubts[0]
+    assert "second body near" in found.flags[0]
 
     world = lambda t: [(RAVEN, first), (RAVEN, second)]
     measured, _, _ = run(RAVEN, world, CAMERAS, 6, hide_one=hide)
@@ -121,7 +121,7 @@ def test_a_body_found_where_it_cannot_have_moved_is_flagged(gap_s, flagged):
 
 
 @pytest.mark.parametrize("apart", [20.0, 60.0, 150.0])
-def test_what_may_be_as_far_apart_as_two_balls(apart):
+def test_possible_separations_equal_brute_force(apart):
     """Against every place of one with every place of the other: no pair is left out too early."""
     rng = np.random.default_rng(3)
     middles, toward = rng.uniform(-100, 100, (2, 30, 1, 3))
@@ -131,11 +131,11 @@ def test_what_may_be_as_far_apart_as_two_balls(apart):
     near, far = distances.min(axis=(2, 3)), distances.max(axis=(2, 3))
     expected = (near < apart + 1) & (apart < far + 1)
     assert 0 < np.count_nonzero(expected) < expected.size
-    assert np.array_equal(fitting_ranges(a, b, apart, 1.0), expected)
+    assert np.array_equal(possible_distances(a, b, apart, 1.0), expected)
 
 
-@pytest.mark.parametrize(("sd_px", "doubted"), [(0.3, True), (2.0, False)])
-def test_two_balls_of_one_camera_are_a_sign_if_their_sizes_are_known(sd_px, doubted):
+@pytest.mark.parametrize(("sd_px", "flagged"), [(0.3, True), (2.0, False)])
+def test_two_balls_in_one_camera_are_evidence_if_well_seen(sd_px, flagged):
     """Half-hidden outlines do not tell how far away they are; two of them mean nothing."""
     rng = np.random.default_rng(5)
     first = a_pose(rng, 25, 60)
@@ -155,15 +155,15 @@ def test_two_balls_of_one_camera_are_a_sign_if_their_sizes_are_known(sd_px, doub
     ]
     found = associate(RAVEN, list(CAMERAS.values()), {**detections, name: detections[name] + exact})
     assert measured_which(found, first, second) == "first"
-    assert bool(found.doubts) == doubted
+    assert bool(found.flags) == flagged
 
 
-def test_candidates_lie_on_balls_within_their_outlines_only():
+def test_candidates_lie_lie_on_balls_within_their_outlines_only():
     (camera,) = ring(1).values()
     rig, centers = Rig.of([camera]), TARGET + np.array([[0.0, 0.0, 0.0], [120.0, 0.0, 0.0]])
     radii_off, sideways = np.array([0.0, 0.7, 0.9]), camera.world_from_camera.rotation[:, 0]
     places = centers[1] + 20.0 * radii_off[:, None] * sideways
-    own = on_balls(
+    own = lie_on_balls(
         centers,
         np.full(2, 20.0),
         rig.rows,

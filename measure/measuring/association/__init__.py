@@ -1,7 +1,10 @@
-"""Which candidate is which ball: the body found among candidates of all cameras, by geometry."""
+"""Association: which candidates are the body's balls, by geometry."""
 
-from measure.measuring.association.associate import Association, associate
-from measure.measuring.association.settings import AssociationSettings
-from measure.measuring.association.warm_up import warm_up
+from measure.measuring.association.associate import (
+    Association,
+    AssociationSettings,
+    associate,
+    warm_up,
+)
 
 __all__ = ["Association", "AssociationSettings", "associate", "warm_up"]

@@ -1,12 +1,14 @@
-"""Finding the body among the candidates of all cameras, or saying why it cannot be told.
+"""Association: the body among candidates of all cameras, or the reason why it is not determined.
 
-Rays of two cameras that meet at the distance the outlines' sizes tell make possible ball centres;
-three of them as far apart as in the body make a pose; the pose that most candidates agree with is
-the body, unless another, different pose is about as good: then nobody can tell.
+Rays of two cameras that intersect at the distance that the outlines' sizes imply give possible ball
+centres; three of them as far apart as in the body give a pose. The pose with the highest score is
+the body, unless a different pose scores nearly as high: then the result is ambiguous.
 """
 
 from __future__ import annotations
 
+import contextlib
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -16,27 +18,73 @@ from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
 from measure.estimation.pose_fit import Sightings, fit_pose
 from measure.geometry import RigidTransform
-from measure.measuring.association.candidates import Candidates, by_ball, meeting_points
+from measure.host.settings import Settings, setting
+from measure.measuring.association.candidates import (
+    BallPoints,
+    Candidates,
+    by_ball,
+    intersect_rays,
+)
 from measure.measuring.association.hypotheses import (
-    Support,
-    explained,
+    PoseScores,
+    lie_on_body,
     poses_from_pairs,
     poses_from_triples,
+    score_poses,
     stack_candidates,
-    support,
 )
-from measure.measuring.association.scoring import CandidateRows
-from measure.measuring.association.second_body import signs_of_another
-from measure.measuring.association.settings import AssociationSettings
-from measure.model import Body, Camera, Detection
+from measure.measuring.association.scoring import CandidateRows, possible_distances
+from measure.measuring.association.second_body import second_body_flags
+from measure.model import Body, Camera, Detection, Rig
 
-_ROUNDS = 2
-_WELL_SEEN = 0.5
-_SIZE_SD = 0.03
-_MOST_MISFIT = 25.0
-"""One outline alone may decide, but not beyond five standard deviations."""
-_TOLERANCE = 1e-3
-"""Steps, in mm and rad, that no longer change who agrees."""
+_MAX_ITERATIONS = 2
+_MAX_FINALISTS = 6
+_MIN_SCORE = 0.5
+"""Score of a detection whose outline's size is used."""
+_RELATIVE_RADIUS_SD = 0.03
+_MAX_SQUARED_DEVIATION = 25.0
+"""Limit of one outline's squared radius error, in standard deviations: five of them."""
+_CONVERGED = 1e-3
+"""Steps, in mm and rad, that no longer change which candidates agree."""
+_TWIN_SHARE = 0.5
+"""Share of common candidates from which a rival pose is a twin of the best one."""
+
+
+class AssociationSettings(Settings):
+    """When candidates of several cameras count as one body."""
+
+    sigmas: float = setting(
+        3.5, "Candidates agree with a pose within this many standard deviations.", gt=0
+    )
+    extra_px: float = setting(
+        1.5, "Added to every candidate's standard deviation in quadrature.", unit="px", ge=0
+    )
+    range_ratio: float = setting(
+        1.4, "Largest error, as a factor, of the distance that an outline's size implies.", gt=1
+    )
+    min_views: int = setting(5, "Least number of balls found, counted in every camera.", ge=4)
+    min_share: float = setting(
+        0.4,
+        "Least share of the balls in view, counted in every camera, that must be found.",
+        ge=0,
+        le=1,
+    )
+    rival_score: float = setting(
+        0.5,
+        "Another pose whose score is this share of the best one's makes the result ambiguous.",
+        gt=0,
+        le=1,
+    )
+    twin_score: float = setting(
+        0.9,
+        "The same for a pose that rests mostly on the same candidates, as a mirror image does.",
+        gt=0,
+        le=1,
+    )
+    rival_mm: float = setting(
+        8.0, "Poses count as different if some ball is this far apart.", unit="mm", gt=0
+    )
+    max_points: int = setting(40, "Most possible centres kept per ball.", ge=3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +97,7 @@ class Association:
         detections: the chosen candidates, at most one per ball and camera.
         rms_px: RMS distance of the chosen candidates from the pose.
         reason: why there is no pose, in words; empty if there is one.
-        doubts: what makes the pose one to doubt, in words.
+        flags: of the pose, in words.
     """
 
     world_from_body: RigidTransform | None
@@ -57,12 +105,12 @@ class Association:
     detections: tuple[Detection, ...] = ()
     rms_px: float = float("nan")
     reason: str = ""
-    doubts: tuple[str, ...] = ()
+    flags: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
-class _Search:
-    """What every step of one search needs."""
+class _AssociationProblem:
+    """The inputs of one association."""
 
     body: Body
     cameras: Sequence[Camera]
@@ -70,10 +118,10 @@ class _Search:
     stacked: CandidateRows
     settings: AssociationSettings
 
-    def support(self, poses: RigidTransform) -> Support:
-        return support(poses, self.body, self.cameras, self.stacked, self.settings.range_ratio)
+    def score(self, poses: RigidTransform) -> PoseScores:
+        return score_poses(poses, self.body, self.cameras, self.stacked, self.settings.range_ratio)
 
-    def chosen(self, agreeing: Support, row: int) -> list[Detection]:
+    def chosen(self, agreeing: PoseScores, row: int) -> list[Detection]:
         return [
             self.candidates[ball].detections[index]
             for ball, by_camera in enumerate(agreeing.chosen[row])
@@ -99,106 +147,109 @@ def associate(
     settings = settings or AssociationSettings()
     candidates = by_ball(detections, body.balls, cameras)
     stacked = stack_candidates(candidates, settings.sigmas, settings.extra_px)
-    search = _Search(body, cameras, candidates, stacked, settings)
-    points = [
-        meeting_points(c, settings.sigmas, settings.range_ratio, settings.max_points)
-        for c in candidates
-    ]
+    problem = _AssociationProblem(body, cameras, candidates, stacked, settings)
+    points = [_ball_points(c, settings) for c in candidates]
     for propose in (poses_from_triples, poses_from_pairs):
-        found = _best(search, propose(body, points, settings.sigmas))
+        found = _best(problem, propose(body, points, settings.sigmas))
         if found is None:
             continue
         if found.world_from_body is None:
             return found
-        doubts = signs_of_another(found.world_from_body, body, cameras, candidates, settings.sigmas)
-        return replace(found, doubts=doubts)
-    return Association(None, reason=_why_none(body, candidates, [len(p.points) for p in points]))
+        flags = second_body_flags(found.world_from_body, body, cameras, candidates, settings.sigmas)
+        return replace(found, flags=flags)
+    return Association(None, reason=_why_none(body, candidates, points))
 
 
-def _best(search: _Search, poses: RigidTransform) -> Association | None:
-    """The accepted pose, or the statement that there are two; None if none is acceptable."""
+def _best(problem: _AssociationProblem, poses: RigidTransform) -> Association | None:
+    """The accepted pose, or an ambiguous result without one; None if none is acceptable."""
     if not len(poses.translation):
         return None
-    rough = search.support(poses)
+    rough = problem.score(poses)
     order = np.argsort(-rough.score, kind="stable")
     finalists: list[tuple[float, Association]] = []
-    for row in _different(search, poses, rough, order.tolist()):
-        refined = _refined(search, poses[int(row)], rough, int(row))
-        if refined is not None and _is_new(search, refined[1], finalists):
+    for row in _different(problem, poses, rough, order.tolist()):
+        refined = _refined(problem, poses[row], rough, row)
+        if refined is not None and _is_new(problem, refined[1], finalists):
             finalists.append(refined)
     if not finalists:
         return None
     if len(finalists) > 1:
-        finalists.sort(key=lambda item: _size_misfit(search, item[1]) / _MOST_MISFIT - item[0])
+        finalists.sort(
+            key=lambda item: _radius_deviation(problem, item[1]) / _MAX_SQUARED_DEVIATION - item[0]
+        )
     best_score, best = finalists[0]
     for score, rival in finalists[1:]:
-        twin = _share_in_common(search, rival, best) > 0.5
-        least = search.settings.twin_score if twin else search.settings.rival_score
-        if score >= least * best_score and not (twin and _sizes_decide(search, best, rival)):
+        twin = _common_share(problem, rival, best) > _TWIN_SHARE
+        least = problem.settings.twin_score if twin else problem.settings.rival_score
+        if score >= least * best_score and not (twin and _sizes_decide(problem, best, rival)):
             return Association(None, reason=_ambiguous(best, rival))
     return best
 
 
-def _sizes_decide(search: _Search, best: Association, rival: Association) -> bool:
-    """Whether the outlines' sizes, as distances, contradict the rival and not the best."""
-    return _size_misfit(search, rival) > _size_misfit(search, best) + search.settings.sigmas**2
+def _sizes_decide(problem: _AssociationProblem, best: Association, rival: Association) -> bool:
+    """Whether the outlines' radii contradict the rival pose clearly more than the best one."""
+    return (
+        _radius_deviation(problem, rival)
+        > _radius_deviation(problem, best) + problem.settings.sigmas**2
+    )
 
 
-def _size_misfit(search: _Search, found: Association) -> float:
+def _radius_deviation(problem: _AssociationProblem, found: Association) -> float:
     """Sum of squared relative errors of the outlines' radii, in standard deviations."""
     assert found.world_from_body is not None
-    cameras = {camera.name: camera for camera in search.cameras}
+    cameras = {camera.name: camera for camera in problem.cameras}
     total = 0.0
     for d in found.detections:
-        if d.score < _WELL_SEEN:
+        if d.score < _MIN_SCORE:
             continue
-        ball = search.body.balls[search.body.index(d.ball)]
+        ball = problem.body.balls[problem.body.index(d.ball)]
         away = found.world_from_body.apply(ball.center_mm) - cameras[d.camera].center
         tangent = np.sqrt(max(float(away @ away) - ball.radius_mm**2, 1.0))
         expected = cameras[d.camera].intrinsics.focal_px * ball.radius_mm / tangent
-        sd = np.hypot(_SIZE_SD, np.sqrt(d.variance_px2) / expected)
-        total += min(float(np.log(d.radius_px / expected) / sd) ** 2, _MOST_MISFIT)
+        sd = np.hypot(_RELATIVE_RADIUS_SD, np.sqrt(d.variance_px2) / expected)
+        total += min(float(np.log(d.radius_px / expected) / sd) ** 2, _MAX_SQUARED_DEVIATION)
     return total
 
 
-def _share_in_common(search: _Search, rival: Association, best: Association) -> float:
-    """How much of what a rival rests on lies on the best pose's balls as well."""
+def _common_share(problem: _AssociationProblem, rival: Association, best: Association) -> float:
+    """Share of a rival's candidates that lie on balls of the best pose as well."""
     assert best.world_from_body is not None
-    names = [camera.name for camera in search.cameras]
+    names = [camera.name for camera in problem.cameras]
     seen_by = np.array([names.index(d.camera) for d in rival.detections])
     pixels = np.stack([d.center_px for d in rival.detections])
-    own = explained(best.world_from_body, search.body, search.cameras, seen_by, pixels)
+    own = lie_on_body(best.world_from_body, problem.body, problem.cameras, seen_by, pixels)
     return float(np.mean(own))
 
 
-def _different(search: _Search, poses: RigidTransform, rough: Support, order: Floats) -> list[int]:
-    """The best few poses that differ from each other, of those that enough candidates back."""
-    centers = search.body.centers @ np.swapaxes(poses.rotation, 1, 2) + poses.translation[:, None]
-    least = max(search.settings.min_views, 0)
+def _different(
+    problem: _AssociationProblem, poses: RigidTransform, rough: PoseScores, order: Sequence[int]
+) -> list[int]:
+    """The best poses, as rows, that differ from each other and have enough candidates."""
+    centers = problem.body.centers @ np.swapaxes(poses.rotation, 1, 2) + poses.translation[:, None]
     kept: list[int] = []
-    count = rough.count
-    floor = 0.5 * search.settings.rival_score * float(np.max(rough.score))
+    floor = 0.5 * problem.settings.rival_score * float(np.max(rough.score))
+    enough = (rough.count >= problem.settings.min_views) & (rough.score >= floor)
     for row in order:
-        if count[row] < least or rough.score[row] < floor:
+        if not enough[row]:
             continue
         apart = [np.max(np.linalg.norm(centers[row] - centers[k], axis=1)) for k in kept]
-        if not apart or min(apart) > search.settings.rival_mm:
-            kept.append(int(row))
-        if len(kept) == 6:
+        if not apart or min(apart) > problem.settings.rival_mm:
+            kept.append(row)
+        if len(kept) == _MAX_FINALISTS:
             break
     return kept
 
 
 def _refined(
-    search: _Search, pose: RigidTransform, agreeing: Support, row: int
+    problem: _AssociationProblem, pose: RigidTransform, agreeing: PoseScores, row: int
 ) -> tuple[float, Association] | None:
-    """Fit the pose to its candidates, look again who agrees, and accept it or not."""
-    settings = search.settings
-    by_name = {camera.name: camera for camera in search.cameras}
+    """Alternate fitting the pose and choosing the agreeing candidates; None if not acceptable."""
+    settings = problem.settings
+    by_name = {camera.name: camera for camera in problem.cameras}
     covariance = np.eye(6)
     before: list[Detection] = []
-    for _ in range(_ROUNDS):
-        chosen = search.chosen(agreeing, row)
+    for _ in range(_MAX_ITERATIONS):
+        chosen = problem.chosen(agreeing, row)
         if len(chosen) < settings.min_views:
             return None
         if [id(d) for d in chosen] == [id(d) for d in before]:
@@ -206,13 +257,13 @@ def _refined(
         before = chosen
         time_s = sum(d.time_s for d in chosen) / len(chosen)
         try:
-            seen = Sightings.of(chosen, search.body, by_name, time_s, settings.extra_px)
-            fit = fit_pose(pose, seen, tolerance=_TOLERANCE)
+            seen = Sightings.of(chosen, problem.body, by_name, time_s, settings.extra_px)
+            fit = fit_pose(pose, seen, tolerance=_CONVERGED)
         except DegenerateGeometryError:
             return None
         pose, covariance, row = fit.world_from_body, fit.covariance, 0
-        agreeing = search.support(RigidTransform(pose.rotation[None], pose.translation[None]))
-    chosen = search.chosen(agreeing, 0)
+        agreeing = problem.score(RigidTransform(pose.rotation[None], pose.translation[None]))
+    chosen = problem.chosen(agreeing, 0)
     enough = len(chosen) >= settings.min_views
     share = len(chosen) / max(1, int(agreeing.expected[0]))
     if not enough or share < settings.min_share or not _determined(chosen):
@@ -222,22 +273,21 @@ def _refined(
 
 
 def _determined(chosen: Sequence[Detection]) -> bool:
-    """At least three balls, and at least two of them in two cameras."""
-    count: dict[str, int] = {}
-    for detection in chosen:
-        count[detection.ball] = count.get(detection.ball, 0) + 1
+    """Whether three or more balls are seen, at least two of them by two cameras."""
+    count = Counter(detection.ball for detection in chosen)
     return len(count) >= 3 and sum(n >= 2 for n in count.values()) >= 2
 
 
 def _is_new(
-    search: _Search, found: Association, others: Sequence[tuple[float, Association]]
+    problem: _AssociationProblem, found: Association, others: Sequence[tuple[float, Association]]
 ) -> bool:
+    """Whether a pose differs from all others."""
     assert found.world_from_body is not None
-    mine = found.world_from_body.apply(search.body.centers)
+    mine = found.world_from_body.apply(problem.body.centers)
     for _, other in others:
         assert other.world_from_body is not None
-        theirs = other.world_from_body.apply(search.body.centers)
-        if np.max(np.linalg.norm(mine - theirs, axis=1)) < search.settings.rival_mm:
+        theirs = other.world_from_body.apply(problem.body.centers)
+        if np.max(np.linalg.norm(mine - theirs, axis=1)) < problem.settings.rival_mm:
             return False
     return True
 
@@ -253,13 +303,14 @@ def _ambiguous(best: Association, rival: Association) -> str:
     return f"two bodies fit equally well, at {places[0]} and {places[1]}: take one out of view"
 
 
-def _why_none(body: Body, candidates: Sequence[Candidates], meeting: Sequence[int]) -> str:
+def _why_none(body: Body, candidates: Sequence[Candidates], points: Sequence[BallPoints]) -> str:
+    """The reason why there is no pose hypothesis."""
     unseen = [b.name for b, c in zip(body.balls, candidates, strict=True) if not len(c)]
     if len(unseen) == len(body.balls):
         return "no ball in view of any camera"
     if len(body.balls) - len(unseen) < 3:
         return f"too few balls in view: no candidate for {', '.join(unseen)}"
-    apart = [b.name for b, n in zip(body.balls, meeting, strict=True) if not n]
+    apart = [b.name for b, p in zip(body.balls, points, strict=True) if not len(p.points)]
     if len(body.balls) - len(apart) < 2:
         return (
             f"no two cameras agree on where {', '.join(apart)} "
@@ -267,3 +318,26 @@ def _why_none(body: Body, candidates: Sequence[Candidates], meeting: Sequence[in
             "and the radii in the body file"
         )
     return "no three candidates are as far apart as the body's balls"
+
+
+def warm_up(body: Body, cameras: Sequence[Camera]) -> None:
+    """Compile the loops of a search, or load them, by running them on no candidates at all."""
+    settings = AssociationSettings()
+    candidates = by_ball({}, body.balls, cameras)
+    points = [_ball_points(c, settings) for c in candidates]
+    poses_from_triples(body, points, settings.sigmas)
+    nowhere = RigidTransform(np.zeros((0, 3, 3)), np.zeros((0, 3)))
+    stacked = stack_candidates(candidates, settings.sigmas, settings.extra_px)
+    score_poses(nowhere, body, cameras, stacked, settings.range_ratio)
+    second_body_flags(RigidTransform.identity(), body, cameras, candidates, settings.sigmas)
+    possible_distances(np.zeros((0, 1, 3)), np.zeros((0, 1, 3)), 1.0, 1.0)
+    one = np.zeros(1, np.int64)
+    seen = Sightings(
+        Rig.of(cameras[:1]), np.zeros((1, 3)), one, np.zeros((1, 2)), np.eye(2)[None], np.zeros(1)
+    )
+    with contextlib.suppress(DegenerateGeometryError):
+        fit_pose(RigidTransform.identity(), seen)
+
+
+def _ball_points(candidates: Candidates, settings: AssociationSettings) -> BallPoints:
+    return intersect_rays(candidates, settings.sigmas, settings.range_ratio, settings.max_points)

@@ -1,4 +1,4 @@
-"""Where candidates of one ball in two or more cameras meet in space."""
+"""Candidates of all cameras as rays, and the points where those of one ball intersect."""
 
 from __future__ import annotations
 
@@ -13,6 +13,29 @@ from measure.compiling import compiled
 from measure.model import Ball, Camera, Detection, Rig
 from measure.model.rig_kernels import ray_rows
 
+_MIN_GATE_MM = 1.0
+"""Rays that pass this close always intersect: cameras are not quite simultaneous."""
+_MIN_SQUARED_SINE = 1e-3
+"""Of the angle between two rays."""
+
+
+class CandidateRays(NamedTuple):
+    """Rays of n candidates.
+
+    Attributes:
+        cameras: (n,) index of the camera.
+        origins: (n, 3) in the world, mm.
+        directions: (n, 3) in the world.
+        range_mm: (n,) distance that the outline's radius implies.
+        angle_sd: (n,) standard deviation of the ray's angle, rad.
+    """
+
+    cameras: Ints
+    origins: Floats
+    directions: Floats
+    range_mm: Floats
+    angle_sd: Floats
+
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
@@ -20,38 +43,26 @@ class Candidates:
 
     Attributes:
         detections: the n candidates.
-        cameras: (n,) index of the camera.
         pixels: (n, 2).
         sd_px: (n,) standard deviation of a coordinate.
-        origins: (n, 3) and
-        directions: (n, 3) of the rays in the world.
-        range_mm: (n,) distance that the outline's radius tells.
-        angle_sd: (n,) standard deviation of the ray's angle, rad.
+        rays: of the candidates.
     """
 
     detections: tuple[Detection, ...]
-    cameras: Ints
     pixels: Floats
     sd_px: Floats
-    origins: Floats
-    directions: Floats
-    range_mm: Floats
-    angle_sd: Floats
+    rays: CandidateRays
 
     def __len__(self) -> int:
-        return len(self.cameras)
+        return len(self.detections)
 
     def rows(self, index: Ints) -> Candidates:
         """Some of them."""
         return Candidates(
             tuple([self.detections[k] for k in index.tolist()]),
-            self.cameras[index],
             self.pixels[index],
             self.sd_px[index],
-            self.origins[index],
-            self.directions[index],
-            self.range_mm[index],
-            self.angle_sd[index],
+            CandidateRays._make(column[index] for column in self.rays),
         )
 
 
@@ -70,21 +81,19 @@ class BallPoints:
     support: Ints
 
 
-def meeting_points(
-    candidates: Candidates, sigmas: float, range_ratio: float, most: int
+def intersect_rays(
+    candidates: Candidates, sigmas: float, range_ratio: float, max_points: int
 ) -> BallPoints:
-    """Points where rays of two or more cameras meet, as far away as the outlines' sizes say.
+    """Points where rays of two or more cameras intersect, at distances that fit outlines' sizes.
 
     Args:
         candidates: of one ball.
-        sigmas: rays meet if they pass within this many standard deviations.
-        range_ratio: how far the outline's size may mislead about the distance, as a factor.
-        most: keep this many, those that most cameras see.
+        sigmas: rays intersect if they pass within this many standard deviations.
+        range_ratio: largest error, as a factor, of the distance that an outline's size implies.
+        max_points: keep this many, those that most cameras see.
     """
-    c = candidates
-    lines = Sightlines(c.cameras, c.origins, c.directions, c.range_mm, c.angle_sd)
-    points, sd, support = meeting_centers(lines, sigmas, range_ratio)
-    order = np.argsort(-support, kind="stable")[:most]
+    points, sd, support = intersections(candidates.rays, sigmas, range_ratio)
+    order = np.argsort(-support, kind="stable")[:max_points]
     return BallPoints(points[order], sd[order], support[order])
 
 
@@ -115,54 +124,29 @@ def _candidates(
     pixels = np.array([d.center_px for d in detections]).reshape(-1, 2)
     views = rig.take(cameras)
     focal = views.focal_px
-    return Candidates(
-        detections,
+    rays = CandidateRays(
         cameras,
-        pixels,
-        sd,
         views.centers,
         ray_rows(pixels, views.rows),
         radius_mm * np.sqrt(1 + (focal / radius_px) ** 2),
         sd / focal,
     )
-
-
-_FLOOR_MM = 1.0
-"""Rays that pass this close always meet: cameras are not quite simultaneous."""
-_LEAST_SINE2 = 1e-3
-
-
-class Sightlines(NamedTuple):
-    """What n candidates say about where their balls are.
-
-    Attributes:
-        cameras: (n,) index of the camera.
-        origins: (n, 3) of the rays, mm.
-        directions: (n, 3) of the rays.
-        range_mm: (n,) distance that the outline's radius tells.
-        angle_sd: (n,) standard deviation of the ray's angle, rad.
-    """
-
-    cameras: Ints
-    origins: Floats
-    directions: Floats
-    range_mm: Floats
-    angle_sd: Floats
+    return Candidates(detections, pixels, sd, rays)
 
 
 @compiled
-def meetings(lines: Sightlines, sigmas: float, range_ratio: float) -> Bools:
-    """Which of n candidates see a common point, for every two whose rays meet.
+def consistent_sets(rays: CandidateRays, sigmas: float, range_ratio: float) -> Bools:
+    """Sets of the n candidates that see a common point, from every two whose rays intersect.
 
     Args:
-        lines: the candidates.
-        sigmas: rays meet if they pass within this many standard deviations.
-        range_ratio: how far the outline's size may mislead about the distance, as a factor.
+        rays: of the candidates.
+        sigmas: see `intersect_rays`.
+        range_ratio: see `intersect_rays`.
 
     Returns:
         (k, n), each row different from the others, at most one candidate of a camera in each.
     """
-    cameras, origins, directions, range_mm, angle_sd = lines
+    cameras, origins, directions, range_mm, angle_sd = rays
     n = len(cameras)
     member, count = np.zeros((n * n, n), np.bool_), 0
     point = np.empty(3)
@@ -171,7 +155,7 @@ def meetings(lines: Sightlines, sigmas: float, range_ratio: float) -> Bools:
             if cameras[i] >= cameras[j]:
                 continue
             s, t, sine2 = _feet(origins[i], directions[i], origins[j], directions[j])
-            if not (sine2 > _LEAST_SINE2 and s > 0 and t > 0):
+            if not (sine2 > _MIN_SQUARED_SINE and s > 0 and t > 0):
                 continue
             gap = 0.0
             for a in range(3):
@@ -179,13 +163,13 @@ def meetings(lines: Sightlines, sigmas: float, range_ratio: float) -> Bools:
                 other = origins[j, a] + t * directions[j, a]
                 gap += (one - other) ** 2
                 point[a] = (one + other) / 2
-            limit = sigmas * np.hypot(s * angle_sd[i], t * angle_sd[j]) + _FLOOR_MM
+            limit = sigmas * np.hypot(s * angle_sd[i], t * angle_sd[j]) + _MIN_GATE_MM
             fits = _in_range(s, range_mm[i], range_ratio) and _in_range(t, range_mm[j], range_ratio)
             if not (np.sqrt(gap) < limit and fits):
                 continue
             row = member[count]
             row[:] = False
-            _witnesses(point, lines, sigmas, range_ratio, row)
+            _mark_consistent(point, rays, sigmas, range_ratio, row)
             row[i] = row[j] = True
             count += _is_new(member, count)
     return member[:count]
@@ -193,27 +177,27 @@ def meetings(lines: Sightlines, sigmas: float, range_ratio: float) -> Bools:
 
 @compiled
 def _feet(o1: Floats, d1: Floats, o2: Floats, d2: Floats) -> tuple[float, float, float]:
-    """How far along two rays their common perpendicular stands; squared sine of their angle."""
-    cosine, along1, along2 = 0.0, 0.0, 0.0
+    """Distances along two rays to their common perpendicular; squared sine of their angle."""
+    cosine, depth1, depth2 = 0.0, 0.0, 0.0
     for a in range(3):
         cosine += d1[a] * d2[a]
-        along1 += (o2[a] - o1[a]) * d1[a]
-        along2 += (o2[a] - o1[a]) * d2[a]
+        depth1 += (o2[a] - o1[a]) * d1[a]
+        depth2 += (o2[a] - o1[a]) * d2[a]
     sine2 = max(1 - cosine**2, 1e-12)
-    return (along1 - cosine * along2) / sine2, (cosine * along1 - along2) / sine2, sine2
+    return (depth1 - cosine * depth2) / sine2, (cosine * depth1 - depth2) / sine2, sine2
 
 
 @compiled
-def _in_range(distance: float, told: float, ratio: float) -> bool:
-    return distance < told * ratio and distance * ratio > told
+def _in_range(distance: float, expected: float, ratio: float) -> bool:
+    return distance < expected * ratio and distance * ratio > expected
 
 
 @compiled
-def _witnesses(
-    point: Floats, lines: Sightlines, sigmas: float, range_ratio: float, row: Bools
+def _mark_consistent(
+    point: Floats, rays: CandidateRays, sigmas: float, range_ratio: float, row: Bools
 ) -> None:
-    """Mark in `row` (n,) who sees a point (3,): at most one per camera, the nearest."""
-    cameras, origins, directions, range_mm, angle_sd = lines
+    """Mark in `row` (n,) the rays that pass a point (3,): of each camera at most the nearest."""
+    cameras, origins, directions, range_mm, angle_sd = rays
     n = len(cameras)
     nearest = np.full(np.max(cameras) + 1, 1.0)
     best = np.full(len(nearest), -1)
@@ -224,7 +208,7 @@ def _witnesses(
             continue
         dx, dy, dz = directions[k]
         off = np.sqrt((y * dz - z * dy) ** 2 + (z * dx - x * dz) ** 2 + (x * dy - y * dx) ** 2)
-        scaled = off / (sigmas * distance * angle_sd[k] + _FLOOR_MM)
+        scaled = off / (sigmas * distance * angle_sd[k] + _MIN_GATE_MM)
         if scaled < nearest[cameras[k]]:
             nearest[cameras[k]] = scaled
             best[cameras[k]] = k
@@ -236,29 +220,29 @@ def _witnesses(
 @compiled
 def _is_new(member: Bools, count: int) -> bool:
     """Whether row `count` differs from all rows above it."""
-    alike = 0
+    equal = 0
     for k in range(count):
-        alike += int(np.all(member[k] == member[count]))
-    return alike == 0
+        equal += int(np.all(member[k] == member[count]))
+    return equal == 0
 
 
 @compiled
-def meeting_centers(
-    lines: Sightlines, sigmas: float, range_ratio: float
+def intersections(
+    rays: CandidateRays, sigmas: float, range_ratio: float
 ) -> tuple[Floats, Floats, Ints]:
-    """Least squares on the rays of each set of candidates that see a common point.
+    """Least-squares points of each set of candidates whose rays intersect.
 
     Args:
-        lines: the candidates.
-        sigmas: see `meetings`.
-        range_ratio: see `meetings`.
+        rays: of the candidates.
+        sigmas: see `intersect_rays`.
+        range_ratio: see `intersect_rays`.
 
     Returns:
         Points (k, 3), their standard deviations (k,) in mm, and how many rays (k,).
     """
-    member = meetings(lines, sigmas, range_ratio)
-    origins, directions = lines.origins, lines.directions
-    sd_mm = lines.angle_sd * lines.range_mm  # at the distance where a ray meets others
+    member = consistent_sets(rays, sigmas, range_ratio)
+    origins, directions = rays.origins, rays.directions
+    sd_mm = rays.angle_sd * rays.range_mm
     m, n = member.shape
     points, sd, support = np.empty((m, 3)), np.empty(m), np.zeros(m, np.int64)
     normal, right = np.empty((3, 3)), np.empty(3)

@@ -1,4 +1,4 @@
-"""Poses that put the body's balls on possible ball centres, and how many candidates agree."""
+"""Pose hypotheses from possible ball centres, and their scores by the candidates that agree."""
 
 from __future__ import annotations
 
@@ -15,66 +15,68 @@ from measure.geometry import RigidTransform
 from measure.measuring.association.candidates import BallPoints, Candidates
 from measure.measuring.association.scoring import (
     CandidateRows,
-    agreeing,
-    fitting_pairs,
-    fitting_triples,
-    on_balls,
+    agreement,
+    lie_on_balls,
 )
 from measure.model import Body, Camera, Rig
 
-_MOST_POSES = 400
+_MAX_TRIPLES = 400
+_MAX_PAIRS = 20
 _SLACK_MM = 1.0
-_LINE_RATIO = 0.05
+_MIN_SPREAD_RATIO = 0.05
+"""Second to first singular value of three balls that are not on a line."""
 _ANGLES = 90
-_OWN_RADII = 0.8
-"""Candidates within this many radii of one of the body's balls belong to it, whatever their colour:
-a reflection, a double, a pink side of a magenta ball. Two balls are not in one place, and where one
-hides another, other cameras see both."""
+_INSIDE_RADII = 0.8
+"""Candidates within this many radii of a ball of the body belong to it, whatever their colour: a
+reflection, a duplicate, the pink side of a magenta ball. Where a ball hides another one, other
+cameras see both."""
 
 
 def poses_from_triples(body: Body, points: Sequence[BallPoints], sigmas: float) -> RigidTransform:
     """Poses (m) of every three balls whose possible centres are as far apart as in the body."""
     found = []
     for triple in _triples(body):
-        rows = _fitting_triples(body, points, triple, sigmas)
-        found.append(_aligned(_targets(points, triple, rows), body.centers[list(triple)]))
+        rows = _consistent_triples(body, points, triple, sigmas)
+        found.append(_aligned(_chosen_points(points, triple, rows), body.centers[list(triple)]))
     return _joined(found)
 
 
 def poses_from_pairs(body: Body, points: Sequence[BallPoints], sigmas: float) -> RigidTransform:
-    """Poses (m) of every two balls at the right distance, turned about their line in steps.
+    """Poses (m) of every two balls at the right distance, rotated about their line in steps.
 
-    For a body of which no third ball is seen by two cameras: one camera's view of it decides.
+    For a body of which no two cameras see a third ball: one camera's view of it decides.
     """
     found = []
     for pair in combinations(range(len(body.balls)), 2):
-        rows = _fitting_pairs(body, points, pair, sigmas)[:20]
-        found.append(_spun(_targets(points, pair, rows), body.centers[list(pair)]))
+        rows = _consistent_pairs(body, points, pair, sigmas)
+        found.append(
+            _rotated_about_line(_chosen_points(points, pair, rows), body.centers[list(pair)])
+        )
     return _joined(found)
 
 
 def stack_candidates(
     candidates: Sequence[Candidates], sigmas: float, extra_px: float
 ) -> CandidateRows:
-    """Stack the candidates of every ball, which may be `sigmas` of theirs off."""
+    """Stack the candidates of every ball, with gates of `sigmas` standard deviations."""
     sd_px = np.concatenate([c.sd_px for c in candidates])
     return CandidateRows(
         np.cumsum([0, *map(len, candidates)]),
-        np.concatenate([c.cameras for c in candidates]),
+        np.concatenate([c.rays.cameras for c in candidates]),
         np.concatenate([c.pixels for c in candidates]),
         sigmas * np.hypot(sd_px, extra_px),
-        np.concatenate([c.range_mm for c in candidates]),
+        np.concatenate([c.rays.range_mm for c in candidates]),
     )
 
 
 @dataclass(frozen=True, eq=False)
-class Support:
-    """Which candidates agree with m poses.
+class PoseScores:
+    """Agreement of candidates with m poses.
 
     Attributes:
         chosen: (m, balls, cameras) row of the agreeing candidate of that ball, or -1.
         expected: (m,) number of balls in view, over all cameras.
-        score: (m,) sum over agreeing candidates of one minus the squared share of the gate.
+        score: (m,) sum over agreeing candidates of 1 - (distance / gate)^2.
     """
 
     chosen: Ints
@@ -87,17 +89,17 @@ class Support:
         return np.asarray(np.sum(self.chosen >= 0, axis=(1, 2)), dtype=np.int64)
 
 
-def support(
+def score_poses(
     poses: RigidTransform,
     body: Body,
     cameras: Sequence[Camera],
     candidates: CandidateRows,
     range_ratio: float,
-) -> Support:
-    """Compare the balls of m poses, projected, with the candidates: in place and in size."""
+) -> PoseScores:
+    """Compare the balls of m poses, projected, with the candidates by place and size."""
     rig = Rig.of(cameras)
-    return Support(
-        *agreeing(
+    return PoseScores(
+        *agreement(
             np.ascontiguousarray(poses.rotation),
             np.ascontiguousarray(poses.translation),
             body.centers,
@@ -109,14 +111,14 @@ def support(
     )
 
 
-def explained(
+def lie_on_body(
     world_from_body: RigidTransform,
     body: Body,
     cameras: Sequence[Camera],
     seen_by: Ints,
     pixels: Floats,
 ) -> Bools:
-    """Which of n candidates (n,) lie on some ball of the body in its pose.
+    """Whether each of n candidates (n,) lies on some ball of the body in its pose.
 
     Args:
         world_from_body: the pose.
@@ -126,10 +128,10 @@ def explained(
         pixels: (n, 2).
     """
     centers = world_from_body.apply(body.centers)
-    return on_balls(centers, body.radii, Rig.of(cameras).rows, seen_by, pixels, _OWN_RADII)
+    return lie_on_balls(centers, body.radii, Rig.of(cameras).rows, seen_by, pixels, _INSIDE_RADII)
 
 
-def _targets(points: Sequence[BallPoints], balls: Sequence[int], rows: Ints) -> Floats:
+def _chosen_points(points: Sequence[BallPoints], balls: Sequence[int], rows: Ints) -> Floats:
     """Possible centres (m, balls, 3) of some balls, from their rows (m, balls) of `points`."""
     out = np.empty((*rows.shape, 3))
     for k, ball in enumerate(balls):
@@ -143,27 +145,34 @@ def _aligned(target: Floats, source: Floats) -> RigidTransform:
 
 
 def _misfits(body: Body, points: Sequence[BallPoints], i: int, j: int, sigmas: float) -> Floats:
+    """Deviation (n, m) of two balls' distances from the body's, as a multiple of its limit."""
     a, b = points[i], points[j]
-    distance = float(np.linalg.norm(body.centers[i] - body.centers[j]))
-    return fitting_pairs(a.points, a.sd_mm, b.points, b.sd_mm, distance, sigmas, _SLACK_MM)
+    expected_mm = np.linalg.norm(body.centers[i] - body.centers[j])
+    distances = np.linalg.norm(a.points[:, None] - b.points[None], axis=2)
+    limit = sigmas * np.hypot(a.sd_mm[:, None], b.sd_mm[None]) + _SLACK_MM
+    return np.asarray(np.abs(distances - expected_mm) / limit, dtype=np.float64)
 
 
-def _fitting_pairs(
+def _consistent_pairs(
     body: Body, points: Sequence[BallPoints], pair: tuple[int, int], sigmas: float
 ) -> Ints:
     """Rows of `points` (m, 2), one per ball, as far apart as in the body; best first."""
     misfit = _misfits(body, points, *pair, sigmas)
     rows = np.argwhere(misfit < 1)
-    return np.asarray(rows[np.argsort(misfit[tuple(rows.T)], kind="stable")], dtype=np.int64)
+    order = np.argsort(misfit[tuple(rows.T)], kind="stable")[:_MAX_PAIRS]
+    return np.asarray(rows[order], dtype=np.int64)
 
 
-def _fitting_triples(
+def _consistent_triples(
     body: Body, points: Sequence[BallPoints], triple: tuple[int, int, int], sigmas: float
 ) -> Ints:
     """Rows of `points` (m, 3), one per ball, whose distances are the body's; best first."""
-    sides = (_misfits(body, points, i, j, sigmas) for i, j in combinations(triple, 2))
-    rows, misfit = fitting_triples(*sides)
-    return rows[np.argsort(misfit, kind="stable")[:_MOST_POSES]]
+    first, outer, last = (_misfits(body, points, i, j, sigmas) for i, j in combinations(triple, 2))
+    i, j = np.nonzero(first < 1)
+    worst = np.maximum(np.maximum(first[i, j, None], outer[i]), last[j])
+    row, k = np.nonzero(worst < 1)
+    order = np.argsort(worst[row, k], kind="stable")[:_MAX_TRIPLES]
+    return np.stack([i[row], j[row], k], axis=1)[order]
 
 
 @lru_cache(maxsize=16)
@@ -175,14 +184,14 @@ def _triples(body: Body) -> tuple[tuple[int, int, int], ...]:
 
 def _on_a_line(points: Floats) -> bool:
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return bool(spread[1] < _LINE_RATIO * spread[0])
+    return bool(spread[1] < _MIN_SPREAD_RATIO * spread[0])
 
 
-def _spun(target: Floats, source: Floats) -> RigidTransform:
+def _rotated_about_line(target: Floats, source: Floats) -> RigidTransform:
     """Poses that bring the line of two source points (2, 3) onto (m, 2, 3), at every angle."""
     start = _aligned(
-        np.concatenate([target, _third(target)], axis=1),
-        np.concatenate([source, _third(source[None])[0]], axis=0),
+        np.concatenate([target, _perpendicular_point(target)], axis=1),
+        np.concatenate([source, _perpendicular_point(source[None])[0]], axis=0),
     )
     axis = target[:, 1] - target[:, 0]
     axis = axis / np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-9)
@@ -196,12 +205,12 @@ def _spun(target: Floats, source: Floats) -> RigidTransform:
     return RigidTransform(rotation.reshape(-1, 3, 3), translation.reshape(-1, 3))
 
 
-def _third(pair: Floats) -> Floats:
-    """A point (m, 1, 3) off the line of two points (m, 2, 3), at right angles from their middle."""
-    along = pair[:, 1] - pair[:, 0]
-    helper = np.eye(3)[np.argmin(np.abs(along), axis=1)]
-    across = np.cross(along, helper)
-    length = np.linalg.norm(along, axis=1, keepdims=True)
+def _perpendicular_point(pair: Floats) -> Floats:
+    """A point (m, 1, 3) at right angles from the midpoint of two points (m, 2, 3)."""
+    line = pair[:, 1] - pair[:, 0]
+    helper = np.eye(3)[np.argmin(np.abs(line), axis=1)]
+    across = np.cross(line, helper)
+    length = np.linalg.norm(line, axis=1, keepdims=True)
     across *= length / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
     return (pair.mean(axis=1) + across)[:, None]
 
@@ -219,9 +228,8 @@ def _joined(poses: Sequence[RigidTransform]) -> RigidTransform:
 def align_triangles(target: Floats, source: Floats) -> tuple[Floats, Floats]:
     """Least-squares poses of a triangle on m others.
 
-    The best rotation of three points turns plane onto plane, and in the plane by the angle that
-    brings the corners closest: what singular values tell of any number of points (Umeyama 1991)
-    has this closed form for three.
+    The best rotation of three points maps plane onto plane, and in the plane turns by the angle of
+    least squared distances of the corners: the closed form of Umeyama (1991) for three points.
 
     Args:
         target: (m, 3, 3) corners, one a row, mm.

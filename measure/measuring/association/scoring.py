@@ -1,4 +1,4 @@
-"""Which candidates agree with a pose, and which possible centres with a body, compiled."""
+"""Agreement of candidates with poses and with distances between balls, compiled."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class CandidateRows(NamedTuple):
         cameras: (n,) index of the camera.
         pixels: (n, 2).
         limit_px: (n,) the furthest that a candidate may be from where a pose puts its ball.
-        range_mm: (n,) distance that the outline's radius tells.
+        range_mm: (n,) distance that the outline's radius implies.
     """
 
     starts: Ints
@@ -30,7 +30,7 @@ class CandidateRows(NamedTuple):
 
 
 @compiled
-def agreeing(
+def agreement(
     rotations: Floats,
     translations: Floats,
     centers_body: Floats,
@@ -39,7 +39,7 @@ def agreeing(
     candidates: CandidateRows,
     range_ratio: float,
 ) -> tuple[Ints, Ints, Floats]:
-    """Compare the balls of m poses, projected, with the candidates: in place and in size.
+    """Compare the balls of m poses, projected, with the candidates by place and size.
 
     Args:
         rotations: (m, 3, 3) of world_from_body.
@@ -48,11 +48,11 @@ def agreeing(
         rig: all cameras.
         corners: (cameras, 2) last pixel of each picture.
         candidates: n of them.
-        range_ratio: how far the outline's size may mislead about the distance, as a factor.
+        range_ratio: largest error, as a factor, of the distance that an outline's size implies.
 
     Returns:
         Row of the agreeing candidate among those of its ball, or -1 (m, balls, cameras); number of
-        balls in view, over all cameras (m,); score (m,), see `hypotheses.Support`.
+        balls in view, over all cameras (m,); score (m,), see `hypotheses.PoseScores`.
     """
     m, balls, views = len(rotations), len(centers_body), len(rig.lenses)
     starts, cameras, pixels, limit_px, range_mm = candidates
@@ -74,10 +74,10 @@ def agreeing(
                     expected[row] += 1
                 away, least = np.sqrt(away2), 1.0
                 for k in range(starts[ball], starts[ball + 1]):
-                    told = range_mm[k]
+                    expected_mm = range_mm[k]
                     if cameras[k] != camera:
                         continue
-                    if away > told * range_ratio or told > away * range_ratio:
+                    if away > expected_mm * range_ratio or expected_mm > away * range_ratio:
                         continue
                     share = np.hypot(u - pixels[k, 0], v - pixels[k, 1]) / limit_px[k]
                     if share < least:
@@ -89,7 +89,7 @@ def agreeing(
 
 
 @compiled
-def on_balls(
+def lie_on_balls(
     centers: Floats,
     radii: Floats,
     rig: RigRows,
@@ -97,7 +97,7 @@ def on_balls(
     pixels: Floats,
     share: float,
 ) -> Bools:
-    """Which of n candidates (n,) lie on some ball.
+    """Whether each of n candidates (n,) lies on some ball.
 
     Args:
         centers: (balls, 3) in the world.
@@ -115,41 +115,21 @@ def on_balls(
         for ball in range(len(centers)):
             project_one(rig, k, centers[ball], pixel, by_point)
             off = np.hypot(pixels[i, 0] - pixel[0], pixels[i, 1] - pixel[1])
-            away = _apart(centers[ball], rig.centers[k])
+            away = _distance(centers[ball], rig.centers[k])
             if off < share * focal * radii[ball] / away:
                 out[i] = True
     return out
 
 
 @compiled
-def fitting_pairs(
-    a: Floats,
-    sd_a: Floats,
-    b: Floats,
-    sd_b: Floats,
-    distance_mm: float,
-    sigmas: float,
-    slack: float,
-) -> Floats:
-    """How badly points (n, 3) and (m, 3) are `distance_mm` apart: (n, m), 1 at the limit."""
-    out = np.empty((len(a), len(b)))
-    for i in range(len(a)):
-        for j in range(len(b)):
-            x, y, z = a[i, 0] - b[j, 0], a[i, 1] - b[j, 1], a[i, 2] - b[j, 2]
-            off = abs(np.sqrt(x * x + y * y + z * z) - distance_mm)
-            out[i, j] = off / (sigmas * np.hypot(sd_a[i], sd_b[j]) + slack)
-    return out
-
-
-@compiled
-def fitting_ranges(a: Floats, b: Floats, distance_mm: float, slack_mm: float) -> Bools:
-    """Which of n and m things may be `distance_mm` apart, if each is at one of s places.
+def possible_distances(a: Floats, b: Floats, distance_mm: float, slack_mm: float) -> Bools:
+    """Whether n and m points may be `distance_mm` apart, each at one of s places.
 
     Args:
         a: (n, s, 3) places, mm.
         b: (m, s, 3) the same.
         distance_mm: between the two.
-        slack_mm: how much nearer or further than all places they may be.
+        slack_mm: tolerance of the least and the largest distance.
 
     Returns:
         (n, m).
@@ -158,13 +138,13 @@ def fitting_ranges(a: Floats, b: Floats, distance_mm: float, slack_mm: float) ->
     wide_a, wide_b = _widths(a), _widths(b)
     for i in range(len(a)):
         for j in range(len(b)):
-            apart, wide = _apart(a[i, 0], b[j, 0]), wide_a[i] + wide_b[j] + slack_mm
+            apart, wide = _distance(a[i, 0], b[j, 0]), wide_a[i] + wide_b[j] + slack_mm
             if apart - wide > distance_mm or apart + wide < distance_mm:
                 continue
             near, far = np.inf, 0.0
             for one in a[i]:
                 for other in b[j]:
-                    apart = _apart(one, other)
+                    apart = _distance(one, other)
                     near, far = min(near, apart), max(far, apart)
             out[i, j] = near < distance_mm + slack_mm and distance_mm < far + slack_mm
     return out
@@ -172,43 +152,15 @@ def fitting_ranges(a: Floats, b: Floats, distance_mm: float, slack_mm: float) ->
 
 @compiled
 def _widths(places: Floats) -> Floats:
-    """How far (n,) the first of places (n, s, 3) is from the furthest of them."""
+    """Largest distance (n,) of the first of places (n, s, 3) from the others."""
     out = np.zeros(len(places))
     for i in range(len(places)):
         for one in places[i]:
-            out[i] = max(out[i], _apart(places[i, 0], one))
+            out[i] = max(out[i], _distance(places[i, 0], one))
     return out
 
 
 @compiled
-def _apart(a: Floats, b: Floats) -> float:
+def _distance(a: Floats, b: Floats) -> float:
     x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
     return float(np.sqrt(x * x + y * y + z * z))
-
-
-@compiled
-def fitting_triples(one: Floats, two: Floats, three: Floats) -> tuple[Ints, Floats]:
-    """Triples of points of which every two fit.
-
-    Args:
-        one: (n, m) misfits of the first and second points, see `fitting_pairs`.
-        two: (n, k) of the first and third.
-        three: (m, k) of the second and third.
-
-    Returns:
-        Rows (t, 3) of the points, and each triple's greatest misfit (t,), less than 1.
-    """
-    most = one.size * two.shape[1]
-    rows, misfits = np.empty((most, 3), np.int64), np.empty(most)
-    count = 0
-    for i in range(one.shape[0]):
-        for j in range(one.shape[1]):
-            if not one[i, j] < 1:
-                continue
-            for k in range(two.shape[1]):
-                worst = max(one[i, j], two[i, k], three[j, k])
-                if worst < 1:
-                    rows[count, 0], rows[count, 1], rows[count, 2] = i, j, k
-                    misfits[count] = worst
-                    count += 1
-    return rows[:count], misfits[:count]

@@ -1,11 +1,11 @@
-"""What tracking knows from earlier frames, and how it judges what the detectors say."""
+"""Tracking: predicts the body from earlier frame sets and gates detections."""
 
 from typing import Any
 
 from measure.measuring.tracking.memoryless import Memoryless
 from measure.measuring.tracking.paper.frame_update import FrameUpdate
 from measure.measuring.tracking.predictive.tracker import PredictiveTracker
-from measure.measuring.tracking.tracker import Tracker, Verdict
+from measure.measuring.tracking.tracker import Conclusion, Tracker
 
 TRACKERS: dict[str, type[Any]] = {
     "frame-update": FrameUpdate,
@@ -14,4 +14,4 @@ TRACKERS: dict[str, type[Any]] = {
 }
 """By the name a profile gives; each is built as (config, body, cameras) and is a `Tracker`."""
 
-__all__ = ["TRACKERS", "FrameUpdate", "Tracker", "Verdict"]
+__all__ = ["TRACKERS", "Conclusion", "FrameUpdate", "Tracker"]

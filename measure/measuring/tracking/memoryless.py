@@ -1,4 +1,4 @@
-"""No tracking at all: every frame is searched anew. A baseline, and for pictures without order."""
+"""No tracking: every frame is searched anew. A baseline, and for images in no order."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import ClassVar
 
 from measure.arrays import Floats
 from measure.host.settings import Settings
-from measure.measuring.tracking.tracker import Verdict
+from measure.measuring.tracking.tracker import Conclusion
 from measure.model import (
     BallPosition,
     BallView,
@@ -23,7 +23,7 @@ from measure.model.observations import Reason, State
 
 
 class Memoryless:
-    """Takes the best detection of every ball and believes every pose."""
+    """Takes the best detection of every ball and accepts every pose."""
 
     Config: ClassVar[type[Settings]] = Settings
 
@@ -39,7 +39,7 @@ class Memoryless:
         return dict.fromkeys(frame_set.images, ())
 
     def backwards(self) -> None:
-        """Every frame is searched anyway."""
+        """Not supported: there is no state."""
 
     def judge(
         self, frame_set: FrameSet, detections: Mapping[str, Sequence[Detection]]
@@ -56,7 +56,7 @@ class Memoryless:
         return tuple(views)
 
     def motion(self, time_s: float) -> Motion | None:  # noqa: ARG002
-        """Nothing is known."""
+        """No motion is known."""
         return None
 
     def conclude(
@@ -66,9 +66,9 @@ class Memoryless:
         positions: Sequence[BallPosition],
         pose: Pose | None,
         residuals_px: Mapping[tuple[str, str], Floats],  # noqa: ARG002
-    ) -> Verdict:
-        """Believe the pose; say what was missing if there is none."""
+    ) -> Conclusion:
+        """Accept the pose; without one, the reason counts balls and views."""
         if pose is not None:
-            return Verdict(pose)
+            return Conclusion(pose)
         effective = sum(view.effective for view in views)
-        return Verdict(None, f"{len(positions)} balls located from {effective} views")
+        return Conclusion(None, f"{len(positions)} balls located from {effective} views")

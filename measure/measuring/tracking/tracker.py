@@ -1,4 +1,4 @@
-"""The contract between the pipeline and a way of tracking."""
+"""The interface between the pipeline and a tracker."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ from measure.records import record
 
 
 @record
-class Verdict:
-    """Whether a pose is believed: the pose (maybe with flags added) or None, and why in words."""
+class Conclusion:
+    """An accepted pose, perhaps with flags added, or None and the reason in words."""
 
     pose: Pose | None
     reason: str = ""
 
 
 class Tracker(Protocol):
-    """Holds the state between frame sets; called in this order for each of them.
+    """Holds the state between frame sets; the pipeline calls its methods in this order for each.
 
-    `expect` -> (detectors run) -> `judge` -> (triangulator, solver) -> `conclude`.
+    `expect` -> (detectors) -> `judge` -> `motion` -> (triangulator, solver) -> `conclude`.
     """
 
     def warm_up(self) -> None:
         """Compile or load what is slow, before the first frame set."""
 
     def expect(self, frame_set: FrameSet) -> Mapping[str, Sequence[Expectation]] | None:
-        """Where each camera should look for each ball, by camera name.
+        """Where each ball is expected in each camera, by camera name.
 
-        A ball without an expectation is searched for in the whole frame; an empty mapping searches
-        everything. None: this frame set is skipped (the paper's "skips a few frames and restarts").
+        A ball without an expectation is searched for in the whole frame, all of them if the mapping
+        is empty. None: this frame set is skipped (the paper's "skips a few frames and restarts").
         """
 
     def backwards(self) -> Tracker | None:
-        """One that knows what this one does, for frame sets before the last; None if none can."""
+        """A tracker in the same state for frame sets backwards in time; None if not supported."""
 
     def judge(
         self, frame_set: FrameSet, detections: Mapping[str, Sequence[Detection]]
@@ -43,7 +43,7 @@ class Tracker(Protocol):
         """The state of every ball in every camera, each with at most one detection."""
 
     def motion(self, time_s: float) -> Motion | None:
-        """Where the body is expected around `time_s` and how fast it moves, if known."""
+        """The predicted pose and velocity around `time_s`; None if unknown."""
 
     def conclude(
         self,
@@ -52,14 +52,14 @@ class Tracker(Protocol):
         positions: Sequence[BallPosition],
         pose: Pose | None,
         residuals_px: Mapping[tuple[str, str], Floats],
-    ) -> Verdict:
-        """Learn from the result, and say whether the pose is believed.
+    ) -> Conclusion:
+        """Update the state with the result, and accept, flag or refuse the pose.
 
         Args:
-            frame_set: the pictures.
-            views: as judged.
-            positions: of the effective views.
-            pose: as solved.
+            frame_set: the images.
+            views: as returned by `judge`.
+            positions: from the effective views.
+            pose: of the solver.
             residuals_px: by (ball, camera), detected minus predicted centre (2,) of every effective
                 view; empty without a pose.
         """

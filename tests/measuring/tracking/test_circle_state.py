@@ -81,7 +81,7 @@ def test_a_suspended_circle_is_not_asked_for_its_motion():
 
 
 @given(st.lists(st.sampled_from([GOOD, UNKNOWN, LOST, OFF_COLOR, JUMP, WRONG]), max_size=40))
-def test_a_circle_is_effective_only_after_no_objection_or_six_good_frames(history):
+def test_effective_needs_no_failed_check_or_six_good_frames(history):
     circle = run(*history)
     good = [one.found and one.color_ok and one.consistent is True for one in history]
     clean = [

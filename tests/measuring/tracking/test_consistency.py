@@ -9,7 +9,7 @@ import pytest
 
 from measure.geometry import RigidTransform
 from measure.measuring import Status
-from measure.measuring.tracking.predictive.consistency import inconsistencies, unbacked
+from measure.measuring.tracking.predictive.consistency import consistency_flags, single_view_balls
 from measure.model import Body
 from measure.model.observations import Reason, State
 from tests.measurements import BODY, measurement
@@ -31,9 +31,9 @@ def edges(ball, camera, _):
     return rng.normal(0, EDGES_PX, 2)
 
 
-def measured(body, cameras, believed_body=None, believed=None, count=20, bias=edges):
+def measured(body, cameras, assumed_body=None, assumed=None, count=20, bias=edges):
     world = lambda t: [(body, path(t))]
-    return run(believed_body or body, world, cameras, count, believed=believed, bias=bias)[0]
+    return run(assumed_body or body, world, cameras, count, assumed=assumed, bias=bias)[0]
 
 
 def flags(found):
@@ -62,13 +62,13 @@ def test_edges_that_are_off_as_edges_are_raise_no_flag(body, count):
 
 
 @pytest.mark.parametrize(("count", "degrees"), [(3, 0.25), (3, 0.4), (4, 0.25), (4, 0.4)])
-def test_a_camera_that_stands_wrong_is_never_believed(count, degrees):
+def test_a_moved_camera_is_always_flagged(count, degrees):
     cameras = ring(count)
-    found = measured(RAVEN, turned(cameras, "cam1", degrees), believed=cameras)
+    found = measured(RAVEN, turned(cameras, "cam1", degrees), assumed=cameras)
     assert all(m.status is not Status.OK for m in found)
 
 
-def test_a_camera_that_is_off_by_no_more_than_its_calibration_says_is_believed():
+def test_an_offset_within_the_calibration_sd_is_not_flagged():
     """By 1.7 px: .06 degrees and .5 mm."""
     cameras = ring(4, pose_covariance=np.diag([0.3**2] * 3 + [0.0006**2] * 3))
     off = turned(cameras, "cam1", 0.06)
@@ -77,14 +77,14 @@ def test_a_camera_that_is_off_by_no_more_than_its_calibration_says_is_believed()
         **off,
         "cam2": moved(off["cam2"], off["cam2"].world_from_camera.perturb([*shift, 0, 0, 0])),
     }
-    found = measured(RAVEN, off, believed=cameras)
+    found = measured(RAVEN, off, assumed=cameras)
     assert [m.status for m in found] == [Status.OK] * len(found)
     assert all(v.state is State.EFFECTIVE for m in found for v in m.views)
-    further = measured(RAVEN, turned(cameras, "cam1", 0.5), believed=cameras)
+    further = measured(RAVEN, turned(cameras, "cam1", 0.5), assumed=cameras)
     assert all(m.status is not Status.OK for m in further)
 
 
-def test_balls_far_from_their_bodys_origin_are_seen_by_uncertain_cameras_too():
+def test_balls_far_from_the_body_origin_are_tracked():
     """A tool's origin may lie behind a camera, where nothing has an image."""
     cameras = ring(4, pose_covariance=np.diag([0.1**2] * 3 + [0.0002**2] * 3))
     far = cameras["cam0"].center * 1.5 - TARGET
@@ -102,7 +102,7 @@ def test_balls_far_from_their_bodys_origin_are_seen_by_uncertain_cameras_too():
     [(RAVEN, "green", (3, 0, 0)), (FOUR, "blue", (0, 0, 5)), (FOUR, "white", (0, 3, 3))],
     ids=["green", "blue", "white"],
 )
-def test_a_body_file_with_a_ball_elsewhere_is_never_believed(body, ball, offset_mm, count):
+def test_a_body_file_with_a_misplaced_ball_is_flagged(body, ball, offset_mm, count):
     found = measured(body, ring(count), displaced(body, ball, offset_mm))
     assert all(m.status is not Status.OK for m in found)
 
@@ -118,7 +118,7 @@ def test_a_ball_that_two_cameras_see_elsewhere_is_named():
     assert any("ball red is seen elsewhere by cam1, cam2" in flag for flag in flags(found))
 
 
-def test_one_sighting_that_is_wrong_for_once_is_left_out_without_a_word():
+def test_a_single_wrong_detection_raises_no_flag():
     once = lambda ball, camera, t: (
         np.array([9.0, -7.0]) if (ball, camera) == ("red", "cam1") and 0.29 < t < 0.31 else 0.0
     )
@@ -128,15 +128,15 @@ def test_one_sighting_that_is_wrong_for_once_is_left_out_without_a_word():
 @pytest.mark.parametrize(("count", "flagged"), [(4, True), (5, False)])
 def test_a_pose_of_few_sightings_is_flagged(count, flagged):
     one = measurement(0)
-    believed = one.views[:count]
-    found = inconsistencies(one.pose, believed, (), BODY, EDGES_PX, 0.9999)
+    assumed = one.views[:count]
+    found = consistency_flags(one.pose, assumed, (), BODY, EDGES_PX, 0.9999)
     assert bool(found) == flagged
     if flagged:
         assert found[0].startswith("only 4 sightings")
 
 
 @pytest.mark.parametrize("cameras", [2, 4])
-def test_a_third_ball_that_one_camera_alone_shows_is_flagged_where_others_should(cameras):
+def test_a_ball_seen_by_one_camera_only_is_flagged(cameras):
     """In two cameras it is hidden from one: nobody else could show it."""
     rig = ring(cameras)
     one = run(RAVEN, lambda t: [(RAVEN, path(0.0))], rig, 1)[0][0]
@@ -146,8 +146,8 @@ def test_a_third_ball_that_one_camera_alone_shows_is_flagged_where_others_should
         else v
         for v in one.views
     ]
-    assert unbacked(one.pose, one.views, RAVEN, list(rig.values())) == ()
-    said = unbacked(one.pose, hidden, RAVEN, list(rig.values()))
+    assert single_view_balls(one.pose, one.views, RAVEN, list(rig.values())) == ()
+    said = single_view_balls(one.pose, hidden, RAVEN, list(rig.values()))
     assert bool(said) == (cameras == 4)
     if said:
         assert said[0].startswith("ball red is seen by one camera only, and not by cam1, cam2")

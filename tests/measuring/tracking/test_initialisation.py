@@ -9,15 +9,20 @@ from scenes import RAVEN, TARGET, a_pose, ring, see
 
 from measure.geometry import RigidTransform
 from measure.measuring.tracking.paper.initialisation import choose
-from measure.measuring.tracking.paper.ray_agreement import Limits, disagreeing, locate, sightings
+from measure.measuring.tracking.paper.ray_agreement import (
+    AgreementLimits,
+    disagreeing,
+    locate,
+    ray_observations,
+)
 from measure.model import Ball, Body
 
 CAMERAS = ring(4)
-LIMITS = Limits(3.0, 0.1)
+LIMITS = AgreementLimits(3.0, 0.1)
 
 
 def chosen_points(detections, tolerance_mm=6.0):
-    found = choose(RAVEN, sightings(detections, CAMERAS), LIMITS, tolerance_mm)
+    found = choose(RAVEN, ray_observations(detections, CAMERAS), LIMITS, tolerance_mm)
     return {name: hypothesis.point for name, hypothesis in found.items()}, found
 
 
@@ -49,17 +54,17 @@ def test_a_ball_of_another_size_is_not_taken():
     assert chosen_points(large)[0] == {}
 
 
-def test_single_circles_are_not_believed():
+def test_circles_of_one_camera_are_not_chosen():
     pose = a_pose(np.random.default_rng(3))
     lone = [d for d in see(CAMERAS, RAVEN, pose, 0.5) if d.camera == "cam0"]
     assert chosen_points(lone)[0] == {}
 
 
-def test_outliers_are_named_worst_first_and_never_with_two_circles():
+def test_outliers_are_named_worst_first_if_three_circles():
     pose = a_pose(np.random.default_rng(4))
     seen = [d for d in see(CAMERAS, RAVEN, pose, 0.5) if d.ball == "green"]
     seen[1] = replace(seen[1], center_px=seen[1].center_px + np.array([40.0, 0]))
-    rays = sightings(seen, CAMERAS)
+    rays = ray_observations(seen, CAMERAS)
     assert [s.camera.name for s in disagreeing(rays, 20.0, LIMITS)] == ["cam1"]
     assert disagreeing(rays[:2], 20.0, LIMITS) == ()
     assert disagreeing(rays[2:], 20.0, LIMITS) == ()

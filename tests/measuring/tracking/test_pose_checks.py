@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from measure.measuring.tracking.predictive.pose_checks import hasty, unconfirmed
+from measure.measuring.tracking.predictive.pose_checks import (
+    unconfirmed_balls,
+    unstable_initialisation,
+)
 from measure.model import BallView, Detection
 from measure.model.observations import Reason, State
 from tests.scenes import FOUR, RAVEN
@@ -20,7 +23,7 @@ def _view(ball: str, camera: str, reason: Reason, seen: bool = True) -> BallView
 
 
 @pytest.mark.parametrize(
-    ("reasons", "times_s", "doubted"),
+    ("reasons", "times_s", "flagged"),
     [
         ([Reason.JUMPED, Reason.INCONSISTENT], _OUT_OF_STEP, True),
         ([Reason.JUMPED, Reason.INCONSISTENT], _IN_STEP, False),
@@ -28,22 +31,20 @@ def _view(ball: str, camera: str, reason: Reason, seen: bool = True) -> BallView
         ([Reason.COLOR, Reason.COLOR], _OUT_OF_STEP, False),
     ],
 )
-def test_a_body_just_found_is_doubted_where_pictures_out_of_step_contradict_each_other(
-    reasons, times_s, doubted
-):
+def test_contradictions_after_a_search_are_flagged(reasons, times_s, flagged):
     right = [_view(ball, camera, Reason.NONE) for camera in ("a", "b") for ball in RAVEN.names]
     wrong = [_view(RAVEN.names[k], "c", reason) for k, reason in enumerate(reasons)]
     unseen = [_view(ball, "d", Reason.NOT_FOUND, seen=False) for ball in RAVEN.names]
-    assert bool(hasty([*right, *wrong, *unseen], times_s)) == doubted
+    assert bool(unstable_initialisation([*right, *wrong, *unseen], times_s)) == flagged
 
 
-def test_a_fourth_ball_is_doubted_until_two_cameras_have_seen_it():
+def test_a_ball_is_flagged_until_two_cameras_saw_it():
     confirmed: set[str] = set()
     three = [_view(ball, camera, Reason.NONE) for camera in "ab" for ball in FOUR.names[:3]]
-    (said,) = unconfirmed(three, FOUR, confirmed)
+    (said,) = unconfirmed_balls(three, FOUR, confirmed)
     assert FOUR.names[3] in said
     last = [_view(FOUR.names[3], camera, Reason.NONE) for camera in "ab"]
-    assert unconfirmed(last[:1], FOUR, confirmed) == (said,)
-    assert unconfirmed(last, FOUR, confirmed) == ()
-    assert unconfirmed([], FOUR, confirmed) == ()
-    assert unconfirmed([], RAVEN, set()) == ()
+    assert unconfirmed_balls(last[:1], FOUR, confirmed) == (said,)
+    assert unconfirmed_balls(last, FOUR, confirmed) == ()
+    assert unconfirmed_balls([], FOUR, confirmed) == ()
+    assert unconfirmed_balls([], RAVEN, set()) == ()

@@ -15,14 +15,14 @@ from measure.measuring.tracking.predictive.gating import (
     CONTRADICTS,
     JUMPED,
     MISCOLORED,
-    Sighted,
+    GatedObservations,
     agree_with_each_other,
     agree_with_prediction,
-    judge_sightings,
+    gate_observations,
 )
-from measure.measuring.tracking.predictive.motion_filter import MotionState, steady
-from measure.measuring.tracking.predictive.motion_kernels import Course
-from measure.measuring.tracking.predictive.search_windows import Windows, predict_windows
+from measure.measuring.tracking.predictive.motion_filter import MotionState, constant_velocity
+from measure.measuring.tracking.predictive.motion_kernels import Kinematics
+from measure.measuring.tracking.predictive.search_windows import SearchWindows, predict_windows
 from measure.model import Pose
 from tests.scenes import RAVEN, TARGET, ring
 
@@ -36,10 +36,10 @@ def state() -> MotionState:
     rng = np.random.default_rng(5)
     mix = rng.normal(size=(12, 12)) * np.repeat([0.3, 0.003, 9.0, 0.09], 3)[:, None]
     pose = RigidTransform.from_rotvec([0.3, -0.2, 0.5], TARGET)
-    return MotionState(pose, steady(_VELOCITY), 2.0, mix @ mix.T)
+    return MotionState(pose, constant_velocity(_VELOCITY), 2.0, mix @ mix.T)
 
 
-def test_the_covariance_is_carried_by_constant_velocity_and_random_acceleration(state):
+def test_prediction_adds_white_acceleration_noise(state):
     for dt in (0.04, -0.03):
         step = np.eye(12)
         step[:6, 6:] = dt * np.eye(6)
@@ -65,20 +65,20 @@ def test_a_measured_pose_corrects_the_prediction_as_kalman_says(state):
     assert np.linalg.norm(gone) < 0.5 * np.linalg.norm(state.world_from_body.difference(true))
 
 
-def test_a_body_goes_on_accelerating_for_as_long_as_that_was_seen(state):
+def test_acceleration_lasts_as_long_as_it_was_observed(state):
     acceleration = np.array([300.0, -200, 100, 2, -3, 4])
-    faster = replace(state, course=Course(_VELOCITY, acceleration, 0.04))
+    faster = replace(state, kinematics=Kinematics(_VELOCITY, acceleration, 0.04))
     for dt in (0.02, 0.04, -0.03):
         later = faster.at(2.0 + dt, _ACCELERATION)
         gone = _VELOCITY * dt + acceleration * dt**2 / 2
         moved = state.world_from_body.perturb(gone)
         np.testing.assert_allclose(later.world_from_body.matrix, moved.matrix, atol=1e-12)
-        np.testing.assert_allclose(later.course.velocity, _VELOCITY + acceleration * dt)
+        np.testing.assert_allclose(later.kinematics.velocity, _VELOCITY + acceleration * dt)
     for sign in (1, -1):
         then, much_later = (faster.at(2.0 + sign * dt, _ACCELERATION) for dt in (0.04, 0.3))
-        np.testing.assert_allclose(much_later.course.velocity, then.course.velocity)
+        np.testing.assert_allclose(much_later.kinematics.velocity, then.kinematics.velocity)
         gone = much_later.world_from_body.translation - then.world_from_body.translation
-        np.testing.assert_allclose(gone, sign * 0.26 * then.course.velocity[:3])
+        np.testing.assert_allclose(gone, sign * 0.26 * then.kinematics.velocity[:3])
 
 
 def _foreseen_mm(path_mm: Callable[[float], Floats], seed: int) -> Floats:
@@ -102,7 +102,7 @@ def _swing_mm(time_s: float) -> Floats:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_body_that_swings_is_foreseen_better_than_at_its_last_velocity(seed):
+def test_swinging_is_predicted_better_than_constant_velocity(seed):
     off = _foreseen_mm(_swing_mm, seed)[10:]
     assert np.sqrt(np.mean(off**2)) < 0.1
 
@@ -116,7 +116,7 @@ def test_a_body_that_rested_is_not_lost_when_it_starts(seed):
     assert np.sqrt(np.mean(off[75:] ** 2)) < 0.16
 
 
-def _windows(state: MotionState, leads_s: Floats, readout_s: float = 0.0) -> Windows:
+def _windows(state: MotionState, leads_s: Floats, readout_s: float = 0.0) -> SearchWindows:
     cameras = [replace(camera, readout_s=readout_s) for camera in ring().values()]
     times = {c.name: 2.0 + lead for c, lead in zip(cameras, leads_s, strict=True)}
     return predict_windows(state, times, _ACCELERATION, RAVEN, cameras)
@@ -144,12 +144,12 @@ def test_windows_are_where_the_cameras_see_the_moved_balls(state):
             spread = propagate(balls.jacobians[row], later.covariance[:6, :6])
             np.testing.assert_allclose(balls.covariances_px[row], spread, rtol=1e-9)
             widest = np.sqrt(np.linalg.eigvalsh(spread)[1])
-            assert balls.spread_px[row] == pytest.approx(widest, rel=1e-9)
+            assert balls.max_sd_px[row] == pytest.approx(widest, rel=1e-9)
             row += 1
     assert windows.keys[4] == ("cam1", RAVEN.names[1])
 
 
-def test_a_rolling_shutter_moves_windows_by_the_delay_of_their_rows(state):
+def test_windows_move_by_the_row_delay_of_the_shutter(state):
     still, rolled = _windows(state, np.zeros(4)), _windows(state, np.zeros(4), 0.02)
     for row, (name, _) in enumerate(still.keys):
         camera = replace(ring()[name], readout_s=0.02)
@@ -164,13 +164,13 @@ def test_a_ball_behind_a_camera_is_expected_out_of_sight(state):
     behind = replace(state, world_from_body=RigidTransform(np.eye(3), 4 * ring()["cam0"].center))
     balls = _windows(behind, np.zeros(4)).balls
     assert np.all(balls.centers_px[:3] < -1000)
-    assert not np.any(balls.spread_px[:3])
+    assert not np.any(balls.max_sd_px[:3])
 
 
 def test_the_last_bits_of_a_pose_do_not_reach_detectors(state):
     leads = np.array([0.0, 0.01, -0.02, 0.03])
-    same = replace(state, course=steady(_VELOCITY * (1 + 1e-15)))
-    other = replace(state, course=steady(_VELOCITY * (1 + 1e-5)))
+    same = replace(state, kinematics=constant_velocity(_VELOCITY * (1 + 1e-15)))
+    other = replace(state, kinematics=constant_velocity(_VELOCITY * (1 + 1e-5)))
     expected, again, moved = (
         [e.center_px for some in _expected(s, leads).values() for e in some]
         for s in (state, same, other)
@@ -193,7 +193,7 @@ def test_gates_are_those_of_the_mahalanobis_distance(state):
     assert 5 < np.sum(expected) < 35
 
 
-def test_detections_that_agree_move_the_prediction_and_one_that_does_not_is_left_out(state):
+def test_gate_follows_the_majority_and_rejects_an_outlier(state):
     leads = np.array([0.0, 0.01, -0.02, 0.03])
     balls = _windows(state, leads).balls
     lead_s = np.repeat(leads, 3)
@@ -214,7 +214,7 @@ def test_detections_that_agree_move_the_prediction_and_one_that_does_not_is_left
     np.testing.assert_array_less(np.abs(step - change)[:6], 4 * sd[:6])
 
 
-def test_each_detection_is_told_why_it_is_not_believed(state):
+def test_each_rejected_detection_has_a_reason(state):
     balls = _windows(state, np.zeros(4)).balls
     rows, noise = np.arange(11), np.tile(0.01 * np.eye(2), (11, 1, 1))
     pixels, colored = balls.centers_px[rows], np.ones(11, np.bool_)
@@ -222,13 +222,13 @@ def test_each_detection_is_told_why_it_is_not_believed(state):
     pixels[7] += [8.0, -6.0]
     colored[4] = False
     known = (state.covariance, state.time_s, _ACCELERATION**2, 0.5, chi_square_quantile(0.9999, 2))
-    seen = Sighted(pixels, noise, np.full(11, state.time_s), colored)
-    judged, change, covariance = judge_sightings(seen, rows, balls, *known)
+    seen = GatedObservations(pixels, noise, np.full(11, state.time_s), colored)
+    judged, change, covariance = gate_observations(seen, rows, balls, *known)
     expected = np.full(11, AGREES)
     expected[[2, 4, 7]] = JUMPED, MISCOLORED, CONTRADICTS
     assert judged.tolist() == expected.tolist()
     assert np.all(np.abs(change) < 3 * np.sqrt(np.diag(covariance)))
     nobody = seen._replace(colored=np.zeros(11, np.bool_))
-    judged, change, _ = judge_sightings(nobody, rows, balls, *known)
+    judged, change, _ = gate_observations(nobody, rows, balls, *known)
     assert set(judged.tolist()) == {JUMPED, MISCOLORED}
     assert np.all(np.isnan(change))

@@ -12,18 +12,18 @@ from measure.model import Detection
 from measure.model.observations import Reason, State
 
 _RADIUS_MEMORY = 0.5
-"""Share of the earlier radius in the remembered one: one noisy radius must not shift the bounds."""
+"""Weight of the earlier radius in the running mean: one noisy radius must not shift the bounds."""
 
 
 @dataclass(frozen=True, eq=False)
 class Circle:
-    """What is remembered of one ball in one camera.
+    """The state of one ball in one camera.
 
     Attributes:
         state: effective or suspended.
         reason: why it is suspended; `Reason.NONE` if it is not.
         good_frames: for how many frames in a row a suspended circle has been good.
-        center_px: (2,) where it was last believed to be, None before the first time.
+        center_px: (2,) where it was last accepted, None before the first time.
         radius_px: its radius then, smoothed.
         time_s: when that was.
     """
@@ -43,14 +43,14 @@ class Circle:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What one frame says about one circle.
+    """The checks of one circle in one frame.
 
     Attributes:
         found: Hough returned a circle, at the latest with the largest tolerable sigma.
         color_ok: the colour check succeeded.
         moved_too_far: its centre moved more than the motion threshold since the last frame.
         consistent: whether it agrees with the 3-D centre from effective circles; None if fewer than
-            two others are effective, so that nobody can tell.
+            two others are effective, so that there is no such centre.
     """
 
     found: bool
@@ -63,23 +63,24 @@ def advance(circle: Circle, evidence: Evidence, good_frames_needed: int) -> Circ
     """The circle's state after one more frame.
 
     An effective circle is suspended by any of the paper's three causes, or because it disagrees
-    with the other cameras' circles (ours: else a steady false circle would stay effective for
-    ever). A suspended one becomes effective after *more* than `good_frames_needed` good frames in a
-    row: found, of the right colour, and consistent with the effective circles in 3-D.
+    with the other cameras' circles (not in the paper: else a steady false circle would stay
+    effective for ever). A suspended one becomes effective after *more* than `good_frames_needed`
+    good frames in a row: found, of the right colour, and consistent with the effective circles in
+    3-D.
     """
-    reason = _objection(circle, evidence)
+    reason = _suspension_reason(circle, evidence)
     if reason is not Reason.NONE:
         return replace(circle, state=State.SUSPENDED, reason=reason, good_frames=0)
     if circle.effective:
         return circle
-    # With nothing to compare it with, the frame is not a good one: the run starts again.
+    # A frame in which the circle cannot be checked interrupts the run of good frames.
     good_frames = circle.good_frames + 1 if evidence.consistent else 0
     if good_frames > good_frames_needed:
         return replace(circle, state=State.EFFECTIVE, reason=Reason.NONE, good_frames=0)
     return replace(circle, reason=Reason.RECOVERING, good_frames=good_frames)
 
 
-def _objection(circle: Circle, evidence: Evidence) -> Reason:
+def _suspension_reason(circle: Circle, evidence: Evidence) -> Reason:
     if not evidence.found:
         return Reason.NOT_FOUND
     if not evidence.color_ok:
@@ -92,7 +93,7 @@ def _objection(circle: Circle, evidence: Evidence) -> Reason:
 
 
 def remember(circle: Circle, detection: Detection) -> Circle:
-    """The circle with its place and radius brought up to date."""
+    """The circle with the detection's centre, time and averaged radius."""
     radius = detection.radius_px
     if circle.radius_px is not None:
         radius = _RADIUS_MEMORY * circle.radius_px + (1 - _RADIUS_MEMORY) * radius

@@ -1,4 +1,4 @@
-"""The paper's frame-update algorithm: which circles to trust, and where to look for them next.
+"""The paper's frame-update algorithm: states of circles, and where they are expected next.
 
 Peng, Yang, Su, Hannaford (ICRA 2020), section II.D.
 """
@@ -16,15 +16,15 @@ from measure.host.settings import Settings, setting
 from measure.measuring.tracking.paper.circle_state import Circle, Evidence, advance, remember
 from measure.measuring.tracking.paper.initialisation import choose
 from measure.measuring.tracking.paper.ray_agreement import (
-    Limits,
+    AgreementLimits,
     apparent_radius_px,
     disagreeing,
     locate,
     misfit,
-    misfits,
-    sightings,
+    ray_observations,
+    residual_flags,
 )
-from measure.measuring.tracking.tracker import Verdict
+from measure.measuring.tracking.tracker import Conclusion
 from measure.model import (
     Ball,
     BallPosition,
@@ -39,8 +39,8 @@ from measure.model import (
 )
 from measure.model.observations import Reason, State
 
-_LONGEST_STEP_S = 0.5
-"""Motion bounds do not grow beyond this time without a sight of a circle."""
+_MAX_STEP_S = 0.5
+"""Motion bounds of a circle grow no longer than this after its last detection."""
 
 
 class FrameUpdateSettings(Settings):
@@ -110,7 +110,7 @@ class FrameUpdate:
 
     @property
     def tolerance(self) -> float:
-        """The factor on all tolerable ranges: 1 normally, more while it recovers."""
+        """The factor on all tolerable ranges: 1 in normal tracking, more after a restart."""
         return self._tolerance
 
     def warm_up(self) -> None:
@@ -155,17 +155,19 @@ class FrameUpdate:
         positions: Sequence[BallPosition],
         pose: Pose | None,
         residuals_px: Mapping[tuple[str, str], Floats],  # noqa: ARG002
-    ) -> Verdict:
+    ) -> Conclusion:
         """Keep the pose and let the tolerance converge, or plan a restart with a raised one."""
         problem = self._problem(views, positions, pose)
         if problem or pose is None:
             self._plan_restart()
-            return Verdict(None, problem or "no pose from the located balls")
+            return Conclusion(None, problem or "no pose from the located balls")
         self._pose = pose
         self._starting = False
         self._tolerance = 1 + (self._tolerance - 1) * self.config.tolerance_decay
-        against = misfits(positions, pose, self.config.flag_residual_mm, self.config.flag_rays_mm)
-        return Verdict(replace(pose, flags=(*pose.flags, *against)))
+        against = residual_flags(
+            positions, pose, self.config.flag_residual_mm, self.config.flag_rays_mm
+        )
+        return Conclusion(replace(pose, flags=(*pose.flags, *against)))
 
     def _problem(
         self, views: Sequence[BallView], positions: Sequence[BallPosition], pose: Pose | None
@@ -195,8 +197,6 @@ class FrameUpdate:
         self._circles = {
             (ball, camera): Circle() for ball in self._body.names for camera in self._cameras
         }
-
-    # Where to look
 
     def _expect(self, ball: Ball, camera: Camera, time_s: float) -> Expectation | None:
         circle = self._circles[ball.name, camera.name]
@@ -231,19 +231,17 @@ class FrameUpdate:
     def _motion_px(
         self, ball: Ball, radius_px: float, since_s: float | None, time_s: float
     ) -> float:
-        """The motion threshold between two sights of a ball."""
-        step_s = 0.0 if since_s is None else min(abs(time_s - since_s), _LONGEST_STEP_S)
+        """The motion threshold between two detections of a ball."""
+        step_s = 0.0 if since_s is None else min(abs(time_s - since_s), _MAX_STEP_S)
         moved_mm = self.config.motion_mm_s * step_s
         return self._tolerance * (
             self.config.motion_base_px + moved_mm * radius_px / ball.radius_mm
         )
 
-    # What to make of it
+    def _limits(self) -> AgreementLimits:
+        return AgreementLimits(self.config.consistency_mm, self.config.radius_percent / 100)
 
-    def _limits(self) -> Limits:
-        return Limits(self.config.consistency_mm, self.config.radius_percent / 100)
-
-    def _sound(self, detection: Detection) -> bool:
+    def _good(self, detection: Detection) -> bool:
         miscolored = 100 * detection.color_match < self.config.color_percent
         return detection.score > 0 and not miscolored
 
@@ -255,9 +253,9 @@ class FrameUpdate:
             detection
             for name in frame_set.images
             for detection in detections.get(name, ())
-            if self._sound(detection)
+            if self._good(detection)
         ]
-        seen = sightings(candidates, self._cameras)
+        seen = ray_observations(candidates, self._cameras)
         chosen = choose(self._body, seen, self._limits(), 2 * self.config.consistency_mm)
         views = []
         for ball, camera in self._circles:
@@ -268,7 +266,7 @@ class FrameUpdate:
             if camera not in members:
                 evidence = Evidence(
                     found=detection is not None,
-                    color_ok=detection is None or self._sound(detection),
+                    color_ok=detection is None or self._good(detection),
                     consistent=False,
                 )
                 circle = advance(circle, evidence, self.config.good_frames)
@@ -288,7 +286,7 @@ class FrameUpdate:
         evidence = {
             name: self._evidence(ball, name, detection) for name, detection in found.items()
         }
-        evidence = self._with_agreement(ball, found, evidence)
+        evidence = self._with_consistency(ball, found, evidence)
         views = []
         for name, detection in found.items():
             circle = self._circles[ball.name, name]
@@ -308,35 +306,35 @@ class FrameUpdate:
         if circle.center_px is not None:
             moved = float(np.linalg.norm(detection.center_px - circle.center_px))
         allowed = self._motion_px(ball, detection.radius_px, circle.time_s, detection.time_s)
-        return Evidence(found=True, color_ok=self._sound(detection), moved_too_far=moved > allowed)
+        return Evidence(found=True, color_ok=self._good(detection), moved_too_far=moved > allowed)
 
-    def _with_agreement(
+    def _with_consistency(
         self,
         ball: Ball,
         found: Mapping[str, Detection | None],
         evidence: Mapping[str, Evidence],
     ) -> dict[str, Evidence]:
         """Fill in whether each circle agrees with the 3-D centre from effective circles."""
-        sound = [d for name, d in found.items() if d is not None and evidence[name].color_ok]
-        seen = sightings(sound, self._cameras)
-        trusted = [
-            sighting
-            for sighting in seen
-            if self._circles[ball.name, sighting.camera.name].effective
-            and not evidence[sighting.camera.name].moved_too_far
+        good = [d for name, d in found.items() if d is not None and evidence[name].color_ok]
+        seen = ray_observations(good, self._cameras)
+        effective = [
+            one
+            for one in seen
+            if self._circles[ball.name, one.camera.name].effective
+            and not evidence[one.camera.name].moved_too_far
         ]
-        outliers = disagreeing(trusted, ball.radius_mm, self._limits())
-        kept = [sighting for sighting in trusted if sighting not in outliers]
+        outliers = disagreeing(effective, ball.radius_mm, self._limits())
+        kept = [one for one in effective if one not in outliers]
         point = locate(kept)
         if point is None and len(self._body.balls) > 3:
             point = self._predicted(ball)
         out = dict(evidence)
-        for sighting in seen:
-            name = sighting.camera.name
-            if sighting in outliers:
+        for one in seen:
+            name = one.camera.name
+            if one in outliers:
                 out[name] = replace(evidence[name], consistent=False)
-            elif point is not None and sighting not in kept:
-                fits = misfit(sighting, point, ball.radius_mm, self._limits()) <= 1
+            elif point is not None and one not in kept:
+                fits = misfit(one, point, ball.radius_mm, self._limits()) <= 1
                 out[name] = replace(evidence[name], consistent=fits)
         return out
 

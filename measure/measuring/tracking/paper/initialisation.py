@@ -1,8 +1,8 @@
-"""Choosing circles when nothing is known yet: those that can be the body's balls.
+"""Initialisation: choosing the circles that can be the body's balls.
 
-The paper starts with one circle per colour and camera and takes each for effective. That trusts the
-first false circle it meets, so we ask at the start what it asks of a suspended circle: that it
-agrees with the other cameras' circles in 3-D, and that the balls lie as far apart as the body says.
+The paper takes the first circle of each colour and camera for effective, false ones included. Here
+a circle must meet at the start what the paper asks of a suspended one: it agrees with the other
+cameras' circles in 3-D, and the balls lie as far apart as in the body.
 """
 
 from __future__ import annotations
@@ -14,10 +14,15 @@ from itertools import combinations
 import numpy as np
 
 from measure.arrays import Floats
-from measure.measuring.tracking.paper.ray_agreement import Limits, Sighting, locate, misfit
+from measure.measuring.tracking.paper.ray_agreement import (
+    AgreementLimits,
+    RayObservation,
+    locate,
+    misfit,
+)
 from measure.model import Ball, Body, Detection
 
-_HYPOTHESES_PER_BALL = 5
+_MAX_HYPOTHESES_PER_BALL = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +32,7 @@ class Hypothesis:
     Attributes:
         point: (3,) where the ball would be, mm.
         members: the circle of each camera that agrees.
-        misfit: the worst of them.
+        misfit: the largest of theirs.
     """
 
     point: Floats
@@ -41,7 +46,10 @@ class Hypothesis:
 
 
 def choose(
-    body: Body, seen: Sequence[Sighting], limits: Limits, distance_tolerance_mm: float
+    body: Body,
+    seen: Sequence[RayObservation],
+    limits: AgreementLimits,
+    distance_tolerance_mm: float,
 ) -> dict[str, Hypothesis]:
     """The best hypothesis for as many balls as possible, by ball.
 
@@ -64,9 +72,11 @@ def _value(chosen: Mapping[str, Hypothesis]) -> tuple[int, int, float]:
     return len(chosen), views, -sum(hypothesis.misfit for hypothesis in chosen.values())
 
 
-def _hypotheses(ball: Ball, seen: Sequence[Sighting], limits: Limits) -> list[Hypothesis]:
+def _hypotheses(
+    ball: Ball, seen: Sequence[RayObservation], limits: AgreementLimits
+) -> list[Hypothesis]:
     """Every two circles of different cameras that agree, with all others that agree with them."""
-    mine = [sighting for sighting in seen if sighting.detection.ball == ball.name]
+    mine = [one for one in seen if one.detection.ball == ball.name]
     found: dict[frozenset[int], Hypothesis] = {}
     for first, second in combinations(mine, 2):
         if first.camera is second.camera:
@@ -74,11 +84,14 @@ def _hypotheses(ball: Ball, seen: Sequence[Sighting], limits: Limits) -> list[Hy
         hypothesis = _grow([first, second], mine, ball.radius_mm, limits)
         if hypothesis is not None:
             found[frozenset(id(d) for d in hypothesis.members.values())] = hypothesis
-    return sorted(found.values(), key=lambda h: h.quality, reverse=True)[:_HYPOTHESES_PER_BALL]
+    return sorted(found.values(), key=lambda h: h.quality, reverse=True)[:_MAX_HYPOTHESES_PER_BALL]
 
 
 def _grow(
-    seed: list[Sighting], others: Sequence[Sighting], radius_mm: float, limits: Limits
+    seed: list[RayObservation],
+    others: Sequence[RayObservation],
+    radius_mm: float,
+    limits: AgreementLimits,
 ) -> Hypothesis | None:
     point = locate(seed)
     if point is None or max(misfit(s, point, radius_mm, limits) for s in seed) > 1:
@@ -86,9 +99,9 @@ def _grow(
     members = list(seed)
     for name in {s.camera.name for s in others} - {s.camera.name for s in seed}:
         rivals = [s for s in others if s.camera.name == name]
-        misfits = [misfit(s, point, radius_mm, limits) for s in rivals]
-        if min(misfits) <= 1:
-            members.append(rivals[int(np.argmin(misfits))])
+        residual_flags = [misfit(s, point, radius_mm, limits) for s in rivals]
+        if min(residual_flags) <= 1:
+            members.append(rivals[int(np.argmin(residual_flags))])
     point = locate(members)
     if point is None:
         return None

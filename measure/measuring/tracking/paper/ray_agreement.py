@@ -16,7 +16,7 @@ _MIN_ANGLE_RAD = np.radians(5.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Sighting:
+class RayObservation:
     """A circle with its ray in the world.
 
     Attributes:
@@ -32,24 +32,24 @@ class Sighting:
     direction: Floats
 
 
-def sightings(
+def ray_observations(
     detections: Sequence[Detection], cameras: Mapping[str, Camera]
-) -> tuple[Sighting, ...]:
+) -> tuple[RayObservation, ...]:
     """The detections with their rays; one beyond the lens model's reach is left out."""
     if not detections:
         return ()
     used = [cameras[detection.camera] for detection in detections]
     rays = Rig.of(used).rays(np.stack([detection.center_px for detection in detections]))
     return tuple(
-        Sighting(*parts)
+        RayObservation(*parts)
         for parts in zip(detections, used, rays.origins, rays.directions, strict=True)
         if np.all(np.isfinite(parts[3]))
     )
 
 
 @dataclass(frozen=True)
-class Limits:
-    """How well circles must agree.
+class AgreementLimits:
+    """How well circles of one ball must agree.
 
     Attributes:
         distance_mm: largest distance of a ray from the ball's centre.
@@ -60,7 +60,7 @@ class Limits:
     radius_share: float
 
 
-def locate(seen: Sequence[Sighting]) -> Floats | None:
+def locate(seen: Sequence[RayObservation]) -> Floats | None:
     """The mean (3,) of the midpoints of all pairs of rays; None if they do not determine one."""
     if len(seen) < 2:
         return None
@@ -78,21 +78,23 @@ def apparent_radius_px(camera: Camera, point: Floats, radius_mm: float) -> float
     return float(camera.intrinsics.focal_px * radius_mm / np.sqrt(distance**2 - radius_mm**2))
 
 
-def misfit(sighting: Sighting, point: Floats, radius_mm: float, limits: Limits) -> float:
-    """How badly a circle disagrees with a ball at `point` (3,): more than 1 is too badly."""
-    offset = point - sighting.origin
-    if offset @ sighting.direction <= 0:
+def misfit(seen: RayObservation, point: Floats, radius_mm: float, limits: AgreementLimits) -> float:
+    """Largest deviation of a circle from a ball at `point` (3,), as a multiple of its limit."""
+    offset = point - seen.origin
+    if offset @ seen.direction <= 0:
         return float("inf")
-    distance = float(np.linalg.norm(np.cross(offset, sighting.direction)))
-    expected = apparent_radius_px(sighting.camera, point, radius_mm)
-    radius_error = abs(sighting.detection.radius_px / expected - 1)
+    distance = float(np.linalg.norm(np.cross(offset, seen.direction)))
+    expected = apparent_radius_px(seen.camera, point, radius_mm)
+    radius_error = abs(seen.detection.radius_px / expected - 1)
     return max(distance / limits.distance_mm, radius_error / limits.radius_share)
 
 
-def disagreeing(seen: Sequence[Sighting], radius_mm: float, limits: Limits) -> tuple[Sighting, ...]:
+def disagreeing(
+    seen: Sequence[RayObservation], radius_mm: float, limits: AgreementLimits
+) -> tuple[RayObservation, ...]:
     """The fewest circles to leave out, worst first, until the others agree.
 
-    With two circles nobody can tell which of them is wrong: none is named.
+    Of two circles that disagree either may be wrong: none is named.
     """
     kept, out = list(seen), []
     while len(kept) >= 3 and _worst(kept, radius_mm, limits) > 1:
@@ -103,17 +105,17 @@ def disagreeing(seen: Sequence[Sighting], radius_mm: float, limits: Limits) -> t
     return tuple(out)
 
 
-def _worst(seen: Sequence[Sighting], radius_mm: float, limits: Limits) -> float:
+def _worst(seen: Sequence[RayObservation], radius_mm: float, limits: AgreementLimits) -> float:
     point = locate(seen)
     if point is None:
         return float("inf")
-    return max(misfit(sighting, point, radius_mm, limits) for sighting in seen)
+    return max(misfit(one, point, radius_mm, limits) for one in seen)
 
 
-def misfits(
+def residual_flags(
     positions: Sequence[BallPosition], pose: Pose, flag_residual_mm: float, flag_rays_mm: float
 ) -> tuple[str, ...]:
-    """Flags for a pose.
+    """Flags of a pose whose balls or rays have large residuals.
 
     Args:
         positions: the located balls.

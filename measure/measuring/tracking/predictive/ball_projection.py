@@ -1,4 +1,4 @@
-"""Prediction of the balls of a moving body in the pictures, compiled: see `windows`."""
+"""Prediction of the balls of a moving body in images, compiled: see `search_windows`."""
 
 from __future__ import annotations
 
@@ -9,13 +9,17 @@ import numpy as np
 from measure.arrays import Floats
 from measure.compiling import compiled
 from measure.geometry.rotation_kernels import rotation_of, times
-from measure.measuring.tracking.predictive.motion_kernels import Course, carried, way
+from measure.measuring.tracking.predictive.motion_kernels import (
+    Kinematics,
+    displacement,
+    propagated_covariance,
+)
 from measure.model.rig_kernels import RigRows, project_one
 
 _OUT_OF_SIGHT_PX = -1e4
 
 
-class Predicted(NamedTuple):
+class PredictedBalls(NamedTuple):
     """n predicted ball-views, all balls of the first camera, then of the second, and so on.
 
     Attributes:
@@ -24,7 +28,7 @@ class Predicted(NamedTuple):
         centers_camera: (n, 3) in mm.
         covariances_px: (n, 2, 2) from the predicted pose's covariance.
         jacobians: (n, 2, 6) by the pose's `perturb` chart.
-        spread_px: (n,) standard deviations of the centres where they are widest.
+        max_sd_px: (n,) largest standard deviation of the centre over all directions.
     """
 
     centers_px: Floats
@@ -32,14 +36,14 @@ class Predicted(NamedTuple):
     centers_camera: Floats
     covariances_px: Floats
     jacobians: Floats
-    spread_px: Floats
+    max_sd_px: Floats
 
 
 @compiled
 def predict_balls(
     rotation: Floats,
     translation: Floats,
-    course: Course,
+    kinematics: Kinematics,
     covariance: Floats,
     variance: Floats,
     leads_s: Floats,
@@ -47,50 +51,50 @@ def predict_balls(
     radii: Floats,
     rig: RigRows,
     readouts: Floats,
-) -> Predicted:
-    """Every ball of a moving body in every camera, at its picture's time.
+) -> PredictedBalls:
+    """Every ball of a moving body in every camera, at its image's time.
 
     Args:
         rotation: (3, 3) of world_from_body.
         translation: (3,) the same.
-        course: how it moves.
+        kinematics: how it moves.
         covariance: (12, 12) of pose and velocity.
         variance: (6,) of the acceleration.
-        leads_s: (c,) times of the pictures after the pose's.
+        leads_s: (c,) times of the images after the pose's.
         balls: (k, 3) centres in the body.
         radii: (k,) mm.
         rig: the c cameras.
         readouts: (c, 2) time in s from one row to the next, and the middle row.
     """
     count = len(balls)
-    out = _room(len(rig.lenses) * count)
+    out = _empty_predictions(len(rig.lenses) * count)
     by_point, toward = np.empty((2, 3)), np.empty(3)
     for camera in range(len(rig.lenses)):
         dt = leads_s[camera]
-        known = carried(covariance, dt, variance)
-        gone, velocity = way(course, dt)
-        turned = rotation_of(gone[3:]) @ rotation
+        known = propagated_covariance(covariance, dt, variance)
+        moved, velocity = displacement(kinematics, dt)
+        turned = rotation_of(moved[3:]) @ rotation
         for ball in range(count):
             row = camera * count + ball
             arm = times(turned, balls[ball])
-            center = arm + translation + gone[:3]
+            center = arm + translation + moved[:3]
             pixel = out.centers_px[row]
             project_one(rig, camera, center, pixel, by_point)
             toward[:] = center - rig.centers[camera]
             out.centers_camera[row] = times(rig.rotation[camera].T, toward)
-            out.radii_px[row] = _apparent(rig.lenses[camera], toward, radii[ball])
+            out.radii_px[row] = _radius_px(rig.lenses[camera], toward, radii[ball])
             if np.isfinite(pixel[0]) and np.isfinite(pixel[1]):
-                _fill_slopes(by_point, arm, out.jacobians[row])
-                _roll(readouts[camera], velocity, out.jacobians[row], pixel)
+                _fill_jacobian(by_point, arm, out.jacobians[row])
+                _add_row_delay(readouts[camera], velocity, out.jacobians[row], pixel)
             else:
                 pixel[:] = _OUT_OF_SIGHT_PX
-            _fill_spread(row, known, out)
+            _fill_covariance(row, known, out)
     return out
 
 
 @compiled
-def _room(n: int) -> Predicted:
-    return Predicted(
+def _empty_predictions(n: int) -> PredictedBalls:
+    return PredictedBalls(
         np.zeros((n, 2)),
         np.zeros(n),
         np.zeros((n, 3)),
@@ -101,15 +105,15 @@ def _room(n: int) -> Predicted:
 
 
 @compiled
-def _apparent(lens: Floats, toward: Floats, radius: float) -> float:
-    """The radius in px that the cone's half-angle has across the line of sight."""
+def _radius_px(lens: Floats, toward: Floats, radius: float) -> float:
+    """The radius in px of the tangent cone's cross-section at right angles to its axis."""
     square = toward[0] ** 2 + toward[1] ** 2 + toward[2] ** 2
     return (lens[0] + lens[3]) / 2 * radius / np.sqrt(max(square - radius**2, 1.0))
 
 
 @compiled
-def _fill_slopes(by_point: Floats, arm: Floats, slopes: Floats) -> None:
-    """A ball's pixel by the pose (2, 6): a turn moves it by its cross product with the arm."""
+def _fill_jacobian(by_point: Floats, arm: Floats, slopes: Floats) -> None:
+    """Jacobian (2, 6) of a ball's pixel by the pose; rotations act by the arm's cross product."""
     for u in range(2):
         for a in range(3):
             b, c = (a + 1) % 3, (a + 2) % 3
@@ -118,8 +122,8 @@ def _fill_slopes(by_point: Floats, arm: Floats, slopes: Floats) -> None:
 
 
 @compiled
-def _roll(readout: Floats, velocity: Floats, slopes: Floats, pixel: Floats) -> None:
-    """Move a pixel on to the time when a rolling shutter exposes its row."""
+def _add_row_delay(readout: Floats, velocity: Floats, slopes: Floats, pixel: Floats) -> None:
+    """Move a pixel to where it is when a rolling shutter exposes its row."""
     delay = readout[0] * (pixel[1] - readout[1])
     for u in range(2):
         for a in range(6):
@@ -127,26 +131,28 @@ def _roll(readout: Floats, velocity: Floats, slopes: Floats, pixel: Floats) -> N
 
 
 @compiled
-def _fill_spread(row: int, known: Floats, out: Predicted) -> None:
-    """A pixel's covariance from the pose's, and its standard deviation where it is widest."""
-    slopes, spread = out.jacobians[row], out.covariances_px[row]
+def _fill_covariance(row: int, known: Floats, out: PredictedBalls) -> None:
+    """A pixel's covariance from the pose's, and its largest standard deviation."""
+    slopes, covariance = out.jacobians[row], out.covariances_px[row]
     for u in range(2):
         for v in range(2):
             total = 0.0
             for i in range(6):
                 for j in range(6):
                     total += slopes[u, i] * known[i, j] * slopes[v, j]
-            spread[u, v] = total
-    half = (spread[0, 0] - spread[1, 1]) / 2
-    widest = (spread[0, 0] + spread[1, 1]) / 2 + np.sqrt(half**2 + spread[0, 1] * spread[1, 0])
-    out.spread_px[row] = np.sqrt(max(widest, 0.0))
+            covariance[u, v] = total
+    half = (covariance[0, 0] - covariance[1, 1]) / 2
+    largest = (covariance[0, 0] + covariance[1, 1]) / 2 + np.sqrt(
+        half**2 + covariance[0, 1] * covariance[1, 0]
+    )
+    out.max_sd_px[row] = np.sqrt(max(largest, 0.0))
 
 
 @compiled
 def search_sizes(
-    balls: Predicted, sigmas: float, floor_px: float, slack: float, decimals: int
+    balls: PredictedBalls, sigmas: float, floor_px: float, slack: float, decimals: int
 ) -> Floats:
-    """How to search for n balls, see `Windows.expectations`; rounded.
+    """Search windows of n balls, rounded: see `SearchWindows.expectations`.
 
     Returns:
         (n, 9) the centre in px and in the camera frame, least and most radius, least distance of
@@ -154,7 +160,7 @@ def search_sizes(
     """
     out, unit = np.empty((len(balls.radii_px), 9)), 10.0**decimals
     for i in range(len(out)):
-        reach, size = sigmas * balls.spread_px[i] + floor_px, balls.radii_px[i]
+        reach, size = sigmas * balls.max_sd_px[i] + floor_px, balls.radii_px[i]
         center = balls.centers_camera[i]
         loose = slack + reach / max(np.sqrt(np.sum(center * center)), 1e-9)
         out[i, :2], out[i, 2:5] = balls.centers_px[i], center

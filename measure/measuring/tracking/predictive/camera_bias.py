@@ -1,7 +1,7 @@
-"""Cameras that see all balls aside: moved, by a wrong clock, or as far as is to be expected.
+"""Cameras whose residuals share an offset: moved, with a wrong clock, or within the uncertainty.
 
-A fit gives way to a camera that is off, and its residuals stay small; but they have a direction in
-common.
+A fit adapts to a camera with a bias, so the residuals stay small; but all its balls share their
+direction.
 """
 
 from __future__ import annotations
@@ -14,19 +14,20 @@ import numpy as np
 from measure.arrays import Floats
 from measure.estimation.multiview import calibration_noise
 from measure.geometry import chi_square_quantile, propagate, squared_mahalanobis
-from measure.measuring.tracking.predictive.pose_checks import cameras_at_odds
+from measure.measuring.tracking.predictive.pose_checks import contradicting_cameras
 from measure.model import BallView, Body, Camera, Motion, Pose, Rig
 
-_MANY = 2
-_WARY = 10
-"""Frame sets after one in which a camera contradicts the others on every ball."""
+_MIN_BALLS = 2
+_HOLD_FRAME_SETS = 10
+"""Frame sets, after cameras contradicted each other, in which motion explains no offset."""
 
 
-class CamerasAside:
-    """Tells them, frame set by frame set.
+class CameraBiasMonitor:
+    """Flags them, frame set by frame set.
 
-    Calibration and motion explain some of it. Motion explains nothing while cameras contradict each
-    other: of one that was moved, a body that is shaken hides it from time to time.
+    The uncertainties of calibration and motion explain a part of an offset. That of the motion does
+    not count for some time after cameras contradicted each other: else a shaken body would hide
+    from time to time that a camera was moved.
     """
 
     def __init__(
@@ -35,41 +36,41 @@ class CamerasAside:
         """See the tracker's settings."""
         self._body, self._cameras = body, {camera.name: camera for camera in cameras}
         self._view_bias_px, self._gate = view_bias_px, chi_square_quantile(confidence, 2)
-        self._wary = 0
+        self._hold = 0
 
-    def doubts(
+    def flags(
         self,
         pose: Pose,
         views: Sequence[BallView],
         residuals_px: Mapping[tuple[str, str], Floats],
         motion: Callable[[], Motion | None],
     ) -> tuple[str, ...]:
-        """A line for each of them.
+        """One flag for each of them.
 
         Args:
             pose: the pose.
-            views: what was seen, and what of it is believed.
-            residuals_px: (2,) of every believed sighting, by (ball, camera).
-            motion: tells the motion by which pictures were brought together; rarely asked.
+            views: with effective and suspended detections.
+            residuals_px: (2,) of every effective ball-view, by (ball, camera).
+            motion: returns the motion by which detections were moved to one instant; rarely called.
         """
-        self._wary = _WARY if cameras_at_odds(views) else max(self._wary - 1, 0)
+        self._hold = _HOLD_FRAME_SETS if contradicting_cameras(views) else max(self._hold - 1, 0)
         found: tuple[str, ...] = ()
-        for name, shared in _shared(views, residuals_px, self._view_bias_px).items():
-            aside_px, variance, time_s = shared
-            if aside_px @ aside_px <= self._gate * variance:
+        for name, offset in _offsets(views, residuals_px, self._view_bias_px).items():
+            offset_px, variance, time_s = offset
+            if offset_px @ offset_px <= self._gate * variance:
                 continue
-            moving = motion() if self._wary == 0 else None
+            moving = motion() if self._hold == 0 else None
             explained = _explained(self._cameras[name], pose, self._body, time_s, moving)
-            if squared_mahalanobis(aside_px, variance * np.eye(2) + explained) > self._gate:
-                text = f"camera {name} sees all balls {math.hypot(*aside_px):.1f} px aside"
+            if squared_mahalanobis(offset_px, variance * np.eye(2) + explained) > self._gate:
+                text = f"camera {name} sees all balls {math.hypot(*offset_px):.1f} px aside"
                 found += (f"{text}: was it moved, or is its clock off?",)
         return found
 
 
-def _shared(
+def _offsets(
     views: Sequence[BallView], residuals_px: Mapping[tuple[str, str], Floats], view_bias_px: float
 ) -> dict[str, tuple[Floats, float, float]]:
-    """What the balls of a camera have in common: a shift (2,), its variance per axis, the time."""
+    """By camera: weighted mean residual (2,), its variance per axis, and the image's time."""
     sums: dict[str, tuple[int, float, float, float, float]] = {}
     for view in views:
         off_px = residuals_px.get((view.ball, view.camera))
@@ -81,16 +82,16 @@ def _shared(
     return {
         camera: (np.array([x, y]) / total, 1 / total, time_s)
         for camera, (count, total, x, y, time_s) in sums.items()
-        if count >= _MANY
+        if count >= _MIN_BALLS
     }
 
 
 def _explained(
     camera: Camera, pose: Pose, body: Body, time_s: float, motion: Motion | None
 ) -> Floats:
-    """Covariance (2, 2) of a shift that calibration, body and motion leave open, px^2.
+    """Covariance (2, 2) of an offset by the uncertainty of calibration, body and motion, px^2.
 
-    Pictures are brought together by a constant velocity, which is uncertain, and changes.
+    Detections are moved to one instant by a constant velocity, which is uncertain and changes.
     """
     arm = pose.world_from_body.rotate(body.middle)
     place, rig = pose.world_from_body.translation + arm, Rig.of((camera,))
@@ -100,7 +101,7 @@ def _explained(
         return noise
     lead_s = time_s - pose.time_s
     by_pose = np.hstack([by_place, np.cross(arm, by_place)])
-    left_out = lead_s**2 * motion.velocity_covariance
+    by_motion = lead_s**2 * motion.velocity_covariance
     if motion.acceleration_square is not None:
-        left_out = left_out + lead_s**4 / 4 * motion.acceleration_square
-    return noise + propagate(by_pose, left_out)
+        by_motion = by_motion + lead_s**4 / 4 * motion.acceleration_square
+    return noise + propagate(by_pose, by_motion)

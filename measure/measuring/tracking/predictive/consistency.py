@@ -1,8 +1,8 @@
-"""What the sightings of one frame set, taken together, say against the pose fitted to them.
+"""Flags of poses that contradict the ball-views of their frame set taken together.
 
-A fit leaves out what it does not believe, and gives way to what is wrong with all of a ball: its
-residuals stay small. What then stands out is sightings left out in number, and balls that rays
-alone put elsewhere. For what is wrong with all of a camera see `aside`.
+A robust fit suspends outliers and adapts to an error that all views of one ball share, so its
+residuals stay small. What remains visible: the number of suspended views, and balls that
+triangulation puts elsewhere. For errors that all balls of one camera share see `camera_bias`.
 """
 
 from __future__ import annotations
@@ -17,13 +17,14 @@ from measure.geometry import chi_square_quantile
 from measure.model import BallPosition, BallView, Body, Camera, Pose
 from measure.model.observations import Reason, stacked_positions
 
-_DISBELIEVED = (Reason.JUMPED, Reason.INCONSISTENT, Reason.RECOVERING)
-_MANY = 2
-_LEAST_SIGHTINGS = 5
-"""As many as a search must find before it calls something the body."""
+_ELSEWHERE = (Reason.JUMPED, Reason.INCONSISTENT, Reason.RECOVERING)
+"""Reasons of a ball detected elsewhere than predicted, or lately."""
+_MIN_CAMERAS = 2
+_MIN_BALL_VIEWS = 5
+"""The same as a search requires (`AssociationSettings.min_views`)."""
 
 
-def inconsistencies(
+def consistency_flags(
     pose: Pose,
     views: Sequence[BallView],
     positions: Sequence[BallPosition],
@@ -31,51 +32,53 @@ def inconsistencies(
     view_bias_px: float,
     confidence: float,
 ) -> tuple[str, ...]:
-    """Reasons to doubt a pose, a line each.
+    """Flags of a pose, a line each.
 
     Args:
         pose: the pose.
-        views: what was seen, and what of it is believed.
+        views: with effective and suspended detections.
         positions: the balls' centres.
-        body: as its file says.
-        view_bias_px: standard deviation of what a sighting is off by besides its noise.
-        confidence: what is less likely than this is doubted.
+        body: the body.
+        view_bias_px: standard deviation of a ball-view's own bias besides its noise.
+        confidence: probability of the gates.
     """
     variances = {
         (v.ball, v.camera): v.detection.variance_px2
         for v in views
         if v.effective and v.detection is not None
     }
-    found = tuple(_disbelieved(views))
-    found += tuple(_balls_aside(pose, positions, variances, body, view_bias_px, confidence))
-    if len(variances) < _LEAST_SIGHTINGS:
+    found = tuple(_balls_seen_elsewhere(views))
+    found += tuple(
+        _balls_located_elsewhere(pose, positions, variances, body, view_bias_px, confidence)
+    )
+    if len(variances) < _MIN_BALL_VIEWS:
         found += (f"only {len(variances)} sightings of balls: little would show a mistake",)
     return found
 
 
-def unbacked(
+def single_view_balls(
     pose: Pose, views: Sequence[BallView], body: Body, cameras: Sequence[Camera]
 ) -> tuple[str, ...]:
-    """Balls that one camera alone shows, though others should, and on which the rotation rests.
+    """Flags of balls that only one camera sees though others should, if the rotation rests on them.
 
-    Two balls and a third somewhere on one line of sight fit bodies that are quite different ones.
+    Two located balls and a third anywhere on one line of sight fit very different bodies.
     """
     count = dict.fromkeys(body.names, 0)
     for view in views:
         count[view.ball] += view.effective
-    # Three balls make a pose.
+    # With three balls in two cameras each, the rotation rests on none of the others.
     if 1 not in count.values() or sum(n > 1 for n in count.values()) > 2:
         return ()
     centers = pose.world_from_body.apply(body.centers)
     found = []
     for ball in (name for name in body.names if count[name] == 1):
-        lacking = {v.camera for v in views if v.ball == ball and v.reason is Reason.NOT_FOUND}
+        missing = {v.camera for v in views if v.ball == ball and v.reason is Reason.NOT_FOUND}
         blind = [
             camera.name
             for camera in cameras
-            if camera.name in lacking and _in_sight(camera, body, centers, body.index(ball))
+            if camera.name in missing and _in_sight(camera, body, centers, body.index(ball))
         ]
-        if len(blind) >= _MANY:
+        if len(blind) >= _MIN_CAMERAS:
             found.append(
                 f"ball {ball} is seen by one camera only, and not by {', '.join(blind)}: hidden, "
                 "or not where the body file puts it?"
@@ -84,24 +87,23 @@ def unbacked(
 
 
 def _in_sight(camera: Camera, body: Body, centers: Floats, ball: int) -> bool:
-    """Whether a ball lies in the picture, and its middle behind no other ball of the body."""
+    """Whether a ball lies in the image and its centre is hidden by no other ball of the body."""
     if not camera.intrinsics.contains(camera.project(centers[ball][None]))[0]:
         return False
     away = centers - camera.center
     line = away[ball] / np.linalg.norm(away[ball])
-    along = away @ line
-    off = np.linalg.norm(away - along[:, None] * line, axis=1)
-    before = (off < body.radii) & (along < along[ball])
-    return not np.any(before)
+    depth = away @ line
+    off = np.linalg.norm(away - depth[:, None] * line, axis=1)
+    return not np.any((off < body.radii) & (depth < depth[ball]))
 
 
-def _disbelieved(views: Sequence[BallView]) -> Iterable[str]:
-    """Balls that more cameras see elsewhere than where the pose puts them, or that two do."""
-    for ball in dict.fromkeys(view.ball for view in views if view.reason in _DISBELIEVED):
+def _balls_seen_elsewhere(views: Sequence[BallView]) -> Iterable[str]:
+    """Balls detected elsewhere by two cameras, or by as many as detect them where predicted."""
+    for ball in dict.fromkeys(view.ball for view in views if view.reason in _ELSEWHERE):
         seen = [view for view in views if view.ball == ball]
-        against = [v for v in seen if v.detection is not None and v.reason in _DISBELIEVED]
-        backing = sum(view.effective for view in seen)
-        if len(against) >= _MANY or (against and len(against) >= backing):
+        against = [v for v in seen if v.detection is not None and v.reason in _ELSEWHERE]
+        effective = sum(view.effective for view in seen)
+        if len(against) >= _MIN_CAMERAS or (against and len(against) >= effective):
             cameras = ", ".join(view.camera for view in against)
             yield (
                 f"ball {ball} is seen elsewhere by {cameras}: "
@@ -109,7 +111,7 @@ def _disbelieved(views: Sequence[BallView]) -> Iterable[str]:
             )
 
 
-def _balls_aside(
+def _balls_located_elsewhere(
     pose: Pose,
     positions: Sequence[BallPosition],
     variances: Mapping[tuple[str, str], float],
@@ -117,7 +119,7 @@ def _balls_aside(
     view_bias_px: float,
     confidence: float,
 ) -> Iterable[str]:
-    """Balls that are not where the body puts them, by rays alone."""
+    """Balls whose triangulated positions differ from where the body in its pose puts them."""
     if not positions:
         return
     gate, placed = chi_square_quantile(confidence, 3), pose.world_from_body
@@ -130,17 +132,17 @@ def _balls_aside(
         covariances + body.center_covariance,
     )
     for position, (distance, gone_mm) in zip(positions, distances.tolist(), strict=True):
-        if distance > gate and distance > gate * _widening(position, variances, view_bias_px):
+        if distance > gate and distance > gate * _bias_factor(position, variances, view_bias_px):
             yield (
                 f"ball {position.ball} is {gone_mm:.1f} mm from where the body puts it: "
                 "a wrong body file, or a camera that was moved?"
             )
 
 
-def _widening(
+def _bias_factor(
     position: BallPosition, variances: Mapping[tuple[str, str], float], view_bias_px: float
 ) -> float:
-    """Factor on a position's covariance for what its views are off by besides noise."""
+    """Factor on a position's covariance for the biases of its views."""
     own = [
         variances[position.ball, name]
         for name in position.cameras

@@ -1,4 +1,4 @@
-"""Which detections agree with the prediction, and with each other; compiled."""
+"""Gates: which detections agree with the prediction and with each other; compiled."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from measure.arrays import Bools, Floats, Ints
 from measure.compiling import compiled, inlined
 from measure.geometry.covariance_kernels import inverse_2x2, squared_distance
 from measure.geometry.linear_kernels import cholesky, inverse, invert_factored, solve_factored
-from measure.measuring.tracking.predictive.ball_projection import Predicted
-from measure.measuring.tracking.predictive.motion_kernels import carried
+from measure.measuring.tracking.predictive.ball_projection import PredictedBalls
+from measure.measuring.tracking.predictive.motion_kernels import propagated_covariance
 
-_ROUNDS = 4
+_ITERATIONS = 4
 AGREES, JUMPED, MISCOLORED, CONTRADICTS = 0, 1, 2, 3
-"""What is said of a detection: that it is believed; that it is too far from the prediction; that it
-has the wrong colour; that no change of the prediction explains it and the others."""
+"""Results of the gates for a detection: accepted; too far from the prediction; of the wrong colour;
+not explained by the change of the prediction that explains the majority."""
 
 
-class Sighted(NamedTuple):
-    """n detections.
+class GatedObservations(NamedTuple):
+    """n detections to be gated.
 
     Attributes:
         pixels: (n, 2) centres.
@@ -36,21 +36,21 @@ class Sighted(NamedTuple):
 
 
 @compiled
-def judge_sightings(
-    seen: Sighted,
+def gate_observations(
+    seen: GatedObservations,
     rows: Ints,
-    balls: Predicted,
+    balls: PredictedBalls,
     covariance: Floats,
     time_s: float,
     variance: Floats,
     systematic_px: float,
     gate: float,
 ) -> tuple[Ints, Floats, Floats]:
-    """Which detections are believed, and what those say of the motion.
+    """Gate detections, and estimate the change of the motion that the accepted ones ask for.
 
     Args:
         seen: the detections.
-        rows: (n,) which of the predictions each of them belongs to.
+        rows: (n,) the prediction that each of them belongs to.
         balls: the predictions.
         covariance: (12, 12) of pose and velocity at `time_s`.
         time_s: the instant that is predicted from.
@@ -59,8 +59,8 @@ def judge_sightings(
         gate: greatest squared Mahalanobis distance, from a chi-square distribution of 2 degrees.
 
     Returns:
-        The judgement on each (n,), as above; the change of pose and velocity (12,) that the
-        believable ones ask for and its covariance (12, 12), not a number if there are none.
+        The result for each (n,), as above; the change of pose and velocity (12,) that the usable
+        ones ask for and its covariance (12, 12), NaN if there are none.
     """
     off, noise = seen.pixels - balls.centers_px[rows], seen.noise + systematic_px**2 * np.eye(2)
     out = np.full(len(rows), JUMPED)
@@ -73,7 +73,7 @@ def judge_sightings(
         off[usable],
         balls.jacobians[rows[usable]],
         noise[usable],
-        carried(covariance, instant - time_s, variance),
+        propagated_covariance(covariance, instant - time_s, variance),
         gate,
         seen.times_s[usable] - instant,
     )
@@ -85,7 +85,7 @@ def judge_sightings(
 def agree_with_prediction(
     innovations: Floats, predicted: Floats, noise: Floats, gate: float
 ) -> Bools:
-    """Whether innovations (n, 2) are likely.
+    """Whether innovations (n, 2) pass the gate.
 
     Args:
         innovations: detected minus predicted centres, px.
@@ -111,8 +111,8 @@ def agree_with_each_other(
 ) -> tuple[Bools, Floats, Floats]:
     """Whether one small change of the predicted pose and velocity explains innovations (n, 2).
 
-    A robust linear update of the prediction (Tukey's weights); what is left over is compared with
-    the detections' own noise, so a camera or ball that contradicts the majority stands out.
+    A robust linear update of the prediction (Tukey's weights). The residuals are compared with the
+    detections' own noise, so a camera or ball that contradicts the majority fails the gate.
 
     Args:
         innovations: detected minus predicted centres, px.
@@ -127,17 +127,17 @@ def agree_with_each_other(
         (12, 12).
     """
     n = len(innovations)
-    sharpness, left, distances = np.empty((n, 2, 2)), np.empty(2), np.zeros(n)
+    precision, left, distances = np.empty((n, 2, 2)), np.empty(2), np.zeros(n)
     for i in range(n):
-        sharpness[i] = inverse_2x2(noise[i])
+        precision[i] = inverse_2x2(noise[i])
     information, normal, factor = inverse(prior), np.empty((12, 12)), np.empty((12, 12))
     right, step, covariance = np.empty(12), np.empty(12), np.full((12, 12), np.nan)
     width = 16.0 * gate
-    for _ in range(_ROUNDS):
+    for _ in range(_ITERATIONS):
         normal[:], right[:] = information, 0.0
         for i in range(n):
             weight = max(1 - distances[i] / (2.25 * width), 0.0) ** 2
-            _add(jacobians[i], lead_s[i], sharpness[i], weight, innovations[i], normal, right)
+            _add(jacobians[i], lead_s[i], precision[i], weight, innovations[i], normal, right)
         if not cholesky(normal, factor):
             return np.zeros(n, np.bool_), np.full(12, np.nan), covariance
         solve_factored(factor, right, step)
@@ -146,7 +146,7 @@ def agree_with_each_other(
                 left[u] = innovations[i, u]
                 for a in range(6):
                     left[u] -= jacobians[i, u, a] * (step[a] + lead_s[i] * step[6 + a])
-            distances[i] = squared_distance(left, sharpness[i])
+            distances[i] = squared_distance(left, precision[i])
         width = max(gate, width / 4)
     invert_factored(factor, covariance)
     return distances <= gate, step, covariance
@@ -156,18 +156,18 @@ def agree_with_each_other(
 def _add(
     slopes: Floats,
     lead: float,
-    sharpness: Floats,
+    precision: Floats,
     weight: float,
     seen: Floats,
     normal: Floats,
     right: Floats,
 ) -> None:
-    """Add a detection (2,), its slopes (2, 6) and weights, to the equations' lower half.
+    """Add a detection (2,) with Jacobian (2, 6) by the pose to the normal equations' lower half.
 
-    By the velocity the slopes are `lead` times those by the pose.
+    The Jacobian by the velocity is `lead` times that.
     """
-    p, q = sharpness[0, 0] * weight, sharpness[0, 1] * weight
-    r, s = sharpness[1, 0] * weight, sharpness[1, 1] * weight
+    p, q = precision[0, 0] * weight, precision[0, 1] * weight
+    r, s = precision[1, 0] * weight, precision[1, 1] * weight
     for a in range(6):
         u = slopes[0, a] * p + slopes[1, a] * r
         v = slopes[0, a] * q + slopes[1, a] * s

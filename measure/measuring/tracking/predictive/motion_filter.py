@@ -1,10 +1,10 @@
 """A constant-velocity Kalman filter on rigid poses.
 
-The error state is the pose's `perturb` chart and its rate; between pictures the body accelerates at
-random (Bar-Shalom, Li and Kirubarajan 2001, section 6.3.2, discrete white-noise acceleration), as
-strongly as it did so far. What hands and robots do is less random than that: as far as one
-acceleration told the next so far, the last one is expected to go on (an autoregression, as in
-Singer 1970, of which the share is learnt).
+The error state is the pose's `perturb` chart and its rate; the acceleration between images is white
+noise (Bar-Shalom, Li and Kirubarajan 2001, section 6.3.2, discrete white-noise acceleration) with
+the variance observed so far. Motions of hands and robots are smoother: successive accelerations are
+correlated, and the last one, times their observed autocorrelation, is part of the prediction (an
+autoregression, as in Singer 1970).
 """
 
 from __future__ import annotations
@@ -16,57 +16,57 @@ import numpy as np
 from measure.arrays import Floats
 from measure.geometry import RigidTransform
 from measure.measuring.tracking.predictive.motion_kernels import (
-    Accelerations,
-    Course,
-    MeasuredPose,
-    moved_on,
-    possible,
+    AccelerationMoments,
+    FilterState,
+    Kinematics,
+    acceleration_bound,
+    predicted,
     updated,
 )
 from measure.model import Motion, Pose
 
-_STEADY_S = 0.3
-"""How far back accelerations count: a second or two of shaking has many phases in it."""
-_SETTLED = 2
+_MEMORY_S = 0.3
+"""Time constant of the mean over accelerations."""
+_MIN_POSES_VELOCITY = 2
 """Measured poses after which changes of the velocity are the body's, not the filter's start."""
-_WILD, _A_MOMENT_S = 4.0, 0.5
-"""A body that was lost a moment ago moves faster than it was taken to, or it was not lost."""
-_KNOWN = 6
-"""The same, after which four of them were seen."""
+_MIN_POSES_ACCELERATION = 6
+"""Measured poses after which four accelerations have been observed."""
+_LOST_FACTOR, _LOST_S = 4.0, 0.5
+"""Factor on speed and acceleration of a body found again within so many seconds after its loss."""
 
 
-def steady(velocity: Floats) -> Course:
-    """A velocity (6,) that is not expected to change."""
-    return Course(velocity, np.zeros(6), 0.0)
+def constant_velocity(velocity: Floats) -> Kinematics:
+    """A velocity (6,) without acceleration."""
+    return Kinematics(velocity, np.zeros(6), 0.0)
 
 
-def _none_seen() -> Accelerations:
-    return Accelerations(np.zeros(6), np.zeros((6, 6)), np.zeros(6))
+def _none_observed() -> AccelerationMoments:
+    return AccelerationMoments(np.zeros(6), np.zeros((6, 6)), np.zeros(6))
 
 
 def per_axis(millimetres: float, radians: float) -> Floats:
-    """The same for all axes (6,): of translation, then of rotation."""
+    """The same value for all axes (6,): of translation, then of rotation."""
     return np.repeat([millimetres, radians], 3)
 
 
 @dataclass(frozen=True, eq=False)
 class MotionState:
-    """What is known of the motion at one instant.
+    """Pose and motion at one instant.
 
     Attributes:
         world_from_body: the pose.
-        course: how it moves on.
+        kinematics: velocity and acceleration.
         time_s: the instant.
         covariance: (12, 12) of the pose's chart and the velocity.
-        accelerations: so far.
+        accelerations: observed so far.
         measured: number of measured poses it rests on.
     """
 
     world_from_body: RigidTransform
-    course: Course
+    kinematics: Kinematics
     time_s: float
     covariance: Floats
-    accelerations: Accelerations = field(default_factory=_none_seen)
+    accelerations: AccelerationMoments = field(default_factory=_none_observed)
     measured: int = 0
 
     @classmethod
@@ -84,34 +84,34 @@ class MotionState:
             world_from_body: the pose.
             covariance: (6, 6) of the pose.
             time_s: the instant.
-            speed_sd: (6,) its velocity is zero give or take that, mm/s and rad/s.
-            acceleration_sd: (6,) to reckon with until some are seen, mm/s^2 and rad/s^2; None for
-                what is set.
+            speed_sd: (6,) standard deviation of its velocity about zero, mm/s and rad/s.
+            acceleration_sd: (6,) assumed until some are observed, mm/s^2 and rad/s^2; None for the
+                configured ones.
         """
         full = np.zeros((12, 12))
         full[:6, :6], full[6:, 6:] = covariance, np.diag(speed_sd**2)
-        so_far = _none_seen()
+        moments = _none_observed()
         if acceleration_sd is not None:
-            so_far = so_far._replace(square=np.diag(acceleration_sd**2))
-        return cls(world_from_body, steady(np.zeros(6)), time_s, full, so_far)
+            moments = moments._replace(square=np.diag(acceleration_sd**2))
+        return cls(world_from_body, constant_velocity(np.zeros(6)), time_s, full, moments)
 
     @property
     def new(self) -> bool:
-        """Whether the velocity rests on pictures of the instant alone at which it was found."""
-        return self.measured < _SETTLED
+        """Whether the velocity rests on no images but those in which the body was found."""
+        return self.measured < _MIN_POSES_VELOCITY
 
     @property
-    def known(self) -> bool:
-        """Whether accelerations enough were seen to tell how strong they are."""
-        return self.measured >= _KNOWN
+    def accelerations_known(self) -> bool:
+        """Whether enough accelerations were observed to know their variance."""
+        return self.measured >= _MIN_POSES_ACCELERATION
 
-    def possible(self, acceleration_sd: Floats) -> Floats:
-        """Standard deviations (6,) of the acceleration to reckon with, mm/s^2 and rad/s^2.
+    def acceleration_bound(self, acceleration_sd: Floats) -> Floats:
+        """Standard deviations (6,) of the acceleration to assume, mm/s^2 and rad/s^2.
 
         Args:
-            acceleration_sd: (6,) what is set; a body that has shown more may do so again.
+            acceleration_sd: (6,) configured; the observed ones count where they are larger.
         """
-        return possible(self.accelerations.square, acceleration_sd)
+        return acceleration_bound(self.accelerations.square, acceleration_sd)
 
     def at(self, time_s: float, acceleration_sd: Floats) -> MotionState:
         """The prediction for another instant.
@@ -120,81 +120,67 @@ class MotionState:
             time_s: the instant.
             acceleration_sd: (6,) standard deviation of the acceleration, mm/s^2 and rad/s^2.
         """
-        rotation, translation, velocity, covariance = moved_on(
-            np.ascontiguousarray(self.world_from_body.rotation),
-            np.ascontiguousarray(self.world_from_body.translation),
-            self.course,
-            self.covariance,
-            time_s - self.time_s,
-            acceleration_sd**2,
-        )
-        return MotionState(
-            RigidTransform(rotation, translation),
-            steady(velocity),
-            time_s,
-            covariance,
-            self.accelerations,
-            self.measured,
-        )
+        state = predicted(self._filter_state(), time_s - self.time_s, acceleration_sd**2)
+        return self._with(state, time_s, self.measured)
 
     def updated(self, pose: Pose, extra: Floats, acceleration_sd: Floats) -> MotionState:
         """The state after a measured pose.
 
         Args:
             pose: the measurement, at its own time.
-            extra: (6,) standard deviations added to its covariance, for what that leaves out.
-            acceleration_sd: as in `at`.
+            extra: (6,) standard deviations added to its covariance, for systematic errors.
+            acceleration_sd: (6,) configured, mm/s^2 and rad/s^2.
         """
-        here, seen, dt = self.world_from_body, pose.world_from_body, pose.time_s - self.time_s
-        rotation, translation, course, covariance, accelerations = updated(
-            np.ascontiguousarray(here.rotation),
-            np.ascontiguousarray(here.translation),
-            self.course,
-            self.covariance,
+        measured, dt = pose.world_from_body, pose.time_s - self.time_s
+        state = updated(
+            self._filter_state(),
             dt,
             acceleration_sd**2,
-            MeasuredPose(
-                np.ascontiguousarray(seen.rotation),
-                np.ascontiguousarray(seen.translation),
-                pose.covariance,
-            ),
-            extra**2,
+            np.ascontiguousarray(measured.rotation),
+            np.ascontiguousarray(measured.translation),
+            pose.covariance + np.diag(extra**2),
+            self._observation_weight(dt),
+        )
+        return self._with(state, pose.time_s, self.measured + 1)
+
+    def _filter_state(self) -> FilterState:
+        return FilterState(
+            np.ascontiguousarray(self.world_from_body.rotation),
+            np.ascontiguousarray(self.world_from_body.translation),
+            self.kinematics,
+            self.covariance,
             self.accelerations,
-            self._share(dt),
-        )
-        return MotionState(
-            RigidTransform(rotation, translation),
-            course,
-            pose.time_s,
-            covariance,
-            accelerations,
-            self.measured + 1,
         )
 
-    def _share(self, dt: float) -> float:
-        """Of one more acceleration in the mean square of all so far."""
-        if self.measured < _SETTLED or dt <= 0:
+    def _with(self, state: FilterState, time_s: float, measured: int) -> MotionState:
+        rotation, translation, kinematics, covariance, accelerations = state
+        pose = RigidTransform(rotation, translation)
+        return MotionState(pose, kinematics, time_s, covariance, accelerations, measured)
+
+    def _observation_weight(self, dt: float) -> float:
+        """Weight of one more acceleration in the moments: 1 / n, then that of the time constant."""
+        if self.measured < _MIN_POSES_VELOCITY or dt <= 0:
             return 0.0
-        return 1 / min(self.measured - _SETTLED + 1, max(_STEADY_S / dt, 1.0))
+        return 1 / min(self.measured - _MIN_POSES_VELOCITY + 1, max(_MEMORY_S / dt, 1.0))
 
-    def motion(self, faster: tuple[Floats, Floats] | None = None) -> Motion:
-        """As the pipeline hands it to solvers.
+    def motion(self, velocity_change: tuple[Floats, Floats] | None = None) -> Motion:
+        """For pose solvers.
 
         Args:
-            faster: by how much (6,) the velocity is known to have changed, and its covariance then.
+            velocity_change: (6,) by newer detections, and the velocity's covariance with them.
         """
-        change, known = (0.0, self.covariance[6:, 6:]) if faster is None else faster
+        change, covariance = velocity_change or (0.0, self.covariance[6:, 6:])
         return Motion(
             self.world_from_body,
             self.time_s,
-            self.course.velocity + change,
+            self.kinematics.velocity + change,
             self.covariance[:6, :6],
-            velocity_covariance=known,
+            velocity_covariance=covariance,
             acceleration_square=self.accelerations.square,
         )
 
 
-def just_found(
+def initial_state(
     world_from_body: RigidTransform,
     covariance: Floats,
     time_s: float,
@@ -202,17 +188,17 @@ def just_found(
     acceleration_sd: Floats,
     lost: MotionState | None,
 ) -> MotionState:
-    """The motion of a body just found.
+    """The motion of a body just found; faster than usual if it was lost shortly before.
 
     Args:
         world_from_body: the pose.
         covariance: (6, 6) of the pose.
         time_s: the instant.
-        speed_sd: (6,) of a velocity of which nothing is known, mm/s and rad/s.
-        acceleration_sd: (6,) what is set, mm/s^2 and rad/s^2.
-        lost: the motion when the body was last seen; None if it never was.
+        speed_sd: (6,) standard deviation of an unknown velocity, mm/s and rad/s.
+        acceleration_sd: (6,) configured, mm/s^2 and rad/s^2.
+        lost: the motion when the body was last measured; None if it never was.
     """
-    if lost is None or abs(time_s - lost.time_s) > _A_MOMENT_S:
+    if lost is None or abs(time_s - lost.time_s) > _LOST_S:
         return MotionState.begin(world_from_body, covariance, time_s, speed_sd)
-    wild = _WILD * speed_sd, _WILD * acceleration_sd
-    return MotionState.begin(world_from_body, covariance, time_s, *wild)
+    faster = _LOST_FACTOR * speed_sd, _LOST_FACTOR * acceleration_sd
+    return MotionState.begin(world_from_body, covariance, time_s, *faster)

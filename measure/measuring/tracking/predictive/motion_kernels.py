@@ -1,4 +1,4 @@
-"""A body's motion, carried on and corrected, compiled: see `motion_filter`."""
+"""Prediction and update of the motion filter, compiled: see `motion_filter`."""
 
 from __future__ import annotations
 
@@ -11,34 +11,34 @@ from measure.compiling import compiled
 from measure.geometry.linear_kernels import inverse
 from measure.geometry.rotation_kernels import rotation_of, rotvec_of
 
-_BEFOREHAND = 0.5
-"""That accelerations last counts so much beforehand, in those seen: few of them tell little."""
-_LEAST_USUAL = 1 / 64
-"""A body that rested may accelerate at an eighth of what is set, lest its start be missed."""
-_MOST = 16
-"""A body that is shaken may accelerate at four times what is set: more is a mistake."""
+_PRIOR_WEIGHT = 0.5
+"""Weight of a prior autocorrelation of 1, in observed accelerations: a few alone say little."""
+_MIN_VARIANCE_RATIO = 1 / 64
+"""Least variance of the acceleration, of the configured one: a body at rest may start to move."""
+_MAX_VARIANCE_RATIO = 16
+"""Largest variance of the acceleration, of the configured one: more is taken for an error."""
 
 
-class Course(NamedTuple):
+class Kinematics(NamedTuple):
     """How a body moves at an instant, in the world.
 
     Attributes:
         velocity: (6,) mm/s and rad/s.
-        acceleration: (6,) as it is expected to go on, mm/s^2 and rad/s^2.
-        during_s: for how long.
+        acceleration: (6,) expected from here on, mm/s^2 and rad/s^2.
+        duration_s: for how long.
     """
 
     velocity: Floats
     acceleration: Floats
-    during_s: float
+    duration_s: float
 
 
-class Accelerations(NamedTuple):
-    """How a body has accelerated so far, in mm/s^2 and rad/s^2.
+class AccelerationMoments(NamedTuple):
+    """Moments of the accelerations observed so far, mm/s^2 and rad/s^2.
 
     Attributes:
-        last: (6,) seen.
-        square: (6, 6) mean square; zero if none was seen.
+        last: (6,) the last one.
+        square: (6, 6) mean of a a^T; zero if none was observed.
         product: (6,) mean product of each with the one before.
     """
 
@@ -47,22 +47,26 @@ class Accelerations(NamedTuple):
     product: Floats
 
 
-class MeasuredPose(NamedTuple):
-    """A measured world_from_body.
+class FilterState(NamedTuple):
+    """The state of the filter.
 
     Attributes:
-        rotation: (3, 3).
-        translation: (3,) mm.
-        covariance: (6, 6) in its `perturb` chart.
+        rotation: (3, 3) of world_from_body.
+        translation: (3,) the same, mm.
+        kinematics: of the body.
+        covariance: (12, 12) of pose and velocity.
+        accelerations: observed so far.
     """
 
     rotation: Floats
     translation: Floats
+    kinematics: Kinematics
     covariance: Floats
+    accelerations: AccelerationMoments
 
 
 @compiled
-def carried(covariance: Floats, dt: float, variance: Floats) -> Floats:
+def propagated_covariance(covariance: Floats, dt: float, variance: Floats) -> Floats:
     """The covariance (12, 12) of pose and velocity `dt` seconds on: see `MotionState.at`.
 
     Args:
@@ -86,134 +90,124 @@ def carried(covariance: Floats, dt: float, variance: Floats) -> Floats:
 
 
 @compiled
-def way(course: Course, dt: float) -> tuple[Floats, Floats]:
-    """How far (6,) a body goes within `dt` seconds, of either sign, and its velocity (6,) then.
+def displacement(kinematics: Kinematics, dt: float) -> tuple[Floats, Floats]:
+    """Displacement (6,) of a body within `dt` seconds, of either sign, and its velocity (6,) then.
 
-    An acceleration is not expected to go on for longer than it has been seen.
+    The acceleration lasts no longer than the interval over which it was observed.
     """
-    during = min(max(dt, -course.during_s), course.during_s)
-    gone = course.velocity * dt + course.acceleration * (during * (dt - during / 2))
-    return gone, course.velocity + course.acceleration * during
+    during = min(max(dt, -kinematics.duration_s), kinematics.duration_s)
+    moved = kinematics.velocity * dt + kinematics.acceleration * (during * (dt - during / 2))
+    return moved, kinematics.velocity + kinematics.acceleration * during
 
 
 @compiled
-def moved_on(
-    rotation: Floats,
-    translation: Floats,
-    course: Course,
-    covariance: Floats,
-    dt: float,
-    variance: Floats,
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """Rotation, translation, velocity and covariance `dt` seconds on: see `MotionState.at`."""
-    gone, velocity = way(course, dt)
-    return (
-        rotation_of(gone[3:]) @ rotation,
-        translation + gone[:3],
-        velocity,
-        carried(covariance, dt, variance),
+def predicted(state: FilterState, dt: float, variance: Floats) -> FilterState:
+    """The state `dt` seconds on, with constant velocity from there: see `MotionState.at`."""
+    moved, velocity = displacement(state.kinematics, dt)
+    return FilterState(
+        rotation_of(moved[3:]) @ state.rotation,
+        state.translation + moved[:3],
+        Kinematics(velocity, np.zeros(6), 0.0),
+        propagated_covariance(state.covariance, dt, variance),
+        state.accelerations,
     )
 
 
 @compiled
 def updated(
-    rotation: Floats,
-    translation: Floats,
-    course: Course,
-    covariance: Floats,
+    state: FilterState,
     dt: float,
     variance: Floats,
-    measured: MeasuredPose,
-    extra: Floats,
-    accelerations: Accelerations,
-    share: float,
-) -> tuple[Floats, Floats, Course, Floats, Accelerations]:
-    """A motion, carried on to the time of a measured pose, after that.
+    measured_rotation: Floats,
+    measured_translation: Floats,
+    noise: Floats,
+    weight: float,
+) -> FilterState:
+    """The state after a measured pose.
 
     Args:
-        rotation: (3, 3) of world_from_body.
-        translation: (3,) the same.
-        course: how it moves.
-        covariance: (12, 12) of pose and velocity.
-        dt: s until the measured pose.
-        variance: (6,) of the acceleration.
-        measured: the pose then.
-        extra: (6,) variances added to that.
-        accelerations: so far.
-        share: of one more in their means; 0 to leave them as they are.
-
-    Returns:
-        Rotation, translation, course, covariance and accelerations after.
+        state: before it.
+        dt: s from there until the measured pose.
+        variance: (6,) configured for the acceleration.
+        measured_rotation: (3, 3) of the measured world_from_body.
+        measured_translation: (3,) the same.
+        noise: (6, 6) covariance of the measured pose.
+        weight: of a new acceleration in the moments; 0 to leave them as they are.
     """
-    usual = _usual(accelerations.square, variance)
-    rotation, translation, velocity, known = moved_on(
-        rotation, translation, course, covariance, dt, usual
-    )
-    off = np.empty(6)
-    off[:3] = measured.translation - translation
-    off[3:] = rotvec_of(measured.rotation @ rotation.T)
-    step, covariance = corrected(known, measured.covariance + np.diag(extra), off)
-    if share > 0:
-        accelerations = _one_more(course.acceleration + step[6:] / dt, accelerations, share)
-    return (
-        rotation_of(step[3:6]) @ rotation,
-        translation + step[:3],
-        Course(velocity + step[6:], _going_on(accelerations), abs(dt)),
+    there = predicted(state, dt, _observed_variances(state.accelerations.square, variance))
+    innovation = np.empty(6)
+    innovation[:3] = measured_translation - there.translation
+    innovation[3:] = rotvec_of(measured_rotation @ there.rotation.T)
+    step, covariance = kalman_step(there.covariance, noise, innovation)
+    accelerations = state.accelerations
+    if weight > 0:
+        observed = state.kinematics.acceleration + step[6:] / dt
+        accelerations = _with_observation(observed, accelerations, weight)
+    return FilterState(
+        rotation_of(step[3:6]) @ there.rotation,
+        there.translation + step[:3],
+        Kinematics(
+            there.kinematics.velocity + step[6:], _expected_acceleration(accelerations), abs(dt)
+        ),
         covariance,
         accelerations,
     )
 
 
 @compiled
-def _one_more(seen: Floats, before: Accelerations, share: float) -> Accelerations:
-    """One more acceleration (6,), and its share in the means."""
-    square = before.square + share * (np.outer(seen, seen) - before.square)
-    return Accelerations(
-        seen, square, before.product + share * (seen * before.last - before.product)
+def _with_observation(
+    observed: Floats, before: AccelerationMoments, weight: float
+) -> AccelerationMoments:
+    """The moments with one more acceleration (6,) of a weight."""
+    square = before.square + weight * (np.outer(observed, observed) - before.square)
+    return AccelerationMoments(
+        observed, square, before.product + weight * (observed * before.last - before.product)
     )
 
 
 @compiled
-def _going_on(so_far: Accelerations) -> Floats:
-    """The acceleration (6,) to expect: as much of the last one as each told of the next so far."""
+def _expected_acceleration(moments: AccelerationMoments) -> Floats:
+    """The acceleration (6,) to expect: the last one times the autocorrelation in [0, 1]."""
     out = np.zeros(6)
     for i in range(6):
-        if so_far.square[i, i] > 0:
-            told = so_far.product[i] / so_far.square[i, i]
-            share = (told + _BEFOREHAND) / (1 + _BEFOREHAND)
-            out[i] = min(max(share, 0.0), 1.0) * so_far.last[i]
+        if moments.square[i, i] > 0:
+            observed = moments.product[i] / moments.square[i, i]
+            correlation = (observed + _PRIOR_WEIGHT) / (1 + _PRIOR_WEIGHT)
+            out[i] = min(max(correlation, 0.0), 1.0) * moments.last[i]
     return out
 
 
 @compiled
-def _usual(square: Floats, variance: Floats) -> Floats:
-    """Variances (6,) of the acceleration that a body has shown."""
+def _observed_variances(square: Floats, variance: Floats) -> Floats:
+    """Observed variances (6,) of the acceleration, within bounds relative to the configured."""
     out = variance.copy()
     for i in range(6):
         if square[i, i] > 0:
-            out[i] = min(max(square[i, i], _LEAST_USUAL * variance[i]), _MOST * variance[i])
+            low, high = _MIN_VARIANCE_RATIO * variance[i], _MAX_VARIANCE_RATIO * variance[i]
+            out[i] = min(max(square[i, i], low), high)
     return out
 
 
 @compiled
-def possible(square: Floats, sd: Floats) -> Floats:
-    """Standard deviations (6,) of the acceleration to reckon with: see `MotionState.possible`."""
+def acceleration_bound(square: Floats, sd: Floats) -> Floats:
+    """Standard deviations (6,) of the acceleration: see `MotionState.acceleration_bound`."""
     out = np.empty(6)
     for i in range(6):
-        out[i] = np.sqrt(min(max(square[i, i], sd[i] * sd[i]), _MOST * sd[i] * sd[i]))
+        variance = sd[i] * sd[i]
+        out[i] = np.sqrt(min(max(square[i, i], variance), _MAX_VARIANCE_RATIO * variance))
     return out
 
 
 @compiled
-def corrected(known: Floats, noise: Floats, off: Floats) -> tuple[Floats, Floats]:
-    """The Kalman filter's change (12,) of pose and velocity, and the covariance (12, 12) after.
+def kalman_step(covariance: Floats, noise: Floats, innovation: Floats) -> tuple[Floats, Floats]:
+    """The filter's change (12,) of pose and velocity, and the covariance (12, 12) after it.
 
     Args:
-        known: (12, 12) covariance of the prediction.
+        covariance: (12, 12) of the prediction.
         noise: (6, 6) covariance of the measured pose.
-        off: (6,) measured minus predicted pose, in the prediction's chart.
+        innovation: (6,) measured minus predicted pose, in the prediction's chart.
     """
-    gain = known[:, :6].copy() @ inverse(known[:6, :6] + noise)
+    gain = covariance[:, :6].copy() @ inverse(covariance[:6, :6] + noise)
     keep = np.eye(12)
     keep[:, :6] -= gain
-    return gain @ off, keep @ known @ keep.T + gain @ noise @ gain.T
+    return gain @ innovation, keep @ covariance @ keep.T + gain @ noise @ gain.T

@@ -1,4 +1,4 @@
-"""Reasons to doubt a pose that the solver was content with."""
+"""Flags of a solved pose: soft ones lower its status, hard ones also keep it out of the filter."""
 
 from __future__ import annotations
 
@@ -16,15 +16,17 @@ from measure.measuring.tracking.predictive.motion_filter import MotionState
 from measure.model import BallPosition, BallView, Body, Camera, Detection, Pose, Rig
 from measure.model.observations import Reason, stacked_positions
 
-_GOOD_CANDIDATE = 0.5
-_MOST_CAMERAS = 0.5
-_SIGMAS = 2.0
-_CAN_MOVE = 0.9999
-_MANY = 2
+_MIN_SCORE = 0.5
+"""Score of a candidate that is taken for a ball."""
+_MAX_CONTRADICTING_SHARE = 0.5
+_RMS_SIGMAS = 2.0
+_MOTION_CONFIDENCE = 0.9999
+_MIN_ELSEWHERE = 2
 _ELSEWHERE = (Reason.INCONSISTENT, Reason.JUMPED)
+"""Reasons of a ball detected at another place than predicted."""
 
 
-def contradictions(
+def hard_flags(
     pose: Pose,
     positions: Sequence[BallPosition],
     views: Sequence[BallView],
@@ -33,17 +35,17 @@ def contradictions(
     tolerance_mm: float,
     max_rms_px: float,
 ) -> tuple[str, ...]:
-    """What shows that a pose is wrong: ball distances, residuals, cameras at odds.
+    """Flags of a wrong pose: ball distances, reprojection errors, contradicting cameras.
 
     Args:
         pose: the pose.
         positions: the balls' centres.
-        views: what was seen and believed.
-        body: as its file says.
+        views: with effective and suspended detections.
+        body: the body.
         cameras: all of them.
-        tolerance_mm: error of a distance between balls that is not worth a word.
-        max_rms_px: largest reprojection error that is not, beyond what detections and calibrations
-            say that they are off by.
+        tolerance_mm: error of a distance between balls that is never flagged.
+        max_rms_px: reprojection error that is never flagged, besides the stated uncertainty of
+            detections and calibration.
     """
     found: tuple[str, ...] = ()
     if len(positions) >= 2:
@@ -54,20 +56,22 @@ def contradictions(
             tolerance_mm,
         )
     if pose.rms_px > max_rms_px and pose.rms_px > math.hypot(
-        max_rms_px, _SIGMAS * _noise(views, cameras, pose.world_from_body.apply(body.middle))
+        max_rms_px, _RMS_SIGMAS * _noise(views, cameras, pose.world_from_body.apply(body.middle))
     ):
         found += (f"reprojection errors of {pose.rms_px:.1f} px",)
-    at_odds = cameras_at_odds(views)
-    used = {view.camera for view in views if view.effective} if at_odds else set()
-    if at_odds and len(at_odds) >= _MOST_CAMERAS * len(used | set(at_odds)):
-        found += (f"cameras {', '.join(at_odds)} contradict the others: nobody can tell who errs",)
+    contradicting = contradicting_cameras(views)
+    if contradicting:
+        used = {view.camera for view in views if view.effective} | set(contradicting)
+        if len(contradicting) >= _MAX_CONTRADICTING_SHARE * len(used):
+            names = ", ".join(contradicting)
+            found += (f"cameras {names} contradict the others: nobody can tell who errs",)
     return found
 
 
 def _noise(views: Sequence[BallView], cameras: Sequence[Camera], place: Floats) -> float:
-    """RMS of what believed sightings at about a place are off by, as stated, both axes, px."""
-    off = np.trace(calibration_noise(Rig.of(cameras), place), axis1=1, axis2=2)
-    by_camera = dict(zip([camera.name for camera in cameras], off.tolist(), strict=True))
+    """RMS stated error, over both axes, of the effective detections about a place (3,), px."""
+    variances = np.trace(calibration_noise(Rig.of(cameras), place), axis1=1, axis2=2)
+    by_camera = dict(zip([camera.name for camera in cameras], variances.tolist(), strict=True))
     noise = [
         2 * v.detection.variance_px2 + by_camera[v.camera]
         for v in views
@@ -76,8 +80,8 @@ def _noise(views: Sequence[BallView], cameras: Sequence[Camera], place: Floats) 
     return math.sqrt(sum(noise) / max(len(noise), 1))
 
 
-def weaknesses(pose: Pose, views: Sequence[BallView], max_sd_mm: float) -> tuple[str, ...]:
-    """What makes a pose less sure than usual, or points at a camera to look after."""
+def soft_flags(pose: Pose, views: Sequence[BallView], max_sd_mm: float) -> tuple[str, ...]:
+    """Flags of a pose that is less certain than usual, or of cameras to check."""
     found: tuple[str, ...] = ()
     effective = [view for view in views if view.effective]
     used = sorted({view.camera for view in effective})
@@ -89,11 +93,11 @@ def weaknesses(pose: Pose, views: Sequence[BallView], max_sd_mm: float) -> tuple
         found += (f"position known to {pose.position_sd_mm:.1f} mm only",)
     return found + tuple(
         f"camera {name} contradicts the others on every ball: check its calibration"
-        for name in cameras_at_odds(views)
+        for name in contradicting_cameras(views)
     )
 
 
-def strangers(
+def disagreeing_cameras(
     found: Association,
     body: Body,
     cameras: Sequence[Camera],
@@ -108,40 +112,40 @@ def strangers(
         if camera.name in agreeing:
             continue
         in_view = int(np.sum(camera.intrinsics.contains(camera.project(centers))))
-        good = {d.ball for d in detections.get(camera.name, ()) if d.score >= _GOOD_CANDIDATE}
+        good = {d.ball for d in detections.get(camera.name, ()) if d.score >= _MIN_SCORE}
         if len(good) >= 2 and (in_view >= 2 or in_view == 0):
             out.append(camera.name)
     return tuple(out)
 
 
-def said_of_strangers(names: Sequence[str]) -> tuple[str, ...]:
-    """A line for each of the cameras that `strangers` names."""
+def disagreement_flags(names: Sequence[str]) -> tuple[str, ...]:
+    """A flag for each of the cameras that `disagreeing_cameras` names."""
     return tuple(
         f"camera {name} sees balls, but none where the others do: check its calibration"
         for name in names
     )
 
 
-def hasty(views: Sequence[BallView], times_s: Sequence[float]) -> tuple[str, ...]:
-    """A line if pictures of different times contradict each other about a body just found.
+def unstable_initialisation(views: Sequence[BallView], times_s: Sequence[float]) -> tuple[str, ...]:
+    """A flag if images of different times contradict each other about a body just found.
 
-    Its velocity is not known yet, but for what is usual. Where two sightings or more lie elsewhere,
-    the others may have been brought together wrongly as well.
+    Its velocity is still unknown. Where two or more detections lie elsewhere than predicted, the
+    others may have been moved to the common instant by a wrong velocity as well.
 
     Args:
         views: of one frame set.
-        times_s: of its pictures.
+        times_s: of its images.
     """
     elsewhere = sum(v.reason in _ELSEWHERE and v.detection is not None for v in views)
-    if elsewhere < _MANY or len(set(times_s)) < 2:
+    if elsewhere < _MIN_ELSEWHERE or len(set(times_s)) < 2:
         return ()
     return (f"just found, and {elsewhere} sightings lie elsewhere: it may move too fast to tell",)
 
 
-def jumped(
+def implausible_motion(
     lost: MotionState | None, found: MotionState, acceleration_sd: Floats
 ) -> tuple[str, ...]:
-    """A line if a body was found further from where it was lost than it can have moved.
+    """A flag if a body was found further from where it was lost than it can have moved.
 
     Args:
         lost: the motion when the body was last seen; None if it never was.
@@ -153,22 +157,24 @@ def jumped(
     expected = lost.at(found.time_s, acceleration_sd)
     step = found.world_from_body.difference(expected.world_from_body)
     noise = expected.covariance[:6, :6] + found.covariance[:6, :6]
-    if step @ np.linalg.solve(noise, step) < chi_square_quantile(_CAN_MOVE, 6):
+    if step @ np.linalg.solve(noise, step) < chi_square_quantile(_MOTION_CONFIDENCE, 6):
         return ()
     moved = np.linalg.norm(found.world_from_body.translation - lost.world_from_body.translation)
     text = f"found {moved:.0f} mm from where it was {found.time_s - lost.time_s:.2f} s before"
     return (f"{text}, further than it can have moved: this may be another body",)
 
 
-def unconfirmed(views: Sequence[BallView], body: Body, confirmed: set[str]) -> tuple[str, ...]:
-    """Balls that no two cameras have seen since the body was found.
+def unconfirmed_balls(
+    views: Sequence[BallView], body: Body, confirmed: set[str]
+) -> tuple[str, ...]:
+    """Flags of balls that no two cameras have seen at once since the body was found.
 
-    Three balls fit a body whose fourth is somewhere else, or its mirror image, equally well.
+    Three balls alone fit a body whose fourth is elsewhere, and the mirror image, equally well.
 
     Args:
         views: of one frame set.
         body: the body.
-        confirmed: names of balls that were seen before; those seen now are added.
+        confirmed: names of balls that two cameras have seen; this function adds to them.
     """
     if len(body.balls) <= 3:
         return ()
@@ -182,23 +188,23 @@ def unconfirmed(views: Sequence[BallView], body: Body, confirmed: set[str]) -> t
     )
 
 
-def lost_sight(pose: Pose, body: Body) -> bool:
-    """Whether the balls' places are known less well than a ball is large.
+def too_uncertain(pose: Pose, body: Body) -> bool:
+    """Whether the standard deviation of the balls' places exceeds the smallest ball's radius.
 
-    Windows would be as large as the picture, and balls be taken for each other: searching is
-    quicker and safer.
+    Windows would then be as large as the image and contain several balls: a search is faster and
+    safer.
     """
     variances = pose.covariance.diagonal().tolist()
     move_mm2, turn2 = sum(variances[:3]), sum(variances[3:])
     return math.sqrt(move_mm2 + turn2 * body.reach_mm**2) > min(b.radius_mm for b in body.balls)
 
 
-def cameras_at_odds(views: Sequence[BallView]) -> list[str]:
-    """Cameras with two or more detections, none of them believed for where it is."""
+def contradicting_cameras(views: Sequence[BallView]) -> list[str]:
+    """Cameras with two or more detections, all of them elsewhere than predicted."""
     out = []
     for name in dict.fromkeys(view.camera for view in views if view.reason in _ELSEWHERE):
         seen = [v for v in views if v.camera == name and v.detection is not None]
-        doubted = [v for v in seen if v.reason in _ELSEWHERE]
-        if len(seen) >= 2 and len(doubted) == len(seen):
+        elsewhere = [v for v in seen if v.reason in _ELSEWHERE]
+        if len(seen) >= 2 and len(elsewhere) == len(seen):
             out.append(name)
     return out

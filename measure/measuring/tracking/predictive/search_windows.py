@@ -1,4 +1,4 @@
-"""Where every ball should appear in every picture, each at its own time, and how surely."""
+"""Search windows: every ball predicted in every image at its own time, with covariance."""
 
 from __future__ import annotations
 
@@ -10,48 +10,47 @@ import numpy as np
 from measure.arrays import Floats
 from measure.estimation.multiview import calibration_noise
 from measure.measuring.tracking.predictive.ball_projection import (
-    Predicted,
+    PredictedBalls,
     predict_balls,
     search_sizes,
 )
-from measure.measuring.tracking.predictive.gating import Sighted
+from measure.measuring.tracking.predictive.gating import GatedObservations
 from measure.measuring.tracking.predictive.motion_filter import MotionState
 from measure.model import Body, Camera, Detection, Expectation, Rig
 from measure.model.observations import stacked_detections
 from measure.records import record
 
 _DECIMALS = 7
-"""Of px and mm handed to detectors, without the last bits, which depend on the order of sums.
+"""Of px and mm passed to detectors.
 
-Detectors choose between rays and edges that tie in 8-bit pictures: what is lost in rounding
-elsewhere must not decide.
+Detectors choose between rays and edges that tie in 8-bit images; without this the last bits of
+sums, which depend on their order, would decide.
 """
 
 
 @record
-class Windows:
+class SearchWindows:
     """Predictions of n ball-views.
 
     Attributes:
         keys: (camera, ball) of each.
         balls: the predictions, in the same order.
-        stated_px2: (n, 2, 2) covariances of what the cameras, by their calibration, and the balls,
-            by the body's tolerance, are off by there.
+        systematic_px2: (n, 2, 2) covariances by the calibration and by the body's tolerance.
     """
 
     keys: tuple[tuple[str, str], ...]
-    balls: Predicted
-    stated_px2: Floats
+    balls: PredictedBalls
+    systematic_px2: Floats
 
     def expectations(
         self, sigmas: float, floor_px: float, radius_slack: float
     ) -> dict[str, list[Expectation]]:
-        """As detectors want them, by camera.
+        """For detectors, by camera.
 
         Args:
             sigmas: how many standard deviations of the prediction to search.
-            floor_px: searched in any case.
-            radius_slack: relative error of the outline's radius that is still believed.
+            floor_px: least reach of a search.
+            radius_slack: largest relative error of the outline's radius.
         """
         sizes = search_sizes(self.balls, sigmas, floor_px, radius_slack, _DECIMALS)
         out: dict[str, list[Expectation]] = {camera: [] for camera, _ in self.keys}
@@ -60,20 +59,20 @@ class Windows:
             out[camera].append(Expectation(ball, pixel, (low, high), apart, around, 1.0, place))
         return out
 
-    def sighted(
+    def observations(
         self, rows: Sequence[int], detections: Sequence[Detection], min_color_match: float
-    ) -> Sighted:
-        """Detections as gates want them: they err by what cameras and balls are off by as well.
+    ) -> GatedObservations:
+        """Detections for the gates: their covariances include calibration and body tolerance.
 
         Args:
-            rows: which of the predictions each of them belongs to.
+            rows: (n,) the prediction that each of them belongs to.
             detections: n of them.
-            min_color_match: those that match less have the wrong colour.
+            min_color_match: least share of a ball's inside that has its colour.
         """
         pixels, noise = stacked_detections(tuple(detections))
-        return Sighted(
+        return GatedObservations(
             pixels,
-            noise + self.stated_px2[rows],
+            noise + self.systematic_px2[rows],
             np.array([d.time_s for d in detections]),
             np.array([not d.color_match < min_color_match for d in detections]),
         )
@@ -85,7 +84,7 @@ def predict_windows(
     acceleration_sd: Floats,
     body: Body,
     cameras: Sequence[Camera],
-) -> Windows:
+) -> SearchWindows:
     """Predict every ball in every camera that has an image.
 
     Args:
@@ -100,7 +99,7 @@ def predict_windows(
     balls = predict_balls(
         np.ascontiguousarray(state.world_from_body.rotation),
         np.ascontiguousarray(state.world_from_body.translation),
-        state.course,
+        state.kinematics,
         state.covariance,
         acceleration_sd**2,
         np.array([times_s[camera.name] - state.time_s for camera in present]),
@@ -110,11 +109,11 @@ def predict_windows(
         _readouts(present),
     )
     noise = calibration_noise(rig, state.world_from_body.apply(body.middle))
-    stated = np.repeat(noise, len(body.balls), axis=0)
+    systematic = np.repeat(noise, len(body.balls), axis=0)
     if body.tolerance_mm:
         px_per_mm = balls.radii_px / np.tile(body.radii, len(present))
-        stated += (body.tolerance_mm * px_per_mm)[:, None, None] ** 2 * np.eye(2)
-    return Windows(_keys(present, body), balls, stated)
+        systematic += (body.tolerance_mm * px_per_mm)[:, None, None] ** 2 * np.eye(2)
+    return SearchWindows(_keys(present, body), balls, systematic)
 
 
 @lru_cache(maxsize=64)

@@ -1,8 +1,8 @@
-"""Tracking in space: a predicted pose says where to look and what to believe.
+"""Predictive tracking: a motion filter predicts search windows and gates detections.
 
 The states are the paper's (section II.D): a ball is effective in a camera or suspended, with the
-reason. Gates come from covariances. Without a prediction the whole frame is searched, and geometry
-tells the body from whatever else has its colours.
+reason. Gates come from covariances. Without a prediction whole frames are searched, and the body is
+found among all candidates of its colours by association.
 """
 
 from __future__ import annotations
@@ -15,33 +15,34 @@ from typing import ClassVar
 import numpy as np
 
 from measure.arrays import Floats
-from measure.geometry import chi_square_quantile
+from measure.estimation.body_layout import distances_from_body, layout_flags
+from measure.geometry import RigidTransform, chi_square_quantile
 from measure.host.settings import Settings, setting
 from measure.measuring import association
 from measure.measuring.association import Association, AssociationSettings, associate
-from measure.measuring.tracking.predictive.camera_bias import CamerasAside
-from measure.measuring.tracking.predictive.consistency import inconsistencies, unbacked
+from measure.measuring.tracking.predictive.camera_bias import CameraBiasMonitor
+from measure.measuring.tracking.predictive.consistency import consistency_flags, single_view_balls
 from measure.measuring.tracking.predictive.gating import (
     AGREES,
     CONTRADICTS,
     JUMPED,
     MISCOLORED,
-    judge_sightings,
+    GatedObservations,
+    gate_observations,
 )
-from measure.measuring.tracking.predictive.motion_filter import MotionState, just_found, per_axis
+from measure.measuring.tracking.predictive.motion_filter import MotionState, initial_state, per_axis
 from measure.measuring.tracking.predictive.pose_checks import (
-    contradictions,
-    hasty,
-    jumped,
-    lost_sight,
-    said_of_strangers,
-    strangers,
-    unconfirmed,
-    weaknesses,
+    disagreeing_cameras,
+    disagreement_flags,
+    hard_flags,
+    implausible_motion,
+    soft_flags,
+    too_uncertain,
+    unconfirmed_balls,
+    unstable_initialisation,
 )
-from measure.measuring.tracking.predictive.search_windows import Windows, predict_windows
-from measure.measuring.tracking.predictive.warm_up import warm_up
-from measure.measuring.tracking.tracker import Verdict
+from measure.measuring.tracking.predictive.search_windows import SearchWindows, predict_windows
+from measure.measuring.tracking.tracker import Conclusion
 from measure.model import (
     BallPosition,
     BallView,
@@ -55,8 +56,8 @@ from measure.model import (
 )
 from measure.model.observations import Reason, State
 
-_LEFT_OUT = np.repeat([0.02, 0.0005], 3)
-"""In mm and rad: errors of a pose that its covariance does not tell, for the filter."""
+_EXTRA_SD = np.repeat([0.02, 0.0005], 3)
+"""Standard deviations (mm, rad) added to a measured pose in the filter: systematic errors."""
 _REASONS = {
     AGREES: Reason.NONE,
     JUMPED: Reason.JUMPED,
@@ -91,7 +92,7 @@ class PredictiveConfig(Settings):
         0.7, "Standard deviation of its angular speed.", unit="rad/s", gt=0
     )
     confidence: float = setting(
-        0.9999, "Detections less likely than the rest are not believed.", gt=0.5, lt=1
+        0.9999, "Share of correct detections that every gate lets pass.", gt=0.5, lt=1
     )
     systematic_px: float = setting(
         0.5,
@@ -110,9 +111,11 @@ class PredictiveConfig(Settings):
     min_reach_px: float = setting(3.0, "Least reach of a search.", unit="px", gt=0)
     radius_slack: float = setting(0.15, "Relative error of an outline's radius.", gt=0, lt=1)
     recover_frames: int = setting(
-        1, "Frames a detection must be good again after it was not believed.", ge=0
+        1, "Frames in which a suspended detection must be good before it counts again.", ge=0
     )
-    lost_after: int = setting(3, "Frames without a believed pose before all is searched.", ge=1)
+    lost_after: int = setting(
+        3, "Frames without an accepted pose before whole frames are searched.", ge=1
+    )
     max_gap_s: float = setting(0.5, "A longer pause than this ends the prediction.", unit="s", gt=0)
     min_color_match: float = setting(
         0.15, "Least share of a ball's inside that has its colour, where that is checked.", ge=0
@@ -124,12 +127,12 @@ class PredictiveConfig(Settings):
         2.0, "A pose with a larger standard deviation is flagged.", unit="mm", gt=0
     )
     distance_tolerance_mm: float = setting(
-        1.0, "Error of a distance between two balls that is not worth a flag.", unit="mm", ge=0
+        1.0, "Error of a distance between two balls that is never flagged.", unit="mm", ge=0
     )
 
 
 class PredictiveTracker:
-    """Predicts, gates, judges, and starts again when lost."""
+    """Predicts windows, gates detections, flags poses, and searches again when lost."""
 
     Config: ClassVar[type[Settings]] = PredictiveConfig
 
@@ -140,28 +143,28 @@ class PredictiveTracker:
         self._keys = [(camera.name, ball) for camera in cameras for ball in body.names]
         self._acceleration = per_axis(config.acceleration_mm_s2, config.angular_acceleration_rad_s2)
         self._speed = per_axis(config.speed_mm_s, config.angular_speed_rad_s)
-        self._possible = self._acceleration
-        self._aside = CamerasAside(body, cameras, config.view_bias_px, config.confidence)
+        self._acceleration_bound = self._acceleration
+        self._camera_bias = CameraBiasMonitor(body, cameras, config.view_bias_px, config.confidence)
         self._state: MotionState | None = None
-        self._windows: Windows | None = None
+        self._windows: SearchWindows | None = None
         self._found: Association | None = None
-        self._strangers: tuple[str, ...] = ()
+        self._disagreeing: tuple[str, ...] = ()
         self._confirmed: set[str] = set()
-        self._doubts: tuple[str, ...] = ()
-        self._refound: tuple[MotionState | None, MotionState] | None = None
-        self._last_seen: MotionState | None = None
-        self._waiting: dict[tuple[str, str], int] = {}
+        self._search_flags: tuple[str, ...] = ()
+        self._restart: tuple[MotionState | None, MotionState] | None = None
+        self._last_state: MotionState | None = None
+        self._recovering: dict[tuple[str, str], int] = {}
         self._misses = 0
-        self._faster: tuple[Floats, Floats] | None = None
+        self._velocity_change: tuple[Floats, Floats] | None = None
 
     def warm_up(self) -> None:
         """Compile or load the loops of searching and of tracking."""
         association.warm_up(self._body, self._cameras)
-        warm_up(self._body, self._cameras)
+        _warm_up(self._body, self._cameras)
 
     def expect(self, frame_set: FrameSet) -> Mapping[str, Sequence[Expectation]]:
         """Windows from the predicted pose at each image's own time; the whole frame without one."""
-        self._windows = self._found = self._faster = None
+        self._windows = self._found = self._velocity_change = None
         if self._state is not None and frame_set.images:
             latest = max(image.time_s for image in frame_set.images.values())
             if abs(latest - self._state.time_s) > self.config.max_gap_s:
@@ -169,15 +172,15 @@ class PredictiveTracker:
         if self._state is None or not frame_set.images:
             return dict.fromkeys(frame_set.images, ())
         times_s = {name: image.time_s for name, image in frame_set.images.items()}
-        self._possible = self._state.possible(self._acceleration)
+        self._acceleration_bound = self._state.acceleration_bound(self._acceleration)
         self._windows = predict_windows(
-            self._state, times_s, self._possible, self._body, self._cameras
+            self._state, times_s, self._acceleration_bound, self._body, self._cameras
         )
         c = self.config
         return self._windows.expectations(c.reach_sigmas, c.min_reach_px, c.radius_slack)
 
     def backwards(self) -> PredictiveTracker | None:
-        """A tracker of the same motion; None where the body is lost."""
+        """A tracker in the same state of motion; None if the body is lost."""
         if self._state is None:
             return None
         back = PredictiveTracker(self.config, self._body, self._cameras)
@@ -195,12 +198,12 @@ class PredictiveTracker:
     def motion(self, time_s: float) -> Motion | None:
         """The predicted motion at `time_s`; right after a search, the pose found, at rest.
 
-        Its velocity takes in what pictures of different times say, so that a body that speeds up
-        is not seen where it was going to be.
+        The velocity includes the change that the gated detections of this frame set ask for: else
+        detections of an accelerating body would be moved to one instant by an outdated velocity.
         """
         if self._state is None:
             return None
-        return self._state.at(time_s, self._possible).motion(self._faster)
+        return self._state.at(time_s, self._acceleration_bound).motion(self._velocity_change)
 
     def conclude(
         self,
@@ -209,50 +212,52 @@ class PredictiveTracker:
         positions: Sequence[BallPosition],
         pose: Pose | None,
         residuals_px: Mapping[tuple[str, str], Floats],
-    ) -> Verdict:
-        """Flag what contradicts itself, learn from the rest."""
+    ) -> Conclusion:
+        """Flag the pose; unless a flag is hard, update the motion filter with it."""
         if pose is None:
             reason = self._found.reason if self._found is not None else ""
             self._missed()
-            return Verdict(None, reason or "too few balls agree with the prediction")
+            return Conclusion(None, reason or "too few balls agree with the prediction")
         c = self.config
-        wrong = contradictions(
+        hard = hard_flags(
             pose, positions, views, self._body, self._cameras, c.distance_tolerance_mm, c.max_rms_px
         )
-        weak = weaknesses(pose, views, c.max_sd_mm) + self._still_strange(views) + self._doubts
-        weak += self._jumped() + unconfirmed(views, self._body, self._confirmed)
+        soft = soft_flags(pose, views, c.max_sd_mm) + self._disagreement(views) + self._search_flags
+        soft += self._implausible_motion() + unconfirmed_balls(views, self._body, self._confirmed)
         if self._state is not None and self._state.new:
-            weak += hasty(views, [image.time_s for image in frame_set.images.values()])
-        weak += inconsistencies(pose, views, positions, self._body, c.view_bias_px, c.confidence)
+            soft += unstable_initialisation(
+                views, [image.time_s for image in frame_set.images.values()]
+            )
+        soft += consistency_flags(pose, views, positions, self._body, c.view_bias_px, c.confidence)
         motion = partial(self.motion, pose.time_s)
-        weak += self._aside.doubts(pose, views, residuals_px, motion)
-        weak += unbacked(pose, views, self._body, self._cameras)
-        flags = tuple(dict.fromkeys((*pose.flags, *wrong, *weak)))
-        if wrong:
+        soft += self._camera_bias.flags(pose, views, residuals_px, motion)
+        soft += single_view_balls(pose, views, self._body, self._cameras)
+        flags = tuple(dict.fromkeys((*pose.flags, *hard, *soft)))
+        if hard:
             self._missed()
-        elif lost_sight(pose, self._body):
+        elif too_uncertain(pose, self._body):
             self._forget()
         elif self._state is not None:
             self._misses = 0
-            self._state = self._state.updated(pose, _LEFT_OUT, self._acceleration)
-            self._last_seen, self._faster = self._state, None
-        return Verdict(pose if flags == pose.flags else replace(pose, flags=flags))
+            self._state = self._state.updated(pose, _EXTRA_SD, self._acceleration)
+            self._last_state, self._velocity_change = self._state, None
+        return Conclusion(pose if flags == pose.flags else replace(pose, flags=flags))
 
     def _search(
         self, frame_set: FrameSet, detections: Mapping[str, Sequence[Detection]]
     ) -> tuple[BallView, ...]:
         present = [camera for camera in self._cameras if camera.name in frame_set.images]
         self._found = found = associate(self._body, present, detections, AssociationSettings())
-        self._waiting = {}
+        self._recovering = {}
         if found.world_from_body is not None:
             assert found.covariance is not None
             time_s = float(np.mean([d.time_s for d in found.detections]))
             here = found.world_from_body, found.covariance, time_s
-            self._state = just_found(*here, self._speed, self._acceleration, self._last_seen)
-            self._refound = self._last_seen, self._state
-            self._strangers = strangers(found, self._body, present, detections)
+            self._state = initial_state(*here, self._speed, self._acceleration, self._last_state)
+            self._restart = self._last_state, self._state
+            self._disagreeing = disagreeing_cameras(found, self._body, present, detections)
             self._confirmed = set()
-            self._doubts = found.doubts
+            self._search_flags = found.flags
         chosen = {(d.camera, d.ball): d for d in found.detections}
         return tuple(
             self._searched(frame_set, camera.name, ball, chosen, detections)
@@ -280,80 +285,99 @@ class PredictiveTracker:
     def _track(
         self,
         frame_set: FrameSet,
-        windows: Windows,
+        windows: SearchWindows,
         detections: Mapping[str, Sequence[Detection]],
     ) -> tuple[BallView, ...]:
         best = {(d.camera, d.ball): d for some in detections.values() for d in reversed(some)}
         rows = [row for row, key in enumerate(windows.keys) if key in best]
         keys = [windows.keys[row] for row in rows]
         reasons = self._gate(windows, rows, [best[key] for key in keys])
-        judged = dict(zip(keys, reasons, strict=True))
+        gated = dict(zip(keys, reasons, strict=True))
         views = []
         for key in self._keys:
             camera, ball = key
-            reason = judged.get(key)
+            reason = gated.get(key)
             if reason is None:
                 reason = Reason.NOT_FOUND if camera in frame_set.images else Reason.NO_IMAGE
-            if self._waiting or reason is not Reason.NONE:
-                reason = self._patience(key, reason)
+            if self._recovering or reason is not Reason.NONE:
+                reason = self._recovery(key, reason)
             state = State.EFFECTIVE if reason is Reason.NONE else State.SUSPENDED
             views.append(BallView(ball, camera, state, reason, best.get(key)))
         return tuple(views)
 
     def _gate(
-        self, windows: Windows, rows: Sequence[int], seen: Sequence[Detection]
+        self, windows: SearchWindows, rows: Sequence[int], seen: Sequence[Detection]
     ) -> list[Reason]:
-        """Why each detection is not believed, or `Reason.NONE`."""
+        """Why each detection is suspended, or `Reason.NONE`."""
         if not seen:
             return []
         assert self._state is not None
         c = self.config
-        judged, change, covariance = judge_sightings(
-            windows.sighted(rows, seen, c.min_color_match),
+        gated, change, covariance = gate_observations(
+            windows.observations(rows, seen, c.min_color_match),
             np.array(rows),
             windows.balls,
             self._state.covariance,
             self._state.time_s,
-            self._possible**2,
+            self._acceleration_bound**2,
             c.systematic_px,
             chi_square_quantile(c.confidence, 2),
         )
         if not np.isnan(change[0]):
-            self._faster = change[6:], covariance[6:, 6:]
-        return [_REASONS[judgement] for judgement in judged.tolist()]
+            self._velocity_change = change[6:], covariance[6:, 6:]
+        return [_REASONS[result] for result in gated.tolist()]
 
-    def _patience(self, key: tuple[str, str], reason: Reason) -> Reason:
-        """A detection that was not believed must be good for some frames before it counts."""
-        if reason is Reason.NONE and self._waiting.get(key, 0) > 0:
-            self._waiting[key] -= 1
+    def _recovery(self, key: tuple[str, str], reason: Reason) -> Reason:
+        """A suspended detection must be good for some frames before it is effective again."""
+        if reason is Reason.NONE and self._recovering.get(key, 0) > 0:
+            self._recovering[key] -= 1
             return Reason.RECOVERING
         if reason is not Reason.NONE and reason in _SUSPICIOUS:
-            self._waiting[key] = self.config.recover_frames
+            self._recovering[key] = self.config.recover_frames
         return reason
 
-    def _still_strange(self, views: Sequence[BallView]) -> tuple[str, ...]:
-        """Cameras that saw balls, but not these, when the body was found, and still do not."""
-        if not self._strangers:
+    def _disagreement(self, views: Sequence[BallView]) -> tuple[str, ...]:
+        """Flags of cameras that disagreed with the search and still have no effective view."""
+        if not self._disagreeing:
             return ()
-        back = {view.camera for view in views if view.effective}
-        self._strangers = tuple(name for name in self._strangers if name not in back)
-        return said_of_strangers(self._strangers)
+        agreeing = {view.camera for view in views if view.effective}
+        self._disagreeing = tuple(name for name in self._disagreeing if name not in agreeing)
+        return disagreement_flags(self._disagreeing)
 
-    def _jumped(self) -> tuple[str, ...]:
-        """Whether it was found too far from where it was lost, by what it has shown since."""
-        if self._refound is None:
+    def _implausible_motion(self) -> tuple[str, ...]:
+        """A flag until the accelerations observed since explain the motion while it was lost."""
+        if self._restart is None:
             return ()
-        known = self._state is not None and self._state.known
-        doubts = jumped(*self._refound, self._possible if known else self._acceleration)
-        if not doubts:
-            self._refound = None
-        return doubts
+        known = self._state is not None and self._state.accelerations_known
+        flags = implausible_motion(
+            *self._restart, self._acceleration_bound if known else self._acceleration
+        )
+        if not flags:
+            self._restart = None
+        return flags
 
     def _missed(self) -> None:
-        """A body just found that contradicts itself is not followed at all."""
+        """Count a frame set without an accepted pose; forget the body at once after a search."""
         self._misses += 1
         if self._found is not None or self._misses >= self.config.lost_after:
             self._forget()
 
     def _forget(self) -> None:
-        self._state, self._misses, self._waiting = None, 0, {}
+        self._state, self._misses, self._recovering = None, 0, {}
+
+
+def _warm_up(body: Body, cameras: Sequence[Camera]) -> None:
+    """Compile or load the loops of tracking: a body at rest, detected where it is predicted."""
+    still, one = RigidTransform.identity(), np.ones(6)
+    state = MotionState.begin(still, np.eye(6), 0.0, one)
+    times_s = {camera.name: 0.0 for camera in cameras}
+    windows = predict_windows(state, times_s, state.acceleration_bound(one), body, cameras)
+    windows.expectations(1.0, 1.0, 0.1)
+    balls, n = windows.balls, len(windows.keys)
+    noise, now = np.tile(np.eye(2), (n, 1, 1)), np.zeros(n)
+    seen = GatedObservations(balls.centers_px, noise, now, np.ones(n, np.bool_))
+    gate_observations(seen, np.arange(n), balls, state.covariance, 0.0, one, 0.5, 1.0)
+    state.updated(Pose(0.0, still, np.eye(6), 0.0, 0.0, (), ()), one, one)
+    places = np.tile(np.eye(3), (len(body.balls), 1, 1))
+    layout_flags(body, body.names, body.centers, places, 1.0)
+    distances_from_body(still.rotation, still.translation, body.centers, body.centers, places)

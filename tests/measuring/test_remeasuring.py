@@ -6,7 +6,7 @@ import pytest
 from measurements import BODY, CAMERAS, measurement
 
 from measure.measuring import Pipeline, Stages
-from measure.measuring.tracking import Verdict
+from measure.measuring.tracking import Conclusion
 from measure.measuring.tracking.memoryless import Memoryless
 from measure.model import Detection, Expectation, FrameSet, Image, Pose
 
@@ -28,20 +28,20 @@ class _Tracker(Memoryless):
         if self.known and frame_set.index in self.loses:
             self.loses.remove(frame_set.index)
             self.known = False
-            return Verdict(None, "lost")
+            return Conclusion(None, "lost")
         self.known = pose is not None
         return super().conclude(frame_set, views, positions, pose, residuals_px)
 
 
 class _Detector:
-    """Finds every ball for a number of looks; remembers whether it was told where to look."""
+    """Finds every ball for a number of looks; remembers whether it was expected where to look."""
 
     def __init__(self, camera, looks=99):
-        self.camera, self.looks, self.told = camera, looks, []
+        self.camera, self.looks, self.expected = camera, looks, []
 
     def detect(self, image, expected):
-        self.told.append(len(expected))
-        views = measurement(image.frame).views if len(self.told) <= self.looks else ()
+        self.expected.append(len(expected))
+        views = measurement(image.frame).views if len(self.expected) <= self.looks else ()
         return [v.detection for v in views if v.camera == self.camera]
 
 
@@ -64,47 +64,47 @@ def _measure(remeasure_after_search, looks=99, loses=()):
     images = {c.name: Image(c.name, 0, 0.0, lambda: None) for c in CAMERAS}
     sets = [FrameSet(index, index / 30, images) for index in range(3)]
     measured = list(Pipeline(BODY, CAMERAS, stages).measure(sets))
-    return measured, detectors["cam0"].told
+    return measured, detectors["cam0"].expected
 
 
-def test_the_first_frame_is_looked_at_twice_and_counts_once():
-    measured, told = _measure(remeasure_after_search=True)
-    assert told == [0, 3, 3, 3]
+def test_the_first_frame_is_detected_twice_and_counts_once():
+    measured, expected = _measure(remeasure_after_search=True)
+    assert expected == [0, 3, 3, 3]
     assert [m.index for m in measured] == [0, 1, 2]
     assert measured[0].searched == ("cam0", "cam1")
     assert measured[1].searched == ()
     assert all(isinstance(m.pose, Pose) for m in measured)
 
 
-def test_without_it_every_frame_is_looked_at_once():
+def test_without_remeasuring_every_frame_is_detected_once():
     assert _measure(remeasure_after_search=False)[1] == [0, 3, 3]
 
 
 @pytest.mark.parametrize("remeasure_after_search", [True, False])
 def test_a_search_that_finds_nothing_is_not_repeated(remeasure_after_search):
-    measured, told = _measure(remeasure_after_search, looks=0)
-    assert told == [0, 0, 0]
+    measured, expected = _measure(remeasure_after_search, looks=0)
+    assert expected == [0, 0, 0]
     assert all(m.pose is None for m in measured)
 
 
-def test_pictures_in_which_the_body_is_lost_are_searched_themselves():
+def test_images_in_which_the_body_is_lost_are_searched():
     """The search used to wait for the next frame set: each loss cost one that shows the body."""
-    measured, told = _measure(remeasure_after_search=True, loses=[1])
-    assert told[:3] == [0, 3, 3]
-    assert told[3:] == [0, 3, 3]  # searched, measured there, and on with the next
+    measured, expected = _measure(remeasure_after_search=True, loses=[1])
+    assert expected[:3] == [0, 3, 3]
+    assert expected[3:] == [0, 3, 3]  # searched, measured there, and on with the next
     assert all(isinstance(m.pose, Pose) for m in measured)
     assert measured[1].searched == ("cam0", "cam1")
     assert measured[1].reason == ""
 
 
 def test_a_body_out_of_sight_is_searched_for_once_a_frame_set():
-    measured, told = _measure(remeasure_after_search=True, looks=2)
-    assert told == [0, 3, 3, 0, 0]
+    measured, expected = _measure(remeasure_after_search=True, looks=2)
+    assert expected == [0, 3, 3, 0, 0]
     assert [m.pose is None for m in measured] == [False, True, True]
     assert all(m.reason for m in measured[1:])
 
 
-def test_without_looking_again_nothing_is_searched_twice():
-    measured, told = _measure(remeasure_after_search=False, loses=[1])
-    assert told == [0, 3, 0]
+def test_without_remeasuring_nothing_is_searched_twice():
+    measured, expected = _measure(remeasure_after_search=False, loses=[1])
+    assert expected == [0, 3, 0]
     assert measured[1].pose is None

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from measure.checking import expected_accuracy
-from measure.checking.body import Located, check_body
+from measure.checking.body import LocatedBalls, check_body
 from measure.estimation.body_layout import layout_flags
 from measure.estimation.expected_accuracy import tolerance_covariance, tolerance_sd
 from measure.geometry import RigidTransform, align_points
@@ -22,7 +22,7 @@ SD_MM = 0.2
 
 
 @pytest.mark.parametrize("body", [RAVEN, FOUR])
-def test_the_covariance_is_the_scatter_of_poses_of_misplaced_balls(body) -> None:
+def test_tolerance_covariance_is_the_scatter_of_poses(body) -> None:
     stated = tolerance_covariance(replace(body, tolerance_mm=SD_MM), POSE, body.names)
     rng = np.random.default_rng(3)
     errors = []
@@ -35,7 +35,7 @@ def test_the_covariance_is_the_scatter_of_poses_of_misplaced_balls(body) -> None
     assert np.allclose(sharp @ scatter @ sharp.T, np.eye(6), atol=0.12)
 
 
-def test_two_balls_say_nothing_of_the_turn_about_their_line() -> None:
+def test_rotation_about_the_line_of_two_balls_gets_zero() -> None:
     body = replace(RAVEN, tolerance_mm=SD_MM)
     share = tolerance_covariance(body, POSE, ("green", "red"))
     line = POSE.rotation @ [1.0, 0.0, 0.0]
@@ -50,19 +50,19 @@ def test_an_exact_body_adds_nothing() -> None:
     assert tolerance_sd(RAVEN, POSE) == (0.0, 0.0)
 
 
-def test_distances_off_by_the_tolerance_are_not_doubted() -> None:
+def test_distances_within_tolerance_are_not_flagged() -> None:
     shifts = np.array([[0.6, 0, 0], [0, 0, 0], [-0.6, 0, 0]])
     centers, own = RAVEN.centers + shifts, np.tile(1e-4 * np.eye(3), (3, 1, 1))
     assert layout_flags(RAVEN, RAVEN.names, centers, own, 0.5)
     loose = replace(RAVEN, tolerance_mm=0.3)
     assert not layout_flags(loose, RAVEN.names, centers, own, 0.5)
     places = dict(zip(RAVEN.names, centers, strict=True))
-    seen = [Located(places, dict.fromkeys(RAVEN.names, 1e-4), {})] * 5
+    seen = [LocatedBalls(places, dict.fromkeys(RAVEN.names, 1e-4), {})] * 5
     assert check_body(seen, RAVEN).findings
     assert not check_body(seen, loose).findings
 
 
-def test_what_is_expected_of_the_cameras_knows_of_the_body() -> None:
+def test_expected_accuracy_includes_the_body_tolerance() -> None:
     cameras = list(ring().values())
     exact = expected_accuracy(POSE, 20.0, RAVEN, cameras, 0.1)
     loose = replace(RAVEN, tolerance_mm=SD_MM)
@@ -88,7 +88,7 @@ def _followed(tolerance_mm: float) -> tuple[int, float]:
     return flagged, float(np.mean(inside))
 
 
-def test_a_misplaced_ball_is_no_wrong_body_where_the_file_owns_up_to_it() -> None:
+def test_balls_misplaced_within_tolerance_are_not_flagged() -> None:
     flagged, inside = _followed(SD_MM)
     assert flagged == 0
     assert inside > 0.8
