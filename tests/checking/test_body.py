@@ -51,8 +51,8 @@ def test_a_wrong_scale_is_said_in_one_line(factor):
     assert len(result.findings) == 1
     assert f"{1 / factor:.2f}" in result.findings[0]
     assert "times as far apart" in result.findings[0]
-    told = re.search(r"([\d.]+) mm from the origin, not ([\d.]+) mm", result.findings[0])
-    assert [float(arm) for arm in told.groups()] == pytest.approx([38, 38 * factor], abs=0.05)
+    lengths = re.search(r"([\d.]+) mm from the origin, not ([\d.]+) mm", result.findings[0])
+    assert [float(arm) for arm in lengths.groups()] == pytest.approx([38, 38 * factor], abs=0.05)
 
 
 @pytest.mark.parametrize(("a", "b"), [(0, 1), (1, 2)])

@@ -25,7 +25,7 @@ def moving(body):
 
 @pytest.fixture
 def searches_fail(monkeypatch):
-    """Searches of whole pictures find nothing before frame set `_LATE`, looks at a place do."""
+    """Searches of whole images find nothing before frame set `_LATE`, windows do."""
     see = Oracle.detect
 
     def detect(self, image, expected):

@@ -30,7 +30,7 @@ def _fail(found):
 
 
 @pytest.mark.parametrize(
-    ("plugin", "method", "spoil", "said"),
+    ("plugin", "method", "spoil", "message"),
     [
         (Oracle, "detect", _fail, r"^detector 'oracle' fails \(camera 'cam\d', frame 0\): ValueE"),
         (Oracle, "detect", tuple, r"answers nonsense .*: no list but \(Detection\("),
@@ -50,7 +50,7 @@ def _fail(found):
             ReprojectionTriangulator,
             "triangulate_all",
             _fail,
-            r"^triangulator .reprojection. of triball .* fails \(at 0.0+ s\): .* \(test_asking.py",
+            r"^triangulator .reprojection. of triball .* fails \(at 0.0+ s\): .* \(test_plugin_",
         ),
         (ReprojectionTriangulator, "triangulate_all", lambda found: None, "fails .*: TypeError"),
         (ReprojectionTriangulator, "triangulate_all", _each(center=NAN), "nonsense .*: .nan, 0"),
@@ -78,11 +78,11 @@ def _fail(found):
         ),
     ],
 )
-def test_who_is_wrong_is_named(paper_body, rig, monkeypatch, plugin, method, spoil, said):
+def test_who_is_wrong_is_named(paper_body, rig, monkeypatch, plugin, method, spoil, message):
     right = getattr(plugin, method)
     monkeypatch.setattr(plugin, method, lambda *asked: spoil(right(*asked)))
     world = [(paper_body, RigidTransform.identity())]
-    with pytest.raises(PluginError, match=said) as caught:
+    with pytest.raises(PluginError, match=message) as caught:
         run(paper_body, lambda time_s: world, {camera.name: camera for camera in rig}, count=1)
     assert "\n" not in str(caught.value)
     assert caught.value.__cause__ is not None

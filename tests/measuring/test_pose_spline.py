@@ -1,4 +1,4 @@
-"""The motion that poses show: exact where it can be, and told how far to trust it."""
+"""The motion that poses show: exact where it can be, with its uncertainty."""
 
 from __future__ import annotations
 
@@ -70,8 +70,8 @@ def test_a_straight_path_is_exact_with_the_noise_of_its_knots(at):
             for p in knots
         ]  # fmt: skip
         found.append(motion_at(noisy[at], noisy[:at], noisy[at + 1 :]).velocity)
-    told = np.sqrt(np.diag(motion.velocity_covariance))
-    np.testing.assert_allclose(np.std(found, axis=0), told, rtol=0.2)
+    stated = np.sqrt(np.diag(motion.velocity_covariance))
+    np.testing.assert_allclose(np.std(found, axis=0), stated, rtol=0.2)
 
 
 @pytest.mark.parametrize("count", [2, 3, 4, 7])
@@ -232,10 +232,10 @@ def test_prediction_alone_knows_what_a_bent_path_costs(hertz, reach_mm):
 
     world = lambda t: [(RAVEN, path(t))]
     live, _, _ = run(RAVEN, world, CAMERAS, 60, phases=PHASES, sd_px=0.2)
-    errors, told = [], []
+    errors, stated = [], []
     for one in live[4:]:
         errors.append(one.pose.world_from_body.difference(path(one.pose.time_s)))
-        told.append(one.pose.covariance)
-    squares = np.array([e @ np.linalg.solve(c, e) for e, c in zip(errors, told, strict=True)])
+        stated.append(one.pose.covariance)
+    squares = np.array([e @ np.linalg.solve(c, e) for e, c in zip(errors, stated, strict=True)])
     assert np.mean(squares < 12.6) >= 0.9
     assert 0.4 < np.mean(squares) / 6 < 1.2  # nor is it much wider than need be

@@ -12,7 +12,7 @@ from measure.model import Detection, Expectation, FrameSet, Image, Pose
 
 
 class _Tracker(Memoryless):
-    """Knows nothing at first, and where everything is after the first look."""
+    """Predicts nothing at first, and every ball after the first measurement."""
 
     def __init__(self, loses=()):
         super().__init__(Memoryless.Config(), BODY, CAMERAS)
@@ -34,14 +34,14 @@ class _Tracker(Memoryless):
 
 
 class _Detector:
-    """Finds every ball for a number of looks; remembers whether it was expected where to look."""
+    """Finds every ball for a number of calls; counts the windows of each call."""
 
-    def __init__(self, camera, looks=99):
-        self.camera, self.looks, self.expected = camera, looks, []
+    def __init__(self, camera, calls=99):
+        self.camera, self.calls, self.expected = camera, calls, []
 
     def detect(self, image, expected):
         self.expected.append(len(expected))
-        views = measurement(image.frame).views if len(self.expected) <= self.looks else ()
+        views = measurement(image.frame).views if len(self.expected) <= self.calls else ()
         return [v.detection for v in views if v.camera == self.camera]
 
 
@@ -56,8 +56,8 @@ class _Triangulator:
         return [measurement(0).positions[0] for _ in {d.ball for d in detections}]
 
 
-def _measure(remeasure_after_search, looks=99, loses=()):
-    detectors = {camera.name: _Detector(camera.name, looks) for camera in CAMERAS}
+def _measure(remeasure_after_search, calls=99, loses=()):
+    detectors = {camera.name: _Detector(camera.name, calls) for camera in CAMERAS}
     stages = Stages(
         detectors, _Tracker(loses), _Triangulator(), _Solver(), False, False, remeasure_after_search
     )
@@ -82,7 +82,7 @@ def test_without_remeasuring_every_frame_is_detected_once():
 
 @pytest.mark.parametrize("remeasure_after_search", [True, False])
 def test_a_search_that_finds_nothing_is_not_repeated(remeasure_after_search):
-    measured, expected = _measure(remeasure_after_search, looks=0)
+    measured, expected = _measure(remeasure_after_search, calls=0)
     assert expected == [0, 0, 0]
     assert all(m.pose is None for m in measured)
 
@@ -98,7 +98,7 @@ def test_images_in_which_the_body_is_lost_are_searched():
 
 
 def test_a_body_out_of_sight_is_searched_for_once_a_frame_set():
-    measured, expected = _measure(remeasure_after_search=True, looks=2)
+    measured, expected = _measure(remeasure_after_search=True, calls=2)
     assert expected == [0, 3, 3, 0, 0]
     assert [m.pose is None for m in measured] == [False, True, True]
     assert all(m.reason for m in measured[1:])

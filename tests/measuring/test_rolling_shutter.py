@@ -40,9 +40,9 @@ def rms_mm(monkeypatch, cameras):
 
 
 def test_each_row_counts_at_its_own_time(monkeypatch):
-    told, untold = rms_mm(monkeypatch, ROLLING), rms_mm(monkeypatch, CAMERAS)
-    assert told < 0.015
-    assert untold > 3 * told
+    configured, ignored = rms_mm(monkeypatch, ROLLING), rms_mm(monkeypatch, CAMERAS)
+    assert configured < 0.015
+    assert ignored > 3 * configured
 
 
 def test_rows_are_late_by_their_place():

@@ -139,8 +139,8 @@ def test_two_balls_in_one_camera_are_evidence_if_well_seen(sd_px, flagged):
     """Half-hidden outlines do not tell how far away they are; two of them mean nothing."""
     rng = np.random.default_rng(5)
     first = a_pose(rng, 25, 60)
-    aside = 130 * CAMERAS["cam0"].world_from_camera.rotation[:, 0]
-    second = RigidTransform(first.rotation, first.translation + aside)
+    offset = 130 * CAMERAS["cam0"].world_from_camera.rotation[:, 0]
+    second = RigidTransform(first.rotation, first.translation + offset)
     detections = seen(CAMERAS, balls_of(first), rng)
     name, camera = "cam0", CAMERAS["cam0"]
     others = seen({name: camera}, balls_of(second), np.random.default_rng(0))[name][:2]

@@ -109,10 +109,10 @@ def test_a_body_file_with_a_misplaced_ball_is_flagged(body, ball, offset_mm, cou
 
 def test_a_ball_that_two_cameras_see_elsewhere_is_named():
     """It is not believed there; the pose may rest on where a third sees it."""
-    aside = lambda ball, camera, t: (
+    offset = lambda ball, camera, t: (
         np.array([9.0, -7.0]) if ball == "red" and camera in ("cam1", "cam2") and t > 0.3 else 0.0
     )
-    found = measured(RAVEN, ring(4), bias=aside)
+    found = measured(RAVEN, ring(4), bias=offset)
     assert all(m.status is Status.OK for m in found[:9])
     assert all(m.status is Status.FLAGGED for m in found[11:])
     assert any("ball red is seen elsewhere by cam1, cam2" in flag for flag in flags(found))
@@ -147,7 +147,7 @@ def test_a_ball_seen_by_one_camera_only_is_flagged(cameras):
         for v in one.views
     ]
     assert single_view_balls(one.pose, one.views, RAVEN, list(rig.values())) == ()
-    said = single_view_balls(one.pose, hidden, RAVEN, list(rig.values()))
-    assert bool(said) == (cameras == 4)
-    if said:
-        assert said[0].startswith("ball red is seen by one camera only, and not by cam1, cam2")
+    found = single_view_balls(one.pose, hidden, RAVEN, list(rig.values()))
+    assert bool(found) == (cameras == 4)
+    if found:
+        assert found[0].startswith("ball red is seen by one camera only, and not by cam1, cam2")

@@ -41,10 +41,10 @@ def test_contradictions_after_a_search_are_flagged(reasons, times_s, flagged):
 def test_a_ball_is_flagged_until_two_cameras_saw_it():
     confirmed: set[str] = set()
     three = [_view(ball, camera, Reason.NONE) for camera in "ab" for ball in FOUR.names[:3]]
-    (said,) = unconfirmed_balls(three, FOUR, confirmed)
-    assert FOUR.names[3] in said
+    (found,) = unconfirmed_balls(three, FOUR, confirmed)
+    assert FOUR.names[3] in found
     last = [_view(FOUR.names[3], camera, Reason.NONE) for camera in "ab"]
-    assert unconfirmed_balls(last[:1], FOUR, confirmed) == (said,)
+    assert unconfirmed_balls(last[:1], FOUR, confirmed) == (found,)
     assert unconfirmed_balls(last, FOUR, confirmed) == ()
     assert unconfirmed_balls([], FOUR, confirmed) == ()
     assert unconfirmed_balls([], RAVEN, set()) == ()

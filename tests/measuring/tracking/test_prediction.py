@@ -138,8 +138,8 @@ def test_windows_are_where_the_cameras_see_the_moved_balls(state):
             size = np.mean(np.linalg.norm(outline, axis=1))
             assert balls.radii_px[row] == pytest.approx(size, rel=0.05)
             for axis, slope in enumerate(np.eye(6) * 1e-5):
-                aside = later.world_from_body.perturb(slope).apply(RAVEN.centers[row % 3])
-                numeric = (camera.project(aside[None])[0] - pixel[0]) / 1e-5
+                offset = later.world_from_body.perturb(slope).apply(RAVEN.centers[row % 3])
+                numeric = (camera.project(offset[None])[0] - pixel[0]) / 1e-5
                 np.testing.assert_allclose(balls.jacobians[row, :, axis], numeric, rtol=1e-3)
             spread = propagate(balls.jacobians[row], later.covariance[:6, :6])
             np.testing.assert_allclose(balls.covariances_px[row], spread, rtol=1e-9)

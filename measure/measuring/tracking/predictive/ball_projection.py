@@ -10,7 +10,7 @@ from measure.arrays import Floats
 from measure.compiling import compiled
 from measure.geometry.rotation_kernels import rotation_of, times
 from measure.measuring.tracking.predictive.motion_kernels import (
-    Kinematics,
+    FilterState,
     displacement,
     propagated_covariance,
 )
@@ -41,10 +41,7 @@ class PredictedBalls(NamedTuple):
 
 @compiled
 def predict_balls(
-    rotation: Floats,
-    translation: Floats,
-    kinematics: Kinematics,
-    covariance: Floats,
+    state: FilterState,
     variance: Floats,
     leads_s: Floats,
     balls: Floats,
@@ -55,12 +52,9 @@ def predict_balls(
     """Every ball of a moving body in every camera, at its image's time.
 
     Args:
-        rotation: (3, 3) of world_from_body.
-        translation: (3,) the same.
-        kinematics: how it moves.
-        covariance: (12, 12) of pose and velocity.
+        state: of its motion.
         variance: (6,) of the acceleration.
-        leads_s: (c,) times of the images after the pose's.
+        leads_s: (c,) times of the images after the state's.
         balls: (k, 3) centres in the body.
         radii: (k,) mm.
         rig: the c cameras.
@@ -71,13 +65,13 @@ def predict_balls(
     by_point, toward = np.empty((2, 3)), np.empty(3)
     for camera in range(len(rig.lenses)):
         dt = leads_s[camera]
-        known = propagated_covariance(covariance, dt, variance)
-        moved, velocity = displacement(kinematics, dt)
-        turned = rotation_of(moved[3:]) @ rotation
+        known = propagated_covariance(state.covariance, dt, variance)
+        moved, velocity = displacement(state.kinematics, dt)
+        turned = rotation_of(moved[3:]) @ state.rotation
         for ball in range(count):
             row = camera * count + ball
             arm = times(turned, balls[ball])
-            center = arm + translation + moved[:3]
+            center = arm + state.translation + moved[:3]
             pixel = out.centers_px[row]
             project_one(rig, camera, center, pixel, by_point)
             toward[:] = center - rig.centers[camera]

@@ -120,7 +120,7 @@ class MotionState:
             time_s: the instant.
             acceleration_sd: (6,) standard deviation of the acceleration, mm/s^2 and rad/s^2.
         """
-        state = predicted(self._filter_state(), time_s - self.time_s, acceleration_sd**2)
+        state = predicted(self.filter_state(), time_s - self.time_s, acceleration_sd**2)
         return self._with(state, time_s, self.measured)
 
     def updated(self, pose: Pose, extra: Floats, acceleration_sd: Floats) -> MotionState:
@@ -133,7 +133,7 @@ class MotionState:
         """
         measured, dt = pose.world_from_body, pose.time_s - self.time_s
         state = updated(
-            self._filter_state(),
+            self.filter_state(),
             dt,
             acceleration_sd**2,
             np.ascontiguousarray(measured.rotation),
@@ -143,7 +143,8 @@ class MotionState:
         )
         return self._with(state, pose.time_s, self.measured + 1)
 
-    def _filter_state(self) -> FilterState:
+    def filter_state(self) -> FilterState:
+        """The same for compiled code, without the time."""
         return FilterState(
             np.ascontiguousarray(self.world_from_body.rotation),
             np.ascontiguousarray(self.world_from_body.translation),

@@ -97,10 +97,7 @@ def predict_windows(
     present = tuple(camera for camera in cameras if camera.name in times_s)
     rig = Rig.of(present)
     balls = predict_balls(
-        np.ascontiguousarray(state.world_from_body.rotation),
-        np.ascontiguousarray(state.world_from_body.translation),
-        state.kinematics,
-        state.covariance,
+        state.filter_state(),
         acceleration_sd**2,
         np.array([times_s[camera.name] - state.time_s for camera in present]),
         body.centers,
