@@ -259,27 +259,9 @@ class PredictiveTracker:
             self._confirmed = set()
             self._search_flags = found.flags
         chosen = {(d.camera, d.ball): d for d in found.detections}
+        seen = {(d.camera, d.ball) for some in detections.values() for d in some}
         return tuple(
-            self._searched(frame_set, camera.name, ball, chosen, detections)
-            for camera in self._cameras
-            for ball in self._body.names
-        )
-
-    def _searched(
-        self,
-        frame_set: FrameSet,
-        camera: str,
-        ball: str,
-        chosen: Mapping[tuple[str, str], Detection],
-        detections: Mapping[str, Sequence[Detection]],
-    ) -> BallView:
-        if (detection := chosen.get((camera, ball))) is not None:
-            return BallView(ball, camera, State.EFFECTIVE, detection=detection)
-        if camera not in frame_set.images:
-            return BallView(ball, camera, State.SUSPENDED, Reason.NO_IMAGE)
-        seen = any(d.ball == ball for d in detections.get(camera, ()))
-        return BallView(
-            ball, camera, State.SUSPENDED, Reason.INCONSISTENT if seen else Reason.NOT_FOUND
+            _searched_view(key, frame_set, chosen.get(key), key in seen) for key in self._keys
         )
 
     def _track(
@@ -364,6 +346,19 @@ class PredictiveTracker:
 
     def _forget(self) -> None:
         self._state, self._misses, self._recovering = None, 0, {}
+
+
+def _searched_view(
+    key: tuple[str, str], frame_set: FrameSet, chosen: Detection | None, seen: bool
+) -> BallView:
+    """The state of a ball in a camera after a search: effective if its candidate was chosen."""
+    camera, ball = key
+    if chosen is not None:
+        return BallView(ball, camera, State.EFFECTIVE, detection=chosen)
+    reason = Reason.INCONSISTENT if seen else Reason.NOT_FOUND
+    if camera not in frame_set.images:
+        reason = Reason.NO_IMAGE
+    return BallView(ball, camera, State.SUSPENDED, reason)
 
 
 def _warm_up(body: Body, cameras: Sequence[Camera]) -> None:
