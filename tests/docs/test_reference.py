@@ -128,6 +128,12 @@ def test_optional_members_are_documented_with_their_signatures():
         assert f"`{flag} = " in PLUGIN_PAGE
 
 
+def test_the_architecture_page_names_every_package():
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    rooms = {f"measure.{module.name}" for module in pkgutil.iter_modules(measure.__path__)}
+    assert sorted(r for r in rooms if f"`{r}`" not in page) == ["measure.__main__"]
+
+
 def test_plugins_import_what_the_page_allows_and_no_more():
     """The contract that the built-ins keep forbids every other room of the house."""
     allowed = set(re.findall(r"`(measure\.\w+)`", ALLOWED_IMPORTS))
