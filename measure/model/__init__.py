@@ -1,6 +1,6 @@
 """Bodies, cameras, and what was seen: detections, positions of balls, and poses."""
 
-from measure.model.body import Ball, Body
+from measure.model.body import Ball, Body, paper_body
 from measure.model.camera import Camera, Intrinsics
 from measure.model.color import BallColor, ColorRange, ConvertedImage
 from measure.model.frames import FrameSet, Image
@@ -25,4 +25,5 @@ __all__ = [
     "Motion",
     "Pose",
     "Rig",
+    "paper_body",
 ]

@@ -140,3 +140,10 @@ class Body:
             for i, a in enumerate(self.balls)
             for b in self.balls[i + 1 :]
         }
+
+
+def paper_body() -> Body:
+    """The body of the paper: three balls of radius 20 mm, 38 mm from the end effector."""
+    places = {"green": (38.0, 0.0, 0.0), "yellow": (0.0, 38.0, 0.0), "red": (-38.0, 0.0, 0.0)}
+    balls = tuple(Ball(n, BallColor.named(n), np.array(c), 20.0) for n, c in places.items())
+    return Body("raven three-ball body", balls)

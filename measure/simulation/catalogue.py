@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from measure.geometry import RigidTransform
+from measure.model import paper_body
 from measure.simulation.presets import (
     PLASTIC,
     WORKSPACE_MM,
     lamps,
-    paper_body,
     paper_rig,
     plain_lighting,
     shaft,

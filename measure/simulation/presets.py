@@ -24,12 +24,6 @@ def body(name: str, balls: dict[str, tuple[float, float, float]], radius_mm: flo
     )
 
 
-def paper_body() -> Body:
-    """The body of the paper: three balls of radius 20 mm, 38 mm from the end effector."""
-    places = {"green": (38.0, 0.0, 0.0), "yellow": (0.0, 38.0, 0.0), "red": (-38.0, 0.0, 0.0)}
-    return body("raven three-ball body", places, 20.0)
-
-
 def look_at(center_mm: Floats, target_mm: Floats) -> RigidTransform:
     """world_from_camera at a place, looking at a target, with the picture's top towards +Z."""
     forward = target_mm - center_mm

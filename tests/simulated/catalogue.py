@@ -8,9 +8,9 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.geometry import RigidTransform
-from measure.model import Body, Camera
+from measure.model import Body, Camera, paper_body
 from measure.simulation.catalogue import WEBCAM, motion, plain_scene, webcam_scene
-from measure.simulation.presets import MATT, body, lamps, paper_body, ring, shaft, stems
+from measure.simulation.presets import MATT, body, lamps, ring, shaft, stems
 from measure.simulation.rooms import cloth_room, coloured_room
 from measure.simulation.scene import BALL_ALBEDO, Scene, painted
 from measure.simulation.shading import Lighting, Material
