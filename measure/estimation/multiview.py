@@ -8,6 +8,7 @@ camera and cameras calibrated independently make that sum the exact weight.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,13 +17,12 @@ from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
 from measure.model import Camera, Detection, Rig
 from measure.model.observations import stacked_detections
-from measure.records import record
 
 if TYPE_CHECKING:
     from measure.estimation.point_fit import PointFit
 
 
-@record
+@dataclass(frozen=True, eq=False, slots=True)
 class Views:
     """One ball's pixels in n cameras.
 

@@ -21,12 +21,11 @@ from measure.geometry.rotation_kernels import rotation_of
 from measure.model import Body, Camera, Detection, Rig
 from measure.model.observations import stacked_detections
 from measure.model.rig_kernels import RigRows, project_one
-from measure.records import record
 
 _STEP_TOLERANCE = 1e-8
 
 
-@record
+@dataclass(frozen=True, eq=False, slots=True)
 class Sightings:
     """Ball centres seen in pictures, as arrays of n rows.
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 from measure.arrays import Floats
 from measure.estimation.expected_accuracy import tolerance_covariance
 from measure.model import BallPosition, BallView, Body, Motion, Pose
-from measure.records import record
 
 if TYPE_CHECKING:
     from measure.measuring.time_alignment import FrameSetObservations
@@ -62,7 +61,7 @@ class Measurement:
         return replace(self, pose=replace(pose, covariance=pose.covariance + share))
 
 
-@record
+@dataclass(frozen=True, eq=False, slots=True)
 class Draft:
     """A measurement that may be solved again when later poses are known.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,13 +17,12 @@ from measure.geometry.rotation_kernels import times, turned
 from measure.model import BallView, Body, Camera, Detection, Motion, Pose
 from measure.model.observations import State
 from measure.model.rig_kernels import RigRows, project_one
-from measure.records import record
 
 _SYSTEMATIC_PX = 0.3
 """Systematic error of a detection, added to its noise: it limits differences of their weights."""
 
 
-@record
+@dataclass(frozen=True, eq=False, slots=True)
 class FrameSetObservations:
     """The n effective detections of one frame set, also as arrays.
 

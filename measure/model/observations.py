@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from enum import StrEnum
 from functools import lru_cache
 
@@ -10,10 +11,9 @@ import numpy as np
 
 from measure.arrays import Floats, stacked
 from measure.geometry import RigidTransform
-from measure.records import record
 
 
-@record
+@dataclass(frozen=True, eq=False, slots=True)
 class Expectation:
     """Where to look for one ball; a ball without one is searched for in the whole frame.
 
@@ -37,7 +37,7 @@ class Expectation:
     center_camera: Floats | None = None
 
 
-@record
+@dataclass(frozen=True, eq=False, slots=True)
 class Detection:
     """One ball in one image.
 
@@ -111,7 +111,7 @@ class Reason(StrEnum):
     NO_IMAGE = "no image"
 
 
-@record
+@dataclass(frozen=True, eq=False, slots=True)
 class BallView:
     """One ball in one camera at one instant.
 
@@ -135,7 +135,7 @@ class BallView:
         return self.state is _EFFECTIVE and self.detection is not None
 
 
-@record
+@dataclass(frozen=True, eq=False, slots=True)
 class BallPosition:
     """A ball's centre in the world.
 
@@ -163,7 +163,7 @@ class BallPosition:
         return float(np.sqrt(np.mean(np.square(self.residuals_mm))))
 
 
-@record
+@dataclass(frozen=True, eq=False, slots=True)
 class Pose:
     """The body's pose.
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 from measure.arrays import Floats
 from measure.model import BallPosition, BallView, Detection, Expectation, FrameSet, Motion, Pose
-from measure.records import record
 
 
-@record
+@dataclass(frozen=True, eq=False, slots=True)
 class Conclusion:
     """An accepted pose, perhaps with flags added, or None and the reason in words."""
 

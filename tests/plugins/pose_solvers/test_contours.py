@@ -65,7 +65,7 @@ def test_each_picture_counts_at_its_own_time():
         moved = Motion(POSE, 0.0, velocity).at(time_s)
         for name in RAVEN.names:
             d = see(RAVEN, camera, name, moved)
-            seen.append(type(d)(**{**d.__dict__, "time_s": time_s}))
+            seen.append(replace(d, time_s=time_s))
     prior = Motion(POSE.perturb(OFF), 0.0, velocity)
     error = solve(RAVEN, seen, cameras, prior).world_from_body.difference(POSE)
     assert np.linalg.norm(error[:3]) < 2e-3

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -18,7 +19,6 @@ from measure.measuring.tracking.predictive.gating import GatedObservations
 from measure.measuring.tracking.predictive.motion_filter import MotionState
 from measure.model import Body, Camera, Detection, Expectation, Rig
 from measure.model.observations import stacked_detections
-from measure.records import record
 
 _DECIMALS = 7
 """Of px and mm passed to detectors.
@@ -28,7 +28,7 @@ sums, which depend on their order, would decide.
 """
 
 
-@record
+@dataclass(frozen=True, eq=False, slots=True)
 class SearchWindows:
     """Predictions of n ball-views.
 
