@@ -27,14 +27,13 @@ from measure.calibration import (
     calibrate_capture,
     fit_rig_by_paper,
     open_capture,
-    paper_body,
 )
 from measure.calibration.lens import intrinsics_vector
+from measure.calibration.observations import MarkerObservation, RigObservations, Tolerances
 from measure.calibration.procedure import RigCalibration
-from measure.calibration.sights import MarkSight, Sights, Tolerances
 from measure.calibration.tolerance import fit_rig_with_boards
 from measure.geometry import RigidTransform
-from measure.model import Camera, Intrinsics
+from measure.model import Camera, Intrinsics, paper_body
 from measure.session import read_calibration
 from tests.simulated.capture import CaptureScene, write_capture
 
@@ -54,13 +53,13 @@ def poses(middle: np.ndarray) -> Poses:
     return out
 
 
-def plain_opencv(rig: RigCalibration, sights: Sights) -> tuple[Camera, ...]:
+def plain_opencv(rig: RigCalibration, observations: RigObservations) -> tuple[Camera, ...]:
     """`calibrateCamera` on the same views, `solvePnP` on the marks."""
     out = []
     for camera in rig.cameras:
         lens = rig.lenses[camera.name]
-        assert rig.sights.boards
-        board = next(iter(rig.sights.boards.values())).points.astype(np.float32)
+        assert rig.observations.boards
+        board = next(iter(rig.observations.boards.values())).points.astype(np.float32)
         views = lens.views.views
         _, matrix, distortion, _, _ = cv2.calibrateCamera(
             [board] * len(views),
@@ -69,8 +68,10 @@ def plain_opencv(rig: RigCalibration, sights: Sights) -> tuple[Camera, ...]:
             None,
             None,
         )
-        marks = sights.marks[camera.name]
-        _, turn, shift = cv2.solvePnP(sights.markers[marks.ids], marks.pixels, matrix, distortion)
+        marks = observations.marks[camera.name]
+        _, turn, shift = cv2.solvePnP(
+            observations.markers[marks.ids], marks.pixels, matrix, distortion
+        )
         pose = RigidTransform.from_rotvec(turn.ravel(), shift.ravel()).inverse()
         intrinsics = Intrinsics(
             lens.views.size_wh,
@@ -87,15 +88,15 @@ def cost(found: tuple[Camera, ...], true: tuple[Camera, ...], at: Poses) -> floa
     return float(np.sqrt(np.mean(np.sum(shifts**2, axis=1))))
 
 
-def redrawn(sights: Sights, true: tuple[Camera, ...], seed: int) -> Sights:
+def redrawn(observations: RigObservations, true: tuple[Camera, ...], seed: int) -> RigObservations:
     """The sights with marks at their true places plus fresh noise."""
     rng = np.random.default_rng(seed)
     marks = {}
     for camera in true:
-        ids = sights.marks[camera.name].ids
-        pixels = camera.project(sights.markers[ids])
-        marks[camera.name] = MarkSight(ids, pixels + rng.normal(0, NOISE_PX, pixels.shape))
-    return replace(sights, marks=marks)
+        ids = observations.marks[camera.name].ids
+        pixels = camera.project(observations.markers[ids])
+        marks[camera.name] = MarkerObservation(ids, pixels + rng.normal(0, NOISE_PX, pixels.shape))
+    return replace(observations, marks=marks)
 
 
 def print_cameras(name: str, found: tuple[Camera, ...], true: tuple[Camera, ...]) -> None:
@@ -114,10 +115,10 @@ def print_cameras(name: str, found: tuple[Camera, ...], true: tuple[Camera, ...]
         )
 
 
-def mark_errors(sights: Sights, true: tuple[Camera, ...]) -> list[np.ndarray]:
+def mark_errors(observations: RigObservations, true: tuple[Camera, ...]) -> list[np.ndarray]:
     """Marks less the true places of their markers, by camera (n, 2) px."""
-    marks = [(camera, sights.marks[camera.name]) for camera in true]
-    return [seen.pixels - camera.project(sights.markers[seen.ids]) for camera, seen in marks]
+    marks = [(camera, observations.marks[camera.name]) for camera in true]
+    return [seen.pixels - camera.project(observations.markers[seen.ids]) for camera, seen in marks]
 
 
 def in_pictures(capture: Capture, lenses: dict[str, Intrinsics]) -> Capture:
@@ -147,7 +148,7 @@ def simulated(seed: int, at: Poses) -> list[list[float]]:
     return [
         [
             cost(rig.cameras, true, at),
-            float(np.sqrt(np.mean(np.concatenate(mark_errors(rig.sights, true)) ** 2))),
+            float(np.sqrt(np.mean(np.concatenate(mark_errors(rig.observations, true)) ** 2))),
             normalised(rig.cameras, true),
         ]
         for rig in (by_hand, found)
@@ -178,7 +179,7 @@ def print_methods(rows: dict[str, tuple[Camera, ...]], true: tuple[Camera, ...],
 
 def print_marks(by_hand: RigCalibration, found: RigCalibration, true: tuple[Camera, ...]) -> None:
     """Print the errors of the marks."""
-    hand, offsets = mark_errors(by_hand.sights, true), mark_errors(found.sights, true)
+    hand, offsets = mark_errors(by_hand.observations, true), mark_errors(found.observations, true)
     print(
         f"marks: by hand {np.sqrt(np.mean(np.concatenate(hand) ** 2)):.3f} px, found "
         f"{np.sqrt(np.mean(np.concatenate(offsets) ** 2)):.3f} px per axis "
@@ -190,14 +191,14 @@ def redraws(
     by_hand: RigCalibration, tolerance_mm: float, true: tuple[Camera, ...], at: Poses, count: int
 ) -> np.ndarray:
     """Cost (count, 3) of OpenCV, the paper's method and the joint fit with fresh mark noise."""
-    start, base = by_hand.cameras_before, by_hand.sights
+    start, base = by_hand.cameras_before, by_hand.observations
     base = replace(base, tolerances=Tolerances(tolerance_mm))
     rows = []
     for seed in range(count):
-        sights = redrawn(base, true, seed)
-        joint, _ = fit_rig_with_boards(start, sights)
-        by_paper = fit_rig_by_paper(start, sights).cameras
-        cameras = (plain_opencv(by_hand, sights), by_paper, joint.cameras)
+        observations = redrawn(base, true, seed)
+        joint, _ = fit_rig_with_boards(start, observations)
+        by_paper = fit_rig_by_paper(start, observations).cameras
+        cameras = (plain_opencv(by_hand, observations), by_paper, joint.cameras)
         rows.append([cost(c, true, at) for c in cameras])
     return np.array(rows)
 
@@ -228,8 +229,8 @@ def main() -> None:
     found = calibrate_capture(in_pictures(capture, lenses))
     at = poses(np.array([0.0, 0.0, 250.0]))
     rows = {
-        "opencv": plain_opencv(by_hand, by_hand.sights),
-        "paper": fit_rig_by_paper(by_hand.cameras_before, by_hand.sights).cameras,
+        "opencv": plain_opencv(by_hand, by_hand.observations),
+        "paper": fit_rig_by_paper(by_hand.cameras_before, by_hand.observations).cameras,
         "joint": by_hand.cameras,
         "found": found.cameras,
     }

@@ -48,6 +48,11 @@ def stacked(rows: Sequence[Floats]) -> Floats:
     return np.concatenate(rows, dtype=np.float64).reshape(len(rows), *rows[0].shape)
 
 
+def rms_length(rows: Floats) -> float:
+    """Root mean square of the lengths of n >= 1 rows (n, k)."""
+    return float(np.sqrt(np.mean(np.sum(rows**2, axis=1))))
+
+
 def _fits(actual: tuple[int, ...], wanted: tuple[int | str, ...]) -> bool:
     return all(
         isinstance(want, str) or want == have for want, have in zip(wanted, actual, strict=True)

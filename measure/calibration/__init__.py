@@ -1,13 +1,12 @@
 """Calibration: targets, lenses, camera poses, refinement from motion, and how good it all is."""
 
 from measure.calibration.boards import Board, Charuco, Chessboard, Corners
-from measure.calibration.camera_rows import camera_rows
 from measure.calibration.capture import Capture, open_capture
 from measure.calibration.drawing import Sheet, write_sheet
 from measure.calibration.extrinsics import RigFit, fit_rig
 from measure.calibration.intrinsics import LensCalibration, calibrate_lens
-from measure.calibration.judgement import Finding, Workspace, body_cost, paper_body
 from measure.calibration.markers import find_markers
+from measure.calibration.observations import RigObservations, Tolerances
 from measure.calibration.paper import fit_rig_by_paper
 from measure.calibration.printing import target_sheet
 from measure.calibration.procedure import Method, RigCalibration, calibrate_capture
@@ -22,10 +21,10 @@ from measure.calibration.refining import (
     refine_rig,
     rough_cameras,
 )
-from measure.calibration.sights import Sights, Tolerances
 from measure.calibration.targets import MarkerField, read_board, read_markers
-from measure.calibration.verdict import Verdict, judge, judgement_lines, provenance
+from measure.calibration.verdict import Verdict, camera_rows, judge, judgement_lines, provenance
 from measure.calibration.views import choose_views, find_views
+from measure.calibration.workspace import Workspace, body_cost
 
 __all__ = [
     "Board",
@@ -33,7 +32,6 @@ __all__ = [
     "Charuco",
     "Chessboard",
     "Corners",
-    "Finding",
     "LensCalibration",
     "MarkerField",
     "Method",
@@ -43,8 +41,8 @@ __all__ = [
     "Refinement",
     "RigCalibration",
     "RigFit",
+    "RigObservations",
     "Sheet",
-    "Sights",
     "Tolerances",
     "Verdict",
     "Workspace",
@@ -61,7 +59,6 @@ __all__ = [
     "judge_refinement",
     "judgement_lines",
     "open_capture",
-    "paper_body",
     "provenance",
     "read_board",
     "read_markers",

@@ -84,8 +84,7 @@ class Chessboard:
     """A chessboard.
 
     Origin at one outermost inner corner, x along the first count, y along the second. The outer
-    square diagonal to the origin is black; where the opposite one is white that tells the ends
-    apart.
+    square diagonal to the origin is black; the opposite one is white where the two ends differ.
 
     Attributes:
         inner_corners: along x and along y.

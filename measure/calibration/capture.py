@@ -31,8 +31,8 @@ from measure.session import (
 
 _VIDEO_ENDINGS = {".mp4", ".mkv", ".avi", ".mov", ".webm", ".m4v"}
 _VIDEO_FRAMES = 80
-"""At least so many are looked at, every second, fourth, eighth ...: videos that are a little longer
-or shorter than each other have frames in common."""
+"""Least frames read of a video, every 1st, 2nd, 4th ...: powers of two, so that videos of slightly
+different lengths have frames in common."""
 
 
 class CaptureTable(FileModel):
@@ -52,7 +52,7 @@ class CaptureTable(FileModel):
     floor_z_mm: FiniteFloat | None = None
 
 
-class CameraTable(FileModel):
+class CaptureCameraTable(FileModel):
     """`[[cameras]]`."""
 
     name: Name
@@ -64,7 +64,7 @@ class CameraTable(FileModel):
     marker_image: Name | None = None
 
     @model_validator(mode="after")
-    def _complete(self) -> CameraTable:
+    def _complete(self) -> CaptureCameraTable:
         if (self.intrinsics is None) == (self.calibration is None):
             raise ValueError("give either intrinsics (pictures or a video) or calibration (a file)")
         pose = (self.board_quat_wxyz is None, self.board_translation_mm is None)
@@ -84,7 +84,7 @@ class CaptureFile(FileModel):
     """`capture.toml`."""
 
     capture: CaptureTable
-    cameras: Annotated[list[CameraTable], Field(min_length=1)]
+    cameras: Annotated[list[CaptureCameraTable], Field(min_length=1)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,7 +207,7 @@ def open_capture(path: Path | str) -> Capture:
     return Capture(file, settings, board, markers, cameras)
 
 
-def _camera(folder: Path, table: CameraTable, marks: dict[str, Floats]) -> CameraCapture:
+def _camera(folder: Path, table: CaptureCameraTable, marks: dict[str, Floats]) -> CameraCapture:
     known = None
     if table.calibration is not None:
         lenses = read_intrinsics(folder / table.calibration)

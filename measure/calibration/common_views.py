@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from measure.arrays import Floats, Ints
+from measure.arrays import Floats, Ints, rms_length
 from measure.calibration.boards import Corners
 from measure.calibration.intrinsics import LensCalibration
-from measure.calibration.least_squares import Group, Huber, Linearised, Solution, solve
-from measure.calibration.lens import changed, stack
+from measure.calibration.least_squares import Group, Huber, LeastSquaresSolution, Linearised, solve
+from measure.calibration.lens import changed, stack, with_covariance
 from measure.calibration.single_camera import board_pose
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform, skew
@@ -25,7 +25,7 @@ _ONE_INSTANT_PX = 3.0
 
 
 @dataclass(frozen=True, eq=False)
-class _State:
+class _CommonViewsState:
     cameras: tuple[Camera, ...]
     world_from_board: RigidTransform  # a batch, one an instant
 
@@ -56,8 +56,8 @@ def fit_common_views(
     sds = {name: lens.fit.sd_px for name, lens in lenses.items()}
     free = {name: np.array(lens.model.free, dtype=np.int64) for name, lens in lenses.items()}
     order = {instant: number for number, instant in enumerate(instants)}
-    problem = _Problem(points, views, sds, free, _columns(cameras, free), order)
-    start = _State(cameras, stack([boards[i] for i in instants]))
+    problem = _CommonViewsProblem(points, views, sds, free, _columns(cameras, free), order)
+    start = _CommonViewsState(cameras, stack([boards[i] for i in instants]))
     solution = solve(problem.linearise, problem.step, start, Huber(_HUBER_REACH))
     poses = solution.state.world_from_board
     corners = np.einsum("fij,nj->fni", poses.rotation, points) + poses.translation[:, None]
@@ -119,7 +119,7 @@ def _start(
 
 
 @dataclass(frozen=True, eq=False)
-class _Problem:
+class _CommonViewsProblem:
     """Boards seen by several cameras at the same instants; the first camera is the world.
 
     Attributes:
@@ -138,20 +138,20 @@ class _Problem:
     columns: Mapping[str, Ints]
     order: Mapping[int, int]
 
-    def linearise(self, state: _State) -> Linearised:
+    def linearise(self, state: _CommonViewsState) -> Linearised:
         groups = tuple(self._group(n, state) for n in range(len(state.cameras)))
         size = sum(len(c) for c in self.columns.values())
         return Linearised(groups, size, len(self.order), np.zeros(0), np.zeros((0, size)))
 
-    def step(self, state: _State, shared: Floats, blocks: Floats) -> _State:
+    def step(self, state: _CommonViewsState, shared: Floats, blocks: Floats) -> _CommonViewsState:
         cameras = []
         for number, camera in enumerate(state.cameras):
             part = shared[self.columns[camera.name]]
             part = np.concatenate([np.zeros(6), part]) if number == 0 else part
             cameras.append(changed(camera, part, self.free[camera.name]))
-        return _State(tuple(cameras), state.world_from_board.perturb(blocks))
+        return _CommonViewsState(tuple(cameras), state.world_from_board.perturb(blocks))
 
-    def _group(self, number: int, state: _State) -> Group:
+    def _group(self, number: int, state: _CommonViewsState) -> Group:
         camera, poses = state.cameras[number], state.world_from_board
         mine = sorted(self.views[camera.name].items())
         block = np.concatenate([np.full(len(v.ids), self.order[i]) for i, v in mine])
@@ -184,7 +184,9 @@ def _columns(cameras: tuple[Camera, ...], free: Mapping[str, Ints]) -> dict[str,
 
 
 def _answer(
-    solution: Solution[_State], sds: Mapping[str, float], free: Mapping[str, Ints]
+    solution: LeastSquaresSolution[_CommonViewsState],
+    sds: Mapping[str, float],
+    free: Mapping[str, Ints],
 ) -> tuple[Camera, ...]:
     columns = _columns(solution.state.cameras, free)
     factor = max(solution.variance_factor, 1.0)
@@ -192,21 +194,10 @@ def _answer(
     for number, (camera, group) in enumerate(
         zip(solution.state.cameras, solution.linearised.groups, strict=True)
     ):
-        P = solution.covariance[np.ix_(columns[camera.name], columns[camera.name])] * factor
-        poses = 0 if number == 0 else 6
-        pose, lens, cross = np.zeros((6, 6)), np.zeros((12, 12)), np.zeros((6, 12))
-        pose[:poses, :poses] = P[:poses, :poses]
-        lens[np.ix_(free[camera.name], free[camera.name])] = P[poses:, poses:]
-        cross[:poses, free[camera.name]] = P[:poses, poses:]
-        residuals = group.residuals * sds[camera.name]
-        total = float(np.sum(residuals**2))
-        out.append(
-            replace(
-                camera,
-                intrinsics=replace(camera.intrinsics, covariance=lens),
-                pose_covariance=pose,
-                pose_intrinsics_covariance=cross,
-                reprojection_rms_px=float(np.sqrt(total / len(residuals))),
-            )
-        )
+        own, lens = columns[camera.name], free[camera.name]
+        P = np.zeros((6 + len(lens), 6 + len(lens)))
+        known = slice(6, None) if number == 0 else slice(None)
+        P[known, known] = solution.covariance[np.ix_(own, own)] * factor
+        rms = rms_length(group.residuals * sds[camera.name])
+        out.append(with_covariance(camera, P, lens, rms))
     return tuple(out)

@@ -9,36 +9,36 @@ import numpy as np
 
 from measure.calibration.boards import Board, Corners
 from measure.calibration.markers import assign
-from measure.calibration.sights import MarkSight
+from measure.calibration.observations import MarkerObservation
 from measure.calibration.single_camera import board_pose
-from measure.calibration.starts import WRONG_PX, SeenBoard, mark_rms, mm_per_px
+from measure.calibration.starts import CONTRADICTION_PX, DetectedBoard, mark_rms, mm_per_px
 from measure.calibration.targets import MarkerField
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
 from measure.model import Camera, Intrinsics
 
-WRONG_MM = 2.0
+CONTRADICTION_MM = 2.0
 _UNEXPLAINED = (
     "the camera or the board moved between the two pictures, a picture is mirrored, or the stated "
     "board pose is wrong; take both again"
 )
-_EXPLAINS = 0.25
+_EXPLAINED_MISFIT_RATIO = 0.25
 """A hypothesis that leaves less than this share of the misfit is named as the cause."""
-_FEWEST_OTHERS = 3
+_MIN_OTHER_MARKS = 3
 """So many marks must agree with the board before another is blamed for disagreeing."""
 
 
 def check_board_against_marks(
     start: Camera,
     board: Board,
-    seen: Mapping[str, SeenBoard],
+    seen: Mapping[str, DetectedBoard],
     markers: MarkerField,
-    marks: MarkSight,
+    marks: MarkerObservation,
 ) -> float:
     """How far board and markers disagree in one camera.
 
     Args:
-        start: the camera where its board says it is.
+        start: the camera as located by its board.
         board: the board.
         seen: the boards of all cameras.
         markers: the field.
@@ -53,27 +53,27 @@ def check_board_against_marks(
     """
     rms = mark_rms(start, markers.points, marks)
     worth = mm_per_px(start, markers.points[marks.ids])
-    if not (rms > WRONG_PX and rms * worth > WRONG_MM):
+    if not (rms > CONTRADICTION_PX and rms * worth > CONTRADICTION_MM):
         return rms * worth
-    witness = _Witness(start, board, seen, markers, marks)
-    cause = witness.cause(rms)
+    contradiction = _Contradiction(start, board, seen, markers, marks)
+    cause = contradiction.cause(rms)
     shown = f"{rms * worth:.1f} mm ({rms:.0f} px)" if np.isfinite(rms) else "beyond measure"
     raise CalibrationError(f"camera {start.name}: board and markers disagree by {shown}: {cause}")
 
 
 @dataclass(frozen=True, eq=False)
-class _Witness:
+class _Contradiction:
     """One camera whose board and markers contradict each other, and what the others saw."""
 
     start: Camera
     board: Board
-    seen: Mapping[str, SeenBoard]
+    seen: Mapping[str, DetectedBoard]
     markers: MarkerField
-    marks: MarkSight
+    marks: MarkerObservation
 
     def cause(self, rms: float) -> str:
         left, text = min(self._causes())
-        if left < WRONG_PX and left < _EXPLAINS * rms:
+        if left < CONTRADICTION_PX and left < _EXPLAINED_MISFIT_RATIO * rms:
             return text
         permuted = _permuted(self.start, self.markers, self.marks)
         return f"marker names are mixed up: {permuted}" if permuted else _UNEXPLAINED
@@ -103,9 +103,9 @@ class _Witness:
             yield self._misfit_without(k), text
 
     def _misfit_without(self, k: int) -> float:
-        """RMS px of the camera's marks but the k-th; infinite if too few are left to say."""
+        """RMS px of the camera's marks but the k-th; infinite if too few are left."""
         ids, pixels = np.delete(self.marks.ids, k), np.delete(self.marks.pixels, k, 0)
-        if len(ids) < _FEWEST_OTHERS:
+        if len(ids) < _MIN_OTHER_MARKS:
             return np.inf
         return mark_rms(
             self.start, self.markers.points, replace(self.marks, ids=ids, pixels=pixels)
@@ -140,9 +140,9 @@ def _mirrored(board: Board, corners: Corners, lens: Intrinsics) -> Corners:
     return replace(corners, pixels=pixels, ids=corners.ids[flipped.ravel()])
 
 
-def _permuted(start: Camera, markers: MarkerField, marks: MarkSight) -> str:
+def _permuted(start: Camera, markers: MarkerField, marks: MarkerObservation) -> str:
     """Which marks sit where another marker should be, if renaming makes them all fit."""
-    ids, numbers = assign(start.project(markers.points), marks.pixels, 3 * WRONG_PX)
+    ids, numbers = assign(start.project(markers.points), marks.pixels, 3 * CONTRADICTION_PX)
     if len(ids) < 0.8 * len(marks.ids):
         return ""
     renamed = [

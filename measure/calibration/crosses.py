@@ -15,12 +15,12 @@ import numpy as np
 from measure.arrays import Floats
 from measure.calibration.pattern_fit import BLUR_PX, fit_pattern
 
-_LEAST_EXTENT_PX, _MOST_EXTENT_PX = 7, 90
-_MOST_FILLED = 0.65
+_MIN_EXTENT_PX, _MAX_EXTENT_PX = 7, 90
+_MAX_FILLED_SHARE = 0.65
 """A cross fills less of its box than this; a dot fills more."""
-_LEAST_ANGLE_DEG = 25.0
-_MOST_MISFIT = 0.12
-_MOST_UNEXPLAINED = 0.04
+_MIN_ANGLE_DEG = 25.0
+_MAX_MISFIT = 0.12
+_MAX_UNEXPLAINED_SHARE = 0.04
 """A second cross or a hidden arm takes more of the window than this."""
 _ARM_SHARE = 0.75
 
@@ -48,7 +48,7 @@ def cross_candidates(light: Floats) -> list[Cross]:
     Args:
         light: (h, w) linear luminance.
     """
-    reach = 2 * _MOST_EXTENT_PX // 2 + 1
+    reach = 2 * _MAX_EXTENT_PX // 2 + 1
     excess = light - cv2.blur(light, (reach, reach))
     spread = float(np.median(np.abs(excess))) * 1.4826
     threshold = max(8 * spread, 0.02)
@@ -59,10 +59,10 @@ def cross_candidates(light: Floats) -> list[Cross]:
         for label in range(1, len(stats)):
             x, y, width, height, area = (int(v) for v in stats[label])
             small, large = min(width, height), max(width, height)
-            if small < _LEAST_EXTENT_PX or large > _MOST_EXTENT_PX or large > 4 * small:
+            if small < _MIN_EXTENT_PX or large > _MAX_EXTENT_PX or large > 4 * small:
                 continue
             cut = min(x, y) <= 0 or x + width >= light.shape[1] or y + height >= light.shape[0]
-            if not cut and area < _MOST_FILLED * width * height:
+            if not cut and area < _MAX_FILLED_SHARE * width * height:
                 inside = labels[y : y + height, x : x + width] == label
                 cross = _as_cross(inside * np.abs(excess[y : y + height, x : x + width]))
                 if cross is not None:
@@ -78,20 +78,20 @@ def _as_cross(weights: Floats) -> Cross | None:
     center = np.array([columns @ mass, rows @ mass]) / mass.sum()
     across, down = columns - center[0], rows - center[1]
     turns = np.deg2rad(np.arange(0, 180, 3))
-    aside = np.abs(np.outer(np.cos(turns), down) - np.outer(np.sin(turns), across))
+    off_line = np.abs(np.outer(np.cos(turns), down) - np.outer(np.sin(turns), across))
     along = np.outer(np.cos(turns), across) + np.outer(np.sin(turns), down)
-    on_line = (aside < 1.0) * mass
+    on_line = (off_line < 1.0) * mass
     strength = on_line.sum(axis=1)
     first = int(np.argmax(strength))
     apart = np.abs((turns - turns[first] + np.pi / 2) % np.pi - np.pi / 2)
-    second = int(np.argmax(np.where(apart > np.deg2rad(_LEAST_ANGLE_DEG), strength, -1.0)))
+    second = int(np.argmax(np.where(apart > np.deg2rad(_MIN_ANGLE_DEG), strength, -1.0)))
     reach = np.inf
     for number in (first, second):
         places = along[number][on_line[number] > 0]
         if not len(places):
             return None
         reach = min(reach, float(places.max()), float(-places.min()))
-    if not reach > 0.5 * _LEAST_EXTENT_PX - 1:
+    if not reach > 0.5 * _MIN_EXTENT_PX - 1:
         return None
     return Cross(center, reach, turns[[first, second]], np.nan)
 
@@ -116,10 +116,10 @@ def refine_cross(light: Floats, cross: Cross) -> Cross | None:
     unknowns, angles = fit.unknowns, fit.unknowns[2:4] / half
     apart = np.abs((angles[0] - angles[1] + np.pi / 2) % np.pi - np.pi / 2)
     moved = float(np.linalg.norm(unknowns[:2] - start[:2]))
-    crossing = apart > np.deg2rad(_LEAST_ANGLE_DEG) / 2
-    if moved > 0.5 * half + 1 or not crossing or fit.misfit > _MOST_MISFIT:
+    crossing = apart > np.deg2rad(_MIN_ANGLE_DEG) / 2
+    if moved > 0.5 * half + 1 or not crossing or fit.misfit > _MAX_MISFIT:
         return None
-    if fit.unexplained > _MOST_UNEXPLAINED:
+    if fit.unexplained > _MAX_UNEXPLAINED_SHARE:
         return None
     return Cross(unknowns[:2] + np.array([u, v]), cross.reach_px, angles, fit.misfit)
 
@@ -131,8 +131,8 @@ def _basis(unknowns: Floats, places: Floats, half: int) -> Floats:
     offsets = places - unknowns[:2, None]
     bars = []
     for angle, half_width in zip(unknowns[2:4] / half, unknowns[4:], strict=True):
-        aside = np.cos(angle) * offsets[1] - np.sin(angle) * offsets[0]
-        edges = (ndtr((aside + s * half_width) / _SIGMA_PX) for s in (1, -1))
+        off_line = np.cos(angle) * offsets[1] - np.sin(angle) * offsets[0]
+        edges = (ndtr((off_line + s * half_width) / _SIGMA_PX) for s in (1, -1))
         bars.append(next(edges) - next(edges))
     together = 1 - (1 - bars[0]) * (1 - bars[1])
     return np.column_stack([together, np.ones(places.shape[1]), places.T / half])

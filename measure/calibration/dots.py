@@ -42,7 +42,7 @@ def dot_candidates(light: Floats, radius_px: tuple[float, float] = (1.5, 25.0)) 
 
     Args:
         light: (h, w) linear luminance.
-        radius_px: smallest and largest radius looked for.
+        radius_px: smallest and largest radius accepted.
     """
     reach = 2 * int(2 * radius_px[1]) + 1
     background = cv2.blur(light, (reach, reach))

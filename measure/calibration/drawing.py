@@ -22,7 +22,7 @@ FOOTER_MM = 16.0
 
 
 @dataclass(frozen=True)
-class Box:
+class Rectangle:
     """A filled rectangle: left, top, width, height in mm, y downwards."""
 
     x: float
@@ -43,7 +43,7 @@ class Disc:
 
 
 @dataclass(frozen=True)
-class Line:
+class Segment:
     """A line in mm."""
 
     x1: float
@@ -63,7 +63,7 @@ class Label:
     height: float = 3.0
 
 
-Shape = Box | Disc | Line | Label
+Shape = Rectangle | Disc | Segment | Label
 
 
 @dataclass(frozen=True)
@@ -127,16 +127,16 @@ def scale_bar(x: float, y: float) -> list[Shape]:
     """A bar of 100 mm with a tick every 10 mm."""
     ticks = range(0, int(BAR_MM) + 1, 10)
     return [
-        Line(x, y, x + BAR_MM, y),
-        *(Line(x + t, y - (2.5 if t % 50 == 0 else 1.5), x + t, y) for t in ticks),
+        Segment(x, y, x + BAR_MM, y),
+        *(Segment(x + t, y - (2.5 if t % 50 == 0 else 1.5), x + t, y) for t in ticks),
     ]
 
 
 def _moved(shape: Shape, x: float, y: float) -> Shape:
-    if isinstance(shape, Line):
-        return Line(shape.x1 + x, shape.y1 + y, shape.x2 + x, shape.y2 + y, shape.width)
-    if isinstance(shape, Box):
-        return Box(shape.x + x, shape.y + y, shape.width, shape.height, shape.black)
+    if isinstance(shape, Segment):
+        return Segment(shape.x1 + x, shape.y1 + y, shape.x2 + x, shape.y2 + y, shape.width)
+    if isinstance(shape, Rectangle):
+        return Rectangle(shape.x + x, shape.y + y, shape.width, shape.height, shape.black)
     if isinstance(shape, Disc):
         return Disc(shape.x + x, shape.y + y, shape.radius, shape.filled)
     return Label(shape.x + x, shape.y + y, shape.text, shape.height)
@@ -168,7 +168,7 @@ def svg(sheet: Sheet) -> str:
 
 
 def _svg_shape(shape: Shape) -> str:
-    if isinstance(shape, Box):
+    if isinstance(shape, Rectangle):
         fill = "black" if shape.black else "white"
         return (
             f'<rect x="{shape.x:.4f}" y="{shape.y:.4f}" width="{shape.width:.4f}" '
@@ -177,7 +177,7 @@ def _svg_shape(shape: Shape) -> str:
     if isinstance(shape, Disc):
         style = 'fill="black"' if shape.filled else 'fill="none" stroke="black" stroke-width="0.2"'
         return f'<circle cx="{shape.x:.4f}" cy="{shape.y:.4f}" r="{shape.radius:.4f}" {style}/>'
-    if isinstance(shape, Line):
+    if isinstance(shape, Segment):
         return (
             f'<line x1="{shape.x1:.4f}" y1="{shape.y1:.4f}" x2="{shape.x2:.4f}" '
             f'y2="{shape.y2:.4f}" stroke="black" stroke-width="{shape.width:g}"/>'
@@ -196,7 +196,7 @@ def _write_pdf(sheet: Sheet, path: Path) -> None:
     canvas = Canvas(str(path), pagesize=size, invariant=1)
     canvas.scale(_POINTS_PER_MM, _POINTS_PER_MM)
     for shape in sheet.shapes:
-        if isinstance(shape, Box):
+        if isinstance(shape, Rectangle):
             level = 0.0 if shape.black else 1.0
             canvas.setFillGray(level)
             bottom = height - shape.y - shape.height
@@ -207,7 +207,7 @@ def _write_pdf(sheet: Sheet, path: Path) -> None:
             canvas.circle(
                 shape.x, height - shape.y, shape.radius, stroke=not shape.filled, fill=shape.filled
             )
-        elif isinstance(shape, Line):
+        elif isinstance(shape, Segment):
             canvas.setLineWidth(shape.width)
             canvas.line(shape.x1, height - shape.y1, shape.x2, height - shape.y2)
         else:

@@ -3,8 +3,8 @@
 Least squares over every camera's pose and lens, the marker positions and the board poses. What is
 known beforehand enters with its uncertainty: the lens with the covariance of its own fit, a marker
 with the tolerance of its post, a board with the tolerance of its holder. Corners and marks are
-weighted by standard deviations that the residuals themselves tell (variance components), and a
-robust loss keeps a slip of the hand from bending the whole rig.
+weighted by standard deviations estimated from the residuals (variance components), and Huber's loss
+bounds the influence of single wrong marks.
 """
 
 from __future__ import annotations
@@ -13,16 +13,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from measure.arrays import Floats, Ints
-from measure.calibration.least_squares import Huber, Solution, solve
+from measure.arrays import Floats, Ints, rms_length
+from measure.calibration.least_squares import Huber, LeastSquaresSolution, solve
+from measure.calibration.lens import with_covariance
+from measure.calibration.observations import RigObservations
 from measure.calibration.rig_problem import CORNERS, MARKS, RigProblem, RigState, lay_out
-from measure.calibration.sights import Sights
 from measure.model import Camera
 
 _HUBER = Huber(3.0)
-_WEIGHT_ROUNDS = 6
-_LEAST_CORNER_SD_PX = 0.01
-_LEAST_MARK_SD_PX = 0.02
+_MAX_WEIGHT_ROUNDS = 6
+_MIN_CORNER_SD_PX = 0.01
+_MIN_MARK_SD_PX = 0.02
 START_CORNER_SD_PX = 0.1
 START_MARK_SD_PX = 0.5
 
@@ -59,7 +60,7 @@ class RigFit:
 
 def fit_rig(
     start: tuple[Camera, ...],
-    sights: Sights,
+    observations: RigObservations,
     corner_sd_px: float | None = None,
     mark_sd_px: float | None = None,
 ) -> RigFit:
@@ -68,21 +69,21 @@ def fit_rig(
     Args:
         start: cameras with rough poses; a lens with a covariance is refined within it, one without
             stays as it is.
-        sights: boards and marks.
+        observations: boards and marks.
         corner_sd_px: known standard deviation of a corner coordinate; estimated if omitted.
         mark_sd_px: known standard deviation of a mark coordinate; estimated if omitted.
 
     Raises:
-        CalibrationError: the sights leave a camera's pose undetermined.
+        CalibrationError: the observations leave a camera's pose undetermined.
     """
-    layout = lay_out(start, sights)
-    boards = {name: board.world_from_board for name, board in sights.boards.items()}
+    layout = lay_out(start, observations)
+    boards = {name: board.world_from_board for name, board in observations.boards.items()}
     offsets = {name: np.zeros(2) for name in layout.offsets}
-    state = RigState(start, sights.markers, boards, offsets)
+    state = RigState(start, observations.markers, boards, offsets)
     sds = np.array([corner_sd_px or START_CORNER_SD_PX, mark_sd_px or START_MARK_SD_PX])
     fixed = np.array([corner_sd_px is not None, mark_sd_px is not None])
-    for _ in range(_WEIGHT_ROUNDS):
-        problem = RigProblem(start, sights, layout, sds)
+    for _ in range(_MAX_WEIGHT_ROUNDS):
+        problem = RigProblem(start, observations, layout, sds)
         solution = solve(problem.linearise, problem.step, state, _HUBER)
         state = solution.state
         estimated = _standard_deviations(solution, problem)
@@ -92,7 +93,7 @@ def fit_rig(
     return _answer(solution, problem)
 
 
-def _standard_deviations(solution: Solution[RigState], problem: RigProblem) -> Floats:
+def _standard_deviations(solution: LeastSquaresSolution[RigState], problem: RigProblem) -> Floats:
     """Standard deviations of corners and marks from their residuals and redundancies.
 
     Variance components in Förstner's form: a class's squared residuals over its share of the
@@ -107,10 +108,10 @@ def _standard_deviations(solution: Solution[RigState], problem: RigProblem) -> F
         squares[kind] += float(np.sum(weights * lengths**2))
         redundancy[kind] += float(np.sum(2 - leverage))
     factor = np.where(redundancy > 1, squares / np.maximum(redundancy, 1), 1.0)
-    return np.maximum(problem.sds * np.sqrt(factor), [_LEAST_CORNER_SD_PX, _LEAST_MARK_SD_PX])
+    return np.maximum(problem.sds * np.sqrt(factor), [_MIN_CORNER_SD_PX, _MIN_MARK_SD_PX])
 
 
-def _answer(solution: Solution[RigState], problem: RigProblem) -> RigFit:
+def _answer(solution: LeastSquaresSolution[RigState], problem: RigProblem) -> RigFit:
     layout, sds = problem.layout, problem.sds
     residuals: tuple[dict[str, Floats], dict[str, Floats]] = ({}, {})
     for (name, kind), group in zip(problem.labels(), solution.linearised.groups, strict=True):
@@ -120,8 +121,9 @@ def _answer(solution: Solution[RigState], problem: RigProblem) -> RigFit:
         solution.state.cameras, layout.cameras, layout.lens_free, strict=True
     ):
         P = solution.covariance[np.ix_(columns, columns)]
-        rms = _rms([of_kind[camera.name] for of_kind in residuals if camera.name in of_kind])
-        cameras.append(_with_covariance(camera, P, free, rms))
+        own = [of_kind[camera.name] for of_kind in residuals if camera.name in of_kind]
+        rms = rms_length(np.concatenate(own))
+        cameras.append(with_covariance(camera, P, free, rms))
     used = sum(len(c) for c in layout.cameras)
     return RigFit(
         replace(solution.state, cameras=tuple(cameras)),
@@ -135,27 +137,13 @@ def _answer(solution: Solution[RigState], problem: RigProblem) -> RigFit:
     )
 
 
-def _with_covariance(camera: Camera, P: Floats, free: Ints, rms_px: float) -> Camera:
-    lens = np.zeros((12, 12))
-    lens[np.ix_(free, free)] = P[6:, 6:]
-    cross = np.zeros((6, 12))
-    cross[:, free] = P[:6, 6:]
-    return replace(
-        camera,
-        intrinsics=replace(camera.intrinsics, covariance=lens),
-        pose_covariance=P[:6, :6],
-        pose_intrinsics_covariance=cross,
-        reprojection_rms_px=rms_px,
-    )
-
-
-def _log_likelihood(solution: Solution[RigState], problem: RigProblem) -> float:
+def _log_likelihood(solution: LeastSquaresSolution[RigState], problem: RigProblem) -> float:
     """Of the residuals, with the unknowns integrated out (up to a constant)."""
     spread = sum(
         group.residuals.size * np.log(problem.sds[kind])
         for group, (_, kind) in zip(solution.linearised.groups, problem.labels(), strict=True)
     )
-    tolerances, layout = problem.sights.tolerances, problem.layout
+    tolerances, layout = problem.observations.tolerances, problem.layout
     if tolerances.board_mm > 0 and tolerances.board_deg > 0:
         one = np.log(tolerances.board_mm) + np.log(np.deg2rad(tolerances.board_deg))
         spread += 3 * len(layout.boards) * one
@@ -163,8 +151,3 @@ def _log_likelihood(solution: Solution[RigState], problem: RigProblem) -> float:
         spread += 2 * len(layout.offsets) * np.log(tolerances.common_px)
     _, volume = np.linalg.slogdet(solution.covariance)
     return float(-0.5 * solution.cost - spread + 0.5 * volume)
-
-
-def _rms(parts: list[Floats]) -> float:
-    rows = np.concatenate(parts)
-    return float(np.sqrt(np.mean(np.sum(rows**2, axis=1))))

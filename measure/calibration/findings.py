@@ -1,19 +1,26 @@
-"""What a user should know about a rig's marks, boards and lenses."""
+"""What a user should know about a rig's cameras, marks, boards and lenses."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from measure.arrays import Floats
-from measure.calibration.judgement import Finding, residual_findings
+from measure.calibration.observations import MarkerObservation
 from measure.calibration.procedure import RigCalibration
-from measure.calibration.sights import MarkSight
 from measure.calibration.starts import mm_per_px
+from measure.calibration.workspace import Workspace
+from measure.checking import Finding, Level
+from measure.errors import DegenerateGeometryError
 from measure.model import Camera
 
-_LEAST_COVERAGE = 0.4
+SUB_MM_SD_MM = 0.3
+"""A body position known worse than this (one standard deviation) does not support sub-mm."""
+_MAX_MARK_PX = 1.5
+_MAX_MARK_MM = 0.35
+_SAME_PLACE_MM = 5.0
+_MIN_COVERED_SHARE = 0.4
 _NOTED_DISAGREEMENT_MM = 0.5
-_STANDS_OUT = 3.0
+_STANDS_OUT_RATIO = 3.0
 """A camera whose board and markers disagree by so many times what the others' do stands out."""
 
 
@@ -21,53 +28,56 @@ def mark_findings(rig: RigCalibration) -> list[Finding]:
     """Marks that miss, and markers that were left out."""
     findings: list[Finding] = []
     for camera in rig.cameras:
-        marks = rig.sights.marks.get(camera.name)
+        marks = rig.observations.marks.get(camera.name)
         if marks is not None:
             residuals = _mark_residuals(rig, camera, marks)
-            worth = mm_per_px(camera, rig.sights.markers[marks.ids])
+            worth = mm_per_px(camera, rig.observations.markers[marks.ids])
             names = [rig.markers.names[i] for i in marks.ids]
             findings += residual_findings(camera.name, residuals, worth, names)
         for name, reason in sorted(_doubtful(rig, camera.name).items()):
-            findings.append(Finding("note", camera.name, f"marker {name} left out: {reason}"))
+            findings.append(
+                Finding(Level.NOTE, "marks", f"marker {name} left out: {reason}", camera.name)
+            )
     return findings
 
 
 def disagreement_findings(rig: RigCalibration) -> list[Finding]:
     """Boards and markers that disagree: of all cameras alike, or of one that stands out.
 
-    Boards held less exactly than stated disagree a little everywhere; the fit then gives them less
-    say. One camera that disagrees while the others do not has moved between its two pictures.
+    Boards held less exactly than stated disagree a little everywhere, and the fit weights them
+    accordingly. One camera that disagrees while the others do not has moved between its two
+    pictures.
     """
     findings = []
     for name, apart in rig.disagreement_mm.items():
         others = [mm for other, mm in rig.disagreement_mm.items() if other != name]
         usual = float(np.median(others)) if others else 0.0
-        if apart > max(_NOTED_DISAGREEMENT_MM, _STANDS_OUT * usual):
+        if apart > max(_NOTED_DISAGREEMENT_MM, _STANDS_OUT_RATIO * usual):
             than = f" (the others by {usual:.2f} mm)" if others else ""
             text = (
                 f"board and markers disagree by {apart:.2f} mm{than}: the camera or the board "
                 "moved between the two pictures, or the stated board pose is wrong; take both again"
             )
-            findings.append(Finding("alarm", name, text))
+            findings.append(Finding(Level.WRONG, "boards", text, name))
         elif apart > _NOTED_DISAGREEMENT_MM:
             text = (
                 f"board and markers disagree by {apart:.2f} mm: one of the two was not held exactly"
             )
-            findings.append(Finding("warning", name, text))
+            findings.append(Finding(Level.WEAK, "boards", text, name))
     return findings
 
 
-def _mark_residuals(rig: RigCalibration, camera: Camera, marks: MarkSight) -> Floats:
+def _mark_residuals(rig: RigCalibration, camera: Camera, marks: MarkerObservation) -> Floats:
     if rig.fit is not None and camera.name in rig.fit.mark_residuals:
         return rig.fit.mark_residuals[camera.name]
-    return marks.pixels - camera.project(rig.sights.markers[marks.ids])
+    return marks.pixels - camera.project(rig.observations.markers[marks.ids])
 
 
 def _doubtful(rig: RigCalibration, camera: str) -> dict[str, str]:
     found = rig.found.get(camera)
     if found is None:
         return {}
-    marked = {rig.markers.names[i] for i in rig.sights.marks[camera].ids}
+    marked = {rig.markers.names[i] for i in rig.observations.marks[camera].ids}
     return {name: reason for name, reason in found.doubtful.items() if name not in marked}
 
 
@@ -75,21 +85,83 @@ def lens_findings(rig: RigCalibration) -> list[Finding]:
     """What the lenses' views lack, and why freer lenses were refused."""
     findings = []
     for name, lens in rig.lenses.items():
-        if lens.views.covered_share < _LEAST_COVERAGE:
+        if lens.views.covered_share < _MIN_COVERED_SHARE:
             text = (
                 f"the board was shown in {lens.views.covered_share:.0%} of the image only; "
                 "the lens "
                 "is extrapolated elsewhere"
             )
-            findings.append(Finding("warning", name, text))
+            findings.append(Finding(Level.WEAK, "lens", text, name))
         if lens.views.mirrored:
             text = (
                 f"{lens.views.mirrored} pictures show the board mirrored, or its back; if "
                 "the camera "
                 "is in mirror (selfie) mode switch that off"
             )
-            findings.append(Finding("warning", name, text))
+            findings.append(Finding(Level.WEAK, "lens", text, name))
         for picture, reason in lens.views.left_out.items():
-            findings.append(Finding("note", name, f"{picture} left out: {reason}"))
-        findings += [Finding("note", name, reason) for reason in lens.reasons]
+            findings.append(Finding(Level.NOTE, "lens", f"{picture} left out: {reason}", name))
+        findings += [Finding(Level.NOTE, "lens", reason, name) for reason in lens.reasons]
     return findings
+
+
+def plausibility(
+    cameras: tuple[Camera, ...], workspace: Workspace, floor_z_mm: float | None
+) -> list[Finding]:
+    """Cameras under the floor, looking away, or standing in one another."""
+    wrong: list[tuple[str, str]] = []
+    for camera in cameras:
+        if floor_z_mm is not None and camera.center[2] < floor_z_mm:
+            text = (
+                f"it stands {floor_z_mm - camera.center[2]:.0f} mm under the floor "
+                f"(z = {floor_z_mm:.0f} mm): a mirrored board or a wrong world frame"
+            )
+            wrong.append((camera.name, text))
+        image = camera.project(workspace.center[None])
+        if not bool(camera.intrinsics.contains(image)[0]):
+            wrong.append((camera.name, "it does not see the middle of the workspace"))
+    for i, a in enumerate(cameras):
+        for b in cameras[i + 1 :]:
+            apart = float(np.linalg.norm(a.center - b.center))
+            if apart < _SAME_PLACE_MM:
+                text = (
+                    f"it stands {apart:.1f} mm from camera {a.name}: one camera's pictures used "
+                    "twice?"
+                )
+                wrong.append((b.name, text))
+    return [Finding(Level.WRONG, "cameras", text, name) for name, text in wrong]
+
+
+def residual_findings(
+    name: str, residuals: Floats, mm_per_px: float, names: list[str]
+) -> list[Finding]:
+    """Marks that miss too far for sub-mm work."""
+    lengths = np.linalg.norm(residuals, axis=1)
+    rms = float(np.sqrt(np.mean(lengths**2)))
+    if rms > _MAX_MARK_PX or rms * mm_per_px > _MAX_MARK_MM:
+        worst = names[int(np.argmax(lengths))]
+        text = (
+            f"its marks miss by {rms:.1f} px RMS ({rms * mm_per_px:.2f} mm; worst {worst} "
+            f"{lengths.max():.1f} px): too large for sub-mm; mark again, check the marker "
+            "places and the lens"
+        )
+        return [Finding(Level.WRONG, "marks", text, name)]
+    if len(lengths) and lengths.max() > 5 * max(float(np.median(lengths)), 0.2):
+        worst = names[int(np.argmax(lengths))]
+        text = f"mark {worst} misses by {lengths.max():.1f} px: look again"
+        return [Finding(Level.WEAK, "marks", text, name)]
+    return []
+
+
+def accuracy_findings(position_sd_mm: Floats) -> list[Finding]:
+    """Whether the expected error of the body supports sub-mm work."""
+    worst = float(np.max(position_sd_mm))
+    if not np.isfinite(worst):
+        raise DegenerateGeometryError("the cameras do not determine the body's pose")
+    if worst <= SUB_MM_SD_MM:
+        return []
+    text = (
+        f"this calibration does not support sub-mm: expected body position error {worst:.2f} mm "
+        "(one standard deviation) in the worst part of the workspace"
+    )
+    return [Finding(Level.WRONG, "accuracy", text)]

@@ -7,7 +7,7 @@ from typing import get_args
 
 import numpy as np
 
-from measure.arrays import Floats
+from measure.arrays import Floats, rms_length
 from measure.calibration.boards import Board, CornerRule, Corners
 from measure.calibration.lens import LENS_MODELS, LensModel
 from measure.calibration.single_camera import (
@@ -22,8 +22,8 @@ from measure.model import Intrinsics
 
 _FOLDS = 5
 _WORST_VIEW_RATIO = 3.0
-_LEAST_GAIN = 0.005
-"""A freer model must lower the held-out error by this share to be believed."""
+_MIN_IMPROVEMENT_RATIO = 0.005
+"""A freer model must lower the held-out error by this share to be chosen."""
 MAX_FOCAL_SD = 0.03
 """Focal lengths known worse than this share are refused."""
 MAX_RMS_PX = 2.0
@@ -73,7 +73,7 @@ def calibrate_lens(board: Board, views: ViewSet, camera: str) -> LensCalibration
 
 
 def _without_bad_views(board: Board, views: ViewSet, camera: str) -> ViewSet:
-    """Leave out views whose corners do not fit what the other views say."""
+    """Leave out views whose corners do not fit the lens of the other views."""
     kept, left_out = list(views.views), dict(views.left_out)
     while True:
         start = start_intrinsics(views.size_wh, board.points, tuple(kept))
@@ -126,7 +126,7 @@ def _choose_model(
             reasons.append(f"lens model {model.name} refused: {problem}")
             continue
         held_out[model.name] = error
-        if best is None or error < held_out[best.name] * (1 - _LEAST_GAIN):
+        if best is None or error < held_out[best.name] * (1 - _MIN_IMPROVEMENT_RATIO):
             best = model
         else:
             added = " ".join(model.parameters.split()[len(best.free) :])
@@ -159,8 +159,7 @@ def _view_residuals(lens: Intrinsics, points: Floats, view: Corners) -> Floats:
 
 def board_rms(lens: Intrinsics, points: Floats, view: Corners) -> float:
     """RMS in px of a view under a known lens, its board pose fitted."""
-    error = _view_residuals(lens, points, view)
-    return float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
+    return rms_length(_view_residuals(lens, points, view))
 
 
 def _refuse_implausible(fit: SingleCameraFit, camera: str) -> None:

@@ -21,7 +21,7 @@ from measure.errors import CalibrationError
 State = TypeVar("State")
 
 _MAX_DAMPING = 1e12
-_LEAST_DAMPING = 1e-15
+_MIN_DAMPING = 1e-15
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +91,7 @@ class Huber:
 
 
 @dataclass(frozen=True)
-class Limits:
+class StoppingRule:
     """When Levenberg-Marquardt stops.
 
     Attributes:
@@ -119,7 +119,7 @@ class Limits:
 
 
 @dataclass(frozen=True, eq=False)
-class Solution(Generic[State]):
+class LeastSquaresSolution(Generic[State]):
     """Where Levenberg-Marquardt ended.
 
     Attributes:
@@ -152,8 +152,8 @@ def solve(
     step: Callable[[State, Floats, Floats], State],
     start: State,
     loss: Huber | None = None,
-    limits: Limits | None = None,
-) -> Solution[State]:
+    limits: StoppingRule | None = None,
+) -> LeastSquaresSolution[State]:
     """Minimise the sum of losses of the whitened residuals plus the squared priors.
 
     Args:
@@ -167,7 +167,7 @@ def solve(
         CalibrationError: the start has no finite cost, the data leave parameters undetermined, or
             the limit was reached.
     """
-    loss, limits = loss or Huber(), limits or Limits()
+    loss, limits = loss or Huber(), limits or StoppingRule()
     state, here = start, linearise(start)
     cost = _cost(here, loss)
     if not np.isfinite(cost):
@@ -181,12 +181,14 @@ def solve(
         done = predicted <= 0.1 * limits.tolerance * cost + 1e-15
         if np.isfinite(gain) and gain >= 0:
             state, here, cost, taken = candidate, there, cost - gain, taken + 1
-            damping = max(damping / 10, _LEAST_DAMPING)
+            damping = max(damping / 10, _MIN_DAMPING)
             done = done or gain <= limits.tolerance * cost or limits.reached(taken)
         else:
             damping *= 10
             done = done or damping > _MAX_DAMPING
-    return Solution(state, here, _normal_equations(here, loss).covariance(), cost, taken)
+    return LeastSquaresSolution(
+        state, here, _normal_equations(here, loss).covariance(), cost, taken
+    )
 
 
 def _cost(lin: Linearised, loss: Huber) -> float:
@@ -254,6 +256,15 @@ def _normal_equations(lin: Linearised, loss: Huber) -> _NormalEquations:
             cross = np.add.reduceat((own @ group.by_shared)[order], first)
             W[blocks[:, None], :, group.columns] += np.swapaxes(cross, 1, 2)
     return _NormalEquations(U, V, W, g, h)
+
+
+def root_information(covariance: Floats, jitter: float = 0.0) -> Floats:
+    """R with R^T R the inverse of a covariance; `jitter` is added to the correlations' diagonal."""
+    scale = 1 / np.sqrt(np.diag(covariance))
+    correlation = covariance * scale[:, None] * scale
+    if jitter:
+        correlation = correlation + jitter * np.eye(len(scale))
+    return np.linalg.inv(np.linalg.cholesky(correlation)) * scale
 
 
 def _scale(diagonal: Floats) -> Floats:

@@ -70,6 +70,27 @@ def changed(camera: Camera, increment: Floats, free: tuple[int, ...] | Ints) -> 
     )
 
 
+def free_parameters(camera: Camera) -> Ints:
+    """Indices of the lens parameters that have a variance: those that are not known exactly."""
+    P = camera.intrinsics.covariance
+    return np.flatnonzero(np.diag(P) > 0) if P is not None else np.zeros(0, dtype=np.int64)
+
+
+def with_covariance(camera: Camera, P: Floats, free: Ints, rms_px: float) -> Camera:
+    """The camera with the covariance P of its pose (6) and its free lens parameters."""
+    lens = np.zeros((12, 12))
+    lens[np.ix_(free, free)] = P[6:, 6:]
+    cross = np.zeros((6, 12))
+    cross[:, free] = P[:6, 6:]
+    return replace(
+        camera,
+        intrinsics=replace(camera.intrinsics, covariance=lens),
+        pose_covariance=P[:6, :6],
+        pose_intrinsics_covariance=cross,
+        reprojection_rms_px=rms_px,
+    )
+
+
 def stack(transforms: list[RigidTransform]) -> RigidTransform:
     """A batch of single transforms."""
     return RigidTransform(

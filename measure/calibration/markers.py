@@ -12,8 +12,8 @@ from measure.arrays import Bytes, Floats, Ints
 from measure.calibration.crosses import Cross, cross_candidates, refine_cross
 from measure.calibration.dots import Dot, dot_candidates, outline_shape, refine_dot
 from measure.calibration.extrinsics import fit_rig
+from measure.calibration.observations import MarkerObservation, RigObservations, Tolerances
 from measure.calibration.pattern_fit import linear_light
-from measure.calibration.sights import MarkSight, Sights, Tolerances
 from measure.calibration.targets import MarkerField
 from measure.errors import CalibrationError
 from measure.model import Camera
@@ -24,7 +24,7 @@ _SINGULARS: dict[MarkerKind, str] = {"dot": "bright dot", "cross": "cross"}
 _PLURALS: dict[MarkerKind, str] = {"dot": "bright dots", "cross": "crosses"}
 _FIRST_REACH_PX = 40.0
 _LAST_REACH_PX = 4.0
-_ROUNDS = 6
+_ASSIGNMENT_ROUNDS = 6
 _SIZE_RATIO = 1.35
 _MIN_MARKERS = 4
 
@@ -70,7 +70,7 @@ def find_markers(
             f"{_MIN_MARKERS} are needed; mark them by hand in marks.csv"
         )
     rough = np.stack([candidate.center_px for candidate in candidates])
-    for reach in np.geomspace(_FIRST_REACH_PX, _LAST_REACH_PX, _ROUNDS):
+    for reach in np.geomspace(_FIRST_REACH_PX, _LAST_REACH_PX, _ASSIGNMENT_ROUNDS):
         ids, numbers = assign(camera.project(markers.points), rough, float(reach))
         if len(ids) < _MIN_MARKERS:
             raise CalibrationError(
@@ -106,10 +106,12 @@ def assign(predicted: Floats, found: Floats, reach_px: float) -> tuple[Ints, Int
 def _located(camera: Camera, markers: MarkerField, ids: Ints, pixels: Floats) -> Camera:
     """The camera with its pose fitted robustly to marks, its lens held."""
     held = replace(camera, intrinsics=replace(camera.intrinsics, covariance=None))
-    sights = Sights(
-        markers.points, marks={camera.name: MarkSight(ids, pixels)}, tolerances=Tolerances(0.0)
+    observations = RigObservations(
+        markers.points,
+        marks={camera.name: MarkerObservation(ids, pixels)},
+        tolerances=Tolerances(0.0),
     )
-    fitted = fit_rig((held,), sights).cameras[0]
+    fitted = fit_rig((held,), observations).cameras[0]
     return replace(camera, world_from_camera=fitted.world_from_camera)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.calibration.capture import CameraCapture, Capture
 from measure.calibration.markers import FoundMarkers, find_markers
-from measure.calibration.sights import MarkSight
+from measure.calibration.observations import MarkerObservation
 from measure.calibration.starts import start_from_marks
 from measure.calibration.targets import MarkerField
 from measure.errors import CalibrationError
@@ -22,15 +22,15 @@ def marks_of(
     start: Camera | None,
     markers: MarkerField,
     capture: Capture,
-) -> tuple[Camera, MarkSight | None, FoundMarkers | None]:
+) -> tuple[Camera, MarkerObservation | None, FoundMarkers | None]:
     """The rough camera, its marks by hand and by search (the hand wins), and the search's finds.
 
     Raises:
-        CalibrationError: neither board nor marks tell where the camera stands, or too few markers
+        CalibrationError: neither board nor marks locate the camera, or too few markers
             are found and none is marked.
         SessionError: a picture that cannot be read.
     """
-    by_hand = sight_of(camera.marks, markers)
+    by_hand = marker_observation(camera.marks, markers)
     if start is None:
         if by_hand is None:
             raise CalibrationError(
@@ -50,10 +50,10 @@ def marks_of(
 def _searched(
     camera: CameraCapture,
     start: Camera,
-    by_hand: MarkSight | None,
+    by_hand: MarkerObservation | None,
     markers: MarkerField,
     capture: Capture,
-) -> tuple[Camera, MarkSight | None, FoundMarkers | None]:
+) -> tuple[Camera, MarkerObservation | None, FoundMarkers | None]:
     assert camera.marker_image is not None
     picture = camera.still(camera.marker_image, start.intrinsics)
     try:
@@ -62,16 +62,16 @@ def _searched(
         if by_hand is None:
             raise
         return start, by_hand, None
-    sight = sight_of({**finds.marks, **camera.marks}, markers)
-    if sight is not None and 2 * len(camera.marks) < len(sight.ids):
-        sight = replace(sight, searched=True)
-    return start, sight, finds
+    observed = marker_observation({**finds.marks, **camera.marks}, markers)
+    if observed is not None and 2 * len(camera.marks) < len(observed.ids):
+        observed = replace(observed, searched=True)
+    return start, observed, finds
 
 
-def sight_of(marks: dict[str, Floats], markers: MarkerField) -> MarkSight | None:
+def marker_observation(marks: dict[str, Floats], markers: MarkerField) -> MarkerObservation | None:
     """Marks by name as an observation; None if there are none."""
     if not marks:
         return None
     names = [name for name in markers.names if name in marks]
     ids = np.array([markers.index(name) for name in names], dtype=np.int64)
-    return MarkSight(ids, np.stack([marks[name] for name in names]))
+    return MarkerObservation(ids, np.stack([marks[name] for name in names]))

@@ -8,8 +8,8 @@ v_c2m / |v_c2m| - v_i2c / |v_i2c| = 0: three equations a marker, six unknowns a 
 Levenberg and Marquardt.
 
 The paper gives no errors. Here the errors of marks, lenses and marker places travel through the
-equations (implicit differentiation of their optimum) into one covariance of all cameras; what the
-marks are off by is told by their residuals, pooled over the cameras.
+equations (implicit differentiation of their optimum) into one covariance of all cameras; the
+standard deviation of the marks comes from their residuals, pooled over the cameras.
 """
 
 from __future__ import annotations
@@ -18,14 +18,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from measure.arrays import Floats, Ints
+from measure.arrays import Floats, Ints, rms_length
 from measure.calibration.extrinsics import START_MARK_SD_PX
-from measure.calibration.sights import Sights
+from measure.calibration.lens import free_parameters
+from measure.calibration.observations import RigObservations
 from measure.errors import CalibrationError
 from measure.geometry import skew
 from measure.model import Camera
 
-_LEAST_MARK_SD_PX = 0.02
+_MIN_MARK_SD_PX = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +37,7 @@ class PaperFit:
         cameras: with the covariances of their poses.
         covariance: of all cameras' poses and free lens parameters together, camera after camera.
         columns: by camera name, which rows of `covariance` are its pose (6) and lens parameters.
-        mark_sd_px: as stated, or as the residuals tell.
+        mark_sd_px: as stated, or estimated from the residuals.
     """
 
     cameras: tuple[Camera, ...]
@@ -46,13 +47,13 @@ class PaperFit:
 
 
 def fit_rig_by_paper(
-    start: tuple[Camera, ...], sights: Sights, mark_sd_px: float | None = None
+    start: tuple[Camera, ...], observations: RigObservations, mark_sd_px: float | None = None
 ) -> PaperFit:
     """Every camera by itself, from its markers, beginning at its rough pose.
 
     Args:
         start: cameras at their rough poses; lenses with covariances.
-        sights: markers with their tolerance, and marks.
+        observations: markers with their tolerance, and marks.
         mark_sd_px: standard deviation of a mark coordinate; from the residuals if omitted.
 
     Raises:
@@ -60,25 +61,25 @@ def fit_rig_by_paper(
     """
     cameras, squares, freedom = [], 0.0, 0.0
     for camera in start:
-        located, residuals = _located(camera, sights)
+        located, residuals = _located(camera, observations)
         cameras.append(located)
         worth = located.intrinsics.focal_px / np.linalg.norm(
-            sights.markers[sights.marks[camera.name].ids] - located.center, axis=1
+            observations.markers[observations.marks[camera.name].ids] - located.center, axis=1
         )
-        # What the residuals owe to the marker places is not the marks' error.
-        owed = 2 * float(np.sum((worth * sights.tolerances.marker_mm) ** 2))
+        # The variance of the marker places is in the residuals too, but is not the marks'.
+        by_places = 2 * float(np.sum((worth * observations.tolerances.marker_mm) ** 2))
         share = max(1 - 6 / residuals.size, 0)
-        squares += max(float(np.sum(residuals**2)) - owed * share, 0)
+        squares += max(float(np.sum(residuals**2)) - by_places * share, 0)
         freedom += residuals.size - 6
     sd = mark_sd_px or START_MARK_SD_PX
     if mark_sd_px is None and freedom > 0:
-        sd = max(float(np.sqrt(squares / freedom)), _LEAST_MARK_SD_PX)
-    return _with_covariances(tuple(cameras), sights, sd)
+        sd = max(float(np.sqrt(squares / freedom)), _MIN_MARK_SD_PX)
+    return _with_covariances(tuple(cameras), observations, sd)
 
 
-def _located(start: Camera, sights: Sights) -> tuple[Camera, Floats]:
+def _located(start: Camera, observations: RigObservations) -> tuple[Camera, Floats]:
     """A camera by equation 3, and the residuals (n, 2) px of its marks."""
-    marks = sights.marks.get(start.name)
+    marks = observations.marks.get(start.name)
     if marks is None:
         raise CalibrationError(
             f"camera {start.name}: the paper's method needs its markers: give marks.csv or "
@@ -88,11 +89,10 @@ def _located(start: Camera, sights: Sights) -> tuple[Camera, Floats]:
         raise CalibrationError(
             f"camera {start.name}: the paper's equation 3 needs 3 markers, got {len(marks.ids)}"
         )
-    points = sights.markers[marks.ids]
+    points = observations.markers[marks.ids]
     located = _solve_equation_3(start, points, marks.pixels)
     error = marks.pixels - located.project(points)
-    rms = float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
-    return replace(located, reprojection_rms_px=rms), error
+    return replace(located, reprojection_rms_px=rms_length(error)), error
 
 
 def _solve_equation_3(start: Camera, points: Floats, pixels: Floats) -> Camera:
@@ -142,25 +142,27 @@ def _sensitivity(camera: Camera, points: Floats, pixels: Floats) -> _Sensitivity
     )
 
 
-def _with_covariances(cameras: tuple[Camera, ...], sights: Sights, sd_px: float) -> PaperFit:
+def _with_covariances(
+    cameras: tuple[Camera, ...], observations: RigObservations, sd_px: float
+) -> PaperFit:
     """Marks and lenses are each camera's own; the places of the markers are common to all."""
     columns: dict[str, Ints] = {}
     own: list[Floats] = []
     common: list[Floats] = []
     for camera in cameras:
-        marks = sights.marks[camera.name]
-        by = _sensitivity(camera, sights.markers[marks.ids], marks.pixels)
+        marks = observations.marks[camera.name]
+        by = _sensitivity(camera, observations.markers[marks.ids], marks.pixels)
         C = camera.intrinsics.covariance
         C = np.zeros((12, 12)) if C is None else C
-        free = np.flatnonzero(np.diag(C) > 0)
+        free = free_parameters(camera)
         # Rows: pose, then the lens parameters themselves, which the poses follow.
         gain = np.concatenate([by.by_lens, np.eye(12)[free]])
         block = gain @ C @ gain.T
         block[:6, :6] += sd_px**2 * by.by_marks @ by.by_marks.T
         own.append(block)
-        shift = np.zeros((len(block), sights.markers.size))
+        shift = np.zeros((len(block), observations.markers.size))
         of_marker = (3 * marks.ids[:, None] + np.arange(3)).reshape(-1)
-        shift[:6, of_marker] = by.by_markers * sights.tolerances.marker_mm
+        shift[:6, of_marker] = by.by_markers * observations.tolerances.marker_mm
         common.append(shift)
         first = sum(len(part) for part in own[:-1])
         columns[camera.name] = np.arange(first, first + len(block))

@@ -12,10 +12,10 @@ from measure.arrays import Bytes, Floats
 BLUR_PX = 0.8
 """Optics and colour mosaic together; the fits of recorded dots are best about here."""
 SUPERSAMPLING = 3
-_ITERATIONS = 25
+_MAX_ITERATIONS = 25
 _NUDGE_PX = 0.1
-_TUKEY = 4.7
-_UNEXPLAINED = 0.25
+_TUKEY_SDS = 4.7
+_UNEXPLAINED_RESIDUAL = 0.25
 
 Basis = Callable[[Floats], Floats]
 """From the unknowns (k,) to pictures (pixels, layers) whose levels are fitted linearly."""
@@ -56,18 +56,18 @@ def fit_pattern(
         least: (k,) lower bounds of the unknowns.
     """
     unknowns, robust = start, np.ones_like(values)
-    for _ in range(_ITERATIONS):
+    for _ in range(_MAX_ITERATIONS):
         weights = root**2 * robust
         step = _step(values, weights, unknowns, basis)
         unknowns = np.maximum(unknowns + step, least)
         whitened = (_residuals(values, weights, unknowns, basis) * root)[root > 0]
         misfit = 1.4826 * float(np.median(np.abs(whitened))) + 1e-4
         t = np.zeros_like(values)
-        t[root > 0] = np.minimum(np.abs(whitened) / (_TUKEY * misfit), 1)
+        t[root > 0] = np.minimum(np.abs(whitened) / (_TUKEY_SDS * misfit), 1)
         robust = (1 - t**2) ** 2
         if np.abs(step).max() < 2e-3:
             break
-    return PatternFit(unknowns, misfit, float(np.mean(np.abs(whitened) > _UNEXPLAINED)))
+    return PatternFit(unknowns, misfit, float(np.mean(np.abs(whitened) > _UNEXPLAINED_RESIDUAL)))
 
 
 def _step(values: Floats, weights: Floats, unknowns: Floats, basis: Basis) -> Floats:

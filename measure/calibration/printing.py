@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from measure.calibration.boards import Charuco, Chessboard
-from measure.calibration.drawing import Box, Disc, Label, Line, Shape, Sheet, lay_out
+from measure.calibration.drawing import Disc, Label, Rectangle, Segment, Shape, Sheet, lay_out
 from measure.calibration.targets import (
     CharucoFile,
     ChessboardFile,
@@ -55,7 +55,7 @@ def chessboard_sheet(board: Chessboard, name: str) -> Sheet:
     columns, rows = (n + 1 for n in board.inner_corners)
     side = board.square_mm
     shapes: list[Shape] = [
-        Box(x * side, y * side, side, side)
+        Rectangle(x * side, y * side, side, side)
         for y in range(rows)
         for x in range(columns)
         if (x + y) % 2 == 0
@@ -76,11 +76,11 @@ def charuco_sheet(board: Charuco, name: str) -> Sheet:
         left, top = np.asarray(corners, dtype=np.float64).reshape(4, 3)[:, :2].min(axis=0)
         with_marker.add((int(left // side), int(top // side)))
         markers += _marker(board, int(number), float(left), float(top))
-    shapes: list[Shape] = [Box(0, 0, *size, black=False)]
+    shapes: list[Shape] = [Rectangle(0, 0, *size, black=False)]
     if board.inverted:
-        shapes = [Box(-4, -4, size[0] + 8, size[1] + 8)]
+        shapes = [Rectangle(-4, -4, size[0] + 8, size[1] + 8)]
     shapes += [
-        Box(x * side, y * side, side, side, black=not board.inverted)
+        Rectangle(x * side, y * side, side, side, black=not board.inverted)
         for y in range(rows)
         for x in range(columns)
         if (x, y) not in with_marker
@@ -95,9 +95,11 @@ def _marker(board: Charuco, number: int, left: float, top: float) -> list[Shape]
     cells = int(dictionary.markerSize) + 2
     bits = np.asarray(cv2.aruco.generateImageMarker(dictionary, number, cells))
     cell = board.marker_mm / cells
-    shapes: list[Shape] = [Box(left, top, board.marker_mm, board.marker_mm, not board.inverted)]
+    shapes: list[Shape] = [
+        Rectangle(left, top, board.marker_mm, board.marker_mm, not board.inverted)
+    ]
     shapes += [
-        Box(left + x * cell, top + y * cell, cell, cell, black=board.inverted)
+        Rectangle(left + x * cell, top + y * cell, cell, cell, black=board.inverted)
         for y, x in zip(*np.nonzero(bits), strict=True)
     ]
     return shapes
@@ -146,4 +148,4 @@ def body_sheet(body: Body) -> Sheet:
 
 
 def _cross(x: float, y: float, reach: float) -> list[Shape]:
-    return [Line(x - reach, y, x + reach, y), Line(x, y - reach, x, y + reach)]
+    return [Segment(x - reach, y, x + reach, y), Segment(x, y - reach, x, y + reach)]

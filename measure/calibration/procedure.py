@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -16,29 +15,34 @@ from measure.calibration.common_views import fit_common_views
 from measure.calibration.contradictions import check_board_against_marks
 from measure.calibration.extrinsics import RigFit
 from measure.calibration.intrinsics import LensCalibration, calibrate_lens
-from measure.calibration.judgement import Finding
 from measure.calibration.markers import FoundMarkers
-from measure.calibration.marking import marks_of, sight_of
+from measure.calibration.marking import marker_observation, marks_of
+from measure.calibration.observations import (
+    BoardObservation,
+    MarkerObservation,
+    RigObservations,
+    Tolerances,
+)
 from measure.calibration.paper import PaperFit, fit_rig_by_paper
-from measure.calibration.sights import BoardSight, MarkSight, Sights, Tolerances
 from measure.calibration.starts import (
-    SeenBoard,
-    board_sight,
+    DetectedBoard,
+    board_observation,
     start_from_board,
 )
 from measure.calibration.targets import MarkerField
-from measure.calibration.tolerance import UNWITNESSED_COMMON_PX, fit_rig_with_boards, held_within
+from measure.calibration.tolerance import DEFAULT_COMMON_PX, fit_rig_with_boards, held_within
 from measure.calibration.views import ALL_VIEWS, MAX_VIEWS, find_views
+from measure.checking import Finding
 from measure.errors import CalibrationError
 from measure.model import Camera, Intrinsics
+from measure.processes import Progress
 
 Method = Literal["joint", "paper"]
-Report = Callable[[int, int | None], None]
 
 
 @dataclass(frozen=True, eq=False)
 class RigCalibration:
-    """A calibrated rig and what was learnt on the way.
+    """A calibrated rig and intermediate results.
 
     Attributes:
         cameras: with covariances.
@@ -46,21 +50,21 @@ class RigCalibration:
         lenses: by camera name, where the lens was calibrated here.
         fit: the joint fit, if there was one.
         paper: the fit by equation 3, if that was the method.
-        sights: boards and marks used.
+        observations: boards and marks used.
         markers: the marker field.
         cameras_before: at their rough poses, lenses as calibrated by themselves.
         found: markers found automatically, by camera name.
         disagreement_mm: between board and markers at the markers, by camera name.
-        tolerances: as used; the board's as learnt where the capture does not state it.
+        tolerances: as used; the board's estimated where the capture does not state it.
         findings: what the procedure noticed.
-        around: (n, 3) mm, what the cameras looked at, where there are no markers.
+        around: (n, 3) mm, board corners in view, where there are no markers.
     """
 
     cameras: tuple[Camera, ...]
     method: Method
     lenses: dict[str, LensCalibration]
     fit: RigFit | None
-    sights: Sights
+    observations: RigObservations
     markers: MarkerField
     paper: PaperFit | None = None
     cameras_before: tuple[Camera, ...] = ()
@@ -72,14 +76,14 @@ class RigCalibration:
 
 
 def calibrate_capture(
-    capture: Capture, method: Method = "joint", report: Report | None = None
+    capture: Capture, method: Method = "joint", progress: Progress | None = None
 ) -> RigCalibration:
     """Calibrate all cameras of a capture.
 
     Args:
         capture: an open capture folder.
         method: "joint" (all cameras, boards and markers at once) or "paper" (equation 3).
-        report: told how many cameras are done.
+        progress: called with how many cameras are done, and of how many.
 
     Raises:
         CalibrationError: anything that cannot give a trustworthy calibration, with its cause.
@@ -88,8 +92,8 @@ def calibrate_capture(
     lenses: dict[str, LensCalibration] = {}
     known: dict[str, Intrinsics] = {}
     for done, camera in enumerate(capture.cameras):
-        if report is not None:
-            report(done, len(capture.cameras))
+        if progress is not None:
+            progress(done, len(capture.cameras))
         if camera.known is not None:
             known[camera.name] = camera.known
         else:
@@ -103,7 +107,7 @@ def calibrate_capture(
 
 
 def _limit(capture: Capture) -> int:
-    """Common views are kept whatever they look like: the other camera may need them."""
+    """Keep all common views, similar ones too: the other camera may need them."""
     return ALL_VIEWS if capture.settings.common_views else MAX_VIEWS
 
 
@@ -121,7 +125,7 @@ def _relative(capture: Capture, lenses: dict[str, LensCalibration]) -> RigCalibr
         "joint",
         lenses,
         None,
-        Sights(),
+        RigObservations(),
         capture.markers,
         cameras_before=cameras,
         around=around,
@@ -137,44 +141,44 @@ def _locate_all(
     board, markers = capture.board, capture.markers
     seen = _boards_of(capture, lenses, known)
     starts: list[Camera] = []
-    marks: dict[str, MarkSight] = {}
+    marks: dict[str, MarkerObservation] = {}
     found: dict[str, FoundMarkers] = {}
     for camera in capture.cameras:
         lens, start = known[camera.name], None
         if camera.name in seen and board is not None:
             start = start_from_board(camera.name, lens, board, seen[camera.name])
-            by_hand = sight_of(camera.marks, markers)
+            by_hand = marker_observation(camera.marks, markers)
             if by_hand is not None:  # before a search that would begin at a wrong place
                 check_board_against_marks(start, board, seen, markers, by_hand)
-        start, sight, finds = marks_of(camera, lens, start, markers, capture)
+        start, observed, finds = marks_of(camera, lens, start, markers, capture)
         starts.append(start)
         if finds is not None:
             found[camera.name] = finds
-        if sight is not None:
-            marks[camera.name] = sight
-    sights_of_boards = {}
+        if observed is not None:
+            marks[camera.name] = observed
+    board_observations = {}
     if board is not None:
-        sights_of_boards = {name: board_sight(board, s) for name, s in seen.items()}
+        board_observations = {name: board_observation(board, s) for name, s in seen.items()}
     disagreement = _disagreement(board, starts, seen, markers, marks)
-    tolerances = _stated_tolerances(capture, sights_of_boards)
-    sights = Sights(markers.points, sights_of_boards, marks, tolerances)
+    tolerances = _stated_tolerances(capture, board_observations)
+    observations = RigObservations(markers.points, board_observations, marks, tolerances)
     base = RigCalibration(
         tuple(starts),
         method,
         lenses,
         None,
-        sights,
+        observations,
         markers,
         cameras_before=tuple(starts),
         found=found,
         disagreement_mm=disagreement,
         tolerances=tolerances,
-        around=_corners(sights_of_boards),
+        around=_corners(board_observations),
     )
     return _by_paper(base, capture) if method == "paper" else _joint(base, capture)
 
 
-def _corners(boards: dict[str, BoardSight]) -> Floats:
+def _corners(boards: dict[str, BoardObservation]) -> Floats:
     """The seen corners of all boards where they are stated to be, (n, 3) mm."""
     places = [board.world_from_board.apply(board.points) for board in boards.values()]
     return np.concatenate(places) if places else np.zeros((0, 3))
@@ -183,9 +187,9 @@ def _corners(boards: dict[str, BoardSight]) -> Floats:
 def _disagreement(
     board: Board | None,
     starts: list[Camera],
-    seen: dict[str, SeenBoard],
+    seen: dict[str, DetectedBoard],
     markers: MarkerField,
-    marks: dict[str, MarkSight],
+    marks: dict[str, MarkerObservation],
 ) -> dict[str, float]:
     """Between board and markers at the markers, mm, by camera that saw both."""
     if board is None:
@@ -199,7 +203,7 @@ def _disagreement(
 
 def _boards_of(
     capture: Capture, lenses: dict[str, LensCalibration], known: dict[str, Intrinsics]
-) -> dict[str, SeenBoard]:
+) -> dict[str, DetectedBoard]:
     """The boards of known pose, by camera, with the corner rule that suits the camera."""
     seen = {}
     for camera in capture.cameras:
@@ -212,29 +216,33 @@ def _boards_of(
 
 
 def _by_paper(base: RigCalibration, capture: Capture) -> RigCalibration:
-    paper = fit_rig_by_paper(base.cameras, base.sights, capture.settings.mark_sd_px)
+    paper = fit_rig_by_paper(base.cameras, base.observations, capture.settings.mark_sd_px)
     return replace(base, cameras=paper.cameras, paper=paper)
 
 
 def _joint(base: RigCalibration, capture: Capture) -> RigCalibration:
     settings = capture.settings
     stated = settings.board_tolerance_mm is not None or settings.board_tolerance_deg is not None
-    fit, tolerances = fit_rig_with_boards(base.cameras, base.sights, settings.mark_sd_px, stated)
-    sights = replace(base.sights, tolerances=tolerances)
-    return replace(base, cameras=fit.cameras, fit=fit, tolerances=tolerances, sights=sights)
+    fit, tolerances = fit_rig_with_boards(
+        base.cameras, base.observations, settings.mark_sd_px, stated
+    )
+    observations = replace(base.observations, tolerances=tolerances)
+    return replace(
+        base, cameras=fit.cameras, fit=fit, tolerances=tolerances, observations=observations
+    )
 
 
-def _stated_tolerances(capture: Capture, boards: dict[str, BoardSight]) -> Tolerances:
+def _stated_tolerances(capture: Capture, boards: dict[str, BoardObservation]) -> Tolerances:
     settings = capture.settings
     stated = settings.board_tolerance_mm, settings.board_tolerance_deg
     return Tolerances(
-        capture.markers.tolerance_mm, *held_within(boards, *stated), UNWITNESSED_COMMON_PX
+        capture.markers.tolerance_mm, *held_within(boards, *stated), DEFAULT_COMMON_PX
     )
 
 
 def _see_board(
     camera: CameraCapture, lens: Intrinsics, board: Board, rule: CornerRule
-) -> SeenBoard:
+) -> DetectedBoard:
     assert camera.board_image is not None
     assert camera.world_from_board is not None
     bgr = camera.still(camera.board_image, lens)
@@ -245,4 +253,4 @@ def _see_board(
             f"camera {camera.name}: no board found in {camera.board_image}; all of it must be in "
             "view, sharp, and as board.toml describes it"
         )
-    return SeenBoard(corners.localised(rule), camera.world_from_board)
+    return DetectedBoard(corners.localised(rule), camera.world_from_board)

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from measure.arrays import Floats, Ints
-from measure.calibration.least_squares import Group, Linearised
-from measure.calibration.lens import changed, intrinsics_vector
-from measure.calibration.sights import BoardSight, MarkSight, Sights
+from measure.calibration.least_squares import Group, Linearised, root_information
+from measure.calibration.lens import changed, free_parameters, intrinsics_vector
+from measure.calibration.observations import BoardObservation, MarkerObservation, RigObservations
 from measure.geometry import RigidTransform, skew
 from measure.model import Camera
 
@@ -29,7 +29,7 @@ class RigState:
 
 
 @dataclass(frozen=True, eq=False)
-class Layout:
+class RigLayout:
     """Which shared parameter is which.
 
     Attributes:
@@ -49,38 +49,27 @@ class Layout:
     size: int
 
 
-@dataclass(frozen=True, eq=False)
-class _Columns:
-    """Hands out columns, one range after another."""
-
-    taken: list[int]
-
-    def take(self, count: int) -> Ints:
-        first = sum(self.taken)
-        self.taken.append(count)
-        return np.arange(first, first + count)
-
-
-def lay_out(cameras: tuple[Camera, ...], sights: Sights) -> Layout:
+def lay_out(cameras: tuple[Camera, ...], observations: RigObservations) -> RigLayout:
     """Number the unknowns: cameras first, then markers, boards and offsets as far as unknown."""
-    columns, tolerances = _Columns([]), sights.tolerances
-    free = tuple(_free(camera) for camera in cameras)
-    of_cameras = tuple(columns.take(6 + len(lens)) for lens in free)
+    size = 0
+
+    def take(count: int) -> Ints:
+        nonlocal size
+        size += count
+        return np.arange(size - count, size)
+
+    tolerances = observations.tolerances
+    free = tuple(free_parameters(camera) for camera in cameras)
+    of_cameras = tuple(take(6 + len(lens)) for lens in free)
     markers = None
-    if tolerances.marker_mm > 0 and len(sights.markers):
-        markers = columns.take(3 * len(sights.markers))
+    if tolerances.marker_mm > 0 and len(observations.markers):
+        markers = take(3 * len(observations.markers))
     boards, offsets = {}, {}
     if tolerances.board_mm > 0 or tolerances.board_deg > 0:
-        boards = {name: columns.take(6) for name in sights.boards}
+        boards = {name: take(6) for name in observations.boards}
     if tolerances.common_px > 0:
-        offsets = {n: columns.take(2) for n, marks in sights.marks.items() if marks.searched}
-    return Layout(free, of_cameras, markers, boards, offsets, sum(columns.taken))
-
-
-def _free(camera: Camera) -> Ints:
-    """Lens parameters with a variance."""
-    P = camera.intrinsics.covariance
-    return np.flatnonzero(np.diag(P) > 0) if P is not None else np.zeros(0, dtype=np.int64)
+        offsets = {n: take(2) for n, marks in observations.marks.items() if marks.searched}
+    return RigLayout(free, of_cameras, markers, boards, offsets, size)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,23 +78,25 @@ class RigProblem:
 
     Attributes:
         start: cameras as they are known beforehand.
-        sights: what they see.
+        observations: what they see.
         layout: the unknowns.
         sds: (2,) standard deviations in px of corners and marks.
     """
 
     start: tuple[Camera, ...]
-    sights: Sights
-    layout: Layout
+    observations: RigObservations
+    layout: RigLayout
     sds: Floats
 
     def labels(self) -> list[tuple[str, int]]:
         """Camera name and kind of the observation groups, in their order."""
         labels = []
         for camera in self.start:
-            if camera.name in self.sights.boards:
+            if camera.name in self.observations.boards:
                 labels.append((camera.name, CORNERS))
-            if camera.name in self.sights.marks and len(self.sights.marks[camera.name].ids):
+            if camera.name in self.observations.marks and len(
+                self.observations.marks[camera.name].ids
+            ):
                 labels.append((camera.name, MARKS))
         return labels
 
@@ -115,9 +106,9 @@ class RigProblem:
         groups = []
         for name, kind in self.labels():
             if kind == CORNERS:
-                groups.append(self._corners(here, order[name], self.sights.boards[name]))
+                groups.append(self._corners(here, order[name], self.observations.boards[name]))
             else:
-                groups.append(self._marks(here, order[name], self.sights.marks[name]))
+                groups.append(self._marks(here, order[name], self.observations.marks[name]))
         parts = list(self._priors(here))
         residuals = [residual for residual, _ in parts]
         rows = [row for _, row in parts]
@@ -149,7 +140,7 @@ class RigProblem:
         offsets = {name: here.offsets[name] + shared[c] for name, c in layout.offsets.items()}
         return RigState(cameras, markers, boards, offsets)
 
-    def _corners(self, here: RigState, number: int, board: BoardSight) -> Group:
+    def _corners(self, here: RigState, number: int, board: BoardObservation) -> Group:
         name = here.cameras[number].name
         pose = here.boards[name]
         points = pose.apply(board.points)
@@ -162,7 +153,7 @@ class RigProblem:
             extra.append((own, seen.by_point @ np.concatenate([shift, turn], axis=2)))
         return self._group(seen, board.pixels, number, extra, CORNERS)
 
-    def _marks(self, here: RigState, number: int, marks: MarkSight) -> Group:
+    def _marks(self, here: RigState, number: int, marks: MarkerObservation) -> Group:
         name = here.cameras[number].name
         seen = self._predicted(here, number, here.markers[marks.ids])
         extra: list[tuple[Ints, Floats]] = []
@@ -178,12 +169,12 @@ class RigProblem:
             extra.append((self.layout.offsets[name], shift))
         return self._group(seen, pixels, number, extra, MARKS)
 
-    def _predicted(self, here: RigState, number: int, points: Floats) -> _Predicted:
-        return _Predicted(*here.cameras[number].project_with_jacobians(points))
+    def _predicted(self, here: RigState, number: int, points: Floats) -> _Projection:
+        return _Projection(*here.cameras[number].project_with_jacobians(points))
 
     def _group(
         self,
-        seen: _Predicted,
+        seen: _Projection,
         pixels: Floats,
         number: int,
         extra: list[tuple[Ints, Floats]],
@@ -202,23 +193,26 @@ class RigProblem:
 
     def _priors(self, here: RigState) -> Iterator[tuple[Floats, Floats]]:
         """Whitened residuals and derivative rows of all that is known beforehand."""
-        layout, sights = self.layout, self.sights
+        layout, observations = self.layout, self.observations
         for first, now, columns, free in zip(
             self.start, here.cameras, layout.cameras, layout.lens_free, strict=True
         ):
             if len(free):
-                root = _root_information(first.intrinsics.covariance, free)
+                assert first.intrinsics.covariance is not None
+                root = root_information(first.intrinsics.covariance[np.ix_(free, free)])
                 yield self._prior(_lens_difference(first, now, free), root, columns[6:])
         if layout.markers is not None:
-            root = np.eye(len(layout.markers)) / sights.tolerances.marker_mm
-            yield self._prior((sights.markers - here.markers).reshape(-1), root, layout.markers)
+            root = np.eye(len(layout.markers)) / observations.tolerances.marker_mm
+            yield self._prior(
+                (observations.markers - here.markers).reshape(-1), root, layout.markers
+            )
         for name, columns in layout.offsets.items():
-            root = np.eye(2) / sights.tolerances.common_px
+            root = np.eye(2) / observations.tolerances.common_px
             yield self._prior(-here.offsets[name], root, columns)
-        board_sd = [sights.tolerances.board_mm, np.deg2rad(sights.tolerances.board_deg)]
+        board_sd = [observations.tolerances.board_mm, np.deg2rad(observations.tolerances.board_deg)]
         root = np.diag(1 / np.maximum(np.repeat(board_sd, 3), 1e-9))
         for name, columns in layout.boards.items():
-            stated = sights.boards[name].world_from_board
+            stated = observations.boards[name].world_from_board
             yield self._prior(-here.boards[name].difference(stated), root, columns)
 
     def _prior(self, residual: Floats, root: Floats, columns: Ints) -> tuple[Floats, Floats]:
@@ -228,7 +222,7 @@ class RigProblem:
 
 
 @dataclass(frozen=True, eq=False)
-class _Predicted:
+class _Projection:
     """Predicted pixels (n, 2) and their derivatives by world point, camera pose and lens."""
 
     pixels: Floats
@@ -240,11 +234,3 @@ class _Predicted:
 def _lens_difference(first: Camera, now: Camera, free: Ints) -> Floats:
     """Free lens parameters of `first` less those of `now`."""
     return (intrinsics_vector(first.intrinsics) - intrinsics_vector(now.intrinsics))[free]
-
-
-def _root_information(covariance: Floats | None, free: Ints) -> Floats:
-    """R with R^T R the inverse of the covariance of the free parameters."""
-    assert covariance is not None
-    P = covariance[np.ix_(free, free)]
-    scale = 1 / np.sqrt(np.diag(P))
-    return np.linalg.inv(np.linalg.cholesky(P * scale[:, None] * scale)) * scale

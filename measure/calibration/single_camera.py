@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from measure.arrays import Floats, Ints
+from measure.arrays import Floats, Ints, rms_length
 from measure.calibration.boards import Corners
-from measure.calibration.least_squares import Group, Huber, Linearised, Solution, solve
+from measure.calibration.least_squares import Group, Huber, LeastSquaresSolution, Linearised, solve
 from measure.calibration.lens import LensModel, shifted, stack
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform, skew
@@ -46,7 +46,7 @@ def board_pose(intrinsics: Intrinsics, points: Floats, pixels: Floats) -> RigidT
 
 def _rms(intrinsics: Intrinsics, pose: RigidTransform, points: Floats, pixels: Floats) -> float:
     error = intrinsics.project(pose.apply(points)) - pixels
-    value = float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
+    value = rms_length(error)
     return value if np.isfinite(value) else np.inf
 
 
@@ -78,7 +78,7 @@ def start_intrinsics(
 
 
 @dataclass(frozen=True, eq=False)
-class _State:
+class _LensState:
     intrinsics: Intrinsics
     camera_from_board: RigidTransform  # a batch, one a view
 
@@ -104,7 +104,7 @@ class SingleCameraFit:
     @property
     def rms_px(self) -> float:
         """Root mean square of the residuals' lengths (OpenCV's reprojection error)."""
-        return float(np.sqrt(np.mean(np.sum(self.residuals**2, axis=1))))
+        return rms_length(self.residuals)
 
     def view_rms_px(self) -> Floats:
         """The same for each view (v,)."""
@@ -134,20 +134,20 @@ def fit_lens(
     view_of = np.repeat(np.arange(len(views)), [len(v.ids) for v in views])
     free = np.array(model.free, dtype=np.int64)
 
-    def linearise(state: _State) -> Linearised:
+    def linearise(state: _LensState) -> Linearised:
         group = _group(state, points[ids], pixels, view_of, free)
         return Linearised((group,), len(free), len(views), np.zeros(0), np.zeros((0, len(free))))
 
-    def step(state: _State, shared: Floats, blocks: Floats) -> _State:
-        return _State(
+    def step(state: _LensState, shared: Floats, blocks: Floats) -> _LensState:
+        return _LensState(
             shifted(state.intrinsics, free, shared), state.camera_from_board.perturb(blocks)
         )
 
-    solution = solve(linearise, step, _State(start, poses), Huber(huber))
+    solution = solve(linearise, step, _LensState(start, poses), Huber(huber))
     return _answer(solution, view_of, free)
 
 
-def _group(state: _State, points: Floats, pixels: Floats, view_of: Ints, free: Ints) -> Group:
+def _group(state: _LensState, points: Floats, pixels: Floats, view_of: Ints, free: Ints) -> Group:
     poses = state.camera_from_board
     turned = np.einsum("nij,nj->ni", poses.rotation[view_of], points)
     predicted, by_point, by_lens = state.intrinsics.project_with_jacobians(
@@ -157,7 +157,9 @@ def _group(state: _State, points: Floats, pixels: Floats, view_of: Ints, free: I
     return Group(pixels - predicted, np.arange(len(free)), by_lens[:, :, free], view_of, by_pose)
 
 
-def _answer(solution: Solution[_State], view_of: Ints, free: Ints) -> SingleCameraFit:
+def _answer(
+    solution: LeastSquaresSolution[_LensState], view_of: Ints, free: Ints
+) -> SingleCameraFit:
     sd = float(np.sqrt(solution.variance_factor))
     covariance = np.zeros((12, 12))
     covariance[np.ix_(free, free)] = solution.covariance * sd**2

@@ -6,11 +6,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from measure.arrays import Floats
+from measure.arrays import Floats, rms_length
 from measure.calibration.boards import Board, Corners
 from measure.calibration.extrinsics import fit_rig
 from measure.calibration.intrinsics import board_rms
-from measure.calibration.sights import BoardSight, MarkSight, Sights, Tolerances
+from measure.calibration.observations import (
+    BoardObservation,
+    MarkerObservation,
+    RigObservations,
+    Tolerances,
+)
 from measure.calibration.single_camera import board_pose
 from measure.calibration.targets import MarkerField
 from measure.errors import CalibrationError
@@ -19,8 +24,8 @@ from measure.model import Camera, Intrinsics
 
 _MIN_MARKS_ALONE = 6
 _FLAT_RATIO = 0.02
-_BOARD_FITS_PX = 3.0
-WRONG_PX = 8.0
+_MAX_BOARD_RMS_PX = 3.0
+CONTRADICTION_PX = 8.0
 _NO_POSE = (
     "camera {name}: no camera pose explains its marks: are marker names mixed up, or is the "
     "picture mirrored?"
@@ -28,22 +33,22 @@ _NO_POSE = (
 
 
 @dataclass(frozen=True, eq=False)
-class SeenBoard:
+class DetectedBoard:
     """The board of known pose in one camera's picture."""
 
     corners: Corners
     world_from_board: RigidTransform
 
 
-def start_from_board(name: str, lens: Intrinsics, board: Board, seen: SeenBoard) -> Camera:
-    """The camera where its board says it is.
+def start_from_board(name: str, lens: Intrinsics, board: Board, seen: DetectedBoard) -> Camera:
+    """The camera as located by its board.
 
     Raises:
         CalibrationError: the corners do not fit the board under this lens.
     """
     points = board.points[seen.corners.ids]
     rms = board_rms(lens, board.points, seen.corners)
-    if rms > _BOARD_FITS_PX:
+    if rms > _MAX_BOARD_RMS_PX:
         raise CalibrationError(
             f"camera {name}: in {seen.corners.source} the board's corners miss by {rms:.1f} "
             "px under "
@@ -53,8 +58,10 @@ def start_from_board(name: str, lens: Intrinsics, board: Board, seen: SeenBoard)
     return Camera(name, lens, seen.world_from_board @ camera_from_board.inverse())
 
 
-def start_from_marks(name: str, lens: Intrinsics, markers: MarkerField, marks: MarkSight) -> Camera:
-    """The camera where its marks say it is.
+def start_from_marks(
+    name: str, lens: Intrinsics, markers: MarkerField, marks: MarkerObservation
+) -> Camera:
+    """The camera as located by its marks.
 
     Raises:
         CalibrationError: fewer than six marks, marks in one plane, or marks that fit no pose.
@@ -76,20 +83,20 @@ def start_from_marks(name: str, lens: Intrinsics, markers: MarkerField, marks: M
     except CalibrationError:
         raise CalibrationError(_NO_POSE.format(name=name)) from None
     held = replace(camera, intrinsics=replace(lens, covariance=None))
-    sights = Sights(markers.points, marks={name: marks}, tolerances=Tolerances(0.0))
+    observations = RigObservations(markers.points, marks={name: marks}, tolerances=Tolerances(0.0))
     camera = replace(
-        camera, world_from_camera=fit_rig((held,), sights).cameras[0].world_from_camera
+        camera, world_from_camera=fit_rig((held,), observations).cameras[0].world_from_camera
     )
     rms = mark_rms(camera, markers.points, marks)
-    if rms > 3 * WRONG_PX:
+    if rms > 3 * CONTRADICTION_PX:
         raise CalibrationError(f"{_NO_POSE.format(name=name)} (RMS {rms:.0f} px)")
     return camera
 
 
-def mark_rms(camera: Camera, points: Floats, marks: MarkSight) -> float:
+def mark_rms(camera: Camera, points: Floats, marks: MarkerObservation) -> float:
     """RMS length in px of marks less predicted markers; infinite if one lies behind."""
     error = marks.pixels - camera.project(points[marks.ids])
-    value = float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
+    value = rms_length(error)
     return value if np.isfinite(value) else np.inf
 
 
@@ -99,6 +106,8 @@ def mm_per_px(camera: Camera, points: Floats) -> float:
     return distance / camera.intrinsics.focal_px
 
 
-def board_sight(board: Board, seen: SeenBoard) -> BoardSight:
+def board_observation(board: Board, seen: DetectedBoard) -> BoardObservation:
     """A seen board as an observation for the joint fit."""
-    return BoardSight(board.points[seen.corners.ids], seen.corners.pixels, seen.world_from_board)
+    return BoardObservation(
+        board.points[seen.corners.ids], seen.corners.pixels, seen.world_from_board
+    )

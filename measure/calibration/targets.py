@@ -21,12 +21,12 @@ Count = Annotated[int, Field(ge=2, le=100)]
 
 
 def _exact_or_known(tolerance: float) -> float:
-    if 0 < tolerance < _LEAST_TOLERANCE:
+    if 0 < tolerance < _MIN_TOLERANCE:
         raise ValueError(f"{tolerance:g} is finer than can be measured: 0 says exact")
     return tolerance
 
 
-_LEAST_TOLERANCE = 1e-6
+_MIN_TOLERANCE = 1e-6
 Tolerance = Annotated[FiniteFloat, Field(ge=0, le=1e6), AfterValidator(_exact_or_known)]
 """A standard deviation in mm or degrees; 0 is exact."""
 
@@ -141,7 +141,7 @@ def read_board(path: Path) -> Board:
     raise CalibrationError(f'{path}: kind = "{kind}" is no board; there is chessboard and charuco')
 
 
-class _Kind(FileModel):
+class _KindOnly(FileModel):
     model_config = FileModel.model_config | {"extra": "ignore"}
 
     kind: str = "body"
@@ -149,7 +149,7 @@ class _Kind(FileModel):
 
 def kind_of(path: Path) -> str:
     """What a target file describes: "chessboard", "charuco", "markers" or "body" (no kind)."""
-    return load_toml(path, _Kind, CalibrationError).kind
+    return load_toml(path, _KindOnly, CalibrationError).kind
 
 
 def read_markers(path: Path, tolerance_mm: float | None = None) -> MarkerField:

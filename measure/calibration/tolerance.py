@@ -1,4 +1,4 @@
-"""How exactly were boards held, and how far does light draw found marks? The residuals tell."""
+"""Tolerances of board poses and of found marks, estimated from the residuals."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from dataclasses import replace
 import numpy as np
 
 from measure.calibration.extrinsics import RigFit, fit_rig
-from measure.calibration.sights import BoardSight, Sights, Tolerances
+from measure.calibration.observations import BoardObservation, RigObservations, Tolerances
 from measure.model import Camera
 
 _BOARD_MM = (0.005, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
 _COMMON_PX = (0.2, 0.4)
-"""Never none: lamps hang overhead, so the light draws the dots of all cameras upwards, and such a
-shift looks like a shift of the whole field of markers, to which the residuals are blind."""
-UNWITNESSED_COMMON_PX = 0.2
-"""Where no boards tell how far the light draws found marks, this is taken."""
-_HOPELESS = 10.0
-"""Candidates this much less likely than the best are past the peak."""
-_MIN_WITNESSES = 2
+"""Candidates for the offset common to the found marks of a picture, px. Zero is not among them:
+light from above shifts the dots of all cameras upwards, which no residual shows."""
+DEFAULT_COMMON_PX = 0.2
+"""Taken for that offset where no boards determine it."""
+_PAST_PEAK_LOG_LIKELIHOOD = 10.0
+"""The search ends at a candidate whose log likelihood is lower than the best by this."""
+_MIN_CAMERAS_WITH_BOTH = 2
 
 
 def fit_rig_with_boards(
     start: tuple[Camera, ...],
-    sights: Sights,
+    observations: RigObservations,
     mark_sd_px: float | None = None,
     boards_stated: bool = False,
 ) -> tuple[RigFit, Tolerances]:
@@ -36,27 +36,31 @@ def fit_rig_with_boards(
     are taken as exact and the offset as it stands.
 
     Raises:
-        CalibrationError: the sights leave a camera's pose undetermined.
+        CalibrationError: the observations leave a camera's pose undetermined.
     """
-    both = [n for n in sights.boards if n in sights.marks and len(sights.marks[n].ids) >= 3]
-    if len(both) < _MIN_WITNESSES:
-        return fit_rig(start, sights, mark_sd_px=mark_sd_px), sights.tolerances
-    boards = [sights.tolerances]
+    both = [
+        n
+        for n in observations.boards
+        if n in observations.marks and len(observations.marks[n].ids) >= 3
+    ]
+    if len(both) < _MIN_CAMERAS_WITH_BOTH:
+        return fit_rig(start, observations, mark_sd_px=mark_sd_px), observations.tolerances
+    boards = [observations.tolerances]
     if not boards_stated:
-        held = [held_within(sights.boards, mm) for mm in _BOARD_MM]
+        held = [held_within(observations.boards, mm) for mm in _BOARD_MM]
         boards = [replace(boards[0], board_mm=mm, board_deg=deg) for mm, deg in held]
-    best = _likeliest(start, sights, boards, mark_sd_px)
-    if any(marks.searched for marks in sights.marks.values()):
+    best = _likeliest(start, observations, boards, mark_sd_px)
+    if any(marks.searched for marks in observations.marks.values()):
         offsets = [replace(best[1], common_px=px) for px in _COMMON_PX]
-        best = _likeliest(start, sights, offsets, mark_sd_px)
+        best = _likeliest(start, observations, offsets, mark_sd_px)
         if len(boards) > 1:
             boards = [replace(b, common_px=best[1].common_px) for b in boards]
-            best = _likeliest(start, sights, boards, mark_sd_px)
+            best = _likeliest(start, observations, boards, mark_sd_px)
     return best
 
 
 def held_within(
-    boards: Mapping[str, BoardSight], shift_mm: float | None, turn_deg: float | None = None
+    boards: Mapping[str, BoardObservation], shift_mm: float | None, turn_deg: float | None = None
 ) -> tuple[float, float]:
     """How far boards may be shifted (mm) and turned (degrees) from where they are stated to be.
 
@@ -76,16 +80,16 @@ def held_within(
 
 def _likeliest(
     start: tuple[Camera, ...],
-    sights: Sights,
+    observations: RigObservations,
     candidates: list[Tolerances],
     mark_sd_px: float | None,
 ) -> tuple[RigFit, Tolerances]:
     best: tuple[RigFit, Tolerances] | None = None
     for tolerances in candidates:
-        fit = fit_rig(start, replace(sights, tolerances=tolerances), mark_sd_px=mark_sd_px)
+        fit = fit_rig(start, replace(observations, tolerances=tolerances), mark_sd_px=mark_sd_px)
         if best is None or fit.log_likelihood > best[0].log_likelihood:
             best = fit, tolerances
-        elif fit.log_likelihood < best[0].log_likelihood - _HOPELESS:
+        elif fit.log_likelihood < best[0].log_likelihood - _PAST_PEAK_LOG_LIKELIHOOD:
             break
     assert best is not None
     return best

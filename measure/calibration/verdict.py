@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,16 +10,17 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.calibration.extrinsics import fit_rig
-from measure.calibration.findings import disagreement_findings, lens_findings, mark_findings
-from measure.calibration.judgement import (
-    Finding,
-    Workspace,
+from measure.calibration.findings import (
     accuracy_findings,
+    disagreement_findings,
+    lens_findings,
+    mark_findings,
     plausibility,
-    workspace_of,
 )
+from measure.calibration.observations import MarkerObservation, RigObservations
 from measure.calibration.procedure import RigCalibration
-from measure.calibration.sights import MarkSight, Sights
+from measure.calibration.workspace import Workspace, workspace_of
+from measure.checking import Finding, Level, worst_first
 from measure.errors import CalibrationError
 from measure.estimation.expected_accuracy import body_pose_sd
 from measure.geometry import Rays, RigidTransform, nearest_point
@@ -27,7 +28,7 @@ from measure.model import Body, Camera
 
 _FOLDS = 4
 _SCALE_SDS = 4.0
-_LEAST_SCALE_ERROR = 0.002
+_MIN_SCALE_ERROR = 0.002
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +45,7 @@ class Verdict:
         scale: size of the marker field as the boards see it, over its stated size; NaN unless both
             are there.
         worst_views: the three worst board views of each camera: name and RMS in px.
-        findings: everything a user should know, alarms first.
+        findings: everything a user should know, the worst first.
     """
 
     workspace: Workspace
@@ -58,8 +59,8 @@ class Verdict:
 
     @property
     def trustworthy(self) -> bool:
-        """Whether there is no alarm."""
-        return all(f.level != "alarm" for f in self.findings)
+        """Whether nothing is wrong."""
+        return all(f.level is not Level.WRONG for f in self.findings)
 
 
 def judge(rig: RigCalibration, body: Body, floor_z_mm: float | None = None) -> Verdict:
@@ -76,7 +77,6 @@ def judge(rig: RigCalibration, body: Body, floor_z_mm: float | None = None) -> V
     findings += mark_findings(rig) + disagreement_findings(rig) + scale_findings
     findings += lens_findings(rig)
     findings += accuracy_findings(position)
-    order = {"alarm": 0, "warning": 1, "note": 2}
     return Verdict(
         workspace,
         position,
@@ -85,7 +85,7 @@ def judge(rig: RigCalibration, body: Body, floor_z_mm: float | None = None) -> V
         held_out_mm,
         scale,
         {name: _worst(rig, name) for name in rig.lenses},
-        tuple(sorted(findings, key=lambda f: order[f.level])),
+        worst_first(findings),
     )
 
 
@@ -98,15 +98,15 @@ def _floor(rig: RigCalibration, stated: float | None) -> float | None:
 
 def _held_out(rig: RigCalibration) -> tuple[float, float]:
     """Marks kept out of the fit in turn, and missed by how much."""
-    if rig.fit is None or not rig.sights.marks:
+    if rig.fit is None or not rig.observations.marks:
         return float("nan"), float("nan")
     squares_px, squares_mm, count = 0.0, 0.0, 0
     for fold in range(_FOLDS):
-        kept, left = _split(rig.sights.marks, fold)
+        kept, left = _split(rig.observations.marks, fold)
         try:
             fit = fit_rig(
                 rig.cameras_before,
-                replace(rig.sights, marks=kept),
+                replace(rig.observations, marks=kept),
                 rig.fit.corner_sd_px,
                 rig.fit.mark_sd_px,
             )
@@ -117,7 +117,7 @@ def _held_out(rig: RigCalibration) -> tuple[float, float]:
             if marks is None or not len(marks.ids):
                 continue
             offset = fit.state.offsets.get(camera.name, np.zeros(2))
-            points = rig.sights.markers[marks.ids]
+            points = rig.observations.markers[marks.ids]
             lengths = np.linalg.norm(marks.pixels - offset - camera.project(points), axis=1)
             worth = np.linalg.norm(points - camera.center, axis=1) / camera.intrinsics.focal_px
             squares_px += float(np.sum(lengths**2))
@@ -127,46 +127,46 @@ def _held_out(rig: RigCalibration) -> tuple[float, float]:
 
 
 def _split(
-    marks: Mapping[str, MarkSight], fold: int
-) -> tuple[dict[str, MarkSight], dict[str, MarkSight]]:
+    marks: Mapping[str, MarkerObservation], fold: int
+) -> tuple[dict[str, MarkerObservation], dict[str, MarkerObservation]]:
     kept, left = {}, {}
-    for name, sight in marks.items():
-        out = np.arange(len(sight.ids)) % _FOLDS == fold
-        kept[name] = replace(sight, ids=sight.ids[~out], pixels=sight.pixels[~out])
-        left[name] = replace(sight, ids=sight.ids[out], pixels=sight.pixels[out])
+    for name, seen in marks.items():
+        out = np.arange(len(seen.ids)) % _FOLDS == fold
+        kept[name] = replace(seen, ids=seen.ids[~out], pixels=seen.pixels[~out])
+        left[name] = replace(seen, ids=seen.ids[out], pixels=seen.pixels[out])
     return kept, left
 
 
 def _scale(rig: RigCalibration) -> tuple[float, list[Finding]]:
     """The marker field's size as cameras placed by their boards alone see it."""
-    if rig.fit is None or not rig.sights.boards or not rig.sights.marks:
+    if rig.fit is None or not rig.observations.boards or not rig.observations.marks:
         return float("nan"), []
-    boards_only = tuple(c for c in rig.cameras_before if c.name in rig.sights.boards)
-    seen = _triangulated(boards_only, rig.sights)
+    boards_only = tuple(c for c in rig.cameras_before if c.name in rig.observations.boards)
+    seen = _triangulated(boards_only, rig.observations)
     if len(seen) < 4:
         return float("nan"), []
     ids = sorted(seen)
-    there, stated = np.stack([seen[i] for i in ids]), rig.sights.markers[ids]
+    there, stated = np.stack([seen[i] for i in ids]), rig.observations.markers[ids]
     a, b = there - there.mean(axis=0), stated - stated.mean(axis=0)
     scale = float(np.sqrt(np.sum(a**2) / np.sum(b**2)))
     turn = np.linalg.svd(a.T @ b)
     rotation = turn[0] @ turn[2]
     misfit = a - scale * b @ rotation.T
     sd = float(np.sqrt(np.sum(misfit**2) / (3 * len(ids) - 7) / np.sum(b**2)))
-    if abs(scale - 1) > max(_SCALE_SDS * sd, _LEAST_SCALE_ERROR):
+    if abs(scale - 1) > max(_SCALE_SDS * sd, _MIN_SCALE_ERROR):
         text = (
             f"boards and markers disagree about size: by the boards the marker field is "
             f"{scale:.4f} "
             f"(+- {sd:.4f}) times its stated size; measure a printed square and the posts again"
         )
-        return scale, [Finding("warning", "", text)]
+        return scale, [Finding(Level.WEAK, "boards", text)]
     return scale, []
 
 
-def _triangulated(cameras: tuple[Camera, ...], sights: Sights) -> dict[int, Floats]:
+def _triangulated(cameras: tuple[Camera, ...], observations: RigObservations) -> dict[int, Floats]:
     rays: dict[int, list[tuple[Floats, Floats]]] = {}
     for camera in cameras:
-        marks = sights.marks.get(camera.name)
+        marks = observations.marks.get(camera.name)
         if marks is None:
             continue
         seen = camera.rays(marks.pixels)
@@ -207,12 +207,12 @@ def judgement_lines(rig: RigCalibration, verdict: Verdict) -> list[str]:
         "one standard deviation) over the workspace"
     )
     if not verdict.trustworthy:
-        lines.append("DO NOT TRUST this calibration: see the alarms above")
+        lines.append("DO NOT TRUST this calibration: see what is wrong above")
     return lines
 
 
 def provenance(rig: RigCalibration, verdict: Verdict, capture: str) -> dict[str, Any]:
-    """What `calibration.toml` says about where it comes from and how good it is."""
+    """The values of `[provenance]` in `calibration.toml`."""
     fit = rig.fit or rig.paper
     return {
         "capture": capture,
@@ -256,3 +256,22 @@ def _lens_values(rig: RigCalibration, name: str) -> dict[str, Any]:
 
 def _finite(value: float) -> float | None:
     return value if np.isfinite(value) else None
+
+
+def camera_rows(
+    cameras: Sequence[Camera],
+) -> list[tuple[str, float, float, float, float | None]]:
+    """Per camera: name, focal length px, position sd mm, rotation sd deg, reprojection RMS px.
+
+    The standard deviations are in 3-D, NaN where the calibration states none.
+    """
+    rows = []
+    for camera in cameras:
+        P = camera.pose_covariance
+        position, rotation = float("nan"), float("nan")
+        if P is not None:
+            position = float(np.sqrt(np.trace(P[:3, :3])))
+            rotation = float(np.rad2deg(np.sqrt(np.trace(P[3:, 3:]))))
+        rms = camera.reprojection_rms_px
+        rows.append((camera.name, camera.intrinsics.focal_px, position, rotation, rms))
+    return rows

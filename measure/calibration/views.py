@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from measure.arrays import Bytes, Floats
+from measure.arrays import Bytes, Floats, rms_length
 from measure.calibration.boards import Board, Corners, MirroredBoardError
 from measure.errors import CalibrationError
 
@@ -31,8 +31,8 @@ class ViewSet:
         size_wh: of the images, px.
         views: the chosen ones.
         left_out: reasons, by name of picture.
-        mirrored: how many pictures showed the board mirrored, or its back: they tell the lens all
-            the same, but a camera in mirror mode must not be located.
+        mirrored: how many pictures showed the board mirrored, or its back: they serve the lens, but
+            a camera in mirror mode must not be located.
     """
 
     size_wh: tuple[int, int]
@@ -64,7 +64,7 @@ def find_views(
     """Find the board in pictures and choose views.
 
     Args:
-        board: what to look for.
+        board: to be found.
         pictures: name and BGR pixels, in order.
         camera: its name, for messages.
         limit: most views to keep.
@@ -157,7 +157,7 @@ def _different(board: Board, views: list[Corners], least_px: float, limit: int) 
     chosen = [int(np.argmax([len(view.ids) for view in views]))]
     nearest = np.full(len(views), np.inf)
     while len(chosen) < min(limit, len(views)):
-        moved = [_rms(outline - outlines[chosen[-1]]) for outline in outlines]
+        moved = [rms_length(outline - outlines[chosen[-1]]) for outline in outlines]
         nearest = np.minimum(nearest, moved)
         following = int(np.argmax(nearest))
         if nearest[following] < least_px:
@@ -174,7 +174,3 @@ def _outline(board: Board, view: Corners) -> Floats:
     H, _ = cv2.findHomography(flat[view.ids], view.pixels)
     mapped = np.column_stack([rectangle, np.ones(4)]) @ np.asarray(H, dtype=np.float64).T
     return mapped[:, :2] / mapped[:, 2:]
-
-
-def _rms(offsets: Floats) -> float:
-    return float(np.sqrt(np.mean(np.sum(offsets**2, axis=1))))

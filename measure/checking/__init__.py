@@ -11,7 +11,7 @@ from measure.checking.duplicates import (
     duplicate_findings,
     stamp_findings,
 )
-from measure.checking.finding import Finding, Level
+from measure.checking.finding import Finding, Level, worst_first
 from measure.checking.moved_cameras import CameraMisfit, camera_misfits, misfit_findings
 from measure.checking.overexposure import ColorlessCount, OverexposedCount
 from measure.checking.sampled_search import SearchSample, search_sample, with_velocities
@@ -34,4 +34,5 @@ __all__ = [
     "search_sample",
     "stamp_findings",
     "with_velocities",
+    "worst_first",
 ]

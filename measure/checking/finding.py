@@ -1,7 +1,8 @@
-"""One result of a check."""
+"""One result of a check or of the judgement of a calibration."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -16,14 +17,27 @@ class Level(StrEnum):
 
 @dataclass(frozen=True)
 class Finding:
-    """One line of a check.
+    """One line of a check or of the judgement of a calibration.
 
     Attributes:
         level: WRONG spoils results; WEAK costs accuracy; NOTE is worth knowing.
-        topic: "balls", "body", "calibration", "clock", "colour", "coverage", "exposure", "frames".
+        topic: "balls", "body", "calibration", "clock", "colour", "coverage", "exposure", "frames";
+            of a calibration "accuracy", "boards", "cameras", "lens", "marks".
         text: what, where, how much, and what to do.
+        camera: the camera it concerns, where `text` does not name it; empty for all.
     """
 
     level: Level
     topic: str
     text: str
+    camera: str = ""
+
+    def __str__(self) -> str:
+        where = f"camera {self.camera}: " if self.camera else ""
+        return f"{self.level}: {where}{self.text}"
+
+
+def worst_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Findings by level, in their order within a level."""
+    levels = list(Level)
+    return tuple(sorted(findings, key=lambda finding: levels.index(finding.level)))

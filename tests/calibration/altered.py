@@ -11,8 +11,9 @@ import cv2
 import numpy as np
 
 from measure.arrays import Bytes, Floats
-from measure.calibration import body_cost, paper_body
+from measure.calibration import body_cost
 from measure.geometry import RigidTransform
+from measure.model import paper_body
 from measure.session import read_calibration
 
 Picture = Callable[[Bytes], Bytes]

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from measure.arrays import Floats
-from measure.calibration import Chessboard, Corners, Sights, Tolerances
-from measure.calibration.sights import BoardSight, MarkSight
+from measure.calibration import Chessboard, Corners, RigObservations, Tolerances
+from measure.calibration.observations import BoardObservation, MarkerObservation
 from measure.calibration.single_camera import board_pose
 from measure.geometry import RigidTransform
 from measure.model import Camera, Intrinsics
@@ -73,7 +73,7 @@ def board_views(
 class Rig:
     true: tuple[Camera, ...]
     start: tuple[Camera, ...]
-    sights: Sights
+    observations: RigObservations
 
 
 def rig(
@@ -93,15 +93,15 @@ def rig(
         board = RigidTransform(facing.rotation, middle - facing.rotation @ [100.0, 62.5, 0.0])
         pixels = camera.project(board.apply(BOARD.points))
         pixels = pixels + rng.normal(0, corner_sd_px, pixels.shape)
-        boards[camera.name] = BoardSight(BOARD.points, pixels, board)
+        boards[camera.name] = BoardObservation(BOARD.points, pixels, board)
         seen = camera.project(placed)
         ids = np.flatnonzero(camera.intrinsics.contains(seen))
         noisy = seen[ids] + rng.normal(0, mark_sd_px, (len(ids), 2))
-        marks[camera.name] = MarkSight(ids, noisy)
+        marks[camera.name] = MarkerObservation(ids, noisy)
         known = _calibrated(camera.intrinsics, lens_sd, rng)
         rough = board @ board_pose(known, BOARD.points, pixels).inverse()
         start.append(Camera(camera.name, known, rough))
-    return Rig(true, tuple(start), Sights(points, boards, marks, Tolerances(marker_mm)))
+    return Rig(true, tuple(start), RigObservations(points, boards, marks, Tolerances(marker_mm)))
 
 
 def _calibrated(intrinsics: Intrinsics, sd: Floats | None, rng: np.random.Generator) -> Intrinsics:

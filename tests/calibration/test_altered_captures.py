@@ -1,4 +1,4 @@
-"""Real pictures, altered: each mistake ends in a refusal or an alarm, each optional part may go."""
+"""Real pictures, altered: each mistake is refused or reported, each optional part may go."""
 
 from __future__ import annotations
 
@@ -272,7 +272,7 @@ def test_a_camera_that_turned_by_half_a_degree_between_its_pictures(altered, cap
 
 
 @pytest.mark.parametrize(("by_hand", "degrees", "axis"), [(True, 0.5, 2), (False, 0.1, 0)])
-def test_a_camera_that_turned_a_little_raises_the_alarm(
+def test_camera_that_turned_a_little_is_reported_as_wrong(
     altered, capsys, by_hand: bool, degrees: float, axis: int
 ) -> None:
     capture = altered("cam0", "cam1")
@@ -283,9 +283,9 @@ def test_a_camera_that_turned_a_little_raises_the_alarm(
         capture.change_picture("cam1_markers.jpg", turned(degrees, axis))
     judgement = written(capture)
     assert not judgement["trustworthy"]
-    assert judgement["findings"][0].startswith("alarm: camera cam1: board and markers disagree by")
+    assert judgement["findings"][0].startswith("wrong: camera cam1: board and markers disagree by")
     out, _ = capsys.readouterr()
-    assert "alarm: camera cam1: board and markers disagree" in out
+    assert "wrong: camera cam1: board and markers disagree" in out
     assert "DO NOT TRUST this calibration" in out
     page = (capture.folder / "calibration.html").read_text()
     assert "the camera or the board moved between the two pictures" in page

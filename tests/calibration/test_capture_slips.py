@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from measure.api import calibrate
-from measure.calibration.sights import BoardSight
+from measure.calibration.observations import BoardObservation
 from measure.calibration.tolerance import held_within
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
@@ -45,7 +45,7 @@ def test_one_camera_is_located_by_a_board_alone(altered) -> None:
     assert np.linalg.norm(result.calibration.cameras[0].center - true.center) < 0.4
 
 
-SIGHTS = {"cam0": BoardSight(BOARD.points, np.zeros((54, 2)), RigidTransform.identity())}
+SIGHTS = {"cam0": BoardObservation(BOARD.points, np.zeros((54, 2)), RigidTransform.identity())}
 
 
 def test_of_a_boards_tolerances_the_one_not_stated_moves_its_rim_as_much() -> None:

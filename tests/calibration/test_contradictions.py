@@ -9,13 +9,15 @@ import pytest
 
 from measure.calibration import Corners, MarkerField
 from measure.calibration.contradictions import check_board_against_marks
-from measure.calibration.judgement import Workspace, plausibility, residual_findings
-from measure.calibration.sights import MarkSight
+from measure.calibration.findings import plausibility, residual_findings
+from measure.calibration.observations import MarkerObservation
 from measure.calibration.starts import (
-    SeenBoard,
+    DetectedBoard,
     start_from_board,
     start_from_marks,
 )
+from measure.calibration.workspace import Workspace
+from measure.checking import Level
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
 from tests.calibration.rigs import BOARD, Rig, markers, rig
@@ -28,19 +30,21 @@ def world() -> Rig:
     return rig(np.random.default_rng(0))
 
 
-def boards(world: Rig) -> dict[str, SeenBoard]:
+def boards(world: Rig) -> dict[str, DetectedBoard]:
     return {
-        name: SeenBoard(
+        name: DetectedBoard(
             Corners(np.arange(54), sight.pixels, 0.4, f"{name}.jpg"), sight.world_from_board
         )
-        for name, sight in world.sights.boards.items()
+        for name, sight in world.observations.boards.items()
     }
 
 
-def check(world: Rig, seen: dict[str, SeenBoard], marks: MarkSight | None = None) -> float:
+def check(
+    world: Rig, seen: dict[str, DetectedBoard], marks: MarkerObservation | None = None
+) -> float:
     camera = world.start[0]
     start = start_from_board("cam0", camera.intrinsics, BOARD, seen["cam0"])
-    marks = world.sights.marks["cam0"] if marks is None else marks
+    marks = world.observations.marks["cam0"] if marks is None else marks
     return check_board_against_marks(start, BOARD, seen, FIELD, marks)
 
 
@@ -83,11 +87,11 @@ def test_wrong_square_size(world: Rig) -> None:
     small = replace(BOARD, square_mm=20.0)
     start = start_from_board("cam0", camera.intrinsics, small, seen["cam0"])
     with pytest.raises(CalibrationError, match=r"1\.2[0-9] times the stated size: check square_mm"):
-        check_board_against_marks(start, small, seen, FIELD, world.sights.marks["cam0"])
+        check_board_against_marks(start, small, seen, FIELD, world.observations.marks["cam0"])
 
 
 def test_marker_names_permuted(world: Rig) -> None:
-    marks = world.sights.marks["cam0"]
+    marks = world.observations.marks["cam0"]
     ids = marks.ids.copy()
     ids[[0, 1, 2]] = ids[[1, 2, 0]]
     with pytest.raises(CalibrationError, match=r"names are mixed up: m\d\d sits at the place of"):
@@ -95,7 +99,7 @@ def test_marker_names_permuted(world: Rig) -> None:
 
 
 def test_a_single_marker_at_a_wrong_place_is_named(world: Rig) -> None:
-    marks = world.sights.marks["cam0"]
+    marks = world.observations.marks["cam0"]
     wrong = int(marks.ids[2])
     points = markers()
     points[wrong, 0] -= 100.0
@@ -108,14 +112,14 @@ def test_a_single_marker_at_a_wrong_place_is_named(world: Rig) -> None:
 def test_a_camera_moved_between_its_two_pictures(world: Rig) -> None:
     turned = world.true[0].world_from_camera.perturb([0, 0, 0, 0, 0, np.deg2rad(0.5)])
     moved = replace(world.true[0], world_from_camera=turned)
-    marks = world.sights.marks["cam0"]
+    marks = world.observations.marks["cam0"]
     marks = replace(marks, pixels=moved.project(markers()[marks.ids]))
     with pytest.raises(CalibrationError, match=r"cam0.*moved between the two pictures"):
         check(world, boards(world), marks)
 
 
 def test_marks_in_one_plane_do_not_locate_a_camera(world: Rig) -> None:
-    marks = world.sights.marks["cam0"]
+    marks = world.observations.marks["cam0"]
     flat = markers()[marks.ids][:, 2] < 250
     low = replace(marks, ids=marks.ids[flat], pixels=marks.pixels[flat])
     with pytest.raises(CalibrationError, match="must not lie in one plane"):
@@ -123,21 +127,21 @@ def test_marks_in_one_plane_do_not_locate_a_camera(world: Rig) -> None:
 
 
 def test_marks_of_mixed_names_locate_no_camera(world: Rig) -> None:
-    marks = world.sights.marks["cam0"]
+    marks = world.observations.marks["cam0"]
     mixed = replace(marks, ids=np.random.default_rng(0).permutation(marks.ids))
     with pytest.raises(CalibrationError, match="no camera pose explains its marks"):
         start_from_marks("cam0", world.start[0].intrinsics, FIELD, mixed)
 
 
-def test_marks_that_miss_by_pixels_raise_the_alarm() -> None:
+def test_marks_that_miss_by_pixels_are_wrong() -> None:
     residuals = np.random.default_rng(0).normal(0, 2.5, (8, 2))
     found = residual_findings("cam0", residuals, 0.33, [f"m{i}" for i in range(8)])
-    assert found[0].level == "alarm"
+    assert found[0].level is Level.WRONG
     assert "too large for sub-mm" in found[0].text
     assert not residual_findings("cam0", residuals / 10, 0.33, [f"m{i}" for i in range(8)])
 
 
-def test_a_camera_under_the_floor_or_looking_away_raises_the_alarm(world: Rig) -> None:
+def test_camera_under_floor_or_looking_away_is_wrong(world: Rig) -> None:
     camera = world.true[0]
     workspace = Workspace(np.array([0.0, 0.0, 250.0]), np.full(3, 50.0))
     assert not plausibility(world.true, workspace, 0.0)

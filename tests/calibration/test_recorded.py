@@ -13,11 +13,11 @@ import pytest
 
 from measure.api import calibrate
 from measure.arrays import Floats
-from measure.calibration import body_cost, calibrate_lens, find_views, paper_body, read_board
+from measure.calibration import body_cost, calibrate_lens, find_views, read_board
 from measure.calibration.capture import CameraCapture
 from measure.errors import CalibrationError
 from measure.geometry import Rays, RigidTransform, align_points, nearest_point
-from measure.model import Camera, Intrinsics
+from measure.model import Camera, Intrinsics, paper_body
 from measure.session import Calibration, read_calibration, write_calibration
 
 

@@ -9,18 +9,19 @@ import re
 import numpy as np
 import pytest
 
-from measure.calibration import MarkerField, RigCalibration, fit_rig, judge, paper_body
+from measure.calibration import MarkerField, RigCalibration, fit_rig, judge
+from measure.model import paper_body
 from measure.viewing.report.calibration_report import calibration_report
 from tests.calibration import rigs
 
 
 def _calibration(mark_sd_px: float) -> RigCalibration:
     rig = rigs.rig(np.random.default_rng(3), mark_sd_px=mark_sd_px)
-    fit = fit_rig(rig.start, rig.sights)
-    points = rig.sights.markers
+    fit = fit_rig(rig.start, rig.observations)
+    points = rig.observations.markers
     field = MarkerField(tuple(f"m{k}" for k in range(len(points))), points)
     return RigCalibration(
-        fit.cameras, "joint", {}, fit, rig.sights, field, cameras_before=rig.start
+        fit.cameras, "joint", {}, fit, rig.observations, field, cameras_before=rig.start
     )
 
 

@@ -1,8 +1,8 @@
 """The two halves of a recording, each refined by itself and tried on the other.
 
-Errors that drift slowly with the body's pose (light, neighbours, half-hidden balls) look like
-neither noise nor a constant shift, so no residual shows them. The halves do: they come out further
-apart than they state, and by that much less is every view believed.
+Errors that drift slowly with the body's pose (light, occlusion) are neither white noise nor a
+constant shift, so residuals do not show them. They make the two refinements differ by more than
+their covariances: the variance of every view is widened by the ratio.
 """
 
 from __future__ import annotations
@@ -22,22 +22,23 @@ from measure.calibration.refining.refine import (
 from measure.errors import CalibrationError
 from measure.model import Body, Camera
 
-_UNTRIED = 4.0
-"""Caution where there are no halves to compare: they often disagree by twice what they state."""
-_LEAST_SHARE = 1e-3
+_UNTRIED_VARIANCE_FACTOR = 4.0
+"""Variance factor without halves to compare: they often differ by two standard deviations."""
+_MIN_EIGENVALUE_RATIO = 1e-3
 
 
 @dataclass(frozen=True)
 class Halves:
-    """What the comparison says.
+    """Result of the comparison.
 
     Attributes:
-        caution: by how much wider than the residuals tell the errors of views scatter (variance).
-        held_out_px: median residual of each half's sightings, with the first cameras and with
+        variance_factor: variance of the views' errors over that estimated from
+            residuals.
+        held_out_px: median residual of each half's views, with the first cameras and with
             those refined on the other half; NaN if they could not be compared.
     """
 
-    caution: float = _UNTRIED
+    variance_factor: float = _UNTRIED_VARIANCE_FACTOR
     held_out_px: tuple[float, float] = (float("nan"), float("nan"))
 
 
@@ -66,15 +67,16 @@ def compare_halves(
 
 
 def _disagreement(both: tuple[Refinement, Refinement]) -> float:
-    """Mean squared difference of two refinements in units of what they state.
+    """Mean squared difference of two refinements over its predicted variance.
 
     Both share the first calibration's error, so only what the recordings add counts: a refinement
-    with the covariance P from a prior L^-1 owes P (P^-1 - L) P = P - P L P to its own recording.
+    with the covariance P from a prior L^-1 has the variance P (P^-1 - L) P = P - P L P from its own
+    recording.
     """
-    owed = [r.covariance - r.covariance @ np.linalg.solve(r.prior, r.covariance) for r in both]
-    spread: Floats = owed[0] + owed[1]
+    owned = [r.covariance - r.covariance @ np.linalg.solve(r.prior, r.covariance) for r in both]
+    spread: Floats = owned[0] + owned[1]
     scale = 1 / np.sqrt(np.diag(spread))
     shares, axes = np.linalg.eigh((spread + spread.T) / 2 * scale[:, None] * scale)
     apart = axes.T @ ((both[0].change - both[1].change) * scale)
-    told = shares > _LEAST_SHARE * shares[-1]
-    return float(np.mean(apart[told] ** 2 / shares[told]))
+    determined = shares > _MIN_EIGENVALUE_RATIO * shares[-1]
+    return float(np.mean(apart[determined] ** 2 / shares[determined]))

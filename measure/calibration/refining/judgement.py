@@ -1,9 +1,8 @@
 """Whether a refined calibration deserves to replace the first one.
 
-Residuals cannot tell: what a recording gets wrong all the time it gets wrong in held-out frame sets
-too. What can be told is whether the change was to be expected from what the first calibration
-states, whether frame sets that played no part fit at least as well as before, and how much better
-the cameras are known.
+Residuals do not show it: constant errors of a recording are in its held-out frame sets too. Checked
+are the size of the change against the first calibration's covariance, the residuals of held-out
+frame sets before and after, and how much the covariance of the cameras shrinks.
 """
 
 from __future__ import annotations
@@ -21,21 +20,21 @@ from measure.estimation.expected_accuracy import body_pose_sd
 from measure.geometry import chi_square_quantile
 from measure.model import Body, Camera
 
-_WORSE = 1.2
-_BEYOND_DOUBT = 3.0
-_LITTLE_GAIN = 0.9
-_LEAST_SHARE = 0.02
-"""Directions of which the recording tells less than this share of what was open say nothing."""
+_MAX_HELD_OUT_RATIO = 1.2
+_REFUSED_SURPRISE_RATIO = 3.0
+_LITTLE_GAIN_RATIO = 0.9
+_MIN_DETERMINED_SHARE = 0.02
+"""Directions whose prior variance the recording lowers by a smaller share are not tested."""
 SUSPICIOUS_PX = 0.4
-_TOO_FAR_PX = 1.5
-"""Edges of glossy balls lie up to about a pixel off; nothing that light does lies further."""
-_SURE = 0.999
-_POSES = 20
+_MAX_MISFIT_PX = 1.5
+"""Light shifts the edges of glossy balls by about a pixel at most."""
+_SURPRISE_CONFIDENCE = 0.999
+_JUDGED_POSES = 20
 
 
 @dataclass(frozen=True)
 class RefineVerdict:
-    """What is to be said about a refinement.
+    """How good a refinement is.
 
     Attributes:
         camera_sd_mm: of the cameras' places (3-D RMS), before and after, from the covariances.
@@ -44,7 +43,7 @@ class RefineVerdict:
         held_out_px: median residual of frame sets that played no part, before and after; NaN where
             there are too few.
         surprise: the size of the cameras' change against what the first calibration allows: about
-            one where it is right; NaN where the recording says nothing.
+            one where it is right; NaN where the recording determines nothing.
         notes: reasons to doubt it, in words.
     """
 
@@ -76,7 +75,7 @@ def judge_refinement(
             no part fit worse than before.
     """
     surprise, limit = _surprise(refinement)
-    if surprise > _BEYOND_DOUBT * limit:
+    if surprise > _REFUSED_SURPRISE_RATIO * limit:
         raise CalibrationError(_contradiction(refinement, surprise))
     _refuse_worse(halves)
     camera_sd = (
@@ -91,7 +90,7 @@ def judge_refinement(
 
 def _refuse_worse(halves: Halves) -> None:
     before, after = halves.held_out_px
-    if after > _WORSE * before:
+    if after > _MAX_HELD_OUT_RATIO * before:
         raise CalibrationError(
             f"frame sets that played no part in the refinement fit worse after it "
             f"({after:.2f} px) than before ({before:.2f} px): keep the first "
@@ -107,7 +106,7 @@ def _notes(
     body_sd: tuple[float, float],
 ) -> list[str]:
     notes = []
-    if max(camera_sd[1] / camera_sd[0], body_sd[1] / body_sd[0]) > _LITTLE_GAIN:
+    if max(camera_sd[1] / camera_sd[0], body_sd[1] / body_sd[0]) > _LITTLE_GAIN_RATIO:
         notes.append(
             f"this recording adds little to the first calibration: camera positions known to "
             f"{camera_sd[0]:.3f} mm before and {camera_sd[1]:.3f} mm after, body positions to "
@@ -127,7 +126,7 @@ def _notes(
 def _body_sd(
     first: tuple[Camera, ...], body: Body, recording: Recording, refinement: Refinement
 ) -> tuple[float, float]:
-    picked = np.unique(np.linspace(0, len(recording.times_s) - 1, _POSES).astype(int))
+    picked = np.unique(np.linspace(0, len(recording.times_s) - 1, _JUDGED_POSES).astype(int))
     poses = [recording.world_from_body[int(i)] for i in picked]
     before, after = (
         body_pose_sd(cameras, body, poses, covariance, refinement.columns)[0]
@@ -153,14 +152,14 @@ def _surprise(refinement: Refinement) -> tuple[float, float]:
     scale = 1 / np.sqrt(np.diag(P))
     lower = np.linalg.cholesky(P * scale[:, None] * scale + 1e-12 * np.eye(len(P)))
     back = np.linalg.solve(lower, np.diag(scale))
-    told, axes = np.linalg.eigh(np.eye(len(P)) - back @ refinement.covariance @ back.T)
+    determined, axes = np.linalg.eigh(np.eye(len(P)) - back @ refinement.covariance @ back.T)
     moved = axes.T @ back @ refinement.change
-    use = told > _LEAST_SHARE
+    use = determined > _MIN_DETERMINED_SHARE
     if not np.any(use):
         return float("nan"), float("inf")
     count = int(np.count_nonzero(use))
-    limit = np.sqrt(chi_square_quantile(_SURE, count) / count)
-    return float(np.sqrt(np.mean(moved[use] ** 2 / told[use]))), float(limit)
+    limit = np.sqrt(chi_square_quantile(_SURPRISE_CONFIDENCE, count) / count)
+    return float(np.sqrt(np.mean(moved[use] ** 2 / determined[use]))), float(limit)
 
 
 def _contradiction(refinement: Refinement, surprise: float) -> str:
@@ -198,7 +197,7 @@ def refuse_misfit(refinement: Refinement, body: Body) -> None:
         CalibrationError: a ball sits too far off all through the recording, or a camera misses.
     """
     what, far = worst_misfit(refinement, body)
-    if far > _TOO_FAR_PX:
+    if far > _MAX_MISFIT_PX:
         raise CalibrationError(
             f"the first calibration does not fit the recording: {what}; if a camera was moved "
             "since, calibrate again; else check the body file"

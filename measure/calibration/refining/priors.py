@@ -1,9 +1,8 @@
-"""What the first calibration says about the cameras.
+"""Prior distribution of the cameras: what the first calibration states about them.
 
-Where it holds the covariance of all cameras together, that is the prior. Where it does not, how far
-it is off is learnt from the recording (`scatter`): by how many pixels it misses in the workspace,
-and by how many mm its cameras stand elsewhere. The two differ, because a camera that stands a
-little elsewhere and looks a little aside sees nearly the same.
+Its joint covariance where it holds one. Else two variances are estimated with the recording
+(`noise_model`): of the misses in the workspace, px, and of the camera positions, mm. They differ,
+because a camera that stands elsewhere and is turned accordingly has nearly the same image.
 """
 
 from __future__ import annotations
@@ -14,11 +13,14 @@ from dataclasses import replace
 import numpy as np
 
 from measure.arrays import Floats, Ints
+from measure.calibration.least_squares import root_information
 from measure.calibration.lens import intrinsics_vector
-from measure.calibration.refining.scatter import Scatter, learnt_variance
+from measure.calibration.refining.noise_model import NoiseModel, shrunken_variance
 from measure.model import Camera
 
-_ACROSS = 4
+_JITTER = 1e-12
+"""Keeps covariances of rank one less than their size invertible."""
+_POINTS_PER_SIDE = 4
 """Points a side of the grid at which misses are counted."""
 
 
@@ -29,11 +31,11 @@ class CameraPrior(ABC):
         self.first = first
 
     @abstractmethod
-    def root(self, scatter: Scatter) -> Floats:
+    def root(self, noise: NoiseModel) -> Floats:
         """R (m, p) with R^T R the inverse covariance of all poses and free lens parameters."""
 
     @abstractmethod
-    def covariance_at(self, scatter: Scatter) -> Floats:
+    def covariance_at(self, noise: NoiseModel) -> Floats:
         """The covariance (p, p) itself."""
 
     def change(self, cameras: tuple[Camera, ...], free: tuple[Ints, ...]) -> Floats:
@@ -52,21 +54,21 @@ class JointPrior(CameraPrior):
     def __init__(self, first: tuple[Camera, ...], covariance: Floats) -> None:
         super().__init__(first)
         self.covariance = covariance
-        self._root = root_information(covariance)
+        self._root = root_information(covariance, _JITTER)
 
-    def root(self, scatter: Scatter) -> Floats:
+    def root(self, noise: NoiseModel) -> Floats:
         """See `CameraPrior`; the scatter plays no part."""
-        del scatter
+        del noise
         return self._root
 
-    def covariance_at(self, scatter: Scatter) -> Floats:
+    def covariance_at(self, noise: NoiseModel) -> Floats:
         """See `CameraPrior`; the scatter plays no part."""
-        del scatter
+        del noise
         return self.covariance
 
 
-class LearntPrior(CameraPrior):
-    """How far the cameras are off, by kind of error; how much of each is learnt.
+class EstimatedPrior(CameraPrior):
+    """Errors of the cameras by kind, the variance of each kind estimated.
 
     Attributes:
         position: (p, p) with change @ position @ change the squared displacements, mm^2, of
@@ -95,66 +97,56 @@ class LearntPrior(CameraPrior):
                 rest = slice(row + 6, at.stop)
                 self.stated[rest, rest] = _information(lens[np.ix_(own, own)])
             row = at.stop
-        self._implied = _implied_precision(self.stated, self.image)
 
-    def information(self, scatter: Scatter) -> Floats:
+    def information(self, noise: NoiseModel) -> Floats:
         """Inverse covariance (p, p)."""
         return np.asarray(
-            self.position / scatter.position_mm**2 + self.image / scatter.image_px**2 + self.stated
+            self.position / noise.position_mm**2 + self.image / noise.image_px**2 + self.stated
         )
 
-    def root(self, scatter: Scatter) -> Floats:
+    def root(self, noise: NoiseModel) -> Floats:
         """See `CameraPrior`."""
-        information = self.information(scatter)
+        information = self.information(noise)
         scale = np.sqrt(np.diag(information))
         return np.asarray(np.linalg.cholesky(information / scale[:, None] / scale).T * scale)
 
-    def covariance_at(self, scatter: Scatter) -> Floats:
+    def covariance_at(self, noise: NoiseModel) -> Floats:
         """See `CameraPrior`."""
-        information = self.information(scatter)
+        information = self.information(noise)
         scale = 1 / np.sqrt(np.diag(information))
         return np.linalg.inv(information * scale[:, None] * scale) * scale[:, None] * scale
 
-    def learn(
+    def estimate(
         self,
-        scatter: Scatter,
+        noise: NoiseModel,
         change: Floats,
         posterior: Floats,
         image_px: float,
         position_mm: float,
         count: float,
-    ) -> Scatter:
-        """How far the cameras are off, from how far they went.
+    ) -> NoiseModel:
+        """The noise model with the variances of the cameras' errors, from their change.
 
         Args:
-            scatter: as believed so far.
+            noise: the current estimate.
             change: (p,) of the cameras.
             posterior: (p, p) their covariance.
-            image_px: usual, as
-            position_mm: is this, and
-            count: for how many observations that counts.
+            image_px: usual standard deviation.
+            position_mm: usual standard deviation.
+            count: how many observations the usual values are worth.
         """
-        prior = self.covariance_at(scatter)
+        prior = self.covariance_at(noise)
 
-        def learnt(kind: Floats, now: float, usual: float) -> float:
+        def estimated(kind: Floats, now: float, usual: float) -> float:
             determined = float(np.sum(kind * (prior - posterior))) / now**2
             squares = float(change @ kind @ change)
-            return float(np.sqrt(learnt_variance(squares, determined, usual**2, count)))
+            return float(np.sqrt(shrunken_variance(squares, determined, usual**2, count)))
 
         return replace(
-            scatter,
-            image_px=learnt(self.image, scatter.image_px, image_px),
-            position_mm=learnt(self.position, scatter.position_mm, position_mm),
+            noise,
+            image_px=estimated(self.image, noise.image_px, image_px),
+            position_mm=estimated(self.position, noise.position_mm, position_mm),
         )
-
-
-def _implied_precision(stated: Floats, image: Floats) -> float:
-    """Inverse variance, px^-2, of the misses that stated covariances amount to; 0 if none is."""
-    known = np.flatnonzero(np.diag(stated) > 0)
-    if len(known) < len(stated):
-        return 0.0
-    variance = np.trace(image @ np.linalg.inv(stated)) / np.linalg.matrix_rank(image)
-    return float(1 / variance)
 
 
 def _misses(camera: Camera, free: Ints, points_world: Floats) -> Floats:
@@ -169,17 +161,10 @@ def _misses(camera: Camera, free: Ints, points_world: Floats) -> Floats:
 def workspace_grid(points_world: Floats) -> Floats:
     """A grid (n, 3) through the box that points fill."""
     low, high = points_world.min(axis=0), points_world.max(axis=0)
-    sides = np.linspace(low, high, _ACROSS).T
+    sides = np.linspace(low, high, _POINTS_PER_SIDE).T
     return np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def _information(covariance: Floats) -> Floats:
-    root = root_information(covariance)
+    root = root_information(covariance, _JITTER)
     return np.asarray(root.T @ root)
-
-
-def root_information(covariance: Floats) -> Floats:
-    """R with R^T R the inverse of a covariance."""
-    scale = 1 / np.sqrt(np.diag(covariance))
-    correlation = covariance * scale[:, None] * scale
-    return np.linalg.inv(np.linalg.cholesky(correlation + 1e-12 * np.eye(len(scale)))) * scale

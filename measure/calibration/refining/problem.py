@@ -1,10 +1,9 @@
 """The least-squares problem of refining: which unknown is where, residuals and derivatives.
 
 Unknown are the cameras (pose, free lens parameters; on demand their clocks), the body's ball
-centres, one pose of the body a frame set, and a constant shift of every ball in every camera: the
-light comes from one side all the time, so the edges of a ball sit a little off, always the same
-way. Without those shifts a thousand pictures would seem to know a hundred times better what they
-all get wrong alike.
+centres, one pose of the body a frame set, and a constant shift of every ball in every camera: light
+from one side displaces the edges of a ball always the same way. Without these shifts the covariance
+would shrink with the number of pictures although that error does not.
 """
 
 from __future__ import annotations
@@ -14,16 +13,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from measure.arrays import Floats, Ints
-from measure.calibration.least_squares import Group, Huber, Limits, Linearised, Solution, solve
-from measure.calibration.lens import changed
+from measure.calibration.least_squares import (
+    Group,
+    Huber,
+    LeastSquaresSolution,
+    Linearised,
+    StoppingRule,
+    solve,
+)
+from measure.calibration.lens import changed, free_parameters
+from measure.calibration.refining.noise_model import NoiseModel
 from measure.calibration.refining.priors import CameraPrior
-from measure.calibration.refining.recording import Motion, Recording
-from measure.calibration.refining.scatter import Scatter
+from measure.calibration.refining.recording import BallMotion, Recording
 from measure.geometry import RigidTransform, skew
 from measure.model import Body, Camera
 
-_A_ROUND = Limits(steps=2, tolerance=1e-7, must_settle=False, damping=1e-12)
-"""A long recording outweighs what holds the world's place by many orders of magnitude."""
+_ONE_ROUND = StoppingRule(steps=2, tolerance=1e-7, must_settle=False, damping=1e-12)
+"""Damping must be far below the prior of the world frame, which a long recording outweighs."""
 _HUBER_REACH = 2.5
 _CLOCK_SD_S = 0.02
 """Clocks that are off at all are off by something like this."""
@@ -49,7 +55,7 @@ class RefinedState:
 
 
 @dataclass(frozen=True, eq=False)
-class Layout:
+class RefineLayout:
     """Which shared unknown stands in which column.
 
     Attributes:
@@ -57,7 +63,7 @@ class Layout:
         cameras: by camera, its pose's and then its free lens parameters' columns.
         centers: of the ball centres; empty if the body is exact.
         shifts: (c, 2 k) of the constant shifts, by camera.
-        clocks: of the clocks of all cameras but the first; empty if the stamps are believed.
+        clocks: of the clocks of all cameras but the first; empty if the stamps are exact.
         size: how many there are.
     """
 
@@ -75,14 +81,11 @@ class Layout:
         balls: int,
         body_is_exact: bool,
         clocks_are_exact: bool = True,
-    ) -> Layout:
+    ) -> RefineLayout:
         """Lay out: cameras, then centres, then shifts, then clocks."""
         free, columns, size = [], [], 0
         for camera in cameras:
-            P = camera.intrinsics.covariance
-            free.append(
-                np.flatnonzero(np.diag(P) > 0) if P is not None else np.zeros(0, dtype=np.int64)
-            )
+            free.append(free_parameters(camera))
             columns.append(np.arange(size, size + 6 + len(free[-1])))
             size = int(columns[-1][-1]) + 1
         centers = np.arange(size, size if body_is_exact else size + 3 * balls)
@@ -94,11 +97,11 @@ class Layout:
         return cls(tuple(free), tuple(columns), centers, shifts, clocks, size + len(clocks))
 
 
-class Problem:
+class RefineProblem:
     """Residuals and derivatives at a state, under a given scatter."""
 
     def __init__(
-        self, layout: Layout, body: Body, body_tolerance_mm: float, recording: Recording
+        self, layout: RefineLayout, body: Body, body_tolerance_mm: float, recording: Recording
     ) -> None:
         self.layout, self.body, self.recording = layout, body, recording
         self._body_tolerance_mm = body_tolerance_mm
@@ -110,27 +113,27 @@ class Problem:
         return RefinedState(cameras, self.body.centers, shifts, clocks, poses)
 
     def solve(
-        self, state: RefinedState, prior: CameraPrior | None, scatter: Scatter
-    ) -> Solution[RefinedState]:
+        self, state: RefinedState, prior: CameraPrior | None, noise: NoiseModel
+    ) -> LeastSquaresSolution[RefinedState]:
         """A few steps from a state; without a prior the cameras stay put.
 
         The way between instants is held while solving, and taken anew in the next round.
         """
-        motion = Motion(self.recording.times_s, state.world_from_body, state.centers)
-        roots = self._roots(scatter)
-        # The robust loss is about how residuals scatter, not about how far they hang together.
-        reach = _HUBER_REACH / np.sqrt(scatter.correlation)
+        motion = BallMotion(self.recording.times_s, state.world_from_body, state.centers)
+        roots = self._roots(noise)
+        # The correlation widens the covariances, but must not widen the reach of the loss.
+        reach = _HUBER_REACH / np.sqrt(noise.correlation)
         return solve(
-            lambda s: self._linearise(s, motion, roots, prior, scatter),
+            lambda s: self._linearise(s, motion, roots, prior, noise),
             self._step,
             state,
             Huber(float(reach)),
-            _A_ROUND,
+            _ONE_ROUND,
         )
 
     def residuals_px(self, state: RefinedState) -> dict[str, Floats]:
-        """By camera, what is left (n, 2) of its sightings."""
-        motion = Motion(self.recording.times_s, state.world_from_body, state.centers)
+        """By camera, what is left (n, 2) of its observations."""
+        motion = BallMotion(self.recording.times_s, state.world_from_body, state.centers)
         out = {}
         for number, camera in enumerate(state.cameras):
             track = self.recording.tracks[camera.name]
@@ -139,20 +142,18 @@ class Problem:
             out[camera.name] = track.pixels - camera.project(points) - shift
         return out
 
-    def _roots(self, scatter: Scatter) -> dict[str, Floats]:
-        """By camera, inverse Cholesky factors (n, 2, 2) of the sightings' covariances."""
-        extra = scatter.view_px**2 * np.eye(2)
+    def _roots(self, noise: NoiseModel) -> dict[str, Floats]:
+        """By camera, inverse Cholesky factors (n, 2, 2) of the observations' covariances."""
+        extra = noise.view_px**2 * np.eye(2)
         return {
-            name: np.linalg.inv(
-                np.linalg.cholesky(scatter.correlation * (track.covariance + extra))
-            )
+            name: np.linalg.inv(np.linalg.cholesky(noise.correlation * (track.covariance + extra)))
             for name, track in self.recording.tracks.items()
         }
 
     def _points(
-        self, number: int, state: RefinedState, motion: Motion
+        self, number: int, state: RefinedState, motion: BallMotion
     ) -> tuple[Floats, Floats, Floats]:
-        """World places (n, 3) of a camera's sightings, their arms from the body, velocities."""
+        """World places (n, 3) of a camera's balls, their arms from the body, velocities."""
         track = self.recording.tracks[state.cameras[number].name]
         poses = state.world_from_body
         lead = track.lead_s + state.clocks_s[number]
@@ -184,10 +185,10 @@ class Problem:
     def _linearise(
         self,
         state: RefinedState,
-        motion: Motion,
+        motion: BallMotion,
         roots: dict[str, Floats],
         prior: CameraPrior | None,
-        scatter: Scatter,
+        noise: NoiseModel,
     ) -> Linearised:
         groups = tuple(
             self._group(number, state, motion, roots) for number in range(len(state.cameras))
@@ -199,11 +200,11 @@ class Problem:
                 replace(g, columns=nothing, by_shared=g.by_shared[:, :, :0]) for g in groups
             )
             return Linearised(held, 0, blocks, np.zeros(0), np.zeros((0, 0)))
-        residuals, rows = self._priors(state, prior, scatter)
+        residuals, rows = self._priors(state, prior, noise)
         return Linearised(groups, self.layout.size, blocks, residuals, rows)
 
     def _group(
-        self, number: int, state: RefinedState, motion: Motion, roots: dict[str, Floats]
+        self, number: int, state: RefinedState, motion: BallMotion, roots: dict[str, Floats]
     ) -> Group:
         layout, camera = self.layout, state.cameras[number]
         track, root = self.recording.tracks[camera.name], roots[camera.name]
@@ -235,10 +236,10 @@ class Problem:
         )
 
     def _priors(
-        self, state: RefinedState, prior: CameraPrior, scatter: Scatter
+        self, state: RefinedState, prior: CameraPrior, noise: NoiseModel
     ) -> tuple[Floats, Floats]:
         layout = self.layout
-        root = prior.root(scatter)
+        root = prior.root(noise)
         residuals = [-root @ prior.change(state.cameras, layout.free)]
         rows = [_spread(root, np.concatenate(layout.cameras), layout.size)]
         if len(layout.centers):
@@ -248,8 +249,8 @@ class Problem:
             own = np.eye(len(layout.centers)) / self._body_tolerance_mm
             rows.append(_spread(own, layout.centers, layout.size))
         shifts = state.shifts_px.reshape(-1)
-        residuals.append(-shifts / scatter.constant_px)
-        own = np.eye(len(shifts)) / scatter.constant_px
+        residuals.append(-shifts / noise.constant_px)
+        own = np.eye(len(shifts)) / noise.constant_px
         rows.append(_spread(own, layout.shifts.reshape(-1), layout.size))
         if len(layout.clocks):
             residuals.append(-state.clocks_s[1:] / _CLOCK_SD_S)

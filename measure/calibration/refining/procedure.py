@@ -1,8 +1,7 @@
-"""From a measured session to a refined calibration: cameras, clocks, and whether to believe them.
+"""From a measured session to a refined calibration: cameras, clocks, and the verdict on both.
 
-Clocks are compared as everywhere else in the program (`measure.checking.clocks`). An offset that
-the motion does not show beyond doubt is not applied: it would only move the cameras to where the
-noise wants them.
+Clocks are compared by `measure.checking.clocks`. An offset that is not significant is not applied:
+it would move the cameras by noise.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from measure.calibration.refining.judgement import (
 )
 from measure.calibration.refining.recording import (
     Recording,
-    calibration_doubted,
+    calibration_disagrees,
     recording_of,
 )
 from measure.calibration.refining.refine import Refinement, RefineSettings, refine_rig
@@ -31,21 +30,21 @@ from measure.checking.clocks import CameraClock, estimate_clocks
 from measure.measuring import Measurement
 from measure.model import Body, Camera, Detection
 
-_LONGEST_STEP_S = 0.1
-"""Frame sets further apart say nothing about velocities, nor therefore about clocks."""
-_FOR_CLOCKS = 400
+_MAX_STEP_S = 0.1
+"""Frame sets further apart do not determine velocities, nor clocks."""
+_CLOCK_FRAME_SETS = 400
 
 
 @dataclass(frozen=True, eq=False)
 class RefinedRig:
-    """A refined rig, and what is to be said about it.
+    """A refined rig and the verdict on it.
 
     Attributes:
         recording: what it rests on.
         refinement: cameras, ball centres, residuals.
-        clocks: one a camera, in order; empty if the frame sets are too far apart to tell.
+        clocks: one a camera, in order; empty if the frame sets are too far apart.
         clocks_applied: whether their offsets were beyond doubt, and were used.
-        verdict: whether to believe it.
+        verdict: how good it is.
     """
 
     recording: Recording
@@ -72,16 +71,17 @@ def refine_measured(
         joint_covariance: of all cameras together, if the first calibration states it.
 
     Raises:
-        CalibrationError: too little seen, too little motion, or a result that is not to be
-            believed.
+        CalibrationError: too little seen, too little motion, or an implausible result.
     """
     recording = recording_of(measurements, body)
-    clocks, believed = _clocks(cameras, body, measurements, recording, settings, joint_covariance)
-    applied = believed and any(clock.offset_visible or clock.rolling for clock in clocks)
+    clocks, trusted = _clocks(cameras, body, measurements, recording, settings, joint_covariance)
+    applied = trusted and any(clock.offset_visible or clock.rolling for clock in clocks)
     if applied:
         recording = recording_of(measurements, body, _lead(clocks, cameras))
     halves = compare_halves(cameras, body, recording, settings, joint_covariance)
-    refinement = refine_rig(cameras, body, recording, settings, joint_covariance, halves.caution)
+    refinement = refine_rig(
+        cameras, body, recording, settings, joint_covariance, halves.variance_factor
+    )
     refuse_misfit(refinement, body)
     verdict = judge_refinement(cameras, body, recording, refinement, halves)
     if applied:
@@ -104,9 +104,9 @@ def rough_cameras(
     Raises:
         CalibrationError: too little seen, or too little motion.
     """
-    if not calibration_doubted(measurements):
+    if not calibration_disagrees(measurements):
         return None
-    recording = recording_of(measurements, body, doubted=True)
+    recording = recording_of(measurements, body, doubtful_too=True)
     return refine_rig(cameras, body, recording, settings, joint_covariance).cameras
 
 
@@ -118,18 +118,18 @@ def _clocks(
     settings: RefineSettings | None,
     joint: Floats | None,
 ) -> tuple[tuple[CameraClock, ...], bool]:
-    """The clocks, and whether they may be believed: a camera that was moved looks like a late one.
+    """The clocks, and whether to trust them: a moved camera resembles a late one.
 
-    They are compared with cameras that were refined while the clocks were free, and so owe nothing
-    to clocks that are off.
+    They are compared with cameras that were refined with free clocks, so that clock errors are not
+    in the cameras.
     """
-    if float(np.median(np.diff(recording.times_s))) > _LONGEST_STEP_S:
+    if float(np.median(np.diff(recording.times_s))) > _MAX_STEP_S:
         return (), False
-    part = recording.part(0, _FOR_CLOCKS)
+    part = recording.part(0, _CLOCK_FRAME_SETS)
     free = refine_rig(cameras, body, part, settings, joint, clocks_are_exact=False)
     refuse_misfit(free, body)
-    believed = worst_misfit(free, body)[1] < SUSPICIOUS_PX
-    return estimate_clocks(measurements[:_FOR_CLOCKS], body, free.cameras), believed
+    trusted = worst_misfit(free, body)[1] < SUSPICIOUS_PX
+    return estimate_clocks(measurements[:_CLOCK_FRAME_SETS], body, free.cameras), trusted
 
 
 def _with_readout(cameras: tuple[Camera, ...], clocks: Sequence[CameraClock]) -> tuple[Camera, ...]:

@@ -1,4 +1,4 @@
-"""A measured recording as bundle adjustment needs it: sightings, poses, and the way between."""
+"""A measured recording for bundle adjustment: observations, poses, and the motion between."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from measure.model import BallView, Body, Detection
 from measure.model.observations import Reason
 
 MIN_FRAMES = 10
-_HARDLY_EVER = 0.2
+_MIN_AGREEING_SHARE = 0.2
 """A camera that agrees in a smaller share of the frame sets is not refined but refused."""
-_WINDOW = 9
-_DEGREE = 4
-_LEAST_SPREAD_MM = 20.0
+_WINDOW_FRAMES = 9
+_POLYNOMIAL_DEGREE = 4
+_MIN_MOTION_MM = 20.0
 _DOUBTFUL_SHARE = 0.2
-_ELSEWHERE = (Reason.INCONSISTENT, Reason.JUMPED, Reason.RECOVERING)
-_DOUBTED = (Reason.INCONSISTENT, Reason.JUMPED)
+_DISAGREEING = (Reason.INCONSISTENT, Reason.JUMPED, Reason.RECOVERING)
+_CALIBRATION_MAY_CAUSE = (Reason.INCONSISTENT, Reason.JUMPED)
 """Why views of the right ball are left out if the calibration is off: they can put it right."""
 
 
@@ -75,17 +75,17 @@ class Recording:
         return Recording(self.times_s[start:stop], self.world_from_body[start:stop], tracks)
 
 
-def calibration_doubted(measurements: Sequence[Measurement]) -> bool:
-    """Whether the cameras disagree so much that good views were set aside, or poses flagged."""
+def calibration_disagrees(measurements: Sequence[Measurement]) -> bool:
+    """Whether the cameras disagree so much that good views were suspended, or poses flagged."""
     flagged = [m.pose is None or bool(m.pose.flags) for m in measurements]
     if np.mean(flagged) > _DOUBTFUL_SHARE:
         return True
-    aside: dict[str, list[bool]] = {}
+    inconsistent: dict[str, list[bool]] = {}
     for m in measurements:
         for view in m.views:
             if view.detection is not None:
-                aside.setdefault(view.camera, []).append(view.reason is Reason.INCONSISTENT)
-    return any(np.mean(views) > _DOUBTFUL_SHARE for views in aside.values())
+                inconsistent.setdefault(view.camera, []).append(view.reason is Reason.INCONSISTENT)
+    return any(np.mean(views) > _DOUBTFUL_SHARE for views in inconsistent.values())
 
 
 def recording_of(
@@ -93,7 +93,7 @@ def recording_of(
     body: Body,
     lead_s: Callable[[Detection], float] | None = None,
     limit: int = 1500,
-    doubted: bool = False,
+    doubtful_too: bool = False,
 ) -> Recording:
     """Collect the poses and effective detections of measured frame sets.
 
@@ -102,86 +102,88 @@ def recording_of(
         body: the body.
         lead_s: what to add to the time of a detection, if the clocks are known to be off.
         limit: most frame sets to keep: the first ones, because motion needs neighbours.
-        doubted: take flagged poses too, and views that disagree with the other cameras: for a first
-            rough refinement of cameras too far off to agree.
+        doubtful_too: take flagged poses and inconsistent views too, for a first rough refinement
+            of cameras too far off to agree.
 
     Raises:
         CalibrationError: too few frame sets with a pose, the body hardly moved, or a camera sees
             the balls where the others do not.
     """
-    kept = [m for m in measurements if m.pose is not None and (doubted or not m.pose.flags)]
+    kept = [m for m in measurements if m.pose is not None and (doubtful_too or not m.pose.flags)]
     if len(kept) < MIN_FRAMES:
         raise CalibrationError(
-            f"{len(kept)} frame sets with {'a' if doubted else 'an unflagged'} pose, at least "
-            f"{MIN_FRAMES} are needed to refine cameras from motion{_most_aside(measurements)}"
+            f"{len(kept)} frame sets with {'a' if doubtful_too else 'an unflagged'} pose, at least "
+            f"{MIN_FRAMES} are needed to refine cameras from motion"
+            f"{_most_disagreeing(measurements)}"
         )
-    _refuse_strangers(kept, doubted)
+    _refuse_disagreeing(kept, doubtful_too)
     kept = kept[:limit]
     poses = stack([m.pose.world_from_body for m in kept if m.pose is not None])
     spread = float(np.linalg.norm(np.ptp(poses.translation, axis=0)))
-    if spread < _LEAST_SPREAD_MM:
+    if spread < _MIN_MOTION_MM:
         raise CalibrationError(
             f"the body moved {spread:.1f} mm only: carry it through the whole workspace"
         )
     return Recording(
-        np.array([m.time_s for m in kept]), poses, _tracks(kept, body, lead_s, doubted)
+        np.array([m.time_s for m in kept]), poses, _tracks(kept, body, lead_s, doubtful_too)
     )
 
 
-def _refuse_strangers(kept: Sequence[Measurement], doubted: bool) -> None:
+def _refuse_disagreeing(kept: Sequence[Measurement], doubtful_too: bool) -> None:
     """Refuse a camera that sees balls, but hardly ever where the others do."""
-    for name, aside in _aside(kept).items():
+    for name, apart in _disagreements(kept).items():
         agreeing = sum(
-            any(view.camera == name and _usable(view, doubted) for view in m.views) for m in kept
+            any(view.camera == name and _usable(view, doubtful_too) for view in m.views)
+            for m in kept
         )
-        if aside >= MIN_FRAMES and agreeing < _HARDLY_EVER * (agreeing + aside):
+        if apart >= MIN_FRAMES and agreeing < _MIN_AGREEING_SHARE * (agreeing + apart):
             raise CalibrationError(
-                f"camera {name} sees the balls elsewhere than the others in {aside} of {len(kept)} "
+                f"camera {name} sees the balls elsewhere than the others in {apart} of {len(kept)} "
                 "frame sets: it does not stand where the first calibration says; if it was moved "
                 "since, calibrate it again"
             )
 
 
-def _aside(measurements: Sequence[Measurement]) -> dict[str, int]:
+def _disagreements(measurements: Sequence[Measurement]) -> dict[str, int]:
     """In how many frame sets each camera sees balls, but none where the others do."""
     out: dict[str, int] = {}
     for m in measurements:
         for name in dict.fromkeys(view.camera for view in m.views):
             own = [view for view in m.views if view.camera == name]
-            elsewhere = any(view.reason in _ELSEWHERE for view in own)
+            elsewhere = any(view.reason in _DISAGREEING for view in own)
             out[name] = out.get(name, 0) + (elsewhere and not any(v.effective for v in own))
     return out
 
 
-def _most_aside(measurements: Sequence[Measurement]) -> str:
+def _most_disagreeing(measurements: Sequence[Measurement]) -> str:
     """The camera that contradicts the others most often, in words."""
-    aside = _aside(measurements)
-    if not any(aside.values()):
+    apart = _disagreements(measurements)
+    if not any(apart.values()):
         return "; `measure check` names a camera that was moved"
-    name = max(aside, key=lambda camera: aside[camera])
+    name = max(apart, key=lambda camera: apart[camera])
     return (
-        f"; camera {name} sees the balls elsewhere than the others in {aside[name]} of "
+        f"; camera {name} sees the balls elsewhere than the others in {apart[name]} of "
         f"{len(measurements)}: if it was moved, calibrate it again"
     )
 
 
-def _usable(view: BallView, doubted: bool) -> bool:
+def _usable(view: BallView, doubtful_too: bool) -> bool:
     if view.detection is None:
         return False
-    return view.effective or (doubted and view.reason in _DOUBTED)
+    return view.effective or (doubtful_too and view.reason in _CALIBRATION_MAY_CAUSE)
 
 
 def _tracks(
     kept: Sequence[Measurement],
     body: Body,
     lead_s: Callable[[Detection], float] | None,
-    doubted: bool,
+    doubtful_too: bool,
 ) -> dict[str, Track]:
     rows: dict[str, list[tuple[int, int, Floats, Floats, float]]] = {}
     for number, m in enumerate(kept):
         for view in m.views:
             d = view.detection
-            if d is None or not _usable(view, doubted):
+            if d is None or not _usable(view, doubtful_too):
                 continue
             lead = d.time_s - m.time_s + (0.0 if lead_s is None else lead_s(d))
             rows.setdefault(d.camera, []).append(
@@ -199,13 +201,11 @@ def _tracks(
     }
 
 
-class Motion:
-    """Where each ball is a little before or after its frame set's instant.
+class BallMotion:
+    """Position of each ball shortly before or after its frame set's instant.
 
-    A polynomial through the nine nearest frame sets: it smooths, so that the noise of one pose does
-    not come back through the neighbours' motion. Its coefficients are in the body's axes, so that
-    it turns with the body when the whole world is turned: held in the world's, it would speak
-    against every such turn, from noise alone.
+    A polynomial fitted to the nine nearest frame sets. Its coefficients are in the body's axes:
+    rotations of the whole world leave it unchanged, and so are not penalised.
     """
 
     def __init__(self, times_s: Floats, poses: RigidTransform, centers: Floats) -> None:
@@ -231,12 +231,12 @@ class Motion:
 def _polynomials(times_s: Floats) -> tuple[Ints, Floats]:
     """Windows (f, w) of frame sets, and operators (f, d + 1, w) from values to coefficients."""
     count = len(times_s)
-    width = min(_WINDOW, count)
+    width = min(_WINDOW_FRAMES, count)
     first = np.clip(np.arange(count) - width // 2, 0, count - width)
     window = first[:, None] + np.arange(width)
     offset = times_s[window] - times_s[:, None]
     scale = np.abs(offset).max(axis=1)
-    powers = np.arange(_DEGREE + 1)
+    powers = np.arange(_POLYNOMIAL_DEGREE + 1)
     vandermonde = (offset / scale[:, None])[:, :, None] ** powers
     return window, np.linalg.pinv(vandermonde) / scale[:, None, None] ** powers[:, None]
 

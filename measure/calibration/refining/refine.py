@@ -1,10 +1,9 @@
 """Bundle adjustment from the moving body: the balls are the calibration wand.
 
-Scale comes from the ball distances, the world frame from the first calibration. What is not known
-beforehand is how far to believe either side: how the detected centres scatter, how much of that
-stays the same all through the recording, and, where the first calibration does not say so itself,
-how far it is off. That is learnt round after round (`scatter`), and so a recording that cannot tell
-better than the first calibration leaves it as it is.
+Scale comes from the ball distances, the world frame from the first calibration. Estimated round
+after round (`noise_model`) are the variances of detected centres, of their constant part, and, if
+the first calibration states none, of its own errors: a recording that determines the cameras less
+well than the first calibration leaves them as they are.
 """
 
 from __future__ import annotations
@@ -13,28 +12,29 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from measure.arrays import Floats, Ints
-from measure.calibration.least_squares import Solution
+from measure.arrays import Floats, Ints, rms_length
+from measure.calibration.least_squares import LeastSquaresSolution
+from measure.calibration.lens import with_covariance
+from measure.calibration.refining.noise_model import NoiseModel, shrunken_variance, with_view_noise
 from measure.calibration.refining.priors import (
     CameraPrior,
+    EstimatedPrior,
     JointPrior,
-    LearntPrior,
     workspace_grid,
 )
-from measure.calibration.refining.problem import Layout, Problem, RefinedState
+from measure.calibration.refining.problem import RefinedState, RefineLayout, RefineProblem
 from measure.calibration.refining.recording import MIN_FRAMES, Recording, ball_places
-from measure.calibration.refining.scatter import Scatter, learnt_variance, of_views
 from measure.errors import CalibrationError
 from measure.model import Body, Camera
 
-_ROUNDS = 200
-_FREE_ROUNDS = 12
+_MAX_ROUNDS = 200
+_UNDAMPED_ROUNDS = 12
 _SETTLED_MM = 1e-3
-_START_PX = 5.0
-"""Cameras start free: misses that are first taken for the balls' own would stay with them."""
+_START_IMAGE_SD_PX = 5.0
+"""Cameras start free, so that their errors are not attributed to the balls' constant shifts."""
 _USUAL_TOLERANCE_MM = 0.05
-_COUNT = 4.0
-"""How many observations what is usual counts for, against what a recording shows."""
+_PRIOR_OBSERVATIONS = 4.0
+"""How many observations the usual values are worth."""
 
 
 @dataclass(frozen=True)
@@ -45,10 +45,10 @@ class RefineSettings:
         body_tolerance_mm: of each coordinate of a ball's centre in the body; 0 keeps the body. If
             None, what the body states, or what is usual.
         position_tolerance_mm: where cameras usually stand elsewhere than a calibration without
-            a joint covariance says, by axis; how far these ones do is learnt.
+            a joint covariance says, by axis; that of these ones is estimated.
         image_tolerance_px: by how much such a calibration usually misses.
         constant_px: how far a ball's centre usually sits off all through a recording, by axis.
-        least_sd_px: no ball centre is believed better than this.
+        least_sd_px: lower bound of a ball centre's standard deviation.
     """
 
     body_tolerance_mm: float | None = None
@@ -69,13 +69,13 @@ class Refinement:
         rms_px: of the ball centres' residuals, before and after, by camera.
         misfit_px: median length of the residuals after, by camera.
         shifts_px: (c, k, 2) by which each ball sits off in each camera all the time.
-        scatter: how far everything scatters.
+        noise: standard deviations of all errors.
         change: (p,) of all cameras' poses and free lens parameters.
         covariance: (p, p) of those after the recording.
         prior: (p, p) before it.
         columns: by camera name, its rows in `covariance`.
         frames: how many frame sets were used.
-        world_held: whether the first calibration said how all cameras' errors hang together.
+        world_held: whether the first calibration holds the joint covariance of all cameras.
     """
 
     cameras: tuple[Camera, ...]
@@ -84,7 +84,7 @@ class Refinement:
     rms_px: dict[str, tuple[float, float]]
     misfit_px: dict[str, float]
     shifts_px: Floats
-    scatter: Scatter
+    noise: NoiseModel
     change: Floats
     covariance: Floats
     prior: Floats
@@ -99,7 +99,7 @@ def refine_rig(
     recording: Recording,
     settings: RefineSettings | None = None,
     joint_covariance: Floats | None = None,
-    caution: float = 1.0,
+    variance_factor: float = 1.0,
     clocks_are_exact: bool = True,
 ) -> Refinement:
     """Refine cameras by bundle adjustment.
@@ -110,11 +110,10 @@ def refine_rig(
         recording: what they saw.
         settings: what may change.
         joint_covariance: of all cameras' poses and free lens parameters together, camera after
-            camera: the prior. Without it, how far the cameras are off is learnt.
-        caution: by how much wider than the residuals tell the errors of views scatter, as a
-            variance, if more is known about that (see `halves`).
-        clocks_are_exact: whether the time stamps are believed. If not, the cameras' clocks are
-            refined too, so that the cameras owe nothing to them.
+            camera: the prior. Without it, the variances of the cameras are estimated.
+        variance_factor: variance of the views' errors over that estimated from residuals (see
+            `halves`).
+        clocks_are_exact: whether time stamps are exact; if not, clock offsets are refined too.
 
     Raises:
         CalibrationError: a camera saw next to nothing, or the motion leaves something undetermined.
@@ -124,45 +123,45 @@ def refine_rig(
     tolerance_mm = settings.body_tolerance_mm
     if tolerance_mm is None:
         tolerance_mm = body.tolerance_mm or _USUAL_TOLERANCE_MM
-    layout = Layout.of(cameras, len(body.balls), tolerance_mm == 0, clocks_are_exact)
+    layout = RefineLayout.of(cameras, len(body.balls), tolerance_mm == 0, clocks_are_exact)
     prior = _prior(cameras, layout, body, recording, joint_covariance)
-    problem = Problem(layout, body, tolerance_mm, recording)
-    return _settled(problem, prior, problem.start(cameras), settings, caution)
+    problem = RefineProblem(layout, body, tolerance_mm, recording)
+    return _settled(problem, prior, problem.start(cameras), settings, variance_factor)
 
 
 def _settled(
-    problem: Problem,
+    problem: RefineProblem,
     prior: CameraPrior,
     first: RefinedState,
     settings: RefineSettings,
-    caution: float,
+    variance_factor: float,
 ) -> Refinement:
-    """Solve and learn by turns until neither changes anything."""
-    scatter = Scatter(
+    """Alternate solving and estimating the noise until neither changes."""
+    noise = NoiseModel(
         constant_px=settings.constant_px,
-        image_px=_START_PX,
+        image_px=_START_IMAGE_SD_PX,
         position_mm=settings.position_tolerance_mm,
     )
-    before = _rms(problem.residuals_px(problem.solve(first, None, scatter).state))
+    before = _rms(problem.residuals_px(problem.solve(first, None, noise).state))
     state = first
-    for number in range(_ROUNDS):
-        solution = problem.solve(state, prior, scatter)
-        learnt = _learn(problem, prior, solution, scatter, settings, caution)
+    for number in range(_MAX_ROUNDS):
+        solution = problem.solve(state, prior, noise)
+        estimated = _estimated_noise(problem, prior, solution, noise, settings, variance_factor)
         settled = _largest_step(state, solution.state) < _SETTLED_MM
         state = solution.state
-        if settled and not learnt.differs(scatter):
-            return _answer(problem, prior, solution, before, scatter)
-        scatter = learnt if number < _FREE_ROUNDS else scatter.towards(learnt)
+        if settled and not estimated.differs(noise):
+            return _answer(problem, prior, solution, before, noise)
+        noise = estimated if number < _UNDAMPED_ROUNDS else noise.towards(estimated)
     raise CalibrationError(
-        f"the refinement did not settle in {_ROUNDS} rounds: record a longer motion through the "
-        "whole workspace, or see with `measure check` whether clocks or shutters are off"
+        f"the refinement did not settle in {_MAX_ROUNDS} rounds: record a longer motion through "
+        "the whole workspace, or see with `measure check` whether clocks or shutters are off"
     )
 
 
 def misfits_px(cameras: tuple[Camera, ...], body: Body, recording: Recording) -> Floats:
     """How far each sighting misses (n,) with these cameras and the nominal body, poses fitted."""
-    problem = Problem(Layout.of(cameras, len(body.balls), True), body, 0.0, recording)
-    left = problem.residuals_px(problem.solve(problem.start(cameras), None, Scatter()).state)
+    problem = RefineProblem(RefineLayout.of(cameras, len(body.balls), True), body, 0.0, recording)
+    left = problem.residuals_px(problem.solve(problem.start(cameras), None, NoiseModel()).state)
     return np.linalg.norm(np.concatenate(list(left.values())), axis=1)
 
 
@@ -179,7 +178,7 @@ def _check_seen(cameras: tuple[Camera, ...], recording: Recording) -> None:
 
 def _prior(
     cameras: tuple[Camera, ...],
-    layout: Layout,
+    layout: RefineLayout,
     body: Body,
     recording: Recording,
     joint: Floats | None,
@@ -188,7 +187,7 @@ def _prior(
     if joint is not None and joint.shape == (size, size):
         return JointPrior(cameras, joint)
     places = ball_places(recording.world_from_body, body.centers)
-    return LearntPrior(cameras, layout.free, workspace_grid(places))
+    return EstimatedPrior(cameras, layout.free, workspace_grid(places))
 
 
 def _largest_step(old: RefinedState, new: RefinedState) -> float:
@@ -203,55 +202,56 @@ def _largest_step(old: RefinedState, new: RefinedState) -> float:
     return float(np.max(np.array(steps) * np.repeat([1.0, 100.0], 3)))
 
 
-def _learn(
-    problem: Problem,
+def _estimated_noise(
+    problem: RefineProblem,
     prior: CameraPrior,
-    solution: Solution[RefinedState],
-    scatter: Scatter,
+    solution: LeastSquaresSolution[RefinedState],
+    noise: NoiseModel,
     settings: RefineSettings,
-    caution: float,
-) -> Scatter:
+    variance_factor: float,
+) -> NoiseModel:
     """The scatter that a solution shows."""
     state, P, layout = solution.state, solution.covariance, problem.layout
     lin = solution.linearised
     unknown = lin.n_blocks * lin.size_of_block
     freedom = max(1 - unknown / lin.residuals.size, 0.1)
     residuals = problem.residuals_px(state)
-    scatter = of_views(
-        scatter, residuals, problem.recording.tracks, freedom, settings.least_sd_px, caution
+    noise = with_view_noise(
+        noise, residuals, problem.recording.tracks, freedom, settings.least_sd_px, variance_factor
     )
     at = layout.shifts.reshape(-1)
-    known = 1 - np.diag(P)[at] / scatter.constant_px**2
-    constant = learnt_variance(
-        float(np.sum(state.shifts_px**2)), float(np.sum(known)), settings.constant_px**2, _COUNT
+    known = 1 - np.diag(P)[at] / noise.constant_px**2
+    constant = shrunken_variance(
+        float(np.sum(state.shifts_px**2)),
+        float(np.sum(known)),
+        settings.constant_px**2,
+        _PRIOR_OBSERVATIONS,
     )
-    scatter = replace(scatter, constant_px=float(np.sqrt(constant)))
-    if isinstance(prior, LearntPrior):
+    noise = replace(noise, constant_px=float(np.sqrt(constant)))
+    if isinstance(prior, EstimatedPrior):
         own = np.concatenate(layout.cameras)
         change = prior.change(state.cameras, layout.free)
-        scatter = prior.learn(
-            scatter,
+        noise = prior.estimate(
+            noise,
             change,
             P[np.ix_(own, own)],
             settings.image_tolerance_px,
             settings.position_tolerance_mm,
-            _COUNT,
+            _PRIOR_OBSERVATIONS,
         )
-    return scatter
+    return noise
 
 
 def _rms(residuals: dict[str, Floats]) -> dict[str, float]:
-    return {
-        name: float(np.sqrt(np.mean(np.sum(left**2, axis=1)))) for name, left in residuals.items()
-    }
+    return {name: rms_length(left) for name, left in residuals.items()}
 
 
 def _answer(
-    problem: Problem,
+    problem: RefineProblem,
     prior: CameraPrior,
-    solution: Solution[RefinedState],
+    solution: LeastSquaresSolution[RefinedState],
     before: dict[str, float],
-    scatter: Scatter,
+    noise: NoiseModel,
 ) -> Refinement:
     state, P, layout = solution.state, solution.covariance, problem.layout
     shifted = problem.residuals_px(replace(state, shifts_px=np.zeros_like(state.shifts_px)))
@@ -268,10 +268,10 @@ def _answer(
         {name: (before[name], after[name]) for name in after},
         {n: float(np.median(np.linalg.norm(left, axis=1))) for n, left in shifted.items()},
         state.shifts_px,
-        scatter,
+        noise,
         prior.change(state.cameras, layout.free),
         P[np.ix_(own, own)],
-        prior.covariance_at(scatter),
+        prior.covariance_at(noise),
         {c.name: columns for c, columns in zip(cameras, layout.cameras, strict=True)},
         len(problem.recording.times_s),
         isinstance(prior, JointPrior),
@@ -279,22 +279,13 @@ def _answer(
 
 
 def _with_covariances(
-    cameras: tuple[Camera, ...], layout: Layout, P: Floats, rms_px: dict[str, float]
+    cameras: tuple[Camera, ...], layout: RefineLayout, P: Floats, rms_px: dict[str, float]
 ) -> tuple[Camera, ...]:
     out = []
     for camera, columns, free in zip(cameras, layout.cameras, layout.free, strict=True):
-        mine = P[np.ix_(columns, columns)]
-        lens = np.zeros((12, 12))
-        lens[np.ix_(free, free)] = mine[6:, 6:]
-        cross = np.zeros((6, 12))
-        cross[:, free] = mine[:6, 6:]
-        out.append(
-            replace(
-                camera,
-                intrinsics=replace(camera.intrinsics, covariance=lens if len(free) else None),
-                pose_covariance=mine[:6, :6],
-                pose_intrinsics_covariance=cross if len(free) else None,
-                reprojection_rms_px=rms_px[camera.name],
-            )
-        )
+        known = with_covariance(camera, P[np.ix_(columns, columns)], free, rms_px[camera.name])
+        if not len(free):
+            lens = replace(known.intrinsics, covariance=None)
+            known = replace(known, intrinsics=lens, pose_intrinsics_covariance=None)
+        out.append(known)
     return tuple(out)

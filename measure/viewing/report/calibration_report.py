@@ -9,7 +9,8 @@ import plotly.graph_objects as go
 
 from measure.arrays import Floats
 from measure.calibration import RigCalibration, Verdict, camera_rows
-from measure.calibration.judgement import SUB_MM_SD_MM
+from measure.calibration.findings import SUB_MM_SD_MM
+from measure.checking import Level
 from measure.viewing.report import figures, places, style
 from measure.viewing.report.page import Page
 
@@ -29,7 +30,7 @@ def calibration_report(name: str, rig: RigCalibration, verdict: Verdict) -> str:
     page.facts(_facts(rig, verdict))
     if verdict.findings:
         columns = ("", "camera", "what, and what to do")
-        rows = [(f.level, f.camera or "all", f.text) for f in verdict.findings]
+        rows = [(f.level.value, f.camera or "all", f.text) for f in verdict.findings]
         page.table("Findings", "", columns, rows)
     _add_cameras(page, rig)
     _add_workspace(page, rig, verdict)
@@ -44,18 +45,18 @@ def write_calibration_report(name: str, rig: RigCalibration, verdict: Verdict, p
 
 
 def _verdict(verdict: Verdict) -> tuple[str, str]:
-    alarms = [f for f in verdict.findings if f.level == "alarm"]
+    wrong = [f for f in verdict.findings if f.level is Level.WRONG]
     worst = float(verdict.position_sd_mm.max())
     known = (
         f"By this calibration alone a body's position is known to "
         f"{_rms(verdict.position_sd_mm):.3f} mm over the workspace, {worst:.3f} mm at worst "
         "(one standard deviation, 3-D)"
     )
-    if alarms:
-        return "bad", f"Do not trust it: {alarms[0].text}. {known}."
-    doubts = sum(f.level == "warning" for f in verdict.findings)
-    if doubts or worst > SUB_MM_SD_MM:
-        return "doubtful", f"{known}; {doubts} {'warning' if doubts == 1 else 'warnings'} below."
+    if wrong:
+        return "bad", f"Do not trust it: {wrong[0].text}. {known}."
+    weak = sum(f.level is Level.WEAK for f in verdict.findings)
+    if weak or worst > SUB_MM_SD_MM:
+        return "doubtful", f"{known}; {weak} weak {'point' if weak == 1 else 'points'} below."
     return "good", f"{known}."
 
 
@@ -121,10 +122,10 @@ def _add_workspace(page: Page, rig: RigCalibration, verdict: Verdict) -> None:
 def _add_marks(page: Page, rig: RigCalibration) -> None:
     maps = []
     for camera in rig.cameras:
-        marks = rig.sights.marks.get(camera.name)
+        marks = rig.observations.marks.get(camera.name)
         if marks is None or not len(marks.ids):
             continue
-        off = marks.pixels - camera.project(rig.sights.markers[marks.ids])
+        off = marks.pixels - camera.project(rig.observations.markers[marks.ids])
         if rig.fit is not None:
             off = rig.fit.mark_residuals.get(camera.name, off)
         size = camera.intrinsics.size_wh

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from measure.arrays import Floats
-from measure.calibration import body_cost, paper_body
+from measure.calibration import body_cost
 from measure.calibration.refining import Recording, Track
 from measure.geometry import RigidTransform, align_points
-from measure.model import Camera
+from measure.model import Camera, paper_body
 from tests.calibration.rigs import cameras
 
 BODY = paper_body()

@@ -17,7 +17,7 @@ JOINT = np.diag(np.tile(PRIOR**2, 4))
 
 def judged(given: Case, joint: np.ndarray | None) -> RefineVerdict:
     halves = compare_halves(given.start, BODY, given.recording, None, joint)
-    found = refine_rig(given.start, BODY, given.recording, None, joint, halves.caution)
+    found = refine_rig(given.start, BODY, given.recording, None, joint, halves.variance_factor)
     refuse_misfit(found, BODY)
     return judge_refinement(given.start, BODY, given.recording, found, halves)
 
@@ -70,7 +70,7 @@ def test_frame_sets_that_fit_worse_are_refused() -> None:
 def test_errors_that_drift_make_cautious() -> None:
     """What neither noise nor a constant explains shows in the halves, and only there."""
     steady, drifting = (
-        np.mean([compare_halves(g.start, BODY, g.recording).caution for g in given])
+        np.mean([compare_halves(g.start, BODY, g.recording).variance_factor for g in given])
         for given in ([case(s, drift_px=d) for s in range(3)] for d in (0.0, 0.3))
     )
     assert steady < 1.5

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from measure.calibration import refine_measured, rough_cameras
-from measure.calibration.refining.recording import calibration_doubted, recording_of
+from measure.calibration.refining.recording import calibration_disagrees, recording_of
 from measure.errors import CalibrationError
 from measure.measuring import Status
 from measure.model.observations import Reason, State
@@ -91,7 +91,7 @@ def set_aside(measurements, camera: str):
 
 def test_cameras_too_far_off_to_agree_are_refined_roughly_first(in_step) -> None:
     doubtful = set_aside(in_step, "cam1")
-    assert calibration_doubted(doubtful)
+    assert calibration_disagrees(doubtful)
     with pytest.raises(CalibrationError, match=r"unflagged pose.*camera cam1 sees the"):
         refine_measured(slipped(), RAVEN, doubtful)
     first = list(slipped())

@@ -63,8 +63,8 @@ def test_a_recording_that_knows_less_leaves_a_good_calibration_alone() -> None:
 def test_constant_shifts_are_told_from_noise() -> None:
     given = case(6, frames=80, constant_px=0.3, noise_px=0.05)
     found = refine_rig(given.start, BODY, given.recording)
-    assert 0.2 < found.scatter.constant_px < 0.45
-    assert found.scatter.view_px < 0.05
+    assert 0.2 < found.noise.constant_px < 0.45
+    assert found.noise.view_px < 0.05
 
 
 def test_the_bodys_own_geometry_is_learnt_against_its_prior() -> None:
@@ -89,7 +89,7 @@ def test_a_long_recording_by_six_cameras_holds_the_world_and_costs_by_its_length
     before, after = errors(given.start, given), errors(found.cameras, given)
     assert after[0] < 0.7 * before[0]
     assert after[1] < 0.5 * before[1]
-    assert 0.3 < found.scatter.position_mm < 0.55  # PRIOR: 0.4
+    assert 0.3 < found.noise.position_mm < 0.55  # PRIOR: 0.4
     # Ten times the frames: some 11 times the work, and 100 times were every pose solved with all.
     assert spent[1] < 30 * spent[0]
 

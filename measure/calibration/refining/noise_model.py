@@ -1,8 +1,8 @@
-"""How far everything scatters: learnt from the recording, between what is seen and what is usual.
+"""Standard deviations of all errors, estimated from the recording and shrunken to usual values.
 
-The variances are found by restricted maximum likelihood, with MacKay's (1992, "Bayesian
-Interpolation", section 4.4) fixed point: the squares of what a random effect came out as, over how
-many of them the data determined. What is usual counts as a few observations more.
+Restricted maximum likelihood by MacKay's (1992, "Bayesian Interpolation", section 4.4) fixed point:
+the squares of the estimated random effects over how many of them the data determine. The usual
+value counts as a few observations more.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ import numpy as np
 from measure.arrays import Floats
 from measure.calibration.refining.recording import Track
 
-_LONGEST_LAG = 30
-_FADED = 0.05
+_MAX_LAG_FRAMES = 30
+_MIN_CORRELATION = 0.05
 _MEDIAN_OF_RAYLEIGH = 1.1774
 
 
 @dataclass(frozen=True)
-class Scatter:
-    """Standard deviations, and how far neighbouring frame sets go together.
+class NoiseModel:
+    """Standard deviations of the errors, and the correlation of neighbouring frame sets.
 
     Attributes:
         view_px: of a ball's centre in one picture, beyond what the detector states.
         constant_px: of what stays of that all through a recording, by ball and camera.
-        correlation: how many neighbouring frame sets tell as much as one alone.
+        correlation: number of neighbouring frame sets that are worth one independent one.
         image_px: by how much the first calibration misses in the workspace.
         position_mm: by how much its cameras stand elsewhere, by axis.
     """
@@ -37,40 +37,40 @@ class Scatter:
     image_px: float = 1.0
     position_mm: float = 1.0
 
-    def differs(self, other: Scatter) -> bool:
+    def differs(self, other: NoiseModel) -> bool:
         """Whether anything differs by more than five per cent."""
         return bool(np.any(np.abs(self._values() / other._values() - 1) > 0.05))
 
-    def towards(self, other: Scatter) -> Scatter:
-        """Half the way to another one, which ends going to and fro between two."""
-        return Scatter(*np.sqrt(self._values() * other._values()).tolist())
+    def towards(self, other: NoiseModel) -> NoiseModel:
+        """The geometric mean with another one: damps oscillation between two."""
+        return NoiseModel(*np.sqrt(self._values() * other._values()).tolist())
 
     def _values(self) -> Floats:
         return np.array(astuple(self))
 
 
-def learnt_variance(squares: float, determined: float, usual: float, count: float) -> float:
+def shrunken_variance(squares: float, determined: float, usual: float, count: float) -> float:
     """A variance from the squares of random effects and how many the data determined."""
     return (squares + count * usual) / (max(determined, 0.0) + count)
 
 
-def of_views(
-    scatter: Scatter,
+def with_view_noise(
+    noise: NoiseModel,
     residuals: dict[str, Floats],
     tracks: dict[str, Track],
     freedom: float,
     least_px: float,
-    caution: float,
-) -> Scatter:
+    variance_factor: float,
+) -> NoiseModel:
     """The scatter of single views, and its correlation in time, from residuals.
 
     Args:
-        scatter: the rest of it.
+        noise: the rest of it.
         residuals: by camera (n, 2) px.
         tracks: by camera.
         freedom: share of the residuals that is not taken up by unknowns.
-        least_px: no view is believed better.
-        caution: by how much more neighbours hang together than their residuals show.
+        least_px: lower bound of a view's standard deviation.
+        variance_factor: multiplies the correlation (see `halves`).
     """
     names = list(residuals)
     left = np.concatenate([residuals[name] for name in names])
@@ -78,9 +78,9 @@ def of_views(
     extra = _extra_px(left, stated, freedom)
     total = {name: tracks[name].covariance + extra**2 * np.eye(2) for name in names}
     return replace(
-        scatter,
+        noise,
         view_px=max(extra, least_px),
-        correlation=caution * _correlation(residuals, total, tracks),
+        correlation=variance_factor * _correlation(residuals, total, tracks),
     )
 
 
@@ -103,7 +103,7 @@ def _correlation(
     residuals: dict[str, Floats], total: dict[str, Floats], tracks: dict[str, Track]
 ) -> float:
     """Integrated correlation time in frame sets: 1 + 2 (rho_1 + rho_2 + ...), at least 1."""
-    products, counts = np.zeros(_LONGEST_LAG + 1), np.zeros(_LONGEST_LAG + 1)
+    products, counts = np.zeros(_MAX_LAG_FRAMES + 1), np.zeros(_MAX_LAG_FRAMES + 1)
     for name, left in residuals.items():
         track = tracks[name]
         size = np.sqrt(np.einsum("nii->n", total[name]))
@@ -113,11 +113,11 @@ def _correlation(
             mine = track.ball == ball
             line = np.full((int(track.frame[mine].max()) + 1, 2), np.nan)
             line[track.frame[mine]] = standard[mine]
-            for lag in range(min(_LONGEST_LAG + 1, len(line))):
+            for lag in range(min(_MAX_LAG_FRAMES + 1, len(line))):
                 both = (line[lag:] * line[: len(line) - lag]).reshape(-1)
                 products[lag] += np.nansum(both)
                 counts[lag] += np.count_nonzero(np.isfinite(both))
     rho = products / np.maximum(counts, 1)
     rho = rho[1:] / max(rho[0], 1e-12)
-    faded = np.flatnonzero(rho < _FADED)
+    faded = np.flatnonzero(rho < _MIN_CORRELATION)
     return float(1 + 2 * np.sum(rho[: faded[0]] if len(faded) else rho))

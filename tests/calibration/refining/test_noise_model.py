@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from measure.calibration.refining.noise_model import NoiseModel, shrunken_variance, with_view_noise
 from measure.calibration.refining.recording import Track
-from measure.calibration.refining.scatter import Scatter, learnt_variance, of_views
 
 
 def views(correlation: float, extra_px: float, count: int = 3000) -> tuple[np.ndarray, Track]:
@@ -23,7 +23,7 @@ def views(correlation: float, extra_px: float, count: int = 3000) -> tuple[np.nd
 @pytest.mark.parametrize("correlation", [0.0, 0.6])
 def test_extra_scatter_and_correlation_are_found(correlation: float, extra_px: float) -> None:
     residuals, track = views(correlation, extra_px)
-    found = of_views(Scatter(), {"a": residuals}, {"a": track}, 1.0, 0.01, 1.0)
+    found = with_view_noise(NoiseModel(), {"a": residuals}, {"a": track}, 1.0, 0.01, 1.0)
     assert found.view_px == pytest.approx(extra_px, rel=0.1)
     expected = (1 + correlation) / (1 - correlation)
     assert found.correlation == pytest.approx(expected, rel=0.2)
@@ -31,17 +31,17 @@ def test_extra_scatter_and_correlation_are_found(correlation: float, extra_px: f
 
 def test_stated_scatter_that_is_too_large_is_left() -> None:
     residuals, track = views(0.0, 0.0)
-    found = of_views(Scatter(), {"a": residuals / 3}, {"a": track}, 1.0, 0.01, 1.0)
+    found = with_view_noise(NoiseModel(), {"a": residuals / 3}, {"a": track}, 1.0, 0.01, 1.0)
     assert found.view_px == 0.01
 
 
 def test_a_variance_is_between_what_is_seen_and_what_is_usual() -> None:
-    assert learnt_variance(0.0, 0.0, 2.0, 4.0) == 2.0
-    assert learnt_variance(1000.0, 1000.0, 2.0, 4.0) == pytest.approx(1.0, rel=0.01)
+    assert shrunken_variance(0.0, 0.0, 2.0, 4.0) == 2.0
+    assert shrunken_variance(1000.0, 1000.0, 2.0, 4.0) == pytest.approx(1.0, rel=0.01)
 
 
 def test_half_the_way_between_two() -> None:
-    one, other = Scatter(view_px=0.1), Scatter(view_px=0.4)
+    one, other = NoiseModel(view_px=0.1), NoiseModel(view_px=0.4)
     assert one.towards(other).view_px == pytest.approx(0.2)
     assert one.differs(other)
     assert not one.differs(one)

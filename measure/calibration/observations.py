@@ -12,7 +12,7 @@ from measure.geometry import RigidTransform
 
 
 @dataclass(frozen=True, eq=False)
-class BoardSight:
+class BoardObservation:
     """A board of known pose, seen by one camera.
 
     Attributes:
@@ -27,7 +27,7 @@ class BoardSight:
 
 
 @dataclass(frozen=True, eq=False)
-class MarkSight:
+class MarkerObservation:
     """Markers seen by one camera.
 
     Attributes:
@@ -60,7 +60,7 @@ class Tolerances:
 
 
 @dataclass(frozen=True, eq=False)
-class Sights:
+class RigObservations:
     """All that the cameras see of things whose place in the world is known.
 
     Attributes:
@@ -71,6 +71,6 @@ class Sights:
     """
 
     markers: Floats = field(default_factory=lambda: np.zeros((0, 3)))
-    boards: Mapping[str, BoardSight] = field(default_factory=dict)
-    marks: Mapping[str, MarkSight] = field(default_factory=dict)
+    boards: Mapping[str, BoardObservation] = field(default_factory=dict)
+    marks: Mapping[str, MarkerObservation] = field(default_factory=dict)
     tolerances: Tolerances = field(default_factory=Tolerances)
