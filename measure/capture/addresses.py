@@ -84,8 +84,8 @@ def parse_cameras(words: Iterable[str], names: Sequence[str] = ()) -> list[Camer
                 f"{len(pairs)} cameras without names, and the calibration has {len(names)} "
                 f"({', '.join(names)}): say which they are, as {names[0]}=ADDRESS"
             )
-        told = names or [f"cam{k}" for k in range(len(pairs))]
-        return [CameraAddress(n, address) for n, (_, address) in zip(told, pairs, strict=True)]
+        given = names or [f"cam{k}" for k in range(len(pairs))]
+        return [CameraAddress(n, address) for n, (_, address) in zip(given, pairs, strict=True)]
     cameras = [CameraAddress(name or "", address) for name, address in pairs]
     for one in cameras:
         if not one.name or not one.address:

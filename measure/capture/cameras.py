@@ -19,13 +19,13 @@ from measure.errors import CaptureError
 from measure.model import Image
 
 SETTLING_S = 1.0
-"""What a camera delivers in its first second is thrown away, see `Source.settles`."""
-_AGAIN_S = 1.0
-"""How long after a camera broke off it is tried again."""
-_FIRST_S = 15.0
-"""How long a rig's cameras are waited for."""
-_STEPS = 64
-"""Steps from picture to picture that a camera's evenness is told from."""
+"""Pictures of a camera's first second are discarded, see `Source.settles`."""
+_RECONNECT_S = 1.0
+"""Wait before a camera that broke off is connected anew."""
+_FIRST_PICTURE_S = 15.0
+"""Longest wait for the first picture of every camera."""
+_INTERVALS = 64
+"""Latest intervals between pictures from which `uneven_s` is computed."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class CameraCount:
         last_s: and of the last.
         own_clock: whether its times are of its own clock, not those of arrival.
         uneven_s: how much the steps from picture to picture vary, of late (a standard deviation by
-            their median distance from the median); NaN where that cannot be told.
+            their median distance from the median); NaN where unknown.
         breaks: how often it broke off and was connected anew.
         refused: pictures that could not be used: out of order, or no pictures.
         trouble: what it broke off with last; empty if it did not.
@@ -103,7 +103,7 @@ class Cameras:
         for thread in self._threads:
             thread.start()
         try:
-            self._wait_for_all(begun + _FIRST_S)
+            self._wait_for_all(begun + _FIRST_PICTURE_S)
         except BaseException:
             self.stop()
             raise
@@ -159,7 +159,7 @@ class Cameras:
                 if time.monotonic() > until_s:
                     raise CaptureError(
                         f"camera '{name}': {self._sources[name].address}: no whole picture "
-                        f"in {_FIRST_S:g} s"
+                        f"in {_FIRST_PICTURE_S:g} s"
                     )
         self.check()
 
@@ -177,7 +177,7 @@ class Cameras:
                         self._broke_off(name, CaptureError(f"{source.address}: the stream ended"))
                 if not source.lasting:
                     break
-                self._stop.wait(_AGAIN_S)
+                self._stop.wait(_RECONNECT_S)
         except BaseException as problem:
             self._failed.append(problem)  # raised again by `check`
         self._note(name, ended=True)
@@ -195,7 +195,7 @@ class Cameras:
     def _read(self, name: str, source: Source) -> None:
         """Hand on what a source delivers, until it ends or is to stop."""
         clock, connected, last_s = DeviceClock(), time.monotonic(), self._counts[name].last_s
-        steps: deque[float] = deque(maxlen=_STEPS)
+        steps: deque[float] = deque(maxlen=_INTERVALS)
         for shot in source.shots():
             if self._stop.is_set():
                 return
@@ -252,15 +252,15 @@ class Cameras:
         size, wanted = size_wh(shot), self._sizes.get(name)
         if size is None or size == wanted:
             return
-        told = f"{self._sources[name].address}: its pictures are {size[0]}x{size[1]} px"
+        found = f"{self._sources[name].address}: its pictures are {size[0]}x{size[1]} px"
         if wanted is None:
             self._first_sizes.setdefault(name, size)
             if (first := self._first_sizes[name]) != size:
-                raise CaptureError(f"{told}, and its first were {first[0]}x{first[1]} px")
+                raise CaptureError(f"{found}, and its first were {first[0]}x{first[1]} px")
             return
         raise CaptureError(
-            f"{told}, and {wanted[0]}x{wanted[1]} px is what is calibrated: set the camera to that "
-            "size, or calibrate it at this one"
+            f"{found}, and {wanted[0]}x{wanted[1]} px is what is calibrated: set the camera to "
+            "that size, or calibrate it at this one"
         )
 
 

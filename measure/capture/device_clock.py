@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections import deque
 
 _WINDOW_S = 30.0
-"""Clocks drift by tens of microseconds a second: what is older than this is forgotten."""
+"""Delays older than this are dropped: clocks drift by tens of microseconds a second."""
 _JUMP_S = 1.0
 """A clock that is off by so much more than before has been set anew."""
 _HELD_UP_S = 5.0
-"""For so long pictures that are later than that may be held up instead, and come in a burst."""
-_MOST_ANEW = 0.1
-"""Share of pictures at which a clock may be believed anew; one that stands still, or does not
-count seconds, is at every picture."""
+"""Pictures that are later than that for a shorter time were held up by the network."""
+_MAX_RESTARTED_SHARE = 0.1
+"""Share of pictures at which a clock may be set anew; one that stands still, or does not count
+seconds, is at every picture."""
 
 
 class DeviceClock:
@@ -34,7 +34,7 @@ class DeviceClock:
     @property
     def runs(self) -> bool:
         """Whether times are the camera's: it has a clock, and that runs as ours does."""
-        return self._stamps > 0 and self._anew <= _MOST_ANEW * self._stamps
+        return self._stamps > 0 and self._anew <= _MAX_RESTARTED_SHARE * self._stamps
 
     def time_s(self, arrived_s: float, device_s: float | None) -> float:
         """The time of a picture, s on our clock.

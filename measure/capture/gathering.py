@@ -17,17 +17,17 @@ from measure.model import FrameSet, Image
 _PATIENCE_PERIODS = 1.5
 """How long a picture waits for those of other cameras, in periods of the fastest camera."""
 _REACH_PERIODS = 0.75
-"""How far a set's pictures may be from its middle one. Half a period would do for cameras that run
-evenly: at just that distance, the least unevenness would take a camera out of every other set."""
+"""Largest distance of a set's pictures from its middle one, in periods. With half a period, cameras
+that expose just between two others would be lost at random."""
 _FIRST_PERIOD_S = 0.1
-"""A period as long as nothing is known of it."""
-_KNOWN = 32
-"""Intervals of each camera that its period is told from."""
-_MOST_WAITING = 16
+"""Period assumed before any interval is known."""
+_INTERVALS = 32
+"""Latest intervals of each camera from which its period is computed."""
+_MAX_WAITING = 16
 """Pictures of a camera that wait at a time, however slowly sets are taken."""
-_GONE_STEPS = 4
-"""A camera silent for so many of its steps is not waited for."""
-_LOOK_S = 0.2
+_SILENT_PERIODS = 4
+"""A camera silent for so many of its periods is not waited for."""
+_POLL_S = 0.2
 
 
 class Gathering:
@@ -47,9 +47,9 @@ class Gathering:
         """Make one for cameras of these names; `clock` tells, in s, how long pictures wait."""
         self._clock = clock
         self._waiting: dict[str, deque[tuple[float, Image]]] = {
-            name: deque(maxlen=_MOST_WAITING) for name in names
+            name: deque(maxlen=_MAX_WAITING) for name in names
         }
-        self._steps: dict[str, deque[float]] = {name: deque(maxlen=_KNOWN) for name in names}
+        self._steps: dict[str, deque[float]] = {name: deque(maxlen=_INTERVALS) for name in names}
         self._last_s: dict[str, float] = {}
         self._begun_s = 0.0
         self._reached_s = -math.inf
@@ -74,7 +74,7 @@ class Gathering:
             if image.time_s <= self._reached_s:  # held up so long that its set is made
                 self._left[name] += 1
                 return
-            self._left[name] += len(self._waiting[name]) == _MOST_WAITING
+            self._left[name] += len(self._waiting[name]) == _MAX_WAITING
             self._waiting[name].append((self._clock(), image))
             self._changed.notify()
 
@@ -123,7 +123,7 @@ class Gathering:
         """Wait for a picture, but not so long that one waits for another in vain."""
         with self._changed:
             if not self._is_ready(ended=False):
-                self._changed.wait(min(_LOOK_S, self._period_s() / 2))
+                self._changed.wait(min(_POLL_S, self._period_s() / 2))
 
     def _is_ready(self, ended: bool) -> bool:
         """Whether there are pictures to make a set of, and none worth waiting for."""
@@ -143,7 +143,7 @@ class Gathering:
         steps = self._steps[name]
         step_s = float(np.median(steps)) if steps else self._period_s()
         last_s = self._last_s.get(name, self._begun_s - step_s)
-        return last_s + step_s <= until_s <= last_s + _GONE_STEPS * step_s
+        return last_s + step_s <= until_s <= last_s + _SILENT_PERIODS * step_s
 
     def _period_s(self) -> float:
         """Of the fastest camera."""

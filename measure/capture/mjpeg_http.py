@@ -22,11 +22,11 @@ from measure.capture.sources import PATIENCE_S, Shot, Source, without_user
 from measure.errors import CaptureError
 from measure.session.pictures import JPEG_END, is_complete_jpeg
 
-_LARGEST = 64 << 20
-"""Bytes; no picture is larger, nor a line that is none."""
-_MOST_HEADERS = 64
-_SLOWEST_S = 3 * PATIENCE_S
-"""Nothing is silent that sends a byte now and then, but a picture that takes so long is lost."""
+_MAX_BYTES = 64 << 20
+"""Largest picture, and longest line."""
+_MAX_HEADERS = 64
+_MAX_PICTURE_S = 3 * PATIENCE_S
+"""Longest time for one picture: a camera may send bytes too slowly to count as silent."""
 _TIME_HEADERS = ("x-timestamp", "x-timestamp-sec")
 """Seconds on the camera's clock; the first is mjpg-streamer's."""
 
@@ -53,8 +53,8 @@ class HttpSource(Source):
             raise CaptureError(f"{self.address}: answers {problem.code} {problem.reason}") from None
         except (OSError, http.client.HTTPException, ValueError) as problem:
             reason = getattr(problem, "reason", None) or problem
-            told = getattr(reason, "strerror", None) or str(reason) or type(reason).__name__
-            raise CaptureError(f"{self.address}: {told}") from None
+            text = getattr(reason, "strerror", None) or str(reason) or type(reason).__name__
+            raise CaptureError(f"{self.address}: {text}") from None
 
 
 def _stream_of(answer: http.client.HTTPResponse, address: str) -> BufferedIOBase:
@@ -99,8 +99,8 @@ def parts_of(stream: BufferedIOBase, address: str) -> Iterator[Shot]:
 
 def _first_boundary(stream: BufferedIOBase, address: str) -> bytes | None:
     """The line before the first part; servers differ from what their header says of it."""
-    for _ in range(_MOST_HEADERS):
-        line = stream.readline(_LARGEST)
+    for _ in range(_MAX_HEADERS):
+        line = stream.readline(_MAX_BYTES)
         if not line:
             return None
         if line.startswith(b"--"):
@@ -111,7 +111,7 @@ def _first_boundary(stream: BufferedIOBase, address: str) -> bytes | None:
 def _next_boundary(stream: BufferedIOBase, boundary: bytes, line: bytes) -> bytes | None:
     """The same line after a part, of which `line` has been read; None where the stream ends."""
     while line.strip() not in (boundary, boundary + b"--"):
-        line = stream.readline(_LARGEST)
+        line = stream.readline(_MAX_BYTES)
         if not line:
             return None
     return boundary if line.strip() == boundary else None
@@ -120,8 +120,8 @@ def _next_boundary(stream: BufferedIOBase, boundary: bytes, line: bytes) -> byte
 def _headers(stream: BufferedIOBase, address: str) -> Message:
     """What stands before a part's data."""
     out = Message()
-    for _ in range(_MOST_HEADERS):
-        line = stream.readline(_LARGEST)
+    for _ in range(_MAX_HEADERS):
+        line = stream.readline(_MAX_BYTES)
         if not line.strip():
             return out
         name, _, value = line.decode("latin-1").partition(":")
@@ -130,30 +130,32 @@ def _headers(stream: BufferedIOBase, address: str) -> Message:
 
 
 def _exactly(stream: BufferedIOBase, length: int, address: str) -> bytes:
-    if length > _LARGEST:
+    if length > _MAX_BYTES:
         raise CaptureError(f"{address}: announces a picture of {length} bytes")
-    data, until_s = bytearray(), time.monotonic() + _SLOWEST_S
+    data, until_s = bytearray(), time.monotonic() + _MAX_PICTURE_S
     while len(data) < length:
         some = stream.read1(length - len(data))
         if not some:
             raise CaptureError(f"{address}: the stream broke off inside a picture")
         data += some
         if time.monotonic() > until_s:
-            raise CaptureError(f"{address}: a picture did not come to its end in {_SLOWEST_S:g} s")
+            raise CaptureError(
+                f"{address}: a picture did not come to its end in {_MAX_PICTURE_S:g} s"
+            )
     return bytes(data)
 
 
 def _until(stream: BufferedIOBase, boundary: bytes, address: str) -> tuple[bytes, bytes]:
     """A part's data up to its JPEG's end or the next boundary; and that line, if it was read."""
     data = bytearray()
-    for line in iter(lambda: stream.readline(_LARGEST), b""):
+    for line in iter(lambda: stream.readline(_MAX_BYTES), b""):
         if line.strip() in (boundary, boundary + b"--"):
             return bytes(data).removesuffix(b"\n").removesuffix(b"\r"), line
         data += line
         end = line.rstrip(b"\r\n")
         if end.endswith(JPEG_END) and is_complete_jpeg(data):
             return bytes(data[: len(data) - len(line) + len(end)]), b""
-        if len(data) > _LARGEST:
+        if len(data) > _MAX_BYTES:
             break
     raise CaptureError(f"{address}: the stream broke off inside a picture")
 

@@ -1,4 +1,4 @@
-"""What can be told of a delivered picture without decoding it, and its pixels."""
+"""Size and completeness of a delivered picture without decoding it, and its pixels."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ _SCAN = 0xDA
 
 
 def image_of(camera: str, frame: int, time_s: float, shot: Shot) -> Image:
-    """A picture as the rest of the program takes it; decoded when its pixels are asked for."""
+    """A picture as the rest of the program takes it; decoded when its pixels are used."""
     where = f"camera '{camera}', frame {frame}"
     return Image(camera, frame, time_s, lambda: _pixels(shot, where), shot.jpeg)
 
 
 def is_whole(shot: Shot) -> bool:
-    """Whether a picture is all there, as far as that can be told without decoding it."""
+    """Whether a picture is complete, by its end marker."""
     return shot.jpeg is None or is_complete_jpeg(shot.jpeg)
 
 
 def size_wh(shot: Shot) -> tuple[int, int] | None:
-    """Width and height of a picture, px; None if its JPEG does not tell."""
+    """Width and height of a picture, px; None if its JPEG states none."""
     if shot.pixels is not None:
         return shot.pixels.shape[1], shot.pixels.shape[0]
     return _jpeg_size_wh(shot.jpeg or b"")

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from dataclasses import dataclass
 from urllib.parse import urlsplit, urlunsplit
 
 from measure.arrays import Bytes
-from measure.records import record
 
 PATIENCE_S = 5.0
 """A camera that has said nothing for so long is taken to be gone."""
 
 
-@record
+@dataclass(frozen=True, eq=False, slots=True)
 class Shot:
     """A picture as a camera delivered it: either as its JPEG or as its pixels.
 

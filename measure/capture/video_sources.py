@@ -34,7 +34,7 @@ class AvSource(Source):
             address: for messages.
             opened: as the library takes it.
             options: of the library; the first that it can open the address with.
-            form: what kind of address it is, where the library cannot tell.
+            form: what kind of address it is, where the library cannot detect it.
         """
         super().__init__(address)
         self._opened, self._form, self._options = opened, form, tuple(options)
@@ -50,8 +50,8 @@ class AvSource(Source):
                 for device_s, jpeg, pixels in _pictures(container):
                     yield Shot(time.monotonic(), device_s, jpeg, pixels)
         except (av.error.FFmpegError, OSError) as problem:
-            told = getattr(problem, "strerror", None) or str(problem)
-            raise CaptureError(f"{self.address}: {told}") from None
+            text = getattr(problem, "strerror", None) or str(problem)
+            raise CaptureError(f"{self.address}: {text}") from None
 
     def _container(self) -> av.container.InputContainer:
         import av

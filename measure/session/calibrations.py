@@ -39,10 +39,10 @@ Format = Literal["triball", "anipose", "caliscope", "opencv"]
 _FOCAL_SIZES = 0.05, 200.0
 """Least and largest focal length of what may be a lens, in sizes of its picture."""
 _MIDDLE, _SAME_PX = (0.25, 0.5, 0.75), 0.01
-_BENT, _NEAR = 3.0, 0.01
-"""No lens moves what the middle half of the picture shows so many times in or out; next to the
-principal point, within this share of the picture, anything goes."""
-_FURTHEST_MM = 1e6
+_MAX_DISTORTION_RATIO, _NEAR_SHARE = 3.0, 0.01
+"""Largest ratio of distorted to ideal distance from the principal point in the middle half of the
+picture, and the share of the picture added to both."""
+_MAX_SPREAD_MM = 1e6
 METRES_SPREAD_MM = 3.0
 """Cameras all within this many "mm" of the first were surely written in metres."""
 
@@ -52,7 +52,7 @@ def read_calibration(path: Path | str, unit: Unit | None = None) -> Calibration:
 
     Args:
         path: the file.
-        unit: of the translations in a file of another program that does not say it; ours are mm.
+        unit: of the translations in a file of another program that states none; ours are mm.
 
     Raises:
         CalibrationError: the file cannot be used, two cameras share a name, or the translations
@@ -141,7 +141,7 @@ def check_calibration(calibration: Calibration, source: str) -> None:
             "look like metres; write mm, or for another program's file say calibration_unit = "
             '"m" in [session]'
         )
-    if spread > _FURTHEST_MM:
+    if spread > _MAX_SPREAD_MM:
         raise CalibrationError(
             f"{source}: the cameras stand up to {spread:.3g} mm apart: are the translations in mm?"
         )
@@ -157,11 +157,11 @@ def _is_a_lens(lens: Intrinsics) -> bool:
         rays = lens.unproject(pixels)
         moved = np.abs(lens.project(rays) - pixels)
         seen, ideal = (
-            np.linalg.norm(places - lens.matrix[:2, 2], axis=1) + _NEAR * max(lens.size_wh)
+            np.linalg.norm(places - lens.matrix[:2, 2], axis=1) + _NEAR_SHARE * max(lens.size_wh)
             for places in (pixels, straight.project(rays))
         )
         bent = np.maximum(seen / ideal, ideal / seen)
-    return bool(np.all(moved < _SAME_PX) and np.all(bent < _BENT))
+    return bool(np.all(moved < _SAME_PX) and np.all(bent < _MAX_DISTORTION_RATIO))
 
 
 def _toml(text: str) -> dict[str, object] | None:

@@ -1,7 +1,7 @@
-"""Clocks that a refined calibration has set right, for the recording it was refined from.
+"""Clock offsets of a refined calibration, applied to the recording it was refined from.
 
-A camera's clock may be off by another amount tomorrow, so what was found is added only to the very
-stamps it was found in.
+A clock's offset differs from recording to recording, so it is added to the stamps it was estimated
+from only.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ def clock_digest(streams: Iterable[Stream]) -> str:
 
 
 def clock_values(digest: str, shifts_s: Mapping[str, float]) -> dict[str, object]:
-    """What a calibration's provenance says about clocks; `shift_clocks` reads it."""
+    """The entries on clocks in a calibration's provenance; `shift_clocks` reads them."""
     return {"clock_digest": digest, "clock_shifts_s": dict(shifts_s)} if shifts_s else {}
 
 
 def shift_clocks(
     streams: Mapping[str, Stream], digest: str, provenance: Mapping[str, Any], path: Path
 ) -> dict[str, float]:
-    """Add to the stamps what a calibration knows that they lack.
+    """Add the clock offsets of a calibration to the stamps.
 
     Args:
         streams: by camera; their times are changed.
@@ -40,21 +40,21 @@ def shift_clocks(
         path: of the calibration, for messages.
 
     Returns:
-        What was added, by camera; empty if the calibration does not speak of these stamps.
+        What was added, by camera; empty if the calibration is not from these stamps.
 
     Raises:
-        CalibrationError: what the calibration says is no time.
+        CalibrationError: an offset is no number.
     """
     if provenance.get("clock_digest") != digest:
         return {}
     try:
-        said = {str(n): float(s) for n, s in dict(provenance["clock_shifts_s"]).items()}
+        offsets = {str(n): float(s) for n, s in dict(provenance["clock_shifts_s"]).items()}
     except (KeyError, TypeError, ValueError):
         raise CalibrationError(
             f"{path}: provenance.clock_shifts_s must name cameras and seconds; refine again, or "
             "remove clock_digest"
         ) from None
-    shifts = {name: seconds for name, seconds in said.items() if name in streams}
+    shifts = {name: seconds for name, seconds in offsets.items() if name in streams}
     for name, seconds in shifts.items():
         streams[name].times_s = streams[name].times_s + seconds
     return shifts
@@ -64,5 +64,5 @@ def shift_notes(shifts_s: Mapping[str, float]) -> tuple[str, ...]:
     """A line for the user, if anything was added."""
     if not shifts_s:
         return ()
-    told = ", ".join(f"{name} {1e3 * seconds:+.1f} ms" for name, seconds in shifts_s.items())
-    return (f"clocks set right as the calibration found them: {told}",)
+    offsets = ", ".join(f"{name} {1e3 * seconds:+.1f} ms" for name, seconds in shifts_s.items())
+    return (f"clocks set right as the calibration found them: {offsets}",)

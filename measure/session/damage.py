@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from itertools import repeat
 
 from measure.session.pictures import JPEG_END, JPEG_SCAN, is_complete_jpeg
 from measure.session.streams import Stream
@@ -14,10 +15,10 @@ _STRAY_MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xdc\xff]", re.DOTALL)
 
 
 def is_damaged(jpeg: bytes) -> bool:
-    """Whether a JPEG is cut off, or breaks off within: a part is missing or was overwritten.
+    """Whether a JPEG is cut off, or a part of its scan is missing or overwritten.
 
-    Some wrong bytes may pass, because the code finds back into step after them. What FFmpeg cannot
-    decode at all is not judged.
+    Some wrong bytes pass, because the entropy code resynchronises. What FFmpeg cannot decode at all
+    is not judged.
     """
     scan = jpeg.rfind(JPEG_SCAN)
     end = jpeg.find(JPEG_END, scan)
@@ -40,7 +41,7 @@ def damaged_frames(streams: Sequence[Stream], step: Callable[[], None]) -> dict[
     with ThreadPoolExecutor(max(len(streams), 1)) as pool:
         for index in range(max(map(len, streams), default=0)):
             here = [stream for stream in streams if index < len(stream)]
-            for stream, bad in zip(here, pool.map(_looker(index), here), strict=True):
+            for stream, bad in zip(here, pool.map(_damaged_at, here, repeat(index)), strict=False):
                 if bad:
                     found[stream.name].append(int(stream.frames[index]))
             step()
@@ -52,12 +53,9 @@ def holds_jpeg(stream: Stream) -> bool:
     return stream.read(0).encoded is not None
 
 
-def _looker(index: int) -> Callable[[Stream], bool]:
-    def look(stream: Stream) -> bool:
-        jpeg = stream.read(index).encoded
-        return jpeg is not None and is_damaged(jpeg)
-
-    return look
+def _damaged_at(stream: Stream, index: int) -> bool:
+    jpeg = stream.read(index).encoded
+    return jpeg is not None and is_damaged(jpeg)
 
 
 def _decodes(jpeg: bytes, options: dict[str, str]) -> bool:

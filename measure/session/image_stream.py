@@ -72,8 +72,8 @@ def open_image_stream(
 ) -> ImageStream:
     """The files that fit `pattern` in `folder`, matched with their stamps.
 
-    The last number in a file's name is its frame number; if that does not tell the files apart (the
-    camera's comes last), one that does and that the stamps know. Where names carry no such number,
+    The last number in a file's name is its frame number; if that is not unique (the camera's comes
+    last), one that is and that the stamps have. Where names carry no such number,
     files and rows are matched in order, 2 before 10, and must be equally many.
 
     Raises:
@@ -129,7 +129,7 @@ def _in_order(file: Path) -> list[str | int]:
 
 
 def _numbers(files: Sequence[Path], stamps: Stamps) -> list[int | None]:
-    """The frame number of each file, as its name says; else its last number, if it has any."""
+    """The frame number in each file's name; else its last number, if it has any."""
     found = [[int(number) for number in re.findall(r"[0-9]+", file.stem)] for file in files]
     last = [numbers[-1] if numbers else None for numbers in found]
     if len(set(last)) == len(last) or len(set(map(len, found))) > 1:

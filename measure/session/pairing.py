@@ -66,8 +66,7 @@ def pair_nearest(
 def seldom_paired(names: Sequence[str], counts: Sequence[int], pairing: Pairing) -> list[str]:
     """A line for every camera of which most pictures are left over while most sets lack one.
 
-    A fast camera leaves pictures over and a slow one lacks them; both at once say that its clock
-    runs otherwise.
+    A fast camera leaves pictures over and a slow one lacks them; both at once mean another clock.
 
     Args:
         names: of the cameras.
@@ -91,14 +90,14 @@ def _instants(times_s: Sequence[Floats], reference: int, period: float) -> tuple
     if not np.isfinite(period):
         return own, np.ones(len(own), bool)
     others = np.concatenate(list(times_s))
-    before = own[0] - period * _next_to((own[0] - others) / period)
-    after = own[-1] + period * _next_to((others - own[-1]) / period)
+    before = own[0] - period * _neighbours((own[0] - others) / period)
+    after = own[-1] + period * _neighbours((others - own[-1]) / period)
     between = []
     for i in np.flatnonzero(np.diff(own) > GAP_PERIODS * period):
         steps = round((own[i + 1] - own[i]) / period)
         step = (own[i + 1] - own[i]) / steps
         inside = others[(others > own[i]) & (others < own[i + 1])]
-        missed = _next_to((inside - own[i]) / step)
+        missed = _neighbours((inside - own[i]) / step)
         between.append(own[i] + step * missed[missed < steps])
     virtual = np.concatenate([before, after, *between])
     instants = np.concatenate([own, virtual])
@@ -107,8 +106,8 @@ def _instants(times_s: Sequence[Floats], reference: int, period: float) -> tuple
     return instants[order], real[order]
 
 
-def _next_to(steps: Floats) -> Floats:
-    """The whole numbers from 1 on that are next to some of these, each once."""
+def _neighbours(steps: Floats) -> Floats:
+    """The whole numbers from 1 on next to these numbers, each once."""
     whole = np.unique(np.concatenate([np.floor(steps), np.ceil(steps)]))
     return whole[whole >= 1]
 

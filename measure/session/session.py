@@ -94,7 +94,7 @@ class Session:
         )
 
     def clock_notes(self) -> tuple[str, ...]:
-        """What pairing says against the clock of a camera, a line each."""
+        """Cameras whose clock the pairing contradicts, a line each."""
         counts = [len(stream) for stream in self.streams.values()]
         return tuple(seldom_paired(list(self.streams), counts, self.pair()))
 

@@ -66,7 +66,7 @@ class Stream(ABC):
     def repeated(self) -> Ints | None:
         """Positions of pictures that are the one before once more, to the last bit.
 
-        None where that cannot be told without decoding everything.
+        None where only decoding would show it.
         """
         return None
 

@@ -14,9 +14,9 @@ from measure.errors import MeasureError, SessionError
 from measure.session.files import read_text
 
 LATEST_S = 1e11
-"""No recording is later, seconds after 1970."""
-_MOST_FRAMES = 2.0**53
-"""Greater numbers are read as their neighbours."""
+"""Latest time of a recording, seconds after 1970."""
+_MAX_FRAME_NUMBER = 2.0**53
+"""Largest whole number that is exact in double precision."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,10 +47,11 @@ def read_stamps(path: Path, camera: str) -> Stamps:
             f"{where}:{table.lines[i]}: frame {frames[i]:g} has the time {times[i]:g}; "
             "both must be numbers, the frame a whole one"
         )
-    for i in np.flatnonzero(np.abs(frames) > _MOST_FRAMES):
+    for i in np.flatnonzero(np.abs(frames) > _MAX_FRAME_NUMBER):
         raise SessionError(
-            f"{where}:{table.lines[i]}: frame {frames[i]:.0f}: numbers beyond {_MOST_FRAMES:.0f} "
-            "cannot be told apart; number the frames, and their pictures, from 0"
+            f"{where}:{table.lines[i]}: frame {frames[i]:.0f}: numbers beyond "
+            f"{_MAX_FRAME_NUMBER:.0f} cannot be told apart; number the frames, and their "
+            "pictures, from 0"
         )
     for i in np.flatnonzero(np.abs(times) > LATEST_S):
         raise SessionError(

@@ -13,7 +13,7 @@ from measure.session.toml_text import find_line
 
 
 def syntax_message(path: Path, text: str, problem: str) -> str:
-    """What `tomllib` says, with file and line."""
+    """The message of `tomllib`, with file and line."""
     found = re.search(r" \(at (?:line (\d+), column (\d+)|end of document)\)$", problem)
     what = problem[: found.start()] if found else problem
     last = len(text.splitlines())
@@ -34,7 +34,7 @@ def validation_message(
     Args:
         path: the file.
         text: its content, to find the line.
-        problem: what pydantic says.
+        problem: pydantic's.
         model: the model that was not met.
         values: what was validated.
         within: keys of the table that was validated, if it was not the whole file.

@@ -1,4 +1,4 @@
-"""Poses over time, read from files and asked for between their samples."""
+"""Poses over time, read from files and interpolated."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Trajectory:
         return len(self.times_s)
 
     def covers(self, times_s: ArrayLike) -> Bools:
-        """At which times (m,) a pose can be told: between samples, and in no gap."""
+        """At which times (m,) there is a pose: between samples, and in no gap."""
         wanted = np.atleast_1d(np.asarray(times_s, dtype=np.float64))
         left, fraction = self._interval(wanted)
         inside = (wanted >= self.times_s[0]) & (wanted <= self.times_s[-1])

@@ -14,20 +14,18 @@ import numpy as np
 
 from measure.arrays import Bytes, Floats
 from measure.errors import SessionError
-from measure.session.avi_chunks import count_frames
 from measure.session.files import missing_message
-from measure.session.matroska import missing_bytes
+from measure.session.truncation import refuse_truncated
 
 _COUNTED_CONTAINERS = ("avi",)
 """These store no presentation time: the n-th picture shown gets the n-th time."""
 _RAW_CONTAINERS = ("h264", "hevc", "m4v", "mjpeg", "mpeg", "rawvideo")
 """Bare streams without any time; a reader that gives some invents them."""
-_REMEDY = "; to use the rest, copy it (ffmpeg -i OLD -c copy NEW) and keep as many timestamps"
 
 
 @dataclass(frozen=True, eq=False)
 class VideoIndex:
-    """What a container says, without decoding.
+    """Times and form of a video, without decoding.
 
     Attributes:
         stamps: presentation times in units of the time base, increasing, one a frame.
@@ -64,7 +62,7 @@ def index_video(path: Path, where: str) -> VideoIndex:
         packets = list(_packets(container, stream, path, where))
         name = container.format.name
         counted = any(kind in name for kind in _COUNTED_CONTAINERS)
-        _refuse_truncated(container, stream, packets, counted, path, where)
+        refuse_truncated(container, stream, packets, counted, path, where)
         packets = [packet for packet in packets if not packet[3]]
         if not packets:
             raise SessionError(f"{where}{path}: the video has no frames")
@@ -226,38 +224,3 @@ def _packets(
         raise SessionError(
             f"{where}{path}: the video is cut off or damaged ({_reason(problem)})"
         ) from None
-
-
-def _refuse_truncated(
-    container: Any, stream: Any, packets: list[Any], counted: bool, path: Path, where: str
-) -> None:
-    source = f"{where}{path}"
-    promised, there = int(stream.frames or 0), len(packets)
-    if counted and promised > there:
-        # A frame that the camera dropped stands there empty, and counts.
-        there = count_frames(path, stream.index)
-    if promised > there > 0:
-        raise SessionError(
-            f"{source}: the video is cut off: {there} of {promised} frames are there{_REMEDY}"
-        )
-    if not promised and (missing := _missing_s(container, stream, packets)):
-        raise SessionError(
-            f"{source}: the video is cut off: its last {missing:.2f} s are missing{_REMEDY}"
-        )
-    # Frames are stored in the order in which they decode: the last ones need not be the latest.
-    if "matroska" in container.format.name and (short := missing_bytes(path)):
-        raise SessionError(
-            f"{source}: the video is cut off: its last {short} bytes are missing{_REMEDY}"
-        )
-
-
-def _missing_s(container: Any, stream: Any, packets: list[Any]) -> float:
-    """What the end lacks of the duration that a container promises without a number of frames."""
-    stamps = [packet[0] for packet in packets if packet[0] is not None]
-    # With sound the duration may be the sound's.
-    if not container.duration or not stamps or len(container.streams) > 1:
-        return 0.0
-    start, end = (float(stamp * stream.time_base) for stamp in (min(stamps), max(stamps)))
-    step = (end - start) / (len(stamps) - 1) if len(stamps) > 1 else 0.1
-    missing = container.duration / 1e6 - end - step
-    return missing if missing > 0.75 * step + 0.002 else 0.0

@@ -127,7 +127,7 @@ def test_pictures_that_change_their_size_are_not_handed_on(sizes):
 
 
 def test_a_camera_that_sends_no_jpeg_is_told(monkeypatch):
-    monkeypatch.setattr("measure.capture.cameras._FIRST_S", 2.0)
+    monkeypatch.setattr("measure.capture.cameras._FIRST_PICTURE_S", 2.0)
     with (
         serving({"a": ServedCamera([b"no picture", b""])}) as addresses,
         pytest.raises(CaptureError, match=r"camera 'a': http.*: no whole picture in 2 s"),

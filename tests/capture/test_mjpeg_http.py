@@ -90,7 +90,7 @@ def test_a_picture_is_there_when_it_ends_not_when_the_next_begins(written):
 
 def test_a_picture_that_comes_byte_by_byte_is_given_up(monkeypatch):
     """A socket that says something now and then is never silent."""
-    monkeypatch.setattr("measure.capture.mjpeg_http._SLOWEST_S", 0.2)
+    monkeypatch.setattr("measure.capture.mjpeg_http._MAX_PICTURE_S", 0.2)
 
     class Slow(BytesIO):
         def read1(self, size=-1):
