@@ -1,4 +1,4 @@
-"""What a compiled loop is made of: its module and all that it imports, as one digest."""
+"""Digest of the sources of a compiled function: its module and all modules that it imports."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from importlib.util import resolve_name
 from pathlib import Path
 
 _IMPORT = re.compile(r"^(?:from +([\w.]+) +import +(?:\(([^)]*)\)|(.*))|import +([\w.]+))", re.M)
-"""Imports at the top level; those indented run later, where no kernel takes its parts from."""
+"""Imports at the top level; kernels use nothing of indented ones."""
 
 
 def digest(module: str) -> str:
-    """Digest of the sources of a module and of those it imports from its package and this one.
+    """SHA-256 of the sources of a module and of what it imports of its package and this one.
 
-    Numba takes functions and constants of other modules into a kernel's machine code, but looks
-    only at the kernel's own file to tell whether that code still holds.
+    Numba compiles functions and constants of other modules into a kernel, but invalidates its
+    cached code by the kernel's own file alone.
     """
     packages = {module.partition(".")[0], __name__.partition(".")[0]}
-    reached, open_ends = set[str](), [module]
-    while open_ends:
-        name = open_ends.pop()
+    reached, pending = set[str](), [module]
+    while pending:
+        name = pending.pop()
         if name not in reached and name.partition(".")[0] in packages and _file(name):
             reached.add(name)
-            open_ends += _imported(name, _file(name))
+            pending += _imported(name, _file(name))
     whole = hashlib.sha256()
     for name in sorted(reached):
         whole.update(f"{name} {_content(_file(name))[0]}\n".encode())
@@ -51,7 +51,7 @@ def _file(module: str) -> str:
 
 @cache
 def _content(file: str) -> tuple[str, str]:
-    """A source file's digest and text, as at the first look: what this process has imported."""
+    """A source file's digest and text when first read: what this process has imported."""
     source = Path(file).read_bytes()
     return hashlib.sha256(source).hexdigest(), source.decode("utf-8", "replace")
 
