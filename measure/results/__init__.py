@@ -1,6 +1,6 @@
 """The run folder: written row by row, read back, evaluated, exported."""
 
-from measure.results.evaluation import Evaluation, evaluate
+from measure.results.evaluation import RunEvaluation, evaluate
 from measure.results.marks import Marks, read_marks
 from measure.results.provenance import Provenance, digest, versions
 from measure.results.run import Run, read_run
@@ -9,11 +9,11 @@ from measure.results.summary import Summary
 from measure.results.writer import RunWriter
 
 __all__ = [
-    "Evaluation",
     "Marks",
     "PoseSender",
     "Provenance",
     "Run",
+    "RunEvaluation",
     "RunWriter",
     "Summary",
     "digest",

@@ -13,8 +13,8 @@ from measure.results.run import Run
 
 _STEPS = 11
 _SAMPLES = 30
-_LEAST_REACH_MM = 60.0
-_ROOM = 1.5
+_MIN_REACH_MM = 60.0
+_MAP_SIZE_RATIO = 1.5
 """How far the map goes beyond the places where the body was."""
 
 
@@ -51,7 +51,7 @@ def accuracy_map(run: Run, axes: tuple[int, int]) -> AccuracyMap:
     place = run.world_from_body.translation
     low, high = place.min(axis=0), place.max(axis=0)
     middle = (low + high) / 2
-    reach = np.maximum(_ROOM * (high - low) / 2, _LEAST_REACH_MM)
+    reach = np.maximum(_MAP_SIZE_RATIO * (high - low) / 2, _MIN_REACH_MM)
     turn = run.world_from_body.rotation[len(place) // 2]
     steps = np.linspace(-1, 1, _STEPS)
     across, up = (middle[axis] + reach[axis] * steps for axis in axes)

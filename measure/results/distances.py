@@ -13,7 +13,7 @@ from measure.arrays import Floats
 from measure.checking.body_explanations import Compared, layout_findings
 from measure.model import Body
 
-LEAST_SETS = 5
+MIN_FRAME_SETS = 5
 """Of fewer frame sets the scatter is not known well enough."""
 
 
@@ -51,12 +51,12 @@ class BallDistance:
 
     @property
     def uncertainty_mm(self) -> float:
-        """Standard deviation of the mean with what all frame sets err by alike; NaN if not told."""
-        told = self.sd_mm[np.isfinite(self.sd_mm)]
-        if not len(told):
+        """Standard deviation of the mean with what all frame sets err by alike; NaN if unknown."""
+        known = self.sd_mm[np.isfinite(self.sd_mm)]
+        if not len(known):
             return np.nan
         standard_error = np.nanstd(self.measured_mm) / np.sqrt(self.count)
-        return float(np.hypot(np.median(told), standard_error))
+        return float(np.hypot(np.median(known), standard_error))
 
 
 def ball_distances(body: Body, balls: pa.Table, poses: pa.Table) -> list[BallDistance]:
@@ -84,9 +84,9 @@ def _lengths(apart: Floats, covariances: Floats) -> tuple[Floats, Floats]:
 
 
 def contradictions(body: Body, distances: Sequence[BallDistance]) -> tuple[str, ...]:
-    """What distances, measured better than the body file states them, say against it; a line each.
+    """Distances that contradict the body file by more than both uncertainties; a line each.
 
-    Rays alone make them, so it may as well be the calibration that is not of the size it states.
+    Distances come from rays alone: a calibration of the wrong scale contradicts it as well.
     """
     known = [
         Compared(
@@ -98,7 +98,7 @@ def contradictions(body: Body, distances: Sequence[BallDistance]) -> tuple[str, 
             tolerance_mm=0.0,
         )
         for one in distances
-        if one.count >= LEAST_SETS and np.isfinite(one.uncertainty_mm)
+        if one.count >= MIN_FRAME_SETS and np.isfinite(one.uncertainty_mm)
     ]
     return tuple(
         f"{finding}; the body file or the calibration is off, and poses with it"

@@ -52,7 +52,7 @@ class Aligned:
 
 
 @dataclass(frozen=True)
-class Evaluation:
+class RunEvaluation:
     """How good a run is.
 
     Attributes:
@@ -102,7 +102,7 @@ def evaluate(
     truth: Trajectory,
     true_cameras: Sequence[Camera] | None = None,
     marks: Marks | None = None,
-) -> Evaluation:
+) -> RunEvaluation:
     """Compare a run with the truth; each pose at its own time, the truth interpolated.
 
     Args:
@@ -122,11 +122,11 @@ def evaluate(
     errors = measured.difference(true)
     covariances = run.covariances[here[run.has_pose]]
     missing = int((covered & ~run.has_pose).sum())
-    believed = texts(run.poses, "status")[here] == "ok"
+    unflagged = texts(run.poses, "status")[here] == "ok"
     ball_names, ball_errors, ball_covariances = _ball_errors(run, truth)
     body = position_errors(errors[:, :3])
     cameras = _checked_cameras(run, true_cameras)
-    return Evaluation(
+    return RunEvaluation(
         frame_sets=len(run.times_s),
         compared=int(here.sum()),
         without_pose=missing,
@@ -134,7 +134,7 @@ def evaluate(
         failure_rate=missing / int(covered.sum()),
         rms_all_frames_mm=float("inf") if missing or body is None else body.rms_3d_mm,
         body=body,
-        body_ok=position_errors(errors[believed, :3]),
+        body_ok=position_errors(errors[unflagged, :3]),
         ball=position_errors(ball_errors),
         balls={n: position_errors(ball_errors[ball_names == n]) for n in run.body.names},
         rotation=rotation_errors(errors[:, 3:]),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from measure.results.evaluation import Evaluation
+from measure.results.evaluation import RunEvaluation
 from measure.results.statistics import AXES, Consistency, PositionErrors
 
 Cell = str | float | int | None
@@ -20,14 +20,14 @@ class TextTable:
     rows: list[tuple[Cell, ...]]
 
 
-def evaluation_tables(found: Evaluation) -> list[TextTable]:
+def evaluation_tables(found: RunEvaluation) -> list[TextTable]:
     """The paper's Table I first, then what it leaves out."""
     tables = [_table_one(found), _completeness(found), _rotation(found), _single_errors(found)]
     tables.append(_consistency(found))
     return [table for table in tables if table.rows]
 
 
-def _table_one(found: Evaluation) -> TextTable:
+def _table_one(found: RunEvaluation) -> TextTable:
     rows: list[tuple[Cell, ...]] = [
         (axis, *_axis(found.ball, axis), *_axis(found.body, axis)) for axis in AXES
     ]
@@ -38,7 +38,7 @@ def _table_one(found: Evaluation) -> TextTable:
     return TextTable("Error of single ball centres and of the body's origin", columns, rows)
 
 
-def _completeness(found: Evaluation) -> TextTable:
+def _completeness(found: RunEvaluation) -> TextTable:
     over_all = found.rms_all_frames_mm
     rms = "not finite: poses are missing" if math.isinf(over_all) else over_all
     rows: list[tuple[Cell, ...]] = [
@@ -56,7 +56,7 @@ def _completeness(found: Evaluation) -> TextTable:
     return TextTable("Completeness", ("what", "value"), rows)
 
 
-def _rotation(found: Evaluation) -> TextTable:
+def _rotation(found: RunEvaluation) -> TextTable:
     rows: list[tuple[Cell, ...]] = []
     if found.rotation is not None:
         turn = found.rotation
@@ -67,7 +67,7 @@ def _rotation(found: Evaluation) -> TextTable:
     return TextTable("Rotation", ("rotation", "RMS deg", "SD deg", "max deg"), rows)
 
 
-def _single_errors(found: Evaluation) -> TextTable:
+def _single_errors(found: RunEvaluation) -> TextTable:
     rows: list[tuple[Cell, ...]] = []
     for name, kind in (("detection", found.detection), ("localisation", found.localisation)):
         if kind is None or (kind.ball is None and kind.pixels is None):
@@ -78,7 +78,7 @@ def _single_errors(found: Evaluation) -> TextTable:
     return TextTable("Each error with the other switched off", columns, rows)
 
 
-def _consistency(found: Evaluation) -> TextTable:
+def _consistency(found: RunEvaluation) -> TextTable:
     kinds: tuple[tuple[str, Consistency | None], ...] = (
         ("ball position", found.ball_consistency),
         ("body position", found.position_consistency),

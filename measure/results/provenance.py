@@ -1,4 +1,4 @@
-"""Where a run comes from: enough to repeat it, and to tell whether it may be resumed."""
+"""Where a run comes from: enough to repeat it, and to decide whether it may be resumed."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ class _RunTable(BaseModel):
         return value
 
 
-class _SessionTable(BaseModel):
+class _RunSessionTable(BaseModel):
     name: str = ""
     path: str = ""
     notes: list[str] = []
@@ -120,10 +120,10 @@ class _CalibrationTable(BaseModel):
 
 
 class _RunFile(BaseModel):
-    """What of a `run.toml` is used again."""
+    """The parts of a `run.toml` that are read back."""
 
     run: _RunTable = _RunTable()
-    session: _SessionTable = _SessionTable()
+    session: _RunSessionTable = _RunSessionTable()
     calibration: _CalibrationTable = _CalibrationTable()
     body: dict[str, Any] = {}
     profile: dict[str, Any] = {}

@@ -19,7 +19,7 @@ from measure.session import Trajectory
 
 
 @dataclass(frozen=True, eq=False)
-class Sightings:
+class BallObservations:
     """Ball centres in images that belong to an instant, one a row.
 
     Attributes:
@@ -34,9 +34,9 @@ class Sightings:
     camera: Texts
     pixels: Floats
 
-    def with_pixels(self, pixels: Floats) -> Sightings:
+    def with_pixels(self, pixels: Floats) -> BallObservations:
         """The same balls seen elsewhere."""
-        return Sightings(self.index, self.ball, self.camera, pixels)
+        return BallObservations(self.index, self.ball, self.camera, pixels)
 
 
 @dataclass(frozen=True)
@@ -54,11 +54,11 @@ class SingleErrors:
     body: PositionErrors | None
 
 
-def effective_detections(run: Run) -> tuple[Sightings, Floats]:
+def effective_detections(run: Run) -> tuple[BallObservations, Floats]:
     """The detections a run used, and when (n,) each was seen."""
     table, used = run.detections, _effective(run)
     return (
-        Sightings(
+        BallObservations(
             integers(table, "index")[used],
             texts(table, "ball")[used],
             texts(table, "camera")[used],
@@ -149,10 +149,10 @@ def detection_errors_by_marks(run: Run, marks: Marks) -> SingleErrors:
     )
 
 
-def triangulate(seen: Sightings, cameras: Sequence[Camera]) -> dict[tuple[int, str], Floats]:
+def triangulate(seen: BallObservations, cameras: Sequence[Camera]) -> dict[tuple[int, str], Floats]:
     """Points nearest to the rays of each ball at each instant, by (index, ball).
 
-    Plain least squares, so that only the error asked for is seen, not how a triangulator weighs.
+    Unweighted, so that the weights of a triangulator are not part of the error.
     """
     origins, directions = np.zeros((len(seen.index), 3)), np.zeros((len(seen.index), 3))
     for camera in cameras:
@@ -205,13 +205,13 @@ def _against_truth(
     return position_errors(ball), position_errors(np.array(list(origins.values())) - true_origins)
 
 
-def _centers(body: Body, seen: Sightings, truth: Trajectory, times_s: Floats) -> Floats:
+def _centers(body: Body, seen: BallObservations, truth: Trajectory, times_s: Floats) -> Floats:
     """True centres (n, 3) of the balls seen, at the times (n,)."""
     places = body.centers[[body.index(name) for name in seen.ball]]
     return truth.at(times_s).apply(places)
 
 
-def _project(seen: Sightings, centers: Floats, cameras: Sequence[Camera]) -> Floats:
+def _project(seen: BallObservations, centers: Floats, cameras: Sequence[Camera]) -> Floats:
     out = np.full((len(centers), 2), np.nan)
     for camera in cameras:
         mine = seen.camera == camera.name
@@ -219,11 +219,11 @@ def _project(seen: Sightings, centers: Floats, cameras: Sequence[Camera]) -> Flo
     return out
 
 
-def _select(seen: Sightings, rows: Bools) -> Sightings:
-    return Sightings(seen.index[rows], seen.ball[rows], seen.camera[rows], seen.pixels[rows])
+def _select(seen: BallObservations, rows: Bools) -> BallObservations:
+    return BallObservations(seen.index[rows], seen.ball[rows], seen.camera[rows], seen.pixels[rows])
 
 
-def _groups(seen: Sightings) -> dict[tuple[int, str], Ints]:
+def _groups(seen: BallObservations) -> dict[tuple[int, str], Ints]:
     groups: dict[tuple[int, str], list[int]] = {}
     for row, key in enumerate(zip(seen.index.tolist(), seen.ball.tolist(), strict=True)):
         groups.setdefault(key, []).append(row)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from measure.arrays import Floats
-from measure.geometry import squared_mahalanobis
+from measure.geometry import chi_square_quantile, squared_mahalanobis
 
 AXES = ("x", "y", "z")
 
@@ -151,8 +151,6 @@ class Consistency:
 
 def consistency(errors: Floats, covariances: Floats) -> Consistency | None:
     """Compare errors (n, k) with their covariances (n, k, k); None if none is usable."""
-    from scipy.special import gammaincinv
-
     usable = np.isfinite(covariances).all(axis=(1, 2)) & np.isfinite(errors).all(axis=1)
     errors, covariances = errors[usable], covariances[usable]
     if len(errors):
@@ -165,7 +163,7 @@ def consistency(errors: Floats, covariances: Floats) -> Consistency | None:
         return None
     squared = squared_mahalanobis(errors, covariances)
     size = errors.shape[1]
-    limit = 2 * float(gammaincinv(size / 2, 0.95))
+    limit = chi_square_quantile(0.95, size)
     return Consistency(len(errors), float(np.mean(squared <= limit)), float(squared.mean() / size))
 
 

@@ -20,15 +20,15 @@ _NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(\.\d+)?(e[-+]?\d+)?(?![\w.]*\w)")
 
 @dataclass(frozen=True)
 class Summary:
-    """What `summary.json` says.
+    """The contents of `summary.json`.
 
     Attributes:
         frame_sets: how many there are.
-        ok: with a pose that is believed.
-        flagged: with a pose to doubt.
+        ok: with an unflagged pose.
+        flagged: with a flagged pose.
         lost: without a pose.
         skipped: not tried, while tracking restarts.
-        position_sd_mm: median standard deviation of the position, of the poses that are believed;
+        position_sd_mm: median standard deviation of the position, of the unflagged poses;
             NaN without any.
         rotation_sd_deg: likewise of the rotation.
         rms_px: likewise the median reprojection error.
@@ -36,7 +36,7 @@ class Summary:
         suspended: how often each reason suspended a view.
         reasons: how often each reason, its numbers left out, kept a frame set from being "ok".
         notes: what the session left to be known: missing pictures and the like; cameras that
-            took part in no pose; and what the balls' distances say against the body file.
+            took part in no pose; and ball distances that contradict the body file.
     """
 
     frame_sets: int
@@ -89,7 +89,7 @@ def summarise(
         detections: a row per frame set, camera and ball.
         poses: a row per frame set.
         notes: what the session left to be known.
-        contradictions: what the balls' distances say against the body file.
+        contradictions: ball distances that contradict the body file.
     """
     statuses = Counter(poses["status"].to_pylist())
     doubts = Counter(
@@ -105,16 +105,16 @@ def summarise(
         f"{row['ball']}@{row['camera']}": row["index_count"] / poses.num_rows for row in used
     }
     suspended = detections.filter(pc.equal(detections["state"], "suspended"))
-    believed = poses.filter(pc.equal(poses["status"], "ok"))
+    unflagged = poses.filter(pc.equal(poses["status"], "ok"))
     return Summary(
         frame_sets=poses.num_rows,
         ok=statuses["ok"],
         flagged=statuses["flagged"],
         lost=statuses["lost"],
         skipped=statuses["skipped"],
-        position_sd_mm=_median(believed["position_sd_mm"]),
-        rotation_sd_deg=_median(believed["rotation_sd_deg"]),
-        rms_px=_median(believed["rms_px"]),
+        position_sd_mm=_median(unflagged["position_sd_mm"]),
+        rotation_sd_deg=_median(unflagged["rotation_sd_deg"]),
+        rms_px=_median(unflagged["rms_px"]),
         effective=dict(sorted(effective.items())),
         suspended=dict(Counter(suspended["reason"].to_pylist()).most_common()),
         reasons=dict(doubts.most_common()),

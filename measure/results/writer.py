@@ -98,7 +98,7 @@ class RunWriter:
                 with writing(self._folder):
                     self._flush()
         except RunError:
-            # The failure that ended the block is the one to tell, unless there was none.
+            # Report the failure that ended the block, if there was one.
             if kind is None:
                 raise
         finally:

@@ -15,7 +15,7 @@ from measure.viewing import entities
 from measure.viewing.timeline import time_column
 
 
-class Columns:
+class FrameSetBatch:
     """One batch on both timelines.
 
     Args:

@@ -13,7 +13,7 @@ from measure.measuring import Measurement
 from measure.model import BallView, Body, Camera, Detection, Pose
 from measure.model.observations import Reason, State
 from measure.viewing import entities
-from measure.viewing.columns import Columns, lengths, points
+from measure.viewing.columns import FrameSetBatch, lengths, points
 
 Colors = npt.NDArray[np.uint32]
 _AROUND = np.linspace(0.0, 2 * np.pi, 33)
@@ -21,7 +21,7 @@ _CIRCLE = np.column_stack([np.cos(_AROUND), np.sin(_AROUND)])
 
 
 def send_views(
-    columns: Columns,
+    columns: FrameSetBatch,
     sets: Sequence[Measurement],
     pictured: Bools,
     body: Body,
@@ -50,7 +50,7 @@ def send_views(
 
 
 def _send_outlines(
-    columns: Columns, seen: Sequence[Sequence[BallView]], rows: Bools, camera: str
+    columns: FrameSetBatch, seen: Sequence[Sequence[BallView]], rows: Bools, camera: str
 ) -> None:
     """The circles and the edge points that were measured."""
     views = [view for row in seen for view in row]
@@ -68,7 +68,7 @@ def _send_outlines(
 
 
 def _send_suspended(
-    columns: Columns,
+    columns: FrameSetBatch,
     sets: Sequence[Measurement],
     views: Sequence[Sequence[BallView]],
     body: Body,

@@ -14,7 +14,7 @@ from measure.measuring import Measurement, Status
 from measure.model import Body, Camera, FrameSet
 from measure.session import Trajectory
 from measure.viewing import entities
-from measure.viewing.columns import Columns
+from measure.viewing.columns import FrameSetBatch
 from measure.viewing.pictures import send_views
 from measure.viewing.rig import log_rig
 from measure.viewing.scene import send_balls, send_poses
@@ -111,7 +111,7 @@ class RunRecording:
     def _send(self) -> None:
         sets = self._sets
         if sets:
-            columns = Columns(self._stream, sets)
+            columns = FrameSetBatch(self._stream, sets)
             send_balls(columns, sets, self._body, self._cameras)
             send_poses(columns, sets)
             send_views(columns, sets, np.array(self._pictured), self._body, self._cameras)

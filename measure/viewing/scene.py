@@ -12,13 +12,13 @@ from measure.arrays import Floats
 from measure.measuring import Measurement
 from measure.model import Body, Camera
 from measure.viewing import entities
-from measure.viewing.columns import Columns, lengths, points
+from measure.viewing.columns import FrameSetBatch, lengths, points
 
 AXES_MM = 40.0
 
 
 def send_balls(
-    columns: Columns, sets: Sequence[Measurement], body: Body, cameras: Sequence[Camera]
+    columns: FrameSetBatch, sets: Sequence[Measurement], body: Body, cameras: Sequence[Camera]
 ) -> None:
     """Every ball's position, the rays that made it, and how far the balls are apart."""
     centers = np.full((len(sets), len(body.balls), 3), np.nan)
@@ -44,7 +44,7 @@ def send_balls(
         columns.scalars(entities.distance(first, second), np.linalg.norm(apart, axis=1) - nominal)
 
 
-def send_poses(columns: Columns, sets: Sequence[Measurement]) -> None:
+def send_poses(columns: FrameSetBatch, sets: Sequence[Measurement]) -> None:
     """The body's axes, trail and uncertainty; without a pose none of them is shown."""
     poses = [one.pose for one in sets if one.pose is not None]
     here = np.array([one.pose is not None for one in sets])

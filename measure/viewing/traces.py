@@ -11,10 +11,12 @@ from measure.measuring import Measurement
 from measure.model import Camera
 from measure.session import Trajectory
 from measure.viewing import entities
-from measure.viewing.columns import Columns
+from measure.viewing.columns import FrameSetBatch
 
 
-def send_traces(columns: Columns, sets: Sequence[Measurement], cameras: Sequence[Camera]) -> None:
+def send_traces(
+    columns: FrameSetBatch, sets: Sequence[Measurement], cameras: Sequence[Camera]
+) -> None:
     """RMS residual of each camera, and how many cameras see something that is used."""
     squares, counts = np.zeros((2, len(cameras), len(sets)))
     numbers = {camera.name: number for number, camera in enumerate(cameras)}
@@ -32,7 +34,7 @@ def send_traces(columns: Columns, sets: Sequence[Measurement], cameras: Sequence
     columns.scalars(entities.EFFECTIVE_CAMERAS, np.array(working, dtype=np.float64))
 
 
-def send_errors(columns: Columns, sets: Sequence[Measurement], truth: Trajectory) -> None:
+def send_errors(columns: FrameSetBatch, sets: Sequence[Measurement], truth: Trajectory) -> None:
     """Position and rotation error; frame sets that the truth does not cover have no row."""
     rows = truth.covers(columns.times_s)
     if not rows.any():

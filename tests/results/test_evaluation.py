@@ -11,7 +11,7 @@ from measure.errors import RunError
 from measure.geometry import RigidTransform
 from measure.measuring import Measurement
 from measure.model import Camera
-from measure.results import Evaluation, Run, RunWriter, evaluate, read_run
+from measure.results import Run, RunEvaluation, RunWriter, evaluate, read_run
 from measure.session import read_trajectory
 from tests.results.conftest import BODY, CAMERAS, PERIOD_S, made_from, measurement, write_truth
 
@@ -26,7 +26,7 @@ def _run(folder: Path, make: Callable[[int], Measurement], count: int = COUNT) -
     return read_run(folder)
 
 
-def _evaluate(folder: Path, make: Callable[[int], Measurement], **options: object) -> Evaluation:
+def _evaluate(folder: Path, make: Callable[[int], Measurement], **options: object) -> RunEvaluation:
     run = _run(folder / "run", make)
     truth = read_trajectory(write_truth(folder / "truth.csv", COUNT * PERIOD_S))
     return evaluate(run, truth, **options)  # type: ignore[arg-type]

@@ -13,10 +13,10 @@ from measure.results.statistics import consistency
 
 SUB_MM = 1.0
 """A position known worse than this (95 %, mm) makes the verdict doubtful."""
-MOST = 0.5
-"""Fewer believed poses than this share of the frame sets, and the run is bad."""
-_TOO_SURE = 0.8
-"""With fewer errors than this inside their 95 % regions the uncertainty is not to be believed."""
+_MIN_UNFLAGGED_SHARE = 0.5
+"""Fewer unflagged poses than this share of the frame sets, and the run is bad."""
+_MIN_INSIDE_95 = 0.8
+"""With a smaller share of errors inside their 95 % regions the uncertainty is too small."""
 
 
 def verdict(run: Run, errors: Floats | None) -> tuple[str, str]:
@@ -26,25 +26,28 @@ def verdict(run: Run, errors: Floats | None) -> tuple[str, str]:
         run: finished or not.
         errors: (n, 6) against truth, NaN where unknown.
     """
-    summary, believed = run.summary, _believed(run)
+    summary, unflagged = run.summary, _unflagged(run)
     if not run.has_pose.any():
         return "bad", f"No pose in {_sets(summary.frame_sets)}{_because(run, ~run.has_pose)}."
-    if not believed.any():
+    if not unflagged.any():
         doubted = _sets(int(run.has_pose.sum()))
-        return "bad", f"No pose to rely on: all of {doubted} are flagged{_because(run, ~believed)}."
-    widest = _radius_95(run.covariances[believed[run.has_pose]])
+        return (
+            "bad",
+            f"No pose to rely on: all of {doubted} are flagged{_because(run, ~unflagged)}.",
+        )
+    widest = _radius_95(run.covariances[unflagged[run.has_pose]])
     parts = [f"Position known to {_digits(widest)} mm (95 %)", _who_carries(run)]
     parts += _what_is_missing(run)
     tone, against = _against_truth(run, errors)
     tone = "doubtful" if summary.ok < summary.frame_sets or not run.finished else tone
     tone = "doubtful" if widest > SUB_MM or run.contradictions else tone
-    tone = "bad" if believed.sum() < MOST * summary.frame_sets else tone
+    tone = "bad" if unflagged.sum() < _MIN_UNFLAGGED_SHARE * summary.frame_sets else tone
     words = [", ".join(parts) + "." + against, *_not_counted(run)]
     words += [f"{line[0].upper()}{line[1:]}." for line in run.contradictions]
     return tone, " ".join(words)
 
 
-def _believed(run: Run) -> Bools:
+def _unflagged(run: Run) -> Bools:
     """Which frame sets (n,) have a pose that is not flagged."""
     return run.has_pose & (np.array(run.poses["status"].to_pylist(), dtype=object) == "ok")
 
@@ -58,14 +61,14 @@ def _radius_95(covariances: Floats) -> float:
 def _who_carries(run: Run) -> str:
     used = [set(cameras) for cameras in run.poses["cameras"].to_pylist() if cameras]
     share = {c.name: np.mean([c.name in names for names in used]) for c in run.cameras}
-    carrying = [name for name, part in share.items() if part > MOST]
+    carrying = [name for name, part in share.items() if part > _MIN_UNFLAGGED_SHARE]
     idle = [name for name, part in share.items() if not part]
     without = f" ({', '.join(idle)} never)" if idle else ""
     return f"{len(carrying)} of {len(share)} cameras carry it{without}"
 
 
 def _what_is_missing(run: Run) -> list[str]:
-    total, flagged = run.summary.frame_sets, run.has_pose & ~_believed(run)
+    total, flagged = run.summary.frame_sets, run.has_pose & ~_unflagged(run)
     parts = []
     if not run.has_pose.all():
         count = int((~run.has_pose).sum())
@@ -87,7 +90,7 @@ def _because(run: Run, which: Bools) -> str:
 
 
 def _against_truth(run: Run, errors: Floats | None) -> tuple[str, str]:
-    """What the truth says, where it is known."""
+    """Comparison with the truth, where it is known."""
     here = np.zeros(0, dtype=bool) if errors is None else np.isfinite(errors[:, :3]).all(axis=1)
     if errors is None or not here.any():
         return "good", ""
@@ -96,7 +99,7 @@ def _against_truth(run: Run, errors: Floats | None) -> tuple[str, str]:
     words = f" Against the truth it is off by {_digits(rms)} mm RMS, {_digits(distance.max())} mm"
     words += " at most"
     judged = consistency(errors[run.has_pose, :3], run.covariances[:, :3, :3])
-    if judged is None or judged.inside_95 >= _TOO_SURE:
+    if judged is None or judged.inside_95 >= _MIN_INSIDE_95:
         return "good", words + "."
     return "doubtful", (
         f"{words}: more than it claims, for only {judged.inside_95:.0%} of the errors lie "
