@@ -1,4 +1,4 @@
-"""Processes beside this one, for work that holds the interpreter."""
+"""Long work: other processes that share it, and how much of it is done."""
 
 from __future__ import annotations
 
@@ -6,6 +6,14 @@ import multiprocessing
 import os
 from concurrent.futures import ProcessPoolExecutor
 from threading import Thread
+from typing import Protocol
+
+
+class Progress(Protocol):
+    """Called with how many items are done, and of how many; None where the total is not known."""
+
+    def __call__(self, done: int, total: int | None, /) -> None:
+        """Show or note it."""
 
 
 def processes(count: int | None = None) -> ProcessPoolExecutor:

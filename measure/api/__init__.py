@@ -22,8 +22,8 @@ from measure.api.measuring import measure_session
 from measure.api.pairing import make_dataset, simulate_dataset, simulate_recording
 from measure.api.profiles import build_pipeline, choose, load_profile, profile_names
 from measure.api.recording import (
-    Asked,
-    Recorded,
+    CaptureRequest,
+    RecordedSession,
     camera_names,
     parse_receiver,
     parse_size,
@@ -32,23 +32,24 @@ from measure.api.recording import (
 from measure.api.refining import RefineResult, refine
 from measure.api.report import report
 from measure.api.run import RunOptions, parse_images, run
-from measure.api.training import TrainOptions, ablate, parse_settings, sweep, train
+from measure.api.training import SweepOptions, TrainOptions, ablate, parse_settings, sweep, train
 from measure.api.watch import robot_recording, spawn_viewer
 from measure.capture import parse_cameras
 from measure.results.evaluation_table import evaluation_tables
 
 __all__ = [
-    "Asked",
     "CalibrationResult",
+    "CaptureRequest",
     "Demo",
     "LiveEnd",
     "LiveOptions",
     "LiveState",
     "Outcome",
-    "Recorded",
+    "RecordedSession",
     "RefineResult",
     "RunOptions",
     "SessionCheck",
+    "SweepOptions",
     "TrainOptions",
     "ablate",
     "build_pipeline",

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import measure
 from measure.calibration import Method, RigCalibration, Sheet, Verdict
 from measure.errors import ConfigError
+from measure.processes import Progress
 from measure.session import Calibration, read_body
 
 
@@ -25,7 +25,7 @@ def calibrate(
     capture: Path | str,
     method: Method = "joint",
     body: Path | str | None = None,
-    progress: Callable[[int, int | None], None] | None = None,
+    progress: Progress | None = None,
 ) -> CalibrationResult:
     """Calibrate the cameras of a capture folder and judge the result.
 
@@ -33,7 +33,7 @@ def calibrate(
         capture: the folder, or its capture.toml.
         method: "joint" or "paper".
         body: body file to judge with; the paper's three-ball body if omitted.
-        progress: told how many cameras are done, and of how many.
+        progress: called with how many cameras are done, and of how many.
 
     Raises:
         CalibrationError: what cannot give a trustworthy calibration, with its cause.
@@ -44,9 +44,9 @@ def calibrate(
         calibrate_capture,
         judge,
         open_capture,
-        paper_body,
         provenance,
     )
+    from measure.model import paper_body
 
     if method not in ("joint", "paper"):
         raise ConfigError(f"no calibration method is called '{method}'; there is joint and paper")

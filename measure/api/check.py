@@ -1,4 +1,4 @@
-"""Looking at a recording before it is measured."""
+"""Checking a recording before it is measured."""
 
 from __future__ import annotations
 
@@ -33,6 +33,7 @@ from measure.checking import (
     search_sample,
     stamp_findings,
     with_velocities,
+    worst_first,
 )
 from measure.checking.body import BodyCheck, LocatedBalls, check_body, locate_balls
 from measure.checking.clocks import CameraClock, estimate_clocks
@@ -40,6 +41,7 @@ from measure.errors import ConfigError
 from measure.geometry import RigidTransform
 from measure.host import Registry
 from measure.measuring import Measurement, Profile
+from measure.processes import Progress
 from measure.session import Session, damaged_frames, holds_jpeg, open_session
 
 if TYPE_CHECKING:
@@ -50,12 +52,10 @@ _LEAST_NOISE_PX = 0.1
 _OFFSET_WORTH_A_LINE_S = 0.0005
 _OFFSET_WRONG_S = 0.002
 
-Report = Callable[[int, int | None], None]
-
 
 @dataclass(frozen=True, eq=False)
 class SessionCheck:
-    """What a look at a recording says.
+    """What was found in a recording.
 
     Attributes:
         session: its name.
@@ -89,22 +89,22 @@ def check(
     body: Path | None = None,
     samples: int = 24,
     clock_samples: int = 120,
-    report: Report | None = None,
+    progress: Progress | None = None,
 ) -> SessionCheck:
-    """Say what is wrong or weak in a recording.
+    """Find what is wrong or weak in a recording.
 
     Args:
         session_path: the session's folder, which is only read.
         registry: where the plugins come from.
-        profile: whose detector looks at the pictures, and whose stages measure the motion.
+        profile: whose detector searches the pictures, and whose stages measure the motion.
         calibration: a calibration file to use instead of the session's own.
         body: a body file to use instead of the session's own.
         samples: frame sets, spread over the recording, in which all is searched.
         clock_samples: frame sets from the start that are measured to compare the clocks; 0: none.
-        report: told how many frame sets are done, and of how many.
+        progress: called with how many frame sets are done, and of how many.
 
     Raises:
-        MeasureError: the recording cannot be opened or read at all, or nothing is to be looked at.
+        MeasureError: the recording cannot be opened or read at all, or no samples.
     """
     if samples < 1 or clock_samples < 0:
         raise ConfigError(
@@ -119,7 +119,7 @@ def check(
         overexposed = OverexposedCount()
         jpeg = [stream for stream in session.streams.values() if holds_jpeg(stream)]
         longest = max(map(len, jpeg), default=0)
-        step = _steps(report, len(chosen) + min(clock_samples, total) + longest)
+        step = _steps(progress, len(chosen) + min(clock_samples, total) + longest)
         for frame_set, seen in _search(session, chosen, registry, profile):
             searched.append(search_sample(seen, session.body, session.cameras, frame_set.time_s))
             duplicates.add(frame_set)
@@ -134,13 +134,13 @@ def check(
         return _concluded(session, total, searched, located, clocks, pictures)
 
 
-def _steps(report: Report | None, total: int) -> Callable[[], None]:
+def _steps(progress: Progress | None, total: int) -> Callable[[], None]:
     """A function to call after every frame set."""
     done = count(1)
 
     def step() -> None:
-        if report is not None:
-            report(next(done), total)
+        if progress is not None:
+            progress(next(done), total)
 
     return step
 
@@ -218,17 +218,16 @@ def _concluded(
     for stream in session.streams.values():
         findings += stamp_findings(stream.name, stream.times_s, stream.frames)
     misfits = camera_misfits(with_velocities(searched), session.body, session.cameras)
-    aside = misfit_findings(misfits)
+    misplaced = misfit_findings(misfits)
     shape = check_body(located, session.body)
-    findings += _body_findings(shape, aside)
+    findings += _body_findings(shape, misplaced)
     coverage, weak = coverage_findings(searched, session.body, session.cameras, misfits)
-    findings += weak + aside + _clock_findings(clocks)
-    levels = list(Level)
+    findings += weak + misplaced + _clock_findings(clocks)
     return SessionCheck(
         session.name,
         total,
         len(searched),
-        tuple(sorted(findings, key=lambda finding: levels.index(finding.level))),
+        worst_first(findings),
         coverage,
         misfits,
         shape,
@@ -237,9 +236,9 @@ def _concluded(
     )
 
 
-def _body_findings(shape: BodyCheck, aside: Sequence[Finding]) -> list[Finding]:
+def _body_findings(shape: BodyCheck, misplaced: Sequence[Finding]) -> list[Finding]:
     """What is wrong with the body; only weak where cameras do not stand as they should."""
-    if all(finding.level is not Level.WRONG for finding in aside):
+    if all(finding.level is not Level.WRONG for finding in misplaced):
         return [Finding(Level.WRONG, "body", text) for text in shape.findings]
     doubt = "measured with cameras that do not agree: calibrate them first"
     return [Finding(Level.WEAK, "body", f"{text} ({doubt})") for text in shape.findings]

@@ -76,8 +76,8 @@ def estimate_online(
     *,
     zeroing: Zeroing | None = None,
     seconds: float | None = None,
-    started: Callable[[EstimateServer], None],
-    tell: Callable[[EstimateServer], None],
+    on_start: Callable[[EstimateServer], None],
+    on_state: Callable[[EstimateServer], None],
 ) -> EstimateServer:
     """Answer states by UDP until the time is over or the process is interrupted.
 
@@ -91,9 +91,9 @@ def estimate_online(
     if seconds is not None and not seconds >= 0:
         raise ConfigError(f"--seconds {seconds:g}: expected a number that is not negative")
     server = learning.EstimateServer(OnnxModel.load(model_path), address, zeroing)
-    started(server)
+    on_start(server)
     try:
-        server.serve(seconds, tell)
+        server.serve(seconds, on_state)
     except KeyboardInterrupt:
         pass
     finally:

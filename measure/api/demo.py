@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,11 +11,12 @@ import numpy as np
 from measure.api.correcting import correct_simulated_robot
 from measure.api.evaluate import evaluate
 from measure.api.run import RunOptions, run
-from measure.api.warming_up import a_word_if_it_takes_long, compiled_pipeline
+from measure.api.warming_up import compilation_notice, compile_pipeline
 from measure.errors import ConfigError
 from measure.host import Registry
 from measure.measuring import Profile
-from measure.results import Evaluation, Summary, read_run
+from measure.processes import Progress
+from measure.results import RunEvaluation, Summary, read_run
 from measure.session import open_session
 
 if TYPE_CHECKING:
@@ -27,8 +27,6 @@ DEMO_RATE_HZ = 30.0
 ROBOT_S = 60.0
 """How long the simulated robot moves."""
 _MARK = "session/session.toml"
-
-Report = Callable[[int, int | None], None]
 
 
 @dataclass(frozen=True)
@@ -48,7 +46,7 @@ class Demo:
     run: Path
     picture: Path
     summary: Summary
-    evaluation: Evaluation
+    evaluation: RunEvaluation
     correction: learning.EstimatorEvaluation
 
 
@@ -57,7 +55,7 @@ def demo(
     profile: Profile,
     registry: Registry,
     frames: int = DEMO_FRAMES,
-    report: Report | None = None,
+    progress: Progress | None = None,
 ) -> Demo:
     """Render a short session of four cameras, measure it, and compare it with the exact truth.
 
@@ -68,7 +66,7 @@ def demo(
         profile: how to measure.
         registry: where the plugins come from.
         frames: frame sets to render.
-        report: told how many pictures and frame sets are done.
+        progress: called with how many pictures and frame sets are done.
 
     Raises:
         ConfigError: the folder holds something else, or there are no frames.
@@ -78,33 +76,30 @@ def demo(
 
     _refuse_what_is_no_demo(folder, frames)
     scene = webcam_scene()
-    with a_word_if_it_takes_long() as begun:
-        compiled_pipeline(profile, registry, scene.body, scene.cameras)
+    with compilation_notice() as end_notices:
+        compile_pipeline(profile, registry, scene.body, scene.cameras)
 
-        def rendered(done: int, total: int) -> None:
-            begun()
-            _tell(report, done, total + frames)
+        def rendered(done: int, total: int | None) -> None:
+            end_notices()
+            if progress is not None and total is not None:
+                progress(done, total + frames)
 
         session = render_demo(folder, frames, rendered)
     pictures = frames * len(list(session.glob("cam*.csv")))
     options = RunOptions(image_every=max(frames // 10, 1), overwrite=True)
-    summary = run(
-        session,
-        folder / "run",
-        profile,
-        registry,
-        options,
-        lambda done, _: _tell(report, pictures + done, pictures + frames),
-    )
+
+    def measured(done: int, _: int | None) -> None:
+        if progress is not None:
+            progress(pictures + done, pictures + frames)
+
+    summary = run(session, folder / "run", profile, registry, options, measured)
     picture = folder / "demo.png"
     _draw(session, folder / "run", frames // 2, picture)
     correction = correct_simulated_robot(ROBOT_S)
     return Demo(session, folder / "run", picture, summary, evaluate(folder / "run"), correction)
 
 
-def render_demo(
-    folder: Path, frames: int = DEMO_FRAMES, report: Callable[[int, int], None] | None = None
-) -> Path:
+def render_demo(folder: Path, frames: int = DEMO_FRAMES, progress: Progress | None = None) -> Path:
     """Render the demonstration's session, without measuring it; returns the session's folder.
 
     Raises:
@@ -116,7 +111,7 @@ def render_demo(
     _refuse_what_is_no_demo(folder, frames)
     scene = replace(webcam_scene(), name="demo", description="rendered by measure demo")
     times = np.arange(frames) / DEMO_RATE_HZ
-    return write_session(scene, times, folder / "session", progress=report)
+    return write_session(scene, times, folder / "session", progress=progress)
 
 
 def _refuse_what_is_no_demo(folder: Path, frames: int) -> None:
@@ -135,8 +130,3 @@ def _draw(session: Path, run_folder: Path, index: int, picture: Path) -> None:
 
     with open_session(session) as opened:
         write_mosaic(opened, read_run(run_folder), index, picture)
-
-
-def _tell(report: Report | None, done: int, total: int) -> None:
-    if report is not None:
-        report(done, total)

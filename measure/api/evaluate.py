@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from measure.errors import RunError
-from measure.results import Evaluation, Run, read_marks, read_run
+from measure.results import Run, RunEvaluation, read_marks, read_run
 from measure.results.evaluation import evaluate as evaluate_run
 from measure.session import read_calibration, read_trajectory, session_truth
 
@@ -15,7 +15,7 @@ def evaluate(
     truth: Path | str | None = None,
     calibration: Path | str | None = None,
     marks: Path | str | None = None,
-) -> Evaluation:
+) -> RunEvaluation:
     """Compare a run with the truth: Table I of the paper, and what it leaves out.
 
     Args:

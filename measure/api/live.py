@@ -38,16 +38,16 @@ from measure.results import Provenance, Summary
 from measure.session import read_body
 
 _RECENT = 30
-"""Frame sets that the pace and the age of poses are told from."""
+"""Frame sets over which the rate and the age of poses are taken."""
 
 
 @dataclass(frozen=True)
 class LiveState:
-    """How it goes.
+    """State of a live measurement.
 
     Attributes:
         latest: the last measurement.
-        frame_sets: how many there are so far.
+        frame_sets: how many are measured.
         rate_hz: of late; NaN at first.
         age_s: from the middle of a frame set's pictures to its pose being there, median of late.
         overtaken: pictures a camera that were left out for newer ones.
@@ -70,7 +70,7 @@ class LiveEnd:
 
     Attributes:
         summary: of the run.
-        state: how it was going at the end; None if there was no frame set.
+        state: at the end; None if there was no frame set.
     """
 
     summary: Summary
@@ -85,12 +85,12 @@ def live(
     profile: Profile,
     registry: Registry,
     options: LiveOptions | None = None,
-    tell: Callable[[LiveState], None] | None = None,
+    on_state: Callable[[LiveState], None] | None = None,
 ) -> LiveEnd:
-    """Measure cameras while they deliver, until the time is over or the process is told to stop.
+    """Measure cameras while they deliver, for a time or until interrupted.
 
-    Poses come from what has been seen until then, by prediction: later pictures are not waited for,
-    as they are of a recording. Where measuring is slower than the cameras, frame sets are left out.
+    Unlike those of a recording, poses do not wait for later pictures. Where measuring is slower
+    than the cameras, frame sets are left out.
 
     Args:
         cameras: where their pictures come from; at least two.
@@ -100,7 +100,7 @@ def live(
         profile: the stages and their settings.
         registry: where the plugins come from.
         options: what else is to be done with pictures and poses.
-        tell: called after every frame set.
+        on_state: called after every frame set.
 
     Raises:
         MeasureError: whatever is wrong with cameras, calibration, body, plugins or settings; what
@@ -112,7 +112,7 @@ def live(
         raise ConfigError(f"a measurement needs at least two cameras, got {len(cameras)}")
     calibrated, measured = calibrated_cameras(cameras, calibration), read_body(body)
     profile = profile.model_copy(update={"smoothing": False})
-    sources = sources_of(cameras, calibrated, options.asked)
+    sources = sources_of(cameras, calibrated, options.request)
     if options.record is not None:
         check_apart(options.record, out)
         check_new(options.record, [one.name for one in cameras])
@@ -135,18 +135,18 @@ def live(
         frame_sets = _FrameSets(gathering, rig, stop, options.seconds)
         burn_in(pipeline, profile, registry, measured, calibrated, frame_sets())
         enter_realtime(pipeline.stages.detectors)
-        state, watch = None, _Watch(gathering, rig)
+        state, watch = None, _PaceMeter(gathering, rig)
         for frame_set, one in measure_frame_sets(pipeline, frame_sets()):
             outputs.add(frame_set, one)
             state = watch.state(one)
-            if tell is not None:
-                tell(state)
+            if on_state is not None:
+                on_state(state)
         rig.check()
         return LiveEnd(outputs.finish(), state)
 
 
 class _FrameSets:
-    """Frame sets as they come; asked once more, from then on."""
+    """Frame sets as they come; each call begins with those that come then."""
 
     def __init__(
         self, gathering: Gathering, rig: Cameras, stop: Event, seconds: float | None
@@ -163,8 +163,8 @@ class _FrameSets:
         return self._rig.over
 
 
-class _Watch:
-    """Notes when measurements are there."""
+class _PaceMeter:
+    """Rate of measurements and age of poses."""
 
     def __init__(self, gathering: Gathering, rig: Cameras) -> None:
         self._gathering, self._rig = gathering, rig
@@ -172,7 +172,7 @@ class _Watch:
         self._ages: deque[float] = deque(maxlen=_RECENT)
 
     def state(self, measured: Measurement) -> LiveState:
-        """How it goes, now that this is there."""
+        """The state after this measurement."""
         now = time.monotonic()
         self._done.append(now)
         self._ages.append(self._rig.clock_s() - measured.time_s)

@@ -6,7 +6,7 @@ import shutil
 import traceback
 import uuid
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
@@ -19,14 +19,11 @@ from measure.errors import ConfigError, MeasureError
 from measure.host import Registry
 from measure.host.cluster import connected
 from measure.measuring import Profile
-from measure.processes import processes, usable_cores
+from measure.processes import Progress, processes, usable_cores
 from measure.results import Summary
 from measure.session import open_session
 
 _ATTEMPTS = 3
-
-Finished = Callable[[int, int | None], None]
-"""Told how many recordings are finished, and of how many."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +65,7 @@ def run_many(
     options: RunOptions | None = None,
     workers: int | None = None,
     cluster: str | None = None,
-    report: Finished | None = None,
+    progress: Progress | None = None,
 ) -> list[Outcome]:
     """Measure recordings independently of each other, each into a folder of its own in `out`.
 
@@ -83,7 +80,7 @@ def run_many(
         options: how the runs are written.
         workers: how many processes on this machine; as many as it has cores if omitted.
         cluster: address of a dask scheduler ("tcp://host:8786"), whose workers see the same paths.
-        report: told about progress.
+        progress: called with how many recordings are finished, and of how many.
 
     Returns:
         One outcome per recording, in their order.
@@ -115,14 +112,14 @@ def run_many(
         outcomes: dict[Path, Outcome] = {}
         for outcome in finished:
             outcomes[outcome.session] = outcome
-            if report is not None:
-                report(len(outcomes), len(jobs))
+            if progress is not None:
+                progress(len(outcomes), len(jobs))
         return [outcomes[job.session] for job in jobs]
 
 
 @contextmanager
 def _scratch(out: Path) -> Iterator[Path]:
-    """A folder of marks that tell which recordings this batch has begun."""
+    """A folder with a file for each recording that this batch has begun."""
     folder = out.resolve() / f".begun-{uuid.uuid4().hex[:8]}"
     try:
         folder.mkdir(parents=True)
@@ -180,7 +177,7 @@ def _on_this_machine(jobs: Sequence[_Job], workers: int | None) -> Iterator[Outc
 
 
 def _compile_once(jobs: Sequence[_Job]) -> None:
-    """Compile the hot loops here, lest every process does; what fails is told by the job itself."""
+    """Compile the hot loops before the processes start; failures are reported by the jobs."""
     for job in jobs:
         options = job.options
         with (

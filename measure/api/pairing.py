@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from measure.api.outputs import check_writable, is_one_of
 from measure.api.training import check_seeds
 from measure.errors import ConfigError, EstimatorError
+from measure.processes import Progress
 
 if TYPE_CHECKING:
     from measure.host import Dataset, Report
@@ -144,7 +145,7 @@ def simulate_recording(
     seed: int,
     clock_offset_s: float,
     wear: float,
-    report: Callable[[int, int], None],
+    progress: Progress,
 ) -> None:
     """Render the simulated RAVEN-II with its balls into a session folder, with its log.
 
@@ -169,5 +170,5 @@ def simulate_recording(
         seed=seed,
         clock_offset_s=clock_offset_s,
         cables=Cables(wear=wear),
-        progress=report,
+        progress=progress,
     )

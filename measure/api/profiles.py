@@ -52,12 +52,12 @@ def load_profile(name: str = DEFAULT_PROFILE) -> Profile:
 
 def _profile_file(path: Path) -> Profile:
     if path.name == RUN_FILE:
-        return load_toml(path, _RunFile, ConfigError).profile
+        return load_toml(path, _ProfileOfRun, ConfigError).profile
     return load_toml(path, Profile, ConfigError)
 
 
-class _RunFile(BaseModel):
-    """The part of a `run.toml` that is asked for here."""
+class _ProfileOfRun(BaseModel):
+    """The part of a `run.toml` that is used here."""
 
     profile: Profile
 

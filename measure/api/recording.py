@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import math
+import signal
+import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING
 
 from measure.capture import CameraAddress, CameraCount, Cameras, Recorder, check_new
@@ -16,18 +20,14 @@ from measure.session import read_body, read_calibration
 if TYPE_CHECKING:
     from measure.capture.sources import Source
     from measure.model import Body, Camera
-import signal
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
-from types import FrameType
 
-_LOOK_S = 0.1
+_POLL_S = 0.1
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 @dataclass(frozen=True)
-class Asked:
-    """What cameras of this machine are asked for.
+class CaptureRequest:
+    """Size and rate requested of cameras of this machine.
 
     Attributes:
         size_wh: of the pictures; that of the calibration if None and there is one.
@@ -39,7 +39,7 @@ class Asked:
 
 
 @dataclass(frozen=True)
-class Recorded:
+class RecordedSession:
     """A recording that has ended.
 
     Attributes:
@@ -57,20 +57,20 @@ def record(
     *,
     calibration: Path | None = None,
     body: Path | None = None,
-    asked: Asked | None = None,
+    request: CaptureRequest | None = None,
     seconds: float | None = None,
-    tell: Callable[[Mapping[str, CameraCount]], None] | None = None,
-) -> Recorded:
-    """Record cameras into a session folder until the time is over, or the process is told to stop.
+    on_state: Callable[[Mapping[str, CameraCount]], None] | None = None,
+) -> RecordedSession:
+    """Record cameras into a session folder for a time, or until the process is interrupted.
 
     Args:
         cameras: where their pictures come from.
         out: the session's folder, new or empty.
         calibration: copied into it; pictures of other sizes are refused. May be added later.
         body: likewise copied; may be added later.
-        asked: what cameras of this machine are asked for.
-        seconds: how long; until told to stop if None.
-        tell: called ten times a second with what has come so far.
+        request: what cameras of this machine are set to.
+        seconds: how long; until interrupted if None.
+        on_state: called ten times a second with the counts of all cameras.
 
     Raises:
         CaptureError: a camera cannot be reached or is of another size than calibrated; the folder
@@ -83,7 +83,7 @@ def record(
     check_new(out, [one.name for one in cameras])
     calibrated = calibrated_cameras(cameras, calibration)
     measured = None if body is None else read_body(body)
-    sources = sources_of(cameras, calibrated, asked)
+    sources = sources_of(cameras, calibrated, request)
     with (
         Cameras(sources, sizes_of(calibrated)) as rig,  # nothing is lost yet if that is interrupted
         until_stopped() as stop,
@@ -91,17 +91,17 @@ def record(
     ):
         rig.begin([recording.add])
         begun = time.monotonic()
-        while not rig.over and not stop.wait(_LOOK_S):
+        while not rig.over and not stop.wait(_POLL_S):
             rig.check()
-            if tell is not None:
-                tell(rig.counts)
+            if on_state is not None:
+                on_state(rig.counts)
             if seconds is not None and time.monotonic() - begun >= seconds:
                 break
         rig.check()
         rig.stop()
         rig.wait()  # what is counted is to be in the folder
     rig.check()
-    return Recorded(out, rig.counts)
+    return RecordedSession(out, rig.counts)
 
 
 def recorder(
@@ -116,7 +116,7 @@ def check_apart(record: Path, out: Path) -> None:
     """Refuse to record into a run's folder, or into one that it lies in.
 
     Raises:
-        ConfigError: that is asked for.
+        ConfigError: it is one of these.
     """
     if record.resolve() in (out.resolve(), *out.resolve().parents):
         raise ConfigError(
@@ -157,21 +157,22 @@ def sizes_of(cameras: Sequence[Camera]) -> dict[str, tuple[int, int]]:
 
 
 def sources_of(
-    cameras: Sequence[CameraAddress], calibrated: Sequence[Camera], asked: Asked | None
+    cameras: Sequence[CameraAddress], calibrated: Sequence[Camera], request: CaptureRequest | None
 ) -> dict[str, Source]:
     """What delivers each camera's pictures; nothing is opened yet.
 
     Raises:
-        ConfigError: what is asked for cannot be, or no camera can be asked.
+        ConfigError: an impossible request, or no camera that takes one.
         CaptureError: there is no such camera or file.
     """
-    asked, sizes = asked or Asked(), sizes_of(calibrated)
-    if asked.rate_hz is not None and not (math.isfinite(asked.rate_hz) and asked.rate_hz > 0):
-        raise ConfigError(f"--rate {asked.rate_hz:g}: expected pictures a second, above 0")
-    if asked != Asked() and not any(one.is_device for one in cameras):
+    request, sizes = request or CaptureRequest(), sizes_of(calibrated)
+    if request.rate_hz is not None and not (math.isfinite(request.rate_hz) and request.rate_hz > 0):
+        raise ConfigError(f"--rate {request.rate_hz:g}: expected pictures a second, above 0")
+    if request != CaptureRequest() and not any(one.is_device for one in cameras):
         raise ConfigError("--size and --rate are for cameras of this machine, and none is given")
     return {
-        one.name: one.source(asked.size_wh or sizes.get(one.name), asked.rate_hz) for one in cameras
+        one.name: one.source(request.size_wh or sizes.get(one.name), request.rate_hz)
+        for one in cameras
     }
 
 
@@ -208,15 +209,12 @@ def parse_receiver(text: str) -> tuple[str, int]:
     return host.strip("[]"), int(port)
 
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
-
-
 @contextmanager
 def until_stopped() -> Iterator[threading.Event]:
     """Turn the first interrupt (Ctrl-C) or termination of this process into an event.
 
-    What is being done is finished, and what was made written down; a second one ends the process as
-    ever. Outside the main thread, which alone is told of signals, the event never comes.
+    A second one ends the process as usual. Outside the main thread, the only one that receives
+    signals, the event is never set.
 
     Yields:
         Set once the work is to stop.

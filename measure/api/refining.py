@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,6 +12,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.host import Registry
+from measure.processes import Progress
 from measure.session import Calibration, clock_values, read_calibration
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 _ANY_PX = 100.0
-"""Whole cameras, and balls in them, may be aside by this much before a pose is doubted for it."""
+"""Displacement of cameras, and of balls in them, from which a pose is flagged while refining."""
 
 LOOSE_WORLD = (
     "the first calibration does not say how its cameras' errors hang together (`measure calibrate` "
@@ -55,7 +56,7 @@ def refine(
     profile: str = "precise",
     settings: RefineSettings | None = None,
     calibration: Path | str | None = None,
-    progress: Callable[[int, int | None], None] | None = None,
+    progress: Progress | None = None,
 ) -> RefineResult:
     """Measure a session and refine its cameras by bundle adjustment over it.
 
@@ -65,7 +66,7 @@ def refine(
         profile: how to measure, by name or TOML file.
         settings: what may change, and how far.
         calibration: first calibration, if not the session's own.
-        progress: told how many frame sets are measured, and of how many.
+        progress: called with how many frame sets are measured, and of how many.
 
     Raises:
         CalibrationError: too little motion, or a result that is worse than the first calibration.
@@ -93,7 +94,7 @@ def refine(
 
 
 def _lenient(profile: Profile) -> Profile:
-    """The profile without flags for cameras that are aside: those are what is put right here."""
+    """The profile without flags for displaced cameras: refining corrects those."""
     if profile.tracking == "predictive":
         profile = profile.with_setting("tracking", "view_bias_px", _ANY_PX)
     if profile.solver == "contours":
@@ -105,7 +106,7 @@ def _measure(
     opened: Session,
     profile: Profile,
     registry: Registry,
-    progress: Callable[[int, int | None], None] | None,
+    progress: Progress | None,
 ) -> list[Measurement]:
     from measure.api.measuring import measure_session
 
@@ -143,8 +144,8 @@ def _provenance(session: str, rig: RefinedRig) -> dict[str, object]:
         "clocks_applied": rig.clocks_applied,
         "ball_centers_mm": refinement.centers,
         "ball_center_sds_mm": refinement.center_sds,
-        "view_scatter_px": refinement.scatter.view_px,
-        "constant_scatter_px": refinement.scatter.constant_px,
+        "view_scatter_px": refinement.noise.view_px,
+        "constant_scatter_px": refinement.noise.constant_px,
         "camera_position_sd_mm": list(verdict.camera_sd_mm),
         "held_out_px": list(verdict.held_out_px),
         "surprise": verdict.surprise,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import chain, islice
@@ -11,37 +11,29 @@ from typing import Any, get_args
 
 from measure.api.measuring import measure_session
 from measure.api.profiles import find_tracker
-from measure.api.run_log import RunLog, check_viewer
+from measure.api.run_log import LogOptions, RunLog, check_viewer
 from measure.errors import ConfigError, MeasureError
 from measure.host import Registry
 from measure.host.settings import read_settings
 from measure.measuring import Profile
 from measure.measuring.profile import Stage
 from measure.model import Body
+from measure.processes import Progress
 from measure.results import Provenance, RunWriter, Summary, digest
 from measure.session import Session, Trajectory, open_session, read_trajectory
 
-Report = Callable[[int, int | None], None]
-"""Told how many frame sets are done, and of how many."""
-
 
 @dataclass(frozen=True)
-class RunOptions:
-    """How a run is written.
+class RunOptions(LogOptions):
+    """How a run is written, beside its recording.
 
     Attributes:
-        image_every: pictures of every n-th frame set go into `run.rrd`; 0 for none.
-        recording: whether to write `run.rrd` at all.
-        viewer: address of a running viewer to send to while measuring.
         resume: go on where an earlier run of the same ended.
         overwrite: throw an earlier run away.
         calibration: a calibration file to use instead of the session's own.
         body: a body file to use instead of the session's own.
     """
 
-    image_every: int = 0
-    recording: bool = True
-    viewer: str | None = None
     resume: bool = False
     overwrite: bool = False
     calibration: Path | None = None
@@ -68,7 +60,7 @@ def run(
     profile: Profile,
     registry: Registry,
     options: RunOptions | None = None,
-    report: Report | None = None,
+    progress: Progress | None = None,
 ) -> Summary:
     """Measure a session; every frame set becomes a row of the run, with or without a pose.
 
@@ -78,7 +70,7 @@ def run(
         profile: the stages and their settings.
         registry: where the plugins come from.
         options: how the run is written.
-        report: told about progress.
+        progress: called with how many frame sets are done, and of how many.
 
     Raises:
         MeasureError: whatever is wrong with the session, calibration, plugins or settings; what was
@@ -108,8 +100,8 @@ def run(
             writer.append(measurement)
             if log is not None:
                 log.add(measurement, frame_set)
-            if report is not None:
-                report(measurement.index + 1, total)
+            if progress is not None:
+                progress(measurement.index + 1, total)
         return writer.finish()
 
 
@@ -186,10 +178,8 @@ def _log(session: Session, out: Path, options: RunOptions, start: int) -> RunLog
         session.body,
         session.cameras,
         out,
-        recording=options.recording,
-        viewer=options.viewer,
-        image_every=options.image_every,
-        start=start,
+        options,
+        start,
         truth=_truth(session),
         videos=passed_videos(session) if options.image_every else {},
     )

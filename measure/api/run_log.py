@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from measure.viewing.videos import PassedVideo
 
 RESERVED_BYTES = 32_000_000
-"""The recording is not written to a disk with less room: more than it holds back at a time."""
+"""Least free space on the disk to go on: more than the recording buffers at a time."""
 
 
 def check_viewer(address: str) -> None:
@@ -32,6 +33,21 @@ def check_viewer(address: str) -> None:
     check_listening(address)
 
 
+@dataclass(frozen=True)
+class LogOptions:
+    """What goes into a run's recording.
+
+    Attributes:
+        image_every: pictures of every n-th frame set go into `run.rrd`; 0 for none.
+        recording: whether to write `run.rrd` at all.
+        viewer: address of a running viewer to send to while measuring.
+    """
+
+    image_every: int = 0
+    recording: bool = True
+    viewer: str | None = None
+
+
 class RunLog:
     """The recording of a run, with the error against truth where there is one; its further parts.
 
@@ -40,9 +56,7 @@ class RunLog:
         body: what is measured.
         cameras: calibrated.
         out: the run's folder, with its `run.toml`.
-        recording: whether to write the file.
-        viewer: address of a running viewer to send to; None for none.
-        image_every: pictures of every n-th frame set go in; 0 for none.
+        options: what goes in.
         start: index of the first frame set: a run that goes on writes a further part.
         truth: the true poses, where they are known.
         videos: by camera, recorded videos that go in as they are.
@@ -54,10 +68,7 @@ class RunLog:
         body: Body,
         cameras: Sequence[Camera],
         out: Path,
-        *,
-        recording: bool,
-        viewer: str | None,
-        image_every: int,
+        options: LogOptions,
         start: int = 0,
         truth: Trajectory | None = None,
         videos: Mapping[str, PassedVideo] | None = None,
@@ -67,12 +78,18 @@ class RunLog:
 
         # A run that goes on must not overwrite what was recorded before.
         file = f"run-{start:06d}.rrd" if start else "run.rrd"
-        self._path = out / file if recording else None
-        self._need_room()
+        self._path = out / file if options.recording else None
+        self._check_free_space()
         run_id = digest([(out / "run.toml").read_bytes()])
-        stream = open_recording(name, cameras, self._path, viewer, run_id)
+        stream = open_recording(name, cameras, self._path, options.viewer, run_id)
         self._log = RunRecording(
-            stream, body, cameras, image_every, videos, truth, live=viewer is not None
+            stream,
+            body,
+            cameras,
+            options.image_every,
+            videos,
+            truth,
+            live=options.viewer is not None,
         )
 
     def __enter__(self) -> Self:
@@ -95,7 +112,7 @@ class RunLog:
                     "the tables of the run are complete"
                 ) from None
 
-    def _need_room(self) -> None:
+    def _check_free_space(self) -> None:
         """Stop while the tables still fit: Rerun's writer may hang when its disk is full."""
         if self._path is None:
             return
@@ -113,5 +130,5 @@ class RunLog:
         Raises:
             RunError: the disk is full.
         """
-        self._need_room()
+        self._check_free_space()
         self._log.add(measurement, frame_set)

@@ -119,19 +119,29 @@ def parse_settings(texts: Sequence[str]) -> dict[str, Any]:
     return out
 
 
+@dataclass(frozen=True)
+class SweepOptions:
+    """What a sweep searches.
+
+    Attributes:
+        estimator: name of the plugin.
+        settings: those that all trials share.
+        trials: finished trials wanted in all.
+        split_seed: of the trajectories that validate.
+        scheduler: address of a dask scheduler whose workers run the trials.
+    """
+
+    estimator: str
+    settings: Mapping[str, Any]
+    trials: int
+    split_seed: int = 0
+    scheduler: str | None = None
+
+
 def sweep(
-    data: Path,
-    space: Path,
-    journal: Path,
-    *,
-    estimator: str,
-    settings: Mapping[str, Any],
-    trials: int,
-    seed: int,
-    scheduler: str | None,
-    report: Report,
+    data: Path, space: Path, journal: Path, options: SweepOptions, report: Report
 ) -> SweepState:
-    """Help a sweep along until it has enough trials.
+    """Run trials until the sweep has enough, together with other processes of the same journal.
 
     Raises:
         ConfigError: no trials are wanted, a seed or journal that cannot be used.
@@ -140,16 +150,20 @@ def sweep(
     from measure.learning import files, sweeping
     from measure.learning.study import read_space
 
-    if trials < 1:
-        raise ConfigError(f"--trials {trials}: expected a positive number")
-    check_seeds(split_seed=seed)
+    if options.trials < 1:
+        raise ConfigError(f"--trials {options.trials}: expected a positive number")
+    check_seeds(split_seed=options.split_seed)
     check_writable(journal, folder_is_made=True)
     ranges = read_space(space)
-    if both := sorted(ranges.keys() & settings.keys()):
+    if both := sorted(ranges.keys() & options.settings.keys()):
         raise ConfigError(f"--set {both[0]}: {space} has a range for it: give it in one place only")
     digest = files.read_dataset(data).digest()
-    job = sweeping.SweepJob(str(data.resolve()), estimator, dict(settings), seed, digest)
-    return sweeping.sweep(job, ranges, journal, trials, scheduler=scheduler, report=report)
+    job = sweeping.SweepJob(
+        str(data.resolve()), options.estimator, dict(options.settings), options.split_seed, digest
+    )
+    return sweeping.sweep(
+        job, ranges, journal, options.trials, scheduler=options.scheduler, report=report
+    )
 
 
 def ablate(

@@ -1,4 +1,4 @@
-"""What is slow before the first frame: hot loops are compiled, once after an installation."""
+"""Compilation before the first frame, once after an installation."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from measure.measuring import Pipeline, Profile
 from measure.model import Body, Camera
 
 PATIENCE_S = 2.0
-"""A warm-up that takes longer than this is explained."""
+"""Compilation that takes longer than this is reported."""
 AGAIN_S = 8.0
-"""So long after the last word comes the next one."""
+"""Time between two notices."""
 
 _log = logging.getLogger(__name__)
 
@@ -23,51 +23,50 @@ _log = logging.getLogger(__name__)
 def warm_pipeline(
     profile: Profile, registry: Registry, body: Body, cameras: Sequence[Camera]
 ) -> Pipeline:
-    """Build the stages of a profile and let them compile what is slow, with a word to the user.
+    """Build the stages of a profile and compile them, with a notice where that takes long.
 
     Raises:
         PluginError: a plugin that is unknown, broken or ambiguous, or refuses the body.
         ConfigError: settings that do not fit.
     """
-    with a_word_if_it_takes_long():
-        return compiled_pipeline(profile, registry, body, cameras)
+    with compilation_notice():
+        return compile_pipeline(profile, registry, body, cameras)
 
 
-def compiled_pipeline(
+def compile_pipeline(
     profile: Profile, registry: Registry, body: Body, cameras: Sequence[Camera]
 ) -> Pipeline:
-    """`warm_pipeline` without a word; a second process compiles what follows detection."""
-    from measure.api.compiling_aside import what_follows_aside
+    """`warm_pipeline` without the notice; a second process compiles the later stages."""
     from measure.api.profiles import build_pipeline
+    from measure.api.second_compiler import second_compiler
 
     pipeline = build_pipeline(profile, registry, body, cameras)
-    with what_follows_aside(profile, registry, body, cameras):
+    with second_compiler(profile, registry, body, cameras):
         pipeline.warm_up_detectors()
     pipeline.warm_up_what_follows()
     return pipeline
 
 
 @contextmanager
-def a_word_if_it_takes_long() -> Iterator[Callable[[], None]]:
-    """Tell the user why nothing seems to happen, but only if it is that something compiles.
+def compilation_notice() -> Iterator[Callable[[], None]]:
+    """Log a notice while this block compiles, if that takes long.
 
     Yields:
-        A function to call once something has.
+        A function that ends the notices.
     """
     from numba.core import event
 
     over, compiled = threading.Event(), event.RecordingListener()
-    told = threading.Thread(target=_tell_until, args=(over, compiled.buffer), daemon=True)
+    notifier = threading.Thread(target=_notify, args=(over, compiled.buffer), daemon=True)
     with event.install_listener("numba:compile", compiled):
-        told.start()
+        notifier.start()
         try:
             yield over.set
         finally:
             over.set()
 
 
-def _tell_until(over: threading.Event, compiled: Sequence[object]) -> None:
-    """What is loaded from disk is no event; a word about it would be wrong."""
+def _notify(over: threading.Event, compiled: Sequence[object]) -> None:
     begun = time.monotonic()
     while not compiled:
         if over.wait(PATIENCE_S):

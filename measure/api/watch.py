@@ -1,4 +1,4 @@
-"""What is looked at in the viewer: a measurement while it runs, a robot beside its measurement."""
+"""Recordings for the viewer: a measurement while it runs, a robot beside its measurement."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def _nearest(times_s: Floats, at_s: Floats) -> Ints:
     """Which of increasing times (n,) is nearest to each of others (m,); the earlier of two."""
     import numpy as np
 
-    # Not by all differences: a robot says its state a thousand times a second.
+    # Not by all differences: robots report a thousand states a second.
     right = np.minimum(np.searchsorted(times_s, at_s), len(times_s) - 1)
     left = np.maximum(right - 1, 0)
     return np.where(at_s - times_s[left] <= times_s[right] - at_s, left, right)

@@ -16,11 +16,10 @@ from cyclopts import Parameter
 from rich.console import Console
 from rich.table import Table
 
+from measure.processes import Progress
+
 JsonFlag = Annotated[bool, Parameter(name="--json", help="Print one JSON object and nothing else.")]
 """Type of every command's `json` option."""
-
-Report = Callable[[int, int | None], None]
-"""Called with the amount done and the total (None if unknown)."""
 
 _LINE_EVERY_S = 5.0
 _PIPE_WIDTH = 120
@@ -63,7 +62,7 @@ def note(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
-def shares(report: Report) -> Callable[[float, str], None]:
+def shares(report: Progress) -> Callable[[float, str], None]:
     """A callback that takes the share done (0 to 1), and reports it in per mille."""
 
     def take(done: float, what: str) -> None:
@@ -76,7 +75,7 @@ def shares(report: Report) -> Callable[[float, str], None]:
 @contextmanager
 def progress(
     label: str, unit: str = "frame sets", stream: TextIO | None = None
-) -> Iterator[Report]:
+) -> Iterator[Progress]:
     """Show how far long work is, with the time left, on stderr.
 
     On a terminal it is a bar; elsewhere a line every few seconds.
@@ -98,11 +97,11 @@ def progress(
 
 
 @contextmanager
-def _bar(label: str, unit: str, out: TextIO) -> Iterator[Report]:
+def _bar(label: str, unit: str, out: TextIO) -> Iterator[Progress]:
+    from rich import progress as rich_progress
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
-        Progress,
         TextColumn,
         TimeElapsedColumn,
         TimeRemainingColumn,
@@ -117,7 +116,7 @@ def _bar(label: str, unit: str, out: TextIO) -> Iterator[Report]:
         TextColumn("left"),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=Console(file=out), transient=True) as bar:
+    with rich_progress.Progress(*columns, console=Console(file=out), transient=True) as bar:
         task = bar.add_task(label, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
 

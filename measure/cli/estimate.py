@@ -87,7 +87,7 @@ def _serve(
         console.note("listening on udp://{}:{}".format(*server.address))
 
     served = api.estimate_online(
-        model, address, zeroing=zeroing, seconds=seconds, started=started, tell=line
+        model, address, zeroing=zeroing, seconds=seconds, on_start=started, on_state=line
     )
     latency = served.latency_us()
     counts = served.counters.values()

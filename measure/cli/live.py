@@ -69,7 +69,7 @@ def live(
         record=to.record,
         send=None if to.send is None else api.parse_receiver(to.send),
         seconds=capture.seconds,
-        asked=capture.asked(),
+        request=capture.request(),
         image_every=api.parse_images(viewer.images),
         recording=viewer.recording,
         viewer=viewer.address(),

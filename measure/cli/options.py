@@ -92,8 +92,10 @@ class CaptureOptions:
     size: str | None = None
     rate: float | None = None
 
-    def asked(self) -> api.Asked:
-        """Size and rate that cameras are asked for."""
+    def request(self) -> api.CaptureRequest:
+        """Size and rate requested of the cameras."""
         from measure import api
 
-        return api.Asked(None if self.size is None else api.parse_size(self.size), self.rate)
+        return api.CaptureRequest(
+            None if self.size is None else api.parse_size(self.size), self.rate
+        )

@@ -49,9 +49,9 @@ def record(
             out,
             calibration=calibration,
             body=body,
-            asked=capture.asked(),
+            request=capture.request(),
             seconds=capture.seconds,
-            tell=lambda counts: report(sum(c.pictures for c in counts.values()), None),
+            on_state=lambda counts: report(sum(c.pictures for c in counts.values()), None),
         )
     if json:
         console.print_json(recorded)

@@ -37,6 +37,6 @@ def simulate(
             seed=seed,
             clock_offset_s=clock_offset_s,
             wear=wear,
-            report=report,
+            progress=report,
         )
     console.print_text(f"written to {folder}; measure it with: measure run {folder} -o RUN")

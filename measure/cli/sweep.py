@@ -54,17 +54,10 @@ def sweep(
     from measure import api
 
     with console.progress("sweeping", unit="per mille") as report:
-        state = api.sweep(
-            data,
-            space,
-            journal,
-            estimator=of.estimator,
-            settings=api.parse_settings(of.set_),
-            trials=trials,
-            seed=split_seed,
-            scheduler=scheduler,
-            report=shares(report),
+        options = api.SweepOptions(
+            of.estimator, api.parse_settings(of.set_), trials, split_seed, scheduler
         )
+        state = api.sweep(data, space, journal, options, shares(report))
     if json:
         console.print_json(state)
         return

@@ -6,7 +6,6 @@ and what the robot reports can be subtracted.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,11 +14,13 @@ from numpy.typing import ArrayLike
 
 from measure.arrays import Floats
 from measure.geometry import RigidTransform
+from measure.model import paper_body
+from measure.processes import Progress
 from measure.robots import RobotLog, raven_chain, raven_schema, write_log
 from measure.robots.simulator import Cables, SimulatedRun, Teleoperation, simulate
 from measure.simulation import Lighting, Material, Scene, write_session
 from measure.simulation.files import write_truth
-from measure.simulation.presets import WORKSPACE_MM, lamps, paper_body, paper_rig, stems
+from measure.simulation.presets import WORKSPACE_MM, lamps, paper_rig, stems
 
 _STYLE = Teleoperation(wrist_deg=(25.0, 20.0, 20.0))  # the balls stay in view of most cameras
 _HOME = np.array([np.deg2rad(40.0), np.deg2rad(90.0), 350.0, 0.0, 0.0, 0.0])
@@ -52,7 +53,7 @@ def render_recording(
     log_hz: float = 500.0,
     clock_offset_s: float = 1.5,
     cables: Cables | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> SimulatedRun:
     """Write a session folder with the robot's log `robot.parquet` in it.
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from measure.arrays import Bytes, Floats
+from measure.processes import Progress
 from measure.simulation.files import (
     body_toml,
     calibration_toml,
@@ -32,7 +33,7 @@ def write_session(
     folder: str | Path,
     *,
     workers: int | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Path:
     """Render a scene into a session folder.
 

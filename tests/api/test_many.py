@@ -67,7 +67,7 @@ def leftovers(out: Path) -> list[str]:
 @pytest.mark.slow
 def test_processes_give_identical_results(sessions, one_by_one, tmp_path):
     seen = []
-    outcomes = measure(sessions, tmp_path, workers=2, report=lambda *args: seen.append(args))
+    outcomes = measure(sessions, tmp_path, workers=2, progress=lambda *args: seen.append(args))
     assert [o.session.name for o in outcomes] == ["a", "b", "c"]
     assert poses(tmp_path) == one_by_one
     assert seen == [(1, 3), (2, 3), (3, 3)]

@@ -10,7 +10,7 @@ import numba
 from measurements import BODY, CAMERAS
 from numba.core import event
 
-from measure.api import RunOptions, compiling_aside, load_profile, warming_up
+from measure.api import RunOptions, load_profile, second_compiler, warming_up
 from measure.host import Registry
 from measure.measuring import Pipeline, Stages
 from tests.session.conftest import write_recording
@@ -39,14 +39,14 @@ def test_every_stage_is_warmed_up_once_and_cameras_share_it():
 def test_only_a_long_warm_up_is_explained(monkeypatch, caplog):
     monkeypatch.setattr(warming_up, "PATIENCE_S", 0.05)
     with caplog.at_level(logging.WARNING):
-        with warming_up.a_word_if_it_takes_long():
+        with warming_up.compilation_notice():
             pass
         time.sleep(0.1)
         assert caplog.text == ""
-        with warming_up.a_word_if_it_takes_long():
+        with warming_up.compilation_notice():
             time.sleep(0.2)
         assert caplog.text == "", "nothing was compiled: it was something else that took long"
-        with warming_up.a_word_if_it_takes_long():
+        with warming_up.compilation_notice():
             numba.njit(_add_one)(1)
             time.sleep(0.2)
     assert "compiling" in caplog.text
@@ -56,7 +56,7 @@ def test_only_a_long_warm_up_is_explained(monkeypatch, caplog):
 def test_a_very_long_warm_up_shows_that_it_goes_on(monkeypatch, caplog):
     monkeypatch.setattr(warming_up, "PATIENCE_S", 0.05)
     monkeypatch.setattr(warming_up, "AGAIN_S", 0.05)
-    with caplog.at_level(logging.WARNING), warming_up.a_word_if_it_takes_long() as begun:
+    with caplog.at_level(logging.WARNING), warming_up.compilation_notice() as begun:
         numba.njit(_add_one)(1)
         time.sleep(0.3)
         begun()
@@ -82,28 +82,28 @@ def test_processes_share_what_the_first_has_compiled(monkeypatch, tmp_path):
 
 
 def _begun_when_compiling(work):
-    aside = compiling_aside._SecondProcess(work)
-    with event.install_listener("numba:compile", aside):
-        assert aside._process is None, "nothing is compiled yet"
+    compiler = second_compiler.SecondCompiler(work)
+    with event.install_listener("numba:compile", compiler):
+        assert compiler.process is None, "nothing is compiled yet"
         numba.njit(_add_one)(1)
-    return aside
+    return compiler
 
 
 def _work():
     return load_profile("paper"), Registry.discover(), BODY, CAMERAS
 
 
-def test_a_second_process_compiles_what_follows_detection():
-    aside = _begun_when_compiling(_work())
-    aside._process.wait(60)
-    aside.end(at_once=False)
-    assert aside._process.returncode == 0
+def test_second_process_compiles_the_later_stages():
+    compiler = _begun_when_compiling(_work())
+    compiler.process.wait(60)
+    compiler.end(at_once=False)
+    assert compiler.process.returncode == 0
 
 
 def test_a_second_process_is_not_left_behind_by_a_failure():
-    aside = _begun_when_compiling(_work())
-    aside.end(at_once=True)
-    assert aside._process.returncode not in (None, 0)
+    compiler = _begun_when_compiling(_work())
+    compiler.end(at_once=True)
+    assert compiler.process.returncode not in (None, 0)
 
 
 class _Endless:
@@ -112,19 +112,19 @@ class _Endless:
 
 
 def test_a_second_process_that_hangs_is_given_up():
-    aside = _begun_when_compiling((_Endless(),))
+    compiler = _begun_when_compiling((_Endless(),))
     time.sleep(1.0)
     begun = time.monotonic()
-    aside.end(at_once=False)
+    compiler.end(at_once=False)
     assert time.monotonic() - begun < 10.0
-    assert aside._process.returncode not in (None, 0)
+    assert compiler.process.returncode not in (None, 0)
 
 
-def test_without_a_second_core_or_with_parts_that_cannot_be_handed_over_there_is_one_process(
+def test_one_core_or_unpicklable_stages_start_no_second_process(
     monkeypatch,
 ):
-    assert _begun_when_compiling((lambda: None,))._process is None
-    monkeypatch.setattr(compiling_aside, "usable_cores", lambda: 1)
+    assert _begun_when_compiling((lambda: None,)).process is None
+    monkeypatch.setattr(second_compiler, "usable_cores", lambda: 1)
     alone = _begun_when_compiling(_work())
     alone.end(at_once=False)
-    assert alone._process is None
+    assert alone.process is None

@@ -1,4 +1,4 @@
-"""A second process that compiles into the cache on disk: what follows detection, then its end."""
+"""A second process compiles the later stages while this one compiles the detectors."""
 
 from __future__ import annotations
 
@@ -20,34 +20,37 @@ from measure.processes import usable_cores
 
 
 @contextmanager
-def what_follows_aside(
+def second_compiler(
     profile: Profile, registry: Registry, body: Body, cameras: Sequence[Camera]
 ) -> Iterator[None]:
-    """Have a pipeline's later stages compiled while detectors are, if those have to be.
+    """Compile all stages but the detectors in a second process, which fills the cache on disk.
 
-    What another process has compiled only has to be loaded.
+    It starts when numba first compiles inside the block, so never where the cache is complete.
     """
-    aside, at_once = _SecondProcess((profile, registry, body, cameras)), True
+    process, failed = SecondCompiler((profile, registry, body, cameras)), True
     try:
-        with event.install_listener("numba:compile", aside):
+        with event.install_listener("numba:compile", process):
             yield
-        at_once = False
+        failed = False
     finally:
-        aside.end(at_once)
+        process.end(at_once=failed)
 
 
-class _SecondProcess(event.Listener):  # type: ignore[misc]
-    """Begins as soon as something is compiled, for then all is; what it compiles is on disk.
+class SecondCompiler(event.Listener):  # type: ignore[misc]
+    """Starts the process at numba's first compilation, and ends it.
 
-    Where there is one core only, or what it takes cannot be handed over, there is no such process;
-    nor in a frozen program, which is no interpreter to start. Where it hangs (a part that waits for
-    a device which this process holds) it is given up. Nothing is lost but time.
+    None is started on a single core, in a frozen program (which is no interpreter), or with plugins
+    that cannot be pickled. One that hangs, say on a device that this process holds, is killed: only
+    time is lost.
+
+    Attributes:
+        process: the running or ended process; None if none was started.
     """
 
     def __init__(self, work: tuple[object, ...]) -> None:
         alone = usable_cores() == 1 or getattr(sys, "frozen", False)
         self._work: tuple[object, ...] | None = None if alone else work
-        self._process: subprocess.Popen[bytes] | None = None
+        self.process: subprocess.Popen[bytes] | None = None
         self._begun_s = time.monotonic()
 
     def on_start(self, event: object) -> None:  # noqa: ARG002
@@ -56,33 +59,31 @@ class _SecondProcess(event.Listener):  # type: ignore[misc]
         if work is None:
             return
         with suppress(OSError, pickle.PicklingError, TypeError, AttributeError):
-            handed_over = pickle.dumps(work)
-            self._process = subprocess.Popen(
+            pickled = pickle.dumps(work)
+            self.process = subprocess.Popen(
                 [sys.executable, "-c", f"from {__name__} import _compile; _compile()"],
                 env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
             )
-            assert self._process.stdin is not None
-            with self._process.stdin as pipe:
-                pipe.write(handed_over)
+            assert self.process.stdin is not None
+            with self.process.stdin as pipe:
+                pipe.write(pickled)
 
     def on_end(self, event: object) -> None:
-        """Nothing to do: it goes on with its own."""
+        """Called by numba after each function."""
 
     def end(self, at_once: bool) -> None:
-        """Stop it, or wait as long again as detectors took: it has less to do than they."""
-        if self._process is None:
+        """Kill the process, after waiting as long as the detectors took unless `at_once`."""
+        if self.process is None:
             return
-        patience_s = 0.0 if at_once else time.monotonic() - self._begun_s
         try:
-            self._process.wait(patience_s)
+            self.process.wait(0.0 if at_once else time.monotonic() - self._begun_s)
         except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+            self.process.kill()
+            self.process.wait()
 
 
 def _compile() -> None:
-    """What the second process does."""
     build_pipeline(*pickle.load(sys.stdin.buffer)).warm_up_what_follows()
