@@ -1,4 +1,4 @@
-"""Finding balls with no idea where they are: colour, then circles; geometry decides later."""
+"""Search of whole pictures for balls: colour segments, then circles; candidates only."""
 
 from measure_plugins._acquisition.candidates import AcquisitionSettings, find_circles, warm_up
 

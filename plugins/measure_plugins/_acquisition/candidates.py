@@ -1,4 +1,4 @@
-"""Candidates for the balls in one picture: circles of their colours, the best first."""
+"""Candidates of the balls in one picture: circles of their colours, the best first."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ def find_circles(
 ) -> list[Floats]:
     """Search one whole picture for balls of some colours.
 
-    What is a ball at all, and which one, is for geometry to say.
+    Which candidates are balls, and which ball, is decided by geometry later.
 
     Args:
         pixels: BGR (h, w, 3), contiguous.
-        colors: to look for.
+        colors: of the balls.
         config: settings.
 
     Returns:
@@ -72,17 +72,17 @@ def find_circles(
 def _bits_of(
     pixels: Bytes, table: Bytes, with_dark: Bytes, step: int, count: int
 ) -> tuple[Bytes, Bools]:
-    """What is searched of a picture, see `classify`, and which colours lie in the dark too.
+    """Colour bits of the reduced picture, see `classify`, and which colours are in shade too.
 
     Args:
         pixels: BGR (h, w, 3).
         table: from `color_table`.
         with_dark: from `with_shade`, of the same colours.
         step: reduction, 1 or more.
-        count: of colours that are asked about.
+        count: number of colours tested for shade.
 
     Returns:
-        Colour bits of the reduced picture; of each colour whether it is `much_in_shade` (count,).
+        The bits; for each colour whether it is `much_in_shade` (count,).
     """
     every, some = classify(pixels, table, with_dark, step)
     bits, dark = majority(every), majority(some)
@@ -94,7 +94,7 @@ def _bits_of(
 
 @lru_cache(maxsize=16)
 def _tables(colors: tuple[BallColor, ...]) -> tuple[Bytes, Bytes, tuple[int, ...]]:
-    """The colours' table, that which reaches into the dark, and which of them are pale."""
+    """The table of colours, the one that includes shade, and which of them are pale."""
     pale = [i for i, color in enumerate(colors) if is_pale(color)]
     return color_table(colors), with_shade(colors), tuple(pale[: MAX_COLORS - len(colors)])
 

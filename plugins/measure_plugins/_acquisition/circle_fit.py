@@ -1,7 +1,6 @@
-"""A rough circle fitted to where a colour ends near it, and how much of its inside has the colour.
+"""A circle fitted to the edge of a colour segment near it, and its filled share.
 
-What a mask holds is looked up all round a circle at once, step by step outward: to look up a few
-pixels more takes less time than to guess, angle by angle, where the colour ends.
+The mask is read all round a circle at once, radius by radius: a few more pixels, but no branches.
 """
 
 from __future__ import annotations
@@ -16,11 +15,11 @@ ANGLES = 48
 COSINES = np.cos(2 * np.pi * np.arange(ANGLES) / ANGLES)
 SINES = np.sin(2 * np.pi * np.arange(ANGLES) / ANGLES)
 _REACHES = (3.0, 2.0, 1.5)
-"""How far from the circle its edge is looked for, fit after fit, in reduced pixels."""
+"""Reach of the search for the edge in successive fits, in reduced pixels."""
 _QUARTER, _HALF_STEP = 0.25, 0.125
-_FEWEST = 6
-_TOWARD_FIRST = 0.02
-"""Weight of what three points said: a short arc stays near that."""
+_MIN_EDGES = 6
+_PRIOR_WEIGHT = 0.02
+"""Weight of the initial circle, which holds the fit of a short arc."""
 
 
 @compiled
@@ -34,7 +33,7 @@ def refined(mask: Bytes, circle: Floats) -> tuple[float, float, float, float]:
     for reach in _REACHES:
         _find_edges(mask, x, y, r, reach, edges, radii, places, going, here)
         hits = _equations(edges, reach, normal, right)
-        if hits < _FEWEST:
+        if hits < _MIN_EDGES:
             break
         cholesky(normal, factor)
         solve_factored(factor, right, step)
@@ -56,14 +55,14 @@ def _find_edges(
     going: Bytes,
     here: Bytes,
 ) -> None:
-    """Where the colour ends along the radii of a circle, relative to its own.
+    """Fill the radii at which the colour ends, minus that of the circle.
 
     Args:
         mask: see `framed`.
         x: of the circle's centre.
         y: of the circle's centre.
         r: its radius.
-        reach: how far to look, either way.
+        reach: of the search, inwards and outwards.
         edges: (angles,) filled; more than `reach` where the colour does not end within that.
         radii: (angles,) scratch, like the rest.
         places: (angles,).
@@ -71,30 +70,30 @@ def _find_edges(
         here: (angles,).
     """
     radii[:] = r - reach
-    _look_round(mask, x, y, radii, places, here)
+    _read_ring(mask, x, y, radii, places, here)
     for k in range(ANGLES):
         going[k], edges[k] = here[k] == 1, 2 * reach
     offset = -reach
     while offset < reach:
         offset += 1.0
         radii[:] = r + offset
-        _look_round(mask, x, y, radii, places, here)
+        _read_ring(mask, x, y, radii, places, here)
         for k in range(ANGLES):
             edges[k] = offset if (going[k] == 1) & (here[k] == 0) else edges[k]
             going[k] &= here[k] == 1
     going[:] = 1
-    for _ in range(3):  # by quarters back to the first that is outside
+    for _ in range(3):  # back by quarters of a pixel to the first one outside
         for k in range(ANGLES):
             radii[k] = r + (edges[k] - _QUARTER)
-        _look_round(mask, x, y, radii, places, here)
+        _read_ring(mask, x, y, radii, places, here)
         for k in range(ANGLES):
             going[k] &= here[k] == 0
             edges[k] -= _QUARTER * going[k]
 
 
 @compiled
-def _look_round(mask: Bytes, x: float, y: float, radii: Floats, places: Ints, here: Bytes) -> None:
-    """What a mask holds round x, y at as many radii (angles,); fills `here`, and `places`."""
+def _read_ring(mask: Bytes, x: float, y: float, radii: Floats, places: Ints, here: Bytes) -> None:
+    """Fill `here` with the mask at radii (angles,) round x, y, and `places` with their indices."""
     flat, width = mask.reshape(-1), mask.shape[1]
     last_column, last_row = mask.shape[1] - 1.0, mask.shape[0] - 1.0
     for k in range(ANGLES):
@@ -125,7 +124,7 @@ def _equations(edges: Floats, reach: float, normal: Floats, right: Floats) -> in
         right[2] += offset
     normal[2, 2] = hits
     for a in range(3):
-        normal[a, a] += _TOWARD_FIRST
+        normal[a, a] += _PRIOR_WEIGHT
     return hits
 
 

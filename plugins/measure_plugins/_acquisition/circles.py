@@ -1,8 +1,8 @@
-"""Circles in a patch of colour, also where part of the ball is hidden or two balls touch.
+"""Circles along the borders of colour segments, also of balls partly occluded or touching.
 
-Three points of a patch's border make a circle; it is judged by how much of its circumference parts
-colour inside from other outside (RANSAC, Fischler and Bolles 1981, with fixed instead of random
-samples). A circle bent the wrong way, round something in front of the ball, finds no support.
+Three points of a border give a circle; its score is the share of its circumference that has the
+colour inside and another outside (RANSAC, Fischler and Bolles 1981, with fixed instead of random
+samples). A circle of opposite curvature, around an occluder, has no support.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ from measure.compiling import compiled
 from measure_plugins._acquisition.circle_fit import ANGLES, COSINES, SINES, refined, share_filled
 from measure_plugins._acquisition.patches import borders, framed
 
-_TOGETHER = 8
-"""Angles that are looked at before asking whether the others can still do: guesses cost more."""
+_BATCH_ANGLES = 8
+"""Angles that are tested before the next check whether the share can still be reached."""
 _REACH = 1.5
-"""Inside and outside are looked up this far from the circle, in reduced pixels."""
-_LEAST_ARC = 2.0
-"""A circle needs this much arc in sight, in reduced pixels over 2 pi: 13 pixels of border."""
+"""Distance from the circle at which inside and outside are read, in reduced pixels."""
+_MIN_ARC = 2.0
+"""Least visible arc in reduced pixels, divided by 2 pi: 13 pixels of border."""
 _SPANS = (55, 34, 21, 13, 8, 5)
 """Border pixels between the three points."""
-_LEAST_BORDER = 10
-"""Specks with a shorter border, in reduced pixels, show too little of any circle."""
-_CLEAR = 0.8
-"""A circle seen more than this leaves nothing to look for along its part of a border."""
-_PLAIN = 0.6
-"""A circle seen more than this is a ball: what lies inside it is part of it."""
+_MIN_BORDER = 10
+"""Segments with a shorter border, in reduced pixels, are left out."""
+_COMPLETE_SHARE = 0.8
+"""Visible share of a circle above which its part of a border is not searched further."""
+_CONTAINS_ABOVE = 0.6
+"""Visible share above which other circles inside one are parts of it."""
 
 
 @compiled
@@ -76,7 +76,7 @@ def circles_of(
         (k, 5) centre x, y, radius, share of the circle seen, share of its inside filled.
     """
     mask = framed(bits, bit)
-    pixels, ends = borders(mask, _LEAST_BORDER)
+    pixels, ends = borders(mask, _MIN_BORDER)
     best = np.zeros((most, 5))
     start = 0
     for end in ends:
@@ -89,7 +89,7 @@ def circles_of(
 def _along(
     border: Ints, mask: Bytes, radii: tuple[float, float], least: float, best: Floats
 ) -> None:
-    """Keep the best circles along a border: far-apart points first, which tell circles best."""
+    """Keep the best circles along a border: those of points far apart first."""
     n = len(border)
     explained = np.zeros(n, np.uint8)
     worst = float(np.min(best[:, 4]))
@@ -103,22 +103,22 @@ def _along(
             x, y, r = _through(border, i, j, k)
             if not radii[0] <= r <= radii[1] or 2 * span > 5 * r:
                 continue
-            parted = _parts(mask, border[i, 0], border[i, 1], x, y)
-            parted &= _parts(mask, border[j, 0], border[j, 1], x, y)
-            if not parted & _parts(mask, border[k, 0], border[k, 1], x, y):
+            contrast = _has_contrast(mask, border[i, 0], border[i, 1], x, y)
+            contrast &= _has_contrast(mask, border[j, 0], border[j, 1], x, y)
+            if not contrast & _has_contrast(mask, border[k, 0], border[k, 1], x, y):
                 continue
-            # Where the best are found already, lesser ones need not be looked at to their end.
-            needed = max(least, _LEAST_ARC / r, min(worst / np.sqrt(r), _CLEAR))
+            # A circle that cannot exceed the worst of the best is given up early.
+            needed = max(least, _MIN_ARC / r, min(worst / np.sqrt(r), _COMPLETE_SHARE))
             seen = _share_seen(mask, x, y, r, needed)
             if seen >= needed:
                 worst = _keep(best, x, y, r, seen)
-            if seen >= _CLEAR:
+            if seen >= _COMPLETE_SHARE:
                 _explain(border, x, y, r, explained)
 
 
 @compiled
 def _explain(border: Ints, x: float, y: float, r: float, explained: Bytes) -> None:
-    """Mark what lies on a circle that is clear: looking on would find it again and again."""
+    """Mark border points on a complete circle, which would otherwise be found again."""
     for i in range(len(border)):
         dx, dy = border[i, 0] - x, border[i, 1] - y
         if abs(np.sqrt(dx * dx + dy * dy) - r) < _REACH:
@@ -129,7 +129,7 @@ def _explain(border: Ints, x: float, y: float, r: float, explained: Bytes) -> No
 def _finished(
     mask: Bytes, circles: Floats, radii: tuple[float, float], least_filled: float
 ) -> Floats:
-    """Refine the best circles and keep those that are still such; (m, 5), the last: filled."""
+    """Refine the best circles; keep (m, 5) those within limits, with their filled share."""
     out = np.empty((len(circles), 5))
     count = 0
     for i in range(len(circles)):
@@ -147,7 +147,7 @@ def _finished(
 
 @compiled
 def distinct(circles: Floats) -> Floats:
-    """Sort circles (k, 5); leave out repeats of better ones and what lies in a plain ball."""
+    """Sort circles (k, 5); leave out repeats of better ones and those inside a complete one."""
     order = np.argsort(-circles[:, 3] * np.sqrt(circles[:, 2] * circles[:, 4]), kind="mergesort")
     out = np.empty(circles.shape)
     count = 0
@@ -156,7 +156,7 @@ def distinct(circles: Floats) -> Floats:
         new = True
         for k in range(count):
             apart = np.sqrt((x - out[k, 0]) ** 2 + (y - out[k, 1]) ** 2)
-            reach = 0.9 * out[k, 2] if out[k, 3] > _PLAIN else 0.4 * max(r, out[k, 2])
+            reach = 0.9 * out[k, 2] if out[k, 3] > _CONTAINS_ABOVE else 0.4 * max(r, out[k, 2])
             new = new and apart >= reach
         if new:
             out[count] = circles[i]
@@ -188,8 +188,8 @@ def _at(mask: Bytes, x: float, y: float) -> int:
 
 
 @compiled
-def _parts(mask: Bytes, u: int, v: int, x: float, y: float) -> bool:
-    """Whether colour lies on the side of a border pixel u, v that faces (x, y), and none beyond."""
+def _has_contrast(mask: Bytes, u: int, v: int, x: float, y: float) -> bool:
+    """Whether the colour is on the side of border pixel u, v that faces (x, y), and not beyond."""
     dx, dy = u - x, v - y
     per = 1 / (np.sqrt(dx * dx + dy * dy) + 1e-9)
     dx, dy = dx * per, dy * per
@@ -199,12 +199,12 @@ def _parts(mask: Bytes, u: int, v: int, x: float, y: float) -> bool:
 
 @compiled
 def _share_seen(mask: Bytes, x: float, y: float, r: float, needed: float) -> float:
-    """Share of a circle that parts colour from other; given up once it cannot reach `needed`."""
+    """Share of a circle with colour inside only; given up (0) once it cannot reach `needed`."""
     hits = 0
-    for start in range(0, ANGLES, _TOGETHER):
+    for start in range(0, ANGLES, _BATCH_ANGLES):
         if hits + ANGLES - start < needed * ANGLES:
             return 0.0
-        for k in range(start, start + _TOGETHER):
+        for k in range(start, start + _BATCH_ANGLES):
             c, s = COSINES[k], SINES[k]
             outside = _at(mask, x + (r + _REACH) * c, y + (r + _REACH) * s)
             inside = _at(mask, x + (r - _REACH) * c, y + (r - _REACH) * s)
@@ -214,12 +214,12 @@ def _share_seen(mask: Bytes, x: float, y: float, r: float, needed: float) -> flo
 
 @compiled
 def _keep(best: Floats, x: float, y: float, r: float, seen: float) -> float:
-    """Put a circle and its merit into `best`: in place of its double if better, else of the worst.
+    """Put a circle into `best`: in place of a similar one if better, else of the worst.
 
     Returns:
-        The worst one's merit now: what has no more is never kept.
+        The worst score in `best`.
     """
-    merit = seen * np.sqrt(r)
+    score = seen * np.sqrt(r)
     place = int(np.argmin(best[:, 4]))
     for i in range(len(best)):
         if best[i, 3] > 0:
@@ -227,6 +227,6 @@ def _keep(best: Floats, x: float, y: float, r: float, seen: float) -> float:
             if apart < 0.5 * max(r, best[i, 2]):
                 place = i
                 break
-    if merit > best[place, 4]:
-        best[place] = (x, y, r, seen, merit)
+    if score > best[place, 4]:
+        best[place] = (x, y, r, seen, score)
     return float(np.min(best[:, 4]))

@@ -1,4 +1,4 @@
-"""One table look-up per pixel tells which of the body's colours it may have."""
+"""Colours of pixels by one table look-up each."""
 
 from __future__ import annotations
 
@@ -9,21 +9,18 @@ import numpy as np
 from measure.arrays import Bytes
 from measure.compiling import compiled
 from measure.model import BallColor
-from measure_plugins._outline.sampling.prefetch import ask_for_row
 
 _BITS = 6
 _LEVELS = 1 << _BITS
 MAX_COLORS = 8
-"""A pixel's colours are the bits of one byte."""
-_AHEAD = 2
-"""Reduced rows that are asked for before they are looked at."""
+"""The bits of one byte."""
 _ONE, _TWO = np.uint64(1), np.uint64(2)
 _SIX, _TWELVE = np.uint64(_BITS), np.uint64(2 * _BITS)
 
 
 @lru_cache(maxsize=16)
 def color_table(colors: tuple[BallColor, ...]) -> Bytes:
-    """Bit i of entry (b, g, r), each cut to six bits, says whether it matches `colors[i]`.
+    """Bit i of entry (b, g, r), each cut to six bits, is set if it matches `colors[i]`.
 
     Args:
         colors: at most eight.
@@ -69,14 +66,12 @@ def classify(pixels: Bytes, table: Bytes, sparse: Bytes, step: int) -> tuple[Byt
     some = np.empty((-(-height // 2), -(-width // 2)), np.uint8)
     cut, places = np.empty(rows.shape[1], np.uint8), np.empty(width, np.uint32)
     for i in range(height):
-        for ahead in (first, second):
-            ask_for_row(rows, (i + _AHEAD) * step + ahead)
         above, below = rows[i * step + first], rows[i * step + second]
         above_right, below_right = above[apart:], below[apart:]
-        for k in range(len(above_right)):  # where they are not needed, too: many at once
+        for k in range(len(above_right)):  # also where they are not needed: vectorised
             cut[k] = (above[k] + below[k] + above_right[k] + below_right[k]) >> 4
         for j in range(width):
-            # Unsigned, like all that is added: no look whether it counts from the end.
+            # Unsigned indices: no check for negative ones.
             at = np.uint64(3 * (j * step + first))
             blue, green, red = cut[at], cut[at + _ONE], cut[at + _TWO]
             places[j] = (np.uint64(blue) << _TWELVE) | (np.uint64(green) << _SIX) | np.uint64(red)

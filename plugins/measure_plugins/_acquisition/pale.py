@@ -1,8 +1,7 @@
-"""White balls: no hue tells them from grey, and their shaded side is as dark as what is round them.
+"""White balls, which hue does not separate from grey, and whose shaded side is as dark as grey.
 
-A threshold that holds for every picture cuts such a ball where its shade begins, and the rest is no
-circle. So they are searched for twice: by their colour, and by being brighter than the picture's
-own grey. What of that is a ball is for geometry to say.
+A fixed threshold of brightness cuts such a ball at its shade, and the rest is no circle. They are
+searched twice: by their colour, and as brighter than the median grey of the picture.
 """
 
 from __future__ import annotations
@@ -17,10 +16,10 @@ from measure.model import BallColor
 from measure.model.color import ColorRange
 from measure_plugins._acquisition.color_table import color_table
 
-_EVERY = 32
-"""Rows and columns that tell the picture's grey: one in so many."""
+_GREY_STRIDE = 32
+"""Stride of the rows and columns from which the picture's grey is taken."""
 _BRIGHTER = 1.35
-"""The outline's shaded side, as a share of what is behind it, in picture values."""
+"""Threshold of brightness per median grey, in picture values."""
 _ALL_HUES = (0, 179)
 
 
@@ -37,7 +36,7 @@ def is_pale(color: BallColor) -> bool:
 
 
 def brighter_than_the_rest(color: BallColor, bit: int, pixels: Bytes) -> Bytes:
-    """A `color_table` of what is pale and brighter than most of a picture's grey.
+    """A `color_table` of pale colours that are brighter than the median grey of a picture.
 
     Args:
         color: a colour that `is_pale`.
@@ -48,7 +47,9 @@ def brighter_than_the_rest(color: BallColor, bit: int, pixels: Bytes) -> Bytes:
         (64, 64, 64).
     """
     pale = _of_any_value(color, bit)
-    some = pixels[_EVERY // 2 :: _EVERY, _EVERY // 2 :: _EVERY].reshape(-1, 3)
+    some = pixels[_GREY_STRIDE // 2 :: _GREY_STRIDE, _GREY_STRIDE // 2 :: _GREY_STRIDE].reshape(
+        -1, 3
+    )
     cut = some // (256 // len(pale))
     values = some[pale[cut[:, 0], cut[:, 1], cut[:, 2]] > 0].max(axis=1)
     level = float(np.median(values)) if len(values) else 0.0

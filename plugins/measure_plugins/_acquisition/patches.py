@@ -1,4 +1,4 @@
-"""Patches of one colour in a reduced picture: the speckle taken off, and the border of each."""
+"""Segments of one colour in a reduced picture: median filter, and tracing of borders."""
 
 from __future__ import annotations
 
@@ -9,25 +9,25 @@ from measure.compiling import compiled
 
 _DX = np.array([1, 1, 0, -1, -1, -1, 0, 1])
 _DY = np.array([0, -1, -1, -1, 0, 1, 1, 1])
-"""The eight neighbours of a pixel, counter-clockwise from the right as one looks at the picture."""
+"""The eight neighbours of a pixel, counter-clockwise from the right in the displayed picture."""
 _WEST = 4
 _ALL = 0xFF
-"""All eight neighbours; no border passes such a pixel."""
+"""All eight neighbours: such a pixel lies on no border."""
 _WORD = 8
-"""Pixels that are looked at together, to skip what no border passes."""
+"""Pixels tested at once, to skip those on no border."""
 OFF = 2
-"""What a mask of one colour holds beyond the picture."""
+"""Value of a mask outside the picture."""
 _EDGE, _ENTERED, _LEFT = 1, 2, 3
-"""Labels of pixels of the colour with a neighbour that has not got it: no border has passed yet;
-one has; one has and found nothing to the right."""
+"""Labels of pixels on borders: not traced yet; traced; traced, and without the colour to the
+right."""
 
 
 def _turns() -> Ints:
-    """Where a border that enters a pixel goes on.
+    """The next neighbour along a border.
 
     Returns:
-        (8, 256) for each neighbour that it comes from, and each set of neighbours that have the
-        colour, the first of these counter-clockwise; eight more if there is none to the right.
+        (8, 256) by the neighbour that the border comes from and by the set of neighbours of the
+        colour: the first of these counter-clockwise, plus eight if the right one is passed over.
     """
     out = np.zeros((8, 256), np.int64)
     for back in range(8):
@@ -45,10 +45,10 @@ _TURNS = _turns()
 
 @compiled
 def majority(bits: Bytes) -> Bytes:
-    """Each bit as most of the 3 x 3 pixels about it have it: a median filter of every colour.
+    """A 3 x 3 median filter of every bit.
 
-    The nine pixels are counted bit by bit, with the adders that hardware uses, so that all colours
-    are counted at once. Pixels at the picture's border count their neighbours there twice.
+    The nine pixels are counted by bitwise full adders, all colours at once. Pixels at the picture's
+    border count their neighbours there twice.
 
     Args:
         bits: (h, w) colours of each pixel.
@@ -124,12 +124,12 @@ def borders(mask: Bytes, least: int) -> tuple[Ints, Ints]:
 
 @compiled
 def _labels(mask: Bytes) -> tuple[Bytes, Bytes]:
-    """Which neighbours have a colour too, and where a border may pass, of a mask (h + 2, w + 2).
+    """Neighbours of the colour, and pixels on borders, of a mask (h + 2, w + 2).
 
     Returns:
-        (h + 2, w + 2 or a little more) a bit for each of a pixel's neighbours that have the colour;
-        as many labels, _EDGE where a pixel with the colour has a neighbour without. Both with a
-        margin of zeros.
+        (h + 2, w + 2, filled up to whole words) a bit for each of a pixel's neighbours of the
+        colour; as many labels, _EDGE where a pixel of the colour has a neighbour without. Both with
+        a margin of zeros.
     """
     h, w = mask.shape[0] - 2, mask.shape[1] - 2
     wide = (w + 2 + _WORD - 1) // _WORD * _WORD
@@ -149,18 +149,18 @@ def _labels(mask: Bytes) -> tuple[Bytes, Bytes]:
 
 @compiled
 def _trace(neighbours: Bytes, labels: Bytes, row: int, column: int, pixels: Ints, at: int) -> int:
-    """Follow an outer border from its first pixel, label it, and write it down from row `at` on.
+    """Trace an outer border from its first pixel, label it, and store it from row `at` on.
 
     Args:
         neighbours: as from `_labels`.
         labels: the same; changed in place.
         row: of the first pixel, in `labels`.
-        column: the same; the pixel to its left has not the colour.
-        pixels: (room, 2) where x, y in the picture are written.
+        column: of the first pixel; the one to its left is not of the colour.
+        pixels: (k, 2) filled with x, y in the picture.
         at: first free row of `pixels`.
 
     Returns:
-        The first row that is free now.
+        The first free row afterwards.
     """
     width, flat, around = labels.shape[1], labels.reshape(-1), neighbours.reshape(-1)
     steps = _DY * width + _DX

@@ -1,9 +1,8 @@
-"""Balls in the dark: the side that a lone hard lamp leaves unlit has the ball's hue, but no light.
+"""Balls in hard light: their shaded side has the ball's hue, but little light.
 
-Ranges of colours leave the dark out, where grey things look like any colour. A ball lit from one
-side is cut along its terminator by that, and its other side is nowhere. So coloured balls are
-searched for twice: by their colour, and by that together with dark pixels of the same hue whose
-saturation leaves no doubt that they have one. What of that is a ball is for geometry to say.
+Colour ranges exclude dark pixels, in which grey may have any hue; a ball lit from one side is cut
+along its terminator. Coloured balls are searched twice: by their colour, and by that together with
+dark pixels of the same hue and high saturation.
 """
 
 from __future__ import annotations
@@ -19,32 +18,33 @@ from measure.model import BallColor
 from measure.model.color import ColorRange
 from measure_plugins._acquisition.color_table import color_table
 
-_LEAST_VALUE = 12
-"""Below, the levels of a picture are too few to tell a hue."""
-_LEAST_SATURATION = 110
-"""Grey in the dark, off by a few levels in one channel, is as saturated as some colours' range
-begins; with this, a hue rests on five levels in the darkest and on a dozen in what is less dark."""
-_MUCH = 0.25
-"""As a share of what is lit. Of a ball with less of it in the dark, enough is seen of its outline;
-and other pictures need not be searched once more."""
+_MIN_VALUE = 12
+"""Least value of a dark pixel, above the quantisation of hue."""
+_MIN_SATURATION = 110
+"""Least saturation of a dark pixel: its hue then rests on five levels in the darkest and on a dozen
+in less dark ones. Grey pixels a few levels off would pass the lower limits of some colours."""
+_MUCH_SHADE = 0.25
+"""Pixels in shade, per pixels in light, above which a picture is searched once more: with fewer,
+enough
+of the outline is visible."""
 
 
 @lru_cache(maxsize=16)
 def with_shade(colors: tuple[BallColor, ...]) -> Bytes:
-    """The `color_table` of colours that reach into the dark where they have a hue."""
+    """The `color_table` of colours and, where they have a hue, of their shade."""
     return color_table(tuple(map(_reaching, colors)))
 
 
 @compiled
 def much_in_shade(lit: Bytes, shaded: Bytes, bit: int) -> bool:
-    """Whether so much of a colour lies in the dark that a ball may be cut or missed without that.
+    """Whether so much of a colour is in shade that a ball may be cut or missed.
 
     Args:
         lit: (h, w) colours of some pixels.
-        shaded: (h, w) of as many, where colours reach into the dark.
+        shaded: (h, w) of the same pixels, with shade.
         bit: the colour's.
     """
-    return _count(shaded, bit) > (1 + _MUCH) * _count(lit, bit)
+    return _count(shaded, bit) > (1 + _MUCH_SHADE) * _count(lit, bit)
 
 
 @compiled
@@ -68,5 +68,5 @@ def _has_hue(known: ColorRange) -> bool:
 
 def _dark(known: ColorRange) -> ColorRange:
     hue, saturation, value = known.low
-    low = (hue, max(saturation, _LEAST_SATURATION), min(value, _LEAST_VALUE))
+    low = (hue, max(saturation, _MIN_SATURATION), min(value, _MIN_VALUE))
     return replace(known, low=low)

@@ -8,10 +8,10 @@ from measure.arrays import Floats, Reals
 from measure.compiling import compiled, inlined
 
 NINE = 9
-"""The most rows that medians are provided for."""
+"""Most rows of `median_rows`."""
 _THREE, _FOUR = 3, 4
 _QUARTERINGS = 12
-"""What is found is this power of a quarter of the greatest too large at most."""
+"""Iterations: the error is at most the greatest value times a quarter to this power."""
 
 
 @compiled
@@ -41,10 +41,9 @@ def kth_smallest(values: Floats, count: int, k: int) -> float:
 
 @compiled
 def nearly_kth(sizes: Floats, k: int) -> float:
-    """The k-th smallest (from 0) of sizes (n,), which is not negative, nearly: see `_QUARTERINGS`.
+    """The k-th smallest (from 0) of sizes (n,), not negative, up to the error of `_QUARTERINGS`.
 
-    Counted, without branches, which guess wrong half the time where values are unlike; by quarters,
-    because the next count has to wait for the one before.
+    By counting the values below thresholds, without branches, which would be mispredicted.
     """
     low, step = 0.0, 0.0
     for size in sizes:
@@ -99,8 +98,8 @@ def _middle_of_four(rows: Reals, out: Reals) -> None:
 def _middle_of_nine(rows: Reals, out: Reals) -> None:
     """Middle (n,) of rows (9, n).
 
-    Without branches, so that the loop does many columns at once: each triple is sorted, and the
-    middle is that of the greatest low, the middle middle and the least high (Paeth 1990).
+    Without branches, so that the loop is vectorised: each triple is sorted, and the middle is that
+    of the greatest low, the middle middle and the least high (Paeth 1990).
     """
     for i in range(len(out)):
         low, middle, high = _sorted(rows[0, i], rows[1, i], rows[2, i])
@@ -142,7 +141,7 @@ def median(values: Floats, count: int) -> float:
 
 
 DOUBLES, SINGLES = 8, 16
-"""How many numbers the longest of its vectors hold."""
+"""Numbers in the longest vectors of a processor."""
 
 
 @inlined

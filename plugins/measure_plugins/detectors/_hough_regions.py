@@ -11,7 +11,7 @@ from measure.arrays import Bytes, Floats, Ints
 from measure.model import ConvertedImage
 
 _STRIDE = 4
-"""Segments are blurred shapes of many pixels: looking at every fourth one finds them all."""
+"""Stride of the pixels tested: segments are larger."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ def regions(segments: Bytes, smallest_px: float, margin_px: float) -> list[Regio
     Args:
         segments: (h, w), not zero inside segments.
         smallest_px: segments that extend less in both directions cannot be a ball.
-        margin_px: room left around a segment for the centre of a partly hidden ball.
+        margin_px: margin around a segment for the centre of a partly occluded ball.
     """
     height, width = segments.shape
     _, _, stats, _ = cv2.connectedComponentsWithStats(

@@ -14,8 +14,8 @@ from measure_plugins.detectors._hough_steps import hough_circles
 
 
 @dataclass(frozen=True)
-class OutlineSearch:
-    """What is looked for in a window.
+class HoughSearch:
+    """Parameters of the search in a window.
 
     Attributes:
         radius_px: smallest and largest radius.
@@ -31,7 +31,7 @@ class OutlineSearch:
 
 
 def finder(
-    border: Bytes, parts: Sequence[Region], search: OutlineSearch, dp: float, param1: float
+    border: Bytes, parts: Sequence[Region], search: HoughSearch, dp: float, param1: float
 ) -> Find:
     """The Hough detection on edges (h, w) of step 6, region by region.
 

@@ -19,7 +19,7 @@ from measure.model import Ball, Body, Camera, ConvertedImage, Detection, Expecta
 from measure_plugins.detectors import _hough_steps as steps
 from measure_plugins.detectors._hough_bisection import Find, tune_blur
 from measure_plugins.detectors._hough_regions import Window, cut, regions
-from measure_plugins.detectors._hough_search import OutlineSearch, finder
+from measure_plugins.detectors._hough_search import HoughSearch, finder
 
 _SAME_COLOR_SHARE = 0.5
 """Two colours of which one covers this share of the other cannot be told apart."""
@@ -145,7 +145,7 @@ class HoughDetector(Detector):
         window = cut(image.pixels, expectation.center_px - reach, expectation.center_px + reach)
         if window is None:
             return []
-        search = OutlineSearch(
+        search = HoughSearch(
             expectation.radius_px,
             expectation.min_distance_px,
             circles=1,
@@ -155,7 +155,7 @@ class HoughDetector(Detector):
 
     def _searched(self, ball: Ball, image: Image, whole: Window) -> list[Detection]:
         radius_px = self._plausible_radii(ball)
-        search = OutlineSearch(
+        search = HoughSearch(
             radius_px,
             self.config.min_distance_radii * radius_px[0],
             circles=self.config.circles,
@@ -180,7 +180,7 @@ class HoughDetector(Detector):
         return window.edges[sigma_px]
 
     def _circles(
-        self, ball: Ball, image: Image, window: Window, search: OutlineSearch
+        self, ball: Ball, image: Image, window: Window, search: HoughSearch
     ) -> list[Detection]:
         """Steps 4 to 8 in one window."""
         config = self.config
