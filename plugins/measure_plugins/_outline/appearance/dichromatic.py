@@ -3,6 +3,7 @@
 Each pixel inside is split into an amount of the body colour and an amount of grey, the reflected
 light. The former is fitted along the whole outline (`point_lights`, `spherical_harmonics`), the
 latter ray by ray. Profiles are (3, m, n): colours, steps along the rays, rays.
+See docs/explanation/outline.md, formulas 3 and 8.
 """
 
 from __future__ import annotations
@@ -63,7 +64,7 @@ def body_color(profiles: Floats, status: Statuses, steps: Floats) -> Floats:
 def split(
     blue: Floats, green: Floats, red: Floats, own: Floats, amount: Floats, grey: Floats
 ) -> None:
-    """Fill amounts (n,) of the body colour and of grey in colours (n,), by least squares."""
+    """Fill amounts (n,) of body colour and grey in colours (n,), by least squares (formula 3)."""
     b = np.sum(own) * GREY
     apart = 1 - b * b
     separable = apart > COLORLESS**2
@@ -93,7 +94,7 @@ def every_second(values: Floats, used: int, rays: Ints) -> Floats:
 
 @compiled
 def reflected_light(grey: Floats, status: Statuses, solve: Floats) -> Floats:
-    """Reflected light (k, n) from amounts of grey (m, n) along the rays.
+    """Reflected light (k, n) from amounts of grey (m, n) along the rays (formula 8).
 
     Args:
         grey: (m, n).

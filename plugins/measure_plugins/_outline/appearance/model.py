@@ -1,4 +1,7 @@
-"""How a camera shows balls: tone curve, blur, surface, lights and surroundings."""
+"""How a camera shows balls: tone curve, blur, surface, lights and surroundings.
+
+See docs/explanation/outline.md, formula 10.
+"""
 
 from __future__ import annotations
 
@@ -81,7 +84,7 @@ def first_appearance(tone: str) -> Appearance:
 
 
 def bent_table(tone: str, bends: Floats) -> Floats:
-    """A tone table with a lift of the blacks, a bow and an S added to the picture values.
+    """A tone table with a lift of the blacks, a bow and an S of its values (formula 10).
 
     The response curves of real cameras lie near a space of few dimensions (Grossberg and Nayar
     2003).

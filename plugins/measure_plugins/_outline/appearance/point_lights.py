@@ -4,7 +4,7 @@ A point light adds the cosine of incidence, and nothing beyond its terminator, w
 the normal would become negative. Light that enters a glossy surface is weakened by its Fresnel
 reflectance. Lights are rows (k, 4): place in the camera frame in mm, and irradiance one metre away
 in any unit; seen from a ball, unit direction and irradiance there. They are near, so that their
-terminators differ from ball to ball.
+terminators differ from ball to ball. See docs/explanation/outline.md, formulas 5 and 6.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def shade_by_lights(
 def _add_light(
     source: Floats, fresnel_loss: float, right: Singles, down: Singles, ahead: Singles, out: Singles
 ) -> None:
-    """Add the shading by one light to the sums (k,).
+    """Add the shading by one light to the sums (k,) (formula 5).
 
     Args:
         source: (4,) the light, seen from the ball.
@@ -125,7 +125,7 @@ def _add_light(
 def fit_light_shading(
     amounts: Floats, status: Statuses, around: Floats, diffuse: Floats, lighted: Floats, used: int
 ) -> Floats:
-    """Coefficients (5,) of the point lights and of light linear in the normal, robustly.
+    """Coefficients (5,) of point lights and of light linear in the normal, robustly (formula 6).
 
     Args:
         amounts: (m, n) of the body colour.

@@ -5,6 +5,7 @@ angles (Fresnel): it fades to nothing at the outline, and the reflection of the 
 its place. Shading by distant lights is a quadratic polynomial of the normal (Ramamoorthi and
 Hanrahan 2001); around the view axis it is a sum of angular times six radial functions, and all that
 is costly depends on the radius alone.
+See docs/explanation/outline.md, formulas 1, 2, 4, 5, 7 and 8.
 """
 
 from __future__ import annotations
@@ -144,13 +145,13 @@ def _radial(radius4: int, angle200: int, blur20: int, index: float, mirrors: boo
 
 @lru_cache(maxsize=64)
 def _fresnel_loss(index: float) -> Floats:
-    """See `RadialTables`: 0 of paint without a boundary, 1 of clear plastic."""
+    """See `RadialTables`: 0 of paint without a boundary, 1 of clear plastic (formula 5)."""
     straight, slanting = fresnel(np.array([1.0, _SLANTING]), index)
     return np.array([min((slanting - straight) / (1 - straight) / (1 - _SLANTING) ** 5, 1.0)])
 
 
 def fresnel(cosine: Floats, index: float) -> Floats:
-    """Share of unpolarised light reflected at incidence of this cosine; 0 for an index of 1."""
+    """Reflected share of unpolarised light at a cosine of incidence; 0 for index 1 (formula 4)."""
     if index == 1:
         return np.zeros_like(cosine)
     transmitted = np.sqrt(1 - (1 - cosine**2) / index**2)
@@ -160,14 +161,14 @@ def fresnel(cosine: Floats, index: float) -> Floats:
 
 
 def _surface(half_angle: float, rad_per_px: float) -> tuple[Floats, Floats]:
-    """Tilt of the normal from the view axis and cosine of incidence, along the fine ray."""
+    """Tilt of the normal from the axis and cosine of incidence, along the fine ray (formula 1)."""
     beta = np.maximum(half_angle + _FINE * rad_per_px, 0.0)
     incidence = np.arcsin(np.minimum(np.sin(beta) / np.sin(half_angle), 1.0))
     return incidence - beta, np.cos(incidence)
 
 
 def _lobes(tilt: Floats) -> Floats:
-    """Radial factors (6, n) of the quadratic polynomials of the normal."""
+    """Radial factors (6, n) of the quadratic polynomials of the normal (formula 7)."""
     s, c = np.sin(tilt), np.cos(tilt)
     return np.array([np.ones_like(s), c, 3 * c * c - 1, s, s * c, s * s])
 
@@ -191,7 +192,7 @@ def _blur(blur20: int) -> Floats:
 
 
 def _reflection_solver(grey: Floats) -> tuple[Floats, Floats]:
-    """Ridge regression of the reflected light, smooth in angle, and tied to the background."""
+    """Ridge regression of the reflected light, smooth, and tied to the background (formula 8)."""
     design = grey * _REFLECTION_USED
     inverse = np.linalg.inv(design.T @ design + _REFLECTION_PRIOR)
     return np.ascontiguousarray(inverse @ design.T), np.ascontiguousarray(_FIRM * inverse[:, 0])

@@ -2,6 +2,7 @@
 
 Body and surface reflection are fitted to the picture, the background is taken as seen. The bias of
 the edge finder on the result is known, because the outline is.
+See docs/explanation/outline.md, formula 3.
 """
 
 from __future__ import annotations

@@ -2,6 +2,7 @@
 
 Webcams interpolate a colour mosaic and store chroma at half the resolution of luma (4:2:0 or
 4:2:2), both in encoded values. Interpolation between pixels blurs those once more.
+See docs/explanation/outline.md, formula 9.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """Quadratic shading of the diffuse light, where no point lights are known (see `radial_basis`).
 
 Nine coefficients, each of one of six radial functions times an angular one.
+See docs/explanation/outline.md, formula 7.
 """
 
 from __future__ import annotations

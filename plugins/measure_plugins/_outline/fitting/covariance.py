@@ -1,4 +1,7 @@
-"""Covariance of an outline's centre in the picture, from how its edges scatter about it."""
+"""Covariance of an outline's centre in the picture, from how its edges scatter about it.
+
+See docs/explanation/outline.md, formula 17.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +39,7 @@ def image_directions(frame: Floats, lens: Floats) -> Floats:
 
 @compiled
 def center_covariance(around: Floats, weights: Floats, off: Floats, normal: Floats) -> Floats:
-    """Covariance (2, 2) of a cone's axis along e1 and e2, in px^2, by how its edges scatter.
+    """Covariance (2, 2) of a cone's axis along e1 and e2, px^2, by its edges (formula 17).
 
     Shading, reflections and background shift edges alike over arcs of any length. Errors that
     shift one half of the outline out and the other in move the centre and leave no residual; their

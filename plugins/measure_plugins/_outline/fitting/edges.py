@@ -1,4 +1,7 @@
-"""Edges with the edge finder's own error taken off: the error it makes on the predicted picture."""
+"""Edges along rays, corrected by the bias of the edge finder on the predicted picture.
+
+See docs/explanation/outline.md, formulas 9, 13 and 14.
+"""
 
 from __future__ import annotations
 
@@ -111,7 +114,7 @@ class EdgePairs(NamedTuple):
 
 @folded
 def corrected_edges(found: EdgePairs, correction_weight: float) -> Edges:
-    """Mean of both edges of a ray, each corrected by its bias on the predicted picture.
+    """Mean of both edges of a ray, each corrected by its predicted bias (formula 13).
 
     Errors of the prediction move the two differently: their mean is better than either, and half
     their difference is part of its standard deviation.
@@ -171,7 +174,7 @@ def find_edge_pairs(inputs: PredictionInputs) -> EdgePairs:
 def _joined(
     shifts: Floats, variances: Floats, contrasts: Floats, inside: Reals, outside: Reals
 ) -> Edges:
-    """Edges from pairs (2, n) of corrected ones."""
+    """Edges from pairs (2, n) of corrected ones (formula 14)."""
     n = shifts.shape[1]
     shift, sd, contrast = np.empty(n), np.empty(n), np.empty(n)
     for i in range(n):
@@ -226,7 +229,7 @@ def sampled_light(pixels: Bytes, table: Floats, rays: RaySet) -> tuple[Floats, F
 def _predicted_values(
     inputs: PredictionInputs, light: Floats, status: Statuses, around: Floats
 ) -> Reals:
-    """Picture values (3, m, n) at `LATER_STEPS` that the model predicts along rays of `light`."""
+    """Predicted picture values (3, m, n) at `LATER_STEPS` along rays of `light` (formula 9)."""
     background = levels(light, STEPS, _BACKGROUND_PX).astype(np.float64)
     predicted = predict_light(
         light,

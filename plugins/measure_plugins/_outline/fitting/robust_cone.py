@@ -2,6 +2,7 @@
 
 About a predicted cone, a turn of its axis by (d1, d2) and a change of its half angle by da move the
 outline, along its normal, by `scale * (cos(phi) d1 + sin(phi) d2 + da)`: linear in three unknowns.
+See docs/explanation/outline.md, formula 15.
 """
 
 from __future__ import annotations

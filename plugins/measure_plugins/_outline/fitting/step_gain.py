@@ -3,7 +3,7 @@
 The prediction is fitted to the picture where the outline is assumed to be, and takes up part of its
 displacement. How much depends on the light on the ball, on its size and on its reflections, and
 hardly changes from picture to picture: it is measured once, and each scan's result multiplied by
-the inverse.
+the inverse. See docs/explanation/outline.md, formula 16.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Where a profile across an outline passes half-way between inside and outside.
 
 Profiles are (3, m, n): colours, steps along the rays, rays; rays last, so that loops over them are
-vectorised, twice as wide in single precision.
+vectorised, twice as wide in single precision. See docs/explanation/outline.md, formulas 11 and 12.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def project(profiles: Reals, inside: Reals, outside: Reals, colorful: bool) -> t
 
 @compiled
 def crossings(x: Reals, steps: Floats, search_px: float) -> tuple[Reals, Reals]:
-    """Where shares (m, n) fall through one half, nearest to 0.
+    """Where shares (m, n) fall through one half, nearest to 0 (formula 11).
 
     Args:
         x: see `project`.
@@ -122,7 +122,7 @@ def crossings(x: Reals, steps: Floats, search_px: float) -> tuple[Reals, Reals]:
 def uncertainty(
     x: Reals, steps: Floats, at: Reals, slope: Reals, window: tuple[float, float]
 ) -> Floats:
-    """Standard deviations (n,) in px of crossings, from the noise and the slope of the profiles.
+    """Standard deviations (n,) in px of crossings, from noise and slope (formula 12).
 
     Args:
         x: (m, n) see `project`.

@@ -1,4 +1,7 @@
-"""Residuals of a predicted picture, its outline moved to where it fits best."""
+"""Residuals of a predicted picture, its outline moved to where it fits best.
+
+See docs/explanation/outline.md, formula 18.
+"""
 
 from __future__ import annotations
 

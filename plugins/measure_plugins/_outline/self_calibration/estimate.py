@@ -1,4 +1,7 @@
-"""One estimate of a camera's tone curve, blur and lights, and of the surface of the balls."""
+"""One estimate of a camera's tone curve, blur and lights, and of the surface of the balls.
+
+See docs/explanation/outline.md, formula 23.
+"""
 
 from __future__ import annotations
 
@@ -130,7 +133,7 @@ a mild bend in a cluttered room, which stays unnoticed."""
 
 
 def has_common_response(estimates: Sequence[AppearanceEstimate]) -> bool:
-    """Whether the cameras have one response curve in common that differs from the standard's.
+    """Whether the cameras have a common response curve other than the standard's (formula 23).
 
     That is tested where every camera's curve is nearer to their median than that is to the
     standard's.

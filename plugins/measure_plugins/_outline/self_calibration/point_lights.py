@@ -6,6 +6,7 @@ from one side to the other has columns of its own, else it would be fitted by ma
 
 Sums over pixels are compiled loops: a linear algebra library would split products of this size
 among threads that wait for one another where cameras are measured in parallel.
+See docs/explanation/outline.md, formula 19.
 """
 
 from __future__ import annotations

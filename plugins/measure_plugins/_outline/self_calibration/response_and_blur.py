@@ -2,6 +2,7 @@
 
 The picture across an outline is predicted and its outline moved to fit best. The residuals then do
 not depend on where the outline is, but on tone curve, blur and surface: no ground truth is needed.
+See docs/explanation/outline.md, formula 18.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 Edges are found twice in a picture, without grey and with it, and twice on its prediction. The
 separation of the two does not depend on where the ball is: the slope of the observed separation
 over the predicted one shows how good predictions are. It is nearly one in front of plain grey, and
-less than half in pictures of webcams.
+less than half in pictures of webcams. See docs/explanation/outline.md, formula 20.
 """
 
 from __future__ import annotations
