@@ -19,7 +19,6 @@ from measure_plugins._outline.fitting.measurement import (
 from measure_plugins._outline.fitting.outline import Outline
 from measure_plugins._outline.fitting.scan import CameraImage, OutlineSearch
 from measure_plugins._outline.fitting.step_gain import measure_step_gain
-from measure_plugins._outline.sampling.prefetch import ask_for_outline
 from measure_plugins._outline.sampling.rays import radius_px
 
 
@@ -103,9 +102,7 @@ def measure_balls(
         colors: see `color_share`.
     """
     found = _none_found(len(expected.cones), rays)
-    _ask_for(view, expected, 0)
     for i in range(len(expected.cones)):
-        _ask_for(view, expected, i + 1)
         search = _search(expected, i, rays, min_contrast, margin_px)
         if expected.sized[i]:
             outline = measure_known_size(view, search, unpacked(expected.tables[i]))
@@ -164,14 +161,6 @@ def _none_found(k: int, rays: int) -> Measured:
         np.empty((k, rays)),
         np.zeros((k, 4)),
     )
-
-
-@compiled
-def _ask_for(view: CameraImage, expected: Expected, i: int) -> None:
-    """Have the part of the picture fetched that shows ball i, if there is one."""
-    if i < len(expected.cones):
-        cone = expected.cones[i]
-        ask_for_outline(view.pixels, cone[:3], cone[3], view.lens)
 
 
 @compiled

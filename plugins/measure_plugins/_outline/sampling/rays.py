@@ -1,4 +1,7 @@
-"""Rays across a predicted outline: where they cross it, and what the picture shows along them."""
+"""Rays across a predicted outline: where they cross it, and what the picture shows along them.
+
+See docs/explanation/outline.md, formula 2.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from measure.arrays import Bools, Bytes, Floats, Ints, Singles
-from measure.compiling import compiled, inlined
+from measure.compiling import compiled
 from measure.model.lens import lens_numbers, to_pixel
-from measure_plugins._kernels.selection import DOUBLES, whole_vectors
-from measure_plugins._outline.sampling.bilinear import between_pixels, light_between
 
 STEPS = np.arange(-16.5, 6.51, 1.0)
 """Samples along a ray, px along the outward normal: a pixel apart, as the picture's pixels are, and
@@ -43,7 +44,7 @@ class RaySet(NamedTuple):
 
 @compiled
 def frame_about(axis: Floats) -> Floats:
-    """Rows e1, e2, axis: a right-handed frame about a unit vector (3,).
+    """Rows e1, e2, axis: a right-handed frame about a unit vector (3,) (formula 2).
 
     It is continuous in the axis wherever a camera looks, so that what is known about one axis, ray
     by ray or along e1 and e2, holds for its neighbours (Duff et al. 2017, "Building an Orthonormal
@@ -211,73 +212,34 @@ def sample(
         Light (3, m, n), and values from 0 to 1 (3, m - values_from, n), in single precision; zeros
         on rays that are not clear.
     """
-    m, n, every = len(steps), len(rays.points), _filled_up(steps)
-    light, values = np.zeros((3, m, n), np.float32), np.zeros((3, m - values_from, n), np.float32)
+    n = len(rays.points)
+    light = np.zeros((3, len(steps), n), np.float32)
+    values = np.zeros((3, len(steps) - values_from, n), np.float32)
     _mark_outside(image, rays, steps)
-    flat, of, row = image.reshape(-1), table.astype(np.float32), 3 * image.shape[1]
-    first, weights = np.empty(len(every), np.int64), np.empty((4, len(every)), np.float32)
+    flat, row, light_of = image.reshape(-1), 3 * image.shape[1], table.astype(np.float32)
     for i in range(n):  # ray by ray: a ray's pixels are near each other in memory
         if rays.status[i] != CLEAR:
             continue
-        _pixels_along(rays.points[i], rays.normals[i], every, row, first, weights)
-        _light_between(flat, of, row, first, weights, light_wanted, light[:, :, i])
-        for j in range(values_from, m):
-            shares = weights[0, j], weights[1, j], weights[2, j], weights[3, j]
-            b, g, r = between_pixels(flat, first[j], row, shares)
-            k = j - values_from
-            values[0, k, i], values[1, k, i], values[2, k, i] = b * _LEVEL, g * _LEVEL, r * _LEVEL
+        for j in range(len(steps)):
+            u = rays.points[i, 0] + steps[j] * rays.normals[i, 0]
+            v = rays.points[i, 1] + steps[j] * rays.normals[i, 1]
+            x, y = np.floor(u), np.floor(v)
+            a, b = u - x, v - y
+            upper_left, upper_right = np.float32((1 - a) * (1 - b)), np.float32(a * (1 - b))
+            lower_left, lower_right = np.float32((1 - a) * b), np.float32(a * b)
+            at = int(y) * row + 3 * int(x)
+            for c in range(3):
+                # Unsigned indices: no check for negative ones.
+                p, q = flat[np.uint64(at + c)], flat[np.uint64(at + c + 3)]
+                r, s = flat[np.uint64(at + c + row)], flat[np.uint64(at + c + row + 3)]
+                if light_wanted[j]:
+                    upper = upper_left * light_of[p] + upper_right * light_of[q]
+                    light[c, j, i] = upper + lower_left * light_of[r] + lower_right * light_of[s]
+                if j >= values_from:
+                    left = upper_left * np.float32(p) + lower_left * np.float32(r)
+                    right = upper_right * np.float32(q) + lower_right * np.float32(s)
+                    values[c, j - values_from, i] = (left + right) * _LEVEL
     return light, values
-
-
-@inlined
-def _light_between(
-    flat: Bytes,
-    table: Singles,
-    row: int,
-    first: Ints,
-    weights: Singles,
-    wanted: Bools,
-    out: Singles,
-) -> None:
-    """Light (3, m) between four pixels each where it is wanted, see `_pixels_along`."""
-    for j in range(out.shape[1]):
-        if wanted[j]:
-            shares = weights[0, j], weights[1, j], weights[2, j], weights[3, j]
-            b, g, r = light_between(flat, table, first[j], row, shares)
-            out[0, j], out[1, j], out[2, j] = b, g, r
-
-
-@compiled
-def _filled_up(steps: Floats) -> Floats:
-    """Steps (m or more,), the last repeated up to a whole number of vectors."""
-    out = np.full(whole_vectors(len(steps), DOUBLES), steps[len(steps) - 1])
-    out[: len(steps)] = steps
-    return out
-
-
-@compiled
-def _pixels_along(
-    point: Floats, normal: Floats, steps: Floats, row: int, first: Ints, weights: Singles
-) -> None:
-    """Where the four pixels round each of a ray's samples are, and their bilinear weights.
-
-    Args:
-        point: (2,) px.
-        normal: (2,) unit vector.
-        steps: (m,) px along the normal.
-        row: length of a picture row.
-        first: (m,) filled: index of the upper left pixel's first colour in the flat picture.
-        weights: (4, m) filled: upper left and right, lower left and right.
-    """
-    right, down = normal[0], normal[1]
-    start_u, start_v = point[0], point[1]
-    for j in range(len(steps)):
-        u, v = start_u + steps[j] * right, start_v + steps[j] * down
-        x, y = np.floor(u), np.floor(v)
-        a, b = u - x, v - y
-        weights[0, j], weights[1, j] = (1 - a) * (1 - b), a * (1 - b)
-        weights[2, j], weights[3, j] = (1 - a) * b, a * b
-        first[j] = int(y * row + 3 * x)
 
 
 @compiled
