@@ -18,8 +18,7 @@ from measure.host import Detector, Settings, hookimpl, setting
 from measure.model import Ball, Body, Camera, ConvertedImage, Detection, Expectation, Image
 from measure_plugins.detectors import _hough_steps as steps
 from measure_plugins.detectors._hough_bisection import Find, tune_blur
-from measure_plugins.detectors._hough_regions import Window, cut, regions
-from measure_plugins.detectors._hough_search import HoughSearch, finder
+from measure_plugins.detectors._hough_regions import HoughSearch, Window, cut, finder, regions
 
 _SAME_COLOR_SHARE = 0.5
 """Two colours of which one covers this share of the other cannot be told apart."""
