@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from measure.geometry import tangent_cone
-from measure.simulation import Renderer
 from measure_plugins._outline.appearance.model import first_appearance
 from measure_plugins._outline.self_calibration.schedule import SelfCalibration
+from tests.plugins.rendering import picture
 
 TIMES_S = (0.0, 0.4)
 
@@ -38,10 +38,12 @@ def estimated(calibration, pixels, seen, others, now):
 
 def estimates(scene, camera_name, changed=lambda _, pixels, balls: (pixels, balls)):
     """One camera's estimates with each of two pictures, which `changed` may alter."""
-    renderer, camera = Renderer(scene, camera_name), scene.camera(camera_name)
+    camera = scene.camera(camera_name)
     calibration, out = calibration_of(camera), []
     for k, time_s in enumerate(TIMES_S):
-        pixels, balls = changed(k, renderer.picture(time_s, k), cones(scene, camera, time_s))
+        pixels, balls = changed(
+            k, picture(scene, camera_name, time_s, k), cones(scene, camera, time_s)
+        )
         assert calibration.wants_image(len(balls), time_s)
         out.append(estimated(calibration, pixels, balls, [], first_appearance("srgb")))
     return out
@@ -49,9 +51,9 @@ def estimates(scene, camera_name, changed=lambda _, pixels, balls: (pixels, ball
 
 def settled(calibration, scene, camera_name):
     """A camera's appearance after eight pictures, every other one the same."""
-    renderer, camera = Renderer(scene, camera_name), scene.camera(camera_name)
+    camera = scene.camera(camera_name)
     shown = [
-        (renderer.picture(time_s, k), cones(scene, camera, time_s))
+        (picture(scene, camera_name, time_s, k), cones(scene, camera, time_s))
         for k, time_s in enumerate(TIMES_S)
     ]
     now = first_appearance("srgb")

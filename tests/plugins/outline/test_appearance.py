@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from measure.simulation import CameraSensor, Renderer
+from measure.simulation import CameraSensor
 from measure.simulation.sensor import encode
 from measure_plugins._outline.appearance.model import (
     GLOSSY,
@@ -16,7 +16,7 @@ from measure_plugins._outline.appearance.model import (
     tone_table,
 )
 from tests.plugins.outline.estimates import TIMES_S, calibration_of, cones, estimated, estimates
-from tests.simulated.catalogue import scene_catalogue
+from tests.plugins.rendering import picture, scenes
 
 CAMERA = "cam1"
 
@@ -28,7 +28,7 @@ def estimated_appearance():
 
 
 def _estimated(name):
-    first, second = estimates(scene_catalogue()[name], CAMERA)
+    first, second = estimates(scenes()[name], CAMERA)
     assert first is None, "the first picture is only kept"
     return second
 
@@ -46,7 +46,7 @@ def test_blur_of_chroma_is_estimated(estimated_appearance):
         stored = np.frombuffer(encode(pixels, CameraSensor(quality=90, chroma="420")), np.uint8)
         return cv2.imdecode(stored, cv2.IMREAD_COLOR), balls
 
-    colour_at_half = estimates(scene_catalogue()["still"], CAMERA, halved)[1]
+    colour_at_half = estimates(scenes()["still"], CAMERA, halved)[1]
     assert estimated_appearance["still"].chroma_px < 0.7 < 0.85 < colour_at_half.chroma_px < 1.1
 
 
@@ -70,7 +70,7 @@ def test_a_mild_bend_is_found_with_point_lights(strength):
         curve = np.rint(255 * (values - strength * np.sin(2 * np.pi * values)))
         return curve.astype(np.uint8)[pixels], balls
 
-    estimated = estimates(scene_catalogue()["still"], "cam3", contrasty)[1]
+    estimated = estimates(scenes()["still"], "cam3", contrasty)[1]
     assert 0.4 * strength < estimated.bends[2] < 1.2 * strength
 
 
@@ -83,7 +83,7 @@ def _true_table(name):
     """Light (256,) of each picture value of the scene's camera."""
     from measure.simulation.sensor import tone_curve
 
-    levels = tone_curve(scene_catalogue()[name].sensor_of(CAMERA).tone)
+    levels = tone_curve(scenes()[name].sensor_of(CAMERA).tone)
     return np.interp(np.arange(256), levels, np.linspace(0, 1, len(levels)))
 
 
@@ -103,12 +103,14 @@ def test_tables_rise_from_0_to_1(bends):
 
 
 def test_too_few_balls_give_no_estimate():
-    scene = replace(scene_catalogue()["still"], shown=("red",))
-    renderer, camera = Renderer(scene, CAMERA), scene.camera(CAMERA)
+    scene = replace(scenes()["still"], shown=("red",))
+    camera = scene.camera(CAMERA)
     calibration = calibration_of(camera)
     start = first_appearance("srgb")
     for k, time_s in enumerate(TIMES_S):
         red = cones(scene, camera, time_s)[scene.body.index("red")]
         assert calibration.wants_image(1, time_s)
-        estimated_appearance = estimated(calibration, renderer.picture(time_s, k), [red], [], start)
+        estimated_appearance = estimated(
+            calibration, picture(scene, CAMERA, time_s, k), [red], [], start
+        )
     assert estimated_appearance is start

@@ -12,8 +12,8 @@ from measure_plugins._outline.sampling.rays import CLEAR, OCCLUDED
 from measure_plugins.detectors.outline import OutlineConfig, OutlineDetector
 from tests.plugins.detectors.drawing import draw, expect, image_of, to_picture
 from tests.plugins.outline.estimates import estimates
+from tests.plugins.rendering import scenes
 from tests.scenes import RAVEN, ring
-from tests.simulated.catalogue import scene_catalogue
 
 STEPS = np.arange(-7.0, 4.5, 0.5)
 
@@ -53,7 +53,7 @@ def overexposed_limb(share):
 
     def changed(_, pixels, balls):
         pixels = pixels.copy()
-        camera = scene_catalogue()["still"].camera("cam1")
+        camera = scenes()["still"].camera("cam1")
         v, u = np.mgrid[: pixels.shape[0], : pixels.shape[1]]
         for axis, half_angle, _ in balls:
             center = camera.intrinsics.project(axis[None])[0]
@@ -68,7 +68,7 @@ def overexposed_limb(share):
 
 
 def test_saturated_pixels_do_not_bias_estimates():
-    still = scene_catalogue()["still"]
+    still = scenes()["still"]
     clear, glare = (estimates(still, "cam1", overexposed_limb(share))[1] for share in (0.0, 0.2))
     assert glare.index == clear.index == GLOSSY
     assert np.abs(glare.bends).max() < 1e-6
@@ -76,7 +76,7 @@ def test_saturated_pixels_do_not_bias_estimates():
 
 
 def test_pictures_saturated_all_round_still_give_an_estimate():
-    drowned = estimates(scene_catalogue()["still"], "cam1", overexposed_limb(1.0))[1]
+    drowned = estimates(scenes()["still"], "cam1", overexposed_limb(1.0))[1]
     assert np.isfinite(drowned.bends).all()
     assert 0.5 <= drowned.blur_px <= 2.0
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from measure.simulation import Renderer
 from measure_plugins._outline.appearance.model import first_appearance
 from measure_plugins._outline.self_calibration.estimate import (
     AppearanceEstimate,
@@ -14,7 +13,7 @@ from measure_plugins._outline.self_calibration.estimate import (
 from measure_plugins._outline.self_calibration.point_lights import LightEquations
 from measure_plugins._outline.self_calibration.trust import PredictionAgreement
 from tests.plugins.outline.estimates import TIMES_S, calibration_of, cones, estimated
-from tests.simulated.catalogue import scene_catalogue
+from tests.plugins.rendering import picture, scenes
 
 _MILD = 0.02
 """A sixth of the S of a strongly bent curve: too little for one camera."""
@@ -61,12 +60,12 @@ class Mild:
     """A camera whose tone curve bends so mildly that it is not accepted alone."""
 
     def __init__(self):
-        scene, name = scene_catalogue()["still"], "cam1"
-        renderer, camera = Renderer(scene, name), scene.camera(name)
+        scene, name = scenes()["still"], "cam1"
+        camera = scene.camera(name)
         values = np.arange(256) / 255
         curve = np.rint(255 * (values - _MILD * np.sin(2 * np.pi * values))).astype(np.uint8)
         self.pictures = [
-            (curve[renderer.picture(time_s, k)], cones(scene, camera, time_s))
+            (curve[picture(scene, name, time_s, k)], cones(scene, camera, time_s))
             for k, time_s in enumerate(TIMES_S)
         ]
         self.calibration = calibration_of(camera)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from measure.simulation import Renderer
-from measure.simulation.catalogue import plain_scene
 from measure_plugins._outline.appearance.environment_map import (
     EnvironmentMap,
     environment_reflection,
@@ -17,6 +16,7 @@ from measure_plugins._outline.appearance.radial_basis import DEFLECTIONS, radial
 from measure_plugins._outline.sampling.rays import STEPS, angles_around, frame_about
 from measure_plugins._outline.self_calibration.environment_map import background_of, environment_of
 from tests.plugins.outline.estimates import cones, estimates
+from tests.plugins.rendering import picture, plain
 
 CAMERA = "cam3"
 HALF_ANGLE = 0.045
@@ -93,10 +93,10 @@ def test_colours_end_gradually_at_the_pictures_border():
 
 
 def test_balls_are_left_out_of_the_map():
-    scene = plain_scene("grey", 3)
+    scene = plain("grey", 3)
     camera = scene.camera(CAMERA)
     balls = np.array([[*axis, half] for axis, half, _ in cones(scene, camera, 0.0)])
-    pixels = Renderer(scene, CAMERA).picture(0.0)
+    pixels = picture(scene, CAMERA, 0.0)
     table = tone_table("srgb")
     without = background_of(pixels, camera.intrinsics.row, balls)
     with_them = background_of(pixels, camera.intrinsics.row, np.empty((0, 4)))
@@ -110,19 +110,19 @@ def test_balls_are_left_out_of_the_map():
 
 
 def test_the_map_is_used_where_balls_mirror_it():
-    scene = plain_scene("clutter", 21)
+    scene = plain("clutter", 21)
     estimated_appearance = estimates(scene, CAMERA)[-1]
     assert estimated_appearance.environment.colors.size > 0
 
 
 def test_a_map_that_balls_do_not_mirror_is_not_used(monkeypatch):
     """As no room could be: what is seen behind the balls is pasted in, and they mirror another."""
-    scene = plain_scene("clutter", 21)
+    scene = plain("clutter", 21)
     seen = Renderer(scene, CAMERA)._backdrop
     monkeypatch.setattr(Renderer, "_backdrop", property(lambda _: seen))
-    other = estimates(replace(scene, backdrop=plain_scene("grey", 21).backdrop), CAMERA)[-1]
+    other = estimates(replace(scene, backdrop=plain("grey", 21).backdrop), CAMERA)[-1]
     assert other.environment.colors.size == 0
 
 
 def test_a_map_without_colour_is_not_used():
-    assert estimates(plain_scene("grey", 3), CAMERA)[-1].environment.colors.size == 0
+    assert estimates(plain("grey", 3), CAMERA)[-1].environment.colors.size == 0

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from measure.simulation import Renderer
 from measure_plugins._outline.appearance.interreflection import (
     add_ball_reflection,
     ball_reflection_shares,
@@ -29,7 +28,7 @@ from measure_plugins._outline.fitting.edges import (
 from measure_plugins._outline.sampling.ray_groups import middle_angles
 from measure_plugins._outline.sampling.rays import angles_around, cast_rays, frame_about
 from tests.plugins.outline.estimates import cones
-from tests.simulated.catalogue import scene_catalogue
+from tests.plugins.rendering import picture, scenes
 
 RAYS = 72
 STEP = np.radians(10.0)
@@ -120,11 +119,11 @@ def test_balls_that_mirror_no_surroundings_mirror_no_ball(index, mirrors):
 @pytest.fixture(scope="module")
 def view():
     """Picture and outlines of a camera that sees the green ball before the yellow one."""
-    scene, name = scene_catalogue()["still"], "cam3"
+    scene, name = scenes()["still"], "cam3"
     camera = scene.camera(name)
     names = [ball.name for ball in scene.body.balls]
     rows = np.array([[*axis, half, mm] for axis, half, mm in cones(scene, camera, 0.0)])
-    pixels = Renderer(scene, name).picture(0.0)
+    pixels = picture(scene, name, 0.0)
     return pixels, camera.intrinsics.row, rows, names.index("green")
 
 

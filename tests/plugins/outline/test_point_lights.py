@@ -5,8 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from measure.simulation import Renderer
-from measure.simulation.catalogue import plain_scene
 from measure_plugins._outline.appearance.model import DEFAULT_CORRECTION_WEIGHT, MATT
 from measure_plugins._outline.appearance.point_lights import (
     fit_light_shading,
@@ -25,6 +23,7 @@ from measure_plugins._outline.fitting.edges import (
 from measure_plugins._outline.sampling.ray_groups import middle_angles
 from measure_plugins._outline.sampling.rays import OCCLUDED, STEPS, cast_rays, frame_about
 from tests.plugins.outline.estimates import calibration_of, cones, estimates, settled
+from tests.plugins.rendering import picture, plain
 
 CAMERA = "cam1"
 HALF_ANGLE, RADIUS_PX = 0.045, 63.0
@@ -96,7 +95,7 @@ def test_shading_is_fitted_robustly():
 
 @pytest.fixture(scope="module")
 def scene():
-    return plain_scene("black", 11)
+    return plain("black", 11)
 
 
 @pytest.fixture(scope="module")
@@ -209,7 +208,7 @@ def test_point_lights_reduce_edge_error_on_the_dark_side(scene, estimated_appear
 def _mean_errors(scene, appearance):
     """Mean px outside the true outlines: where no lamp shines on the limb, and elsewhere."""
     camera, pose = scene.camera(CAMERA), scene.trajectory.at(np.array([0.0]))[0]
-    pixels = Renderer(scene, CAMERA).picture(0.0)
+    pixels = picture(scene, CAMERA, 0.0)
     dark, bright, table = [], [], appearance.table
     for ball, (axis, half_angle, distance) in zip(
         scene.body.balls, cones(scene, scene.camera(CAMERA), 0.0), strict=True

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from measure.simulation import Renderer
 from measure_plugins._outline.appearance.model import first_appearance
 from tests.plugins.outline.estimates import calibration_of, cones
-from tests.simulated.catalogue import scene_catalogue
+from tests.plugins.rendering import picture, scenes
 
 
 def estimates_of(calibration, scene, camera_name, pictures):
     """Those of the numbered pictures with which an estimate is due; all show the same."""
     camera = scene.camera(camera_name)
-    pixels, balls = Renderer(scene, camera_name).picture(0.0, 0), cones(scene, camera, 0.0)
+    pixels, balls = picture(scene, camera_name, 0.0), cones(scene, camera, 0.0)
     out = []
     for number in pictures:
         if calibration.wants_image(len(balls), number / 30):
@@ -22,7 +21,7 @@ def estimates_of(calibration, scene, camera_name, pictures):
 
 
 def test_pictures_that_come_again_are_not_estimated_from():
-    scene = scene_catalogue()["still"]
+    scene = scenes()["still"]
     calibration = calibration_of(scene.camera("cam1"))
     assert estimates_of(calibration, scene, "cam1", range(1, 8)) == [2]
     assert not calibration.settled
@@ -33,7 +32,7 @@ def test_pictures_that_come_again_are_not_estimated_from():
 
 
 def test_the_second_estimate_follows_a_short_burn_in():
-    scene = scene_catalogue()["still"]
+    scene = scenes()["still"]
     calibration = calibration_of(scene.camera("cam1"))
     assert estimates_of(calibration, scene, "cam1", range(1, 6)) == [2]
     assert estimates_of(calibration, scene, "cam1", range(1, 10)) == [8]

@@ -6,7 +6,6 @@ import cv2
 import numpy as np
 import pytest
 
-from measure.simulation.renderer import Renderer
 from measure.simulation.sensor import encode
 from measure_plugins._outline.fitting.batch import cones_of
 from measure_plugins._outline.fitting.outline import corrected_axis, fit_scan
@@ -18,19 +17,19 @@ from measure_plugins._outline.fitting.step_gain import (
 )
 from measure_plugins.detectors.outline import OutlineConfig, OutlineDetector
 from tests.plugins.detectors.drawing import expect, image_of
-from tests.simulated.catalogue import scene_catalogue
+from tests.plugins.rendering import picture, scenes
 
 _OFFSET_PX = 0.3
 _UNKNOWN = np.eye(2)
 _NO_LIGHTS_MM = 300.0  # only point lights need the distance, and there are none
 
 
-def patch(camera_name):
+def view_of(camera_name):
     """Body, camera, picture with a cluttered background, and the balls' centres in mm."""
-    scene = scene_catalogue()["plain-clutter"]
+    scene = scenes()["plain-clutter"]
     camera = scene.camera(camera_name)
-    picture = Renderer(scene, camera_name).picture(0.0, 0)
-    data = np.frombuffer(encode(picture, scene.sensor_of(camera_name)), "u1")
+    pixels = picture(scene, camera_name, 0.0)
+    data = np.frombuffer(encode(pixels, scene.sensor_of(camera_name)), "u1")
     image = image_of(camera, cv2.imdecode(data, cv2.IMREAD_COLOR))
     centers = np.stack([ball.center_mm for ball in scene.body.balls])
     (pose,) = scene.trajectory.at(np.array([0.0]))
@@ -40,7 +39,7 @@ def patch(camera_name):
 
 @pytest.fixture(scope="module")
 def scene_view():
-    return patch("cam0")
+    return view_of("cam0")
 
 
 @pytest.fixture(scope="module")
@@ -122,7 +121,7 @@ def test_detections_do_not_lean_towards_their_predictions():
 
     One camera's picture tells little: how much balls lean differs from picture to picture.
     """
-    leanings = [_leaning(*patch(f"cam{k}")) for k in range(4)]
+    leanings = [_leaning(*view_of(f"cam{k}")) for k in range(4)]
     assert np.sqrt(np.mean(np.square(leanings))) < 0.15
 
 

@@ -11,7 +11,7 @@ from measure_plugins._outline.self_calibration.trust import (
     prediction_agreement,
 )
 from tests.plugins.outline.estimates import calibration_of, settled
-from tests.simulated.catalogue import relit_scenes
+from tests.plugins.rendering import relit
 
 GREY, WEBCAM = "plain-grey 14", "still 12"
 
@@ -19,7 +19,7 @@ GREY, WEBCAM = "plain-grey 14", "still 12"
 @pytest.fixture(scope="module")
 def shares():
     """Correction weights of two cameras, each alone, and fused."""
-    return {name: _shares(relit_scenes()[name]) for name in (GREY, WEBCAM)}
+    return {name: _shares(relit()[name]) for name in (GREY, WEBCAM)}
 
 
 def _shares(scene):
