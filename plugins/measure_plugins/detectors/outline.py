@@ -98,15 +98,11 @@ class OutlineDetector(SelfCalibratingDetector):
         return self._self_calibration.estimate
 
     def fuse_calibration(self, states: Sequence[object]) -> None:
-        """Fuse point lights, correction weight and a common tone curve over all cameras."""
-        from measure_plugins._outline.self_calibration.estimate import (
-            AppearanceEstimate,
-            has_common_response,
-        )
+        """Fuse point lights and correction weight over all cameras."""
+        from measure_plugins._outline.self_calibration.estimate import AppearanceEstimate
 
         estimates = [state for state in states if isinstance(state, AppearanceEstimate)]
-        bent = has_common_response(estimates)
-        fused = self._self_calibration.fuse(self._appearance, estimates, bent)
+        fused = self._self_calibration.fuse(self._appearance, estimates)
         if fused is not self._appearance:
             self._set_appearance(fused)
 
