@@ -66,7 +66,6 @@ class KnownBalls:
             self._lens,
             appearance.point_lights,
             appearance.environment,
-            appearance.correction_weight,
         )
 
     def cones(self, expected: Sequence[Expectation]) -> Floats:
