@@ -23,7 +23,7 @@ from measure.api import load_profile
 from measure.host import Detector, Registry
 from measure.measuring import Stages
 from measure.measuring.tracking import FrameUpdate
-from measure.measuring.tracking.paper.frame_update import FrameUpdateSettings
+from measure.measuring.tracking.paper import FrameUpdateSettings
 from measure.model import Detection, Expectation, FrameSet, Image
 from measure.session import Session, open_session
 

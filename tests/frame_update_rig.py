@@ -8,7 +8,7 @@ import numpy as np
 
 from measure.geometry import RigidTransform
 from measure.measuring.tracking import FrameUpdate
-from measure.measuring.tracking.paper.frame_update import FrameUpdateSettings
+from measure.measuring.tracking.paper import FrameUpdateSettings
 from measure.model import FrameSet, Image
 from measure.model.observations import State
 from measure_plugins.pose_solvers.simplex import SimplexSettings, SimplexSolver

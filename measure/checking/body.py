@@ -22,6 +22,8 @@ _MIN_FRAMES = 3
 _RANGE_RATIO = 2.5
 _EDGE_BIAS_PX = 0.8
 """Systematic error of a ball's radius: glossy paint loses its colour inside the true outline."""
+_SAME_BALL_RADII = 0.2
+"""Distance of an outline's centre from a ball's, in radii, up to which it is that ball's."""
 _MAX_INDEPENDENT_FRAMES = 10
 """Frames share errors of calibration and edges: no more count as independent."""
 
@@ -104,13 +106,13 @@ def check_body(located: Iterable[LocatedBalls], body: Body) -> BodyCheck:
 def _sizes(
     detections: Sequence[Detection], center: Floats, cameras: Sequence[Camera]
 ) -> list[tuple[float, float]]:
-    """(radius in mm, its standard deviation) from every outline round a ball at `center`."""
+    """(radius in mm, its standard deviation) from every outline around a ball at `center`."""
     by_name = {camera.name: camera for camera in cameras}
     out = []
     for d in detections:
         camera = by_name[d.camera]
         off = np.linalg.norm(camera.project(center[None])[0] - d.center_px)
-        if not off < 0.2 * d.radius_px:
+        if not off < _SAME_BALL_RADII * d.radius_px:
             continue
         focal = camera.intrinsics.focal_px
         distance = float(np.linalg.norm(center - camera.center))

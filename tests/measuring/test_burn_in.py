@@ -13,7 +13,7 @@ from measure.geometry import RigidTransform
 from measure.host import Loaded, Registry, SelfCalibratingDetector
 from measure.host.discovery import Distribution
 from measure.measuring import Stages, burn_in
-from measure.measuring.tracking.predictive.tracker import PredictiveConfig, PredictiveTracker
+from measure.measuring.tracking.predictive import PredictiveConfig, PredictiveTracker
 from measure.session import open_session
 from measure_plugins.pose_solvers.kabsch import KabschConfig, KabschSolver
 from measure_plugins.triangulators.reprojection import (

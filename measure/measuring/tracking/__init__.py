@@ -3,8 +3,8 @@
 from typing import Any
 
 from measure.measuring.tracking.memoryless import Memoryless
-from measure.measuring.tracking.paper.frame_update import FrameUpdate
-from measure.measuring.tracking.predictive.tracker import PredictiveTracker
+from measure.measuring.tracking.paper import FrameUpdate
+from measure.measuring.tracking.predictive import PredictiveTracker
 from measure.measuring.tracking.tracker import Conclusion, Tracker
 
 TRACKERS: dict[str, type[Any]] = {
