@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from types import TracebackType
 from typing import Self
 
 import numpy as np
@@ -14,11 +13,10 @@ from measure.measuring import Measurement, Status
 from measure.model import Body, Camera, FrameSet
 from measure.session import Trajectory
 from measure.viewing import entities
-from measure.viewing.columns import FrameSetBatch
+from measure.viewing.columns import FrameSetBatch, set_time
 from measure.viewing.pictures import send_views
 from measure.viewing.rig import log_rig
 from measure.viewing.scene import send_balls, send_poses
-from measure.viewing.timeline import set_time
 from measure.viewing.traces import send_errors, send_traces
 from measure.viewing.videos import PassedVideo
 
@@ -72,12 +70,7 @@ class RunRecording:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
