@@ -74,9 +74,7 @@ def test_check_tells_each_clock_and_each_shutter(rolling, capsys):
     assert any(text.startswith("cam1: the clock is +") for text in said)
 
 
-def test_refine_tells_them_and_applies_none_while_shutters_look_like_moved_cameras(
-    rolling, tmp_path, capsys
-):
+def test_refine_reports_clocks_but_applies_none_with_rolling_shutters(rolling, tmp_path, capsys):
     out = tmp_path / "refined.toml"
     assert main(["refine", str(rolling), "-o", str(out)]) == 0
     told = read_calibration(out).provenance

@@ -203,7 +203,7 @@ def test_recording_keeps_every_byte_and_its_time(session, tmp_path, capsys):
         ({"cam0": "nothing.mp4"}, "camera 'cam0': nothing.mp4 is no video file"),
     ],
 )
-def test_what_cannot_be_recorded_is_told_in_a_line_and_leaves_nothing(
+def test_refused_recordings_print_one_line_and_leave_nothing(
     session, tmp_path, capsys, change, told
 ):
     out = tmp_path / "kept"
@@ -237,9 +237,7 @@ def test_an_earlier_run_is_thrown_away_only_if_asked(session, tmp_path, capsys):
 
 
 @pytest.mark.parametrize("out", ["kept", "kept/run", "kept/../kept"])
-def test_a_recording_and_a_run_in_one_folder_are_refused_before_anything_is_made(
-    session, tmp_path, capsys, out
-):
+def test_recording_into_the_run_folder_is_refused_first(session, tmp_path, capsys, out):
     addresses = dict.fromkeys(("cam0", "cam1"), "http://127.0.0.1:1/")
     kept = tmp_path / "kept"
     command = words("live", session, addresses, tmp_path / out, "--record", kept)
@@ -248,7 +246,7 @@ def test_a_recording_and_a_run_in_one_folder_are_refused_before_anything_is_made
     assert not kept.exists()
 
 
-def test_an_interrupt_while_a_camera_is_waited_for_ends_it_at_once(session, tmp_path, capsys):
+def test_interrupt_ends_the_wait_for_a_camera_at_once(session, tmp_path, capsys):
     with socket.create_server(("127.0.0.1", 0)) as silent:
         address = f"http://127.0.0.1:{silent.getsockname()[1]}/"
         timer = threading.Timer(1.0, signal.raise_signal, [signal.SIGINT])

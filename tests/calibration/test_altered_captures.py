@@ -52,9 +52,7 @@ def written(capture: AlteredCapture, *more: str) -> dict[str, Any]:
     ("form", "name"),
     [("anipose", "c.toml"), ("caliscope", "c.toml"), ("opencv", "c.yml")],
 )
-def test_other_programs_files_are_written_and_known_lenses_read_from_them(
-    altered, form: str, name: str
-) -> None:
+def test_foreign_files_are_written_and_known_lenses_read(altered, form: str, name: str) -> None:
     capture = altered("cam0", "cam2")
     output, foreign = capture.folder / "calibration.toml", capture.folder / name
     assert main(["calibrate", str(capture.folder), "-o", str(output)]) == 0
@@ -264,7 +262,7 @@ def test_views_all_alike(altered, capsys) -> None:
     assert "(5 more are all alike)" in refusal(capture, capsys)
 
 
-def test_a_camera_that_turned_by_half_a_degree_between_its_pictures(altered, capsys) -> None:
+def test_camera_turned_half_a_degree_between_its_pictures(altered, capsys) -> None:
     capture = altered("cam1")
     capture.without_hand_marks()
     capture.change_picture("cam1_markers.jpg", turned(0.5, 1))

@@ -48,7 +48,7 @@ def test_one_camera_is_located_by_a_board_alone(altered) -> None:
 SIGHTS = {"cam0": BoardObservation(BOARD.points, np.zeros((54, 2)), RigidTransform.identity())}
 
 
-def test_of_a_boards_tolerances_the_one_not_stated_moves_its_rim_as_much() -> None:
+def test_unstated_board_tolerance_moves_the_rim_as_much() -> None:
     shift_mm, turn_deg = held_within(SIGHTS, 0.3)
     assert shift_mm == 0.3
     assert 0.1 < turn_deg < 0.5  # the rim of 200 x 125 mm

@@ -88,7 +88,7 @@ def test_true_errors_lie_within_the_papers_covariances() -> None:
 
 
 @pytest.mark.parametrize("fitted", [fit_rig, fit_rig_by_paper])
-def test_cameras_carry_what_their_poses_and_lenses_have_in_common(fitted) -> None:
+def test_cameras_hold_the_cross_covariance_of_pose_and_lens(fitted) -> None:
     """Each camera by itself says nearly what all say together; pose and lens apart, far more."""
     noisy = rig(np.random.default_rng(3), lens_sd=LENS_SD)
     fit = fitted(noisy.start, noisy.observations)

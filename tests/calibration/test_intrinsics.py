@@ -39,7 +39,7 @@ def test_the_covariance_is_the_scatter() -> None:
     assert 0.7 < np.mean(squares) < 1.35
 
 
-def test_freedom_the_views_do_not_support_is_refused_with_a_reason() -> None:
+def test_unsupported_lens_freedom_is_refused_with_a_reason() -> None:
     views = board_views(lens(0), np.random.default_rng(5))
     found = calibrate_lens(BOARD, choose_views(BOARD, list(views), SIZE, "cam0"), "cam0")
     assert found.model.name == "tangential"

@@ -60,7 +60,7 @@ def seed_rig(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> SeedRig:
     return SeedRig(folder, values, lens)
 
 
-def test_the_papers_own_marks_are_flagged_and_give_the_least_squares_balls(
+def test_paper_marks_are_flagged_and_give_least_squares_balls(
     seed_rig: SeedRig,
 ) -> None:
     result = calibrate(seed_rig.folder)

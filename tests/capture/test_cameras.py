@@ -69,7 +69,7 @@ def test_all_begin_together_and_in_order():
     assert abs(first[0] - first[1]) < 0.2
 
 
-def test_a_camera_that_breaks_off_is_connected_anew_and_the_others_go_on():
+def test_broken_camera_reconnects_while_the_others_go_on():
     served = {
         "a": ServedCamera(PICTURES),
         "b": ServedCamera(PICTURES, breaks_after=round(SETTLING_S * 30) + 15),

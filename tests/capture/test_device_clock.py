@@ -49,11 +49,11 @@ def test_a_clock_that_is_set_anew_is_believed_anew(taken_s, rng):
     assert np.ptp(off[1530:]) < 0.0015
 
 
-def test_without_a_clock_of_its_own_a_picture_is_taken_when_it_arrives():
+def test_without_a_device_clock_arrival_is_the_time():
     assert DeviceClock().time_s(12.5, None) == 12.5
 
 
-def test_pictures_that_were_held_up_and_come_at_once_keep_their_times(taken_s):
+def test_pictures_in_a_late_burst_keep_their_times(taken_s):
     """As when a radio link is gone for three seconds."""
     arrived = taken_s + 0.02
     gone = (taken_s > 1020.0) & (taken_s < 1023.0)

@@ -104,7 +104,7 @@ def test_nothing_piles_up_while_nobody_looks():
     assert gathering.overtaken > 900
 
 
-def test_a_picture_that_cannot_be_decoded_is_left_out_and_counted():
+def test_undecodable_picture_is_left_out_and_counted():
     def broken():
         raise SessionError("torn")
 
@@ -125,7 +125,7 @@ def test_what_a_camera_died_of_ends_it():
 
 
 @pytest.mark.parametrize("names", [("a", "b"), ("a", "b", "c")])
-def test_pictures_that_were_held_up_make_no_sets_that_go_back_in_time(names):
+def test_late_pictures_make_no_set_back_in_time(names):
     """As when a camera's radio link is gone for a while, and all it took comes at once."""
     now, out = 0.0, []
     gathering = Gathering(names, lambda: now)

@@ -75,7 +75,7 @@ def test_what_is_no_stream_of_parts_says_so():
 
 
 @pytest.mark.parametrize("written", [with_lengths, without_lengths])
-def test_a_picture_is_there_when_it_ends_not_when_the_next_begins(written):
+def test_picture_arrives_with_its_end_not_with_the_next(written):
     """Where the line between them comes with the next one only, it is a picture late."""
 
     class Stalled(BytesIO):

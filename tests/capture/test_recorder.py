@@ -118,7 +118,7 @@ def test_a_folder_that_vanishes_is_told_in_one_line(tmp_path):
     "names",
     [("a/b",), ("..",), ("",), ("a\\b",), ("Cam", "cam"), ("session.toml",), ("a", "a.csv")],
 )
-def test_names_that_cannot_be_folders_are_refused_before_anything_is_made(tmp_path, names):
+def test_names_that_cannot_be_folders_are_refused_first(tmp_path, names):
     with pytest.raises(CaptureError, match="name"):
         Recorder(tmp_path / "s", dict.fromkeys(names, "x"))
     assert not (tmp_path / "s").exists()
@@ -138,7 +138,7 @@ def test_a_name_that_looks_like_a_pattern_is_found_again(tmp_path, paper_body, r
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is full")
-def test_a_disk_that_is_full_is_told_as_such_although_closing_fails_too(tmp_path):
+def test_full_disk_is_reported_though_closing_fails_too(tmp_path):
     recorder = Recorder(tmp_path / "s", dict.fromkeys(NAMES, "x"))
     recorder._stamps["cam0"].close()
     full = Path("/dev/full").open("w", encoding="utf-8", buffering=1)  # noqa: SIM115 it is closed

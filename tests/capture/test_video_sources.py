@@ -68,7 +68,7 @@ def test_what_is_no_video_is_told(tmp_path):
         next(FileSource(str(tmp_path / "a.mp4")).shots())
 
 
-def test_an_rtsp_camera_that_is_not_there_is_told_without_its_password():
+def test_missing_rtsp_camera_is_named_without_password():
     with pytest.raises(CaptureError, match=r"^rtsp://127\.0\.0\.1:1/x: Connection refused"):
         next(rtsp_source("rtsp://me:secret@127.0.0.1:1/x").shots())
 

@@ -62,7 +62,7 @@ def test_csv_has_a_row_for_every_frame_set(tmp_path):
     assert set(needed.split(",")) <= set(rows[0])
 
 
-def test_a_run_that_was_broken_off_and_resumed_holds_what_an_unbroken_one_does(tmp_path):
+def test_resumed_run_equals_an_uninterrupted_one(tmp_path):
     folder = tmp_path / "run"
     with RunWriter(folder, PROVENANCE, BODY, CAMERAS) as writer:
         for index in range(37):
@@ -76,7 +76,7 @@ def test_a_run_that_was_broken_off_and_resumed_holds_what_an_unbroken_one_does(t
     assert (folder / "poses.csv").read_text() == (tmp_path / "whole/poses.csv").read_text()
 
 
-def test_frames_numbered_by_microseconds_are_kept_whether_finished_or_not(tmp_path):
+def test_frame_numbers_in_microseconds_survive(tmp_path):
     frames = dict.fromkeys(("cam0", "cam1"), 1_700_000_000_123_456)
     with RunWriter(tmp_path / "run", PROVENANCE, BODY, CAMERAS) as writer:
         writer.append(replace(measurement(0), frames=frames))

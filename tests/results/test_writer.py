@@ -242,7 +242,7 @@ def test_a_folder_that_may_not_be_written_is_refused_at_once(
 
 
 @pytest.mark.parametrize("options", [{}, {"resume": True}])
-def test_a_run_that_another_process_has_begun_since_is_left_alone(folder: Path, options) -> None:
+def test_run_begun_by_another_process_is_left_alone(folder: Path, options) -> None:
     late = open_writer(folder, **options)
     with open_writer(folder) as first:
         first.append(measurement(0))

@@ -35,7 +35,7 @@ def refined(folder, path, shifts):
     return path
 
 
-def test_the_recording_it_was_refined_from_is_set_right_and_says_so(folder, tmp_path):
+def test_clocks_of_the_refined_recording_are_shifted_with_a_note(folder, tmp_path):
     before, _ = stamps(folder)
     names = list(before)
     path = refined(folder, tmp_path / "c.toml", {names[0]: 0.0, names[1]: 0.007})

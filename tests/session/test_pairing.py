@@ -44,7 +44,7 @@ def test_the_nearest_image_is_taken_not_the_first() -> None:
     assert paired.positions[:, 1].tolist() == [0, 2, 3, 4, -1]
 
 
-def test_a_fast_camera_gives_its_nearest_images_and_a_slow_one_leaves_gaps() -> None:
+def test_fast_camera_gives_nearest_images_slow_one_gaps() -> None:
     paired = pair_nearest(
         [_clock(0.001, 20, PERIOD / 2), _clock(0.0, 10), _clock(0.0, 5, 2 * PERIOD)]
     )
@@ -61,7 +61,7 @@ def test_an_image_too_far_from_the_instant_is_left_out() -> None:
     assert pair_nearest(clocks, tolerance_s=0.012).positions[1].tolist() == [1, 1]
 
 
-def test_the_reference_camera_may_lose_frames_without_losing_the_set() -> None:
+def test_reference_camera_may_lose_frames_but_no_set() -> None:
     full = _clock(0.0, 12)
     holes = np.delete(full, [4, 5, 9])
     paired = pair_nearest([holes, full, full + 0.002])

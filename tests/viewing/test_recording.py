@@ -57,7 +57,7 @@ def test_every_entity_stands_on_both_timelines(recorded):
         assert any("time" in b.schema.names for b in recorded[entity])
 
 
-def test_error_trace_is_the_error_and_gaps_where_there_is_no_pose(recorded):
+def test_error_trace_is_the_error_with_gaps_without_pose(recorded):
     error = column(recorded[entities.error("x")], "Scalars:scalars")
     assert error[3] == pytest.approx([-0.05])
     assert np.isnan(error[7][0])
@@ -82,7 +82,7 @@ def test_a_lost_body_leaves_no_axes_no_trail_and_no_uncertainty(recorded):
         assert [len(shown[k]) for k in (6, 7, 8)] == [1, 0, 1]
 
 
-def test_a_ball_that_is_not_used_is_marked_where_it_should_be_with_the_reason(tmp_path):
+def test_unused_ball_is_marked_in_place_with_the_reason(tmp_path):
     one = measurement(5)
     missed = BallView("red", "cam0", State.SUSPENDED, Reason.NOT_FOUND)
     jumped = replace(one.views[1], state=State.SUSPENDED, reason=Reason.JUMPED)
@@ -137,13 +137,13 @@ def test_size_without_images(tmp_path, monkeypatch):
         ("rerun+http://127.0.0.1:1/proxy", "no viewer"),
     ],
 )
-def test_a_viewer_that_does_not_listen_is_said_not_silently_skipped(address, said, monkeypatch):
+def test_viewer_that_does_not_listen_is_an_error(address, said, monkeypatch):
     monkeypatch.setattr(stream, "CONNECT_WITHIN_S", 0.0)
     with pytest.raises(ConfigError, match=said):
         open_recording("test", CAMERAS, address=address)
 
 
-def test_a_run_without_any_pose_still_has_a_recording_that_says_so(tmp_path):
+def test_run_without_poses_still_has_a_recording(tmp_path):
     stored = _record(tmp_path / "run.rrd", 20, lost=range(20))
     said = column(stored[entities.STATUS], "TextLog:text")
     assert said == {0: ["lost: nothing seen"]}

@@ -99,7 +99,7 @@ def test_flagged_poses_do_not_count_as_known(tmp_path):
     assert "the pose is doubtful in 12 of 20 frame sets (red sits 9 px off)" in sentence
 
 
-def test_the_truth_is_quoted_and_a_run_too_sure_of_itself_is_found_out(tmp_path):
+def test_report_quotes_truth_and_flags_overconfidence(tmp_path):
     run = _run(tmp_path / "run", 40)
     small, large = np.zeros((40, 6)), np.zeros((40, 6))
     small[:, 0], large[:, 0] = 0.01, 0.1
@@ -199,7 +199,7 @@ def test_the_page_is_self_contained_and_small(tmp_path):
 
 
 @pytest.mark.slow
-def test_ten_thousand_frame_sets_still_make_a_page_below_eight_megabytes(tmp_path):
+def test_ten_thousand_frame_sets_make_a_page_below_8_mb(tmp_path):
     page = run_report(_run(tmp_path / "run", 10_000))
     assert len(page.encode()) < 8_000_000
     assert "10000" in page

@@ -47,7 +47,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_the_frame_set_nearest_to_a_state_is_found_whatever_their_number() -> None:
+def test_nearest_frame_set_to_a_state_is_found() -> None:
     random = np.random.default_rng(3)
     times, at = np.sort(random.uniform(0, 10, 50)), random.uniform(-1, 11, 300)
     at[0], at[1] = (times[3] + times[4]) / 2, times[7]
@@ -84,7 +84,7 @@ def test_all_three_ways_and_their_coordinates_are_there(stored):
         assert {entities.TIMELINE_FRAME, entities.TIMELINE_TIME} <= names
 
 
-def test_the_correction_brings_the_reported_position_nearer_to_the_measured_one(stored):
+def test_correction_brings_reported_nearer_to_measured(stored):
     reported = _trace(stored, entities.robot_error("reported"))
     corrected = _trace(stored, entities.robot_error("corrected"))
     both = np.isfinite(reported) & np.isfinite(corrected)

@@ -153,9 +153,7 @@ def test_logging_costs_less_than_a_tenth_of_measuring(session: Path, tmp_path: P
     assert min(costs) <= 2 * picture * SETS, words
 
 
-def test_a_recording_with_pictures_is_little_larger_than_the_pictures(
-    measured: Path, session: Path
-):
+def test_recording_is_little_larger_than_its_pictures(measured: Path, session: Path):
     """300 frame sets of four cameras must fit in 110 MB where their JPEGs take 100 MB."""
     pictures = sum(path.stat().st_size for path in session.rglob("*.jpg"))
     beside = (measured / "run.rrd").stat().st_size - pictures
@@ -204,9 +202,7 @@ def _stop(receiver: subprocess.Popen[bytes]) -> None:
         receiver.kill()
 
 
-def test_an_interrupted_run_is_recorded_in_parts_that_are_shown_as_one(
-    session: Path, tmp_path: Path
-):
+def test_interrupted_run_is_recorded_in_parts_shown_as_one(session: Path, tmp_path: Path):
     def stop(done: int, total: int | None) -> None:
         if done == 5:
             raise KeyboardInterrupt

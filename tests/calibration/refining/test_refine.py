@@ -42,7 +42,7 @@ def good_prior(seed: int) -> tuple[np.ndarray, np.ndarray]:
     return slip, np.diag(np.tile(slip**2, 4))
 
 
-def test_a_recording_that_knows_less_leaves_a_good_calibration_alone() -> None:
+def test_weak_recording_leaves_a_good_calibration_unchanged() -> None:
     slip, joint = good_prior(0)
     before, after, trusting = [], [], []
     for seed in range(4):
@@ -77,7 +77,7 @@ def test_the_bodys_own_geometry_is_learnt_against_its_prior() -> None:
     assert np.all(learning.center_sds > 0)
 
 
-def test_a_long_recording_by_six_cameras_holds_the_world_and_costs_by_its_length() -> None:
+def test_six_cameras_hold_the_world_in_time_linear_in_length() -> None:
     # Cameras out of step: what their motion between instants gets wrong must not turn the world.
     six = cameras((20, 80, 140, 200, 260, 320))
     spent = []
