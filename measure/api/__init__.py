@@ -1,6 +1,6 @@
 """What a notebook calls; the command line calls nothing else.
 
-One file an action. Heavy libraries load when an action is called, not with this package.
+Heavy libraries load when an action is called, not with this package.
 """
 
 from measure.api.calibrating import CalibrationResult, calibrate, draw_target, shipped_targets
@@ -13,8 +13,6 @@ from measure.api.correcting import (
     shipped_model,
 )
 from measure.api.demo import Demo, demo, render_demo
-from measure.api.evaluate import evaluate
-from measure.api.export import export
 from measure.api.live import LiveEnd, LiveState, live
 from measure.api.live_outputs import LiveOptions
 from measure.api.many import Outcome, run_many
@@ -30,7 +28,7 @@ from measure.api.recording import (
     record,
 )
 from measure.api.refining import RefineResult, refine
-from measure.api.report import report
+from measure.api.results import evaluate, export, report
 from measure.api.run import RunOptions, parse_images, run
 from measure.api.training import SweepOptions, TrainOptions, ablate, parse_settings, sweep, train
 from measure.api.watch import robot_recording, spawn_viewer

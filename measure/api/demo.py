@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from measure.api.correcting import correct_simulated_robot
-from measure.api.evaluate import evaluate
+from measure.api.results import evaluate
 from measure.api.run import RunOptions, run
 from measure.api.warming_up import compilation_notice, compile_pipeline
 from measure.errors import ConfigError

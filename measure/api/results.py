@@ -1,0 +1,99 @@
+"""What is made of a run: its evaluation, its report, and files for other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from measure.api.outputs import check_page_writable
+from measure.errors import RunError
+from measure.results import Run, RunEvaluation, read_marks, read_run
+from measure.results import evaluate as evaluate_run
+from measure.results.evaluation import pose_errors
+from measure.results.exports import export_run
+from measure.session import read_calibration, read_trajectory, session_truth
+
+
+def evaluate(
+    run: Path | str,
+    truth: Path | str | None = None,
+    calibration: Path | str | None = None,
+    marks: Path | str | None = None,
+) -> RunEvaluation:
+    """Compare a run with the truth: Table I of the paper, and what it leaves out.
+
+    Args:
+        run: the run's folder, finished or not.
+        truth: poses over time; those of the run's session if omitted.
+        calibration: where the cameras really are, if that is known; separates errors of detection
+            from errors of camera localisation.
+        marks: ball centres marked by hand (camera,frame,ball,u_px,v_px); detection is compared with
+            these.
+
+    Raises:
+        RunError: no run, no truth, or a truth of another time or unit.
+    """
+    opened = read_run(Path(run))
+    path = Path(truth) if truth is not None else _truth_of(opened)
+    if path is None:
+        raise RunError(f"the session of {run} has no truth: give one with --truth")
+    cameras = None if calibration is None else read_calibration(calibration).cameras
+    return evaluate_run(
+        opened,
+        read_trajectory(path, RunError),
+        cameras,
+        None if marks is None else read_marks(marks, opened),
+    )
+
+
+def report(run_path: Path, out: Path | None = None, truth: Path | None = None) -> Path:
+    """Write the report of a run as one self-contained HTML file.
+
+    Args:
+        run_path: the run's folder.
+        out: the file; `report.html` in the run's folder if omitted.
+        truth: poses over time; those of the run's session if omitted and there are any.
+
+    Returns:
+        Where it was written.
+
+    Raises:
+        RunError: the folder is no run, or the truth cannot be read or is not the run's.
+        ConfigError: the file cannot be written, or is there and no page.
+    """
+    from measure.viewing.report.run_report import write_report
+
+    run = read_run(run_path)
+    truth = (truth or _truth_of(run)) if run.poses.num_rows else None
+    errors = None if truth is None else pose_errors(run, read_trajectory(truth, RunError))
+    path = out or run_path / "report.html"
+    check_page_writable(path)
+    write_report(run, path, errors)
+    return path
+
+
+def export(
+    run: Path | str, file_format: str, out: Path | str | None = None, overwrite: bool = False
+) -> Path:
+    """Write a run in another program's format.
+
+    Args:
+        run: the run's folder, finished or not.
+        file_format: "csv", "tum", "trc", "c3d" or "mcap".
+        out: the file to write; `export.FORMAT` in the run's folder if omitted.
+        overwrite: replace a file that is there.
+
+    Returns:
+        The file written.
+
+    Raises:
+        ConfigError: no such format, or its library is not installed.
+        RunError: no run, no pose in it, or the file cannot be written.
+    """
+    opened = read_run(Path(run))
+    path = Path(run) / f"export.{file_format}" if out is None else Path(out)
+    return export_run(opened, file_format, path, overwrite)
+
+
+def _truth_of(run: Run) -> Path | None:
+    """The truth of the session a run was made from, None if there is none."""
+    return None if run.session is None else session_truth(run.session)
