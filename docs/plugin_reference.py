@@ -24,7 +24,8 @@ Every public name of the packages that a plugin works with;
 Lengths are in mm, angles in rad, times in s, image coordinates in px (pixel centres at integers).
 Shapes are written as `(n, 2)`; a leading `...` stands for batch axes.
 [Conventions](../conventions.md) define frames, rotations and covariances. `Floats`, `Ints`, `Bools`
-and `Bytes` (of `measure.arrays`) are numpy arrays of float64, int64, bool and uint8.
+and `Bytes` (of `measure.arrays`) are numpy arrays of float64, int64, bool and uint8;
+errors are those of `measure.errors`; `StateSchema` is that of `measure.robots`.
 """
 SECTIONS = ("Attributes", "Args", "Returns", "Yields", "Raises", "Example", "Examples")
 

@@ -5,7 +5,15 @@ from measure.model.camera import Camera, Intrinsics
 from measure.model.color import BallColor, ColorRange, ConvertedImage
 from measure.model.frames import FrameSet, Image
 from measure.model.motion import Motion
-from measure.model.observations import BallPosition, BallView, Detection, Expectation, Pose
+from measure.model.observations import (
+    BallPosition,
+    BallView,
+    Detection,
+    Expectation,
+    Pose,
+    Reason,
+    State,
+)
 from measure.model.rig import Rig
 
 __all__ = [
@@ -24,6 +32,8 @@ __all__ = [
     "Intrinsics",
     "Motion",
     "Pose",
+    "Reason",
     "Rig",
+    "State",
     "paper_body",
 ]

@@ -21,6 +21,10 @@ from tests.docs.pages import ROOT
 
 PLUGIN_PAGE = (ROOT / "docs" / "writing_a_plugin.md").read_text(encoding="utf-8")
 ALLOWED_IMPORTS = PLUGIN_PAGE.partition("A plugin may import")[2].partition("\n\n")[0]
+OUTSIDE = (
+    *("builtins", "typing", "collections.abc", "numpy.typing", "pathlib"),
+    *("measure.arrays", "measure.errors"),
+)
 CONTRACTS = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"][
     "contracts"
 ]
@@ -61,6 +65,16 @@ def test_the_plugin_reference_is_current(generator: ModuleType):
 def test_all_that_a_plugin_may_use_is_described(generator: ModuleType):
     """Every class, function, method and constant has a docstring, every field its line in it."""
     assert sys.modules["plugin_reference"].undocumented() == []
+
+
+def test_types_in_signatures_are_described_too(generator: ModuleType):
+    page = generator.plugin_page()
+    signatures = " ".join(re.findall(r"`([^`]*)`", page))
+    named = set(re.findall(r"(?<![\w.])[A-Z][a-z]\w*", signatures))
+    described = set(re.findall(r"^### (\w+)", page, re.MULTILINE))
+    outside = {name for module in OUTSIDE for name in dir(importlib.import_module(module))}
+    outside |= {"BaseModel", "Config", "StrEnum", "ColorSpace", "StateSchema", "RigRows"}
+    assert sorted(named - described - outside) == []
 
 
 def test_every_built_in_setting_has_a_description(generator: ModuleType):
