@@ -15,7 +15,7 @@ from measure.simulation.presets import (
     shaft,
     stems,
 )
-from measure.simulation.rooms import cloth_room, coloured_room
+from measure.simulation.rooms import cloth_room
 from measure.simulation.scene import Scene
 from measure.simulation.sensor import CameraSensor
 from measure.simulation.shading import Lighting, Material
@@ -53,13 +53,11 @@ def webcam_scene(seed: int = 1) -> Scene:
 
 
 def plain_scene(background: str = "black", seed: int = 1) -> Scene:
-    """The simplest sensor chain, of known response, before a black, grey or cluttered background.
+    """The simplest sensor chain, of known response, before black or grey cloth.
 
     Grey stems, two lamps, no mosaic, no JPEG.
     """
     body = paper_body()
-    level = {"black": 0.01, "grey": 0.12, "clutter": 0.15}[background]
-    backdrop = coloured_room(seed) if background == "clutter" else cloth_room(level, seed)
     return Scene(
         f"plain-{background}",
         body,
@@ -68,8 +66,7 @@ def plain_scene(background: str = "black", seed: int = 1) -> Scene:
         plain_lighting(seed),
         finish=Material((1.0, 1.0, 1.0), 0.03, 0.08),
         attached=stems(body, (0.18, 0.18, 0.18)),
-        backdrop=backdrop,
-        backdrop_px=2 if background == "clutter" else 4,
+        backdrop=cloth_room({"black": 0.01, "grey": 0.12}[background], seed),
         sensor=PLAIN_CAMERA,
         seed=seed,
         description=f"{background} background; blur, sRGB and noise only",

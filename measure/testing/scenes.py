@@ -131,7 +131,7 @@ def example(background: str = "black", balls: bool = True) -> Example:
     """The kit's scene: the paper's body, four webcams, soft light, noise of two levels.
 
     Args:
-        background: "black", "grey" or "clutter".
+        background: "black" or "grey".
         balls: whether the balls are there; without them all else is the same.
     """
     scene = replace(plain_scene(background), trajectory=Still(POSE), shown=None if balls else ())

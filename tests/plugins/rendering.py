@@ -6,11 +6,12 @@ from functools import cache, lru_cache
 
 from measure.simulation import Renderer
 from measure.simulation.catalogue import plain_scene
-from tests.simulated.catalogue import relit_scenes, scene_catalogue
+from tests.simulated.catalogue import cluttered_scene, relit_scenes, scene_catalogue
 
 relit = cache(relit_scenes)
 scenes = cache(scene_catalogue)
 plain = cache(plain_scene)
+cluttered = cache(cluttered_scene)
 _renderer = lru_cache(maxsize=4)(Renderer)
 
 

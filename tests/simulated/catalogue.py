@@ -11,11 +11,12 @@ from measure.geometry import RigidTransform
 from measure.model import Body, Camera, paper_body
 from measure.simulation.catalogue import WEBCAM, motion, plain_scene, webcam_scene
 from measure.simulation.presets import MATT, body, lamps, ring, shaft, stems
-from measure.simulation.rooms import cloth_room, coloured_room
+from measure.simulation.rooms import cloth_room
 from measure.simulation.scene import BALL_ALBEDO, Scene, painted
 from measure.simulation.shading import Lighting, Material
 from measure.simulation.shapes import Capsule, Cuboid, Shape, Sphere
 from measure.simulation.trajectory import MotionLimits
+from tests.simulated.rooms import coloured_room
 
 _OTHER_SEEDS = (11, 12, 13, 14)
 """Seeds of lamps, rooms, motions and noise that no scene of the catalogue has."""
@@ -35,6 +36,17 @@ def four_ball_body() -> Body:
 def three_camera_rig() -> tuple[Camera, ...]:
     """Three cameras, 120 degrees apart, a little higher and nearer."""
     return ring(3, seed=3, distance_mm=430.0, elevation_deg=32.0)
+
+
+def cluttered_scene(seed: int = 1) -> Scene:
+    """The plain scene in a coloured room."""
+    return replace(
+        plain_scene("grey", seed),
+        name="plain-clutter",
+        backdrop=coloured_room(seed),
+        backdrop_px=2,
+        description="clutter background; blur, sRGB and noise only",
+    )
 
 
 def occluded_scene(seed: int = 2) -> Scene:
@@ -107,7 +119,7 @@ def scene_catalogue() -> dict[str, Scene]:
     scenes = (
         plain_scene("black"),
         plain_scene("grey"),
-        plain_scene("clutter"),
+        cluttered_scene(),
         still,
         occluded_scene(),
         clutter_scene(),
@@ -152,7 +164,7 @@ def relit_scenes() -> dict[str, Scene]:
         for scene in (
             plain_scene("black", seed),
             plain_scene("grey", seed),
-            plain_scene("clutter", seed),
+            cluttered_scene(seed),
             webcam_scene(seed),
             occluded_scene(seed),
             clutter_scene(seed),

@@ -16,7 +16,7 @@ from measure_plugins._outline.appearance.radial_basis import DEFLECTIONS, radial
 from measure_plugins._outline.sampling.rays import STEPS, angles_around, frame_about
 from measure_plugins._outline.self_calibration.environment_map import background_of, environment_of
 from tests.plugins.outline.estimates import cones, estimates
-from tests.plugins.rendering import picture, plain
+from tests.plugins.rendering import cluttered, picture, plain
 
 CAMERA = "cam3"
 HALF_ANGLE = 0.045
@@ -110,14 +110,14 @@ def test_balls_are_left_out_of_the_map():
 
 
 def test_the_map_is_used_where_balls_mirror_it():
-    scene = plain("clutter", 21)
+    scene = cluttered(21)
     estimated_appearance = estimates(scene, CAMERA)[-1]
     assert estimated_appearance.environment.colors.size > 0
 
 
 def test_a_map_that_balls_do_not_mirror_is_not_used(monkeypatch):
     """As no room could be: what is seen behind the balls is pasted in, and they mirror another."""
-    scene = plain("clutter", 21)
+    scene = cluttered(21)
     seen = Renderer(scene, CAMERA)._backdrop
     monkeypatch.setattr(Renderer, "_backdrop", property(lambda _: seen))
     other = estimates(replace(scene, backdrop=plain("grey", 21).backdrop), CAMERA)[-1]

@@ -7,12 +7,13 @@ import pytest
 
 from measure.simulation import Renderer
 from measure.simulation.catalogue import plain_scene
-from measure.simulation.rooms import plain, room
+from measure.simulation.rooms import room
 from measure_plugins._outline.appearance.model import GLOSSY, MATT, first_appearance
 from measure_plugins._outline.appearance.radial_basis import radial_tables
 from measure_plugins._outline.self_calibration import response_and_blur as appearance_fit
 from measure_plugins._outline.self_calibration.response_and_blur import choose_grazing_reflection
 from tests.plugins.outline.estimates import estimates
+from tests.simulated.rooms import plain
 
 CAMERA = "cam1"
 PAINT = (0.06, 0.20, 0.45)
