@@ -1,4 +1,4 @@
-"""What a detector owes."""
+"""Conformance tests of detectors."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class DetectorConformance(PluginConformance):
         return self.plugin(self.config, body or scene.body, camera or scene.cameras[self.camera])
 
     def expectations(self, off_px: tuple[float, float] = (2.0, -1.5)) -> list[Expectation]:
-        """Where tracking would expect the balls, a little wrong."""
+        """Where tracking would expect the balls, off by `off_px`."""
         scene = self.scene()
         return [scene.expectation(self.camera, name, off_px) for name in scene.body.names]
 
@@ -75,8 +75,8 @@ class DetectorConformance(PluginConformance):
             image = self.picture(background=background, balls=False)
             for expected in ([], self.expectations()):
                 found = self.build().detect(image, expected)
-                believed = [d.ball for d in found if d.score > 0]
-                assert not believed, f"{believed} found before {background} without any ball"
+                accepted = [d.ball for d in found if d.score > 0]
+                assert not accepted, f"{accepted} found before {background} without any ball"
 
     def test_flat_pictures_give_nothing(self) -> None:
         """A lens cap, an overexposed frame, and snow: noise without colour."""
@@ -97,8 +97,8 @@ class DetectorConformance(PluginConformance):
     def test_results_do_not_depend_on_what_was_seen_before(self) -> None:
         """Images of other times in between, then earlier ones again: the same, bit by bit.
 
-        A detector that says `stateful` is exempt. One that calibrates itself may answer an image
-        that is new to it otherwise than the second time, once it has seen them all.
+        A `stateful` detector is exempt. One that calibrates itself may find something else in an
+        image the second time, but not after that.
         """
         if self.plugin.stateful:
             return
@@ -116,7 +116,7 @@ class DetectorConformance(PluginConformance):
             assert_same(again, first[-1], "answer of a new instance")
 
     def test_self_calibration_keeps_its_promises(self) -> None:
-        """States may be exchanged at any time, and images known to it teach nothing."""
+        """States may be exchanged at any time; a known image does not change the calibration."""
         detector, other = self.build(), self.build()
         if not isinstance(detector, SelfCalibratingDetector):
             return
@@ -126,7 +126,7 @@ class DetectorConformance(PluginConformance):
                 self._answer(detector, i / 30)
         state = detector.calibration_state
         self._answer(detector, 0.0)
-        assert detector.calibration_state is state, "an image that it knows was learnt from"
+        assert detector.calibration_state is state, "a known image changed the calibration"
         for states in ([], [None], [state, other.calibration_state]):
             detector.fuse_calibration(states)
         detector.enter_realtime()
@@ -134,11 +134,11 @@ class DetectorConformance(PluginConformance):
         assert {d.ball for d in found} == set(self.scene().body.names), "a ball is missing"
 
     def _answer(self, detector: Detector, time_s: float) -> list[Detection]:
-        """What it finds in the picture as if taken at `time_s`."""
+        """Its detections in the picture, as if that were taken at `time_s`."""
         return detector.detect(replace(self.picture(), time_s=time_s), self.expectations())
 
     def test_warming_up_changes_no_answer(self) -> None:
-        """What was shown to it before the first picture must not be taken for one."""
+        """What `warm_up` processes must not count as a picture."""
         warm, fresh = self.build(), self.build()
         warm.warm_up()
         first = fresh.detect(self.picture(), self.expectations())
@@ -175,7 +175,7 @@ class DetectorConformance(PluginConformance):
             assert detection.time_s == scene.time_s, "the time is not the image's"
             _check_numbers(detection)
             if detection.outline_px is not None:
-                assert self.plugin.provides_outlines is not False, "it says it measures no outlines"
+                assert self.plugin.provides_outlines is not False, "provides_outlines is False"
 
 
 def _check_numbers(detection: Detection) -> None:

@@ -1,4 +1,4 @@
-"""What an estimator owes."""
+"""Conformance tests of estimators."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.host import Correction, Dataset, Estimator, OnnxModel
 from measure.host.estimator import quiet
-from measure.testing.robot import lessons
+from measure.testing.robot import training_data
 from measure.testing.rules import PluginConformance, assert_covariance, assert_same
 
 
 class EstimatorConformance(PluginConformance):
-    """Tests of an estimator that has learnt from two minutes of a simulated robot.
+    """Tests of an estimator fitted to two minutes of a simulated robot.
 
     Attributes:
         plugin: the class under test.
@@ -29,17 +29,17 @@ class EstimatorConformance(PluginConformance):
     _fitted: ClassVar[dict[type, Estimator]] = {}
 
     def fitted(self) -> Estimator:
-        """An instance that has learnt; fitted once for all tests of a class."""
+        """A fitted instance; fitted once for all tests of a class."""
         kit = type(self)
         if kit not in self._fitted:
             estimator = self.plugin(self.config)
-            estimator.fit(lessons().train, lessons().validation, seed=0, report=quiet)
+            estimator.fit(training_data().train, training_data().validation, seed=0, report=quiet)
             self._fitted[kit] = estimator
         return self._fitted[kit]
 
     def trajectory(self) -> Dataset:
-        """One trajectory that was not learnt from."""
-        test = lessons().test
+        """One trajectory outside the training data."""
+        test = training_data().test
         return test.select(test.present()[:1])
 
     def states(self) -> Floats:

@@ -1,4 +1,4 @@
-"""What a pose solver owes."""
+"""Conformance tests of pose solvers."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class PoseSolverConformance(PluginConformance):
         plugin: the class under test.
         max_error_mm: how far the position may be off, with 0.05 px and 0.05 mm of noise.
         max_error_deg: how far the rotation may be off then.
-        max_ratio: how many times larger the mean squared error may be than the covariance says.
+        max_ratio: how many times the variance the mean squared error may be.
     """
 
     plugin: ClassVar[type[PoseSolver]]
@@ -69,7 +69,7 @@ class PoseSolverConformance(PluginConformance):
         pose = self.solve(positions[:1], [d for d in detections if d.ball == ball])
         assert pose is None, f"a pose from one ball: {pose}"
 
-    def test_a_body_of_another_shape_is_not_believed(self) -> None:
+    def test_a_body_of_another_shape_is_refused(self) -> None:
         """Balls 15 mm from where the body file says: no pose, a flag, or a large residual."""
         scene = example()
         scales = np.linspace(1.4, 0.6, len(scene.body.balls))
@@ -81,8 +81,8 @@ class PoseSolverConformance(PluginConformance):
         pose = self.build(Body("wrong", tuple(balls))).solve(
             positions, detections, scene.cameras, scene.time_s, None
         )
-        doubted = pose is None or pose.flags or pose.residual_mm > 3 or pose.rms_px > 5
-        assert doubted, f"a wrong body is believed: {pose}"
+        refused = pose is None or pose.flags or pose.residual_mm > 3 or pose.rms_px > 5
+        assert refused, f"a wrong body is accepted: {pose}"
 
     def test_the_covariance_is_honest(self) -> None:
         """Over 40 draws of the noise, the squared errors are about what it says."""

@@ -1,4 +1,4 @@
-"""A small data set of a simulated robot: what the kit lets estimators learn from."""
+"""The data set of a simulated robot that the kit fits estimators to."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from measure.learning import AssemblySettings, Split, simulated_dataset, split_b
 
 
 @cache
-def lessons() -> Split:
+def training_data() -> Split:
     """Two minutes of a cable-driven robot in six trajectories, split into three parts."""
     data, _ = simulated_dataset(
         minutes=2.0, pairs=720, restarts=2, seed=4, settings=AssemblySettings(cut_s=20.0)

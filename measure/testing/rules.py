@@ -1,4 +1,4 @@
-"""What every plugin owes, whatever its kind, and checks that several kinds share."""
+"""Conformance tests of plugins of every kind, and assertions that several kinds share."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from measure.host import Plugin, Settings, describe_settings
 from measure.host.interfaces import NAME
 
 UNITS = {"", "px", "mm", "m", "deg", "rad", "s", "ms", "Hz", "%", "votes", "px²", "mm²"}
-"""Units a setting may have; anything else is more likely a slip than a need."""
+"""Units a setting may have; anything else is most likely a mistake."""
 
 
 class PluginConformance:
-    """What every plugin owes; the classes of the kinds build on it.
+    """Tests of a plugin of any kind; the classes of the kinds build on it.
 
     Attributes:
         plugin: the class under test.
-        settings: settings it shall be tested with, where they differ from the defaults.
+        settings: settings to test it with, where they differ from the defaults.
     """
 
     plugin: ClassVar[type[Plugin]]
@@ -60,7 +60,7 @@ class PluginConformance:
         raise AssertionError("Config accepts a setting that does not exist")
 
     def test_its_settings_cannot_be_changed(self) -> None:
-        """What a run folder says it ran with is what it ran with."""
+        """A run folder records the settings at the start: they must still hold at the end."""
         assert self.plugin.Config.model_config.get("frozen"), "Config is not frozen"
 
 

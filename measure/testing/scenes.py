@@ -1,4 +1,4 @@
-"""One instant of a simulated scene with its exact truth: what the kit feeds to plugins."""
+"""The kit's input to plugins: one instant of a simulated scene, with its exact truth."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class Example:
         )
 
     def detections(self, rng: np.random.Generator, sd_px: float = 0.05) -> list[Detection]:
-        """What an ideal detector would say of all balls in all cameras, with noise of `sd_px`.
+        """Detections of all balls in all cameras as of an ideal detector, with noise of `sd_px`.
 
         The outline points scatter along their normals, the centres in every direction.
         """
@@ -89,7 +89,7 @@ class Example:
         ]
 
     def positions(self, rng: np.random.Generator, sd_mm: float = 0.05) -> list[BallPosition]:
-        """What an ideal triangulator would say of all balls, with noise of `sd_mm` per axis."""
+        """Positions of all balls as of an ideal triangulator, with noise of `sd_mm` per axis."""
         return [
             BallPosition(
                 ball=name,

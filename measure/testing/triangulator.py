@@ -1,4 +1,4 @@
-"""What a triangulator owes."""
+"""Conformance tests of triangulators."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class TriangulatorConformance(PluginConformance):
     Attributes:
         plugin: the class under test.
         max_error_mm: how far a position may be from the truth when the detections are exact.
-        max_ratio: how many times larger the mean squared error may be than the covariance says.
+        max_ratio: how many times the variance the mean squared error may be.
     """
 
     plugin: ClassVar[type[Triangulator]]
@@ -88,7 +88,7 @@ class TriangulatorConformance(PluginConformance):
         assert other is not None, "no position in the other order"
         assert np.allclose(one.center, other.center, atol=1e-6), "the order changes the position"
 
-    def test_worse_detections_give_a_worse_fix(self) -> None:
+    def test_worse_detections_give_a_worse_position(self) -> None:
         """The covariance follows that of the detections."""
         traces = []
         for sd_px in (0.1, 1.0):

@@ -173,7 +173,7 @@ class Impressed(_plugin("detector", "hough")):  # type: ignore[misc]
             {
                 "test_nothing_seen_gives_none",
                 "test_one_ball_gives_none",
-                "test_a_body_of_another_shape_is_not_believed",
+                "test_a_body_of_another_shape_is_refused",
             },
         ),
         (
