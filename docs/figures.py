@@ -19,7 +19,7 @@ from measure.arrays import Bytes, Floats
 from measure.geometry import RigidTransform, tangent_cone
 from measure.host import Registry
 from measure.model import Body, Camera, Detection
-from measure.model.ray_kernels import RAY, fill_rays
+from measure.model.lens import RAY, fill_rays
 from measure.session import open_session
 from measure.simulation import Renderer, Scene
 from measure.simulation.catalogue import webcam_scene

@@ -14,6 +14,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.calibration.pattern_fit import BLUR_PX, fit_pattern
+from measure.geometry.covariance import MAD_TO_SD
 
 _MIN_EXTENT_PX, _MAX_EXTENT_PX = 7, 90
 _MAX_FILLED_SHARE = 0.65
@@ -50,7 +51,7 @@ def cross_candidates(light: Floats) -> list[Cross]:
     """
     reach = 2 * _MAX_EXTENT_PX // 2 + 1
     excess = light - cv2.blur(light, (reach, reach))
-    spread = float(np.median(np.abs(excess))) * 1.4826
+    spread = float(np.median(np.abs(excess))) * MAD_TO_SD
     threshold = max(8 * spread, 0.02)
     found = []
     for sign in (1, -1):

@@ -17,6 +17,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.calibration.pattern_fit import BLUR_PX, SUPERSAMPLING, fit_pattern
+from measure.geometry.covariance import MAD_TO_SD
 from measure.model import Intrinsics
 
 _NOISE_FLOOR = 0.1
@@ -47,7 +48,7 @@ def dot_candidates(light: Floats, radius_px: tuple[float, float] = (1.5, 25.0)) 
     reach = 2 * int(2 * radius_px[1]) + 1
     background = cv2.blur(light, (reach, reach))
     excess = light - background
-    spread = float(np.median(np.abs(excess))) * 1.4826
+    spread = float(np.median(np.abs(excess))) * MAD_TO_SD
     mask = (excess > max(8 * spread, 0.02)).astype(np.uint8)
     _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
     found = []

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from measure.arrays import Bytes, Floats
+from measure.geometry.covariance import MAD_TO_SD
 
 BLUR_PX = 0.8
 """Optics and colour mosaic together; the fits of recorded dots are best about here."""
@@ -61,7 +62,7 @@ def fit_pattern(
         step = _step(values, weights, unknowns, basis)
         unknowns = np.maximum(unknowns + step, least)
         whitened = (_residuals(values, weights, unknowns, basis) * root)[root > 0]
-        misfit = 1.4826 * float(np.median(np.abs(whitened))) + 1e-4
+        misfit = MAD_TO_SD * float(np.median(np.abs(whitened))) + 1e-4
         t = np.zeros_like(values)
         t[root > 0] = np.minimum(np.abs(whitened) / (_TUKEY_SDS * misfit), 1)
         robust = (1 - t**2) ** 2

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from measure.arrays import Floats
-from measure.estimation.pose_fit import Sightings, fit_pose
+from measure.estimation.pose_fit import PoseObservations, fit_pose
 from measure.geometry import Rays, RigidTransform, nearest_point
 from measure.model import Body, Camera, Rig
 
@@ -68,7 +68,7 @@ def body_cost(
     rows = len(estimated) * count
     shifts, turns = [], []
     for pose in poses:
-        seen = Sightings(
+        seen = PoseObservations(
             rig,
             np.tile(body.centers, (len(estimated), 1)),
             np.tile(np.arange(count), len(estimated)),

@@ -14,6 +14,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.checking.body_explanations import Compared, blind_to, layout_findings, radius_findings
 from measure.estimation.body_layout import looks_mirrored
+from measure.geometry.covariance import MAD_TO_SD
 from measure.measuring.association.candidates import by_ball, intersect_rays
 from measure.model import Body, Camera, Detection
 
@@ -153,7 +154,7 @@ def _radius(frames: Sequence[LocatedBalls], body: Body, name: str) -> Compared |
 def _robust_mean(values: Floats, stated_sd: float) -> tuple[float, float]:
     """Median, and its standard deviation by scatter or as stated, whichever is larger."""
     median = float(np.median(values))
-    scatter = 1.4826 * float(np.median(np.abs(values - median)))
+    scatter = MAD_TO_SD * float(np.median(np.abs(values - median)))
     count = min(len(values), _MAX_INDEPENDENT_FRAMES)
     return median, float(1.25 * max(scatter, stated_sd) / np.sqrt(count))
 

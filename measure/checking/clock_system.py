@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from measure.arrays import Bools, Floats, Ints
-from measure.estimation.pose_fit import Sightings
+from measure.estimation.pose_fit import PoseObservations
 from measure.geometry import RigidTransform, skew
 
 _HUBER_SIGMAS = 3.0
@@ -31,7 +31,7 @@ class Instant:
         acceleration: (6,) in the pose's `perturb` chart, per second and second squared.
     """
 
-    sightings: Sightings
+    sightings: PoseObservations
     cameras: Ints
     rows: Floats
     pose: RigidTransform

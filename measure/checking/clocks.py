@@ -21,7 +21,7 @@ from measure.checking.clock_system import (
     reduce_instant,
     solve_clocks,
 )
-from measure.estimation.pose_fit import Sightings
+from measure.estimation.pose_fit import PoseObservations
 from measure.geometry import RigidTransform, chi_square_quantile
 from measure.measuring.measurement import Measurement
 from measure.measuring.pose_spline import REACH, motion_at
@@ -143,14 +143,14 @@ def _count_cameras(measurement: Measurement) -> int:
 
 def _sightings(
     measurement: Measurement, body: Body, cameras: Mapping[str, Camera], extra_px: float
-) -> Sightings:
+) -> PoseObservations:
     assert measurement.pose is not None
     seen = [v.detection for v in measurement.views if v.effective and v.detection is not None]
-    return Sightings.of(seen, body, cameras, measurement.pose.time_s, extra_px)
+    return PoseObservations.of(seen, body, cameras, measurement.pose.time_s, extra_px)
 
 
 def _instant(
-    sightings: Sightings,
+    sightings: PoseObservations,
     names: Mapping[str, int],
     heights: Floats,
     pose: RigidTransform,

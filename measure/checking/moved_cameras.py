@@ -16,7 +16,7 @@ from measure.arrays import Floats
 from measure.checking.finding import Finding, Level
 from measure.checking.sampled_search import SearchSample
 from measure.errors import DegenerateGeometryError
-from measure.estimation.pose_fit import Sightings, fit_pose
+from measure.estimation.pose_fit import PoseObservations, fit_pose
 from measure.model import Body, Camera
 
 _SYSTEMATIC_PX = 0.5
@@ -142,11 +142,11 @@ def _difference(
     if len(own) < 2 or len(others) < 4 or sample.world_from_body is None:
         return None
     try:
-        seen = Sightings.of(others, body, by_name, sample.time_s, _SYSTEMATIC_PX)
+        seen = PoseObservations.of(others, body, by_name, sample.time_s, _SYSTEMATIC_PX)
         fit = fit_pose(sample.world_from_body, seen, sample.velocity)
     except DegenerateGeometryError:
         return None
-    mine = Sightings.of(own, body, by_name, sample.time_s)
+    mine = PoseObservations.of(own, body, by_name, sample.time_s)
     residuals, by_body, _ = mine.residuals(fit.world_from_body, sample.velocity)
     if not _consistent(residuals):
         return None

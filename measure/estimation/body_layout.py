@@ -1,4 +1,4 @@
-"""Does what was seen look like the body in the file? Distances, and handedness."""
+"""Whether measured ball centres are those of the body: their distances, and their handedness."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from measure.arrays import Floats
 from measure.compiling import compiled
 from measure.errors import DegenerateGeometryError
 from measure.geometry import align_points
-from measure.geometry.rotation_kernels import times
+from measure.geometry.rotation_kernels import apply_matrix
 from measure.model import Body
 
-_SIGMAS = 4.0
-_MIRROR_GAIN = 0.5
-"""A mirrored body must fit this much better (ratio of RMS) to be called mirrored."""
-_FLAT_MM = 1.0
+_MAX_DISTANCE_SIGMAS = 4.0
+_MAX_MIRRORED_RMS_RATIO = 0.5
+"""RMS of the mirrored body over the body's own below which the centres are called mirrored."""
+_MIN_THICKNESS_MM = 1.0
 """A body thinner than this about its plane is its own mirror image."""
 
 
 def layout_flags(
     body: Body, balls: Sequence[str], centers: Floats, covariances: Floats, tolerance_mm: float
 ) -> tuple[str, ...]:
-    """Reasons to doubt that `centers` are this body's balls.
+    """Reasons to doubt that `centers` are this body's balls, as texts for `Pose.flags`.
 
     Args:
         body: as its file says.
@@ -34,17 +34,15 @@ def layout_flags(
         tolerance_mm: how far a distance may be off beyond four of its standard deviations, that of
             the balls' places on the body included.
     """
-    from measure.estimation.body_layout import pair_distances
-
     points_body = body.centers_of(balls)
-    told = covariances + body.center_covariance
-    pairs = pair_distances(points_body, centers, told).tolist()
+    stated = covariances + body.center_covariance
+    pairs = pair_distances(points_body, centers, stated).tolist()
     flags = [
         f"balls {one} and {other} are {measured:.1f} mm apart, the body says {expected:.1f} mm"
         for (one, other), (measured, expected, sd) in zip(
             combinations(balls, 2), pairs, strict=True
         )
-        if abs(measured - expected) > _SIGMAS * sd + tolerance_mm
+        if abs(measured - expected) > _MAX_DISTANCE_SIGMAS * sd + tolerance_mm
     ]
     if looks_mirrored(points_body, centers):
         flags.append("the balls form the mirror image of the body")
@@ -56,7 +54,7 @@ def looks_mirrored(points_body: Floats, centers: Floats) -> bool:
 
     Never for balls in one plane: such a body turned over is its own mirror image.
     """
-    if len(points_body) < 4 or thickness(points_body) < _FLAT_MM:
+    if len(points_body) < 4 or thickness(points_body) < _MIN_THICKNESS_MM:
         return False
     try:
         rms = [
@@ -65,7 +63,7 @@ def looks_mirrored(points_body: Floats, centers: Floats) -> bool:
         ]
     except DegenerateGeometryError:
         return False
-    return rms[1] < _MIRROR_GAIN * rms[0]
+    return rms[1] < _MAX_MIRRORED_RMS_RATIO * rms[0]
 
 
 def thickness(points_body: Floats) -> float:
@@ -76,7 +74,7 @@ def thickness(points_body: Floats) -> float:
 
 @compiled
 def pair_distances(points_body: Floats, centers: Floats, covariances: Floats) -> Floats:
-    """How far each two of n balls are apart, the first with the second, the third and so on.
+    """Distances of every two of n balls: (0, 1), (0, 2) ... (1, 2) ...
 
     Args:
         points_body: (n, 3) centres in the body file, mm.
@@ -90,8 +88,9 @@ def pair_distances(points_body: Floats, centers: Floats, covariances: Floats) ->
     out = np.empty((n * (n - 1) // 2, 3))
     for i in range(n):
         for j in range(i + 1, n):
-            apart, told = centers[i] - centers[j], points_body[i] - points_body[j]
-            out[row, 0], out[row, 1] = np.sqrt(np.sum(apart * apart)), np.sqrt(np.sum(told * told))
+            apart, nominal = centers[i] - centers[j], points_body[i] - points_body[j]
+            out[row, 0] = np.sqrt(np.sum(apart * apart))
+            out[row, 1] = np.sqrt(np.sum(nominal * nominal))
             along, variance = apart / max(out[row, 0], 1e-9), 0.0
             for a in range(3):
                 for b in range(3):
@@ -110,7 +109,7 @@ def distances_from_body(
     centers: Floats,
     covariances: Floats,
 ) -> Floats:
-    """How far n balls are from where a pose puts them.
+    """Distances of n measured balls from where a pose puts them.
 
     Args:
         rotation: (3, 3) of world_from_body.
@@ -124,7 +123,7 @@ def distances_from_body(
     """
     out = np.empty((len(centers), 2))
     for i in range(len(centers)):
-        off = centers[i] - times(rotation, points_body[i]) - translation
+        off = centers[i] - apply_matrix(rotation, points_body[i]) - translation
         out[i, 0] = np.sum(off * np.linalg.solve(covariances[i], off))
         out[i, 1] = np.sqrt(np.sum(off * off))
     return out

@@ -12,7 +12,7 @@ import numpy as np
 
 from measure.arrays import Floats, Ints
 from measure.errors import DegenerateGeometryError
-from measure.estimation.pose_fit import Sightings, fit_pose
+from measure.estimation.pose_fit import PoseObservations, fit_pose
 from measure.geometry import RigidTransform, skew
 from measure.model import Body, Camera, Detection
 
@@ -47,7 +47,7 @@ def noise_sd(
         return float("nan"), float("nan")
     try:
         by_name = {camera.name: camera for camera in cameras}
-        fit = fit_pose(pose, Sightings.of(seen, body, by_name, 0.0))
+        fit = fit_pose(pose, PoseObservations.of(seen, body, by_name, 0.0))
     except DegenerateGeometryError:
         return float("nan"), float("nan")
     return _mm_and_deg(fit.covariance)

@@ -1,4 +1,4 @@
-"""One point seen by several cameras: least squares on the reprojection, and its sensitivities.
+"""One ball centre seen by several cameras: least squares on the reprojection error.
 
 Each camera contributes its pixel with a 2x2 covariance: the detection's, plus what an uncertain
 camera pose and lens add (Hartley and Zisserman 2004, sections 5.2 and 12.5). One observation per
@@ -23,19 +23,17 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Views:
-    """One ball's pixels in n cameras.
+class PointObservations:
+    """The pixels of one ball centre in n cameras.
 
     Attributes:
-        cameras: the n cameras.
-        rig: the same, stacked.
+        rig: the n cameras.
         pixels: (n, 2).
-        noise: (n, 2, 2) covariances of the pixels alone.
+        noise: (n, 2, 2) covariances of the pixels alone, px^2.
         shifts: (n, 3) where each camera saw the point, relative to where it is at the common
-            instant, mm: zero for simultaneous pictures.
+            instant, mm, world: zero for simultaneous pictures.
     """
 
-    cameras: tuple[Camera, ...]
     rig: Rig
     pixels: Floats
     noise: Floats
@@ -47,31 +45,40 @@ class Views:
         detections: Sequence[Detection],
         cameras: Mapping[str, Camera],
         shifts: Floats | None = None,
-    ) -> Views:
-        """Stack `detections` of one ball."""
-        used = tuple(cameras[d.camera] for d in detections)
+    ) -> PointObservations:
+        """Stack the detections of one ball, in their order.
+
+        Args:
+            detections: n >= 1 of them, one for each camera.
+            cameras: by name.
+            shifts: (n, 3) see above; zero if omitted.
+        """
         return cls(
-            used,
-            Rig.of(used),
+            Rig.of([cameras[d.camera] for d in detections]),
             *stacked_detections(tuple(detections)),
-            np.zeros((len(used), 3)) if shifts is None else shifts,
+            np.zeros((len(detections), 3)) if shifts is None else shifts,
         )
 
     def __len__(self) -> int:
         return len(self.pixels)
 
-    def take(self, rows: list[int]) -> Views:
-        """Only some of the views."""
-        return Views(
-            tuple(self.cameras[i] for i in rows),
-            self.rig.take(rows),
-            self.pixels[rows],
-            self.noise[rows],
-            self.shifts[rows],
+    def take(self, rows: list[int]) -> PointObservations:
+        """Only some of the observations."""
+        return PointObservations(
+            self.rig.take(rows), self.pixels[rows], self.noise[rows], self.shifts[rows]
         )
 
-    def sensitivity(self, point: Floats) -> tuple[Floats, Floats, Floats]:
-        """Residuals (n, 2), Jacobians by the point (n, 2, 3) and by the camera poses (n, 2, 6)."""
+    def residuals(self, point: Floats) -> tuple[Floats, Floats, Floats]:
+        """Measured minus predicted pixels, and derivatives of the predicted ones.
+
+        Args:
+            point: (3,) mm, world.
+
+        Returns:
+            Residuals (n, 2) in px, and the pixels' Jacobians by the point (n, 2, 3) and by the
+            cameras' poses (n, 2, 6), in their `perturb` charts; NaN for a camera behind which the
+            point lies.
+        """
         from measure.estimation.pixel_sensitivity import sensitivities
 
         predicted, by_point, by_pose = sensitivities(self.rig.rows, point + self.shifts)
@@ -84,19 +91,17 @@ class Views:
         """
         from measure.estimation.pixel_sensitivity import by_cameras
 
-        return by_cameras(self.rig.rows, point + self.shifts, self.sensitivity(point)[2])
-
-    def camera_noise(self, point: Floats) -> Floats:
-        """What uncertain cameras add to the pixels' covariances (n, 2, 2)."""
-        return calibration_noise(self.rig, point + self.shifts)
+        return by_cameras(self.rig.rows, point + self.shifts, self.residuals(point)[2])
 
     def total_noise(self, point: Floats) -> Floats:
-        """The pixels' covariances (n, 2, 2), calibration included."""
-        return self.noise + self.camera_noise(point)
+        """Covariances (n, 2, 2) of the residuals at `point` (3,), calibration included, px^2."""
+        return self.noise + calibration_noise(self.rig, point + self.shifts)
 
 
 def calibration_noise(rig: Rig, points: Floats) -> Floats:
     """What uncertain cameras add to the covariances (n, 2, 2) of the pixels of points, px^2.
+
+    See docs/explanation/joint_fit.md, formula 7.
 
     Zero for points without an image: a camera may show a ball of a body, and not its middle.
 
@@ -113,43 +118,45 @@ def calibration_noise(rig: Rig, points: Floats) -> Floats:
     return np.nan_to_num(noise, nan=0.0)
 
 
-def fit_point(views: Views, extra_px: float = 0.0) -> PointFit:
-    """Gauss-Newton on the reprojection error of n >= 2 views, weighted by full covariances.
+def fit_point(observations: PointObservations, extra_px: float = 0.0) -> PointFit:
+    """Gauss-Newton on the reprojection error of n >= 2 pixels, weighted by full covariances.
+
+    See docs/explanation/joint_fit.md, formula 21.
 
     Args:
-        views: what was seen.
+        observations: the pixels.
         extra_px: added to every pixel's standard deviation in quadrature, for `disagreement` alone.
 
     Raises:
-        DegenerateGeometryError: fewer than two views, parallel rays, or the point is not in front
+        DegenerateGeometryError: fewer than two pixels, parallel rays, or the point is not in front
             of every camera.
     """
-    from measure.estimation.point_fit import FITTED, PARALLEL, fit_one
+    from measure.estimation.point_fit import FITTED, PARALLEL, fit_point_rows
 
-    if len(views) < 2:
-        raise DegenerateGeometryError(f"{len(views)} view does not determine a point")
-    rig = views.rig
-    fit = fit_one(rig.rows, views.pixels, views.noise, views.shifts, extra_px)
+    o = observations
+    if len(o) < 2:
+        raise DegenerateGeometryError(f"{len(o)} view does not determine a point")
+    fit = fit_point_rows(o.rig.rows, o.pixels, o.noise, o.shifts, extra_px)
     if fit.end != FITTED:
         what = "are parallel" if fit.end == PARALLEL else "meet behind a camera"
-        raise DegenerateGeometryError(f"the rays of {', '.join(rig.names)} {what}")
+        raise DegenerateGeometryError(f"the rays of {', '.join(o.rig.names)} {what}")
     return fit
 
 
-def ray_distances(views: Views, point: Floats) -> Floats:
-    """Distances (n,) in mm of the views' rays from `point`."""
-    return views.rig.rays(views.pixels).distances(point + views.shifts)
+def ray_distances(observations: PointObservations, point: Floats) -> Floats:
+    """Distances (n,) in mm of the pixels' rays from `point` (3,)."""
+    return observations.rig.rays(observations.pixels).distances(point + observations.shifts)
 
 
-def leverage(views: Views, point: Floats) -> tuple[Floats, Floats]:
-    """How a point fitted to `views` reacts to its inputs.
+def point_sensitivity(observations: PointObservations, point: Floats) -> tuple[Floats, Floats]:
+    """How a fitted point reacts to its inputs: the derivatives of the least-squares solution.
 
     Returns:
-        By the pixels (n, 3, 2), and by the cameras' poses and intrinsics (n, 3, 18): if camera i is
-        truly off by d, the fitted point errs by `by_camera[i] @ d`.
+        By the pixels (n, 3, 2), mm per px, and by the cameras' poses and intrinsics (n, 3, 18): if
+        camera i is truly off by d, the fitted point errs by `by_camera[i] @ d`.
     """
-    weight = np.linalg.inv(views.total_noise(point))
-    _, by_point, _ = views.sensitivity(point)
-    gain = np.swapaxes(by_point, 1, 2) @ weight
-    by_pixel = np.linalg.inv((gain @ by_point).sum(axis=0)) @ gain
-    return by_pixel, by_pixel @ views.by_camera(point)
+    weight = np.linalg.inv(observations.total_noise(point))
+    _, by_point, _ = observations.residuals(point)
+    weighted = np.swapaxes(by_point, 1, 2) @ weight
+    by_pixel = np.linalg.inv((weighted @ by_point).sum(axis=0)) @ weighted
+    return by_pixel, by_pixel @ observations.by_camera(point)

@@ -1,4 +1,4 @@
-"""How pixels of a point depend on it and on its cameras, compiled: see `multiview`."""
+"""Derivatives of pixels by the point and by the cameras that show it, compiled."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
-from measure.model.lens import bend
-from measure.model.rig_kernels import RigRows, project_one
+from measure.model.lens import distort_point
+from measure.model.rig import RigRows
+from measure.model.rig_kernels import project_one
 
 
 @compiled
@@ -64,7 +65,7 @@ def by_lens(x: float, y: float, lens: Floats, out: Floats) -> None:
     r2 = x * x + y * y
     below = 1 + r2 * (lens[10] + r2 * (lens[11] + r2 * lens[12]))
     radial = (1 + r2 * (lens[5] + r2 * (lens[6] + r2 * lens[9]))) / below
-    out[0, 0], out[1, 1] = bend(x, y, lens)
+    out[0, 0], out[1, 1] = distort_point(x, y, lens)
     out[0, 2] = out[1, 3] = 1.0
     for power in range(3):
         gain = r2 ** (power + 1) / below

@@ -1,4 +1,4 @@
-"""One point fitted to its pixels in several pictures, compiled: see `multiview`."""
+"""Points fitted to their pixels in several pictures, compiled: see `multiview.fit_point`."""
 
 from __future__ import annotations
 
@@ -6,17 +6,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from measure.arrays import Floats, Ints
+from measure.arrays import Bools, Floats, Ints
 from measure.compiling import compiled
 from measure.estimation.pixel_sensitivity import camera_noise
 from measure.geometry.linear_kernels import inverse, solved
 from measure.geometry.rays import MIN_PARALLAX_RAD
-from measure.model.rig_kernels import RigRows, project_one, ray_rows, rows_between
+from measure.model.rig import RigRows
+from measure.model.rig_kernels import project_one, ray_rows, rows_between
 
-_STEPS = 12
+_MAX_STEPS = 12
 _STEP_TOLERANCE_MM = 1e-7
-_SURELY = 10.0
-"""Times the limit of parallel rays above which eigenvalues need not be asked."""
+_CLEAR_MARGIN = 10.0
+"""Factor beyond the limit of parallel rays at which the eigenvalues need not be computed."""
 FITTED, PARALLEL, BEHIND = 0, 1, 2
 """How a fit ends: with a point, without one for parallel rays, with one behind a camera."""
 
@@ -30,7 +31,7 @@ class PointFit(NamedTuple):
         residuals_px: (n, 2).
         chi_square: of the residuals under the weights, 2 n - 3 degrees of freedom.
         disagreement: (n,) squared Mahalanobis distances of the residuals, 2 degrees of freedom
-            each, for pixels that err by `extra_px` more than they say.
+            each, with `extra_px` added to the pixels' standard deviations.
         distances_mm: (n,) of the rays from the point.
         end: FITTED, PARALLEL or BEHIND.
     """
@@ -45,10 +46,12 @@ class PointFit(NamedTuple):
 
 
 @compiled
-def fit_one(
+def fit_point_rows(
     rig: RigRows, pixels: Floats, noise: Floats, shifts: Floats, extra_px: float
 ) -> PointFit:
-    """The point that n >= 2 pixels show, from the one nearest to their rays.
+    """The point that n >= 2 pixels show, by Gauss-Newton from the point nearest to their rays.
+
+    See docs/explanation/joint_fit.md, formula 21.
 
     Args:
         rig: the n cameras.
@@ -58,7 +61,7 @@ def fit_one(
         extra_px: added to every pixel's standard deviation in `disagreement`, in quadrature.
     """
     directions, origins = ray_rows(pixels, rig), rig.centers - shifts
-    start, meet = _nearest(origins, directions)
+    start, meet = nearest_to_rays(origins, directions)
     total = noise + camera_noise(rig, start + shifts)
     point, information, residuals, chi_square, seen = refine_point(
         rig, pixels, shifts, total, start
@@ -95,19 +98,24 @@ class PointFits(NamedTuple):
     distances_mm: Floats
     ends: Ints
 
+    @property
+    def fitted(self) -> Bools:
+        """Which of the k points (k,) were found; the rays of others are parallel or meet behind."""
+        return np.asarray(self.ends == FITTED)
+
 
 @compiled
-def fit_groups(
+def fit_points(
     starts: Ints, rig: RigRows, pixels: Floats, noise: Floats, extra_px: float
 ) -> PointFits:
-    """`fit_one` for k points one after the other, each at rest.
+    """`fit_point_rows` for k points one after the other, each at rest.
 
     Args:
-        starts: (k + 1,) where each point's rows begin; the others are as in `fit_one`.
+        starts: (k + 1,) where each point's rows begin; the others are as in `fit_point_rows`.
         rig: the n cameras.
         pixels: (n, 2).
         noise: (n, 2, 2).
-        extra_px: see `fit_one`.
+        extra_px: see `fit_point_rows`.
     """
     k = len(starts) - 1
     points, known, distances = np.empty((k, 3)), np.empty((k, 3, 3)), np.empty(len(pixels))
@@ -115,7 +123,7 @@ def fit_groups(
     for i in range(k):
         a, b = starts[i], starts[i + 1]
         own = rows_between(rig, a, b)
-        fit = fit_one(own, pixels[a:b], noise[a:b], np.zeros((b - a, 3)), extra_px)
+        fit = fit_point_rows(own, pixels[a:b], noise[a:b], np.zeros((b - a, 3)), extra_px)
         points[i], known[i], ends[i] = fit.point, fit.covariance, fit.end
         chi_squares[i], disagreements[i] = fit.chi_square, np.sum(fit.disagreement)
         distances[a:b] = fit.distances_mm
@@ -123,7 +131,7 @@ def fit_groups(
 
 
 @compiled
-def _nearest(origins: Floats, directions: Floats) -> tuple[Floats, bool]:
+def nearest_to_rays(origins: Floats, directions: Floats) -> tuple[Floats, bool]:
     """The point (3,) nearest to lines, and whether there is one: see `geometry.nearest_point`."""
     point, normal, right = np.full(3, np.nan), np.zeros((3, 3)), np.zeros(3)
     for i in range(len(origins)):
@@ -134,7 +142,7 @@ def _nearest(origins: Floats, directions: Floats) -> tuple[Floats, bool]:
                 right[a] += across * origins[i, b]
     if not np.all(np.isfinite(normal)):
         return point, True
-    if not _surely_apart(normal):
+    if not _clearly_not_parallel(normal):
         spread = np.linalg.eigvalsh(normal)
         if spread[0] < spread[2] * MIN_PARALLAX_RAD**2:
             return point, False
@@ -143,17 +151,19 @@ def _nearest(origins: Floats, directions: Floats) -> tuple[Floats, bool]:
 
 
 @compiled
-def _surely_apart(m: Floats) -> bool:
-    """Whether the determinant and the trace of lines' normal matrix tell them from parallel ones.
+def _clearly_not_parallel(m: Floats) -> bool:
+    """Whether lines with the normal matrix (3, 3) are far from parallel, by a bound.
 
-    Its least eigenvalue is no less than the one over the square of the other, none is above that.
+    Its least eigenvalue is at least its determinant over the square of its trace, and the others
+    are at most the trace.
     """
     determinant = (
         m[0, 0] * (m[1, 1] * m[2, 2] - m[1, 2] ** 2)
         - m[0, 1] * (m[0, 1] * m[2, 2] - m[1, 2] * m[0, 2])
         + m[0, 2] * (m[0, 1] * m[1, 2] - m[1, 1] * m[0, 2])
     )
-    return bool(determinant > _SURELY * MIN_PARALLAX_RAD**2 * (m[0, 0] + m[1, 1] + m[2, 2]) ** 3)
+    trace = m[0, 0] + m[1, 1] + m[2, 2]
+    return bool(determinant > _CLEAR_MARGIN * MIN_PARALLAX_RAD**2 * trace**3)
 
 
 @compiled
@@ -190,7 +200,7 @@ def refine_point(
         weight[i, 2] = -noise[i, 0, 1] / det
     normal, right, residuals = np.empty((3, 3)), np.empty(3), np.empty((n, 2))
     chi_square, settled = 0.0, False
-    for turn in range(_STEPS + 1):
+    for step_count in range(_MAX_STEPS + 1):
         normal[:], right[:], chi_square = 0.0, 0.0, 0.0
         for i in range(n):
             project_one(rig, i, point + shifts[i], pixel, by_point)
@@ -206,7 +216,7 @@ def refine_point(
                     normal[a, b] += ga * by_point[0, b] + gb * by_point[1, b]
         if not np.isfinite(chi_square):
             return point, normal, residuals, chi_square, False
-        if settled or turn == _STEPS:
+        if settled or step_count == _MAX_STEPS:
             break
         step = solved(normal, right)
         point += step
@@ -214,11 +224,11 @@ def refine_point(
     return point, normal, residuals, chi_square, True
 
 
-def warm_up() -> None:
+def warm_up_point_fits() -> None:
     """Compile the fits, by fitting a point to pixels of two cameras in one place."""
     two, noise = np.zeros((2, 3)), np.zeros((2, 2, 2))
     lenses = np.tile(np.eye(1, 13) + np.eye(1, 13, 3), (2, 1))
     turns = np.stack([np.eye(3), np.eye(3)])
     rig = RigRows(lenses, np.full(2, np.inf), turns, two, np.zeros((2, 18, 18)), 0.0)
-    fit_one(rig, two[:, :2].copy(), noise, two, 0.0)
-    fit_groups(np.array([0, 2]), rig, two[:, :2].copy(), noise, 0.0)
+    fit_point_rows(rig, two[:, :2].copy(), noise, two, 0.0)
+    fit_points(np.array([0, 2]), rig, two[:, :2].copy(), noise, 0.0)

@@ -1,7 +1,8 @@
-"""The body's pose from ball centres in pictures: least squares on the reprojection, all at once.
+"""The body's pose from ball centres in pictures: least squares on the reprojection error.
 
-No triangulation: a ball seen by one camera counts. Robust by Tukey's weights (Huber and Ronchetti
-2009, section 4.8), so a wrong detection loses its say.
+No triangulation: a ball seen by one camera counts. Tukey's weights (Huber and Ronchetti 2009,
+section 4.8) are zero for residuals of more than `tukey` standard deviations. See
+docs/explanation/joint_fit.md, formula 21.
 """
 
 from __future__ import annotations
@@ -16,25 +17,26 @@ from measure.arrays import Floats, Ints
 from measure.compiling import compiled
 from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform, skew
-from measure.geometry.covariance_kernels import squared_distance
+from measure.geometry.linear_kernels import squared_distance
 from measure.geometry.rotation_kernels import rotation_of
 from measure.model import Body, Camera, Detection, Rig
 from measure.model.observations import stacked_detections
-from measure.model.rig_kernels import RigRows, project_one
+from measure.model.rig import RigRows
+from measure.model.rig_kernels import project_one
 
 _STEP_TOLERANCE = 1e-8
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Sightings:
-    """Ball centres seen in pictures, as arrays of n rows.
+class PoseObservations:
+    """Pixels of ball centres in pictures, as arrays of n rows.
 
     Attributes:
         rig: the camera of each row.
         points_body: (n, 3) the ball's centre in the body.
         balls: (n,) index of the ball.
         pixels: (n, 2).
-        noise: (n, 2, 2) covariances.
+        noise: (n, 2, 2) covariances of the pixels, px^2.
         lead_s: (n,) time of the picture after the common instant.
     """
 
@@ -53,7 +55,7 @@ class Sightings:
         cameras: Mapping[str, Camera],
         time_s: float,
         extra_px: float = 0.0,
-    ) -> Sightings:
+    ) -> PoseObservations:
         """Stack detections; `extra_px` is added to their standard deviations in quadrature."""
         balls, points_body = _placed(body, tuple([d.ball for d in detections]))
         pixels, noise = stacked_detections(tuple(detections))
@@ -107,26 +109,26 @@ class PoseFit:
 
 def fit_pose(
     start: RigidTransform,
-    sightings: Sightings,
+    observations: PoseObservations,
     velocity: Floats | None = None,
     tukey: float = 6.0,
     tolerance: float = _STEP_TOLERANCE,
 ) -> PoseFit:
-    """Refine a pose on n >= 3 sightings of balls not on one line.
+    """Refine a pose on n >= 3 observations of balls not on one line, by Gauss-Newton.
 
     Args:
         start: a pose from which least squares converges.
-        sightings: what was seen.
+        observations: the pixels.
         velocity: (6,) of the body, to bring pictures of different times together; at rest if None.
         tukey: a residual this many standard deviations off has no weight at all.
         tolerance: stop when a step is smaller than this, in mm and rad.
 
     Raises:
-        DegenerateGeometryError: the sightings do not determine a pose.
+        DegenerateGeometryError: the observations do not determine a pose.
     """
-    s = sightings
+    s = observations
     try:
-        rotation, translation, normal, residuals, distances, weighing = fit_rows(
+        rotation, translation, normal, residuals, distances, weighing = fit_pose_rows(
             s.rig.rows,
             s.points_body,
             s.pixels,
@@ -162,14 +164,16 @@ def _undetermined(count: int) -> DegenerateGeometryError:
     return DegenerateGeometryError(f"{count} ball sightings do not determine a pose")
 
 
-_STEPS = 15
-_WIDE = 1e3
-"""The first steps see everything: a start that is a little off must not lose its witnesses."""
-_LEAST_SPREAD = 1e-9
+_MAX_ITERATIONS = 15
+_FIRST_TUKEY = 1e3
+"""Width of Tukey's weights, in standard deviations, in the first two iterations: with a start that
+is a little off all residuals are large, and good observations must keep their weights."""
+_MIN_EIGENVALUE_RATIO = 1e-9
+"""Least eigenvalue of the scaled information over the greatest for which there is a pose."""
 
 
 @compiled
-def fit_rows(
+def fit_pose_rows(
     rig: RigRows,
     points_body: Floats,
     pixels: Floats,
@@ -197,19 +201,19 @@ def fit_rows(
 
     Returns:
         Rotation (3, 3), translation (3,), information (6, 6), residuals (n, 2) and their squared
-        Mahalanobis distances (n,) at the end; how many points have a say, negative if they do not
-        determine a pose.
+        Mahalanobis distances (n,) at the end; the number of points of non-zero weight, or minus
+        one minus that number if they do not determine a pose.
     """
     n = len(pixels)
     rotation, translation = rotation.copy(), translation.copy()
     residuals, slopes, distance = np.empty((n, 2)), np.empty((n, 2, 6)), np.empty(n)
     normal, right, change, weighing = np.empty((6, 6)), np.empty(6), np.empty(6), 0
-    for step in range(_STEPS):
+    for step in range(_MAX_ITERATIONS):
         _fill_residuals(
             rig, points_body, pixels, lead_s, velocity, rotation, translation, residuals, slopes
         )
         weighing = _equations(
-            residuals, slopes, inverse, tukey if step > 1 else _WIDE, normal, right
+            residuals, slopes, inverse, tukey if step > 1 else _FIRST_TUKEY, normal, right
         )
         if step == 0 and not _determined(normal):
             return rotation, translation, normal, residuals, distance, -weighing - 1
@@ -265,10 +269,10 @@ def _fill_residuals(
 def _equations(
     residuals: Floats, slopes: Floats, inverse: Floats, width: float, normal: Floats, right: Floats
 ) -> int:
-    """Fill the normal equations (6, 6), (6,); how many points have a weight in them."""
+    """Fill the normal equations (6, 6), (6,); returns the number of points of non-zero weight."""
     normal[:], right[:] = 0.0, 0.0
     weighing = 0
-    gain = np.empty((6, 2))
+    weighted = np.empty((6, 2))
     for i in range(len(residuals)):
         distance = squared_distance(residuals[i], inverse[i])
         weight = max(1 - distance / width**2, 0.0) ** 2
@@ -277,12 +281,12 @@ def _equations(
         weighing += 1
         for a in range(6):
             for u in range(2):
-                gain[a, u] = 0.0
+                weighted[a, u] = 0.0
                 for v in range(2):
-                    gain[a, u] += slopes[i, v, a] * inverse[i, v, u] * weight
-            right[a] += gain[a, 0] * residuals[i, 0] + gain[a, 1] * residuals[i, 1]
+                    weighted[a, u] += slopes[i, v, a] * inverse[i, v, u] * weight
+            right[a] += weighted[a, 0] * residuals[i, 0] + weighted[a, 1] * residuals[i, 1]
             for b in range(6):
-                normal[a, b] += gain[a, 0] * slopes[i, 0, b] + gain[a, 1] * slopes[i, 1, b]
+                normal[a, b] += weighted[a, 0] * slopes[i, 0, b] + weighted[a, 1] * slopes[i, 1, b]
     return weighing
 
 
@@ -298,4 +302,4 @@ def _determined(normal: Floats) -> bool:
     if not np.all(np.isfinite(scaled)):
         return False
     spread = np.linalg.eigvalsh(scaled)
-    return spread[0] > _LEAST_SPREAD * spread[5]
+    return spread[0] > _MIN_EIGENVALUE_RATIO * spread[5]

@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
+from scipy.special import gammaincinv
 
 from measure.arrays import Floats, floats
 from measure.geometry.transform import RigidTransform, skew
+
+MAD_TO_SD = 1.4826
+"""A normal variable's standard deviation over the median of its absolute values."""
+TUKEY_SIGMAS = 4.685
+"""Standard deviations beyond which Tukey's weights are zero, for 95 % efficiency with normal errors
+(Huber and Ronchetti 2009, section 4.8)."""
 
 
 def propagate(jacobian: Floats, covariance: Floats) -> Floats:
@@ -19,6 +27,17 @@ def squared_mahalanobis(residuals: Floats, covariances: Floats) -> Floats:
     """Squared Mahalanobis distances (...) of residuals (..., n) under covariances (..., n, n)."""
     solved = np.linalg.solve(covariances, residuals[..., None])[..., 0]
     return np.einsum("...i,...i->...", residuals, solved)
+
+
+@lru_cache(maxsize=256)
+def chi_square_quantile(probability: float, degrees: int) -> float:
+    """The value that a chi-square variable of `degrees` of freedom stays below with `probability`.
+
+    Example:
+        >>> round(chi_square_quantile(0.95, 2), 3)
+        5.991
+    """
+    return float(2 * gammaincinv(degrees / 2, probability))
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Rays (half-lines seen as lines) and the points nearest to them."""
+"""Rays, taken as whole lines: the points nearest to them, and midpoints between pairs of them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from measure.arrays import Floats, floats
+from measure.arrays import Floats, Ints, floats
 from measure.errors import DegenerateGeometryError
 
 MIN_PARALLAX_RAD = 1e-4
@@ -82,3 +82,61 @@ def nearest_point(rays: Rays, weights: Floats | None = None) -> Floats:
             f"{len(d)} rays are parallel: their nearest point is undetermined along them"
         )
     return np.linalg.solve(normal, np.einsum("nij,nj->i", across, rays.origins))
+
+
+@dataclass(frozen=True, eq=False)
+class Midpoints:
+    """The common perpendiculars of the pairs of lines that are not nearly parallel.
+
+    Attributes:
+        pairs: (p, 2) rows of the lines of each pair.
+        points: (..., p, 3) midpoints in mm.
+        gaps: (..., p) lengths of the perpendiculars in mm.
+    """
+
+    pairs: Ints
+    points: Floats
+    gaps: Floats
+
+    @property
+    def mean(self) -> Floats:
+        """The mean (..., 3) of the midpoints."""
+        return np.asarray(self.points.mean(axis=-2))
+
+
+def usable_pairs(rays: Rays, min_angle_rad: float = MIN_PARALLAX_RAD) -> Ints:
+    """Pairs (p, 2) of n lines that meet at `min_angle_rad` or more, either way round.
+
+    Raises:
+        DegenerateGeometryError: there is none.
+    """
+    pairs = np.stack(np.triu_indices(len(rays.directions), k=1), axis=1).astype(np.int64)
+    first, second = rays.directions[pairs[:, 0]], rays.directions[pairs[:, 1]]
+    sines = np.linalg.norm(np.cross(first, second), axis=1)
+    good = sines >= max(np.sin(min_angle_rad), MIN_PARALLAX_RAD)
+    if not np.any(good):
+        raise DegenerateGeometryError(
+            f"none of {len(pairs)} pairs of rays meets at {np.degrees(min_angle_rad):.2f} deg or "
+            f"more (widest {np.degrees(np.arcsin(min(sines.max(initial=0.0), 1.0))):.3f} deg)"
+        )
+    return pairs[good]
+
+
+def midpoints(origins: Floats, directions: Floats, pairs: Ints) -> Midpoints:
+    """Midpoints of the common perpendiculars of chosen pairs (section II.D of the paper).
+
+    Args:
+        origins: (..., n, 3) in mm.
+        directions: (..., n, 3) unit vectors.
+        pairs: (p, 2) rows; no pair may be parallel.
+    """
+    first, second = pairs[:, 0], pairs[:, 1]
+    d1, d2 = directions[..., first, :], directions[..., second, :]
+    between = origins[..., second, :] - origins[..., first, :]
+    normal = np.cross(d1, d2)
+    sine2 = np.sum(normal * normal, axis=-1)
+    along1 = np.sum(np.cross(between, d2) * normal, axis=-1) / sine2
+    along2 = np.sum(np.cross(between, d1) * normal, axis=-1) / sine2
+    foot1 = origins[..., first, :] + along1[..., None] * d1
+    foot2 = origins[..., second, :] + along2[..., None] * d2
+    return Midpoints(pairs, (foot1 + foot2) / 2, np.linalg.norm(foot2 - foot1, axis=-1))

@@ -15,7 +15,7 @@ def skew(v: Floats) -> Floats:
 
 
 @compiled
-def times(matrix: Floats, v: Floats) -> Floats:
+def apply_matrix(matrix: Floats, v: Floats) -> Floats:
     """A matrix (3, 3) times a vector (3,); for so few numbers a library call costs more."""
     out = np.empty(3)
     for i in range(3):

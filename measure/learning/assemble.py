@@ -9,6 +9,7 @@ import numpy as np
 
 from measure.arrays import Bools, Floats, Ints
 from measure.errors import EstimatorError
+from measure.geometry.covariance import MAD_TO_SD
 from measure.host import Dataset
 from measure.learning.agreement import check_frames, check_units
 from measure.learning.clock import ClockOffset, estimate_offset
@@ -260,7 +261,7 @@ def _outliers(errors: Floats, sds: float, window: int = 9) -> Bools:
     padded = np.pad(values, ((window // 2, window // 2), (0, 0)), mode="edge")
     neighbours = np.lib.stride_tricks.sliding_window_view(padded, window, axis=0)
     away = np.abs(values - np.median(neighbours, axis=-1))
-    scale = 1.4826 * np.median(away, axis=0) + 0.05
+    scale = MAD_TO_SD * np.median(away, axis=0) + 0.05
     out[np.flatnonzero(seen)[(away > np.maximum(sds * scale, 1.0)).any(axis=1)]] = True
     return out
 

@@ -9,14 +9,14 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
-from measure.estimation.pose_fit import Sightings
+from measure.estimation.pose_fit import PoseObservations
 from measure.geometry import RigidTransform
-from measure.geometry.covariance_kernels import inverse_2x2
-from measure.geometry.linear_kernels import invert_scaled
-from measure.geometry.rotation_kernels import times, turned
+from measure.geometry.linear_kernels import inverse_2x2, invert_scaled
+from measure.geometry.rotation_kernels import apply_matrix, turned
 from measure.model import BallView, Body, Camera, Detection, Motion, Pose
 from measure.model.observations import State
-from measure.model.rig_kernels import RigRows, project_one
+from measure.model.rig import RigRows
+from measure.model.rig_kernels import project_one
 
 _SYSTEMATIC_PX = 0.3
 """Systematic error of a detection, added to its noise: it limits differences of their weights."""
@@ -36,7 +36,7 @@ class FrameSetObservations:
     detections: tuple[Detection, ...]
     time_s: float
     times_s: tuple[float, ...]
-    rows: Sightings | None
+    rows: PoseObservations | None
 
     @property
     def simultaneous(self) -> bool:
@@ -54,7 +54,7 @@ class FrameSetObservations:
         """The effective ones of `views`."""
         seen = tuple([v.detection for v in views if v.effective and v.detection is not None])
         times_s = tuple(dict.fromkeys([d.time_s for d in seen]))
-        stacked = Sightings.of(seen, body, cameras, time_s) if seen else None
+        stacked = PoseObservations.of(seen, body, cameras, time_s) if seen else None
         return cls(seen, time_s, times_s, stacked)
 
     def at_instant(self, motion: Motion) -> list[Detection]:
@@ -164,7 +164,7 @@ def moved_pixels(
     """
     out, by_point, place = np.empty((len(rig.lenses), 2)), np.empty((2, 3)), np.empty(3)
     for i in range(len(rig.lenses)):
-        arm = times(rotation, points_body[i])
+        arm = apply_matrix(rotation, points_body[i])
         x, y, z = turned(moved[i, 3], moved[i, 4], moved[i, 5], arm)
         place[0] = x + translation[0] + moved[i, 0]
         place[1] = y + translation[1] + moved[i, 1]
@@ -206,7 +206,7 @@ def motion_covariance(
     pixel, by_point, slopes = np.empty(2), np.empty((2, 3)), np.empty((2, 6))
     variance = systematic_px**2 * np.eye(2)
     for i in range(len(rig.lenses)):
-        arm, lead = times(rotation, points_body[i]), lead_s[i]
+        arm, lead = apply_matrix(rotation, points_body[i]), lead_s[i]
         velocity_arm = np.cross(velocity[3:], arm)
         place = arm + translation + lead * (velocity[:3] + velocity_arm)
         project_one(rig, i, place, pixel, by_point)

@@ -14,7 +14,7 @@ from measure.model.observations import (
     Reason,
     State,
 )
-from measure.model.rig import Rig
+from measure.model.rig import Rig, RigRows
 
 __all__ = [
     "Ball",
@@ -34,6 +34,7 @@ __all__ = [
     "Pose",
     "Reason",
     "Rig",
+    "RigRows",
     "State",
     "paper_body",
 ]

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from measure.arrays import Bools, Floats, floats
 from measure.geometry import Cone, Rays, RigidTransform, UncertainTransform, skew, tangent_cone
-from measure.model.distortion import bend, distort, fold_radius, undistort
+from measure.model.distortion import distort, distort_with_jacobians, fold_radius, undistort
 
 MIN_DEPTH_MM = 1e-6
 """Points nearer to the camera's plane than this, or behind it, have no image."""
@@ -65,7 +65,7 @@ class Intrinsics:
         NaN for points not in front of it, or so far aside that the lens model folds.
         """
         ideal, _ = self._ideal(floats("points_camera", points_camera, "n", 3))
-        bent, _ = bend(ideal, self.distortion)
+        bent, _ = distort(ideal, self.distortion)
         return bent @ self.matrix[:2, :2].T + self.matrix[:2, 2]
 
     def _ideal(self, p: Floats) -> tuple[Floats, Floats]:
@@ -87,7 +87,7 @@ class Intrinsics:
         """
         p = floats("points_camera", points_camera, "n", 3)
         ideal, depth = self._ideal(p)
-        bent, by_ideal, by_coefficient = distort(ideal, self.distortion)
+        bent, by_ideal, by_coefficient = distort_with_jacobians(ideal, self.distortion)
         affine, centre = self.matrix[:2, :2], self.matrix[:2, 2]
         ideal_by_point = np.zeros((len(p), 2, 3))
         ideal_by_point[:, 0, 0] = ideal_by_point[:, 1, 1] = 1 / depth

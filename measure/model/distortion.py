@@ -15,7 +15,7 @@ _NEWTON_STEPS = 20
 _NEWTON_TOLERANCE = 1e-12
 
 
-def distort(points: Floats, coefficients: Floats) -> tuple[Floats, Floats, Floats]:
+def distort_with_jacobians(points: Floats, coefficients: Floats) -> tuple[Floats, Floats, Floats]:
     """Distort normalised points.
 
     Args:
@@ -26,7 +26,7 @@ def distort(points: Floats, coefficients: Floats) -> tuple[Floats, Floats, Float
         Distorted points (n, 2), their Jacobian by the points (n, 2, 2), and by the coefficients
         (n, 2, 8).
     """
-    out, by_point = bend(points, coefficients)
+    out, by_point = distort(points, coefficients)
     k4, k5, k6 = coefficients[5:]
     x, y = points[:, 0], points[:, 1]
     r2 = x * x + y * y
@@ -34,19 +34,19 @@ def distort(points: Floats, coefficients: Floats) -> tuple[Floats, Floats, Float
     below = 1 + k4 * r2 + k5 * r4 + k6 * r6
     radial = (1 + coefficients[0] * r2 + coefficients[1] * r4 + coefficients[4] * r6) / below
     by_coefficient = np.empty((len(x), 2, 8))
-    for column, gain in zip(
+    for column, factor in zip(
         (0, 1, 4, 5, 6, 7),
         (r2, r4, r6, -radial * r2, -radial * r4, -radial * r6),
         strict=True,
     ):
-        by_coefficient[:, :, column] = points * (gain / below)[:, None]
+        by_coefficient[:, :, column] = points * (factor / below)[:, None]
     by_coefficient[:, 0, 2], by_coefficient[:, 1, 2] = 2 * x * y, r2 + 2 * y * y
     by_coefficient[:, 0, 3], by_coefficient[:, 1, 3] = r2 + 2 * x * x, 2 * x * y
     return out, by_point, by_coefficient
 
 
-def bend(points: Floats, coefficients: Floats) -> tuple[Floats, Floats]:
-    """As `distort`, without the Jacobian by the coefficients: (n, 2) and (n, 2, 2)."""
+def distort(points: Floats, coefficients: Floats) -> tuple[Floats, Floats]:
+    """Distorted points (n, 2) and their Jacobian (n, 2, 2) by the points."""
     k1, k2, p1, p2, k3, k4, k5, k6 = coefficients
     x, y = points[:, 0], points[:, 1]
     r2 = x * x + y * y
@@ -100,7 +100,7 @@ def undistort(points: Floats, coefficients: Floats, reach: float | Floats = np.i
     step = np.full_like(points, np.inf)
     with np.errstate(all="ignore"):
         for _ in range(_NEWTON_STEPS):
-            forward, slope = bend(ideal, coefficients)
+            forward, slope = distort(ideal, coefficients)
             determinant = slope[:, 0, 0] * slope[:, 1, 1] - slope[:, 0, 1] * slope[:, 1, 0]
             error = points - forward
             step = np.stack(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,8 +14,25 @@ from measure.arrays import Floats
 from measure.geometry import Rays
 from measure.model.camera import MIN_DEPTH_MM, Camera
 
-if TYPE_CHECKING:
-    from measure.model.rig_kernels import RigRows
+
+class RigRows(NamedTuple):
+    """The arrays of n cameras as compiled code takes them, see `Rig`.
+
+    Attributes:
+        lenses: (n, 13) see `Intrinsics.row`.
+        reach: (n,) ideal radii beyond which the lens models fold back.
+        rotation: (n, 3, 3) of world_from_camera.
+        centers: (n, 3) projection centres in the world, mm.
+        covariances: (n, 18, 18) of pose and intrinsics; zero where unknown.
+        min_depth: points nearer to a camera's plane than this, mm, have no image.
+    """
+
+    lenses: Floats
+    reach: Floats
+    rotation: Floats
+    centers: Floats
+    covariances: Floats
+    min_depth: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +71,6 @@ class Rig:
     @cached_property
     def rows(self) -> RigRows:
         """The same arrays, as compiled code takes them."""
-        from measure.model.rig_kernels import RigRows
-
         return RigRows(
             self.lenses, self.reach, self.rotation, self.centers, self.covariances, MIN_DEPTH_MM
         )

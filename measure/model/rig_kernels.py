@@ -2,37 +2,16 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
-from measure.model.lens import bend, bend_slopes
+from measure.model.lens import distort_point, distortion_slopes
+from measure.model.rig import RigRows
 
 _NEWTON_STEPS = 20
 _NEWTON_TOLERANCE = 1e-12
 _NEWTON_FAILED = 1e-9
-
-
-class RigRows(NamedTuple):
-    """The arrays of n cameras as compiled code takes them, see `Rig`.
-
-    Attributes:
-        lenses: (n, 13) see `Intrinsics.row`.
-        reach: (n,) ideal radii beyond which the lens models fold back.
-        rotation: (n, 3, 3) of world_from_camera.
-        centers: (n, 3) projection centres in the world, mm.
-        covariances: (n, 18, 18) of pose and intrinsics; zero where unknown.
-        min_depth: points nearer to a camera's plane than this, mm, have no image.
-    """
-
-    lenses: Floats
-    reach: Floats
-    rotation: Floats
-    centers: Floats
-    covariances: Floats
-    min_depth: float
 
 
 @compiled
@@ -57,9 +36,9 @@ def project_one(rig: RigRows, row: int, point: Floats, pixel: Floats, by_point: 
         pixel[:] = np.nan
         by_point[:] = np.nan
         return
-    u, v = bend(x, y, lens)
+    u, v = distort_point(x, y, lens)
     pixel[0], pixel[1] = lens[0] * u + lens[1] * v + lens[2], lens[3] * v + lens[4]
-    a, b, c, d = bend_slopes(x, y, lens)
+    a, b, c, d = distortion_slopes(x, y, lens)
     ux, uy = (lens[0] * a + lens[1] * c) / pz, (lens[0] * b + lens[1] * d) / pz
     vx, vy = lens[3] * c / pz, lens[3] * d / pz
     uz, vz = -(ux * x + uy * y), -(vx * x + vy * y)
@@ -85,8 +64,8 @@ def ideal_point(pixel: Floats, lens: Floats, reach: float) -> tuple[float, float
     xd = (pixel[0] - lens[2] - lens[1] * yd) / lens[0]
     x, y, size, det = xd, yd, np.inf, 1.0
     for _ in range(_NEWTON_STEPS):
-        u, v = bend(x, y, lens)
-        a, b, c, d = bend_slopes(x, y, lens)
+        u, v = distort_point(x, y, lens)
+        a, b, c, d = distortion_slopes(x, y, lens)
         det = a * d - b * c
         step_x, step_y = (d * (xd - u) - b * (yd - v)) / det, (a * (yd - v) - c * (xd - u)) / det
         x, y = x + step_x, y + step_y

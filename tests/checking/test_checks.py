@@ -19,7 +19,7 @@ from measure.checking import (
     with_velocities,
 )
 from measure.errors import DegenerateGeometryError
-from measure.estimation.pose_fit import Sightings, fit_pose
+from measure.estimation.pose_fit import PoseObservations, fit_pose
 from measure.geometry import RigidTransform
 from measure.model import Detection, FrameSet, Image
 from tests.scenes import RAVEN, TARGET, moved, ring, see
@@ -91,7 +91,7 @@ def test_a_pose_that_every_witness_contradicts_is_undetermined():
         )
         for d in seen
     ]
-    sightings = Sightings.of(scattered, RAVEN, CAMERAS, 0.0)
+    sightings = PoseObservations.of(scattered, RAVEN, CAMERAS, 0.0)
     with pytest.raises(DegenerateGeometryError, match="do not determine a pose"):
         fit_pose(path(0.0), sightings)
 
@@ -140,12 +140,12 @@ def test_expected_accuracy_agrees_with_monte_carlo():
     coarse = expected_accuracy(path(0.0), 30.0, RAVEN, RIG, 0.2)
     assert fine.shape == (27, 5)
     np.testing.assert_allclose(coarse[:, 3:], 2 * fine[:, 3:], rtol=1e-6)
-    from measure.estimation.pose_fit import Sightings, fit_pose
+    from measure.estimation.pose_fit import PoseObservations, fit_pose
 
     errors = []
     for seed in range(200):
         seen = see(CAMERAS, RAVEN, path(0.0), 0.1, np.random.default_rng(seed))
-        fit = fit_pose(path(0.0), Sightings.of(seen, RAVEN, CAMERAS, 0.0))
+        fit = fit_pose(path(0.0), PoseObservations.of(seen, RAVEN, CAMERAS, 0.0))
         errors.append(fit.world_from_body.difference(path(0.0))[:3])
     scatter = np.sqrt(np.mean(np.sum(np.square(errors), axis=1)))
     assert fine[13, 3] == pytest.approx(scatter, rel=0.15)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from measure.checking.clocks import estimate_clocks
-from measure.estimation.pose_fit import Sightings, fit_pose
+from measure.estimation.pose_fit import PoseObservations, fit_pose
 from measure.geometry import RigidTransform
 from measure.measuring import Measurement, Status
 from measure.model import BallView, Pose
@@ -43,7 +43,9 @@ def recorded(path, offsets=(0, 0, 0, 0), readout_s=0.0, count=90, sd_px=0.1, see
                 detections.append(seen)
         time_s = float(np.mean(stamps))
         start = path(time_s)
-        fit = fit_pose(start, Sightings.of(detections, RAVEN, CAMERAS, time_s), np.zeros(6), 1e3)
+        fit = fit_pose(
+            start, PoseObservations.of(detections, RAVEN, CAMERAS, time_s), np.zeros(6), 1e3
+        )
         views = tuple(BallView(d.ball, d.camera, State.EFFECTIVE, detection=d) for d in detections)
         pose = Pose(time_s, fit.world_from_body, fit.covariance, 0.0, 0.1, tuple(CAMERAS), ())
         yield Measurement(index, time_s, {}, views, (), pose, Status.OK)

@@ -9,14 +9,14 @@ import pytest
 
 from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
-from measure.estimation.multiview import Views, fit_point
-from measure.estimation.point_fit import _nearest
+from measure.estimation.multiview import PointObservations, calibration_noise, fit_point
+from measure.estimation.point_fit import nearest_to_rays
 from measure.estimation.pose_fit import fit_pose
 from measure.geometry import RigidTransform, propagate
 from measure.geometry.rays import MIN_PARALLAX_RAD
 from measure.measuring import time_alignment
 from measure.measuring.time_alignment import FrameSetObservations, least_norm_solution
-from measure.model import BallView, Camera, Detection, Intrinsics, Motion, Pose
+from measure.model import BallView, Camera, Detection, Intrinsics, Motion, Pose, Rig
 from measure.model.observations import State
 from tests.scenes import RAVEN, TARGET, ring, see
 
@@ -44,7 +44,7 @@ def _seen(cameras: dict[str, Camera], time_s: float = 0.0) -> list[Detection]:
 
 def test_a_calibrations_uncertainty_is_propagated_by_the_cameras_own_jacobians():
     cameras = {name: _uncertain(camera) for name, camera in ring().items()}
-    views = Views.of(_seen(cameras), cameras)
+    views = PointObservations.of(_seen(cameras), cameras)
     for i, camera in enumerate(cameras.values()):
         _, _, by_pose, by_lens = camera.project_with_jacobians(TARGET[None])
         both = np.concatenate([by_pose, by_lens], axis=2)[0]
@@ -52,14 +52,14 @@ def test_a_calibrations_uncertainty_is_propagated_by_the_cameras_own_jacobians()
         joint = camera.covariance
         assert joint is not None
         assert np.any(joint[:6, 6:])
-        np.testing.assert_allclose(views.camera_noise(TARGET)[i], propagate(both, joint))
+        np.testing.assert_allclose(calibration_noise(views.rig, TARGET)[i], propagate(both, joint))
 
 
 @pytest.mark.parametrize("axis", [0, 3, 5])
 def test_cameras_of_which_one_thing_alone_is_uncertain_are_uncertain(axis):
     """A covariance of turns alone begins with zeros."""
     cameras = ring(pose_covariance=np.diag(np.eye(6)[axis] * 1e-6))
-    noise = Views.of(_seen(cameras), cameras).camera_noise(TARGET)
+    noise = calibration_noise(Rig.of(list(cameras.values())), TARGET)
     assert np.all(np.trace(noise, axis1=1, axis2=2) > 1e-9)
 
 
@@ -69,9 +69,9 @@ def test_a_fit_weighs_as_it_says():
         replace(d, center_px=d.center_px + 0.3 * np.random.default_rng(i).normal(size=2))
         for i, d in enumerate(_seen(cameras))
     ]
-    views = Views.of(seen, cameras)
+    views = PointObservations.of(seen, cameras)
     fit = fit_point(views)
-    residuals, by_point, _ = views.sensitivity(fit.point)
+    residuals, by_point, _ = views.residuals(fit.point)
     weight = np.linalg.inv(views.total_noise(fit.point))
     gradient = np.einsum("nia,nij,nj->a", by_point, weight, residuals)
     information = np.einsum("nia,nij,njb->ab", by_point, weight, by_point)
@@ -85,7 +85,7 @@ def test_a_point_behind_a_camera_is_refused():
     cameras = {c.name: replace(c, world_from_camera=_turned_round(c)) for c in two}
     seen = [replace(d, center_px=p) for d, p in zip(_seen(ring())[:2], _pixels(two), strict=True)]
     with pytest.raises(DegenerateGeometryError, match="behind"):
-        fit_point(Views.of(seen, cameras))
+        fit_point(PointObservations.of(seen, cameras))
 
 
 def _turned_round(camera: Camera) -> RigidTransform:
@@ -132,7 +132,7 @@ def test_a_velocity_that_may_be_wrong_makes_the_pose_of_pictures_out_of_step_les
     )
     share = seen.motion_covariance(pose, _moving(pose, np.zeros(6), velocity_covariance=wrong**2))
     for axis in (0, 4):
-        fitted = fit_pose(still, seen.sightings, np.eye(6)[axis] * wrong[axis, axis], 1e6)
+        fitted = fit_pose(still, seen.rows, np.eye(6)[axis] * wrong[axis, axis], 1e6)
         moved = fitted.world_from_body.difference(still)
         only = np.diag(np.eye(6)[axis]) * wrong[axis, axis] ** 2
         alone = seen.motion_covariance(pose, _moving(pose, np.zeros(6), velocity_covariance=only))
@@ -191,7 +191,7 @@ def test_lines_are_parallel_where_the_eigenvalues_say_so_however_that_is_found_o
         across = np.eye(3) - along[:, :, None] * along[:, None, :]
         normal, right = across.sum(axis=0), (across @ origins[:, :, None]).sum(axis=0)[:, 0]
         least, _, most = np.linalg.eigvalsh(normal)
-        point, meet = _nearest(origins, along)
+        point, meet = nearest_to_rays(origins, along)
         assert meet == (least >= most * MIN_PARALLAX_RAD**2), trial
         parallel += not meet
         if least > 1e-5 * most:

@@ -223,7 +223,7 @@ def test_warming_up_compiles_all_that_a_search_runs():
     loops = (
         candidates.intersections,
         scoring.agreement,
-        fit_kernels.fit_rows,
+        fit_kernels.fit_pose_rows,
         scoring.lie_on_balls,
         rig_kernels.ray_rows,
         hypotheses.align_triangles,

@@ -9,29 +9,33 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from strategies import lenses, numeric_jacobian
 
-from measure.model.distortion import distort, fold_radius, undistort
+from measure.model.distortion import distort_with_jacobians, fold_radius, undistort
 
 IDEAL = st.tuples(st.floats(-0.5, 0.5), st.floats(-0.3, 0.3)).map(np.array)
 
 
 @given(lenses(), IDEAL)
 def test_derivative_by_the_point(lens, ideal):
-    _, by_point, _ = distort(ideal[None], lens.distortion)
-    numeric = numeric_jacobian(lambda p: distort(p[None], lens.distortion)[0][0], ideal, 1e-6)
+    _, by_point, _ = distort_with_jacobians(ideal[None], lens.distortion)
+    numeric = numeric_jacobian(
+        lambda p: distort_with_jacobians(p[None], lens.distortion)[0][0], ideal, 1e-6
+    )
     np.testing.assert_allclose(by_point[0], numeric, atol=1e-7)
 
 
 @given(lenses(), IDEAL)
 def test_derivative_by_the_coefficients(lens, ideal):
-    _, _, by_coefficient = distort(ideal[None], lens.distortion)
-    numeric = numeric_jacobian(lambda c: distort(ideal[None], c)[0][0], lens.distortion, 1e-6)
+    _, _, by_coefficient = distort_with_jacobians(ideal[None], lens.distortion)
+    numeric = numeric_jacobian(
+        lambda c: distort_with_jacobians(ideal[None], c)[0][0], lens.distortion, 1e-6
+    )
     np.testing.assert_allclose(by_coefficient[0], numeric, atol=1e-7)
 
 
 @given(lenses(), IDEAL)
 def test_the_inverse_undoes(lens, ideal):
     assume(np.linalg.norm(ideal) < 0.95 * lens.reach)
-    bent = distort(ideal[None], lens.distortion)[0]
+    bent = distort_with_jacobians(ideal[None], lens.distortion)[0]
     np.testing.assert_allclose(undistort(bent, lens.distortion, lens.reach)[0], ideal, atol=1e-9)
 
 
@@ -40,10 +44,12 @@ def test_the_distorted_radius_grows_up_to_the_fold_and_no_further(lens):
     radial = lens.distortion * [1, 1, 0, 0, 1, 1, 1, 1]
     fold = fold_radius(radial)
     inside = np.linspace(0, min(fold, 10), 200)[:-1]
-    radii = distort(np.column_stack([inside, 0 * inside]), radial)[0][:, 0]
+    radii = distort_with_jacobians(np.column_stack([inside, 0 * inside]), radial)[0][:, 0]
     assert np.all(np.diff(radii) > 0)
     if fold < 10:
-        slopes = distort(np.array([[fold * 0.999, 0], [fold * 1.001, 0]]), radial)[1][:, 0, 0]
+        slopes = distort_with_jacobians(np.array([[fold * 0.999, 0], [fold * 1.001, 0]]), radial)[
+            1
+        ][:, 0, 0]
         assert slopes[1] < 0 or slopes[0] > 1e3  # it turns back, or runs off to infinity
 
 
@@ -68,10 +74,10 @@ def test_beyond_the_fold_there_is_no_inverse():
 @given(lenses(), IDEAL)
 def test_opencv_undistorts_to_the_same(lens, ideal):
     assume(np.linalg.norm(ideal) < 0.8 * lens.reach)
-    bent = distort(ideal[None], lens.distortion)[0]
+    bent = distort_with_jacobians(ideal[None], lens.distortion)[0]
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 200, 1e-12)
     theirs = cv2.undistortPoints(bent, np.eye(3), lens.distortion, criteria=criteria)
     theirs = np.reshape(theirs, 2)
-    back = distort(theirs[None], lens.distortion)[0]
+    back = distort_with_jacobians(theirs[None], lens.distortion)[0]
     assume(np.abs(back - bent).max() < 1e-9)  # their fixed-point iteration need not converge
     np.testing.assert_allclose(undistort(bent, lens.distortion, lens.reach)[0], theirs, atol=1e-6)

@@ -16,7 +16,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
-from measure.estimation.pose_fit import Sightings, fit_pose
+from measure.estimation.pose_fit import PoseObservations, fit_pose
 from measure.geometry import RigidTransform
 from measure.host.settings import Settings, setting
 from measure.measuring.association.candidates import (
@@ -257,7 +257,7 @@ def _refined(
         before = chosen
         time_s = sum(d.time_s for d in chosen) / len(chosen)
         try:
-            seen = Sightings.of(chosen, problem.body, by_name, time_s, settings.extra_px)
+            seen = PoseObservations.of(chosen, problem.body, by_name, time_s, settings.extra_px)
             fit = fit_pose(pose, seen, tolerance=_CONVERGED)
         except DegenerateGeometryError:
             return None
@@ -332,7 +332,7 @@ def warm_up(body: Body, cameras: Sequence[Camera]) -> None:
     second_body_flags(RigidTransform.identity(), body, cameras, candidates, settings.sigmas)
     possible_distances(np.zeros((0, 1, 3)), np.zeros((0, 1, 3)), 1.0, 1.0)
     one = np.zeros(1, np.int64)
-    seen = Sightings(
+    seen = PoseObservations(
         Rig.of(cameras[:1]), np.zeros((1, 3)), one, np.zeros((1, 2)), np.eye(2)[None], np.zeros(1)
     )
     with contextlib.suppress(DegenerateGeometryError):

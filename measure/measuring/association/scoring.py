@@ -8,7 +8,8 @@ import numpy as np
 
 from measure.arrays import Bools, Floats, Ints
 from measure.compiling import compiled
-from measure.model.rig_kernels import RigRows, project_one
+from measure.model.rig import RigRows
+from measure.model.rig_kernels import project_one
 
 
 class CandidateRows(NamedTuple):

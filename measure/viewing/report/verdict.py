@@ -7,7 +7,7 @@ from collections import Counter
 import numpy as np
 
 from measure.arrays import Bools, Floats
-from measure.geometry.chi_square import chi_square_quantile
+from measure.geometry.covariance import chi_square_quantile
 from measure.results import Run
 from measure.results.statistics import consistency
 

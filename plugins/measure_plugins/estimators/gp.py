@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from measure.arrays import Floats
+from measure.geometry.covariance import MAD_TO_SD
 from measure.host import (
     Core,
     Dataset,
@@ -61,7 +62,7 @@ class GpEstimator(WithinTrajectoryEstimator):
         self._solve(inputs[rows[: self.config.points]], labels[rows[: self.config.points]])
         guess = self._signal * _kernel(inputs[rows], self._points, self._stretch) @ self._weights
         away = np.linalg.norm(labels[rows] - guess, axis=1)
-        clean = rows[away < self.config.cleaning_sds * 1.4826 * np.median(away)]
+        clean = rows[away < self.config.cleaning_sds * MAD_TO_SD * np.median(away)]
         self._solve(inputs[clean[: self.config.points]], labels[clean[: self.config.points]])
         report(1.0, "fitted")
 

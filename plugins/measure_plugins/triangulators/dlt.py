@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from measure.arrays import Floats
-from measure.estimation.multiview import Views, ray_distances
+from measure.estimation import PointObservations, ray_distances
 from measure.geometry import propagate
 from measure.host import Settings, Triangulator, hookimpl
 from measure.model import BallPosition, Camera, Detection
@@ -33,14 +33,14 @@ class DltTriangulator(Triangulator):
         """Locate one ball; None for fewer than two cameras or parallel rays."""
         if len(detections) < 2:
             return None
-        views = Views.of(detections, cameras)
-        point = _linear_point(views)
+        observations = PointObservations.of(detections, cameras)
+        point = _linear_point(observations)
         if point is None:
             return None
-        residuals, by_point, _ = views.sensitivity(point)
+        residuals, by_point, _ = observations.residuals(point)
         if not np.all(np.isfinite(residuals)):
             return None
-        noise = views.total_noise(point)
+        noise = observations.total_noise(point)
         by_pixel = np.linalg.inv(by_point.reshape(-1, 3).T @ by_point.reshape(-1, 3)) @ np.swapaxes(
             by_point, 1, 2
         )
@@ -50,21 +50,21 @@ class DltTriangulator(Triangulator):
             time_s=float(np.mean([d.time_s for d in detections])),
             center=point,
             covariance=covariance,
-            cameras=views.rig.names,
-            residuals_mm=ray_distances(views, point),
+            cameras=observations.rig.names,
+            residuals_mm=ray_distances(observations, point),
         )
 
 
-def _linear_point(views: Views) -> Floats | None:
+def _linear_point(observations: PointObservations) -> Floats | None:
     """The point (3,) in mm that solves the stacked equations, or None for parallel rays."""
-    rays = views.rig.rays(views.pixels)
+    rig, rays = observations.rig, observations.rig.rays(observations.pixels)
     # Everything in units of the distance to the cameras' centroid: an even spread of magnitudes.
-    origin = views.rig.centers.mean(axis=0)
-    scale = float(np.max(np.linalg.norm(views.rig.centers - origin, axis=1))) or 1.0
-    local = np.einsum("nji,nj->ni", views.rig.rotation, rays.directions)
+    origin = rig.centers.mean(axis=0)
+    scale = float(np.max(np.linalg.norm(rig.centers - origin, axis=1))) or 1.0
+    local = np.einsum("nji,nj->ni", rig.rotation, rays.directions)
     bearings = local[:, :2] / local[:, 2:]
-    axes = np.swapaxes(views.rig.rotation, 1, 2)
-    moved = -np.einsum("nij,nj->ni", axes, (views.rig.centers - origin) / scale)
+    axes = np.swapaxes(rig.rotation, 1, 2)
+    moved = -np.einsum("nij,nj->ni", axes, (rig.centers - origin) / scale)
     rows = np.concatenate([axes, moved[:, :, None]], axis=2)
     design = bearings[:, :, None] * rows[:, 2:, :] - rows[:, :2, :]
     _, s, vt = np.linalg.svd(design.reshape(-1, 4))

@@ -16,14 +16,14 @@ import numpy as np
 
 from measure.arrays import Floats, Ints
 from measure.errors import DegenerateGeometryError
-from measure.estimation.multiview import Views, fit_point
+from measure.estimation import PointObservations, fit_point
 from measure.geometry import chi_square_quantile
 from measure.host import Settings, Triangulator, hookimpl, setting
 from measure.model import BallPosition, Camera, Detection, Rig
 from measure.model.observations import stacked_detections
 
 if TYPE_CHECKING:
-    from measure.estimation.point_fit import PointFit
+    from measure.estimation import PointFit
 
 
 _SCATTER = 0.99
@@ -34,7 +34,7 @@ class ReprojectionConfig(Settings):
 
     confidence: float = setting(
         0.999,
-        "Residuals rarer than this, by the detections' own covariances, cost a camera its say.",
+        "Residuals that the detections' covariances make rarer than this leave a camera out.",
         gt=0.5,
         lt=1,
     )
@@ -66,9 +66,9 @@ class ReprojectionTriangulator(Triangulator):
 
     def warm_up(self) -> None:
         """Compile the fit (seconds, once per machine), by fitting a point to nothing."""
-        from measure.estimation.point_fit import warm_up
+        from measure.estimation import warm_up_point_fits
 
-        warm_up()
+        warm_up_point_fits()
 
     def triangulate(
         self, detections: Sequence[Detection], cameras: Mapping[str, Camera]
@@ -76,7 +76,7 @@ class ReprojectionTriangulator(Triangulator):
         """Locate one ball; None for fewer than two cameras or parallel rays."""
         if len(detections) < 2:
             return None
-        views = Views.of(detections, cameras)
+        views = PointObservations.of(detections, cameras)
         chosen, rivals = self._choose(views)
         if chosen is None:
             return None
@@ -95,7 +95,7 @@ class ReprojectionTriangulator(Triangulator):
         self, detections: Sequence[Detection], cameras: Mapping[str, Camera]
     ) -> list[BallPosition]:
         """Locate all balls at once; those on which the cameras do not agree, one by one."""
-        from measure.estimation.point_fit import FITTED, fit_groups
+        from measure.estimation import fit_points
 
         seen = _grouped(
             tuple([d.ball for d in detections]), tuple([cameras[d.camera] for d in detections])
@@ -104,18 +104,18 @@ class ReprojectionTriangulator(Triangulator):
             return []
         rig, used = seen.rig, [detections[row] for row in seen.rows.tolist()]
         pixels, noise = stacked_detections(tuple(detections))
-        fits = fit_groups(
+        fits = fit_points(
             seen.starts,
             rig.rows,
             pixels[seen.rows],
             noise[seen.rows],
             self.config.tolerance_px,
         )
-        ends, apart = fits.ends.tolist(), fits.disagreements.tolist()
+        fitted, apart = fits.fitted.tolist(), fits.disagreements.tolist()
         chi_squares, out = fits.chi_squares.tolist(), list[BallPosition | None]()
         for i, (first, last) in enumerate(seen.groups):
             own, degrees = used[first:last], 2 * (last - first) - 3
-            agreed = ends[i] == FITTED and self._agreed(apart[i], chi_squares[i], degrees)
+            agreed = fitted[i] and self._agreed(apart[i], chi_squares[i], degrees)
             if not agreed:
                 out.append(self.triangulate(own, cameras))
                 continue
@@ -133,7 +133,7 @@ class ReprojectionTriangulator(Triangulator):
         gate = chi_square_quantile(self.config.confidence, degrees)
         return disagreement <= gate and chi_square <= chi_square_quantile(_SCATTER, degrees)
 
-    def _choose(self, views: Views) -> tuple[_Candidate | None, list[_Candidate]]:
+    def _choose(self, views: PointObservations) -> tuple[_Candidate | None, list[_Candidate]]:
         """The fit to use, and the other fits that leave as many cameras out and pass the gate."""
         best = self._try(views, list(range(len(views))))
         rivals: list[_Candidate] = []
@@ -149,7 +149,7 @@ class ReprojectionTriangulator(Triangulator):
             rivals = [c for c in others if c.excess <= 1]
         return best, rivals
 
-    def _try(self, views: Views, rows: list[int]) -> _Candidate | None:
+    def _try(self, views: PointObservations, rows: list[int]) -> _Candidate | None:
         some = views if len(rows) == len(views) else views.take(rows)
         try:
             fit = fit_point(some, self.config.tolerance_px)

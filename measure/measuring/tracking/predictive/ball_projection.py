@@ -8,13 +8,14 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
-from measure.geometry.rotation_kernels import rotation_of, times
+from measure.geometry.rotation_kernels import apply_matrix, rotation_of
 from measure.measuring.tracking.predictive.motion_kernels import (
     FilterState,
     displacement,
     propagated_covariance,
 )
-from measure.model.rig_kernels import RigRows, project_one
+from measure.model.rig import RigRows
+from measure.model.rig_kernels import project_one
 
 _OUT_OF_SIGHT_PX = -1e4
 
@@ -70,12 +71,12 @@ def predict_balls(
         turned = rotation_of(moved[3:]) @ state.rotation
         for ball in range(count):
             row = camera * count + ball
-            arm = times(turned, balls[ball])
+            arm = apply_matrix(turned, balls[ball])
             center = arm + state.translation + moved[:3]
             pixel = out.centers_px[row]
             project_one(rig, camera, center, pixel, by_point)
             toward[:] = center - rig.centers[camera]
-            out.centers_camera[row] = times(rig.rotation[camera].T, toward)
+            out.centers_camera[row] = apply_matrix(rig.rotation[camera].T, toward)
             out.radii_px[row] = _radius_px(rig.lenses[camera], toward, radii[ball])
             if np.isfinite(pixel[0]) and np.isfinite(pixel[1]):
                 _fill_jacobian(by_point, arm, out.jacobians[row])

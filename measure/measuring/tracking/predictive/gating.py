@@ -8,8 +8,14 @@ import numpy as np
 
 from measure.arrays import Bools, Floats, Ints
 from measure.compiling import compiled, inlined
-from measure.geometry.covariance_kernels import inverse_2x2, squared_distance
-from measure.geometry.linear_kernels import cholesky, inverse, invert_factored, solve_factored
+from measure.geometry.linear_kernels import (
+    cholesky,
+    inverse,
+    inverse_2x2,
+    invert_factored,
+    solve_factored,
+    squared_distance,
+)
 from measure.measuring.tracking.predictive.ball_projection import PredictedBalls
 from measure.measuring.tracking.predictive.motion_kernels import propagated_covariance
 

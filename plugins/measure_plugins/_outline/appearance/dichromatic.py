@@ -12,7 +12,7 @@ import numpy as np
 
 from measure.arrays import Floats, Ints
 from measure.compiling import compiled
-from measure.geometry.linear_kernels import times
+from measure.geometry.linear_kernels import add_product
 from measure_plugins._kernels.selection import DOUBLES, nearly_kth, whole_vectors
 from measure_plugins._outline.sampling.rays import CLEAR, Statuses
 
@@ -109,7 +109,7 @@ def reflected_light(grey: Floats, status: Statuses, solve: Floats) -> Floats:
     single, shares = np.zeros((knots + 1, n)), np.zeros((knots + 1, n))
     if len(seen) > 0:  # else the surface reflects nothing
         first, last = seen[0], seen[-1] + 1
-        times(solve[:, first:last], grey[first:last], single[:knots])
+        add_product(solve[:, first:last], grey[first:last], single[:knots])
     single[knots] = 1.0
     _sum_of_neighbours(single, status, shares)
     out = shares[:knots]

@@ -13,6 +13,7 @@ import numpy as np
 
 from measure.arrays import Floats, Ints, Singles
 from measure.compiling import compiled, inlined
+from measure.geometry.covariance import MAD_TO_SD
 from measure.geometry.linear_kernels import cholesky, solve_factored
 from measure_plugins._kernels.selection import SINGLES, nearly_kth, whole_vectors
 from measure_plugins._outline.appearance.dichromatic import every_second
@@ -151,7 +152,7 @@ def fit_light_shading(
         solve_factored(factor, right, coefficients)
         if turn < _ITERATIONS - 1:
             off = _median_residual(seen, bright, factors, angles, coefficients)
-            per_limit = 1 / (5 * 1.4826 * off + 5e-4)
+            per_limit = 1 / (5 * MAD_TO_SD * off + 5e-4)
     return coefficients
 
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
-from measure.geometry.linear_kernels import cholesky, solve_factored, times
+from measure.geometry.covariance import MAD_TO_SD
+from measure.geometry.linear_kernels import add_product, cholesky, solve_factored
 from measure_plugins._kernels.selection import nearly_kth
 from measure_plugins._outline.appearance.dichromatic import every_second
 from measure_plugins._outline.sampling.rays import CLEAR, Statuses
@@ -54,7 +55,7 @@ def radial_amounts(coefficients: Floats, angular: Floats) -> Floats:
 def shaded(coefficients: Floats, angular: Floats, lobes: Floats) -> Floats:
     """Diffuse light (m, n) at angular functions (9, n) and radial ones (m, 6)."""
     out = np.zeros((len(lobes), angular.shape[1]))
-    times(lobes, radial_amounts(coefficients, angular), out)
+    add_product(lobes, radial_amounts(coefficients, angular), out)
     return out
 
 
@@ -82,15 +83,15 @@ def fit_shading(
     for turn in range(_ITERATIONS):
         weights, weighted = _weighted(seen, shown, per_limit)
         sums, sides = np.zeros((_PRODUCTS, seen.shape[1])), np.zeros((_LOBES, seen.shape[1]))
-        times(products, weights, sums)
-        times(radial.T, weighted, sides)
+        add_product(products, weights, sums)
+        add_product(radial.T, weighted, sides)
         _equations(sums, sides, around, angular_products, normal, right)
         cholesky(normal, factor)
         solve_factored(factor, right, coefficients)
         if turn < _ITERATIONS - 1:
             shown = shaded(coefficients, around, radial)
             off = _median_residual(seen, shown, len(clear))
-            per_limit = 1 / (5 * 1.4826 * off + 5e-4)
+            per_limit = 1 / (5 * MAD_TO_SD * off + 5e-4)
     return coefficients
 
 

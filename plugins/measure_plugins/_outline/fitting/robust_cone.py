@@ -11,10 +11,10 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
+from measure.geometry.covariance import MAD_TO_SD, TUKEY_SIGMAS
 from measure.geometry.linear_kernels import cholesky, solve_factored
 from measure_plugins._kernels.selection import DOUBLES, nearly_kth, whole_vectors
 
-_TUKEY = 4.685
 _ITERATIONS, _CONVERGED_PX = 6, 1e-3
 _MIN_POINTS = 4
 MAX_RESIDUAL_PX = 1.6
@@ -150,14 +150,14 @@ def _scatter(off: Floats, sd: Floats, use: Floats, gate_px: float, standard: Flo
     count = len(off) - unused
     if count < _MIN_POINTS:
         return np.inf
-    return max(1.4826 * nearly_kth(standard, unused + count // 2), 0.3)
+    return max(MAD_TO_SD * nearly_kth(standard, unused + count // 2), 0.3)
 
 
 @compiled
 def _weigh(off: Floats, sd: Floats, use: Floats, scale: float, weights: Floats) -> None:
     """Tukey's weights of residuals (n,) of those points that are to be used."""
     for i in range(len(off)):  # without branches, so that the loop is vectorised
-        limit = sd[i] * scale * _TUKEY
+        limit = sd[i] * scale * TUKEY_SIGMAS
         t = off[i] / (limit if limit < MAX_RESIDUAL_PX else MAX_RESIDUAL_PX)
         root = 1 - t * t
         weights[i] = root * root if (root > 0.0) & (use[i] > 0) else 0.0

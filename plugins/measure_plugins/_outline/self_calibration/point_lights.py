@@ -19,6 +19,7 @@ import numpy as np
 
 from measure.arrays import Bytes, Floats
 from measure.compiling import compiled
+from measure.geometry.covariance import MAD_TO_SD
 from measure_plugins._outline.appearance.model import Appearance
 from measure_plugins._outline.appearance.point_lights import (
     AXIAL,
@@ -165,7 +166,7 @@ def equations(shares: Sequence[Floats], seen: Sequence[Floats]) -> tuple[Floats,
         for i, (one, amounts) in enumerate(zip(shares, seen, strict=True)):
             lit = _product(one, power)
             off = amounts - albedo[i] * lit
-            limit = 5 * 1.4826 * np.median(np.abs(off)) + 1e-6
+            limit = 5 * MAD_TO_SD * np.median(np.abs(off)) + 1e-6
             weights[i] = np.clip(1 - (off / limit) ** 2, 0, None) ** 4
             shown = weights[i] * lit
             albedo[i] = float(shown @ amounts) / max(float(shown @ lit), 1e-9)
