@@ -1,7 +1,9 @@
-"""What ball-views say about the pose and their views' offsets, compiled.
+"""Elimination of the random effects from the normal equations, by Schur complements, compiled.
 
-Each ball-view has three unknowns of its own: its whole outline may sit off by (bx, by) in the
-picture and be larger by br. They are random, and are eliminated here.
+A ball-view is one ball in one camera. Its whole outline may be shifted by (bx, by) in the picture
+and be larger by br: its random effects, px. The shift that all outlines of a view have in common,
+as an error of the camera's pose makes it, is the view's shift. See docs/explanation/joint_fit.md,
+formulas 5 to 12.
 """
 
 from __future__ import annotations
@@ -13,74 +15,77 @@ import numpy as np
 from measure.arrays import Floats, Ints
 from measure.compiling import compiled, inlined
 
-OWN = 3
-"""Number of a ball-view's own unknowns."""
+EFFECTS = 3
+"""Number of a ball-view's random effects: bx, by, br."""
 SHARED = 7
-"""What a ball-view shares with others: the pose and its view's offset."""
+"""Unknowns that a ball-view shares with others: the pose's six and its view's edge offset."""
 _X, _Y, _RADIUS, _RESIDUAL = 7, 8, 6, 9
-"""Columns of the moments; br goes as the view's offset does."""
+"""Columns of the moments; br changes the residuals as the view's edge offset does."""
 
 
-class Terms(NamedTuple):
-    """What k ball-views say about their shared unknowns, their own eliminated.
+class ReducedEquations(NamedTuple):
+    """Normal equations of k ball-views for their shared unknowns, the random effects eliminated.
 
     Attributes:
         normal: (k, 7, 7) reduced normal matrices.
         right: (k, 7) reduced right sides.
-        offset: (k, 3) the own unknowns are `offset - gain @ shared`.
-        gain: (k, 3, 7).
-        own: (k, 3, 3) covariance of the own unknowns, given the shared ones.
+        offset: (k, 3) the random effects are `offset - back_substitution @ shared`.
+        back_substitution: (k, 3, 7).
+        effect_covariance: (k, 3, 3) of the random effects, given the shared unknowns.
     """
 
     normal: Floats
     right: Floats
     offset: Floats
-    gain: Floats
-    own: Floats
+    back_substitution: Floats
+    effect_covariance: Floats
 
 
 @compiled
-def empty_terms(k: int) -> Terms:
-    """Room for the terms of k ball-views."""
-    return Terms(
+def empty_equations(k: int) -> ReducedEquations:
+    """Arrays for the equations of k ball-views."""
+    return ReducedEquations(
         np.zeros((k, SHARED, SHARED)),
         np.zeros((k, SHARED)),
-        np.zeros((k, OWN)),
-        np.zeros((k, OWN, SHARED)),
-        np.zeros((k, OWN, OWN)),
+        np.zeros((k, EFFECTS)),
+        np.zeros((k, EFFECTS, SHARED)),
+        np.zeros((k, EFFECTS, EFFECTS)),
     )
 
 
 @compiled
-def eliminate(moments: Floats, variances: Floats, terms: Terms) -> None:
-    """Fill the terms of k ball-views; not a number where a step led inside a ball.
+def eliminate(moments: Floats, variances: Floats, equations: ReducedEquations) -> None:
+    """Fill the equations of k ball-views; NaN where a step led inside a ball.
+
+    See docs/explanation/joint_fit.md, formulas 10 and 11.
 
     Args:
-        moments: (k, 10, 10) see `contour_moments`.
-        variances: (k, 3) of the own unknowns, px^2.
-        terms: filled.
+        moments: (k, 10, 10) see `residuals.accumulate_moments`.
+        variances: (k, 3) of the random effects, px^2.
+        equations: filled.
     """
     for k in range(len(moments)):
-        m, gain, inverse = moments[k], terms.gain[k], terms.own[k]
-        _invert_own(m, variances[k], inverse)
-        for a in range(OWN):
+        m, back = moments[k], equations.back_substitution[k]
+        inverse = equations.effect_covariance[k]
+        _invert_effects(m, variances[k], inverse)
+        for a in range(EFFECTS):
             x, y, z = inverse[a, 0], inverse[a, 1], inverse[a, 2]
             for j in range(SHARED):
-                gain[a, j] = x * m[_X, j] + y * m[_Y, j] + z * m[_RADIUS, j]
+                back[a, j] = x * m[_X, j] + y * m[_Y, j] + z * m[_RADIUS, j]
             offset = x * m[_X, _RESIDUAL] + y * m[_Y, _RESIDUAL] + z * m[_RADIUS, _RESIDUAL]
-            terms.offset[k, a] = offset
-        u, v, w = terms.offset[k]
+            equations.offset[k, a] = offset
+        u, v, w = equations.offset[k]
         for i in range(SHARED):
             x, y, z = m[i, _X], m[i, _Y], m[i, _RADIUS]
-            terms.right[k, i] = m[i, _RESIDUAL] - (x * u + y * v + z * w)
+            equations.right[k, i] = m[i, _RESIDUAL] - (x * u + y * v + z * w)
             for j in range(i + 1):
-                taken = x * gain[0, j] + y * gain[1, j] + z * gain[2, j]
-                terms.normal[k, i, j] = terms.normal[k, j, i] = m[i, j] - taken
+                taken = x * back[0, j] + y * back[1, j] + z * back[2, j]
+                equations.normal[k, i, j] = equations.normal[k, j, i] = m[i, j] - taken
 
 
 @compiled
-def _invert_own(m: Floats, variances: Floats, out: Floats) -> None:
-    """The inverse of the own unknowns' normal matrix (3, 3), their variances in it."""
+def _invert_effects(m: Floats, variances: Floats, out: Floats) -> None:
+    """Fill the inverse of the random effects' normal matrix (3, 3), with their prior variances."""
     a, b, c = m[_X, _X] + 1 / variances[0], m[_X, _Y], m[_X, _RADIUS]
     d, e = m[_Y, _Y] + 1 / variances[1], m[_Y, _RADIUS]
     f = m[_RADIUS, _RADIUS] + 1 / variances[2]
@@ -93,108 +98,117 @@ def _invert_own(m: Floats, variances: Floats, out: Floats) -> None:
 
 
 @compiled
-def own_unknowns(view_of: Ints, terms: Terms, step: Floats, out: Floats) -> None:
-    """Fill the ball-views' own unknowns (k, 3), given the step (6 + c,) of the shared ones."""
+def back_substitute(view_of: Ints, equations: ReducedEquations, step: Floats, out: Floats) -> None:
+    """Fill the random effects (k, 3), given the step (6 + c,) of the shared unknowns."""
     for k in range(len(out)):
-        for a in range(OWN):
-            taken = terms.gain[k, a, 6] * step[6 + view_of[k]]
+        for a in range(EFFECTS):
+            taken = equations.back_substitution[k, a, 6] * step[6 + view_of[k]]
             for j in range(6):
-                taken += terms.gain[k, a, j] * step[j]
-            out[k, a] = terms.offset[k, a] - taken
+                taken += equations.back_substitution[k, a, j] * step[j]
+            out[k, a] = equations.offset[k, a] - taken
 
 
 _PLANE = 2
-_BELIEVED = 9.2
-"""A view's shift's normalised square beyond which its camera is doubted: 1 in 100 (chi^2). Cameras
-get moved after they were calibrated."""
+_MAX_SHIFT_SQUARE = 9.2
+"""Square of a view's shift, in its variances, beyond which the variance is raised: exceeded by 1 in
+100 (chi-square, 2 degrees of freedom). Cameras get moved after they were calibrated."""
 
 
-class Aside(NamedTuple):
-    """The shifts of c views, `offset - gain @ shared`, see `Terms`.
+class ViewShifts(NamedTuple):
+    """The shifts (x, y) of c views, `offset - back_substitution @ shared`, px.
 
     Attributes:
-        variance: (c, 2, 2) what they may be, px^2; zero for cameras that are exact.
-        doubt: (c,) by how much more they seem to be.
-        shift: (c, 2).
+        variance: (c, 2, 2) of the shifts by the calibration, px^2; zero for exact cameras.
+        inverse_weight: (c,) factor by which that is raised, 1 or more.
+        shift: (c, 2) estimated.
         offset: (c, 2).
-        gain: (c, 2, 7).
+        back_substitution: (c, 2, 7).
     """
 
     variance: Floats
-    doubt: Floats
+    inverse_weight: Floats
     shift: Floats
     offset: Floats
-    gain: Floats
+    back_substitution: Floats
 
 
 @compiled
-def unseen(variance: Floats) -> Aside:
-    """Of c views whose shifts may be (c, 2, 2), before anything is known of them."""
+def prior_view_shifts(variance: Floats) -> ViewShifts:
+    """The shifts of c views with covariances (c, 2, 2), before the first iteration."""
     c = len(variance)
     shift, offset = np.zeros((c, _PLANE)), np.zeros((c, _PLANE))
-    return Aside(variance, np.ones(c), shift, offset, np.zeros((c, _PLANE, SHARED)))
+    return ViewShifts(variance, np.ones(c), shift, offset, np.zeros((c, _PLANE, SHARED)))
 
 
 @compiled
-def set_aside(view_of: Ints, variances: Floats, terms: Terms, aside: Aside) -> None:
-    """Eliminate the views' shifts as well, after the ball-views' own unknowns.
+def eliminate_view_shifts(
+    view_of: Ints, variances: Floats, equations: ReducedEquations, shifts: ViewShifts
+) -> None:
+    """Eliminate the views' shifts as well, after the ball-views' random effects.
 
-    A view's shift moves its outlines as (x, y) of each does. Once those are eliminated, with V
-    their variances and S what `Terms.own` holds, it has the normal matrix sum(V^-1 - V^-1 S V^-1),
-    the right side sum(V^-1 offset), and sum(V^-1 gain) between it and what is shared.
+    A view's shift moves its outlines as the effects (bx, by) of each do. Once those are eliminated,
+    with V their variances, S their `effect_covariance` and B their `back_substitution`, the shift
+    has the normal matrix sum(V^-1 - V^-1 S V^-1), the right side sum(V^-1 offset), and the block
+    sum(V^-1 B) between it and the shared unknowns (docs/explanation/joint_fit.md, formula 12).
 
     Args:
-        view_of: (k,) of the ball-views.
-        variances: (k, 3) of the own unknowns, as `eliminate` had them.
-        terms: of k ball-views; changed. The sum of `normal` over a view remains symmetric.
-        aside: filled.
+        view_of: (k,) index of the ball-views' views.
+        variances: (k, 3) of the random effects, as given to `eliminate`.
+        equations: of k ball-views; changed. The sum of `normal` over a view remains symmetric.
+        shifts: filled.
     """
     normal, inverse = np.empty((_PLANE, _PLANE)), np.empty((_PLANE, _PLANE))
-    for view in range(len(aside.variance)):
-        if not _uncertain(aside, view):
+    for view in range(len(shifts.variance)):
+        if not _is_uncertain(shifts, view):
             continue
-        offset, gain = aside.offset[view], aside.gain[view]
-        normal[:], offset[:], gain[:] = 0.0, 0.0, 0.0
+        offset, back = shifts.offset[view], shifts.back_substitution[view]
+        normal[:], offset[:], back[:] = 0.0, 0.0, 0.0
         for k in range(len(view_of)):
             if view_of[k] == view:
-                _add_up(k, variances[k], terms, normal, offset, gain)
-        _fill_posterior(aside.doubt[view], aside.variance[view], normal, inverse)
+                _add_ball_view(k, variances[k], equations, normal, offset, back)
+        _fill_posterior(shifts.inverse_weight[view], shifts.variance[view], normal, inverse)
         x, y = offset
         offset[0] = inverse[0, 0] * x + inverse[0, 1] * y
         offset[1] = inverse[1, 0] * x + inverse[1, 1] * y
         for j in range(SHARED):
-            x, y = gain[0, j], gain[1, j]
-            gain[0, j] = inverse[0, 0] * x + inverse[0, 1] * y
-            gain[1, j] = inverse[1, 0] * x + inverse[1, 1] * y
+            x, y = back[0, j], back[1, j]
+            back[0, j] = inverse[0, 0] * x + inverse[0, 1] * y
+            back[1, j] = inverse[1, 0] * x + inverse[1, 1] * y
         for k in range(len(view_of)):
             if view_of[k] == view:
-                _take_out(k, variances[k], inverse, offset, gain, terms)
+                _eliminate_from(k, variances[k], inverse, offset, back, equations)
 
 
 @inlined
-def _uncertain(aside: Aside, view: int) -> bool:
-    return bool(aside.variance[view, 0, 0] + aside.variance[view, 1, 1] > 0)
+def _is_uncertain(shifts: ViewShifts, view: int) -> bool:
+    return bool(shifts.variance[view, 0, 0] + shifts.variance[view, 1, 1] > 0)
 
 
 @inlined
-def _add_up(
-    k: int, variances: Floats, terms: Terms, normal: Floats, offset: Floats, gain: Floats
+def _add_ball_view(
+    k: int,
+    variances: Floats,
+    equations: ReducedEquations,
+    normal: Floats,
+    offset: Floats,
+    back: Floats,
 ) -> None:
-    """Add what ball-view k says of its view's shift: (2, 2), (2,) and (2, 7)."""
+    """Add ball-view k's part to the equations (2, 2), (2,), (2, 7) of its view's shift."""
     for a in range(_PLANE):
         weight = 1 / variances[a]
         normal[a, a] += weight
-        offset[a] += weight * terms.offset[k, a]
+        offset[a] += weight * equations.offset[k, a]
         for b in range(_PLANE):
-            normal[a, b] -= weight * terms.own[k, a, b] / variances[b]
+            normal[a, b] -= weight * equations.effect_covariance[k, a, b] / variances[b]
         for j in range(SHARED):
-            gain[a, j] += weight * terms.gain[k, a, j]
+            back[a, j] += weight * equations.back_substitution[k, a, j]
 
 
 @inlined
-def _fill_posterior(doubt: float, prior: Floats, normal: Floats, out: Floats) -> None:
-    """Fill ((doubt prior)^-1 + normal)^-1 (2, 2), for priors that may be certain of an axis."""
-    p, q, r = doubt * prior[0, 0], doubt * prior[0, 1], doubt * prior[1, 1]
+def _fill_posterior(inverse_weight: float, prior: Floats, normal: Floats, out: Floats) -> None:
+    """Fill ((w prior)^-1 + normal)^-1 (2, 2) with w = inverse_weight; the prior may be singular."""
+    w = inverse_weight
+    p, q, r = w * prior[0, 0], w * prior[0, 1], w * prior[1, 1]
     a, b = 1 + p * normal[0, 0] + q * normal[1, 0], p * normal[0, 1] + q * normal[1, 1]
     c, d = q * normal[0, 0] + r * normal[1, 0], 1 + q * normal[0, 1] + r * normal[1, 1]
     unit = 1 / (a * d - b * c)
@@ -203,73 +217,89 @@ def _fill_posterior(doubt: float, prior: Floats, normal: Floats, out: Floats) ->
 
 
 @inlined
-def _take_out(
-    k: int, variances: Floats, inverse: Floats, offset: Floats, gain: Floats, terms: Terms
+def _eliminate_from(
+    k: int,
+    variances: Floats,
+    inverse: Floats,
+    offset: Floats,
+    back: Floats,
+    equations: ReducedEquations,
 ) -> None:
-    """Eliminate a view's shift from the terms of one of its ball-views.
+    """Eliminate a view's shift from the equations of one of its ball-views.
 
     Args:
         k: the ball-view.
-        variances: (3,) of its own unknowns.
-        inverse: (2, 2) covariance of the view's shift, given what is shared.
-        offset: (2,) see `Aside`.
-        gain: (2, 7) see `Aside`.
-        terms: changed.
+        variances: (3,) of its random effects.
+        inverse: (2, 2) covariance of the view's shift, given the shared unknowns.
+        offset: (2,) see `ViewShifts`.
+        back: (2, 7) see `ViewShifts`.
+        equations: changed.
     """
-    right, normal, own = terms.right[k], terms.normal[k], terms.own[k]
+    right, normal, effects = (
+        equations.right[k],
+        equations.normal[k],
+        equations.effect_covariance[k],
+    )
     for a in range(_PLANE):
-        unit, off = 1 / variances[a], terms.offset[k, a]
+        unit, off = 1 / variances[a], equations.offset[k, a]
         for i in range(SHARED):
-            pull = unit * gain[a, i]
+            pull = unit * back[a, i]
             right[i] -= pull * off
             for j in range(SHARED):
-                normal[i, j] -= pull * terms.gain[k, a, j]
-    # How the own unknowns give way to the view's shift.
-    lever = np.empty((OWN, _PLANE))
-    for a in range(OWN):
+                normal[i, j] -= pull * equations.back_substitution[k, a, j]
+    # Derivatives of the random effects by the view's shift.
+    lever = np.empty((EFFECTS, _PLANE))
+    for a in range(EFFECTS):
         for b in range(_PLANE):
-            lever[a, b] = (a == b) - own[a, b] / variances[b]
-    for a in range(OWN):
+            lever[a, b] = (a == b) - effects[a, b] / variances[b]
+    for a in range(EFFECTS):
         x, y = lever[a, 0], lever[a, 1]
-        terms.offset[k, a] -= x * offset[0] + y * offset[1]
+        equations.offset[k, a] -= x * offset[0] + y * offset[1]
         for j in range(SHARED):
-            terms.gain[k, a, j] -= x * gain[0, j] + y * gain[1, j]
+            equations.back_substitution[k, a, j] -= x * back[0, j] + y * back[1, j]
         p, q = x * inverse[0, 0] + y * inverse[1, 0], x * inverse[0, 1] + y * inverse[1, 1]
-        for b in range(OWN):
-            own[a, b] += p * lever[b, 0] + q * lever[b, 1]
+        for b in range(EFFECTS):
+            effects[a, b] += p * lever[b, 0] + q * lever[b, 1]
 
 
 @compiled
-def update_aside(step: Floats, aside: Aside) -> None:
-    """Fill the views' shifts, given the step (6 + c,) of what is shared, and the doubts."""
-    for view in range(len(aside.variance)):
-        if not _uncertain(aside, view):
+def update_view_shifts(step: Floats, shifts: ViewShifts) -> None:
+    """Fill the views' shifts, given the step (6 + c,) of the shared unknowns, and their weights.
+
+    See docs/explanation/joint_fit.md, formulas 7 and 12.
+    """
+    for view in range(len(shifts.variance)):
+        if not _is_uncertain(shifts, view):
             continue
         square = 0.0
         for a in range(_PLANE):
-            shift = aside.offset[view, a] - aside.gain[view, a, 6] * step[6 + view]
+            shift = shifts.offset[view, a] - shifts.back_substitution[view, a, 6] * step[6 + view]
             for j in range(6):
-                shift -= aside.gain[view, a, j] * step[j]
-            aside.shift[view, a] = shift
+                shift -= shifts.back_substitution[view, a, j] * step[j]
+            shifts.shift[view, a] = shift
             square += shift * shift
-        square /= (aside.variance[view, 0, 0] + aside.variance[view, 1, 1]) / 2
-        aside.doubt[view] = max(1.0, square / _BELIEVED)
+        square /= (shifts.variance[view, 0, 0] + shifts.variance[view, 1, 1]) / 2
+        shifts.inverse_weight[view] = max(1.0, square / _MAX_SHIFT_SQUARE)
 
 
 @compiled
-def take_back(view_of: Ints, aside: Aside, by_shift: Floats, covariance: Floats) -> None:
-    """Take from a fitted pose's covariance (6, 6) what the views' shifts may add to it.
+def subtract_view_shifts(
+    view_of: Ints, shifts: ViewShifts, by_effect: Floats, covariance: Floats
+) -> None:
+    """Subtract what the views' uncertain shifts add to a fitted pose's covariance (6, 6).
+
+    `calibration_covariance` adds it back, with the correlations between a camera's balls.
 
     Args:
-        view_of: (k,) of the ball-views.
-        aside: the shifts.
-        by_shift: (k, 6, 3) how the pose reacts to the ball-views' shifts.
+        view_of: (k,) index of the ball-views' views.
+        shifts: of the views.
+        by_effect: (k, 6, 3) derivatives of the pose by the ball-views' random effects.
         covariance: changed.
     """
-    for view in range(len(aside.variance)):
-        if _uncertain(aside, view):
+    for view in range(len(shifts.variance)):
+        if _is_uncertain(shifts, view):
             lever = np.zeros((6, _PLANE))
             for k in range(len(view_of)):
                 if view_of[k] == view:
-                    lever += by_shift[k, :, :_PLANE]
-            covariance -= lever @ aside.variance[view] @ lever.T
+                    lever += by_effect[k, :, :_PLANE]
+            covariance -= lever @ shifts.variance[view] @ lever.T

@@ -1,4 +1,7 @@
-"""All outlines of one frame set, packed for the joint fit."""
+"""The observations of the joint fit: all outlines of one frame set as arrays.
+
+The model of their residuals is formula 5 of docs/explanation/joint_fit.md.
+"""
 
 from __future__ import annotations
 
@@ -12,29 +15,29 @@ import numpy as np
 from measure.arrays import Floats, Ints
 from measure.compiling import compiled
 from measure.model import Camera
-from measure.model.ray_kernels import RAY, fill_rays
+from measure.model.lens import RAY, fill_rays
 from measure_plugins._kernels.selection import median
 
-_FEWEST_POINTS = 3
-"""That determine a cone."""
-_MOST_SPREAD = 2.0
-_LEAST_VARIANCE_PX2 = 5e-9
-"""For detectors that claim no uncertainty at all."""
+_MIN_POINTS = 3
+"""Outline points that determine a cone."""
+_MAX_RELATIVE_VARIANCE = 2.0
+_MIN_VARIANCE_PX2 = 5e-9
+"""For detectors that state no uncertainty at all."""
 
 
-class Contours(NamedTuple):
+class PackedOutlines(NamedTuple):
     """k ball-views with n outline points together; ball-view i has those from start[i] on.
 
     Attributes:
         start: (k + 1,).
-        rays: (9, n) of the points, see `ray_kernels`.
+        rays: (9, n) of the points, see `lens.fill_rays`.
         sharpness: (n,) one over the points' standard deviations, px^-1.
         view_of: (k,) index of the camera among those used.
         centers_body: (k, 3) of the balls, mm.
         radii: (k,) mm.
         motion: (k, 6) how far the body has moved, at the picture's time, from where it is at the
             pose's time (mm, rad, world).
-        spread: (k,) variance of each outline's own shift relative to the others'.
+        relative_variance: (k,) of each outline's random shift, relative to the others'.
         rotations: (c, 3, 3) of camera_from_world.
         translations: (c, 3) of camera_from_world, mm.
     """
@@ -46,7 +49,7 @@ class Contours(NamedTuple):
     centers_body: Floats
     radii: Floats
     motion: Floats
-    spread: Floats
+    relative_variance: Floats
     rotations: Floats
     translations: Floats
 
@@ -55,15 +58,15 @@ class Contours(NamedTuple):
         return slice(int(self.start[i]), int(self.start[i + 1]))
 
 
-class Balls(NamedTuple):
-    """What is known of k ball-views besides their outlines; rows of `Contours`' arrays."""
+class BallRows(NamedTuple):
+    """The balls of k ball-views, see `PackedOutlines`."""
 
     view_of: Ints
     centers_body: Floats
     radii: Floats
 
 
-class Views(NamedTuple):
+class ViewRows(NamedTuple):
     """Lens rows (c, 13) of cameras, rotations (c, 3, 3) and translations (c, 3) into them."""
 
     lenses: Floats
@@ -72,10 +75,10 @@ class Views(NamedTuple):
 
 
 @lru_cache(maxsize=64)
-def views_of(cameras: tuple[Camera, ...]) -> Views:
+def view_rows(cameras: tuple[Camera, ...]) -> ViewRows:
     """Cameras compare by identity: what is kept never stands for a camera that was changed."""
     inward = [camera.camera_from_world for camera in cameras]
-    return Views(
+    return ViewRows(
         np.stack([camera.intrinsics.row for camera in cameras]),
         np.array([into.rotation for into in inward], order="C"),
         np.stack([into.translation for into in inward]),
@@ -86,9 +89,9 @@ def pack(
     points: Sequence[Floats],
     sd: Sequence[Floats],
     covariances: Floats,
-    balls: Balls,
-    views: Views,
-) -> tuple[Contours, list[int]]:
+    balls: BallRows,
+    views: ViewRows,
+) -> tuple[PackedOutlines, list[int]]:
     """Pack ball-views of a body at rest.
 
     Points beyond the reach of the lens model are left out.
@@ -101,18 +104,18 @@ def pack(
         views: the cameras that saw them.
 
     Returns:
-        The contours, and which of the k ball-views have points enough to be fitted.
+        The outlines, and which of the k ball-views have points enough to be fitted.
     """
     start = np.array([0, *accumulate(map(len, sd))])
     at, sharpness = np.concatenate(points), 1 / np.concatenate(sd)
-    rays, reached, spread = rays_of(at, start, covariances, balls.view_of, views.lenses)
+    rays, reached, relative = outline_rays(at, start, covariances, balls.view_of, views.lenses)
     counts, kept = reached.tolist(), list(range(len(sd)))
     if sum(counts) < len(at):
         good = np.isfinite(rays[0])
-        kept = [i for i, count in enumerate(counts) if count >= _FEWEST_POINTS]
+        kept = [i for i, count in enumerate(counts) if count >= _MIN_POINTS]
         rays, sharpness = rays[:, good].copy(), sharpness[good]
         start = np.array([0, *accumulate(counts)])
-    contours = Contours(
+    outlines = PackedOutlines(
         start,
         rays,
         sharpness,
@@ -120,37 +123,39 @@ def pack(
         balls.centers_body,
         balls.radii,
         np.zeros((len(sd), 6)),
-        spread,
+        relative,
         views.rotations,
         views.translations,
     )
-    return contours, kept
+    return outlines, kept
 
 
 @compiled
-def rays_of(
+def outline_rays(
     points: Floats, start: Ints, covariances: Floats, view: Ints, lenses: Floats
 ) -> tuple[Floats, Ints, Floats]:
-    """The rays (9, n) of pixels (n, 2), see `Contours`; else NaN.
+    """The rays (9, n) of pixels (n, 2), see `lens.fill_rays`; NaN where the lens has no inverse.
 
-    And how many pixels of each ball-view (k,) have one, and its outline's spread (k,).
+    And how many pixels of each ball-view (k,) have one, and its `relative_variance` (k,).
     """
     rays, reached = np.empty((RAY, len(points))), np.zeros(len(view), np.int64)
     for i in range(len(view)):
         fill_rays(points, start[i], start[i + 1], lenses[view[i]], rays)
         reached[i] = np.sum(np.isfinite(rays[0, start[i] : start[i + 1]]))
-    return rays, reached, _spread(covariances)
+    return rays, reached, _relative_variances(covariances)
 
 
 @compiled
-def _spread(covariances: Floats) -> Floats:
-    """Variances (k,) of the outlines' own shifts relative to each other.
+def _relative_variances(covariances: Floats) -> Floats:
+    """Variances (k,) of the outlines' random shifts, relative to their median.
 
-    Where the edges of an outline scatter more, all of them together sit off further as well. Their
-    scatter tells part of that only: it counts by its root, within limits.
+    Where the edges of an outline scatter more, the outline as a whole is shifted further as well,
+    but by less than in proportion: the root of the relative variance is taken, within limits
+    (docs/explanation/joint_fit.md, formula 6).
     """
     out = (covariances[:, 0, 0] + covariances[:, 1, 1]) / 2
-    typical = max(median(out.copy(), len(out)), _LEAST_VARIANCE_PX2)
+    typical = max(median(out.copy(), len(out)), _MIN_VARIANCE_PX2)
     for i in range(len(out)):
-        out[i] = min(max(np.sqrt(out[i] / typical), 1 / _MOST_SPREAD), _MOST_SPREAD)
+        relative = np.sqrt(out[i] / typical)
+        out[i] = min(max(relative, 1 / _MAX_RELATIVE_VARIANCE), _MAX_RELATIVE_VARIANCE)
     return out

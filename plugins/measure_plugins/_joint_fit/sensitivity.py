@@ -1,4 +1,7 @@
-"""How the jointly fitted pose reacts to what it was fitted to, compiled."""
+"""Derivatives of the jointly fitted pose by what it was fitted to, compiled.
+
+See docs/explanation/joint_fit.md, formulas 17 and 19.
+"""
 
 from __future__ import annotations
 
@@ -6,26 +9,26 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
-from measure.geometry.rotation_kernels import times
-from measure_plugins._joint_fit.elimination import OWN, SHARED, Terms
-from measure_plugins._joint_fit.problem import Contours
+from measure.geometry.rotation_kernels import apply_matrix
+from measure_plugins._joint_fit.elimination import EFFECTS, SHARED, ReducedEquations
+from measure_plugins._joint_fit.problem import PackedOutlines
 
 
 @compiled
-def by_step(contours: Contours, terms: Terms, inverse: Floats) -> Floats:
-    """How the fitted pose reacts to steps of single ball-views' balls in the world: (k, 6, 3).
+def by_ball(outlines: PackedOutlines, equations: ReducedEquations, inverse: Floats) -> Floats:
+    """Derivatives (k, 6, 3) of the pose by where single ball-views show their balls, world, per mm.
 
-    To a ball-view, its ball's step is the body's.
+    A step of the ball changes the residuals of its ball-view as the same step of the body does.
     """
-    out = np.empty((len(contours.view_of), 6, 3))
+    out = np.empty((len(outlines.view_of), 6, 3))
     for k in range(len(out)):
-        _react(inverse, 6 + contours.view_of[k], terms.normal[k, :, :3], out[k])
+        _fill_solution(inverse, 6 + outlines.view_of[k], equations.normal[k, :, :3], out[k])
     return out
 
 
 @compiled
-def _react(inverse: Floats, offset: int, right: Floats, out: Floats) -> None:
-    """The pose's reaction (6, 3) to right sides (7, 3) of a ball-view's shared unknowns."""
+def _fill_solution(inverse: Floats, offset: int, right: Floats, out: Floats) -> None:
+    """Fill the pose (6, 3) that solves for a ball-view's right sides (7, 3)."""
     for i in range(6):
         for j in range(3):
             total = inverse[i, offset] * right[6, j]
@@ -35,20 +38,22 @@ def _react(inverse: Floats, offset: int, right: Floats, out: Floats) -> None:
 
 
 @compiled
-def by_camera(contours: Contours, steps: Floats, rotation: Floats, translation: Floats) -> Floats:
-    """How the fitted pose (6,) reacts to the cameras' poses: (c, 6, 6), in their `perturb` charts.
+def by_camera(
+    outlines: PackedOutlines, steps: Floats, rotation: Floats, translation: Floats
+) -> Floats:
+    """Derivatives (c, 6, 6) of the pose by the cameras' poses, in their `perturb` charts.
 
     Moving a camera by (dt, w) moves every ball, as the camera sees it, by -dt - w x (X - t).
     """
-    out = np.zeros((len(contours.rotations), 6, 6))
-    for k in range(len(contours.view_of)):
-        view = contours.view_of[k]
-        outward = contours.rotations[view].T
+    out = np.zeros((len(outlines.rotations), 6, 6))
+    for k in range(len(outlines.view_of)):
+        view = outlines.view_of[k]
+        outward = outlines.rotations[view].T
         # From the camera's centre to the ball's.
         x, y, z = (
-            times(rotation, contours.centers_body[k])
+            apply_matrix(rotation, outlines.centers_body[k])
             + translation
-            + times(outward, contours.translations[view])
+            + apply_matrix(outward, outlines.translations[view])
         )
         for i in range(6):
             p, q, r = steps[k, i]
@@ -62,16 +67,19 @@ def by_camera(contours: Contours, steps: Floats, rotation: Floats, translation: 
 
 
 @compiled
-def by_shift(contours: Contours, terms: Terms, variances: Floats, inverse: Floats) -> Floats:
-    """How the fitted pose reacts to shifts (x, y, radius, in px) of single outlines: (k, 6, 3).
+def by_effect(
+    outlines: PackedOutlines, equations: ReducedEquations, variances: Floats, inverse: Floats
+) -> Floats:
+    """Derivatives (k, 6, 3) of the pose by shifts (x, y, radius) of single outlines, per px.
 
-    A shift s leaves, its ball-view's own unknowns eliminated, the right side gain^T (s / variance).
+    A shift s leaves, the ball-view's random effects eliminated, the right side B^T (s / variance)
+    with B = `back_substitution`.
     """
-    out = np.empty((len(contours.view_of), 6, OWN))
-    right = np.empty((SHARED, OWN))
+    out = np.empty((len(outlines.view_of), 6, EFFECTS))
+    right = np.empty((SHARED, EFFECTS))
     for k in range(len(out)):
         for a in range(SHARED):
-            for j in range(OWN):
-                right[a, j] = terms.gain[k, j, a] / variances[k, j]
-        _react(inverse, 6 + contours.view_of[k], right, out[k])
+            for j in range(EFFECTS):
+                right[a, j] = equations.back_substitution[k, j, a] / variances[k, j]
+        _fill_solution(inverse, 6 + outlines.view_of[k], right, out[k])
     return out

@@ -11,187 +11,194 @@ from measure.compiling import compiled, folded
 from measure.geometry.linear_kernels import invert_scaled
 from measure.geometry.rotation_kernels import rotation_of, rotvec_of
 from measure_plugins._joint_fit.elimination import (
-    OWN,
-    Aside,
-    Terms,
+    EFFECTS,
+    ReducedEquations,
+    ViewShifts,
+    back_substitute,
     eliminate,
-    empty_terms,
-    own_unknowns,
-    set_aside,
-    take_back,
-    update_aside,
+    eliminate_view_shifts,
+    empty_equations,
+    subtract_view_shifts,
+    update_view_shifts,
 )
-from measure_plugins._joint_fit.problem import Contours
+from measure_plugins._joint_fit.problem import PackedOutlines
 from measure_plugins._joint_fit.random_effects import (
-    Scatter,
-    free_scatter,
-    own_variances,
-    update_scatter,
+    EffectVariance,
+    fill_effect_variances,
+    initial_effect_variance,
+    update_effect_variance,
 )
-from measure_plugins._joint_fit.residuals import COLUMNS, collect
-from measure_plugins._joint_fit.sensitivity import by_camera, by_shift, by_step
+from measure_plugins._joint_fit.residuals import COLUMNS, accumulate_moments
+from measure_plugins._joint_fit.sensitivity import by_ball, by_camera, by_effect
 
-_LOOKS = 15
-_TURNS = 4
-"""With the sums over the points at hand a turn costs a fifth of a look at the points."""
-_LEAST_STEP = 0.1
-"""In standard deviations by the outlines' own scatter: what is left then is a third of that."""
-_SHRINKING, _FURTHER = 0.5, 1.4
-"""Weights and scatter are those of the step before, and hold steps back: one that is less than half
-as long as the one before leads on by some two thirds of what is left to go, and is lengthened. Not
-where cameras are uncertain: their shifts follow the step, and points are weighed about those."""
-_SETTLED_MM, _SETTLED_RAD = 2e-2, 3e-4
-"""Steps below which a fit that ran out of looks still counts as settled."""
-_SCATTER_SETTLED = 0.1
-"""Relative change of a variance."""
-_ILL_CONDITIONED = 1e12
+_MAX_ITERATIONS = 15
+_MAX_INNER_ITERATIONS = 4
+"""Of the effects' variances, at fixed moments: one costs a fifth of forming the moments."""
+_CONVERGED_SD = 0.1
+"""Step, in step_sd deviations of the pose, below which the fit has converged; a third of that is
+left to go."""
+_FAST_STEP_RATIO, _OVER_RELAXATION = 0.5, 1.4
+"""Weights and variances are those of the iteration before, which shortens the steps: one of less
+than
+half the length of the one before covers some two thirds of what is left, and is multiplied by 1.4.
+Not where cameras are uncertain: their shifts follow the step, and the points' weights those."""
+_CONVERGED_MM, _CONVERGED_RAD = 2e-2, 3e-4
+"""Steps below which a fit that ran out of iterations still counts as converged."""
+_VARIANCE_CONVERGED_RATIO = 0.1
+"""Relative change of the effects' variance that ends the inner iterations."""
+_MAX_VARIANCE_INFLATION = 1e12
 _OFFSET_SD_PX = 3.0
-"""A view's common edge offset is all but free; this only keeps a lone arc solvable."""
+"""Prior of a view's edge offset: wide, and there so that a single short arc can be solved."""
 
 
-class ContourFit(NamedTuple):
-    """What the joint fit found.
+class OutlineFit(NamedTuple):
+    """The result of the joint fit, before what all outlines have in common is added.
 
     Attributes:
         rotation: (3, 3) of world_from_body.
         translation: (3,) of world_from_body, mm.
         covariance: (6, 6) without the cameras' own uncertainty.
         offsets_px: (c,) outward edge offset of every view.
-        shifts_px: (k, 3) of each ball-view: x, y and radius by which its outline sits off.
-        shift_sd_px: (2,) estimated scatter of those: centre (per axis) and radius.
-        by_step: (k, 6, 3) how the pose reacts if a ball-view shows its ball elsewhere, per mm of
-            the world's axes.
-        by_camera: (c, 6, 6) how the pose reacts to each camera's pose, in their `perturb` charts.
-        by_shift: (k, 6, 3) how the pose reacts to what shifts a ball-view's outline, per px.
+        effects_px: (k, 3) random effects bx, by, br, with the view's shift in bx and by.
+        effect_sd_px: (2,) estimated step_sd deviations of bx and by (each), and of br.
+        by_ball: (k, 6, 3) derivatives of the pose by where a ball-view shows its ball, per mm.
+        by_camera: (c, 6, 6) derivatives by the cameras' poses, in their `perturb` charts.
+        by_effect: (k, 6, 3) derivatives by shifts (x, y, radius) of an outline, per px.
         solved: whether the outlines determine the pose.
-        converged: whether the steps died out.
+        converged: whether the last step was short.
     """
 
     rotation: Floats
     translation: Floats
     covariance: Floats
     offsets_px: Floats
-    shifts_px: Floats
-    shift_sd_px: Floats
-    by_step: Floats
+    effects_px: Floats
+    effect_sd_px: Floats
+    by_ball: Floats
     by_camera: Floats
-    by_shift: Floats
+    by_effect: Floats
     solved: bool
     converged: bool
 
 
-class _Balance(NamedTuple):
-    """The state of a fit between two looks at the points; filled in place.
+class _FitState(NamedTuple):
+    """The state of a fit at fixed moments; filled in place.
 
     Attributes:
-        moments: (k, 10, 10) what the points say.
-        terms: the same, the ball-views' own unknowns eliminated.
-        known: (6 + c, 6 + c) information that does not come from the points.
-        pull: (6 + c,) its right side.
-        covariance: (6 + c, 6 + c) of pose and offsets.
-        step: (6 + c,) from where the points were looked at.
-        shifts: (k, 3) the own unknowns.
-        variances: (k, 3) of those, as taken for `terms`.
-        scatter: what those follow from, estimated anew.
-        aside: what the views' own unknowns may be, and are.
+        moments: (k, 10, 10) see `residuals.accumulate_moments`.
+        equations: the same, the random effects eliminated.
+        prior_normal: (6 + c, 6 + c) information that does not come from the points.
+        prior_right: (6 + c,) its right side.
+        covariance: (6 + c, 6 + c) of pose and edge offsets.
+        step: (6 + c,) from where the moments were formed.
+        effects: (k, 3) the random effects.
+        variances: (k, 3) of those, as taken for `equations`.
+        effect_variance: the estimate that `variances` are made of.
+        view_shifts: of the views.
     """
 
     moments: Floats
-    terms: Terms
-    known: Floats
-    pull: Floats
+    equations: ReducedEquations
+    prior_normal: Floats
+    prior_right: Floats
     covariance: Floats
     step: Floats
-    shifts: Floats
+    effects: Floats
     variances: Floats
-    scatter: Scatter
-    aside: Aside
+    effect_variance: EffectVariance
+    view_shifts: ViewShifts
 
 
 @folded
-def fit_contours(
-    contours: Contours,
+def fit_outlines(
+    outlines: PackedOutlines,
     rotation: Floats,
     translation: Floats,
     prior_information: Floats,
-    aside: Aside,
-) -> ContourFit:
-    """Fit the pose; Gauss-Newton with Tukey weights on points and random shifts of ball-views.
+    view_shifts: ViewShifts,
+) -> OutlineFit:
+    """Fit the pose: Gauss-Newton with Tukey weights on points and random effects of ball-views.
 
-    The points are looked at as often as the pose moves or their weights change; how far ball-views
-    are off settles in between.
+    Every iteration forms the moments of the points about the pose, and then alternates, at fixed
+    moments, between the step and the variances of the random effects: "Iterations" in
+    docs/explanation/joint_fit.md.
 
     Args:
-        contours: k ball-views in c views.
+        outlines: k ball-views in c views.
         rotation: (3, 3) of the world_from_body to start from, right to a few mm and degrees.
         translation: (3,) of the same.
         prior_information: (6, 6) of the start, for what the outlines leave open; zero for none.
-        aside: what may shift the outlines of a view alike; its results are filled.
+        view_shifts: of the views, with their variances; the estimates are filled.
     """
     start_rotation, start_translation, gone = rotation, translation, np.zeros(6)
-    offsets = np.zeros(len(contours.rotations))
-    now, solved = _begin(len(contours.view_of), prior_information, aside), False
-    before, exact = 0.0, not np.any(aside.variance)
-    for look in range(_LOOKS):
-        collect(contours, rotation, translation, offsets, now.shifts, now.moments)
-        if look > 0:
+    offsets = np.zeros(len(outlines.rotations))
+    state, solved = _initial_state(len(outlines.view_of), prior_information, view_shifts), False
+    before, exact = 0.0, not np.any(view_shifts.variance)
+    for iteration in range(_MAX_ITERATIONS):
+        accumulate_moments(outlines, rotation, translation, offsets, state.effects, state.moments)
+        if iteration > 0:
             gone[:3] = translation - start_translation
             gone[3:] = rotvec_of(rotation @ start_rotation.T)
-        _pull_back(prior_information, gone, offsets, now.pull)
-        solved, standard = _settle(contours, now)
+        _fill_prior_right(prior_information, gone, offsets, state.prior_right)
+        solved, step_sd = _solve_inner(outlines, state)
         if not solved:
             break
-        if exact and standard < _SHRINKING * before:
-            now.step[:] *= _FURTHER
-        before = standard
-        rotation, translation = rotation_of(now.step[3:6]) @ rotation, translation + now.step[:3]
-        offsets = offsets + now.step[6:]
-        if standard < _LEAST_STEP:
+        if exact and step_sd < _FAST_STEP_RATIO * before:
+            state.step[:] *= _OVER_RELAXATION
+        before = step_sd
+        rotation, translation = (
+            rotation_of(state.step[3:6]) @ rotation,
+            translation + state.step[:3],
+        )
+        offsets = offsets + state.step[6:]
+        if step_sd < _CONVERGED_SD:
             break
-    steps = by_step(contours, now.terms, now.covariance)
-    reactions = by_shift(contours, now.terms, now.variances, now.covariance)
-    covariance = now.covariance[:6, :6].copy()
-    take_back(contours.view_of, aside, reactions, covariance)
-    return ContourFit(
+    steps = by_ball(outlines, state.equations, state.covariance)
+    reactions = by_effect(outlines, state.equations, state.variances, state.covariance)
+    covariance = state.covariance[:6, :6].copy()
+    subtract_view_shifts(outlines.view_of, view_shifts, reactions, covariance)
+    return OutlineFit(
         rotation,
         translation,
         covariance,
         offsets,
-        now.shifts,
-        np.sqrt(now.scatter.variance[1:]),
+        state.effects,
+        np.sqrt(state.effect_variance.variance[1:]),
         steps,
-        by_camera(contours, steps, rotation, translation),
+        by_camera(outlines, steps, rotation, translation),
         reactions,
         solved,
-        _within(now.step, _SETTLED_MM, _SETTLED_RAD),
+        _within(state.step, _CONVERGED_MM, _CONVERGED_RAD),
     )
 
 
 @compiled
-def _begin(k: int, prior_information: Floats, aside: Aside) -> _Balance:
+def _initial_state(k: int, prior_information: Floats, view_shifts: ViewShifts) -> _FitState:
     """Of k ball-views."""
-    c = len(aside.variance)
-    known = np.zeros((6 + c, 6 + c))
-    known[:6, :6] = prior_information
+    c = len(view_shifts.variance)
+    prior_normal = np.zeros((6 + c, 6 + c))
+    prior_normal[:6, :6] = prior_information
     for view in range(c):
-        known[6 + view, 6 + view] = 1 / _OFFSET_SD_PX**2
-    return _Balance(
+        prior_normal[6 + view, 6 + view] = 1 / _OFFSET_SD_PX**2
+    return _FitState(
         np.empty((k, COLUMNS, COLUMNS)),
-        empty_terms(k),
-        known,
+        empty_equations(k),
+        prior_normal,
         np.zeros(6 + c),
         np.zeros((6 + c, 6 + c)),
         np.full(6 + c, np.inf),
-        np.zeros((k, OWN)),
-        np.zeros((k, OWN)),
-        free_scatter(k),
-        aside,
+        np.zeros((k, EFFECTS)),
+        np.zeros((k, EFFECTS)),
+        initial_effect_variance(k),
+        view_shifts,
     )
 
 
 @compiled
-def _pull_back(prior_information: Floats, gone: Floats, offsets: Floats, out: Floats) -> None:
-    """Fill the right side (6 + c,) of what is known besides the points."""
+def _fill_prior_right(
+    prior_information: Floats, gone: Floats, offsets: Floats, out: Floats
+) -> None:
+    """Fill the prior's right side (6 + c,) after a motion `gone` (6,) from the start."""
     for i in range(6):
         out[i] = 0.0
         for j in range(6):
@@ -206,48 +213,56 @@ def _within(step: Floats, limit_mm: float, limit_rad: float) -> bool:
 
 
 @compiled
-def _settle(contours: Contours, now: _Balance) -> tuple[bool, float]:
-    """Find the step and the scatter that go together.
+def _solve_inner(outlines: PackedOutlines, state: _FitState) -> tuple[bool, float]:
+    """Alternate between the step and the effects' variances, at fixed moments.
 
     Returns:
-        Whether the outlines determine the pose, and the step in standard deviations.
+        Whether the outlines determine the pose, and the step in step_sd deviations.
     """
-    normal, right, square = np.empty_like(now.known), np.empty_like(now.pull), np.inf
-    for _ in range(_TURNS):
-        own_variances(contours, now.scatter, now.variances)
-        eliminate(now.moments, now.variances, now.terms)
-        set_aside(contours.view_of, now.variances, now.terms, now.aside)
-        _add_up(contours, now, normal, right)
-        if not invert_scaled(normal, now.covariance) < _ILL_CONDITIONED:
+    normal, right = np.empty_like(state.prior_normal), np.empty_like(state.prior_right)
+    square = np.inf
+    for _ in range(_MAX_INNER_ITERATIONS):
+        fill_effect_variances(outlines, state.effect_variance, state.variances)
+        eliminate(state.moments, state.variances, state.equations)
+        eliminate_view_shifts(outlines.view_of, state.variances, state.equations, state.view_shifts)
+        _assemble(outlines, state, normal, right)
+        if not invert_scaled(normal, state.covariance) < _MAX_VARIANCE_INFLATION:
             return False, np.inf
         square = 0.0
         for i in range(len(right)):
-            now.step[i] = 0.0
+            state.step[i] = 0.0
             for j in range(len(right)):
-                now.step[i] += now.covariance[i, j] * right[j]
-            square += now.step[i] * right[i]
-        own_unknowns(contours.view_of, now.terms, now.step, now.shifts)
-        update_aside(now.step, now.aside)
-        before = now.scatter.variance[0]
-        update_scatter(contours, now.terms, now.covariance, now.shifts, now.variances, now.scatter)
-        if abs(now.scatter.variance[0] - before) <= _SCATTER_SETTLED * before:
+                state.step[i] += state.covariance[i, j] * right[j]
+            square += state.step[i] * right[i]
+        back_substitute(outlines.view_of, state.equations, state.step, state.effects)
+        update_view_shifts(state.step, state.view_shifts)
+        before = state.effect_variance.variance[0]
+        update_effect_variance(
+            outlines,
+            state.equations,
+            state.covariance,
+            state.effects,
+            state.variances,
+            state.effect_variance,
+        )
+        if abs(state.effect_variance.variance[0] - before) <= _VARIANCE_CONVERGED_RATIO * before:
             break
-    for k in range(len(now.shifts)):
-        now.shifts[k, :2] += now.aside.shift[contours.view_of[k]]
+    for k in range(len(state.effects)):
+        state.effects[k, :2] += state.view_shifts.shift[outlines.view_of[k]]
     return True, np.sqrt(square)
 
 
 @compiled
-def _add_up(contours: Contours, now: _Balance, normal: Floats, right: Floats) -> None:
+def _assemble(outlines: PackedOutlines, state: _FitState, normal: Floats, right: Floats) -> None:
     """Fill the normal matrix (6 + c, 6 + c), of which the lower half counts, and right side."""
-    terms = now.terms
-    normal[:], right[:] = now.known, now.pull
-    for k in range(len(contours.view_of)):
-        offset = 6 + contours.view_of[k]
+    equations = state.equations
+    normal[:], right[:] = state.prior_normal, state.prior_right
+    for k in range(len(outlines.view_of)):
+        offset = 6 + outlines.view_of[k]
         for i in range(6):
-            right[i] += terms.right[k, i]
-            normal[offset, i] += terms.normal[k, 6, i]
+            right[i] += equations.right[k, i]
+            normal[offset, i] += equations.normal[k, 6, i]
             for j in range(i + 1):
-                normal[i, j] += terms.normal[k, i, j]
-        right[offset] += terms.right[k, 6]
-        normal[offset, offset] += terms.normal[k, 6, 6]
+                normal[i, j] += equations.normal[k, i, j]
+        right[offset] += equations.right[k, 6]
+        normal[offset, offset] += equations.normal[k, 6, 6]

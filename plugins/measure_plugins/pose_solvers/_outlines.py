@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -15,11 +15,11 @@ from measure.model import Body, Camera, Detection, Motion, Rig
 from measure.model.observations import stacked_detections
 
 if TYPE_CHECKING:
-    from measure_plugins._joint_fit.problem import Balls, Contours, Views
+    from measure_plugins._joint_fit.problem import BallRows, PackedOutlines, ViewRows
 
 
 @dataclass(frozen=True, eq=False)
-class Named:
+class BallViewNames:
     """Which balls in which cameras k ball-views show; the same from frame set to frame set.
 
     Attributes:
@@ -29,8 +29,8 @@ class Named:
         seen_by: (c,) names of the cameras, sorted.
         cameras: (c,) the same.
         rig: (c,) the same, stacked.
-        rows: what is known of the balls as arrays.
-        views: the same of the cameras.
+        rows: the balls as arrays.
+        views: the cameras as arrays.
     """
 
     balls: tuple[str, ...]
@@ -39,24 +39,23 @@ class Named:
     seen_by: tuple[str, ...]
     cameras: tuple[Camera, ...]
     rig: Rig
-    rows: Balls
-    views: Views
+    rows: BallRows
+    views: ViewRows
 
 
-@dataclass(frozen=True, eq=False)
-class Outlines:
-    """Packed outlines with the names that go with them.
+class NamedOutlines(NamedTuple):
+    """The outlines of one frame set with the names of their balls and cameras.
 
     Attributes:
-        contours: k ball-views in c views, of a body at rest.
-        detections: (k,) which they are.
-        named: the same by their names.
+        packed: k ball-views in c views, of a body at rest.
+        detections: (k,) they come from.
+        named: their balls and cameras.
         instants: the times of the pictures.
     """
 
-    contours: Contours
+    packed: PackedOutlines
     detections: tuple[Detection, ...]
-    named: Named
+    named: BallViewNames
     instants: set[float]
 
     def moved(self, motion: Motion, time_s: float) -> Floats:
@@ -68,18 +67,18 @@ class Outlines:
         """World centre (3,) of a ball from the size and place of ball-view i."""
         from measure.geometry import fit_cone
 
-        points, contours = self.contours.points(i), self.contours
+        points, packed = self.packed.points(i), self.packed
         try:
-            cone = fit_cone(contours.rays[:3, points].T, contours.sharpness[points] ** 2)
+            cone = fit_cone(packed.rays[:3, points].T, packed.sharpness[points] ** 2)
         except DegenerateGeometryError:
             return None
-        camera = self.named.cameras[self.contours.view_of[i]]
-        return camera.world_from_camera.apply(cone.center(float(self.contours.radii[i])))
+        camera = self.named.cameras[self.packed.view_of[i]]
+        return camera.world_from_camera.apply(cone.center(float(self.packed.radii[i])))
 
 
 def outlines_of(
     detections: Sequence[Detection], body: Body, cameras: Mapping[str, Camera]
-) -> Outlines | None:
+) -> NamedOutlines | None:
     """The outlines of detections, ready for the fit; None if they have none."""
     seen = [d for d in detections if d.outline_px is not None and d.outline_sd_px is not None]
     return _packed(tuple(seen), body, tuple([cameras[d.camera] for d in seen]))
@@ -88,8 +87,8 @@ def outlines_of(
 @lru_cache(maxsize=16)
 def _packed(
     seen: tuple[Detection, ...], body: Body, cameras: tuple[Camera, ...]
-) -> Outlines | None:
-    """Detections compare by identity, and are solved again when the motion is known better."""
+) -> NamedOutlines | None:
+    """Kept: the same detections (compared by identity) are solved again with a better motion."""
     from measure_plugins._joint_fit.problem import pack
 
     if not seen:
@@ -98,22 +97,22 @@ def _packed(
     points = [d.outline_px for d in seen if d.outline_px is not None]
     sd = [d.outline_sd_px for d in seen if d.outline_sd_px is not None]
     covariances = stacked_detections(seen)[1]
-    contours, kept = pack(points, sd, covariances, named.rows, named.views)
+    packed, kept = pack(points, sd, covariances, named.rows, named.views)
     if len(kept) < len(seen):
         return _packed(tuple(seen[i] for i in kept), body, tuple(cameras[i] for i in kept))
-    return Outlines(contours, seen, named, {d.time_s for d in seen})
+    return NamedOutlines(packed, seen, named, {d.time_s for d in seen})
 
 
 @lru_cache(maxsize=64)
-def _named(balls: tuple[str, ...], body: Body, cameras: tuple[Camera, ...]) -> Named:
+def _named(balls: tuple[str, ...], body: Body, cameras: tuple[Camera, ...]) -> BallViewNames:
     """Of k ball-views; bodies and cameras compare by identity."""
-    from measure_plugins._joint_fit.problem import Balls, views_of
+    from measure_plugins._joint_fit.problem import BallRows, view_rows
 
     used = {camera.name: camera for camera in cameras}
     names = tuple(sorted(used))
     own = tuple(used[name] for name in names)
     ball_of = np.array([body.index(name) for name in balls])
     view_of = np.array([names.index(camera.name) for camera in cameras])
-    rows = Balls(view_of, body.centers[ball_of], body.radii[ball_of])
+    rows = BallRows(view_of, body.centers[ball_of], body.radii[ball_of])
     shown = tuple(name for name in body.names if name in balls)
-    return Named(balls, ball_of, shown, names, own, Rig.of(own), rows, views_of(own))
+    return BallViewNames(balls, ball_of, shown, names, own, Rig.of(own), rows, view_rows(own))

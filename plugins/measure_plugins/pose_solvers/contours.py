@@ -1,10 +1,10 @@
 """`contours`: one pose fitted to every outline point of every ball in every camera.
 
-A ball seen by one camera counts, and each picture counts at its own time. Every view has one
-unknown edge offset (the visible edge of a glossy ball lies inside its outline), and every ball-view
-a shift of its own whose size is estimated from the residuals: that, not the pixel noise, is what
-limits the pose, and it is what the covariance is made of. Outlines whose edges scatter more are
-taken to be shifted further, and those that the others contradict count for less (Student's t).
+A ball seen by one camera counts, and each picture counts at its own time. Every view has an unknown
+edge offset (the visible edge of a glossy ball lies inside its outline), and every ball-view random
+effects (shift and growth of its outline) whose variance is estimated from the residuals: that, not
+pixel noise, limits the pose and determines its covariance. Outlines whose edges scatter more have
+effects of larger variance, and outlying effects smaller weights (Student's t).
 """
 
 from __future__ import annotations
@@ -24,13 +24,14 @@ from measure.geometry import RigidTransform, align_points
 from measure.host import PoseSolver, Settings, hookimpl, setting
 from measure.model import BallPosition, Camera, Detection, Intrinsics, Motion, Pose
 from measure.model.observations import stacked_positions
-from measure_plugins.pose_solvers._outlines import Outlines, outlines_of
+from measure_plugins.pose_solvers._outlines import NamedOutlines, outlines_of
 
 if TYPE_CHECKING:
-    from measure_plugins._joint_fit.covariance import Solution
+    from measure_plugins._joint_fit.covariance import JointFit
 
-_IMPLAUSIBLE = 13.8
-"""A shift's normalised square beyond which a detection says it is unlikely: 1 in 1000 (chi^2)."""
+_MAX_EFFECT_SQUARE = 13.8
+"""Squared Mahalanobis distance of a shift beyond which it is flagged: exceeded by 1 in 1000
+(chi-square, 2 degrees of freedom)."""
 
 
 class ContoursConfig(Settings):
@@ -68,7 +69,7 @@ class ContoursSolver(PoseSolver):
     config: ContoursConfig
 
     def warm_up(self) -> None:
-        """Compile the joint fit (seconds, once per machine), by fitting circles to nothing."""
+        """Compile the joint fit (seconds, once per machine), by fitting a pose to circles."""
         camera, turns = _camera_for_warming_up(), np.linspace(0, 6, 12)
         circle = 50.0 * np.stack([np.cos(turns), np.sin(turns)], axis=1)
         seen = [
@@ -99,7 +100,7 @@ class ContoursSolver(PoseSolver):
         Raises:
             ConfigError: the detector measures no outlines.
         """
-        from measure_plugins._joint_fit.covariance import rms_distance, solve_contours
+        from measure_plugins._joint_fit.covariance import rms_distance, solve_outlines
 
         outlines = outlines_of(detections, self.body, cameras)
         if outlines is None and detections:
@@ -107,32 +108,32 @@ class ContoursSolver(PoseSolver):
                 "solver 'contours' fits outlines, and this detector measures none: take another "
                 "solver with it (--solver kabsch)"
             )
-        if outlines is None or len(outlines.contours.sharpness) < self.config.min_points:
+        if outlines is None or len(outlines.packed.sharpness) < self.config.min_points:
             return None
         start = self._start(positions, outlines, time_s, prior)
         if start is None:
             return None
-        known, named = np.zeros((6, 6)), outlines.named
+        prior_information, named = np.zeros((6, 6)), outlines.named
         if len(named.shown) < 3:
             if prior is None or prior.covariance is None:
                 return None
-            known = np.asarray(np.linalg.inv(prior.covariance), dtype=np.float64)
+            prior_information = np.asarray(np.linalg.inv(prior.covariance), dtype=np.float64)
         # Arrays laid out otherwise would be compiled for once more.
         rotation = np.ascontiguousarray(start.rotation)
         translation = np.ascontiguousarray(start.translation)
-        rig, contours = named.rig, outlines.contours
+        rig, packed = named.rig, outlines.packed
         if prior is not None and outlines.instants != {time_s}:
-            contours = contours._replace(motion=outlines.moved(prior, time_s))
-        aside_px2 = calibration_noise(rig, start.apply(self.body.middle))
-        fit = solve_contours(
-            contours,
+            packed = packed._replace(motion=outlines.moved(prior, time_s))
+        view_noise = calibration_noise(rig, start.apply(self.body.middle))
+        fit = solve_outlines(
+            packed,
             rotation,
             translation,
-            known,
+            prior_information,
             named.ball_of,
             len(self.body.balls),
             rig.rows,
-            aside_px2,
+            view_noise,
             _small_sample(2 * len(named.balls) - 6),
         )
         if not fit.solved:
@@ -150,13 +151,13 @@ class ContoursSolver(PoseSolver):
             rms_px=fit.rms_px,
             cameras=named.seen_by,
             balls=named.shown,
-            flags=self._flags(fit, outlines, aside_px2),
+            flags=self._flags(fit, outlines, view_noise),
         )
 
     def _start(
         self,
         positions: Sequence[BallPosition],
-        outlines: Outlines,
+        outlines: NamedOutlines,
         time_s: float,
         prior: Motion | None,
     ) -> RigidTransform | None:
@@ -177,16 +178,18 @@ class ContoursSolver(PoseSolver):
         except DegenerateGeometryError:
             return None
 
-    def _flags(self, fit: Solution, outlines: Outlines, aside_px2: Floats) -> tuple[str, ...]:
+    def _flags(self, fit: JointFit, outlines: NamedOutlines, view_noise: Floats) -> tuple[str, ...]:
         flags = []
-        limit, shifts = self.config.max_shift_px, fit.shifts_px.tolist()
-        for k, (seen, (right, down, _)) in enumerate(zip(outlines.detections, shifts, strict=True)):
-            off, view = math.hypot(right, down), outlines.contours.view_of[k]
+        limit, effects = self.config.max_shift_px, fit.effects_px.tolist()
+        for k, (seen, (right, down, _)) in enumerate(
+            zip(outlines.detections, effects, strict=True)
+        ):
+            off, view = math.hypot(right, down), outlines.packed.view_of[k]
             if off <= limit:
                 continue
             px_per_mm = seen.radius_px / self.body.radii[self.body.index(seen.ball)]
             own_px = self.body.tolerance_mm * px_per_mm
-            stated = seen.covariance_px + aside_px2[view] + own_px**2 * np.eye(2)
+            stated = seen.covariance_px + view_noise[view] + own_px**2 * np.eye(2)
             if _beyond(stated, right, down):
                 flags.append(f"{seen.ball} in {seen.camera} sits {off:.1f} px off the fit")
         balls = len(outlines.named.shown)
@@ -210,17 +213,19 @@ class ContoursSolver(PoseSolver):
 
 
 def _beyond(covariance: Floats, right: float, down: float) -> bool:
-    """Whether a shift in px is more than what a covariance (2, 2) says that it may be."""
+    """Whether a shift in px is implausibly large under its covariance (2, 2), px^2."""
     (xx, xy), (_, yy) = covariance.tolist()
     square = yy * right**2 - 2 * xy * right * down + xx * down**2
-    return bool(square > _IMPLAUSIBLE * (xx * yy - xy**2))
+    return bool(square > _MAX_EFFECT_SQUARE * (xx * yy - xy**2))
 
 
 @lru_cache(maxsize=64)
 def _small_sample(degrees: int) -> float:
-    """Widening that lets the 95 % ellipsoid hold 95 % though its scale is estimated (F for chi^2).
+    """Factor by which the 95 % ellipsoid holds 95 % though its scale is estimated.
 
-    Below four degrees of freedom the estimate says next to nothing; the widening stops there.
+    The quantile of F(6, `degrees`) instead of chi-square's; below four degrees of freedom the
+    estimate of the scale is worth next to nothing, and the factor stays. See
+    docs/explanation/joint_fit.md, formula 16.
     """
     from scipy.special import chdtri, fdtri
 

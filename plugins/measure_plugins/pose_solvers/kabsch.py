@@ -14,13 +14,12 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError
-from measure.estimation.body_layout import layout_flags
-from measure.estimation.multiview import Views, fit_point, leverage
+from measure.estimation import PointObservations, calibration_noise, fit_point, point_sensitivity
 from measure.geometry import RigidTransform, align_points, chi_square_quantile, propagate, skew
 from measure.host import PoseSolver, Settings, hookimpl, setting
 from measure.model import BallPosition, Camera, Detection, Motion, Pose
 
-_STEPS = 10
+_MAX_ITERATIONS = 10
 _STEP_TOLERANCE = 1e-10
 
 
@@ -42,12 +41,12 @@ class KabschConfig(Settings):
 
 
 @dataclass(frozen=True, eq=False)
-class _Located:
+class _PlacedBall:
     """A ball at the pose's instant: centre (3,) in mm, its covariance (3, 3), and its pixels."""
 
     point: Floats
     covariance: Floats
-    views: Views | None
+    observations: PointObservations | None
 
 
 class KabschSolver(PoseSolver):
@@ -60,6 +59,8 @@ class KabschSolver(PoseSolver):
     def warm_up(self) -> None:
         """Compile the check of the balls' distances."""
         centers = self.body.centers
+        from measure.estimation import layout_flags
+
         layout_flags(
             self.body, self.body.names, centers, np.tile(np.eye(3), (len(centers), 1, 1)), 1
         )
@@ -73,12 +74,14 @@ class KabschSolver(PoseSolver):
         prior: Motion | None = None,
     ) -> Pose | None:
         """Locate the body from its positions; None for fewer than three, or balls on one line."""
+        from measure.estimation import layout_flags
+
         if len(positions) < 3:
             return None
         at = [self._at(position, detections, cameras, time_s, prior) for position in positions]
         points_body = self.body.centers[[self.body.index(position.ball) for position in positions]]
-        centers = np.stack([located.point for located in at])
-        covariances = np.stack([located.covariance for located in at])
+        centers = np.stack([placed.point for placed in at])
+        covariances = np.stack([placed.covariance for placed in at])
         try:
             start = align_points(centers, points_body, 1 / np.trace(covariances, axis1=1, axis2=2))
         except DegenerateGeometryError:
@@ -110,26 +113,26 @@ class KabschSolver(PoseSolver):
         cameras: Mapping[str, Camera],
         time_s: float,
         prior: Motion | None,
-    ) -> _Located:
+    ) -> _PlacedBall:
         """The position at `time_s`; a moving ball's pixels belong to the cameras' own times."""
         used = [d for d in detections if d.ball == position.ball and d.camera in position.cameras]
         if len(used) < 2:
-            return _Located(position.center, position.covariance, None)
+            return _PlacedBall(position.center, position.covariance, None)
         shifts = np.zeros((len(used), 3))
         if prior is not None:
             center = self.body.centers[self.body.index(position.ball)]
             shifts = np.stack([prior.at(d.time_s).apply(center) for d in used])
             shifts -= prior.at(time_s).apply(center)
-        views = Views.of(used, cameras, shifts)
+        views = PointObservations.of(used, cameras, shifts)
         if not np.any(views.shifts):
-            return _Located(position.center, position.covariance, views)
+            return _PlacedBall(position.center, position.covariance, views)
         try:
             fit = fit_point(views)
         except DegenerateGeometryError:
-            return _Located(position.center, position.covariance, None)
+            return _PlacedBall(position.center, position.covariance, None)
         # What the triangulator found doubtful stays doubtful.
         wider = max(1.0, float(np.trace(position.covariance) / np.trace(fit.covariance)))
-        return _Located(fit.point, fit.covariance * wider, views)
+        return _PlacedBall(fit.point, fit.covariance * wider, views)
 
 
 def _jacobians(world_from_body: RigidTransform, points_body: Floats) -> Floats:
@@ -144,15 +147,15 @@ def _robust_fit(
     """Gauss-Newton with Huber weights; the pose, the weights (n, 3, 3) and the chi-square."""
     inverse = np.linalg.inv(covariances)
     pose, weight = start, inverse
-    for _ in range(_STEPS):
+    for _ in range(_MAX_ITERATIONS):
         residuals = centers - pose.apply(points_body)
         distance = np.sqrt(np.einsum("ni,nij,nj->n", residuals, inverse, residuals))
         factor = np.minimum(1.0, huber / np.maximum(distance, 1e-12))
         weight = inverse * factor[:, None, None]
         jacobians = _jacobians(pose, points_body)
-        gain = np.swapaxes(jacobians, 1, 2) @ weight
+        weighted = np.swapaxes(jacobians, 1, 2) @ weight
         step = np.linalg.solve(
-            (gain @ jacobians).sum(axis=0), np.einsum("nij,nj->i", gain, residuals)
+            (weighted @ jacobians).sum(axis=0), np.einsum("nij,nj->i", weighted, residuals)
         )
         pose = pose.perturb(step)
         if np.max(np.abs(step)) < _STEP_TOLERANCE:
@@ -165,22 +168,21 @@ def _covariance(
     pose: RigidTransform,
     points_body: Floats,
     weight: Floats,
-    balls: Sequence[_Located],
+    balls: Sequence[_PlacedBall],
     chi_square: float,
 ) -> Floats:
     """(6, 6): pixel noise ball by ball, and each camera's own error over all balls at once."""
     jacobians = _jacobians(pose, points_body)
-    gain = np.swapaxes(jacobians, 1, 2) @ weight
-    by_fix = np.linalg.inv((gain @ jacobians).sum(axis=0)) @ gain
+    weighted = np.swapaxes(jacobians, 1, 2) @ weight
+    by_position = np.linalg.inv((weighted @ jacobians).sum(axis=0)) @ weighted
     out = np.zeros((6, 6))
     by_camera: dict[str, Floats] = {}
     known: dict[str, Floats] = {}
-    for located, lever in zip(balls, by_fix, strict=True):
-        own, levers = _parts(located)
-        for camera, sensitivity in levers:
-            assert camera.covariance is not None
-            known[camera.name] = camera.covariance
-            by_camera[camera.name] = by_camera.get(camera.name, 0.0) + lever @ sensitivity
+    for placed, lever in zip(balls, by_position, strict=True):
+        own, levers = _parts(placed)
+        for name, covariance, sensitivity in levers:
+            known[name] = covariance
+            by_camera[name] = by_camera.get(name, 0.0) + lever @ sensitivity
         out += lever @ own @ lever.T
     degrees = 3 * len(points_body) - 6
     if chi_square > chi_square_quantile(0.99, degrees):
@@ -190,33 +192,30 @@ def _covariance(
     return (out + out.T) / 2
 
 
-def _parts(located: _Located) -> tuple[Floats, list[tuple[Camera, Floats]]]:
-    """A position's own covariance (3, 3), and how it reacts to each uncertain camera (3, 18).
+def _parts(placed: _PlacedBall) -> tuple[Floats, list[tuple[str, Floats, Floats]]]:
+    """A position's covariance (3, 3) without the cameras' part, and the uncertain cameras.
 
-    Where the triangulator doubts a position (a covariance beyond what pixels and calibration
-    explain), the own part is wider by the same ratio.
+    Of those the names, covariances (18, 18), and how the position reacts to them (3, 18). A
+    covariance beyond what pixels and calibration explain, which is how a triangulator flags a
+    position, widens the first by the same ratio.
     """
-    views = located.views
-    if views is None or all(camera.covariance is None for camera in views.cameras):
-        return located.covariance, []
-    by_pixel, by_camera = leverage(views, located.point)
-    own = propagate(by_pixel, views.noise).sum(axis=0)
-    shared = propagate(by_pixel, views.camera_noise(located.point)).sum(axis=0)
-    doubt = max(1.0, float(np.trace(located.covariance) / np.trace(own + shared)))
-    levers = [
-        (camera, sensitivity)
-        for camera, sensitivity in zip(views.cameras, by_camera, strict=True)
-        if camera.covariance is not None
-    ]
-    return own * doubt, levers
+    o = placed.observations
+    if o is None or not o.rig.uncertain:
+        return placed.covariance, []
+    by_pixel, by_camera = point_sensitivity(o, placed.point)
+    own = propagate(by_pixel, o.noise).sum(axis=0)
+    shared = propagate(by_pixel, calibration_noise(o.rig, placed.point + o.shifts)).sum(axis=0)
+    ratio = max(1.0, float(np.trace(placed.covariance) / np.trace(own + shared)))
+    cameras = zip(o.rig.names, o.rig.covariances, by_camera, strict=True)
+    return own * ratio, [camera for camera in cameras if np.any(camera[1])]
 
 
-def _rms_px(balls: Sequence[_Located], centers: Floats) -> float:
+def _rms_px(balls: Sequence[_PlacedBall], centers: Floats) -> float:
     """RMS distance in px of the body's balls, as posed, from their detections; NaN if none."""
     errors = [
-        located.views.sensitivity(center)[0]
-        for located, center in zip(balls, centers, strict=True)
-        if located.views is not None
+        placed.observations.residuals(center)[0]
+        for placed, center in zip(balls, centers, strict=True)
+        if placed.observations is not None
     ]
     if not errors:
         return float("nan")

@@ -1,4 +1,4 @@
-"""Balls as their outlines show them, and the pose that `contours` makes of those."""
+"""BallRows as their outlines show them, and the pose that `contours` makes of those."""
 
 from __future__ import annotations
 
