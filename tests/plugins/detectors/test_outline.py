@@ -265,9 +265,7 @@ def test_grey_ground_alone_is_no_white_ball(camera, ground):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_candidate_given_up_early_is_one_that_would_not_have_become_a_ball(
-    camera, monkeypatch, seed
-):
+def test_candidates_given_up_early_would_not_become_balls(camera, monkeypatch, seed):
     """Whole and half hidden balls among patches of their colours, searched with and without."""
     rng = np.random.default_rng(seed)
     colors = ["red", "green", "yellow"]
@@ -282,7 +280,7 @@ def test_a_candidate_given_up_early_is_one_that_would_not_have_become_a_ball(
     pixels = cv2.GaussianBlur(pixels, (0, 0), 0.8)
     found = []
     for give_up_share in (2 / 3, 0.0):
-        monkeypatch.setattr(outline, "HOPELESS", give_up_share)
+        monkeypatch.setattr(outline, "GIVE_UP_SHARE", give_up_share)
         seen = OutlineDetector(OutlineConfig(), RAVEN, camera).detect(image_of(camera, pixels), ())
         found.append(sorted((d.ball, *d.center_px.tolist(), d.score) for d in seen))
     assert found[0] == found[1]

@@ -48,7 +48,7 @@ def test_balls_that_mirror_something_else_are_not(monkeypatch):
 def test_one_ball_in_front_of_another_is_evidence_enough(monkeypatch, evidence, mirrored):
     """Five of six patches, in front of black cloth, show nothing; the sixth decides."""
     worse = dict(enumerate([evidence, 0.001, -0.002, 0.0, 0.003, 0.0]))
-    monkeypatch.setattr(appearance_fit, "telling", lambda patches: patches)
+    monkeypatch.setattr(appearance_fit, "useful_patches", lambda patches: patches)
     monkeypatch.setattr(
         appearance_fit, "_plain_misfit", lambda patch, at: np.exp(worse[patch] * at.mirrors)
     )
