@@ -100,7 +100,7 @@ class ContoursSolver(PoseSolver):
         Raises:
             ConfigError: the detector measures no outlines.
         """
-        from measure_plugins._joint_fit.covariance import rms_distance, solve_outlines
+        from measure_plugins._joint_fit.covariance import rms_distance
 
         outlines = outlines_of(detections, self.body, cameras)
         if outlines is None and detections:
@@ -111,31 +111,11 @@ class ContoursSolver(PoseSolver):
         if outlines is None or len(outlines.packed.sharpness) < self.config.min_points:
             return None
         start = self._start(positions, outlines, time_s, prior)
-        if start is None:
+        information = _prior_information(prior, len(outlines.named.shown))
+        if start is None or information is None:
             return None
-        prior_information, named = np.zeros((6, 6)), outlines.named
-        if len(named.shown) < 3:
-            if prior is None or prior.covariance is None:
-                return None
-            prior_information = np.asarray(np.linalg.inv(prior.covariance), dtype=np.float64)
-        # Arrays laid out otherwise would be compiled for once more.
-        rotation = np.ascontiguousarray(start.rotation)
-        translation = np.ascontiguousarray(start.translation)
-        rig, packed = named.rig, outlines.packed
-        if prior is not None and outlines.instants != {time_s}:
-            packed = packed._replace(motion=outlines.moved(prior, time_s))
-        view_noise = calibration_noise(rig, start.apply(self.body.middle))
-        fit = solve_outlines(
-            packed,
-            rotation,
-            translation,
-            prior_information,
-            named.ball_of,
-            len(self.body.balls),
-            rig.rows,
-            view_noise,
-            _small_sample(2 * len(named.balls) - 6),
-        )
+        view_noise = calibration_noise(outlines.named.rig, start.apply(self.body.middle))
+        fit = self._fit(outlines, start, information, prior, time_s, view_noise)
         if not fit.solved:
             return None
         residual_mm = rms_distance(
@@ -149,9 +129,37 @@ class ContoursSolver(PoseSolver):
             covariance=fit.covariance,
             residual_mm=residual_mm,
             rms_px=fit.rms_px,
-            cameras=named.seen_by,
-            balls=named.shown,
+            cameras=outlines.named.seen_by,
+            balls=outlines.named.shown,
             flags=self._flags(fit, outlines, view_noise),
+        )
+
+    def _fit(
+        self,
+        outlines: NamedOutlines,
+        start: RigidTransform,
+        information: Floats,
+        prior: Motion | None,
+        time_s: float,
+        view_noise: Floats,
+    ) -> JointFit:
+        """The joint fit at `time_s`, each image at its own time where the motion is known."""
+        from measure_plugins._joint_fit.covariance import solve_outlines
+
+        named, packed = outlines.named, outlines.packed
+        if prior is not None and outlines.instants != {time_s}:
+            packed = packed._replace(motion=outlines.moved(prior, time_s))
+        return solve_outlines(
+            packed,
+            # Arrays laid out otherwise would be compiled for once more.
+            np.ascontiguousarray(start.rotation),
+            np.ascontiguousarray(start.translation),
+            information,
+            named.ball_of,
+            len(self.body.balls),
+            named.rig.rows,
+            view_noise,
+            _small_sample(2 * len(named.balls) - 6),
         )
 
     def _start(
@@ -220,6 +228,18 @@ def _beyond(covariance: Floats, right: float, down: float) -> bool:
 
 
 @lru_cache(maxsize=64)
+def _prior_information(prior: Motion | None, balls: int) -> Floats | None:
+    """Information (6, 6) of the prior: none of three balls or more, which determine the pose.
+
+    None if there are fewer, and no prior.
+    """
+    if balls >= 3:
+        return np.zeros((6, 6))
+    if prior is None or prior.covariance is None:
+        return None
+    return np.asarray(np.linalg.inv(prior.covariance), dtype=np.float64)
+
+
 def _small_sample(degrees: int) -> float:
     """Factor by which the 95 % ellipsoid holds 95 % though its scale is estimated.
 
