@@ -14,7 +14,13 @@ from itertools import pairwise
 from types import ModuleType
 from typing import Any
 
-PACKAGES = ("measure.host", "measure.model", "measure.geometry", "measure.estimation")
+PACKAGES = (
+    "measure.host",
+    "measure.model",
+    "measure.geometry",
+    "measure.estimation",
+    "measure.testing",
+)
 HEAD = """# Reference for plugin authors
 
 Every public name of the packages that a plugin works with;

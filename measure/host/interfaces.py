@@ -109,7 +109,11 @@ class SelfCalibratingDetector(Detector):
 
 
 class Triangulator(Plugin):
-    """Turns detections of one ball in several cameras into its centre in the world."""
+    """Turns detections of one ball in several cameras into its centre in the world.
+
+    Attributes:
+        config: its settings.
+    """
 
     def __init__(self, config: Settings) -> None:
         self.config = config
@@ -155,6 +159,8 @@ class PoseSolver(Plugin):
 
     Attributes:
         requires_outlines: whether it needs detections that hold outlines.
+        config: its settings.
+        body: what is located.
     """
 
     requires_outlines: ClassVar[bool] = False

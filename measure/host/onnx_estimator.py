@@ -76,6 +76,9 @@ class OnnxEstimator(Estimator):
     The covariance of a correction is the second moment of the validation residuals, scaled by
     `a + b strangeness + c spread` with a, b, c >= 0 fitted to those residuals, so that it grows
     with the distance from the training states.
+
+    Attributes:
+        memoryless: whether a correction depends on the present state alone.
     """
 
     memoryless = False

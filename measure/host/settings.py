@@ -28,7 +28,7 @@ def setting(default: Any, description: str, *, unit: str = "", **limits: Any) ->
     Args:
         default: its default value.
         description: one sentence, shown by `measure plugins show` and in the docs.
-        unit: "px", "mm", "deg", "%"; empty for a bare number or word.
+        unit: px, mm, m, deg, rad, s, ms, Hz, %, votes, px² or mm²; empty for a bare number or word.
         **limits: pydantic's `ge`, `gt`, `le`, `lt`, `multiple_of`.
     """
     return Field(default, description=description, json_schema_extra={"unit": unit}, **limits)

@@ -52,8 +52,8 @@ class Detection:
         score: 0 to 1, the detector's own confidence.
         color_match: share of samples inside the border that have the ball's colour, or NaN if not
             checked.
-        outline_px: (n, 2) outline points, or None.
-        outline_sd_px: (n,) standard deviations of the outline points along the normal, or None.
+        outline_px: (n, 2) outline points in the distorted image, in any order, or None.
+        outline_sd_px: (n,) their standard deviations along the normal; None if `outline_px` is.
     """
 
     ball: str
@@ -173,7 +173,7 @@ class Pose:
         covariance: (6, 6) in the pose's `perturb` chart: x y z mm, rotation vector rad, in the
             world.
         residual_mm: RMS distance between positions and the body's balls, NaN if not applicable.
-        rms_px: RMS reprojection error.
+        rms_px: RMS reprojection error, of a moving body at the time of each image.
         cameras: names of the cameras used.
         balls: names of the balls used.
         flags: reasons to doubt it, empty if none.

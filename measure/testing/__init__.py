@@ -11,6 +11,7 @@ Built-in plugins pass the same classes. `docs/writing_a_plugin.md` walks through
 from measure.testing.detector import DetectorConformance
 from measure.testing.estimator import EstimatorConformance
 from measure.testing.pose_solver import PoseSolverConformance
+from measure.testing.rules import PluginConformance
 from measure.testing.scenes import Example, example
 from measure.testing.triangulator import TriangulatorConformance
 
@@ -18,6 +19,7 @@ __all__ = [
     "DetectorConformance",
     "EstimatorConformance",
     "Example",
+    "PluginConformance",
     "PoseSolverConformance",
     "TriangulatorConformance",
     "example",
