@@ -24,7 +24,6 @@ from measure_plugins._outline.self_calibration.response_and_blur import (
     refined_bends,
     residual_ratio,
     straight_appearance,
-    surface_bounds,
     unclipped_patches,
     useful_patches,
 )
@@ -73,11 +72,10 @@ def estimate_appearance(
     if not useful:
         return None
     start, clear = as_stated(now), unclipped_patches(useful)
-    if_straight, if_bent = surface_bounds(useful, start.table)
-    without_lights = straight_appearance(clear, start, if_straight)
+    without_lights = straight_appearance(clear, start)
     light = light_equations(clear, without_lights, world_from_camera)
     fitted = with_point_lights(clear, without_lights, light)
-    bent = bent_appearance(clear, without_lights, if_bent)
+    bent = bent_appearance(clear, without_lights)
     if residual_ratio(bent, without_lights, clear) < _TRY_BENT_BELOW:
         lit = with_point_lights(clear, bent, light_equations(clear, bent, world_from_camera))
         bent = refined_bends(clear, lit)
