@@ -24,6 +24,7 @@ from measure_plugins._outline.self_calibration.response_and_blur import (
     refined_bends,
     residual_ratio,
     straight_appearance,
+    surface_bounds,
     unclipped_patches,
     useful_patches,
 )
@@ -72,10 +73,11 @@ def estimate_appearance(
     if not useful:
         return None
     start, clear = as_stated(now), unclipped_patches(useful)
-    without_lights = straight_appearance(clear, start)
+    if_straight, if_bent = surface_bounds(useful, start.table)
+    without_lights = straight_appearance(clear, start, if_straight)
     light = light_equations(clear, without_lights, world_from_camera)
     fitted = with_point_lights(clear, without_lights, light)
-    bent = bent_appearance(clear, without_lights)
+    bent = bent_appearance(clear, without_lights, if_bent)
     if residual_ratio(bent, without_lights, clear) < _TRY_BENT_BELOW:
         lit = with_point_lights(clear, bent, light_equations(clear, bent, world_from_camera))
         bent = refined_bends(clear, lit)

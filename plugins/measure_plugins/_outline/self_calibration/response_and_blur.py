@@ -22,6 +22,7 @@ from measure_plugins._outline.sampling.edge_crossing import clipped
 from measure_plugins._outline.sampling.rays import CLEAR, OCCLUDED
 from measure_plugins._outline.self_calibration.alignment import aligned_residuals
 from measure_plugins._outline.self_calibration.patch import BallPatch, prediction_inputs
+from measure_plugins._outline.self_calibration.specularity import highlights
 
 _COMPARED = int(np.count_nonzero(LATER_STEPS <= 4.0))
 """Number of steps compared: both sides of the edge."""
@@ -43,11 +44,20 @@ _WORSE_WITH_GRAZING = 0.02
 left out."""
 _MIN_RAYS = 16
 _MIN_PATCHES = 4
-_MATT_IF_STRAIGHT = (0.5, 0.88)
-_MATT_IF_BENT = (0.0, 0.82)
-"""Residuals of the glossy model per those of the matt one, for straight and for bent curves: below
-the first of each pair the matt model is not refined, above the second it is chosen. The glossy
-model has free reflections besides and fits matt paint nearly as well."""
+_GLOSSY_ABOVE = 0.37
+"""Strength of highlights above which balls are glossy. On thirty scenes it is at most 0.22 with
+matt balls, and at least 0.62 with glossy ones under lamps; satin balls and lights as large as
+windows lie between."""
+_GLOSSY_BELOW = 0.5
+_MATT_ABOVE = 0.88
+_MATT_ABOVE_BENT = 0.82
+"""Residuals of the glossy model per those of the matt one: below the first, matt paint is not
+refined; above, it is chosen for balls without highlights, of which glossy ones have at most 0.33
+and matt ones at least 0.76. Where highlights cannot be measured, on white balls, it is chosen above
+the second (the third for bent curves), because the glossy model has free reflections besides and
+fits matt paint nearly as well."""
+
+Bounds = tuple[float, float]
 
 
 def as_stated(now: Appearance) -> Appearance:
@@ -61,16 +71,20 @@ def as_stated(now: Appearance) -> Appearance:
     )
 
 
-def straight_appearance(patches: Sequence[BallPatch], start: Appearance) -> Appearance:
+def straight_appearance(
+    patches: Sequence[BallPatch], start: Appearance, bounds: Bounds
+) -> Appearance:
     """Blur and surface that fit the patches best, with the tone curve that `start` names."""
-    return _of_either_surface(patches, start, start, _STRAIGHT, _MATT_IF_STRAIGHT)
+    return _of_either_surface(patches, start, start, _STRAIGHT, bounds)
 
 
-def bent_appearance(patches: Sequence[BallPatch], straight: Appearance) -> Appearance:
+def bent_appearance(
+    patches: Sequence[BallPatch], straight: Appearance, bounds: Bounds
+) -> Appearance:
     """Tone curve too; `straight` is the appearance without point lights."""
     bent = refined_bends(patches, straight)
     glossy, matt = (bent, straight) if straight.index == GLOSSY else (straight, bent)
-    return _of_either_surface(patches, glossy, matt, _BENT, _MATT_IF_BENT)
+    return _of_either_surface(patches, glossy, matt, _BENT, bounds)
 
 
 def refined_bends(patches: Sequence[BallPatch], start: Appearance) -> Appearance:
@@ -86,6 +100,19 @@ def residual_ratio(one: Appearance, other: Appearance, patches: Sequence[BallPat
 def unclipped_patches(patches: Sequence[BallPatch]) -> list[BallPatch]:
     """The patches without rays that meet saturated pixels, if enough are left; else all."""
     return useful_patches([_without_clipped(s) for s in patches]) or list(patches)
+
+
+def surface_bounds(patches: Sequence[BallPatch], table: Floats) -> tuple[Bounds, Bounds]:
+    """Bounds between glossy and matt balls (see `_of_either_surface`), by their highlights.
+
+    Returns:
+        For straight curves, and for bent ones.
+    """
+    seen = highlights([(s.pixels, s.rays.points, s.rays.status == CLEAR) for s in patches], table)
+    if np.isnan(seen):
+        return (_GLOSSY_BELOW, _MATT_ABOVE), (0.0, _MATT_ABOVE_BENT)
+    least = np.inf if seen > _GLOSSY_ABOVE else _GLOSSY_BELOW
+    return (least, least), (least, least)
 
 
 def choose_grazing_reflection(patches: Sequence[BallPatch], appearance: Appearance) -> Appearance:
@@ -126,7 +153,7 @@ def _of_either_surface(
     glossy: Appearance,
     matt: Appearance,
     prior_sd: Floats,
-    bounds: tuple[float, float],
+    bounds: Bounds,
 ) -> Appearance:
     """Refine an appearance of glossy and one of matt balls, and choose between them.
 
