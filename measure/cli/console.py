@@ -93,7 +93,7 @@ def progress(
         with _bar(label, unit, out) as report:
             yield report
     else:
-        yield _ProgressLines(label, unit, out)
+        yield ProgressLines(label, unit, out)
 
 
 @contextmanager
@@ -121,7 +121,7 @@ def _bar(label: str, unit: str, out: TextIO) -> Iterator[Progress]:
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
-class _ProgressLines:
+class ProgressLines:
     """Progress as lines of text, at most one every few seconds.
 
     The pace is counted from the first report on: what comes before it is start-up.
@@ -135,6 +135,7 @@ class _ProgressLines:
         self._first: tuple[float, int] | None = None
 
     def __call__(self, done: int, total: int | None) -> None:
+        """Print a line if the last one is some seconds old."""
         now = self._clock()
         if self._first is None:
             self._first = now, done

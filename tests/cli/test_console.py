@@ -24,7 +24,7 @@ class Clock:
 
 def test_without_a_terminal_progress_is_a_line_every_few_seconds():
     out, clock = io.StringIO(), Clock()
-    report = console._Lines("measuring", "frame sets", out, clock)
+    report = console.ProgressLines("measuring", "frame sets", out, clock)
     for done in range(1, 121):
         clock.now = 0.1 * done
         report(done, 240)
@@ -36,7 +36,7 @@ def test_without_a_terminal_progress_is_a_line_every_few_seconds():
 
 def test_without_a_total_there_is_no_promise():
     out, clock = io.StringIO(), Clock()
-    report = console._Lines("reading", "rows", out, clock)
+    report = console.ProgressLines("reading", "rows", out, clock)
     report(0, None)
     clock.now = 5.0
     report(40, None)
@@ -45,7 +45,7 @@ def test_without_a_total_there_is_no_promise():
 
 def test_a_slow_start_does_not_count_as_the_pace():
     out, clock = io.StringIO(), Clock()
-    report = console._Lines("rendering", "pictures", out, clock)
+    report = console.ProgressLines("rendering", "pictures", out, clock)
     clock.now = 60.0
     report(1, 101)
     clock.now = 65.0
