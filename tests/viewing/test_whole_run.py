@@ -209,7 +209,7 @@ def test_interrupted_run_is_recorded_in_parts_shown_as_one(session: Path, tmp_pa
 
     out, profile, registry = tmp_path / "run", api.load_profile(), Registry.discover()
     with pytest.raises(KeyboardInterrupt):
-        api.run(session, out, profile, registry, report=stop)
+        api.run(session, out, profile, registry, progress=stop)
     api.run(session, out, profile, registry, api.RunOptions(resume=True))
     parts = recordings_of(out)
     assert [part.name for part in parts] == ["run.rrd", "run-000005.rrd"]
