@@ -14,6 +14,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled, inlined
+from measure.geometry.linear_kernels import add_product
 from measure_plugins._outline.appearance.radial_basis import DEFLECTIONS, FADE_RAD
 
 _MIN_COSINE = 0.2
@@ -72,8 +73,10 @@ def environment_reflection(
     if not known:
         return out
     colors = _at_knots(environment, frame, half_angle, np.ascontiguousarray(around[::2]))
+    some = np.zeros((len(grey), colors.shape[2]))
     for c in range(3):
-        some = np.dot(grey, colors[c])
+        some[:] = 0.0
+        add_product(grey, colors[c], some)
         for j in range(len(grey)):
             for i in range(colors.shape[2] - 1):
                 out[c, j, 2 * i] = some[j, i]

@@ -1,0 +1,1 @@
+"""Compiled helpers that the outline wings and the joint fit share."""
