@@ -216,7 +216,7 @@ def outline() -> str:
     appearance = _estimated(camera, shown)
     patch = _patch(camera, shown[0][0], shown[0][1][0])
     found = find_edge_pairs(prediction_inputs(patch, appearance, in_groups=True))
-    edges = corrected_edges(found)
+    edges = corrected_edges(found, appearance.correction_weight)
     bias = np.repeat(found.predicted[1], RAYS // found.predicted.shape[1])
     typical = int(np.nanargmin(np.abs(bias - np.nanmedian(bias))))
     middle = [float(np.nanmedian(some)) for some in (found.at[1], bias, edges.shifts)]

@@ -66,6 +66,7 @@ class KnownBalls:
             self._lens,
             appearance.point_lights,
             appearance.environment,
+            appearance.correction_weight,
         )
 
     def cones(self, expected: Sequence[Expectation]) -> Floats:

@@ -98,7 +98,7 @@ class OutlineDetector(SelfCalibratingDetector):
         return self._self_calibration.estimate
 
     def fuse_calibration(self, states: Sequence[object]) -> None:
-        """Estimate the point lights by the pictures of all cameras."""
+        """Fuse point lights and correction weight over all cameras."""
         from measure_plugins._outline.self_calibration.estimate import AppearanceEstimate
 
         estimates = [state for state in states if isinstance(state, AppearanceEstimate)]

@@ -11,6 +11,7 @@ from measure_plugins._outline.appearance.interreflection import (
     balls_behind,
 )
 from measure_plugins._outline.appearance.model import (
+    DEFAULT_CORRECTION_WEIGHT,
     GLOSSY,
     MATT,
     Appearance,
@@ -147,7 +148,7 @@ def _mean_error(view, known):
     ambient = Ambient(lit, np.zeros((3, 0, len(middles))), used)
     inputs = PredictionInputs(pixels, appearance.table, appearance.sensor, rays, tables, ambient)
     found = find_edge_pairs(inputs)
-    edges = corrected_edges(found)
+    edges = corrected_edges(found, DEFAULT_CORRECTION_WEIGHT)
     before = np.repeat(shares[0] > 0, RAYS // len(middles))
     good = before & (np.abs(edges.shifts) < 2.0)
     assert np.count_nonzero(good) > 8

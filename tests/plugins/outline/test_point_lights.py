@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from measure_plugins._outline.appearance.model import MATT
+from measure_plugins._outline.appearance.model import DEFAULT_CORRECTION_WEIGHT, MATT
 from measure_plugins._outline.appearance.point_lights import (
     fit_light_shading,
     lights_about,
@@ -226,7 +226,7 @@ def _mean_errors(scene, appearance):
             PredictionInputs(pixels, table, appearance.sensor, rays, tables, ambient)
         )
         edges, center = (
-            corrected_edges(found),
+            corrected_edges(found, DEFAULT_CORRECTION_WEIGHT),
             pose.apply(ball.center_mm),
         )
         limb = rays.around @ frame[:2] @ camera.camera_from_world.rotation

@@ -3,7 +3,7 @@
 Just inside its outline a ball deflects the line of sight outwards by some tens of degrees. The ray
 goes on away from the camera, to something that the camera sees too, at an angle from the ball that
 is a share of the deflection, because the camera stands further back.
-See docs/explanation/outline.md, formula 21.
+See docs/explanation/outline.md, formula 22.
 """
 
 from __future__ import annotations

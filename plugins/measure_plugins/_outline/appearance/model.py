@@ -27,6 +27,8 @@ from measure_plugins._outline.appearance.sensor import CHROMA_PX, Sensor, chroma
 GLOSSY, MATT = REFRACTIVE_INDEX, 1.0001
 """Refractive index of lacquer and clear plastic; and of paint without a boundary that reflects."""
 BENDS = 3
+DEFAULT_CORRECTION_WEIGHT = 0.9
+"""Correction weight before it is estimated how well predictions agree with pictures."""
 _VALUES = np.arange(256) / 255.0
 _FLATTEST = 1e-4
 
@@ -44,6 +46,7 @@ class Appearance:
         mirrors: whether it mirrors, at grazing angles, the colours of what is behind the ball.
         point_lights: (k, 4) in the camera frame, see `point_lights`; none if not known.
         environment: the surroundings that balls mirror.
+        correction_weight: share of the predicted bias of edges that is subtracted, see `trust`.
     """
 
     tone: str
@@ -54,6 +57,7 @@ class Appearance:
     mirrors: bool = True
     point_lights: Floats = field(default_factory=no_point_lights)
     environment: EnvironmentMap = field(default_factory=no_environment)
+    correction_weight: float = DEFAULT_CORRECTION_WEIGHT
 
     @cached_property
     def table(self) -> Floats:

@@ -59,6 +59,7 @@ class CameraImage(NamedTuple):
         lens: (13,) lens row.
         point_lights: (k, 4) in the camera frame, see `appearance.point_lights`.
         environment: the surroundings that balls mirror.
+        correction_weight: see `Appearance`.
     """
 
     pixels: Bytes
@@ -67,6 +68,7 @@ class CameraImage(NamedTuple):
     lens: Floats
     point_lights: Floats
     environment: EnvironmentMap
+    correction_weight: float
 
 
 class OutlineSearch(NamedTuple):
@@ -175,7 +177,7 @@ def scan_with_model(
     found = find_edge_pairs(
         PredictionInputs(view.pixels, view.table, view.sensor, rays, tables, ambient)
     )
-    edges = corrected_edges(found)
+    edges = corrected_edges(found, view.correction_weight)
     clear, use = _usable(edges, rays.status, search.min_contrast, SEARCH_PX)
     return EdgeScan(frame, rays, scale, edges, clear, use)
 

@@ -2,7 +2,7 @@
 
 At what angle from a ball the camera sees what the ball mirrors depends on the distance of the
 walls. It is estimated on each side from colours in the reflection that neither the ball nor grey
-light has. See docs/explanation/outline.md, formula 21.
+light has. See docs/explanation/outline.md, formula 22.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from measure.arrays import Floats
 from measure_plugins._outline.appearance.model import Appearance
@@ -28,6 +28,11 @@ from measure_plugins._outline.self_calibration.response_and_blur import (
     unclipped_patches,
     useful_patches,
 )
+from measure_plugins._outline.self_calibration.trust import (
+    PredictionAgreement,
+    correction_weight_of,
+    prediction_agreement,
+)
 
 _TRY_BENT_BELOW = 0.9
 _BENT_BELOW = 0.72
@@ -46,10 +51,12 @@ class AppearanceEstimate:
     Attributes:
         appearance: the estimate.
         light: equations of the point lights, by its tone curve.
+        agreement: of predicted and observed separations of edge pairs.
     """
 
     appearance: Appearance
     light: LightEquations
+    agreement: PredictionAgreement
 
 
 def estimate_appearance(
@@ -86,4 +93,7 @@ def estimate_appearance(
         if residual_ratio(bent, fitted, clear) < _BENT_BELOW:
             fitted, light = bent, light_if_bent
     with_map = with_environment(useful, fitted, backgrounds)
-    return AppearanceEstimate(choose_grazing_reflection(useful, with_map), light)
+    chosen = choose_grazing_reflection(useful, with_map)
+    agreement = prediction_agreement(useful, chosen)
+    appearance = replace(chosen, correction_weight=correction_weight_of([agreement]))
+    return AppearanceEstimate(appearance, light, agreement)

@@ -34,6 +34,11 @@ from measure_plugins._outline.self_calibration.point_lights import (
     solve_point_lights,
 )
 from measure_plugins._outline.self_calibration.response_and_blur import misfits
+from measure_plugins._outline.self_calibration.trust import (
+    PredictionAgreement,
+    correction_weight_of,
+    prediction_agreement,
+)
 
 _FIRST_ESTIMATE = 2
 """Number of the picture of the first estimate; the one before is only kept."""
@@ -64,6 +69,7 @@ class SelfCalibration:
         self._estimates, self._latest_s = 0, -np.inf
         self._estimate: AppearanceEstimate | None = None
         self._lights_of_others: list[LightEquations] = []
+        self._agreements_of_others: list[PredictionAgreement] = []
 
     @property
     def settled(self) -> bool:
@@ -84,7 +90,9 @@ class SelfCalibration:
         """
         if self._estimate is None:
             return now
-        self._lights_of_others = [one.light for one in estimates if one is not self._estimate]
+        others = [one for one in estimates if one is not self._estimate]
+        self._lights_of_others = [one.light for one in others]
+        self._agreements_of_others = [one.agreement for one in others]
         return self._fused(self._estimate)
 
     def wants_image(self, found: int, time_s: float) -> bool:
@@ -132,16 +140,18 @@ class SelfCalibration:
         return run
 
     def _fused(self, estimate: AppearanceEstimate) -> Appearance:
-        """An estimate, with the point lights by the other cameras too."""
-        alone, lights = estimate.appearance, [estimate.light, *self._lights_of_others]
-        if not self._lights_of_others or len(alone.point_lights) == 0:
-            return alone
-        return replace(alone, point_lights=solve_point_lights(lights))
+        """An estimate, with point lights and correction weight by the other cameras too."""
+        now, lights = estimate.appearance, [estimate.light, *self._lights_of_others]
+        if self._lights_of_others and len(now.point_lights) > 0:
+            now = replace(now, point_lights=solve_point_lights(lights))
+        weight = correction_weight_of([estimate.agreement, *self._agreements_of_others])
+        return now if weight == now.correction_weight else replace(now, correction_weight=weight)
 
     def warm_up(self, pixels: Bytes, cone: Cone, now: Appearance) -> None:
         """Compile what an estimation runs."""
         patches = [self._patch(pixels, cone, [])]
         misfits(patches, now)
+        prediction_agreement(patches, now)
         solve_point_lights([light_equations(patches, now, self._world_from_camera)])
         background = self._background(pixels, [cone])
         misfits(patches, replace(now, environment=environment_of([background], now.table)))
