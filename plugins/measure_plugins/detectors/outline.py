@@ -98,11 +98,15 @@ class OutlineDetector(SelfCalibratingDetector):
         return self._self_calibration.estimate
 
     def fuse_calibration(self, states: Sequence[object]) -> None:
-        """Fuse point lights and correction weight over all cameras."""
-        from measure_plugins._outline.self_calibration.estimate import AppearanceEstimate
+        """Fuse point lights, correction weight and a common tone curve over all cameras."""
+        from measure_plugins._outline.self_calibration.estimate import (
+            AppearanceEstimate,
+            has_common_response,
+        )
 
         estimates = [state for state in states if isinstance(state, AppearanceEstimate)]
-        fused = self._self_calibration.fuse(self._appearance, estimates)
+        bent = has_common_response(estimates)
+        fused = self._self_calibration.fuse(self._appearance, estimates, bent)
         if fused is not self._appearance:
             self._set_appearance(fused)
 

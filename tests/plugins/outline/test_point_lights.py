@@ -109,7 +109,7 @@ def together(scene):
     calibrations = {camera.name: calibration_of(camera) for camera in scene.cameras}
     alone = {name: settled(calibration, scene, name) for name, calibration in calibrations.items()}
     known = [calibration.estimate for calibration in calibrations.values()]
-    return calibrations[CAMERA].fuse(alone[CAMERA], known)
+    return calibrations[CAMERA].fuse(alone[CAMERA], known, bent=False)
 
 
 def _upside_down(scene):

@@ -26,7 +26,7 @@ def _shares(scene):
     calibrations = [calibration_of(scene.camera(name)) for name in ("cam0", "cam1")]
     alone = [settled(calibration, scene, f"cam{i}") for i, calibration in enumerate(calibrations)]
     known = [calibration.estimate for calibration in calibrations]
-    fused = [x.fuse(now, known) for x, now in zip(calibrations, alone, strict=True)]
+    fused = [x.fuse(now, known, bent=False) for x, now in zip(calibrations, alone, strict=True)]
     return [now.correction_weight for now in alone], [now.correction_weight for now in fused]
 
 

@@ -31,6 +31,7 @@ _STEP = float(LATER_STEPS[1] - LATER_STEPS[0])
 _STRAIGHT = np.array([1e-6, 1e-6, 1e-6, 0.15, 0.3])
 _BENT = np.array([0.03, 0.1, 0.05, 0.15, 0.3])
 """Prior sd of a camera's curve (lift, bow, S) and of its blurs (logarithms): straight or bent."""
+BENDS_SD = _BENT[:BENDS]
 _PRIOR_WEIGHT = 0.02
 """Weight of the prior: relative decrease of the mean square residual that one such sd is worth."""
 _TRIAL = np.array([0.004, 0.01, 0.006, 0.1, 0.1])

@@ -68,6 +68,7 @@ class SelfCalibration:
         self._backgrounds: deque[BackgroundAccumulator] = deque(maxlen=_KEPT_IMAGES)
         self._estimates, self._latest_s = 0, -np.inf
         self._estimate: AppearanceEstimate | None = None
+        self._assume_bent = False
         self._lights_of_others: list[LightEquations] = []
         self._agreements_of_others: list[PredictionAgreement] = []
 
@@ -81,18 +82,25 @@ class SelfCalibration:
         """The last estimate; None before there have been enough, or if patches were too few."""
         return self._estimate if self.settled else None
 
-    def fuse(self, now: Appearance, estimates: Sequence[AppearanceEstimate]) -> Appearance:
+    def fuse(
+        self, now: Appearance, estimates: Sequence[AppearanceEstimate], bent: bool
+    ) -> Appearance:
         """The appearance by the estimates of all cameras.
 
         Args:
             now: the present appearance.
             estimates: the last of every camera, this one's own among them.
+            bent: whether the cameras have shown together that their tone curve is bent.
         """
         if self._estimate is None:
             return now
         others = [one for one in estimates if one is not self._estimate]
-        self._lights_of_others = [one.light for one in others]
+        lights = [one.light_by(bent or one.bent) for one in others]
+        self._lights_of_others = [light for light in lights if light is not None]
         self._agreements_of_others = [one.agreement for one in others]
+        self._assume_bent |= bent
+        if bent and not self._estimate.bent:
+            return self._estimation(now)()
         return self._fused(self._estimate)
 
     def wants_image(self, found: int, time_s: float) -> bool:
@@ -134,16 +142,18 @@ class SelfCalibration:
         backgrounds = list(self._backgrounds)
 
         def run() -> Appearance:
-            self._estimate = estimate_appearance(patches, now, self._world_from_camera, backgrounds)
+            self._estimate = estimate_appearance(
+                patches, now, self._world_from_camera, self._assume_bent, backgrounds
+            )
             return now if self._estimate is None else self._fused(self._estimate)
 
         return run
 
     def _fused(self, estimate: AppearanceEstimate) -> Appearance:
         """An estimate, with point lights and correction weight by the other cameras too."""
-        now, lights = estimate.appearance, [estimate.light, *self._lights_of_others]
-        if self._lights_of_others and len(now.point_lights) > 0:
-            now = replace(now, point_lights=solve_point_lights(lights))
+        own, now = estimate.light_by(estimate.bent), estimate.appearance
+        if own is not None and self._lights_of_others and len(now.point_lights) > 0:
+            now = replace(now, point_lights=solve_point_lights([own, *self._lights_of_others]))
         weight = correction_weight_of([estimate.agreement, *self._agreements_of_others])
         return now if weight == now.correction_weight else replace(now, correction_weight=weight)
 
