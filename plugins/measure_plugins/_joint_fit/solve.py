@@ -39,9 +39,9 @@ _CONVERGED_SD = 0.1
 left to go."""
 _FAST_STEP_RATIO, _OVER_RELAXATION = 0.5, 1.4
 """Weights and variances are those of the iteration before, which shortens the steps: one of less
-than
-half the length of the one before covers some two thirds of what is left, and is multiplied by 1.4.
-Not where cameras are uncertain: their shifts follow the step, and the points' weights those."""
+than half the length of the one before covers some two thirds of what is left, and is multiplied by
+1.4. Not where cameras are uncertain: their shifts follow the step, and the points' weights
+those."""
 _CONVERGED_MM, _CONVERGED_RAD = 2e-2, 3e-4
 """Steps below which a fit that ran out of iterations still counts as converged."""
 _VARIANCE_CONVERGED_RATIO = 0.1
