@@ -35,7 +35,7 @@ _MAX_ITERATIONS = 15
 _MAX_INNER_ITERATIONS = 4
 """Of the effects' variances, at fixed moments: one costs a fifth of forming the moments."""
 _CONVERGED_SD = 0.1
-"""Step, in step_sd deviations of the pose, below which the fit has converged; a third of that is
+"""Step, in standard deviations of the pose, below which the fit has converged; a third of that is
 left to go."""
 _FAST_STEP_RATIO, _OVER_RELAXATION = 0.5, 1.4
 """Weights and variances are those of the iteration before, which shortens the steps: one of less
@@ -60,7 +60,7 @@ class OutlineFit(NamedTuple):
         covariance: (6, 6) without the cameras' own uncertainty.
         offsets_px: (c,) outward edge offset of every view.
         effects_px: (k, 3) random effects bx, by, br, with the view's shift in bx and by.
-        effect_sd_px: (2,) estimated step_sd deviations of bx and by (each), and of br.
+        effect_sd_px: (2,) estimated standard deviations of bx and by (each), and of br.
         by_ball: (k, 6, 3) derivatives of the pose by where a ball-view shows its ball, per mm.
         by_camera: (c, 6, 6) derivatives by the cameras' poses, in their `perturb` charts.
         by_effect: (k, 6, 3) derivatives by shifts (x, y, radius) of an outline, per px.
@@ -217,7 +217,7 @@ def _solve_inner(outlines: PackedOutlines, state: _FitState) -> tuple[bool, floa
     """Alternate between the step and the effects' variances, at fixed moments.
 
     Returns:
-        Whether the outlines determine the pose, and the step in step_sd deviations.
+        Whether the outlines determine the pose, and the step in standard deviations.
     """
     normal, right = np.empty_like(state.prior_normal), np.empty_like(state.prior_right)
     square = np.inf
