@@ -33,9 +33,14 @@ def check_writable(out: Path, *, folder_is_made: bool = False) -> None:
         folder_is_made: whether its folder will be made if it is not there.
 
     Raises:
-        ConfigError: it is a folder, its folder is not there, or it must not be written.
+        ConfigError: it is a folder, its folder is not there, or it must not be written; or it is a
+            link, through which whoever made it could have any file written over.
     """
     folder = out.parent
+    if out.is_symlink():
+        raise ConfigError(
+            f"{out}: is a link to {out.readlink()}: give the file itself, or remove the link"
+        )
     if out.is_dir():
         raise ConfigError(f"{out}: is a folder; give the file to write")
     if folder_is_made:

@@ -44,11 +44,11 @@ def make_dataset(
     from measure.learning import files
     from measure.robots import find_schema
 
+    if is_one_of(out, (*runs, *logs, Path(robot))):
+        raise EstimatorError(f"{out}: is one of the files to be read: choose another --out")
     _check_out(out)
     schema = find_schema(robot)
     facts: list[TrajectoryFacts] = []
-    if is_one_of(out, (*runs, *logs, Path(robot))):
-        raise EstimatorError(f"{out}: is one of the files to be read: choose another --out")
     if logs:
         data, facts = _paired(runs, logs, schema, settings, topic)
     else:
@@ -60,7 +60,8 @@ def make_dataset(
 def _check_out(out: Path) -> None:
     if out.suffix != ".parquet":
         raise EstimatorError(f"{out}: a data set's file name must end with .parquet")
-    check_writable(out, folder_is_made=True)
+    for file in (out, out.with_suffix(".card.json")):
+        check_writable(file, folder_is_made=True)
 
 
 def _paired(

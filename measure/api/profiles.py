@@ -18,6 +18,7 @@ from measure.measuring import Pipeline, Profile, Stages
 from measure.measuring.profile import Stage
 from measure.measuring.tracking import TRACKERS
 from measure.model import Body, Camera
+from measure.reading import parse_toml
 from measure.session import load_toml
 
 DEFAULT_PROFILE = "precise"
@@ -97,7 +98,7 @@ def _parse_setting(text: str) -> tuple[Stage, str, Any]:
 
 def _parse_value(text: str) -> Any:
     try:
-        return tomllib.loads(f"value = {text}")["value"]
+        return parse_toml(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
         return text
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from measure.api.outputs import check_writable, is_one_of
 from measure.errors import ConfigError, EstimatorError
+from measure.reading import parse_toml
 
 if TYPE_CHECKING:
     from measure.host import Registry, Report
@@ -62,6 +63,8 @@ def train(
     check_seeds(split_seed=options.split_seed, seed=options.seed)
     check_writable(out, folder_is_made=True)
     card_path = out.with_suffix(".card.json")
+    for beside in (card_path, out.with_suffix(".card.md"), out.with_suffix(".report.html")):
+        check_writable(beside, folder_is_made=True)
     read = [*data, *([options.validation] if options.validation else [])]
     if is_one_of(card_path, [path.with_suffix(".card.json") for path in read if path.name]):
         raise EstimatorError(
@@ -113,7 +116,7 @@ def parse_settings(texts: Sequence[str]) -> dict[str, Any]:
         if not equals:
             raise ConfigError(f"--set {text}: expected NAME=VALUE")
         try:
-            out[name.strip()] = tomllib.loads(f"value = {value}")["value"]
+            out[name.strip()] = parse_toml(f"value = {value}")["value"]
         except tomllib.TOMLDecodeError:
             out[name.strip()] = value
     return out

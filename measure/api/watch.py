@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from measure.api.outputs import check_writable
 from measure.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -52,6 +53,7 @@ def robot_recording(
     from measure.robots import find_schema
     from measure.viewing.robot_recording import write_robot_recording
 
+    check_writable(run / "robot.rrd")
     measured = read_run(run)
     log = log or _log_of(measured)
     if log is None:

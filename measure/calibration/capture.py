@@ -121,7 +121,7 @@ class CameraCapture:
         if Path(self.pictures).suffix.lower() in _VIDEO_ENDINGS:
             yield from self._video(self.folder / self.pictures)
             return
-        files = sorted(matching_files(self.folder, self.pictures), key=_natural)
+        files = sorted(matching_files(self.folder, self.pictures, CalibrationError), key=_natural)
         if not files:
             raise CalibrationError(
                 f"camera {self.name}: no picture matches {self.folder / self.pictures}"

@@ -15,6 +15,7 @@ from pydantic import AfterValidator, Field, FiniteFloat, field_validator, model_
 from measure.arrays import Floats
 from measure.calibration.boards import Board, Charuco, Chessboard
 from measure.errors import CalibrationError
+from measure.reading import read_text
 from measure.session import FileModel, Length, Name, Position, load_toml
 
 Count = Annotated[int, Field(ge=2, le=100)]
@@ -198,10 +199,7 @@ def read_rows(path: Path, columns: tuple[str, ...]) -> list[tuple[int, list[str]
     Raises:
         CalibrationError: missing file, wrong header, or a line of another length.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as problem:
-        raise CalibrationError(f"{path}: cannot be read: {problem}") from None
+    text = read_text(path, CalibrationError)
     lines = [(i, row) for i, row in enumerate(csv.reader(io.StringIO(text)), start=1) if row]
     if not lines or tuple(cell.strip() for cell in lines[0][1]) != columns:
         raise CalibrationError(f"{path}:1: expected the header {','.join(columns)}")

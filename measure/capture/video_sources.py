@@ -13,6 +13,7 @@ from measure.arrays import Bytes
 from measure.capture.sources import PATIENCE_S, Shot, Source, without_user
 from measure.errors import CaptureError, SessionError
 from measure.session import open_video_stream
+from measure.session.pictures import most_pixels
 
 if TYPE_CHECKING:
     import av
@@ -137,6 +138,7 @@ def _pictures(
     """Time on the device's clock, and the JPEG or the BGR pixels, of each picture."""
     stream = container.streams.video[0]
     keeps = stream.codec_context.name == "mjpeg"
+    stream.codec_context.options = {"max_pixels": str(int(most_pixels()))}
     stream.codec_context.thread_count = 1  # several would hold as many pictures back
     for packet in container.demux(stream):
         if not keeps:

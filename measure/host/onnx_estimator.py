@@ -14,8 +14,9 @@ from measure.arrays import Floats
 from measure.errors import DivergedError, EstimatorError
 from measure.host.dataset import Dataset
 from measure.host.estimator import Correction, Estimator, Report
+from measure.host.onnx_facts import FORMAT
 from measure.host.onnx_graph import Graph, Value
-from measure.host.onnx_model import FORMAT, OnnxModel
+from measure.host.onnx_model import OnnxModel
 from measure.host.settings import Settings
 from measure.robots import StateSchema
 

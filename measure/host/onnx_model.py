@@ -15,7 +15,6 @@ reset; `tick` (N, 1), one if slow memory shall advance. Outputs: `error_mm` (N, 
 from __future__ import annotations
 
 import copy
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,14 +25,12 @@ from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.host.dataset import Dataset
 from measure.host.estimator import Correction
+from measure.host.onnx_facts import read_card, read_facts
 from measure.host.onnx_graph import is_intact
+from measure.reading import read_bytes
 from measure.robots import StateSchema
 
-FORMAT = 1
-_FACTS = {
-    *("estimator", "settings", "robot", "features", "position_mm"),
-    *("period_s", "memory", "memoryless"),
-}
+_MAX_BYTES = 256 << 20
 _OUTPUTS = ("error_mm", "covariance", "strangeness", "memory_out")
 _TICKS = (np.zeros((1, 1), dtype=np.float32), np.ones((1, 1), dtype=np.float32))
 
@@ -69,32 +66,41 @@ class OnnxModel:
                 content, sess_options=options, providers=["CPUExecutionProvider"]
             )
             texts = self._session.get_modelmeta().custom_metadata_map
-            self.facts: dict[str, Any] = json.loads(texts["measure"])
-            self.card: dict[str, Any] = json.loads(texts.get("card", "{}"))
-        except KeyError:
-            raise EstimatorError(
-                f"{where}: an ONNX file, but not one `measure train` wrote"
-            ) from None
         except Exception as error:  # onnxruntime has no common error class
             reason = str(error).strip().splitlines()[0]
             raise EstimatorError(f"{where}: not a usable ONNX file: {reason}") from None
+        if "measure" not in texts:
+            raise EstimatorError(f"{where}: an ONNX file, but not one `measure train` wrote")
         if not is_intact(content):
             raise EstimatorError(
                 f"{where}: damaged, its checksum does not match: copy it again, or train it again"
             )
-        if self.facts.get("format") != FORMAT:
-            raise EstimatorError(
-                f"{where}: of format {self.facts.get('format')}, this version reads {FORMAT}: "
-                "train it again"
-            )
-        if missing := sorted(_FACTS - self.facts.keys()):
-            raise EstimatorError(f"{where}: its metadata `measure` lacks {', '.join(missing)}")
+        self.facts: dict[str, Any] = read_facts(texts["measure"], where)
+        self.card: dict[str, Any] = read_card(texts.get("card", "{}"), where)
+        self._check_tensors(where)
         self.where = where
         self.features = tuple(name for name, _ in self.facts["features"])
-        self.robot = str(self.facts["robot"])
+        self.robot: str = self.facts["robot"]
         self.period_s = float(self.facts["period_s"])
         self.memory_size = int(self.facts["memory"])
         self.reset()
+
+    def _check_tensors(self, where: str) -> None:
+        """Refuse a graph whose inputs and outputs are not those that its metadata promise."""
+        memory = self.facts["memory"]
+        inputs = {"features": len(self.facts["features"]), "memory": memory, "tick": 1}
+        outputs = dict(zip(_OUTPUTS, (3, 9, 1, memory), strict=True))
+        for wanted, there in (
+            (inputs, self._session.get_inputs()),
+            (outputs, self._session.get_outputs()),
+        ):
+            widths = {one.name: one.shape[-1] for one in there if len(one.shape) == 2}
+            if widths != wanted or any(one.type != "tensor(float)" for one in there):
+                raise EstimatorError(
+                    f"{where}: its tensors are not those that its metadata name "
+                    f"({', '.join(f'{name} of {width}' for name, width in wanted.items())}): "
+                    "train it again"
+                )
 
     @classmethod
     def load(cls, path: Path) -> OnnxModel:
@@ -103,10 +109,7 @@ class OnnxModel:
         Raises:
             EstimatorError: missing, corrupted, or not one of ours.
         """
-        try:
-            return cls(path.read_bytes(), str(path))
-        except OSError as error:
-            raise EstimatorError(f"{path}: cannot be read: {error.strerror}") from None
+        return cls(read_bytes(path, EstimatorError, _MAX_BYTES), str(path))
 
     def check(self, schema: StateSchema) -> None:
         """Refuse another robot's states.

@@ -14,6 +14,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, RootModel, model_validator
 
 from measure.errors import DivergedError, EstimatorError, FitError
+from measure.reading import MAX_TEXT_BYTES, read_bytes
 from measure.session import load_toml
 
 _MIN_PATIENCE_S = 600.0
@@ -135,7 +136,8 @@ def _check_lines(journal: Path) -> None:
     """Refuse a file that is no journal, or whose last line is torn: optuna would append to it."""
     if not journal.exists():
         return
-    for number, line in enumerate(journal.read_bytes().splitlines(keepends=True), 1):
+    content = read_bytes(journal, EstimatorError, MAX_TEXT_BYTES)
+    for number, line in enumerate(content.splitlines(keepends=True), 1):
         try:
             good = line.endswith(b"\n") and "op_code" in json.loads(line)
         except (TypeError, ValueError):

@@ -16,6 +16,7 @@ from pydantic import BaseModel, ValidationError, field_validator
 
 from measure.errors import RunError
 from measure.host.settings import explain_validation
+from measure.reading import parse_toml, read_toml_text
 from measure.results.journal import MEND
 
 _LIBRARIES = ("triball", "numpy", "scipy", "opencv-python-headless", "numba", "av")
@@ -89,9 +90,9 @@ def read_provenance(file: Path) -> dict[str, Any]:
         RunError: it is torn, or holds what no run writes.
     """
     try:
-        values = tomllib.loads(file.read_text("utf-8"))
+        values = parse_toml(read_toml_text(file, RunError))
         _RunFile.model_validate(values)
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except tomllib.TOMLDecodeError as error:
         raise RunError(f"{file}: cannot be read ({error}): {MEND}") from error
     except ValidationError as error:
         raise RunError(f"{file}: {explain_validation(error, _RunFile)}: {MEND}") from error

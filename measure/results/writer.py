@@ -170,6 +170,17 @@ def _refuse(folder: Path, resume: bool, overwrite: bool) -> None:
         raise RunError(f"{folder} holds files but no run: choose a new folder with --out")
     if not (resume or overwrite):
         raise RunError(f"{folder} holds a run already: --resume goes on, --overwrite starts anew")
+    _refuse_links(folder)
+
+
+def _refuse_links(folder: Path) -> None:
+    """Refuse to write through a link, which may lead to any file of the user's."""
+    for file in (*own_files(folder), *folder.glob("*.new")):
+        if file.is_symlink():
+            raise RunError(
+                f"{file} is a link to {file.readlink()}, and nothing is written through one: "
+                "put the file itself in its place, or choose a new folder with --out"
+            )
 
 
 def _can_go_on(folder: Path, provenance: Provenance) -> bool:

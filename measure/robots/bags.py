@@ -9,6 +9,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.errors import EstimatorError
+from measure.reading import check_ordinary
 from measure.robots.raven import FIELDS, raven_schema
 from measure.robots.schema import StateSchema
 
@@ -74,6 +75,8 @@ def read_bag(path: Path, schema: StateSchema, topic: str | None = None) -> tuple
     arm = _arm(schema)
     if arm is None:
         raise EstimatorError(f"{path}: bags hold RAVEN-II states, not those of {schema.robot}")
+    if not path.is_dir():
+        check_ordinary(path, EstimatorError)
     highlevel = _rosbags().highlevel
     times, rows = [], []
     try:

@@ -18,6 +18,7 @@ from pydantic import (
 )
 
 from measure.errors import EstimatorError
+from measure.reading import parse_toml, read_toml_text
 from measure.robots.chain import Joint, SerialChain, dh_link
 from measure.robots.schema import Feature, Reading, StateSchema
 
@@ -81,10 +82,8 @@ def read_schema(path: Path) -> StateSchema:
         EstimatorError: the file is missing or does not fit; the message says where.
     """
     try:
-        file = _Robot.model_validate(tomllib.loads(path.read_text()))
-    except OSError:
-        raise EstimatorError(f"{path}: no such robot description") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        file = _Robot.model_validate(parse_toml(read_toml_text(path, EstimatorError)))
+    except tomllib.TOMLDecodeError as error:
         raise EstimatorError(f"{path}: not TOML: {error}") from None
     except ValidationError as error:
         first = error.errors(include_url=False)[0]

@@ -14,6 +14,7 @@ from pyarrow import types as kinds
 
 from measure.arrays import Floats
 from measure.errors import EstimatorError
+from measure.reading import check_ordinary
 
 _SHOWN = 12
 
@@ -37,6 +38,7 @@ class Table:
         Raises:
             EstimatorError: it cannot be read.
         """
+        check_ordinary(path, EstimatorError)
         try:
             content = csv.read_csv(path) if path.suffix == ".csv" else parquet.read_table(path)
         except (pa.ArrowException, OSError) as error:

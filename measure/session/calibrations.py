@@ -12,12 +12,12 @@ import numpy as np
 
 from measure.errors import CalibrationError
 from measure.model import Intrinsics
+from measure.reading import parse_toml, read_text
 from measure.session.calibration_file import (
     Calibration,
     read_own_calibration,
     write_own_calibration,
 )
-from measure.session.files import read_text
 from measure.session.interchange_opencv import (
     is_opencv,
     read_opencv,
@@ -166,6 +166,6 @@ def _is_a_lens(lens: Intrinsics) -> bool:
 
 def _toml(text: str) -> dict[str, object] | None:
     try:
-        return tomllib.loads(text)
+        return parse_toml(text)
     except tomllib.TOMLDecodeError:
         return None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import glob
 import tomllib
 import unicodedata
@@ -12,6 +11,7 @@ from typing import Annotated, TypeVar
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from measure.errors import MeasureError, SessionError
+from measure.reading import check_ordinary, parse_toml, read_toml_text
 from measure.session.toml_errors import syntax_message, validation_message
 
 M = TypeVar("M", bound=BaseModel)
@@ -50,9 +50,9 @@ def load_toml(path: Path | str, model: type[M], error: type[MeasureError] = Sess
         error: the file is missing (the message says which similar ones there are) or unreadable,
             is not TOML (file and line), or does not fit the model (file, line and key).
     """
-    text = read_text(path, error)
+    text = read_toml_text(path, error)
     try:
-        values = tomllib.loads(text)
+        values = parse_toml(text)
     except tomllib.TOMLDecodeError as problem:
         raise error(syntax_message(Path(path), text, str(problem))) from None
     try:
@@ -61,37 +61,35 @@ def load_toml(path: Path | str, model: type[M], error: type[MeasureError] = Sess
         raise error(validation_message(Path(path), text, problem, model, values)) from None
 
 
-def read_text(path: Path | str, error: type[MeasureError] = SessionError) -> str:
-    """The text of a file, UTF-8.
+def matching_files(folder: Path, pattern: str, error: type[MeasureError]) -> list[Path]:
+    """Ordinary files that fit a shell's pattern, from `folder` on if it is relative.
+
+    None that is hidden; `**` stands for folders at any depth, links to folders not followed.
 
     Raises:
-        error: the file is missing, a folder, unreadable or not text.
+        error: the pattern searches all folders beyond `folder`, which may not end, or a pipe,
+            device or socket fits it.
     """
-    path = Path(path)
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise error(missing_message(path)) from None
-    except UnicodeDecodeError as problem:
-        raise error(f"{path}: not a text file (byte {problem.start} is not UTF-8)") from None
-    except OSError as problem:
-        raise error(f"{path}: cannot be read: {problem.strerror}") from None
-
-
-def matching_files(folder: Path, pattern: str) -> list[Path]:
-    """Files that fit a shell's pattern, from `folder` on if it is relative; none that is hidden."""
-    names = glob.glob(pattern, root_dir=folder, recursive=True)  # noqa: PTH207 Path takes no absolute
-    return [path for path in (folder / name for name in names) if path.is_file()]
-
-
-def missing_message(path: Path) -> str:
-    """Why `path` cannot be found: the first folder that is not there, or the names that are."""
-    folder = path.parent
-    if not folder.is_dir():
-        return f"{path}: no such file; the folder {folder} does not exist either"
-    names = sorted(entry.name for entry in folder.iterdir())
-    near = difflib.get_close_matches(path.name, names, n=3, cutoff=0.7)
-    if near:
-        return f"{path}: no such file; did you mean {' or '.join(near)}?"
-    shown = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
-    return f"{path}: no such file; {folder} holds {shown or 'nothing'}"
+    place = Path(pattern)
+    beyond = place.is_absolute() or ".." in place.parts
+    deep = "**" in place.parts
+    if beyond and (deep or sum(map(glob.has_magic, place.parts[:-1])) > 1):
+        raise error(
+            f"{pattern}: would search folders without end: give a pattern within {folder}, or name "
+            "the folder"
+        )
+    if deep:
+        found = [
+            path
+            for path in folder.glob(pattern)
+            if not any(part.startswith(".") for part in path.relative_to(folder).parts)
+        ]
+    else:
+        names = glob.glob(pattern, root_dir=folder)  # noqa: PTH207 Path takes no absolute
+        found = [folder / name for name in names]
+    files = [path for path in found if path.is_file()]
+    if len(files) < len(found):
+        for path in set(found) - set(files):
+            if path.exists() and not path.is_dir():
+                check_ordinary(path, error)
+    return files

@@ -11,8 +11,9 @@ import numpy as np
 from measure.arrays import Bytes, Floats, Ints
 from measure.errors import SessionError
 from measure.model import Image
-from measure.session.files import matching_files, missing_message
-from measure.session.pictures import JPEG_START, decode_picture, read_bytes
+from measure.reading import missing_message
+from measure.session.files import matching_files
+from measure.session.pictures import JPEG_START, decode_picture, picture_bytes
 from measure.session.streams import Stream
 from measure.session.timestamps import Stamps
 
@@ -29,7 +30,7 @@ class ImageStream(Stream):
         times_s: Floats,
         notes: tuple[str, ...] = (),
     ) -> None:
-        first = decode_picture(read_bytes(files[0], f"camera '{name}': "), str(files[0]))
+        first = decode_picture(picture_bytes(files[0], f"camera '{name}': "), str(files[0]))
         super().__init__(
             name, source, (first.shape[1], first.shape[0]), frames, times_s, files, notes
         )
@@ -64,7 +65,7 @@ class ImageStream(Stream):
         return np.array([k for k in alike if self._content(k) == self._content(k - 1)], np.int64)
 
     def _content(self, index: int) -> bytes:
-        return read_bytes(self.files[index], f"{self.place(index)}: ")
+        return picture_bytes(self.files[index], f"{self.place(index)}: ")
 
 
 def open_image_stream(
@@ -102,7 +103,7 @@ def open_image_stream(
 
 
 def _find(name: str, folder: Path, pattern: str) -> list[Path]:
-    files = sorted(matching_files(folder, pattern), key=_in_order)
+    files = sorted(matching_files(folder, pattern, SessionError), key=_in_order)
     if files:
         return files
     place = (folder / pattern).parent

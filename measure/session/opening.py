@@ -8,11 +8,12 @@ import numpy as np
 
 from measure.errors import CalibrationError, SessionError
 from measure.model import Body, Camera
+from measure.reading import missing_message
 from measure.session.body_file import read_body
 from measure.session.calibration_file import Calibration
 from measure.session.calibrations import read_calibration
 from measure.session.clock_shifts import clock_digest, shift_clocks, shift_notes
-from measure.session.files import load_toml, missing_message
+from measure.session.files import load_toml
 from measure.session.image_stream import open_image_stream
 from measure.session.session import Session
 from measure.session.settings import CameraTable, SessionModel

@@ -2,17 +2,47 @@
 
 from __future__ import annotations
 
+import os
+from io import BytesIO
 from pathlib import Path
 
 import cv2
 import numpy as np
+from PIL.BmpImagePlugin import BmpImageFile
+from PIL.Jpeg2KImagePlugin import Jpeg2KImageFile
+from PIL.PngImagePlugin import PngImageFile
+from PIL.PpmImagePlugin import PpmImageFile
+from PIL.TiffImagePlugin import TiffImageFile
+from PIL.WebPImagePlugin import WebPImageFile
 
 from measure.arrays import Bytes
 from measure.errors import SessionError
-from measure.session.files import missing_message
+from measure.reading import read_bytes
 
 JPEG_START = b"\xff\xd8"
 JPEG_SCAN, JPEG_END = b"\xff\xda", b"\xff\xd9"
+LIMIT = "MEASURE_MAX_MEGAPIXELS"
+"""The variable of the environment that raises the largest size of a picture."""
+_DEFAULT_MEGAPIXELS = 100.0
+_MAX_BYTES = 1 << 30
+_FRAME_HEADERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+"""Markers after which a JPEG states its size."""
+_ALONE = frozenset({0x01, *range(0xD0, 0xD9)})
+"""Markers that nothing belongs to."""
+_SCAN = 0xDA
+_READERS = (
+    (b"\x89PNG", PngImageFile),
+    (b"BM", BmpImageFile),
+    (b"II", TiffImageFile),
+    (b"MM", TiffImageFile),
+    (b"RIFF", WebPImageFile),
+    (b"P", PpmImageFile),
+    (b"\x00\x00\x00\x0cjP", Jpeg2KImageFile),
+    (b"\xff\x4f\xff\x51", Jpeg2KImageFile),
+)
+"""What reads a header, by the bytes that a file begins with."""
+_TILE_WIDTH, _TILE_LENGTH = 322, 323
+"""Tags of TIFF 6.0."""
 
 
 def read_picture(path: Path | str) -> Bytes:
@@ -24,24 +54,97 @@ def read_picture(path: Path | str) -> Bytes:
     Raises:
         SessionError: missing, unreadable, empty, truncated or no picture.
     """
-    return decode_picture(read_bytes(Path(path)), str(path))
+    return decode_picture(picture_bytes(Path(path)), str(path))
 
 
-def read_bytes(path: Path, where: str = "") -> bytes:
-    """The bytes of a file that is not empty.
+def picture_bytes(path: Path, where: str = "") -> bytes:
+    """The bytes of a picture's file, which is not empty.
 
     Raises:
-        SessionError: missing, unreadable or empty; the message starts with `where`.
+        SessionError: missing, no ordinary file, unreadable or empty; the message starts with
+            `where`.
     """
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError:
-        raise SessionError(where + missing_message(path)) from None
-    except OSError as problem:
-        raise SessionError(f"{where}{path}: cannot be read: {problem.strerror}") from None
+    data = read_bytes(path, SessionError, _MAX_BYTES, where)
     if not data:
         raise SessionError(f"{where}{path}: the file is empty (0 bytes)")
     return data
+
+
+def refuse_huge(size_wh: tuple[int, int], where: str) -> None:
+    """Refuse a picture before it takes the memory that its header asks for.
+
+    Args:
+        size_wh: width and height in px that the header states.
+        where: begin of the message.
+
+    Raises:
+        SessionError: more megapixels than the environment's MEASURE_MAX_MEGAPIXELS, else 100.
+    """
+    most = most_pixels()
+    if size_wh[0] * size_wh[1] > most:
+        raise SessionError(
+            f"{where}: a picture of {size_wh[0]}x{size_wh[1]} px, larger than "
+            f"{most / 1e6:g} megapixels: if it is meant, set {LIMIT} in the environment"
+        )
+
+
+def most_pixels() -> float:
+    """Of a picture that is decoded.
+
+    Raises:
+        SessionError: the environment sets what is no number.
+    """
+    text = os.environ.get(LIMIT, "")
+    try:
+        given = float(text) if text else _DEFAULT_MEGAPIXELS
+    except ValueError:
+        given = 0.0
+    if not 0 < given < float("inf"):
+        raise SessionError(
+            f"{LIMIT} is {text!r} in the environment: expected a number of megapixels"
+        )
+    return given * 1e6
+
+
+def picture_size_wh(data: bytes) -> tuple[int, int] | None:
+    """Width and height in px that a picture's header states; None if none can be read.
+
+    Of a tiled TIFF the tile's, where that is larger: it is decoded as a whole.
+    """
+    if data.startswith(JPEG_START):
+        return jpeg_size_wh(data)
+    reader = next((kind for start, kind in _READERS if data.startswith(start)), None)
+    if reader is None:
+        return None
+    try:
+        header = reader(BytesIO(data))
+    except Exception:  # Pillow's readers raise many kinds; all mean the header
+        return None
+    tags = getattr(header, "tag_v2", {})
+    tile = (int(tags.get(_TILE_WIDTH, 0)), int(tags.get(_TILE_LENGTH, 0)))
+    return max(header.size, tile, key=lambda size: size[0] * size[1])
+
+
+def jpeg_size_wh(data: bytes) -> tuple[int, int] | None:
+    """Width and height in px that the frame header of a JPEG states; None if there is none."""
+    at = 2
+    while at + 9 <= len(data):
+        if data[at] != 0xFF:  # decoders pass over what stands between segments
+            at = data.find(b"\xff", at)
+            if at < 0:
+                break
+            continue
+        kind = data[at + 1]
+        if kind in _FRAME_HEADERS:
+            height, width = data[at + 5 : at + 7], data[at + 7 : at + 9]
+            return int.from_bytes(width, "big"), int.from_bytes(height, "big")
+        if kind == _SCAN:
+            break
+        if kind in (0x00, 0xFF):  # a marker may be filled up with 0xFF
+            at += 1
+        else:
+            at += 2 if kind in _ALONE else 2 + int.from_bytes(data[at + 2 : at + 4], "big")
+    return None
 
 
 def is_complete_jpeg(data: bytes | bytearray) -> bool:
@@ -55,7 +158,8 @@ def decode_picture(data: bytes, where: str) -> Bytes:
     """BGR pixels (h, w, 3) of an encoded picture.
 
     Raises:
-        SessionError: truncated or not a picture; the message starts with `where`.
+        SessionError: truncated, not a picture, or larger than `refuse_huge` lets pass; the message
+            starts with `where`.
     """
     # OpenCV fills the rest of a truncated JPEG with grey and says nothing.
     if data.startswith(JPEG_START) and not is_complete_jpeg(data):
@@ -63,9 +167,13 @@ def decode_picture(data: bytes, where: str) -> Bytes:
             f"{where}: truncated JPEG ({len(data)} bytes, no end marker); "
             "remove the file, and its frame counts as missing"
         )
-    pixels = cv2.imdecode(
-        np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
-    )
+    size_wh = picture_size_wh(data)
+    pixels = None
+    if size_wh is not None:
+        refuse_huge(size_wh, where)
+        pixels = cv2.imdecode(
+            np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+        )
     if pixels is None:
         raise SessionError(f"{where}: not a picture that can be decoded ({len(data)} bytes)")
     return np.asarray(pixels, dtype=np.uint8)

@@ -11,7 +11,7 @@ import numpy as np
 
 from measure.arrays import Floats, Ints
 from measure.errors import MeasureError, SessionError
-from measure.session.files import read_text
+from measure.reading import read_text
 
 LATEST_S = 1e11
 """Latest time of a recording, seconds after 1970."""

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from measure.arrays import Bools, Floats, Ints
 from measure.errors import MeasureError, SessionError
 from measure.geometry import RigidTransform
-from measure.session.files import read_text
+from measure.reading import read_text
 from measure.session.timestamps import read_number_table
 
 COLUMNS = ("time_s", "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")

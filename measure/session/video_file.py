@@ -14,11 +14,17 @@ import numpy as np
 
 from measure.arrays import Bytes, Floats
 from measure.errors import SessionError
-from measure.session.files import missing_message
+from measure.reading import check_ordinary
+from measure.session.pictures import most_pixels, refuse_huge
 from measure.session.truncation import refuse_truncated
 
 _COUNTED_CONTAINERS = ("avi",)
 """These store no presentation time: the n-th picture shown gets the n-th time."""
+_CONTAINERS = (
+    "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpegts,mpeg,flv,asf,ogg,mxf,dv,nut,ivf,gif,apng,"
+    "h264,hevc,m4v,mjpeg,mpegvideo,rawvideo"
+)
+"""What is opened. None of these names further files to be opened, as playlists do."""
 _RAW_CONTAINERS = ("h264", "hevc", "m4v", "mjpeg", "mpeg", "rawvideo")
 """Bare streams without any time; a reader that gives some invents them."""
 
@@ -56,7 +62,8 @@ def index_video(path: Path, where: str) -> VideoIndex:
         SessionError: missing, empty, truncated, without pictures or without times; the message
             starts with `where`.
     """
-    _refuse_no_file(path, where)
+    if not check_ordinary(path, SessionError, where):
+        raise SessionError(f"{where}{path}: the video is empty (0 bytes)")
     with _open(path, where) as container:
         stream = _video_of(container, path, where)
         packets = list(_packets(container, stream, path, where))
@@ -78,6 +85,7 @@ def index_video(path: Path, where: str) -> VideoIndex:
             raise SessionError(f"{where}{path}: two frames have the same time")
         context = stream.codec_context
         size = (int(context.width), int(context.height))
+        refuse_huge(size, f"{where}{path}")
         motion_jpeg = context.name == "mjpeg"
         return VideoIndex(stamps, keys, stream.time_base, size, motion_jpeg, counted)
 
@@ -157,7 +165,7 @@ class VideoReader:
         self._close()
         self._container = _open(self.path, where)
         stream = _video_of(self._container, self.path, where)
-        stream.codec_context.options = {"err_detect": "explode"}
+        stream.codec_context.options = {"err_detect": "explode", **_limits()}
         self._next = 0
         if position > 0 and not self.index.counted:
             self._container.seek(self._key_before(position), stream=stream, backward=True)
@@ -185,7 +193,9 @@ def _open(path: Path, where: str) -> Any:
     import av
 
     try:
-        return av.open(str(path))
+        return av.open(
+            str(path), options={"format_whitelist": _CONTAINERS}, stream_options=[_limits()]
+        )
     except (av.error.FFmpegError, OSError) as problem:
         raise SessionError(
             f"{where}{path}: not a video that can be read, or its recording was cut off "
@@ -193,16 +203,14 @@ def _open(path: Path, where: str) -> Any:
         ) from None
 
 
+def _limits() -> dict[str, str]:
+    """Settings of a decoder: pictures may state any size in the middle of a stream, too."""
+    return {"max_pixels": str(int(most_pixels()))}
+
+
 def _reason(problem: BaseException) -> str:
     text = getattr(problem, "strerror", None) or str(problem)
     return text[:1].lower() + text[1:].rstrip(".")
-
-
-def _refuse_no_file(path: Path, where: str) -> None:
-    if not path.exists():
-        raise SessionError(where + missing_message(path))
-    if path.stat().st_size == 0:
-        raise SessionError(f"{where}{path}: the video is empty (0 bytes)")
 
 
 def _video_of(container: Any, path: Path, where: str) -> Any:

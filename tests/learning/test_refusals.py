@@ -168,7 +168,7 @@ def test_a_folder_is_no_data_set(folder: Path, monkeypatch, capsys) -> None:
     (folder / "within").mkdir()
     monkeypatch.chdir(folder / "within")
     words = ("-o", folder / "none.onnx", "--estimator", "offset")
-    assert "not a data set" in _refused(capsys, "train", ".", *words)
+    assert "is a folder, not an ordinary file" in _refused(capsys, "train", ".", *words)
 
 
 def test_a_setting_that_a_sweep_tries_is_not_fixed_too(folder: Path, capsys) -> None:

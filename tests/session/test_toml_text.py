@@ -122,7 +122,7 @@ def test_what_is_no_text_file(tmp_path: Path) -> None:
     (tmp_path / "f.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(ConfigError, match="not a text file"):
         load_toml(tmp_path / "f.toml", _File, ConfigError)
-    with pytest.raises(ConfigError, match="cannot be read: Is a directory"):
+    with pytest.raises(ConfigError, match="is a folder, not an ordinary file"):
         load_toml(tmp_path, _File, ConfigError)
     with pytest.raises(ConfigError, match="does not exist either"):
         load_toml(tmp_path / "no" / "f.toml", _File, ConfigError)

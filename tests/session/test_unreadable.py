@@ -37,14 +37,14 @@ def test_an_unreadable_file_is_named(recording: Recording) -> None:
 def test_an_unreadable_file_is_named_whoever_reads(
     recording: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    read_text = Path.read_text
+    open_file = Path.open
 
-    def refuse(path: Path, *args: object, **kwargs: object) -> str:
+    def refuse(path: Path, *args: object, **kwargs: object) -> object:
         if path.name == "body.toml":
             raise PermissionError(13, "Permission denied", str(path))
-        return read_text(path, *args, **kwargs)  # type: ignore[arg-type]
+        return open_file(path, *args, **kwargs)  # type: ignore[call-overload]
 
-    monkeypatch.setattr(Path, "read_text", refuse)
+    monkeypatch.setattr(Path, "open", refuse)
     with pytest.raises(SessionError, match=r"body\.toml: cannot be read: Permission denied"):
         open_session(recording.path)
 

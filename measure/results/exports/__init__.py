@@ -54,6 +54,8 @@ def export_run(run: Run, file_format: str, path: Path, overwrite: bool = False) 
         near = difflib.get_close_matches(file_format, FORMATS, n=1)
         hint = f"did you mean {near[0]}?" if near else f"there is {', '.join(FORMATS)}"
         raise ConfigError(f"no export format is called '{file_format}'; {hint}")
+    if path.is_symlink():
+        raise RunError(f"{path} is a link to {path.readlink()}: give the file itself with --out")
     if path.exists() and any(own.exists() and path.samefile(own) for own in own_files(run.path)):
         raise RunError(f"{path} is a file of the run itself: give another with --out")
     if path.exists() and not overwrite:

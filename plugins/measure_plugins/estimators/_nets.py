@@ -6,13 +6,16 @@ plain arrays and ONNX operators; `_training` trains them.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from measure.arrays import Floats
 from measure.host import Graph, Value
 
+_GATES = ("from_input", "from_hidden", "input_bias", "hidden_bias")
 STEP_GAIN = 3.0  # scales differences between steps to the size of the other inputs
 
 
@@ -22,6 +25,15 @@ class Perceptrons:
 
     weights: tuple[Floats, ...]
     biases: tuple[Floats, ...]
+
+    def values(self) -> dict[str, Any]:
+        """As a checkpoint stores it."""
+        return {name: list(map(_tensor, getattr(self, name))) for name in ("weights", "biases")}
+
+    @classmethod
+    def from_values(cls, values: Mapping[str, Any]) -> Perceptrons:
+        """What `values` gave."""
+        return cls(*(tuple(map(_floats, values[name])) for name in ("weights", "biases")))
 
     def in_graph(self, graph: Graph, inputs: Value) -> Value:
         """(members, N, outputs)."""
@@ -45,6 +57,18 @@ class Grus:
     input_bias: Floats
     hidden_bias: Floats
     head: Perceptrons
+
+    def values(self) -> dict[str, Any]:
+        """As a checkpoint stores it."""
+        return {name: _tensor(getattr(self, name)) for name in _GATES} | {
+            "head": self.head.values()
+        }
+
+    @classmethod
+    def from_values(cls, values: Mapping[str, Any]) -> Grus:
+        """What `values` gave."""
+        gates = {name: _floats(values[name]) for name in _GATES}
+        return cls(**gates, head=Perceptrons.from_values(values["head"]))
 
     @property
     def members(self) -> int:
@@ -96,3 +120,13 @@ def stack_grus(nets: list[Grus]) -> Grus:
             tuple(np.concatenate([net.head.biases[i] for net in nets]) for i in layers),
         ),
     )
+
+
+def _tensor(values: Floats) -> Any:
+    import torch
+
+    return torch.from_numpy(values)
+
+
+def _floats(tensor: Any) -> Floats:
+    return np.asarray(tensor.numpy(), dtype=np.float64)

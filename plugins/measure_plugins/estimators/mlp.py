@@ -76,9 +76,7 @@ class MlpEstimator(OnnxEstimator):
         fit = _MlpTraining(torch, _tensors(torch, data, self._scaling), c, seed)
         key = seed, c.model_dump(mode="json"), data.digest(), validation.digest()
         saved = Checkpoint(self.checkpoint, "mlp", key)
-        state = saved.load()
-        if state is not None:
-            fit.restore(state)
+        saved.load(fit.restore)
         for epoch in range(len(fit.curve), c.epochs):
             score = fit.epoch(epoch, other)
             report((epoch + 1) / c.epochs, f"epoch {epoch + 1}: {score:.3f} mm")

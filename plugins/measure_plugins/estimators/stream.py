@@ -36,7 +36,7 @@ from measure_plugins.estimators._training import (
 )
 from measure_plugins.estimators._training_set import OutputUnits, TrainingSet, make_training_set
 
-N = TypeVar("N")
+N = TypeVar("N", _nets.Perceptrons, _nets.Grus)
 
 _PERCEPTRON_SHARE = 0.2  # time of a perceptron's epoch, as a share of a GRU's
 _TURN_RAD, _SLIDE_MM, _TIP_MM = 0.05, 1.0, 1.0  # joint or tip errors of an output of one
@@ -109,6 +109,7 @@ class StreamEstimator(WithinTrajectoryEstimator):
         share = _PERCEPTRON_SHARE * c.perceptrons
         note = log.part("perceptrons", share, c.perceptron_epochs, report)
         return self._resumed(
+            _nets.Perceptrons,
             "perceptrons",
             seed,
             lambda: train_perceptrons(data, sizes, c.perceptrons, how, seed, note),
@@ -123,18 +124,17 @@ class StreamEstimator(WithinTrajectoryEstimator):
             fit = partial(
                 train_gru, data, c.gru_units, outputs, c.window, how, seed + 1 + index, note
             )
-            found.append(self._resumed(f"gru_{index}", seed, fit))
+            found.append(self._resumed(_nets.Grus, f"gru_{index}", seed, fit))
         return _nets.stack_grus(found)
 
-    def _resumed(self, name: str, seed: int, fit: Callable[[], N]) -> N:
+    def _resumed(self, kind: type[N], name: str, seed: int, fit: Callable[[], N]) -> N:
         """A net from an interrupted fit of the same data and settings, or freshly trained."""
         key = seed, self.config.model_dump(mode="json"), self._digests
         saved = Checkpoint(self.checkpoint, name, key)
-        if found := saved.load():
-            net: N = found["net"]
-            return net
-        net = fit()
-        saved.store(now=True, net=net)
+        net = saved.load(lambda state: kind.from_values(state["net"]))
+        if net is None:
+            net = fit()
+            saved.store(now=True, net=net.values())
         return net
 
     def compute(self, graph: Graph, features: Value, memory: Value, tick: Value) -> Core:

@@ -1,0 +1,149 @@
+"""The one door to files that others wrote: ordinary ones, of a size that can be held in memory."""
+
+from __future__ import annotations
+
+import difflib
+import stat
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from measure.errors import MeasureError
+
+MAX_TEXT_BYTES = 64 << 20
+"""Largest file of text: millions of rows."""
+_MAX_TOML_BYTES = 8 << 20
+_MAX_TOML_DEPTH = 32
+_TOO_DEEP = "Tables or lists are nested too deep"
+_KINDS = {
+    stat.S_IFIFO: "a pipe",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+    stat.S_IFDIR: "a folder",
+}
+
+
+def check_ordinary(path: Path, error: type[MeasureError], where: str = "") -> int:
+    """The size in bytes of a file that can be read from its begin to its end.
+
+    Args:
+        path: the file, or a link to it.
+        error: what to raise.
+        where: begin of the message.
+
+    Raises:
+        error: it is missing, or a folder, pipe, device or socket: reading those may never end.
+    """
+    try:
+        there = path.stat()
+    except FileNotFoundError:
+        raise error(where + missing_message(path)) from None
+    except (OSError, ValueError) as problem:
+        raise error(f"{where}{path}: cannot be read: {_reason(problem)}") from None
+    if not stat.S_ISREG(there.st_mode):
+        what = _KINDS.get(stat.S_IFMT(there.st_mode), "no file")
+        raise error(f"{where}{path}: is {what}, not an ordinary file: give the file itself")
+    return there.st_size
+
+
+def read_bytes(path: Path, error: type[MeasureError], most: int, where: str = "") -> bytes:
+    """The bytes of an ordinary file.
+
+    Args:
+        path: the file.
+        error: what to raise.
+        most: bytes that it may have.
+        where: begin of the message.
+
+    Raises:
+        error: missing, not an ordinary file, unreadable or larger.
+    """
+    size = check_ordinary(path, error, where)
+    if size > most:
+        raise error(f"{where}{path}: has {size} bytes, and {most} are the most that are read")
+    try:
+        # What a device of the kernel's pretends to be a file of no bytes may never end.
+        with path.open("rb") as file:
+            return file.read(size)
+    except OSError as problem:
+        raise error(f"{where}{path}: cannot be read: {_reason(problem)}") from None
+
+
+def read_text(path: Path | str, error: type[MeasureError], most: int = MAX_TEXT_BYTES) -> str:
+    """The text of an ordinary file, UTF-8; every kind of line end becomes a newline.
+
+    Raises:
+        error: missing, not an ordinary file, unreadable, larger than `most` bytes or not text.
+    """
+    path = Path(path)
+    try:
+        text = read_bytes(path, error, most).decode("utf-8-sig")
+    except UnicodeDecodeError as problem:
+        raise error(f"{path}: not a text file (byte {problem.start} is not UTF-8)") from None
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def read_toml_text(path: Path | str, error: type[MeasureError]) -> str:
+    """The text of a TOML file, which is small.
+
+    Raises:
+        error: as `read_text`.
+    """
+    return read_text(path, error, _MAX_TOML_BYTES)
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """The values of a TOML text.
+
+    Raises:
+        TOMLDecodeError: it is none, or is nested or has numbers beyond reason.
+    """
+    try:
+        values = tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        raise
+    except RecursionError:
+        raise tomllib.TOMLDecodeError(_TOO_DEEP) from None
+    except ValueError:
+        raise tomllib.TOMLDecodeError("A number has too many digits") from None
+    if _is_deeper(values, _MAX_TOML_DEPTH):
+        raise tomllib.TOMLDecodeError(_TOO_DEEP)
+    return values
+
+
+def _is_deeper(values: Any, most: int) -> bool:
+    """Whether tables and lists stand in each other more than so many times."""
+    level = [values]
+    for _ in range(most):
+        level = [
+            inner
+            for outer in level
+            for inner in (outer.values() if isinstance(outer, dict) else outer)
+            if isinstance(inner, dict | list)
+        ]
+        if not level:
+            return False
+    return True
+
+
+def missing_message(path: Path) -> str:
+    """Why `path` cannot be found: the first folder that is not there, or the names that are."""
+    folder = path.parent
+    if not folder.is_dir():
+        return f"{path}: no such file; the folder {folder} does not exist either"
+    if path.is_symlink():
+        return f"{path}: no such file: it is a link to what does not exist"
+    try:
+        names = sorted(entry.name for entry in folder.iterdir())
+    except OSError:
+        return f"{path}: no such file"
+    near = difflib.get_close_matches(path.name, names, n=3, cutoff=0.7)
+    if near:
+        return f"{path}: no such file; did you mean {' or '.join(near)}?"
+    shown = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
+    return f"{path}: no such file; {folder} holds {shown or 'nothing'}"
+
+
+def _reason(problem: Exception) -> str:
+    return getattr(problem, "strerror", None) or str(problem)

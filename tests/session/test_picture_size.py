@@ -1,0 +1,121 @@
+"""Pictures are sized by their headers, before they take memory."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from measure.errors import SessionError
+from measure.session import decode_picture, open_video_stream
+from measure.session.pictures import picture_size_wh
+from tests.session.conftest import jpeg
+from tests.session.videos import write_video
+
+KINDS = (".jpg", ".png", ".tiff", ".bmp", ".webp", ".ppm", ".pgm", ".jp2")
+
+
+def encoded(kind: str) -> bytes:
+    pixels = np.random.default_rng(1).integers(0, 255, (48, 64, 3), dtype=np.uint8)
+    done, data = cv2.imencode(kind, pixels[..., 0] if kind == ".pgm" else pixels)
+    assert done
+    return bytes(data)
+
+
+def png_of(width: int, height: int) -> bytes:
+    """A header that states a size, and pixels of one row."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        check = zlib.crc32(kind + data)
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", check)
+
+    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    row = zlib.compress(bytes(3 * width + 1))
+    parts = (b"IHDR", header), (b"IDAT", row), (b"IEND", b"")
+    return b"\x89PNG\r\n\x1a\n" + b"".join(chunk(*part) for part in parts)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_states_its_size_and_decodes(kind: str) -> None:
+    data = encoded(kind)
+    assert picture_size_wh(data) == (64, 48)
+    assert decode_picture(data, "x").shape == (48, 64, 3)
+
+
+def test_16_bits_decode() -> None:
+    done, data = cv2.imencode(".png", np.full((48, 64), 30000, np.uint16))
+    assert done
+    assert decode_picture(bytes(data), "x").shape == (48, 64, 3)
+
+
+def test_a_huge_picture_is_refused_unless_the_limit_is_raised(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    wide = png_of(20_000, 5_001)
+    with pytest.raises(SessionError, match=r"x: a picture of 20000x5001 px, .* 100 megapixels"):
+        decode_picture(wide, "x")
+    huge = bytearray(jpeg(60))
+    at = huge.find(b"\xff\xc0") + 5
+    huge[at : at + 4] = struct.pack(">HH", 65_000, 65_001)
+    with pytest.raises(SessionError, match="65001x65000 px"):
+        decode_picture(bytes(huge), "x")
+    monkeypatch.setenv("MEASURE_MAX_MEGAPIXELS", "0.003")
+    with pytest.raises(SessionError, match=r"64x48 px, larger than 0\.003 megapixels"):
+        decode_picture(jpeg(60), "x")
+    monkeypatch.setenv("MEASURE_MAX_MEGAPIXELS", "0.0031")
+    assert decode_picture(jpeg(60), "x").shape == (48, 64, 3)
+    for text in ("many", "-1", "nan", "inf", "0"):
+        monkeypatch.setenv("MEASURE_MAX_MEGAPIXELS", text)
+        with pytest.raises(SessionError, match=r"MEASURE_MAX_MEGAPIXELS is .*: expected a number"):
+            decode_picture(jpeg(60), "x")
+
+
+def test_a_tile_counts_as_a_picture() -> None:
+    """TIFF keeps a small picture in a tile of any size, which is decoded as a whole."""
+    entries = [(256, 4, 64), (257, 4, 48), (258, 3, 8), (259, 3, 1), (262, 3, 1), (277, 3, 1)]
+    entries += [(322, 4, 30_000), (323, 4, 30_000), (324, 4, 8), (325, 4, 8)]
+    body = struct.pack("<H", len(entries))
+    body += b"".join(struct.pack("<HHII", tag, kind, 1, value) for tag, kind, value in entries)
+    data = b"II*\0" + struct.pack("<I", 8) + body + bytes(4)
+    with pytest.raises(SessionError, match="30000x30000 px"):
+        decode_picture(data, "x")
+
+
+@pytest.mark.parametrize("data", [b"", b"GIF89a", b"PNG", b"\xff\xd8\xff\xd9", png_of(0, 0)])
+def test_what_states_no_size_is_no_picture(data: bytes) -> None:
+    with pytest.raises(SessionError, match="not a picture that can be decoded"):
+        decode_picture(data, "x")
+
+
+def test_pictures_of_a_video_are_sized_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By its container, and each by its own: a stream may state another size on its way."""
+    plain, jpegs = tmp_path / "a.mp4", tmp_path / "a.avi"
+    write_video(plain, "libx264", frames=2)
+    write_video(jpegs, "mjpeg", frames=2)
+    huge = jpegs.read_bytes()
+    sizes = [at + 5 for at in range(len(huge)) if huge.startswith(b"\xff\xc0", at)]
+    changed = bytearray(huge)
+    for at in sizes:
+        changed[at : at + 4] = struct.pack(">HH", 30_000, 30_000)
+    jpegs.write_bytes(changed)
+    stream = open_video_stream("c", jpegs)
+    with pytest.raises(SessionError, match="30000x30000 px"):
+        _ = stream.read(1).pixels
+    monkeypatch.setenv("MEASURE_MAX_MEGAPIXELS", "0.001")
+    with pytest.raises(SessionError, match=r"a\.mp4: a picture of "):
+        open_video_stream("c", plain)
+
+
+@pytest.mark.parametrize(
+    "text", ["#EXTM3U\n#EXTINF:1,\na.mp4\n#EXT-X-ENDLIST\n", "ffconcat version 1.0\nfile a.mp4\n"]
+)
+def test_a_playlist_is_no_video(tmp_path: Path, text: str) -> None:
+    """It names further files to be opened, on this machine or another."""
+    write_video(tmp_path / "a.mp4", "libx264", frames=2)
+    (tmp_path / "list.mp4").write_text(text)
+    with pytest.raises(SessionError, match=r"list\.mp4: not a video that can be read"):
+        open_video_stream("c", tmp_path / "list.mp4")
