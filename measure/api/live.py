@@ -34,7 +34,7 @@ from measure.host import Registry
 from measure.measuring import Measurement, Profile
 from measure.measuring.burn_in import enter_realtime
 from measure.model import Body, FrameSet
-from measure.results import Provenance, Summary
+from measure.results import Provenance, Summary, refuse_other_writer
 from measure.session import read_body
 
 _RECENT = 30
@@ -116,6 +116,7 @@ def live(
     if options.record is not None:
         check_apart(options.record, out)
         check_new(options.record, [one.name for one in cameras])
+    refuse_other_writer(out)
     if (out / RUN_FILE).exists() and not options.overwrite:
         raise RunError(f"{out} holds a run already: --overwrite throws it away")
     if options.viewer:

@@ -51,6 +51,7 @@ class LiveOutputs:
         self._writer = stack.enter_context(
             RunWriter(out, made_from, body, cameras, overwrite=options.overwrite)
         )
+        self._writer.begin()
         if options.recording or options.viewer:
             self._log = stack.enter_context(RunLog(out.resolve().name, body, cameras, out, options))
 
@@ -64,4 +65,6 @@ class LiveOutputs:
 
     def finish(self) -> Summary:
         """Finish the run's folder."""
+        if self._log is not None:
+            self._log.close()
         return self._writer.finish()

@@ -137,9 +137,9 @@ def _measure(job: _Job) -> Outcome:
 
     cv2.setNumThreads(1)
     options = job.options
-    if job.started.exists():
-        # An earlier attempt of this batch was killed here: the same result needs the same start.
-        options = replace(options, resume=False, overwrite=True)
+    if job.started.exists() and not options.resume:
+        # An earlier attempt of this batch was killed here.
+        options = replace(options, overwrite=True)
     job.started.touch()
     try:
         summary = run(job.session, job.run, job.profile, job.registry, options)

@@ -13,7 +13,7 @@ from measure.session import Session
 
 
 def measure_session(
-    session: Session, profile: Profile, registry: Registry, start: int = 0
+    session: Session, profile: Profile, registry: Registry
 ) -> Iterator[tuple[FrameSet, Measurement]]:
     """Measure a session's frame sets in order, after a burn-in if detectors calibrate themselves.
 
@@ -21,7 +21,6 @@ def measure_session(
         session: an open session.
         profile: the stages and their settings.
         registry: where the plugins come from.
-        start: index of the first frame set to measure; a burn-in is always with the very first.
 
     Yields:
         Each frame set with its measurement, as soon as that is final.
@@ -32,7 +31,7 @@ def measure_session(
         SessionError: an image that cannot be read.
     """
     pipeline = calibrated_pipeline(session, profile, registry)
-    yield from measure_frame_sets(pipeline, session.frame_sets(start=start))
+    yield from measure_frame_sets(pipeline, session.frame_sets())
 
 
 def measure_frame_sets(

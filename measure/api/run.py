@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import chain, islice
@@ -28,7 +28,7 @@ class RunOptions(LogOptions):
     """How a run is written, beside its recording.
 
     Attributes:
-        resume: go on where an earlier run of the same ended.
+        resume: go on with an earlier run of the same, which is measured again as far as it came.
         overwrite: throw an earlier run away.
         calibration: a calibration file to use instead of the session's own.
         body: a body file to use instead of the session's own.
@@ -61,8 +61,12 @@ def run(
     registry: Registry,
     options: RunOptions | None = None,
     progress: Progress | None = None,
+    on_note: Callable[[str], None] | None = None,
 ) -> Summary:
     """Measure a session; every frame set becomes a row of the run, with or without a pose.
+
+    A run that is resumed is measured from its start again: what trackers and detectors have learnt
+    from the first frame sets counts for all later ones. It comes out as if never interrupted.
 
     Args:
         session_path: the session's folder, which is only read.
@@ -71,6 +75,7 @@ def run(
         registry: where the plugins come from.
         options: how the run is written.
         progress: called with how many frame sets are done, and of how many.
+        on_note: called with a line that says what resuming the run costs.
 
     Raises:
         MeasureError: whatever is wrong with the session, calibration, plugins or settings; what was
@@ -83,17 +88,22 @@ def run(
         if options.viewer:
             check_viewer(options.viewer)
         made_from = _of_session(session, profile, registry)
-        writer = RunWriter(
-            out, made_from, session.body, session.cameras, options.resume, options.overwrite
+        resume, overwrite = options.resume, options.overwrite
+        writer = stack.enter_context(
+            RunWriter(out, made_from, session.body, session.cameras, resume, overwrite)
         )
-        measured = measure_session(session, profile, registry, start=writer.next_index)
+        if writer.is_complete(total):
+            return writer.finish()
+        if writer.kept and on_note is not None:
+            on_note(_cost_of_resuming(writer.kept, total))
+        measured = measure_session(session, profile, registry)
         # Stages that do not fit together or fail at the very first picture are met here: before a
         # folder is made, or an earlier run lost.
         first = list(islice(measured, 1))
-        stack.enter_context(writer)
+        writer.begin()
         log = (
-            stack.enter_context(_log(session, out, options, writer.next_index))
-            if (options.recording or options.viewer) and writer.next_index < total
+            stack.enter_context(_log(session, out, options, writer.kept))
+            if options.recording or options.viewer
             else None
         )
         for frame_set, measurement in chain(first, measured):
@@ -102,7 +112,16 @@ def run(
                 log.add(measurement, frame_set)
             if progress is not None:
                 progress(measurement.index + 1, total)
+        if log is not None:
+            log.close()
         return writer.finish()
+
+
+def _cost_of_resuming(kept: int, total: int) -> str:
+    return (
+        f"measuring {min(kept, total)} kept of {total} frame sets again, so that the rest comes "
+        "out as if never interrupted"
+    )
 
 
 def provenance(
@@ -169,7 +188,7 @@ def resolved(profile: Profile, registry: Registry) -> Mapping[str, Any]:
     return profile.model_dump(exclude={"settings"}) | {"settings": settings}
 
 
-def _log(session: Session, out: Path, options: RunOptions, start: int) -> RunLog:
+def _log(session: Session, out: Path, options: RunOptions, kept: int) -> RunLog:
     """The recording of a run of this session, its truth and its videos in it."""
     from measure.viewing.videos import passed_videos
 
@@ -179,7 +198,7 @@ def _log(session: Session, out: Path, options: RunOptions, start: int) -> RunLog
         session.cameras,
         out,
         options,
-        start,
+        kept,
         truth=_truth(session),
         videos=passed_videos(session) if options.image_every else {},
     )

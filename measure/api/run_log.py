@@ -12,6 +12,7 @@ from measure.errors import RunError
 from measure.measuring import Measurement
 from measure.model import Body, Camera, FrameSet
 from measure.results import digest
+from measure.results.files import unfinished
 from measure.session import Trajectory
 
 if TYPE_CHECKING:
@@ -48,7 +49,7 @@ class LogOptions:
 
 
 class RunLog:
-    """The recording of a run, with the error against truth where there is one; its further parts.
+    """The recording of a run, with the error against truth where there is one.
 
     Args:
         name: shown in the viewer.
@@ -56,7 +57,8 @@ class RunLog:
         cameras: calibrated.
         out: the run's folder, with its `run.toml`.
         options: what goes in.
-        start: index of the first frame set: a run that goes on writes a further part.
+        kept: how many frame sets are kept of an interrupted run: its recording is replaced by this
+            one as soon as this one holds as much.
         truth: the true poses, where they are known.
         videos: by camera, recorded videos that go in as they are.
     """
@@ -68,19 +70,19 @@ class RunLog:
         cameras: Sequence[Camera],
         out: Path,
         options: LogOptions,
-        start: int = 0,
+        kept: int = 0,
         truth: Trajectory | None = None,
         videos: Mapping[str, PassedVideo] | None = None,
     ) -> None:
         from measure.viewing.recording import RunRecording
         from measure.viewing.stream import open_recording
 
-        # A run that goes on must not overwrite what was recorded before.
-        file = f"run-{start:06d}.rrd" if start else "run.rrd"
-        self._path = out / file if options.recording else None
+        self._path = out / "run.rrd" if options.recording else None
+        self._kept, self._closed, self._problem = kept, False, ""
         self._check_free_space()
         run_id = digest([(out / "run.toml").read_bytes()])
-        stream = open_recording(name, cameras, self._path, options.viewer, run_id)
+        file = unfinished(self._path) if self._path and kept else self._path
+        stream = open_recording(name, cameras, file, options.viewer, run_id)
         self._log = RunRecording(
             stream,
             body,
@@ -95,16 +97,26 @@ class RunLog:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        try:
-            self._log.close()
-        except RuntimeError as problem:
-            # Rerun's writer thread died, most often of a full disk. If the tables met it too, their
-            # message is the one to read; if not, they are complete without the recording.
-            if kind is None:
-                raise RunError(
-                    f"{self._path or 'the live recording'} could not be written whole ({problem}); "
-                    "the tables of the run are complete"
-                ) from None
+        self.close()
+        if self._path is not None:
+            unfinished(self._path).unlink(missing_ok=True)
+        # If the tables met a full disk too, their message is the one to read; if not, they are
+        # complete without the recording.
+        if self._problem and kind is None:
+            raise RunError(
+                f"{self._path or 'the live recording'} could not be written whole "
+                f"({self._problem}); the tables of the run are complete"
+            )
+
+    def close(self) -> None:
+        """Close the recording; if that fails, it is told at the end of the block."""
+        if not self._closed:
+            self._closed = True
+            try:
+                self._log.close()
+            except RuntimeError as problem:
+                # Rerun's writer thread died, most often of a full disk.
+                self._problem = str(problem)
 
     def _check_free_space(self) -> None:
         """Stop while the tables still fit: Rerun's writer may hang when its disk is full."""
@@ -126,3 +138,6 @@ class RunLog:
         """
         self._check_free_space()
         self._log.add(measurement, frame_set)
+        if self._path is not None and measurement.index + 1 == self._kept:
+            self._log.flush()
+            unfinished(self._path).replace(self._path)

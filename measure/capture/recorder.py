@@ -53,6 +53,8 @@ class Recorder:
         check_new(folder, addresses)
         try:
             folder.mkdir(parents=True, exist_ok=True)
+            for name in addresses:
+                (folder / name).mkdir()  # fails for the second of two that record into it at once
             if body is not None:
                 write_body(folder / "body.toml", body)
             if cameras:
@@ -60,7 +62,6 @@ class Recorder:
             text = dump_toml(_session(folder, addresses, body is not None, bool(cameras)))
             (folder / "session.toml").write_text(text, "utf-8")
             for name in addresses:
-                (folder / name).mkdir()
                 self._stamps[name] = _new_stamps(folder / f"{name}.csv")
         except OSError as problem:
             self.close()

@@ -40,7 +40,7 @@ class _ExecutionOptions:
     """What happens to earlier runs, and where the work is done.
 
     Attributes:
-        resume: go on with an interrupted run.
+        resume: finish an interrupted run as if it never was; what it kept is measured again.
         overwrite: throw an earlier run in the folder away.
         workers: how many sessions to measure at a time; as many as there are cores.
         cluster: a dask scheduler's address, tcp://HOST:PORT, whose workers do the work.
@@ -93,7 +93,7 @@ def run(
             )
         return _print_outcomes(outcomes, out, json)
     with console.progress("measuring") as report:
-        summary = api.run(sessions[0], out, chosen, registry, options, report)
+        summary = api.run(sessions[0], out, chosen, registry, options, report, console.note)
     if json:
         console.print_json({"run": str(out), **summary.values()})
         return 0

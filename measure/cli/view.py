@@ -32,11 +32,11 @@ def view(
         robot_log: the robot's log; the one that the session names if omitted.
         model: an estimator (.onnx): its corrected position is shown too.
     """
-    from measure.viewing.viewer import open_viewer, recordings_of
+    from measure.viewing.viewer import open_viewer, recording_of
 
     if robot is None and (robot_log or model):
         raise ConfigError("say with --robot what the robot's states are, such as --robot raven")
-    recordings = recordings_of(run)
+    recordings = [recording_of(run)]
     if robot is not None:
         from measure import api
 

@@ -1,6 +1,7 @@
 """The run folder: written row by row, read back, evaluated, exported."""
 
 from measure.results.evaluation import RunEvaluation, evaluate
+from measure.results.lock import refuse_other_writer
 from measure.results.marks import Marks, read_marks
 from measure.results.provenance import Provenance, digest, versions
 from measure.results.run import Run, read_run
@@ -20,5 +21,6 @@ __all__ = [
     "evaluate",
     "read_marks",
     "read_run",
+    "refuse_other_writer",
     "versions",
 ]

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import errno
 import os
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,85 +11,29 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from measure.errors import RunError
-
-MEND = "fetch it from where the run was made, or measure anew with --overwrite"
-"""What helps where a run's file is damaged or missing."""
-
-
-@contextmanager
-def writing(folder: Path) -> Iterator[None]:
-    """Turn a failed write into one line that says what is kept."""
-    try:
-        yield
-    except OSError as error:
-        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
-        what = "the disk is full" if full else f"cannot write ({error.strerror or error})"
-        begun = os.path.exists(folder / "run.toml")  # noqa: PTH110 -- `Path.exists` raises on EACCES
-        then = (
-            "everything measured before is kept: mend that and go on with --resume"
-            if begun
-            else "nothing was begun: mend that, or choose another folder with --out"
-        )
-        raise RunError(f"{folder}: {what}; {then}") from error
-
-
-class GrowingFile:
-    """A file that only grows, by whole pieces: one that does not fit leaves no trace."""
-
-    def __init__(self, path: Path, keep: int = 0) -> None:
-        """Open the file and cut off all but its first `keep` bytes."""
-        self._file: Any = path.open("r+b" if path.exists() else "w+b", buffering=0)
-        self._file.truncate(keep)
-        self._file.seek(keep)
-
-    def append(self, data: bytes) -> None:
-        """Hand bytes to the operating system, where a kill of this process no longer matters.
-
-        Raises:
-            OSError: they cannot be written; the file is as before.
-        """
-        start = self._file.tell()
-        try:
-            done = 0
-            while done < len(data):
-                done += self._file.write(data[done:])
-        except OSError:
-            with suppress(OSError):
-                self._file.truncate(start)
-            os.lseek(self._file.fileno(), start, os.SEEK_SET)
-            raise
-
-    def close(self) -> None:
-        """Close it; closing twice does no harm."""
-        self._file.close()
+from measure.results.files import MEND, GrowingFile, replacing
 
 
 class Journal:
-    """One table, appended in batches to an Arrow stream.
+    """One table, appended in batches to an Arrow stream; see `GrowingFile` for where it grows.
 
     Args:
         path: the stream, `NAME.arrows`.
         schema: of the table.
-        kept: rows to begin with (of a run that is resumed).
+        kept: rows that a resumed run begins with: those appended must be the same.
+        blame: why they might not be, in words.
     """
 
-    def __init__(self, path: Path, schema: pa.Schema, kept: pa.Table | None = None) -> None:
-        self._schema = schema
+    def __init__(self, path: Path, schema: pa.Schema, kept: pa.Table, blame: str = "") -> None:
+        self._folder, self._schema = path.parent, schema
+        self._kept, self._written, self._blame = kept, 0, blame
         self._rows: list[dict[str, Any]] = []
-        # The kept rows take the old file's place in one step: never are there fewer than before.
-        fresh = path.with_suffix(".new")
-        out = GrowingFile(fresh)
+        self._file = GrowingFile(path)
         try:
-            out.append(bytes(schema.serialize()))
-            for batch in kept.combine_chunks().to_batches() if kept is not None else ():
-                out.append(bytes(batch.serialize()))
+            self._file.append(bytes(schema.serialize()))
         except OSError:
-            fresh.unlink(missing_ok=True)
+            self._file.close()
             raise
-        finally:
-            out.close()
-        fresh.replace(path)
-        self._file = GrowingFile(path, keep=path.stat().st_size)
 
     def append(self, rows: Sequence[dict[str, Any]]) -> None:
         """Take rows, which must not change any more; they are written by the next `flush`."""
@@ -102,15 +44,33 @@ class Journal:
 
         Raises:
             OSError: they cannot be written; they are kept for another try.
+            RunError: they are not the rows that are kept of the interrupted run.
         """
         if self._rows:
             batch = pa.RecordBatch.from_pylist(self._rows, self._schema)
+            self._refuse_other_rows(batch)
             self._file.append(bytes(batch.serialize()))
             self._rows = []
+            self._written += batch.num_rows
+
+    def take_place(self) -> None:
+        """Replace the stream of the interrupted run by what was flushed, in one step."""
+        self._file.take_place()
 
     def close(self) -> None:
         """Close the file; rows that were not flushed are lost."""
         self._file.close()
+
+    def _refuse_other_rows(self, batch: pa.RecordBatch) -> None:
+        """Refuse rows that differ from those kept in their places, to the last digit."""
+        before = self._kept.slice(self._written, batch.num_rows).to_pylist()
+        for old, new in zip(before, batch.to_pylist(), strict=False):
+            # As text, for of unknown numbers (NaN) none equals another.
+            if str(old) != str(new):
+                raise RunError(
+                    f"{self._folder} cannot be resumed: frame set {new['index']} comes out "
+                    f"otherwise than before ({self._blame}): --overwrite starts anew"
+                )
 
 
 def read_table(folder: Path, name: str, schema: pa.Schema) -> pa.Table:
@@ -120,19 +80,28 @@ def read_table(folder: Path, name: str, schema: pa.Schema) -> pa.Table:
         RunError: neither the table nor its stream is there, or the file is not what it should be.
     """
     finished, stream = folder / f"{name}.parquet", folder / f"{name}.arrows"
+    where = stream if stream.exists() else finished
+    if is_missing(folder, name):
+        raise RunError(f"{folder} is torn: it has no {name}.parquet: {MEND}")
     try:
-        if stream.exists():
-            return _whole_batches(stream, schema)
-        if finished.exists():
-            # Not a file of Python's: threads that read it may let go of it after Python has ended,
-            # which aborts the process. As bytes, for names need not be UTF-8.
-            with pa.OSFile(os.fsencode(finished)) as file:
-                _refuse_missing(schema, pq.read_schema(file))
-                return pq.read_table(file, schema=schema)
+        table = (_whole_batches if where == stream else _whole_table)(where, schema)
+        table.validate(full=True)  # texts that are none, lists longer than what they hold
     except (pa.ArrowException, OSError) as error:
-        where = stream if stream.exists() else finished
         raise RunError(f"{where}: cannot be read ({error}): {MEND}") from error
-    raise RunError(f"{folder} is torn: it has no {name}.parquet: {MEND}")
+    return table
+
+
+def is_missing(folder: Path, name: str) -> bool:
+    """Whether neither a table nor its stream is there."""
+    return not any((folder / f"{name}.{kind}").exists() for kind in ("parquet", "arrows"))
+
+
+def _whole_table(path: Path, schema: pa.Schema) -> pa.Table:
+    # Not a file of Python's: threads that read it may let go of it after Python has ended, which
+    # aborts the process. As bytes, for names need not be UTF-8.
+    with pa.OSFile(os.fsencode(path)) as file:
+        _refuse_missing(schema, pq.read_schema(file))
+        return pq.read_table(file, schema=schema)
 
 
 def _refuse_missing(wanted: pa.Schema, there: pa.Schema) -> None:
@@ -160,12 +129,8 @@ def finish(folder: Path, name: str, table: pa.Table) -> None:
     Raises:
         OSError: it cannot be written; the stream is still there.
     """
-    fresh = folder / f"{name}.parquet.new"
-    try:
-        with fresh.open("wb") as out:
-            pq.write_table(table, out, compression="zstd")
-    except OSError:
-        fresh.unlink(missing_ok=True)
-        raise
-    fresh.replace(folder / f"{name}.parquet")
+    # Of one piece: the bytes must not tell when rows were flushed.
+    whole = table.combine_chunks()
+    with replacing(folder / f"{name}.parquet") as fresh, fresh.open("wb") as out:
+        pq.write_table(whole, out, compression="zstd")
     (folder / f"{name}.arrows").unlink(missing_ok=True)

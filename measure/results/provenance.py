@@ -17,7 +17,7 @@ from pydantic import BaseModel, ValidationError, field_validator
 from measure.errors import RunError
 from measure.host.settings import explain_validation
 from measure.reading import parse_toml, read_toml_text
-from measure.results.journal import MEND
+from measure.results.files import MEND
 
 _LIBRARIES = ("triball", "numpy", "scipy", "opencv-python-headless", "numba", "av")
 
@@ -83,6 +83,16 @@ class Provenance:
         return changed
 
 
+def changed_versions(written: Mapping[str, Any]) -> list[str]:
+    """The libraries that an earlier run was made with in another version, by its `run.toml`."""
+    then = written.get("versions", {})
+    return [
+        f"{name} {then.get(name, 'unknown')} then, {now} now"
+        for name, now in versions().items()
+        if then.get(name) != now
+    ]
+
+
 def read_provenance(file: Path) -> dict[str, Any]:
     """The values of a run's `run.toml`.
 
@@ -129,6 +139,7 @@ class _RunFile(BaseModel):
     body: dict[str, Any] = {}
     profile: dict[str, Any] = {}
     plugins: dict[str, Any] = {}
+    versions: dict[str, Any] = {}
 
 
 def _flat(values: Mapping[str, Any], name: str) -> dict[str, Any]:

@@ -11,7 +11,8 @@ import pyarrow.compute as pc
 
 from measure.errors import RunError
 from measure.model import Body, Camera
-from measure.results.journal import MEND, read_table
+from measure.results.files import MEND
+from measure.results.journal import is_missing, read_table
 from measure.results.tables import SCHEMAS
 
 PLACE = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
@@ -20,18 +21,26 @@ _UNIT = 1e-3
 """By how much a quaternion's length may differ from one."""
 
 
-def read_tables(folder: Path, body: Body, cameras: Sequence[Camera]) -> dict[str, pa.Table]:
+def read_tables(
+    folder: Path, body: Body, cameras: Sequence[Camera], begun_only: bool = False
+) -> dict[str, pa.Table]:
     """The rows of all frame sets whose pose was written; a kill may leave some of one more.
 
     Args:
         folder: of the run.
         body: that was measured.
         cameras: that saw it.
+        begun_only: whether tables may be missing: those of a run that was only begun.
 
     Raises:
         RunError: a table is missing or cannot be read, or holds what no run of these writes.
     """
-    tables = {name: read_table(folder, name, schema) for name, schema in SCHEMAS.items()}
+    tables = {
+        name: schema.empty_table()
+        if begun_only and is_missing(folder, name)
+        else read_table(folder, name, schema)
+        for name, schema in SCHEMAS.items()
+    }
     complete = tables["poses"].num_rows
     tables = {name: t.filter(pc.less(t["index"], complete)) for name, t in tables.items()}
     known = {

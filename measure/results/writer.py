@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import errno
 import json
-import os
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -18,9 +16,12 @@ from measure.errors import RunError
 from measure.measuring import Measurement
 from measure.model import Body, Camera
 from measure.results.distances import ball_distances, contradictions
-from measure.results.journal import GrowingFile, Journal, finish, read_table, writing
-from measure.results.provenance import Provenance, read_provenance
-from measure.results.stored import read_tables
+from measure.results.files import GrowingFile, replacing, unfinished, writing
+from measure.results.folder import clear, own_files, refuse_folder
+from measure.results.journal import Journal, finish, read_table
+from measure.results.kept import NOTHING, csv_rows, read_kept, refuse_other_run
+from measure.results.lock import FolderLock, refuse_other_writer
+from measure.results.provenance import Provenance
 from measure.results.summary import Summary, summarise
 from measure.results.tables import CSV_COLUMNS, SCHEMAS, csv_line, rows_of
 from measure.session import Calibration, dump_toml, write_body, write_calibration
@@ -28,27 +29,29 @@ from measure.session import Calibration, dump_toml, write_body, write_calibratio
 FLUSH_EVERY_S = 0.5
 """How much of the work a kill may cost; `poses.csv` loses nothing."""
 
-_OWN_FILES = ("run.toml", "poses.csv", "summary.json", "run.rrd", "report.html", "body.toml")
+_CSV_HEADING = ",".join(CSV_COLUMNS).encode() + b"\n"
 
 
 class RunWriter:
     """A run folder being written; use it as a context manager.
 
-    Whatever cannot be is refused when it is built. Entering it begins the run: only then are files
-    written, and those of an earlier run thrown away.
+    Whatever cannot be is refused when it is built. Entering it keeps other writers out. `begin`, or
+    the first row, begins the run: only then are files written, and those of an earlier run thrown
+    away. A run that is resumed is appended from its first frame set on, and must come out as
+    before: its files grow beside those that are kept, and replace them once they hold as much.
 
     Args:
         folder: new, empty, or (with `resume` or `overwrite`) an earlier run.
         provenance: what the run is made from.
         body: copied into the folder, so that the run can be looked at without its session.
         cameras: likewise.
-        resume: go on where an earlier run of the same ended.
+        resume: go on with an earlier run of the same.
         overwrite: throw an earlier run away.
         clock: seconds, for the rhythm of writing.
 
     Raises:
-        RunError: the folder holds something else, or an earlier run of something else, or cannot
-            be written.
+        RunError: the folder holds something else, or an earlier run of something else, cannot be
+            written, or is being written by another process.
     """
 
     def __init__(
@@ -63,28 +66,31 @@ class RunWriter:
     ) -> None:
         self._folder, self._provenance = folder, provenance
         self._body, self._cameras = body, tuple(cameras)
-        self._overwrite, self._clock = overwrite, clock
-        with writing(folder):
-            _refuse(folder, resume, overwrite)
-            going_on = resume and _can_go_on(folder, provenance)
-            self._kept = read_tables(folder, body, cameras) if going_on else {}
-        self.next_index = self._kept["poses"].num_rows if going_on else 0
+        self._resume, self._overwrite, self._clock = resume, overwrite, clock
+        self._kept, self._appended = NOTHING, 0
+        self._lock: FolderLock | None = None
         self._files = ExitStack()
-        self._finished = False
+        self._begun = self._in_place = False
+        self._flushed_s = clock()
+        with writing(folder):
+            refuse_other_writer(folder)
+            refuse_folder(folder, resume, overwrite)
+            if self._goes_on():
+                refuse_other_run(folder, provenance)
+
+    @property
+    def kept(self) -> int:
+        """How many frame sets are kept of an earlier run; they have to be measured again."""
+        return self._kept.frame_sets
+
+    def is_complete(self, total: int) -> bool:
+        """Whether an earlier run holds all of so many frame sets, and only has to be finished."""
+        return self._kept.closing and self.kept == total
 
     def __enter__(self) -> Self:
         with writing(self._folder):
-            if not self._kept:
-                self._begin()
-            self._journals = {
-                name: Journal(self._folder / f"{name}.arrows", schema, self._kept.get(name))
-                for name, schema in SCHEMAS.items()
-            }
-            self._csv = _open_csv(self._folder / "poses.csv", self._kept.get("poses"))
-        self._files.callback(self._csv.close)
-        for journal in self._journals.values():
-            self._files.callback(journal.close)
-        self._flushed_s = self._clock()
+            if self._folder.exists():
+                self._lock_folder(self._resume)
         return self
 
     def __exit__(
@@ -94,125 +100,134 @@ class RunWriter:
         trace: TracebackType | None,
     ) -> None:
         try:
-            if not self._finished:
-                with writing(self._folder):
-                    self._flush()
+            with writing(self._folder):
+                self._flush()
         except RunError:
             # Report the failure that ended the block, if there was one.
             if kind is None:
                 raise
         finally:
             self._files.close()
+            if self._lock is not None:
+                self._lock.release()
+
+    def begin(self) -> None:
+        """Throw an earlier run away unless it goes on, and write what stands beside the tables."""
+        if self._begun:
+            return
+        with writing(self._folder):
+            if self._lock is None:
+                self._folder.mkdir(parents=True, exist_ok=True)
+                self._lock_folder(resume=False)  # another process may have begun one since
+            if not self._goes_on():
+                clear(self._folder)
+                with replacing(self._folder / "run.toml") as file:
+                    file.write_text(dump_toml(self._provenance.values()), "utf-8")
+            self._write_copies()
+            self._open_files()
+            self._begun = True
+            self._take_place_if(not self.kept and not self._kept.csv_rows)
 
     def append(self, measured: Measurement) -> None:
         """Write one measurement, which must be the next.
 
         Raises:
-            RunError: it cannot be written (disk full); what was written before is kept.
+            RunError: it cannot be written (disk full), what was written before is kept; or it is
+                not the one that is kept of the run that is resumed.
         """
+        self.begin()
         with writing(self._folder):
             rows = rows_of(measured)
             for name, journal in self._journals.items():
                 journal.append(rows[name])
             self._csv.append(csv_line(rows["poses"][0]))
-            self.next_index += 1
+            self._appended += 1
             if self._clock() - self._flushed_s >= FLUSH_EVERY_S:
                 self._flush()
+            # Never are there fewer rows than before: not in `poses.csv` either.
+            self._take_place_if(self._appended >= max(self.kept, self._kept.csv_rows))
 
     def finish(self) -> Summary:
         """Turn the streams into Parquet and write `summary.json`."""
+        if not self._goes_on():
+            self.begin()
         with writing(self._folder):
+            if not self._begun:
+                self._write_copies()
             self._flush()
+            self._take_place_if(self._begun and self._appended >= self.kept)
             self._files.close()
-            self._finished = True
+            self._begun = False
             tables = {name: read_table(self._folder, name, s) for name, s in SCHEMAS.items()}
+            self._mend_csv(tables["poses"])
             distances = ball_distances(self._body, tables["balls"], tables["poses"])
             against = contradictions(self._body, distances)
             notes = self._provenance.notes
             summary = summarise(tables["detections"], tables["poses"], notes, against)
             text = json.dumps(summary.values(), indent=2, allow_nan=False, ensure_ascii=False)
-            (self._folder / "summary.json").write_text(text + "\n", "utf-8")
+            # From here on the run counts as complete.
+            with replacing(self._folder / "summary.json") as file:
+                file.write_text(text + "\n", "utf-8")
             for name, table in tables.items():
                 finish(self._folder, name, table)
         return summary
 
-    def _begin(self) -> None:
-        """Throw an earlier run away, and write what stands beside the tables."""
-        # Another process may have begun one since.
-        _refuse(self._folder, resume=False, overwrite=self._overwrite)
-        self._folder.mkdir(parents=True, exist_ok=True)
-        _clear(self._folder)
-        text = dump_toml(self._provenance.values())
-        (self._folder / "run.toml").write_text(text, "utf-8")
-        write_body(self._folder / "body.toml", self._body)
-        write_calibration(self._folder / "calibration.toml", Calibration(self._cameras))
+    def _goes_on(self) -> bool:
+        """Whether there is a run to go on with."""
+        return self._resume and (self._folder / "run.toml").exists()
+
+    def _lock_folder(self, resume: bool) -> None:
+        """Keep other writers out, then look at what there is."""
+        self._lock = FolderLock(self._folder)
+        try:
+            refuse_folder(self._folder, resume, self._overwrite)
+            for file in own_files(self._folder):
+                unfinished(file).unlink(missing_ok=True)
+            if self._goes_on():
+                self._kept = read_kept(self._folder, self._provenance, self._body, self._cameras)
+        except BaseException:
+            self._lock.release()
+            raise
+
+    def _write_copies(self) -> None:
+        with replacing(self._folder / "body.toml") as file:
+            write_body(file, self._body)
+        with replacing(self._folder / "calibration.toml") as file:
+            write_calibration(file, Calibration(self._cameras))
+
+    def _open_files(self) -> None:
+        self._journals: dict[str, Journal] = {}
+        for name, schema in SCHEMAS.items():
+            kept = self._kept.tables[name]
+            journal = Journal(self._folder / f"{name}.arrows", schema, kept, self._kept.blame)
+            self._files.callback(journal.close)
+            self._journals[name] = journal
+        self._csv = GrowingFile(self._folder / "poses.csv")
+        self._files.callback(self._csv.close)
+        self._csv.append(_CSV_HEADING)
+
+    def _take_place_if(self, due: bool) -> None:
+        """Replace what is kept of an earlier run, if that is due and not done."""
+        if due and not self._in_place:
+            self._flush()
+            for journal in self._in_order():
+                journal.take_place()
+            self._csv.take_place()
+            self._in_place = True
 
     def _flush(self) -> None:
-        # In this order a pose's row never stands without the rows it was made from.
-        for name in ("detections", "balls", "poses"):
-            self._journals[name].flush()
-        self._flushed_s = self._clock()
+        if self._begun:
+            for journal in self._in_order():
+                journal.flush()
+            self._flushed_s = self._clock()
 
+    def _in_order(self) -> list[Journal]:
+        """So that a pose's row never stands without the rows it was made from."""
+        return [self._journals[name] for name in ("detections", "balls", "poses")]
 
-def _refuse(folder: Path, resume: bool, overwrite: bool) -> None:
-    """Refuse a folder in which no run can be written, or not without losing one."""
-    if resume and overwrite:
-        raise RunError("--resume goes on with a run, --overwrite throws it away: give one of them")
-    if folder.exists() and not folder.is_dir():
-        raise RunError(f"{folder} is a file: choose a new folder with --out")
-    there = next(place for place in (folder, *folder.absolute().parents) if place.exists())
-    if not (there.is_dir() and os.access(there, os.W_OK | os.X_OK)):
-        number = errno.EACCES if there.is_dir() else errno.ENOTDIR
-        raise OSError(number, os.strerror(number))
-    if not folder.exists() or not any(folder.iterdir()):
-        return
-    if not (folder / "run.toml").exists():
-        raise RunError(f"{folder} holds files but no run: choose a new folder with --out")
-    if not (resume or overwrite):
-        raise RunError(f"{folder} holds a run already: --resume goes on, --overwrite starts anew")
-    _refuse_links(folder)
-
-
-def _refuse_links(folder: Path) -> None:
-    """Refuse to write through a link, which may lead to any file of the user's."""
-    for file in (*own_files(folder), *folder.glob("*.new")):
-        if file.is_symlink():
-            raise RunError(
-                f"{file} is a link to {file.readlink()}, and nothing is written through one: "
-                "put the file itself in its place, or choose a new folder with --out"
-            )
-
-
-def _can_go_on(folder: Path, provenance: Provenance) -> bool:
-    """Whether there is a run to go on with; one of something else is refused."""
-    if not (folder / "run.toml").exists():
-        return False
-    if changed := provenance.differences(read_provenance(folder / "run.toml")):
-        raise RunError(
-            f"{folder} cannot be resumed: its run was made with other {', '.join(changed)}; "
-            "--overwrite starts anew"
-        )
-    return True
-
-
-def own_files(folder: Path) -> list[Path]:
-    """The files that are a run's own: those that are there, and those that may be."""
-    names = [*_OWN_FILES, "calibration.toml"]
-    names += [f"{table}.{kind}" for table in SCHEMAS for kind in ("parquet", "arrows")]
-    return [*(folder / name for name in names), *folder.glob("run-*.rrd")]
-
-
-def _clear(folder: Path) -> None:
-    """Remove the files of an earlier run and no others."""
-    for file in own_files(folder):
-        file.unlink(missing_ok=True)
-
-
-def _open_csv(path: Path, kept: pa.Table | None) -> GrowingFile:
-    """`poses.csv` with its heading and, of a resumed run, the rows of the table that is kept."""
-    lines = [",".join(CSV_COLUMNS).encode() + b"\n"]
-    lines += [csv_line(row) for row in kept.to_pylist()] if kept is not None else []
-    fresh = path.with_suffix(".csv.new")
-    fresh.write_bytes(b"".join(lines))
-    fresh.replace(path)
-    return GrowingFile(path, keep=path.stat().st_size)
+    def _mend_csv(self, poses: pa.Table) -> None:
+        """Write `poses.csv` anew if it has not all the rows: then not this process wrote it."""
+        path = self._folder / "poses.csv"
+        if csv_rows(path) != poses.num_rows:
+            with replacing(path) as file:
+                file.write_bytes(_CSV_HEADING + b"".join(map(csv_line, poses.to_pylist())))

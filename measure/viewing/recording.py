@@ -75,9 +75,13 @@ class RunRecording:
 
     def close(self) -> None:
         """Send what is held back and close the file."""
+        self.flush()
+        self._stream.disconnect()
+
+    def flush(self) -> None:
+        """Send what is held back."""
         self._send()
         self._stream.flush()
-        self._stream.disconnect()
 
     def add(self, measured: Measurement, frame_set: FrameSet | None = None) -> None:
         """Log one measurement.

@@ -33,9 +33,9 @@ class Viewer:
     listens: str
 
 
-def recordings_of(run: Path) -> list[Path]:
-    """A run's recording and, where the run was interrupted, its further parts; or the one file."""
-    return [run / "run.rrd", *sorted(run.glob("run-*.rrd"))] if run.is_dir() else [run]
+def recording_of(run: Path) -> Path:
+    """A run's recording, if it is a run's folder; or the file itself."""
+    return run / "run.rrd" if run.is_dir() else run
 
 
 def open_viewer(recordings: Sequence[Path], web: bool = False, bind: str = LOOPBACK) -> Viewer:

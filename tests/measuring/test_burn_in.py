@@ -85,20 +85,20 @@ def recording(tmp_path):
     return write_recording(tmp_path / "recording", frames=_FRAMES)
 
 
-def measurements(folder, detector, start=0):
+def measurements(folder, detector):
     """The measurements of a recording by a detector, one by one."""
     Blind.instances.clear()
     acme = Distribution("acme", "1")
     registry = Registry([*Registry.discover().loaded, Loaded("detector", "any", acme, detector)])
     profile = load_profile("precise").with_stage("detector", "any").with_stage("solver", "kabsch")
     with open_session(folder) as session:
-        for _, measured in measure_session(session, profile, registry, start):
+        for _, measured in measure_session(session, profile, registry):
             yield measured
 
 
-def measure(folder, detector, start=0):
+def measure(folder, detector):
     """The indices of what was measured, and the detectors that were shown anything."""
-    measured = [one.index for one in measurements(folder, detector, start)]
+    measured = [one.index for one in measurements(folder, detector)]
     return measured, [one for one in Blind.instances if one.shown]
 
 
@@ -130,13 +130,6 @@ def test_a_short_recording_is_used_whole_for_burn_in(recording, monkeypatch):
     measured, detectors = measure(recording.path, Curious)
     assert len(measured) == _FRAMES
     assert _in_turn(detectors[0].shown) == [*range(_FRAMES), *range(_FRAMES)]
-
-
-def test_a_resumed_run_burns_in_with_the_start(recording):
-    """So that it knows what it knew before it was broken off."""
-    measured, detectors = measure(recording.path, Curious, start=4)
-    assert measured == [4, 5]
-    assert _in_turn(detectors[0].shown) == [0, 1, 2, 4, 5]
 
 
 def test_a_picture_that_cannot_be_read_is_told_when_it_is_due(recording):

@@ -127,13 +127,12 @@ def open_writer(folder: Path, **options: bool) -> RunWriter:
 
 
 def go_on(folder: Path, count: int) -> int:
-    """Resume and finish with `count` frame sets in all; returns where it went on."""
+    """Resume and finish with `count` frame sets in all; returns how many were kept."""
     with open_writer(folder, resume=True) as writer:
-        start = writer.next_index
-        for i in range(start, count):
+        for i in range(count):
             writer.append(measurement(i))
         writer.finish()
-    return start
+        return writer.kept
 
 
 def frames_of(folder: Path) -> list[int]:

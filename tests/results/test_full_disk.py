@@ -50,7 +50,7 @@ class _Flushing(RunWriter):
     """Writes everything at once, so that the test knows what must be there."""
 
     def _flush_all(self) -> None:
-        from measure.results.journal import writing
+        from measure.results.files import writing
 
         with writing(self._folder):
             self._flush()
@@ -91,12 +91,13 @@ class _FullAfter:
 @pytest.mark.parametrize("room", [0, 500, 5_000, 20_001, 50_123])
 def test_a_full_disk_wherever_it_strikes(folder: Path, room: int) -> None:
     class OnSmallDisk(_Flushing):
-        def __enter__(self):
-            super().__enter__()
+        def begin(self):
+            if self._begun:
+                return
+            super().begin()
             left = [room]
             for file in (*(journal._file for journal in self._journals.values()), self._csv):
                 file._file = _FullAfter(file._file, left)
-            return self
 
     writer = OnSmallDisk(folder, made_from(), BODY, CAMERAS)
     done: list[int] = []

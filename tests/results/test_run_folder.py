@@ -28,7 +28,7 @@ PROVENANCE = Provenance(
 
 def _write(folder, total, **options):
     with RunWriter(folder, PROVENANCE, BODY, CAMERAS, **options) as writer:
-        for index in range(writer.next_index, total):
+        for index in range(total):
             writer.append(measurement(index, lost=index == 3))
         return writer.finish()
 

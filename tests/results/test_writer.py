@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import signal
 import subprocess
 import sys
@@ -122,6 +123,7 @@ def test_overwriting_removes_the_run_and_nothing_else(folder: Path) -> None:
         writer.finish()
     (folder / "mine.txt").write_text("keep")
     with open_writer(folder, overwrite=True) as writer:
+        writer.begin()
         assert read_run(folder).poses.num_rows == 0
         writer.finish()
     assert (folder / "mine.txt").read_text() == "keep"
@@ -223,13 +225,16 @@ def test_a_run_file_that_a_run_never_writes(folder: Path, text: str, message: st
 
 
 def test_nothing_is_touched_before_the_run_begins(folder: Path) -> None:
-    open_writer(folder)
-    assert not folder.exists()
+    with open_writer(folder):
+        assert not folder.exists()
     with open_writer(folder) as writer:
         writer.append(measurement(0))
         writer.finish()
-    open_writer(folder, overwrite=True)
-    check_whole(folder, 1)
+    files = sorted(path.name for path in folder.iterdir())
+    for option in ("overwrite", "resume"):
+        with open_writer(folder, **{option: True}):
+            check_whole(folder, 1)
+        assert sorted(path.name for path in folder.iterdir()) == files
 
 
 def test_a_folder_that_may_not_be_written_is_refused_at_once(
@@ -246,7 +251,7 @@ def test_run_begun_by_another_process_is_left_alone(folder: Path, options) -> No
     late = open_writer(folder, **options)
     with open_writer(folder) as first:
         first.append(measurement(0))
-        with pytest.raises(RunError, match="holds a run already"):
+        with pytest.raises(RunError, match=f"is being written by process {os.getpid()} on "):
             late.__enter__()
         first.append(measurement(1))
         first.finish()

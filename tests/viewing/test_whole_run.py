@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import time
+from contextlib import nullcontext
 from pathlib import Path
 
 import cv2
@@ -21,7 +22,7 @@ from measure.session import open_session, read_trajectory
 from measure.viewing import entities
 from measure.viewing.recording import RunRecording
 from measure.viewing.stream import open_recording
-from measure.viewing.viewer import recordings_of, viewer_program
+from measure.viewing.viewer import viewer_program
 from tests.viewing.reading import column, read_recording
 
 SETS = 12
@@ -202,24 +203,26 @@ def _stop(receiver: subprocess.Popen[bytes]) -> None:
         receiver.kill()
 
 
-def test_interrupted_run_is_recorded_in_parts_shown_as_one(session: Path, tmp_path: Path):
-    def stop(done: int, total: int | None) -> None:
-        if done == 5:
-            raise KeyboardInterrupt
-
+def test_an_interrupted_run_has_one_recording_which_never_holds_less(session: Path, tmp_path: Path):
     out, profile, registry = tmp_path / "run", api.load_profile(), Registry.discover()
-    with pytest.raises(KeyboardInterrupt):
-        api.run(session, out, profile, registry, progress=stop)
-    api.run(session, out, profile, registry, api.RunOptions(resume=True))
-    parts = recordings_of(out)
-    assert [part.name for part in parts] == ["run.rrd", "run-000005.rrd"]
-    names = {RrdReader(part).recordings()[0].recording_id for part in parts}
-    assert len(names) == 1, "the viewer would show two recordings"
-    frames = [
-        list(column(read_recording(part)[entities.error("x")], "Scalars:scalars")) for part in parts
-    ]
-    assert frames == [list(range(5)), list(range(5, SETS))]
-    api.run(session, out, profile, registry, api.RunOptions(resume=True))
-    assert recordings_of(out) == parts, "nothing was left to measure"
-    api.run(session, out, profile, registry, api.RunOptions(overwrite=True))
-    assert recordings_of(out) == [out / "run.rrd"]
+
+    def measure(until: int, **options: bool) -> list[int]:
+        """Measure so many frame sets; those that are recorded then."""
+
+        def stop(done: int, total: int | None) -> None:
+            if done == until < SETS:
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt) if until < SETS else nullcontext():
+            api.run(session, out, profile, registry, api.RunOptions(**options), progress=stop)
+        assert [path.name for path in out.glob("*.rrd*")] == ["run.rrd"]
+        stored = read_recording(out / "run.rrd")
+        return list(column(stored[entities.error("x")], "Scalars:scalars"))
+
+    assert measure(5) == list(range(5))
+    assert measure(3, resume=True) == list(range(5)), "the earlier one stands until it is surpassed"
+    assert measure(7, resume=True) == list(range(7))
+    assert measure(SETS, resume=True) == list(range(SETS))
+    whole = (out / "run.rrd").stat().st_mtime_ns
+    assert measure(SETS, resume=True) == list(range(SETS))
+    assert (out / "run.rrd").stat().st_mtime_ns == whole, "nothing was left to measure"

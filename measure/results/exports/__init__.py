@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from measure.errors import ConfigError, RunError
+from measure.results.folder import own_files
 from measure.results.run import Run
-from measure.results.writer import own_files
 
 
 @dataclass(frozen=True)

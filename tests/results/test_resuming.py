@@ -1,0 +1,227 @@
+"""A run that is resumed: what is kept of it, what is refused, and who may write."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from measure.errors import RunError
+from measure.measuring import Measurement
+from measure.results import read_run
+from measure.results.lock import FolderLock, refuse_other_writer
+from measure.results.tables import SCHEMAS
+from tests.results.conftest import check_whole, frames_of, go_on, measurement, open_writer
+
+
+def begun(folder: Path, count: int) -> None:
+    """A run that ended without its end."""
+    with open_writer(folder) as writer:
+        writer.begin()
+        for i in range(count):
+            writer.append(measurement(i))
+            writer._flush()
+
+
+def resumed(folder: Path, measured: list[Measurement]) -> None:
+    with open_writer(folder, resume=True) as writer:
+        for one in measured:
+            writer.append(one)
+        writer.finish()
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_rows_kept_are_never_fewer_while_they_are_measured_again(folder: Path) -> None:
+    begun(folder, 6)
+    with (folder / "poses.csv").open("ab") as file:
+        file.write(b"6,of a row that its table had not yet\n")
+    before = contents(folder)
+    with open_writer(folder, resume=True) as writer:
+        assert writer.kept == 6
+        for i in range(6):
+            writer.append(measurement(i))
+            assert frames_of(folder) == list(range(6))
+            assert len((folder / "poses.csv").read_text().splitlines()) == 8
+    assert contents(folder) == before
+    with open_writer(folder, resume=True) as writer:
+        for i in range(7):
+            writer.append(measurement(i))
+        assert frames_of(folder) == list(range(7))
+        assert len((folder / "poses.csv").read_text().splitlines()) == 8
+    assert go_on(folder, 9) == 7
+    check_whole(folder, 9)
+
+
+def test_rows_that_come_out_otherwise_are_refused_and_those_kept_stay(folder: Path) -> None:
+    begun(folder, 5)
+    before = contents(folder)
+    nearly = measurement(3, error=np.array([1e-13, 0, 0, 0, 0, 0]))
+    rows = [measurement(0), measurement(1), measurement(2), nearly, measurement(4)]
+    with pytest.raises(RunError, match="frame set 3 comes out otherwise than before") as caught:
+        resumed(folder, rows)
+    assert "another processor, or a damaged file): --overwrite starts anew" in str(caught.value)
+    assert contents(folder) == before
+    text = (folder / "run.toml").read_text().replace('numpy = "', 'numpy = "1.')
+    (folder / "run.toml").write_text(text)
+    changed = f"numpy 1.{np.__version__} then, {np.__version__} now"
+    with pytest.raises(RunError, match=rf"frame set 0 comes out otherwise .*{changed}"):
+        resumed(folder, [replace(measurement(0), reason="other")])
+
+
+@pytest.mark.parametrize("missing", [["body.toml"], ["body.toml", "calibration.toml"], ["all"]])
+def test_a_run_that_was_only_begun_is_gone_on_with(folder: Path, missing: list[str]) -> None:
+    begun(folder, 0)
+    for path in folder.iterdir():
+        if path.name in missing or (missing == ["all"] and path.name != "run.toml"):
+            path.unlink()
+    assert go_on(folder, 3) == 0
+    check_whole(folder, 3)
+
+
+@pytest.mark.parametrize("left", [(), ("run.lock",), ("run.lock", "run.toml.new")])
+@pytest.mark.parametrize("resume", [False, True])
+def test_what_is_left_before_a_run_is_begun_is_no_obstacle(
+    folder: Path, left: tuple[str, ...], resume: bool
+) -> None:
+    folder.mkdir()
+    for name in left:
+        (folder / name).write_text("[run")
+    with open_writer(folder, resume=resume) as writer:
+        writer.append(measurement(0))
+        writer.finish()
+    check_whole(folder, 1)
+    assert not {"run.lock", "run.toml.new"} & {path.name for path in folder.iterdir()}
+
+
+def test_streams_of_different_length_and_a_damaged_body_are_mended(folder: Path) -> None:
+    begun(folder, 6)
+    for name, cut in (("detections", 3000), ("balls", 1500), ("poses", 7)):
+        path = folder / f"{name}.arrows"
+        path.write_bytes(path.read_bytes()[:-cut])
+    (folder / "body.toml").write_text("[[balls")
+    assert go_on(folder, 8) == 5
+    check_whole(folder, 8)
+    assert read_run(folder).body.names == ("green", "yellow", "red")
+
+
+@pytest.mark.parametrize(
+    ("table", "column", "word"),
+    [("poses", "status", "ok"), ("detections", "state", "effective"), ("balls", "ball", "green")],
+)
+def test_a_text_that_is_none_is_told_in_one_line(
+    folder: Path, table: str, column: str, word: str
+) -> None:
+    begun(folder, 3)
+    path = folder / f"{table}.arrows"
+    data = path.read_bytes()
+    path.write_bytes(data[:-900] + data[-900:].replace(word.encode(), b"\xff" * len(word)))
+    assert path.read_bytes() != data
+    for refused in (lambda: read_run(folder), lambda: go_on(folder, 3)):
+        with pytest.raises(RunError, match=rf"{table}.arrows: cannot be read .*UTF8") as caught:
+            refused()
+        assert "\n" not in str(caught.value)
+    with open_writer(folder, overwrite=True) as writer:
+        writer.finish()
+
+
+def test_parquet_does_not_tell_when_rows_were_flushed(tmp_path: Path) -> None:
+    for name, every in (("each", 1), ("at once", 1000)):
+        with open_writer(tmp_path / name) as writer:
+            for i in range(40):
+                writer.append(measurement(i, lost=i % 7 == 3))
+                if i % every == 0:
+                    writer._flush()
+            writer.finish()
+    for name in SCHEMAS:
+        file = f"{name}.parquet"
+        assert (tmp_path / "each" / file).read_bytes() == (tmp_path / "at once" / file).read_bytes()
+
+
+_HOLDER = """
+    import sys, time
+    from pathlib import Path
+    from measure.results.lock import FolderLock
+    lock = FolderLock(Path(sys.argv[1]))
+    print("held", flush=True)
+    time.sleep(60)
+"""
+
+
+def test_the_lock_ends_with_its_process_even_if_that_is_killed(folder: Path) -> None:
+    folder.mkdir()
+    command = [sys.executable, "-c", textwrap.dedent(_HOLDER), str(folder)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as holder:
+        try:
+            assert holder.stdout is not None
+            assert holder.stdout.readline() == "held\n"
+            for refused in (lambda: open_writer(folder), lambda: refuse_other_writer(folder)):
+                with pytest.raises(RunError) as caught:
+                    refused()
+                said = str(caught.value)
+                assert f"{folder} is being written by process {holder.pid} on " in said
+                assert "\n" not in said
+        finally:
+            holder.send_signal(signal.SIGKILL)
+    assert (folder / "run.lock").exists()
+    refuse_other_writer(folder)
+    with open_writer(folder) as writer:
+        told = json.loads((folder / "run.lock").read_text())
+        assert told["pid"] == os.getpid()
+        writer.finish()
+    assert not (folder / "run.lock").exists()
+
+
+def test_a_lock_that_was_released_while_another_waited_for_it_is_none(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its file is gone: who locks it all the same must begin again, with the new one."""
+    folder.mkdir()
+    first = FolderLock(folder)
+    opened = os.open
+
+    def open_then_release(*args: object) -> int:
+        descriptor = opened(*args)
+        first.release()
+        return descriptor
+
+    monkeypatch.setattr("os.open", open_then_release)
+    second = FolderLock(folder)
+    monkeypatch.undo()
+    with pytest.raises(RunError, match="is being written"):
+        FolderLock(folder)
+    second.release()
+    FolderLock(folder).release()
+
+
+def test_a_file_system_without_locks_is_refused(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unsupported(*_: object, **__: object) -> bool:
+        raise OSError(37, os.strerror(37))
+
+    monkeypatch.setattr("measure.results.lock.lock_descriptor", unsupported)
+    with pytest.raises(RunError, match="its file system cannot lock files"):
+        begun(folder, 1)
+    assert not (folder / "run.toml").exists()
+
+
+def test_the_stream_is_what_counts_while_both_forms_are_there(folder: Path) -> None:
+    """A kill between the two steps in which a stream becomes a table."""
+    begun(folder, 3)
+    rows = pa.ipc.open_stream((folder / "poses.arrows").read_bytes()).read_all()
+    pa.parquet.write_table(rows.slice(0, 1), folder / "poses.parquet")
+    assert frames_of(folder) == [0, 1, 2]
+    assert go_on(folder, 3) == 3
+    check_whole(folder, 3)
