@@ -87,6 +87,8 @@ def read_table(folder: Path, name: str, schema: pa.Schema) -> pa.Table:
         table = (_whole_batches if where == stream else _whole_table)(where, schema)
         table.validate(full=True)  # texts that are none, lists longer than what they hold
     except (pa.ArrowException, OSError) as error:
+        if where == stream and not stream.exists():  # it has become a table just now
+            return read_table(folder, name, schema)
         raise RunError(f"{where}: cannot be read ({error}): {MEND}") from error
     return table
 

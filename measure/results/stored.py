@@ -10,13 +10,18 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from measure.errors import RunError
+from measure.measuring import Status
 from measure.model import Body, Camera
+from measure.model.observations import Reason, State
 from measure.results.files import MEND
 from measure.results.journal import is_missing, read_table
 from measure.results.tables import SCHEMAS
 
 PLACE = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
 """The columns of a pose."""
+_Known = tuple[str, Sequence[str]]
+"""Words, and what they are: `in body.toml`."""
+_ANY: _Known = ("a text", ())
 _UNIT = 1e-3
 """By how much a quaternion's length may differ from one."""
 
@@ -35,37 +40,57 @@ def read_tables(
     Raises:
         RunError: a table is missing or cannot be read, or holds what no run of these writes.
     """
+    # Poses first: of a run that is being written, what they were made from is there already.
     tables = {
         name: schema.empty_table()
         if begun_only and is_missing(folder, name)
         else read_table(folder, name, schema)
-        for name, schema in SCHEMAS.items()
+        for name, schema in reversed(SCHEMAS.items())
     }
-    complete = tables["poses"].num_rows
-    tables = {name: t.filter(pc.less(t["index"], complete)) for name, t in tables.items()}
-    known = {
-        "ball": ("body.toml", body.names),
-        "camera": ("calibration.toml", [camera.name for camera in cameras]),
-    }
-    for what, wrong in (
-        ("poses", _wrong_poses(tables["poses"])),
-        ("balls", _wrong_rows(tables["balls"], known) or _wrong_balls(tables["balls"])),
-        ("detections", _wrong_rows(tables["detections"], known)),
-    ):
-        if wrong:
+    words = _words(body, cameras)
+    for what, table in tables.items():
+        wrong = _wrong_numbers(what, table) or _wrong_order(table)
+        if wrong := wrong or _wrong_words(table, words[what]):
             raise RunError(f"{folder}: the {what} are damaged: {wrong}: {MEND}")
-    return tables
+    complete = tables["poses"].num_rows
+    return {name: t.filter(pc.less(t["index"], complete)) for name, t in tables.items()}
 
 
-def _wrong_rows(table: pa.Table, known: Mapping[str, tuple[str, Sequence[str]]]) -> str:
-    """Rows of no frame set, or of a ball or camera that the run has not."""
-    if len(table) and pc.min(table["index"]).as_py() < 0:
+def _wrong_numbers(what: str, table: pa.Table) -> str:
+    if what == "poses":
+        return _wrong_poses(table)
+    return _wrong_balls(table) if what == "balls" else ""
+
+
+def _wrong_order(table: pa.Table) -> str:
+    """Rows of no frame set, or not one after the other."""
+    index = table["index"]
+    if index.null_count or (len(index) and pc.min(index).as_py() < 0):
         return "frame sets count from 0"
-    for column in known.keys() & set(table.column_names):
-        file, names = known[column]
-        for name in pc.unique(table[column]).to_pylist():
-            if name not in names:
-                return f"{column} {name!r} is not in {file} ({', '.join(names)})"
+    return "frame sets are out of order" if np.any(np.diff(index.to_numpy()) < 0) else ""
+
+
+def _words(body: Body, cameras: Sequence[Camera]) -> dict[str, dict[str, _Known]]:
+    """By table and column, the words that may stand there."""
+    ball = ("in body.toml", body.names)
+    camera = ("in calibration.toml", [camera.name for camera in cameras])
+    status, state, reason = (("known", list(kind)) for kind in (Status, State, Reason))
+    return {
+        "poses": {"cameras": camera, "balls": ball, "status": status, "flags": _ANY},
+        "balls": {"ball": ball, "cameras": camera, "dropped": camera},
+        "detections": {"ball": ball, "camera": camera, "state": state, "reason": reason},
+    }
+
+
+def _wrong_words(table: pa.Table, words: Mapping[str, _Known]) -> str:
+    """Cells with a word that is none of those that may stand there."""
+    for column, (where, known) in words.items():
+        cells = table[column]
+        listed = pc.list_flatten(cells) if pa.types.is_list(cells.type) else cells
+        for word in pc.unique(listed).to_pylist():
+            if word is None or (known and word not in known):
+                among = f" ({', '.join(filter(None, known))})" if known else ""
+                return f"{column} {word!r} is not {where}{among}"
     return ""
 
 

@@ -17,7 +17,7 @@ import pytest
 
 from measure.errors import RunError
 from measure.measuring import Measurement
-from measure.results import read_run
+from measure.results import journal, read_run
 from measure.results.lock import FolderLock, refuse_other_writer
 from measure.results.tables import SCHEMAS
 from tests.results.conftest import check_whole, frames_of, go_on, measurement, open_writer
@@ -225,3 +225,36 @@ def test_the_stream_is_what_counts_while_both_forms_are_there(folder: Path) -> N
     assert frames_of(folder) == [0, 1, 2]
     assert go_on(folder, 3) == 3
     check_whole(folder, 3)
+
+
+def test_a_run_can_be_read_at_any_moment_of_its_writing(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Between the reading of two tables more is written, and the run is finished."""
+    with open_writer(folder) as writer:
+        for i in range(3):
+            writer.append(measurement(i))
+        writer._flush()
+        opened, more = pa.ipc.open_stream, iter(range(3, 5))
+
+        def open_then_write(file: object) -> object:
+            table = opened(file)
+            if (i := next(more, None)) is not None:
+                writer.append(measurement(i))
+                writer._flush()
+            return table
+
+        monkeypatch.setattr(pa.ipc, "open_stream", open_then_write)
+        run = read_run(folder)
+        monkeypatch.undo()
+        counts = np.bincount(run.detections["index"].to_numpy())
+        assert counts.tolist() == [9] * len(run.poses)
+        assert len(read_run(folder).poses) == 5
+
+        def finish_first(path: Path, schema: pa.Schema) -> pa.Table:
+            monkeypatch.undo()
+            writer.finish()
+            return journal._whole_batches(path, schema)
+
+        monkeypatch.setattr(journal, "_whole_batches", finish_first)
+        assert frames_of(folder) == list(range(5))
