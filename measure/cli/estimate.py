@@ -14,6 +14,9 @@ from measure.cli.console import JsonFlag
 if TYPE_CHECKING:
     from measure.learning import Zeroing
 
+_CROWDED = "too many senders"
+"""The counter of senders that were refused for want of room."""
+
 
 def estimate(
     model: Path,
@@ -80,8 +83,17 @@ def _serve(
 ) -> None:
     from measure import api
 
+    told = False
+
     def line(server: Any) -> None:
-        console.note(_counted(server.counters.values()))
+        nonlocal told
+        counts = server.counters.values()
+        if counts[_CROWDED] and not told:
+            told = True
+            console.note(
+                "too many senders: new ones are refused until one has been silent for a minute"
+            )
+        console.note(_counted(counts))
 
     def started(server: Any) -> None:
         console.note("listening on udp://{}:{}".format(*server.address))

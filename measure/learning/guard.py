@@ -35,6 +35,7 @@ class Refusal(StrEnum):
     REPEATED = "sequence number repeated or out of order"
     STALE = "stamp not after the last one"
     LEAP = "stamp far ahead of the last one"
+    CROWDED = "too many senders"
 
 
 @dataclass
@@ -46,6 +47,7 @@ class Counters:
         unfamiliar: of these, flagged as unlike training.
         lost: sequence numbers that never came.
         unsent: answers that could not be sent.
+        unanswered: refusals that were not sent, for strangers sent too much.
         refused: by reason.
     """
 
@@ -53,6 +55,7 @@ class Counters:
     unfamiliar: int = 0
     lost: int = 0
     unsent: int = 0
+    unanswered: int = 0
     refused: Counter[Refusal] = field(default_factory=Counter)
 
     def refuse(self, reason: Refusal) -> Refusal:
@@ -62,9 +65,18 @@ class Counters:
 
     def values(self) -> dict[str, int]:
         """Plain names and numbers."""
-        names = ("corrected", "unfamiliar", "lost", "unsent")
+        names = ("corrected", "unfamiliar", "lost", "unsent", "unanswered")
         out = {name: getattr(self, name) for name in names}
         return out | {reason.value: self.refused[reason] for reason in Refusal}
+
+
+def unfit(model: OnnxModel, state: Floats, time_s: float) -> Refusal | None:
+    """Why a state is none of this model's, whatever came before it; None if it is one."""
+    if len(state) != len(model.features):
+        return Refusal.FEATURE_COUNT
+    if np.isinf(time_s) or not (np.abs(state) <= _MAX_FLOAT32).all():
+        return Refusal.NOT_A_NUMBER
+    return None
 
 
 class GuardedModel:
@@ -139,10 +151,8 @@ class GuardedModel:
         return bool(far and 0 < time_s - stray <= _MAX_PAUSE_S)
 
     def _judge(self, state: Floats, time_s: float, sequence: int | None) -> Refusal | None:
-        if len(state) != len(self.model.features):
-            return Refusal.FEATURE_COUNT
-        if np.isinf(time_s) or not (np.abs(state) <= _MAX_FLOAT32).all():
-            return Refusal.NOT_A_NUMBER
+        if (reason := unfit(self.model, state, time_s)) is not None:
+            return reason
         last = self._last_sequence
         if (
             sequence is not None

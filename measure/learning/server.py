@@ -7,25 +7,40 @@ import math
 import socket
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from measure.arrays import Floats
-from measure.errors import EstimatorError
-from measure.host import OnnxModel
-from measure.learning.guard import Counters, GuardedModel, Refusal
+from measure.host import Correction, OnnxModel
+from measure.learning.guard import Counters, GuardedModel, Refusal, unfit
+from measure.learning.lanes import Lanes, Sender
 from measure.learning.packets import LARGEST, AnswerPacket, StatePacket
 from measure.learning.zeroing import Zeroing
 
 DEFAULT_ADDRESS = ("127.0.0.1", 47_118)
-_MOST_SENDERS = 16
-"""Largest number of senders whose histories are kept; the one silent for longest is dropped."""
+MOST_SENDERS = 16
+"""Largest number of senders whose histories are kept."""
+SILENT_S = 60.0
+"""A sender that has sent no valid state for so long gives way to a new one, if there is no room."""
+_MAX_STRANGERS_HZ = 1000
+"""Refusals sent in a second to senders without a history."""
+
+
+@dataclass
+class _History:
+    """A sender's: the model as its states left it, and when the last valid one came."""
+
+    guarded: GuardedModel
+    heard_s: float
 
 
 class EstimateServer:
-    """Answers every datagram with one datagram, a correction or a refusal, and counts both.
+    """Answers datagrams, each with a correction or a refusal, and counts both.
 
-    Every sender (address and port) has a history of its own.
+    Every sender (address and port) of a whole valid state has a history of its own, which nothing
+    that others send changes. It is kept while the sender is active: where there is no room, new
+    senders are refused. Senders with a history are answered first.
 
     Loopback unless another address is given: the packets are neither encrypted nor signed.
     """
@@ -33,31 +48,33 @@ class EstimateServer:
     def __init__(
         self,
         model: OnnxModel,
-        address: tuple[str, int] = DEFAULT_ADDRESS,
+        address: Sender = DEFAULT_ADDRESS,
         zeroing: Zeroing | None = None,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
+        """Listen.
+
+        Args:
+            model: what corrects.
+            address: host and port; port 0 takes a free one.
+            zeroing: what a restart left.
+            clock: tells, in s, how long senders are silent.
+
+        Raises:
+            EstimatorError: it cannot listen there.
+        """
         self.counters = Counters()
-        self._model, self._zeroing = model, zeroing
-        self._histories: dict[tuple[str, int], GuardedModel] = {}  # the sender heard last is last
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4 << 20)
-        try:
-            self._socket.bind(address)
-        except (OSError, OverflowError) as problem:
-            self._socket.close()
-            reason = getattr(problem, "strerror", None) or problem
-            raise EstimatorError(
-                f"cannot listen on udp://{address[0]}:{address[1]} ({reason}): choose another "
-                "--port or --host"
-            ) from None
+        self._model, self._zeroing, self._clock = model, zeroing, clock
+        self._histories: dict[Sender, _History] = {}
+        self._lanes = Lanes(address)
         self._durations = np.zeros(1 << 16)
         self._answered = 0
+        self._second, self._strangers = 0, 0
 
     @property
-    def address(self) -> tuple[str, int]:
+    def address(self) -> Sender:
         """Where it listens."""
-        host, port = self._socket.getsockname()
-        return str(host), int(port)
+        return self._lanes.address
 
     def serve(
         self,
@@ -72,55 +89,77 @@ class EstimateServer:
             on_interval: called every `interval_s`, to show the counters.
             interval_s: in seconds.
         """
-        start = called = time.monotonic()
-        self._socket.settimeout(0.2)
         gc.collect()
         gc.freeze()  # what is loaded by now stays: collecting it would only cost milliseconds
+        start = called = time.monotonic()
         while seconds is None or time.monotonic() - start < seconds:
-            try:
-                data, sender = self._socket.recvfrom(LARGEST)
-            except TimeoutError:
-                data = b""
-            if data:
-                self._send(self.answer(data, sender), sender)
+            for data, sender in self._lanes.receive(0.2):
+                self._respond(data, sender)
             now = time.monotonic()
             if on_interval is not None and now - called >= interval_s:
                 called = now
                 on_interval(self)
 
-    def answer(self, data: bytes, sender: tuple[str, int]) -> bytes:
-        """The datagram that goes back for one that came in; how long it takes is kept."""
+    def answer(self, data: bytes, sender: Sender) -> bytes:
+        """The datagram that goes back for one that came in."""
+        return self._judged(data, sender).pack()
+
+    def _respond(self, data: bytes, sender: Sender) -> None:
+        """Answer a datagram; how long that takes is kept of those that are corrected."""
         begun = time.perf_counter()
-        packed = self._judged(data, sender).pack()
-        self._durations[self._answered % len(self._durations)] = time.perf_counter() - begun
-        self._answered += 1
-        return packed
+        answer = self._judged(data, sender)
+        if isinstance(answer.answer, Refusal) and not self._may_refuse(sender):
+            self.counters.unanswered += 1
+            return
+        packed = answer.pack()
+        if not isinstance(answer.answer, Refusal):
+            spent = time.perf_counter() - begun
+            self._durations[self._answered % len(self._durations)] = spent
+            self._answered += 1
+        self.counters.unsent += not self._lanes.send(packed, sender)
 
-    def _send(self, packed: bytes, sender: tuple[str, int]) -> None:
-        try:
-            self._socket.sendto(packed, sender)
-        except OSError:  # a sender's port may be 0, its network down: the others still listen
-            self.counters.unsent += 1
+    def _may_refuse(self, sender: Sender) -> bool:
+        """Whether to tell a sender so: strangers are, but no more than so many a second."""
+        if sender in self._histories:
+            return True
+        second = int(self._clock())
+        if second != self._second:
+            self._second, self._strangers = second, 0
+        self._strangers += 1
+        return self._strangers <= _MAX_STRANGERS_HZ
 
-    def _judged(self, data: bytes, sender: tuple[str, int]) -> AnswerPacket:
+    def _judged(self, data: bytes, sender: Sender) -> AnswerPacket:
         packet = StatePacket.unpack(data)
         if packet is None:
             return AnswerPacket(0, float("nan"), self.counters.refuse(Refusal.MALFORMED))
         if not math.isfinite(packet.time_s):
-            reason = self.counters.refuse(Refusal.NOT_A_NUMBER)
-            return AnswerPacket(packet.sequence, packet.time_s, reason)
-        answer = self._guarded(sender).update(packet.state, packet.time_s, packet.sequence)
-        return AnswerPacket(packet.sequence, packet.time_s, answer)
+            reason: Refusal | None = Refusal.NOT_A_NUMBER
+        else:
+            reason = unfit(self._model, packet.state, packet.time_s)
+        if reason is not None:
+            return AnswerPacket(packet.sequence, packet.time_s, self.counters.refuse(reason))
+        return AnswerPacket(packet.sequence, packet.time_s, self._corrected(packet, sender))
 
-    def _guarded(self, sender: tuple[str, int]) -> GuardedModel:
-        """The model with this sender's history."""
-        guarded = self._histories.pop(sender, None)
-        if guarded is None:
-            guarded = GuardedModel(self._model.another(), self._zeroing, self.counters)
-        self._histories[sender] = guarded
-        if len(self._histories) > _MOST_SENDERS:
-            del self._histories[next(iter(self._histories))]
-        return guarded
+    def _corrected(self, packet: StatePacket, sender: Sender) -> Correction | Refusal:
+        """The correction of a whole and valid state."""
+        history = self._histories.get(sender) or self._admitted(sender)
+        if history is None:
+            return self.counters.refuse(Refusal.CROWDED)
+        history.heard_s = self._clock()
+        return history.guarded.update(packet.state, packet.time_s, packet.sequence)
+
+    def _admitted(self, sender: Sender) -> _History | None:
+        """A new sender's history; None while all that there is room for are active."""
+        if len(self._histories) >= MOST_SENDERS:
+            silent = min(self._histories, key=lambda one: self._histories[one].heard_s)
+            if self._clock() - self._histories[silent].heard_s < SILENT_S:
+                return None
+            del self._histories[silent]
+            self._lanes.close_lane(silent)
+        guarded = GuardedModel(self._model.another(), self._zeroing, self.counters)
+        history = self._histories[sender] = _History(guarded, self._clock())
+        self._lanes.open(sender)
+        return history
 
     def latency_us(self) -> dict[str, float]:
         """Median and 99th percentile of one update in this process, over the last 65 536."""
@@ -132,7 +171,7 @@ class EstimateServer:
 
     def close(self) -> None:
         """Stop listening."""
-        self._socket.close()
+        self._lanes.close()
 
 
 class EstimateClient:

@@ -26,6 +26,7 @@ from measure.learning import (
     read_states,
 )
 from measure.learning.offline import schema_of
+from measure.learning.server import SILENT_S
 
 pytest.importorskip("onnx", reason="fitting needs the extra 'train'")
 
@@ -57,7 +58,7 @@ def test_bad_states_are_refused_and_counted(guarded: GuardedModel, split: Split)
     counts = guarded.counters.values()
     assert counts["corrected"] == 2
     assert counts["lost"] == 3
-    assert [counts[reason.value] for reason in Refusal] == [0, 1, 1, 1, 1, 0]
+    assert [counts[reason.value] for reason in Refusal] == [0, 1, 1, 1, 1, 0, 0]
 
 
 def test_a_program_that_was_started_again_begins_anew(guarded: GuardedModel, split: Split) -> None:
@@ -209,26 +210,61 @@ def test_answers_over_udp(server: EstimateServer, model_path: Path, split: Split
 
 
 def test_senders_do_not_share_a_history(model_path: Path, split: Split) -> None:
-    """A second one that began with zero used to reset the first one's; of many, old ones go."""
-    states, model = split.test.states, OnnxModel.load(model_path)
-    server = EstimateServer(model, ("127.0.0.1", 0))
-    alone = model.another()
+    """A second one that began with zero used to reset the first one's; of many, old ones went."""
+    states, now = split.test.states, [0.0]
+    server = EstimateServer(OnnxModel.load(model_path), ("127.0.0.1", 0), clock=lambda: now[0])
+    alone = OnnxModel.load(model_path)
+    refused = []
     for i in range(20):
         wanted = alone.update(states[i], float(i)).error_mm
         for port in (1, 2, 100 + i):
             packet = StatePacket(i if port < 100 else 0, float(i), states[i]).pack()
             got = AnswerPacket.unpack(server.answer(packet, ("127.0.0.1", port))).answer
-            assert isinstance(got, Correction)
             if port < 100:
+                assert isinstance(got, Correction)
                 np.testing.assert_allclose(got.error_mm, wanted, atol=1e-4)
-    assert server.counters.values()["corrected"] == 60
-    assert len(server._histories) == 16
+            elif got is Refusal.CROWDED:
+                refused.append(port)
+        now[0] += 1.0
+    assert refused == list(range(114, 120))
+    assert server.counters.refused[Refusal.CROWDED] == 6
+    assert server.counters.corrected == 54
+    now[0] += SILENT_S - 10.0  # some of the others are silent now
+    wanted = alone.update(states[20], 20.0).error_mm
+    for port in (1, 300, 2):
+        packet = StatePacket(0 if port == 300 else 20, 20.0, states[20]).pack()
+        got = AnswerPacket.unpack(server.answer(packet, ("127.0.0.1", port))).answer
+        assert isinstance(got, Correction)
+        if port < 100:
+            np.testing.assert_allclose(got.error_mm, wanted, atol=1e-4)
+    server.close()
+
+
+def test_what_is_no_valid_state_takes_no_place(model_path: Path, split: Split) -> None:
+    """Twenty foreign ports with 22 bytes each used to push out the robot's history."""
+    states = split.test.states
+    server = EstimateServer(OnnxModel.load(model_path), ("127.0.0.1", 0))
+    broken = np.where(np.arange(states.shape[1]) == 3, np.inf, states[0])
+    foreign = [b"garbage", b"", StatePacket(0, 0.0, np.zeros(0)).pack()]
+    foreign += [StatePacket(0, 0.0, broken).pack(), StatePacket(0, np.inf, states[0]).pack()]
+    alone = OnnxModel.load(model_path)
+    for i in range(10):
+        packet = StatePacket(i, float(i), states[i]).pack()
+        got = AnswerPacket.unpack(server.answer(packet, ("127.0.0.1", 1))).answer
+        assert isinstance(got, Correction)
+        wanted = alone.update(states[i], float(i)).error_mm
+        np.testing.assert_allclose(got.error_mm, wanted, atol=1e-4)
+        for port in range(100, 120):
+            for data in foreign:
+                answer = AnswerPacket.unpack(server.answer(data, ("127.0.0.1", port))).answer
+                assert isinstance(answer, Refusal)
+    assert server.counters.refused[Refusal.CROWDED] == 0
     server.close()
 
 
 def test_an_answer_that_cannot_be_sent_ends_nothing(model_path: Path) -> None:
     server = EstimateServer(OnnxModel.load(model_path), ("127.0.0.1", 0))
-    server._send(server.answer(b"garbage", ("127.0.0.1", 0)), ("127.0.0.1", 0))
+    server._respond(b"garbage", ("127.0.0.1", 0))
     assert server.counters.values()["unsent"] == 1
     server.close()
 
