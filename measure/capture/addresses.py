@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import urlsplit
 
 from measure.capture.mjpeg_http import HttpSource
 from measure.capture.sources import Source
 from measure.capture.video_sources import FileSource, device_source, rtsp_source
+from measure.capture.web_address import shown
 from measure.errors import CaptureError, ConfigError
 
 _SCHEMES = ("http", "https", "rtsp", "rtsps")
@@ -26,7 +27,7 @@ class CameraAddress:
     """
 
     name: str
-    address: str
+    address: str = field(repr=False)
 
     @property
     def is_device(self) -> bool:
@@ -48,7 +49,8 @@ class CameraAddress:
         try:
             scheme = urlsplit(self.address).scheme
         except ValueError as problem:
-            raise CaptureError(f"camera '{self.name}': {self.address}: {problem}") from None
+            reason = "Invalid IPv6 URL" if "IPv6" in str(problem) else "invalid address"
+            raise CaptureError(f"camera '{self.name}': {shown(self.address)}: {reason}") from None
         if scheme in ("http", "https"):
             return HttpSource(self.address)
         if scheme in ("rtsp", "rtsps"):
@@ -57,8 +59,8 @@ class CameraAddress:
             return device_source(self.address, size_wh, rate_hz)
         if not Path(self.address).is_file():
             raise CaptureError(
-                f"camera '{self.name}': {self.address} is no video file, no number of a camera "
-                f"and no address ({', '.join(f'{one}://' for one in _SCHEMES)})"
+                f"camera '{self.name}': {shown(self.address)} is no video file, no number of a "
+                f"camera and no address ({', '.join(f'{one}://' for one in _SCHEMES)})"
             )
         return FileSource(self.address)
 
@@ -89,7 +91,7 @@ def parse_cameras(words: Iterable[str], names: Sequence[str] = ()) -> list[Camer
     cameras = [CameraAddress(name or "", address) for name, address in pairs]
     for one in cameras:
         if not one.name or not one.address:
-            raise ConfigError(f"{one.name}={one.address}: expected NAME=ADDRESS")
+            raise ConfigError(f"{one.name}={shown(one.address)}: expected NAME=ADDRESS")
         if sum(other.name == one.name for other in cameras) > 1:
             raise ConfigError(f"two cameras are called '{one.name}'")
     return cameras

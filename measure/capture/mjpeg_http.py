@@ -6,25 +6,27 @@ the camera made it. The format is that of RFC 2046 (multipart), as Netscape's se
 
 from __future__ import annotations
 
-import base64
 import contextlib
-import http.client
 import math
 import time
-import urllib.error
-import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from email.message import Message
+from http.client import HTTPResponse
 from io import BufferedIOBase
-from urllib.parse import unquote, urlsplit
 
-from measure.capture.sources import PATIENCE_S, Shot, Source, without_user
+from measure.capture.http_stream import open_stream
+from measure.capture.sources import PATIENCE_S, Shot, Source
+from measure.capture.web_address import shown
 from measure.errors import CaptureError
 from measure.session.pictures import JPEG_END, is_complete_jpeg
 
-_MAX_BYTES = 64 << 20
-"""Largest picture, and longest line."""
+_MAX_BYTES = 16 << 20
+"""Largest picture, with its headers: one of a hundred megapixels."""
 _MAX_HEADERS = 64
+_MAX_KIND = 80
+_MAX_DIGITS = 20
+_MAX_LINE = 8 << 10
+"""Bytes of a line that is not a picture's."""
 _MAX_PICTURE_S = 3 * PATIENCE_S
 """Longest time for one picture: a camera may send bytes too slowly to count as silent."""
 _TIME_HEADERS = ("x-timestamp", "x-timestamp-sec")
@@ -35,29 +37,20 @@ class HttpSource(Source):
     """A stream of JPEGs in a `multipart/x-mixed-replace` answer."""
 
     def __init__(self, address: str) -> None:
-        parts = urlsplit(address)
-        self._request = urllib.request.Request(without_user(address))
-        if parts.username is not None:
-            pair = f"{unquote(parts.username)}:{unquote(parts.password or '')}"
-            token = base64.b64encode(pair.encode()).decode()
-            self._request.add_header("Authorization", f"Basic {token}")
-        super().__init__(without_user(address))
+        super().__init__(shown(address))
+        self._address = address
 
     def shots(self) -> Iterator[Shot]:
         """Pictures as they come; times of the camera's own clock where it sends them."""
-        try:
-            with urllib.request.urlopen(self._request, timeout=PATIENCE_S) as answer:
-                yield from parts_of(_stream_of(answer, self.address), self.address)
-        except urllib.error.HTTPError as problem:
-            problem.close()
-            raise CaptureError(f"{self.address}: answers {problem.code} {problem.reason}") from None
-        except (OSError, http.client.HTTPException, ValueError) as problem:
-            reason = getattr(problem, "reason", None) or problem
-            text = getattr(reason, "strerror", None) or str(reason) or type(reason).__name__
-            raise CaptureError(f"{self.address}: {text}") from None
+        with open_stream(self._address) as (answer, stream):
+
+            def begin_part() -> None:
+                stream.allow("a picture", _MAX_PICTURE_S, _MAX_BYTES)
+
+            yield from parts_of(_stream_of(answer, self.address), self.address, begin_part)
 
 
-def _stream_of(answer: http.client.HTTPResponse, address: str) -> BufferedIOBase:
+def _stream_of(answer: HTTPResponse, address: str) -> BufferedIOBase:
     """The body of an answer that is a stream of parts.
 
     Raises:
@@ -65,14 +58,17 @@ def _stream_of(answer: http.client.HTTPResponse, address: str) -> BufferedIOBase
     """
     kind = answer.headers.get_content_type()
     if not kind.startswith("multipart/"):
+        known = kind if len(kind) < _MAX_KIND and kind.isprintable() else "something"
         raise CaptureError(
-            f"{address}: answers {kind}, not a stream of JPEGs (multipart/x-mixed-replace): give "
+            f"{address}: answers {known}, not a stream of JPEGs (multipart/x-mixed-replace): give "
             "the address of the camera's MJPEG stream"
         )
     return answer
 
 
-def parts_of(stream: BufferedIOBase, address: str) -> Iterator[Shot]:
+def parts_of(
+    stream: BufferedIOBase, address: str, begin_part: Callable[[], None] = lambda: None
+) -> Iterator[Shot]:
     """The pictures of a multipart stream, until it ends between two of them.
 
     Parts say how long they are, or end at the next boundary.
@@ -80,27 +76,30 @@ def parts_of(stream: BufferedIOBase, address: str) -> Iterator[Shot]:
     Args:
         stream: from the answer's first byte on.
         address: for messages.
+        begin_part: called where a part begins, or what comes before it: each has its own limits.
 
     Raises:
         CaptureError: it is no such stream, or breaks off inside a picture.
     """
+    begin_part()
     boundary = _first_boundary(stream, address)
     while boundary is not None:
         headers = _headers(stream, address)
         length = headers.get("content-length", "")
         if length.isdecimal():
-            data, line = _exactly(stream, int(length), address), b""
+            data, line = _exactly(stream, length, address), b""
         else:
             data, line = _until(stream, boundary, address)
         # Before the next line is waited for: it may come with the next picture only.
         yield Shot(time.monotonic(), _stamp(headers), data)
+        begin_part()
         boundary = _next_boundary(stream, boundary, line)
 
 
 def _first_boundary(stream: BufferedIOBase, address: str) -> bytes | None:
     """The line before the first part; servers differ from what their header says of it."""
     for _ in range(_MAX_HEADERS):
-        line = stream.readline(_MAX_BYTES)
+        line = stream.readline(_MAX_LINE)
         if not line:
             return None
         if line.startswith(b"--"):
@@ -111,7 +110,7 @@ def _first_boundary(stream: BufferedIOBase, address: str) -> bytes | None:
 def _next_boundary(stream: BufferedIOBase, boundary: bytes, line: bytes) -> bytes | None:
     """The same line after a part, of which `line` has been read; None where the stream ends."""
     while line.strip() not in (boundary, boundary + b"--"):
-        line = stream.readline(_MAX_BYTES)
+        line = stream.readline(_MAX_LINE)
         if not line:
             return None
     return boundary if line.strip() == boundary else None
@@ -121,7 +120,7 @@ def _headers(stream: BufferedIOBase, address: str) -> Message:
     """What stands before a part's data."""
     out = Message()
     for _ in range(_MAX_HEADERS):
-        line = stream.readline(_MAX_BYTES)
+        line = stream.readline(_MAX_LINE)
         if not line.strip():
             return out
         name, _, value = line.decode("latin-1").partition(":")
@@ -129,19 +128,15 @@ def _headers(stream: BufferedIOBase, address: str) -> Message:
     raise CaptureError(f"{address}: a part of the stream has no end of its headers")
 
 
-def _exactly(stream: BufferedIOBase, length: int, address: str) -> bytes:
-    if length > _MAX_BYTES:
-        raise CaptureError(f"{address}: announces a picture of {length} bytes")
-    data, until_s = bytearray(), time.monotonic() + _MAX_PICTURE_S
-    while len(data) < length:
-        some = stream.read1(length - len(data))
+def _exactly(stream: BufferedIOBase, length: str, address: str) -> bytes:
+    if len(length) > _MAX_DIGITS or int(length) > _MAX_BYTES:
+        raise CaptureError(f"{address}: announces a picture of {length[:20]} bytes")
+    data = bytearray()
+    while len(data) < int(length):
+        some = stream.read1(int(length) - len(data))
         if not some:
             raise CaptureError(f"{address}: the stream broke off inside a picture")
         data += some
-        if time.monotonic() > until_s:
-            raise CaptureError(
-                f"{address}: a picture did not come to its end in {_MAX_PICTURE_S:g} s"
-            )
     return bytes(data)
 
 

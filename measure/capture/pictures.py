@@ -18,8 +18,10 @@ def image_of(camera: str, frame: int, time_s: float, shot: Shot) -> Image:
 
 
 def is_whole(shot: Shot) -> bool:
-    """Whether a picture is complete, by its end marker."""
-    return shot.jpeg is None or is_complete_jpeg(shot.jpeg)
+    """Whether a picture is complete, by its end marker, and says how large it is."""
+    if shot.jpeg is None:
+        return True
+    return is_complete_jpeg(shot.jpeg) and size_wh(shot) is not None
 
 
 def size_wh(shot: Shot) -> tuple[int, int] | None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
-from urllib.parse import urlsplit, urlunsplit
 
 from measure.arrays import Bytes
 
@@ -34,7 +33,7 @@ class Source(ABC):
     """Pictures from one address.
 
     Attributes:
-        address: as a user gave it, without a password.
+        address: as it may be shown (`web_address.shown`).
         lasting: whether it goes on for ever unless something breaks; a file ends.
         settles: whether its first pictures are of no use: they come in bursts, their exposure and
             the camera's clock are not settled.
@@ -58,10 +57,3 @@ class Source(ABC):
         Raises:
             CaptureError: it cannot be reached, breaks off, or is silent for `PATIENCE_S`.
         """
-
-
-def without_user(address: str) -> str:
-    """An address without a name and password in it."""
-    parts = urlsplit(address)
-    host = parts.netloc.rpartition("@")[2]
-    return urlunsplit((parts.scheme, host, parts.path, parts.query, ""))

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from measure.arrays import Bytes
-from measure.capture.sources import PATIENCE_S, Shot, Source, without_user
+from measure.capture.sources import PATIENCE_S, Shot, Source
+from measure.capture.web_address import shown
 from measure.errors import CaptureError, SessionError
 from measure.session import open_video_stream
 from measure.session.pictures import most_pixels
@@ -51,7 +52,8 @@ class AvSource(Source):
                 for device_s, jpeg, pixels in _pictures(container):
                     yield Shot(time.monotonic(), device_s, jpeg, pixels)
         except (av.error.FFmpegError, OSError) as problem:
-            text = getattr(problem, "strerror", None) or str(problem)
+            # Not its text, in which the library writes the address as it was given.
+            text = problem.strerror or type(problem).__name__
             raise CaptureError(f"{self.address}: {text}") from None
 
     def _container(self) -> av.container.InputContainer:
@@ -127,9 +129,7 @@ def device_source(address: str, size_wh: tuple[int, int] | None, rate_hz: float 
 
 def rtsp_source(address: str) -> AvSource:
     """A network camera; by TCP, for pictures with gaps in them are of no use."""
-    return AvSource(
-        without_user(address), address, [{"rtsp_transport": "tcp", "fflags": "nobuffer"}]
-    )
+    return AvSource(shown(address), address, [{"rtsp_transport": "tcp", "fflags": "nobuffer"}])
 
 
 def _pictures(

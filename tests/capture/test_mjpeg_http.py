@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from contextlib import closing
 from io import BytesIO
 from itertools import islice, pairwise
@@ -88,19 +87,6 @@ def test_picture_arrives_with_its_end_not_with_the_next(written):
     assert next(parts_of(Stalled(first), "http://camera")).jpeg == ONE
 
 
-def test_a_picture_that_comes_byte_by_byte_is_given_up(monkeypatch):
-    """A socket that says something now and then is never silent."""
-    monkeypatch.setattr("measure.capture.mjpeg_http._MAX_PICTURE_S", 0.2)
-
-    class Slow(BytesIO):
-        def read1(self, size=-1):
-            time.sleep(0.02)
-            return super().read1(min(size, 1))
-
-    with pytest.raises(CaptureError, match="a picture did not come to its end in"):
-        next(parts_of(Slow(with_lengths(b"\r\n")), "http://camera"))
-
-
 @pytest.mark.parametrize("lengths", [True, False])
 def test_a_real_stream_over_loopback(lengths):
     served = ServedCamera([ONE, TWO], period_s=0.01, lengths=lengths, stamps=True)
@@ -119,7 +105,7 @@ def seen(address):
 def test_a_password_is_sent_and_never_shown():
     with serving({"cam0": ServedCamera([ONE], password="p@ss/word")}) as addresses:
         address = addresses["cam0"].replace("http://", "http://me:p%40ss%2Fword@")
-        assert HttpSource(address).address == addresses["cam0"]
+        assert HttpSource(address).address == f"{addresses['cam0'].partition('?')[0]}?..."
         with closing(seen(address)) as stream:
             assert next(stream).jpeg == ONE
         with pytest.raises(CaptureError, match="answers 401") as told:

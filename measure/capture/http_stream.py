@@ -1,0 +1,170 @@
+"""A stream asked for over HTTP: every step of it ends within a time and a number of bytes.
+
+`http.client` reads the answer, whose own limits are a hundred headers of 64 KiB each, and none of
+time: one byte every few seconds would hold it for days. So what it reads from counts both.
+"""
+
+from __future__ import annotations
+
+import io
+import socket
+import ssl
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager, suppress
+from http import HTTPStatus
+from http.client import HTTPException, HTTPResponse
+from typing import Any, cast
+
+from measure.capture.sources import PATIENCE_S
+from measure.capture.web_address import WebAddress, shown
+from measure.errors import CaptureError
+
+_HEAD_BYTES = 64 << 10
+_REDIRECTIONS = frozenset({301, 302, 303, 307, 308})
+_MAX_REDIRECTIONS = 4
+
+
+class Stream(io.RawIOBase):
+    """What a connection delivers, within an allowance; more of it is an error."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        self._connection = connection
+        self.allow("the head of its answer", PATIENCE_S, _HEAD_BYTES)
+
+    def allow(self, what: str, seconds: float, size: int) -> None:
+        """Let the next of it take so long, and be so many bytes.
+
+        Args:
+            what: it is, for messages.
+            seconds: all of it may take; silence of `PATIENCE_S` is an error in any case.
+            size: in bytes, but for what is read ahead.
+        """
+        self._what, self._seconds, self._size = what, seconds, size
+        self._until_s, self._left = time.monotonic() + seconds, size
+
+    def readable(self) -> bool:
+        """It is."""
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        """Receive some bytes.
+
+        Raises:
+            OSError: the allowance is used up, the camera is silent or gone.
+        """
+        if self._left <= 0:
+            raise OSError(f"{self._what} is longer than {self._size} bytes")
+        left_s = self._until_s - time.monotonic()
+        if left_s > 0:
+            self._connection.settimeout(min(left_s, PATIENCE_S))
+            with suppress(TimeoutError):
+                count = self._connection.recv_into(buffer)
+                self._left -= count
+                return count
+        if left_s > PATIENCE_S:
+            raise TimeoutError(f"silent for {PATIENCE_S:g} s")
+        raise TimeoutError(f"{self._what} did not come to its end in {self._seconds:g} s")
+
+
+class _Socket:
+    """As much of a socket as `http.client` reads an answer from."""
+
+    def __init__(self, stream: Stream) -> None:
+        self._stream = stream
+
+    def makefile(self, *_: object) -> io.BufferedReader:
+        return io.BufferedReader(self._stream)
+
+
+@contextmanager
+def open_stream(address: str) -> Iterator[tuple[HTTPResponse, Stream]]:
+    """Ask for a stream, and follow redirections.
+
+    Login and password go to the address that they were given for, and nowhere else.
+
+    Args:
+        address: as the user gave it.
+
+    Yields:
+        The answer, of which the head is read, and what sets the limits of the rest.
+
+    Raises:
+        CaptureError: there is no such address, or it answers something else, or not in time.
+    """
+    where = shown(address)
+    try:
+        first = place = WebAddress.parse(address)
+    except ValueError:
+        raise CaptureError(
+            f"{where}: invalid address: write special characters of user name and password as %XX"
+        ) from None
+    try:
+        for _ in range(1 + _MAX_REDIRECTIONS):
+            with closing(_connected(place)) as connection:
+                stream = Stream(connection)
+                login = first.login if place.origin == first.origin else ""
+                answer = _asked(connection, stream, place, login)
+                if answer.status not in _REDIRECTIONS:
+                    _check_status(answer.status, first, place, where)
+                    yield answer, stream
+                    return
+                place = _redirected(place, answer, where)
+    except HTTPException:
+        raise CaptureError(f"{where}: what it answers is no HTTP") from None
+    except (OSError, ValueError) as problem:
+        raise CaptureError(f"{where}: {_text(problem)}") from None
+    raise CaptureError(f"{where}: redirects more than {_MAX_REDIRECTIONS} times")
+
+
+def _connected(place: WebAddress) -> socket.socket:
+    connection = socket.create_connection((place.host, place.port), PATIENCE_S)
+    if place.scheme == "http":
+        return connection
+    try:
+        context = ssl.create_default_context()
+        return context.wrap_socket(connection, server_hostname=place.host)
+    except BaseException:
+        connection.close()
+        raise
+
+
+def _asked(
+    connection: socket.socket, stream: Stream, place: WebAddress, login: str
+) -> HTTPResponse:
+    lines = [f"GET {place.target} HTTP/1.1", f"Host: {place.place}", "Accept: */*"]
+    lines += ["Connection: close", *[f"Authorization: {login}"] * bool(login)]
+    connection.sendall("\r\n".join([*lines, "", ""]).encode("ascii"))
+    answer = HTTPResponse(cast("socket.socket", _Socket(stream)), method="GET")
+    answer.begin()
+    return answer
+
+
+def _redirected(place: WebAddress, answer: HTTPResponse, where: str) -> WebAddress:
+    try:
+        return place.redirected(answer.headers.get("location", ""))
+    except ValueError:
+        raise CaptureError(f"{where}: redirects to no address of HTTP") from None
+
+
+def _check_status(status: int, first: WebAddress, place: WebAddress, where: str) -> None:
+    """Refuse an answer that is none.
+
+    Raises:
+        CaptureError: it is another than 200.
+    """
+    if status == HTTPStatus.OK:
+        return
+    phrase = HTTPStatus(status).phrase if status in set(HTTPStatus) else "an unknown status"
+    text = f"{where}: answers {status} {phrase}"
+    if place.origin != first.origin:
+        text += f" after it redirected to {shown(place.url)}"
+        text += ", where no password is sent: give that address" * bool(first.login)
+    raise CaptureError(text)
+
+
+def _text(problem: Exception) -> str:
+    """What went wrong; no text that the camera sent, and no part of the address."""
+    if isinstance(problem, OSError):
+        return problem.strerror or str(problem) or type(problem).__name__
+    return "invalid address or answer"

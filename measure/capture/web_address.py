@@ -1,0 +1,94 @@
+"""Addresses of network cameras: their parts, and what of them may be shown."""
+
+from __future__ import annotations
+
+import base64
+import re
+from dataclasses import dataclass, field
+from urllib.parse import quote, unquote, urljoin, urlsplit
+
+_PARTS = re.compile(r"([a-z][\w+.-]*)://([^/?#]*)([^?#]*)(.*)", re.DOTALL | re.IGNORECASE)
+_PORTS = {"http": 80, "https": 443}
+_HIDDEN = "..."
+_KEPT = "%/?:@!$&'()*+,;=-._~[]"
+"""Signs of a request's target that are not escaped, beside letters and digits."""
+
+
+def shown(address: str) -> str:
+    """An address as messages, files and reports show it: without what may be a secret.
+
+    User name, password and query are left out, and what follows an equals sign in the path. The one
+    door for it: whatever holds an address shows it by this function.
+    """
+    parts = _PARTS.fullmatch(address)
+    if parts is None:  # a file or a device, or an address without its scheme
+        return re.sub(r"\?.*", f"?{_HIDDEN}", re.sub(r".*:.*@", "", address))
+    scheme, host, path, rest = parts.groups()
+    if "@" in path + rest:  # a password with unescaped signs ends nobody knows where
+        return f"{scheme}://{_HIDDEN}"
+    path = re.sub(r"=[^/]*", f"={_HIDDEN}", path)
+    return f"{scheme}://{host.rpartition('@')[2]}{path}{f'?{_HIDDEN}' if rest[:1] == '?' else ''}"
+
+
+@dataclass(frozen=True)
+class WebAddress:
+    """Where to ask for a stream over HTTP.
+
+    Attributes:
+        scheme: `http` or `https`.
+        host: its name or number.
+        port: 80 or 443 unless another is given.
+        target: path and query, escaped.
+        login: what an `Authorization` header says; empty without a user name.
+    """
+
+    scheme: str
+    host: str
+    port: int
+    target: str = field(repr=False)
+    login: str = field(default="", repr=False)
+
+    @classmethod
+    def parse(cls, address: str) -> WebAddress:
+        """Read one.
+
+        Raises:
+            ValueError: it is no address of this kind; what it says may hold the password.
+        """
+        parts = urlsplit(address)
+        if parts.scheme not in _PORTS or not parts.hostname:
+            raise ValueError("no http:// or https:// address")
+        target = quote(parts.path or "/", _KEPT)
+        if parts.query:
+            target += f"?{quote(parts.query, _KEPT)}"
+        login = ""
+        if parts.username is not None:
+            pair = f"{unquote(parts.username)}:{unquote(parts.password or '')}"
+            login = f"Basic {base64.b64encode(pair.encode()).decode()}"
+        port = _PORTS[parts.scheme] if parts.port is None else parts.port
+        host = parts.hostname.encode("idna").decode()
+        return cls(parts.scheme, host, port, target, login)
+
+    @property
+    def origin(self) -> tuple[str, str, int]:
+        """Whom a password given for this address is sent to."""
+        return self.scheme, self.host, self.port
+
+    @property
+    def place(self) -> str:
+        """Host and port, as a `Host` header says it."""
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return host if self.port == _PORTS[self.scheme] else f"{host}:{self.port}"
+
+    @property
+    def url(self) -> str:
+        """The address without its login."""
+        return f"{self.scheme}://{self.place}{self.target}"
+
+    def redirected(self, location: str) -> WebAddress:
+        """Where an answer's `Location` leads; a login that stands in that counts for nothing.
+
+        Raises:
+            ValueError: to no address of HTTP.
+        """
+        return WebAddress.parse(urljoin(self.url, location))
