@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Event
 
@@ -28,7 +28,7 @@ from measure.api.recording import (
 from measure.api.run import provenance
 from measure.api.run_log import check_viewer
 from measure.api.warming_up import warm_pipeline
-from measure.capture import CameraAddress, CameraCount, Cameras, Gathering, check_new
+from measure.capture import CameraAddress, CameraCount, Cameras, Gathering, Outage, check_new
 from measure.errors import ConfigError, RunError
 from measure.host import Registry
 from measure.measuring import Measurement, Profile
@@ -53,6 +53,7 @@ class LiveState:
         overtaken: pictures a camera that were left out for newer ones.
         unreadable: pictures that could not be decoded.
         cameras: what has come of each.
+        away: the cameras that are away now.
     """
 
     latest: Measurement
@@ -62,6 +63,7 @@ class LiveState:
     overtaken: int
     unreadable: int
     cameras: Mapping[str, CameraCount]
+    away: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -86,6 +88,7 @@ def live(
     registry: Registry,
     options: LiveOptions | None = None,
     on_state: Callable[[LiveState], None] | None = None,
+    on_outage: Callable[[Outage], None] | None = None,
 ) -> LiveEnd:
     """Measure cameras while they deliver, for a time or until interrupted.
 
@@ -101,6 +104,7 @@ def live(
         registry: where the plugins come from.
         options: what else is to be done with pictures and poses.
         on_state: called after every frame set.
+        on_outage: called, from another thread, when a camera is away, and when it is back.
 
     Raises:
         MeasureError: whatever is wrong with cameras, calibration, body, plugins or settings; what
@@ -125,7 +129,7 @@ def live(
     made_from = _provenance(options.record, calibration, measured, profile, registry)
     gathering = Gathering([camera.name for camera in calibrated])
     with ExitStack() as stack:
-        rig = stack.enter_context(Cameras(sources, sizes_of(calibrated)))
+        rig = stack.enter_context(Cameras(sources, sizes_of(calibrated), on_outage))
         stop = stack.enter_context(until_stopped())
         sinks = [gathering.add]
         if options.record is not None:
@@ -137,13 +141,22 @@ def live(
         burn_in(pipeline, profile, registry, measured, calibrated, frame_sets())
         enter_realtime(pipeline.stages.detectors)
         state, watch = None, _PaceMeter(gathering, rig)
-        for frame_set, one in measure_frame_sets(pipeline, frame_sets()):
+        for frame_set, found in measure_frame_sets(pipeline, frame_sets()):
+            one = _with_away(found, rig.away)
             outputs.add(frame_set, one)
             state = watch.state(one)
             if on_state is not None:
                 on_state(state)
         rig.check()
         return LiveEnd(outputs.finish(), state)
+
+
+def _with_away(measured: Measurement, away: Sequence[str]) -> Measurement:
+    """The same, saying which cameras are away; a pose without them is as good as it states."""
+    missing = [f"{name} is away" for name in away if name not in measured.frames]
+    if not missing:
+        return measured
+    return replace(measured, reason="; ".join(filter(None, (measured.reason, *missing))))
 
 
 class _FrameSets:
@@ -186,6 +199,7 @@ class _PaceMeter:
             self._gathering.overtaken,
             self._gathering.unreadable,
             self._rig.counts,
+            self._rig.away,
         )
 
 

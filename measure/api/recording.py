@@ -13,7 +13,7 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
 
-from measure.capture import CameraAddress, CameraCount, Cameras, Recorder, check_new
+from measure.capture import CameraAddress, CameraCount, Cameras, Outage, Recorder, check_new
 from measure.errors import ConfigError
 from measure.session import read_body, read_calibration
 
@@ -60,6 +60,7 @@ def record(
     request: CaptureRequest | None = None,
     seconds: float | None = None,
     on_state: Callable[[Mapping[str, CameraCount]], None] | None = None,
+    on_outage: Callable[[Outage], None] | None = None,
 ) -> RecordedSession:
     """Record cameras into a session folder for a time, or until the process is interrupted.
 
@@ -71,6 +72,7 @@ def record(
         request: what cameras of this machine are set to.
         seconds: how long; until interrupted if None.
         on_state: called ten times a second with the counts of all cameras.
+        on_outage: called, from another thread, when a camera is away, and when it is back.
 
     Raises:
         CaptureError: a camera cannot be reached or is of another size than calibrated; the folder
@@ -85,7 +87,8 @@ def record(
     measured = None if body is None else read_body(body)
     sources = sources_of(cameras, calibrated, request)
     with (
-        Cameras(sources, sizes_of(calibrated)) as rig,  # nothing is lost yet if that is interrupted
+        # Nothing is lost yet if this is interrupted.
+        Cameras(sources, sizes_of(calibrated), on_outage) as rig,
         until_stopped() as stop,
         recorder(out, sources, measured, calibrated) as recording,
     ):

@@ -3,6 +3,7 @@
 from measure.capture.addresses import CameraAddress, parse_cameras
 from measure.capture.cameras import CameraCount, Cameras
 from measure.capture.gathering import Gathering
+from measure.capture.outages import Outage
 from measure.capture.recorder import Recorder, check_new
 
 __all__ = [
@@ -10,6 +11,7 @@ __all__ = [
     "CameraCount",
     "Cameras",
     "Gathering",
+    "Outage",
     "Recorder",
     "check_new",
     "parse_cameras",

@@ -13,6 +13,7 @@ from typing import Self
 import numpy as np
 
 from measure.capture.device_clock import DeviceClock
+from measure.capture.outages import Outage, OutageWatch
 from measure.capture.pictures import image_of, is_whole, size_wh
 from measure.capture.sources import PATIENCE_S, Shot, Source
 from measure.errors import CaptureError
@@ -24,6 +25,7 @@ _RECONNECT_S = 1.0
 """Wait before a camera that broke off is connected anew."""
 _FIRST_PICTURE_S = 15.0
 """Longest wait for the first picture of every camera."""
+_LOOK_EVERY_S = 0.05
 _INTERVALS = 64
 """Latest intervals between pictures from which `uneven_s` is computed."""
 
@@ -39,9 +41,8 @@ class CameraCount:
         own_clock: whether its times are of its own clock, not those of arrival.
         uneven_s: how much the steps from picture to picture vary, of late (a standard deviation by
             their median distance from the median); NaN where unknown.
-        breaks: how often it broke off and was connected anew.
         refused: pictures that could not be used: out of order, or no pictures.
-        trouble: what it broke off with last; empty if it did not.
+        outages: when it was away, and why.
         ended: whether it delivers no more: a file that is over.
     """
 
@@ -50,9 +51,8 @@ class CameraCount:
     last_s: float = float("nan")
     own_clock: bool = False
     uneven_s: float = float("nan")
-    breaks: int = 0
     refused: int = 0
-    trouble: str = ""
+    outages: tuple[Outage, ...] = ()
     ended: bool = False
 
     @property
@@ -75,13 +75,16 @@ class Cameras:
         self,
         sources: Mapping[str, Source],
         sizes_wh: Mapping[str, tuple[int, int]] | None = None,
+        on_outage: Callable[[Outage], None] | None = None,
     ) -> None:
         """Make one; nothing is opened yet.
 
         Args:
             sources: by the cameras' names.
             sizes_wh: what their pictures must measure; what the first does, where not given.
+            on_outage: called, from a thread of its own, when a camera is away, and when it is back.
         """
+        self._watch, self._on_outage = OutageWatch(sources), on_outage
         self._sizes = {name: tuple(size) for name, size in (sizes_wh or {}).items()}
         self._first_sizes: dict[str, tuple[int, int]] = {}
         self._sinks: tuple[Callable[[Image], None], ...] = ()
@@ -95,14 +98,15 @@ class Cameras:
             threading.Thread(target=self._work, args=(name,), daemon=True, name=f"camera {name}")
             for name in sources
         ]
+        self._threads.append(threading.Thread(target=self._look, daemon=True, name="outages"))
 
     def __enter__(self) -> Self:
         begun = time.monotonic()
         for source in self._sources.values():
             source.begin_at(begun)
-        for thread in self._threads:
-            thread.start()
         try:
+            for thread in self._threads:
+                thread.start()
             self._wait_for_all(begun + _FIRST_PICTURE_S)
         except BaseException:
             self.stop()
@@ -120,12 +124,21 @@ class Cameras:
             sinks: are called with it, each camera's in order, from that camera's thread.
         """
         self._sinks = tuple(sinks)
+        self._watch.begin(self.clock_s())
         self._go.set()
 
     @property
     def counts(self) -> dict[str, CameraCount]:
         """What came of each camera so far."""
-        return dict(self._counts)
+        return {
+            name: replace(count, outages=self._watch.of(name))
+            for name, count in self._counts.items()
+        }
+
+    @property
+    def away(self) -> tuple[str, ...]:
+        """The cameras that are away now."""
+        return self._watch.away
 
     @property
     def over(self) -> bool:
@@ -180,7 +193,16 @@ class Cameras:
                 self._stop.wait(_RECONNECT_S)
         except BaseException as problem:
             self._failed.append(problem)  # raised again by `check`
+        self._watch.end(name)
         self._note(name, ended=True)
+
+    def _look(self) -> None:
+        """The thread that tells which cameras are away."""
+        self._go.wait()
+        while not self._stop.wait(_LOOK_EVERY_S):
+            for outage in self._watch.look():
+                if self._on_outage is not None:
+                    self._on_outage(outage)
 
     def _broke_off(self, name: str, problem: CaptureError) -> None:
         """Go on after a while, unless it never worked.
@@ -190,12 +212,13 @@ class Cameras:
         """
         if not self._ready[name].is_set():
             raise CaptureError(f"camera '{name}': {problem}") from None
-        self._note(name, breaks=self._counts[name].breaks + 1, trouble=str(problem))
+        self._watch.fail(name, str(problem))
 
     def _read(self, name: str, source: Source) -> None:
         """Hand on what a source delivers, until it ends or is to stop."""
         clock, connected, last_s = DeviceClock(), time.monotonic(), self._counts[name].last_s
         steps: deque[float] = deque(maxlen=_INTERVALS)
+        last_jpeg: bytes | None = None
         for shot in source.shots():
             if self._stop.is_set():
                 return
@@ -214,13 +237,20 @@ class Cameras:
                 return
             if time_s <= last_s or not whole:
                 self._note(name, refused=self._counts[name].refused + 1)
+                self._watch.fail(name, "its pictures are torn or out of order")
                 continue
             steps.append(time_s - last_s)
             last_s = time_s
-            self._deliver(name, shot, time_s, clock)
-            self._note(name, uneven_s=_uneven_s(steps))
+            own_clock = clock.runs or source.keeps_time
+            if shot.jpeg is not None and shot.jpeg == last_jpeg:
+                self._watch.fail(name, "its picture does not change")
+            else:
+                self._watch.came(name, time_s, own_clock)
+            last_jpeg = shot.jpeg
+            self._deliver(name, shot, time_s)
+            self._note(name, uneven_s=_uneven_s(steps), own_clock=own_clock)
 
-    def _deliver(self, name: str, shot: Shot, time_s: float, clock: DeviceClock) -> None:
+    def _deliver(self, name: str, shot: Shot, time_s: float) -> None:
         count = self._counts[name]
         image = image_of(name, count.pictures, time_s, shot)
         try:
@@ -231,13 +261,7 @@ class Cameras:
             self.stop()
             return
         first_s = time_s if not count.pictures else count.first_s
-        self._note(
-            name,
-            pictures=count.pictures + 1,
-            first_s=first_s,
-            last_s=time_s,
-            own_clock=clock.runs or self._sources[name].keeps_time,
-        )
+        self._note(name, pictures=count.pictures + 1, first_s=first_s, last_s=time_s)
 
     def _note(self, name: str, **changed: object) -> None:
         """Only a camera's own thread changes its count."""

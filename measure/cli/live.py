@@ -13,7 +13,7 @@ from cyclopts import Parameter
 from measure.cli import console
 from measure.cli.console import JsonFlag
 from measure.cli.options import CaptureOptions, InjectedRegistry, ProfileOptions, ViewerOptions
-from measure.cli.record import print_cameras
+from measure.cli.record import note_outage, print_cameras
 from measure.cli.run import print_summary
 
 if TYPE_CHECKING:
@@ -76,7 +76,8 @@ def live(
         overwrite=to.overwrite,
     )
     given = api.parse_cameras(cameras, api.camera_names(calibration))
-    end = api.live(given, to.out, calibration, body, chosen, registry, options, _StateLines())
+    lines = _StateLines()
+    end = api.live(given, to.out, calibration, body, chosen, registry, options, lines, note_outage)
     if json:
         console.print_json({"run": str(to.out), **end.summary.values(), **_numbers(end)})
     else:
@@ -93,7 +94,8 @@ class _StateLines:
         now = time.monotonic()
         if now - self._last >= _LINE_EVERY_S:
             self._last = now
-            console.note(f"{_where(state)}; {_pace(state)}")
+            away = [f"{', '.join(state.away)} away"] if state.away else []
+            console.note("; ".join([_where(state), *away, _pace(state)]))
 
 
 def _where(state: LiveState) -> str:

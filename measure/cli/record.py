@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,10 +15,12 @@ from measure.cli.console import JsonFlag
 from measure.cli.options import CaptureOptions
 
 if TYPE_CHECKING:
-    from measure.capture import CameraCount
+    from measure.capture import CameraCount, Outage
 
 _UNEVEN_S = 2e-3
 """Spread of the times of arrival, in s, from which a warning is printed."""
+_LISTED = 10
+"""Outages of a camera that are listed at the end; of more, the latest."""
 
 
 def record(
@@ -52,12 +55,18 @@ def record(
             request=capture.request(),
             seconds=capture.seconds,
             on_state=lambda counts: report(sum(c.pictures for c in counts.values()), None),
+            on_outage=note_outage,
         )
     if json:
         console.print_json(recorded)
         return
     print_cameras(recorded.cameras)
     console.print_text(f"written to {out}; what is weak in it: measure check {out}")
+
+
+def note_outage(outage: Outage) -> None:
+    """Say that a camera is away, or back."""
+    console.note(outage.sentence())
 
 
 def print_cameras(cameras: Mapping[str, CameraCount]) -> None:
@@ -76,8 +85,8 @@ def print_cameras(cameras: Mapping[str, CameraCount]) -> None:
         ],
     )
     for name, one in cameras.items():
-        if one.breaks:
-            console.print_text(f"note: {name} broke off {one.breaks} times: {one.trouble}")
+        for line in _outage_lines(name, one.outages):
+            console.print_text(line)
         if not one.own_clock and one.uneven_s > _UNEVEN_S:
             console.print_text(
                 f"note: {name} sends no times of its own, and its pictures arrive unevenly: a body "
@@ -85,6 +94,17 @@ def print_cameras(cameras: Mapping[str, CameraCount]) -> None:
             )
         if one.refused:
             console.print_text(f"note: {one.refused} pictures of {name} were torn or out of order")
+
+
+def _outage_lines(name: str, outages: Sequence[Outage]) -> Iterator[str]:
+    """When a camera was away, and why."""
+    if outages:
+        times = "once" if len(outages) == 1 else f"{len(outages)} times"
+        yield f"note: {name} was away {times}" + ", of late" * (len(outages) > _LISTED)
+    for one in outages[-_LISTED:]:
+        since = datetime.fromtimestamp(one.since_s).strftime("%H:%M:%S")
+        lasted = "to the end" if one.lasts else f"for {one.until_s - one.since_s:.1f} s"
+        yield f"  from {since} {lasted}: {one.reason}"
 
 
 def _known(value: float) -> float | None:

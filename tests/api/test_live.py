@@ -10,6 +10,7 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -23,6 +24,7 @@ from measure.host import Registry
 from measure.results import read_run
 from measure.session import read_trajectory
 from tests.camera_server import ServedCamera, serving
+from tests.faults.cameras import FAULTS, LOGIN, TOKEN, HostileCamera, hostile
 
 PERIOD_S = 0.1
 """A busy machine may take its time."""
@@ -91,6 +93,12 @@ class Receiver:
     @property
     def port(self):
         return self._socket.getsockname()[1]
+
+    def wait_for(self, count):
+        until_s = time.monotonic() + 60.0
+        while len(self.received) < count:
+            assert time.monotonic() < until_s, "the poses did not come"
+            time.sleep(0.05)
 
     def _listen(self):
         while not self._over.is_set():
@@ -247,13 +255,76 @@ def test_recording_into_the_run_folder_is_refused_first(session, tmp_path, capsy
 
 
 def test_interrupt_ends_the_wait_for_a_camera_at_once(session, tmp_path, capsys):
+    """Sent once a camera is asked: before, libraries being loaded may take it for a fault."""
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    sent_s = []
     with socket.create_server(("127.0.0.1", 0)) as silent:
         address = f"http://127.0.0.1:{silent.getsockname()[1]}/"
-        timer = threading.Timer(1.0, signal.raise_signal, [signal.SIGINT])
-        timer.start()
+
+        def interrupt():
+            connection, _ = silent.accept()
+            with connection:
+                connection.recv(1000)
+                sent_s.append(time.monotonic())
+                signal.raise_signal(signal.SIGINT)
+                over.wait(10.0)
+
+        over = threading.Event()
+        thread = threading.Thread(target=interrupt)
+        thread.start()
         assert main(words("record", session, {"cam0": address}, tmp_path / "kept")) == 130
+        assert time.monotonic() - sent_s[0] < 3.0
+        over.set()
+        thread.join()
     assert capsys.readouterr().err == "measure: interrupted\n"
     assert not (tmp_path / "kept").exists()
+
+
+@pytest.mark.slow
+def test_a_camera_that_is_away_is_told_in_lines_and_rows(session, tmp_path, capsys):
+    """At once, once, and when it is back; the poses without it are believed."""
+    pictures = [
+        [file.read_bytes() for file in sorted((session / f"cam{k}").glob("*.jpg"))]
+        for k in range(4)
+    ]
+    cameras = [HostileCamera(mine, period_s=PERIOD_S) for mine in pictures]
+    stall = next(fault for fault in FAULTS if fault.name == "stall")
+    out = tmp_path / "run"
+    with hostile(cameras) as found, ExitStack() as stack:
+        receiver = Receiver(stack)
+
+        def fail():
+            receiver.wait_for(10)
+            cameras[2].fault = stall
+            time.sleep(2.0)
+            cameras[2].fault = None
+            time.sleep(2.0)
+            receiver.wait_for(len(receiver.received) + 5)
+            signal.raise_signal(signal.SIGINT)
+
+        thread = threading.Thread(target=fail)
+        thread.start()
+        stack.callback(thread.join)
+        addresses = {f"cam{k}": address for k, address in enumerate(found)}
+        more = ("--send", f"127.0.0.1:{receiver.port}", "--seconds", "90", "--no-recording")
+        assert main([*words("live", session, addresses, out, *more), "--json"]) == 0
+    printed = capsys.readouterr()
+    lines = [line for line in printed.err.splitlines() if line.startswith("cam2 is ")]
+    assert [line.split()[2] for line in lines] == ["away:", "back"]
+    (outage,) = json.loads(printed.out)["cameras"]["cam2"]["outages"]
+    assert 1.5 < outage["until_s"] - outage["since_s"] < 4.0
+    rows = read_run(out).poses.to_pylist()
+    without = [row for row in rows if "cam2 is away" in row["reason"]]
+    assert len(without) >= 5
+    assert all("cam2" not in row["cameras"] for row in without)
+    assert sum(row["status"] == "ok" for row in without) > len(without) / 2
+    first = without[0]["time_s"]
+    assert outage["since_s"] < first < outage["since_s"] + 3 * PERIOD_S + 1.0
+    assert not [row for row in rows if row["time_s"] < first and "away" in row["reason"]]
+    assert [row["reason"] for row in rows[-3:]] == ["", "", ""]
+    text = "".join(path.read_text("utf-8", "replace") for path in out.iterdir())
+    assert LOGIN.partition(":")[2] not in text + printed.err + printed.out
+    assert TOKEN not in text + printed.err + printed.out
 
 
 def test_an_address_to_send_to_that_is_none(session, tmp_path, capsys):

@@ -41,7 +41,7 @@ def test_a_file_plays_at_its_own_pace(tmp_path, name, codec, form):
         while not rig.over:
             time.sleep(0.01)
         rig.check()
-        assert rig.counts["a"].breaks == 0
+        assert rig.counts["a"].outages == ()
     assert 0.35 < time.monotonic() - begun < 5.0
     assert len(seen) == 20
     steps = np.diff([image.time_s for image in seen])
