@@ -1,0 +1,442 @@
+"""A hostile camera on loopback: motion JPEG over HTTP, with whatever fault it is told to have.
+
+`python -m tests.faults cameras --count N` meets N cameras, each with a fault drawn at random, and
+says what a reader of its pictures is told, and after how long.
+"""
+
+from __future__ import annotations
+
+import random
+import re
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+
+from measure.capture import CameraAddress
+from measure.capture.pictures import is_whole, size_wh
+from measure.errors import CaptureError
+
+LOGIN, TOKEN = "watcher:s3cret", "t0ken"
+"""What must never be seen again: a user with a password, and a query."""
+
+
+class GoneError(Exception):
+    """The connection is over."""
+
+
+@dataclass
+class Wire:
+    """One connection to a camera."""
+
+    socket: socket.socket
+    is_wanted: Callable[[], bool]
+    """Whether the fault that it shows is still the camera's."""
+    sent: int = 0
+    """Bytes."""
+
+    def send(self, *data: bytes) -> None:
+        try:
+            self.socket.sendall(b"".join(data))
+        except OSError:
+            raise GoneError from None
+        self.sent += sum(map(len, data))
+
+    def repeat(self, data: bytes, every_s: float) -> None:
+        """Send the same again and again, as long as it is wanted."""
+        while self.is_wanted():
+            self.send(data)
+            time.sleep(every_s)
+
+    def drip(self, data: bytes, every_s: float = 0.3) -> None:
+        """Send it byte by byte."""
+        for k in range(len(data)):
+            if not self.is_wanted():
+                return
+            self.send(data[k : k + 1])
+            time.sleep(every_s)
+
+    def hang(self) -> None:
+        """Say nothing, as long as it is wanted."""
+        while self.is_wanted():
+            time.sleep(0.05)
+
+
+@dataclass
+class Turn:
+    """A picture that is due."""
+
+    number: int
+    taken_s: float
+    jpeg: bytes
+    camera: HostileCamera
+
+    def part(self, jpeg: bytes | None = None, **more: object) -> bytes:
+        """A part of the stream, like a good camera's but for what is said otherwise."""
+        data = self.jpeg if jpeg is None else jpeg
+        lines = {
+            "boundary": "picture",
+            "Content-Type": "image/jpeg",
+            "Content-Length": len(data),
+            "X-Timestamp": f"{self.taken_s - 1.6e9:.6f}",
+        } | more
+        boundary = lines.pop("boundary")
+        head = [f"--{boundary}", *(f"{k}: {v}" for k, v in lines.items() if v is not None), "", ""]
+        return "\r\n".join(head).encode() + data + b"\r\n"
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What may be wrong with a camera.
+
+    Attributes:
+        name: in words.
+        silences: whether no new picture can be had while it lasts; None where some may.
+        answer: what it does instead of answering a request.
+        part: what it does instead of sending a picture.
+    """
+
+    name: str
+    silences: bool | None
+    answer: Callable[[Wire, HostileCamera], None] | None = None
+    part: Callable[[Wire, Turn], None] | None = None
+
+
+@dataclass
+class HostileCamera:
+    """One camera.
+
+    Attributes:
+        pictures: JPEGs; from the last one on they come back in reverse, for ever.
+        strange: pictures of another camera.
+        period_s: between two of them.
+        begun_s: when the first was due, `time.time`.
+        fault: what is wrong with it now.
+        good_s: when the last picture that a reader can use was sent.
+        sent: bytes that a reader took on one connection, at most, what is under way included.
+        leaked: what it heard at an address that it redirected to, and should not have.
+    """
+
+    pictures: Sequence[bytes]
+    strange: Sequence[bytes] = ()
+    period_s: float = 1 / 15
+    begun_s: float = field(default_factory=time.time)
+    fault: Fault | None = None
+    good_s: float = float("nan")
+    sent: int = 0
+    leaked: list[str] = field(default_factory=list)
+    port: int = 0
+    elsewhere: int = 0
+
+    @property
+    def address(self) -> str:
+        return f"http://{LOGIN}@127.0.0.1:{self.port}/stream?token={TOKEN}"
+
+    def order(self) -> list[int]:
+        """Which pictures follow each other."""
+        return [*range(len(self.pictures)), *range(len(self.pictures) - 2, 0, -1)]
+
+    def connect(self, wire: Wire, request: bytes) -> None:
+        """Answer a request."""
+        fault, elsewhere = self.fault, b"/elsewhere" in request
+        wire.is_wanted = lambda: self.fault is fault
+        if elsewhere:
+            self.leaked += [text for text in ("uthorization", TOKEN) if text.encode() in request]
+        elif fault is not None and fault.answer is not None:
+            fault.answer(wire, self)
+            return
+        wire.send(_OK, b"Content-Type: multipart/x-mixed-replace; boundary=picture\r\n\r\n")
+        for turn in self.turns():
+            if elsewhere and self.fault is not fault:
+                return
+            fault = self.fault
+            if not elsewhere and fault is not None and fault.answer is not None:
+                return
+            if fault is None or fault.part is None:
+                wire.send(turn.part())
+                self.good_s = time.time()
+            else:
+                wire.is_wanted = lambda shown=fault: self.fault is shown  # type: ignore[misc]
+                fault.part(wire, turn)
+
+    def turns(self) -> Iterator[Turn]:
+        """Pictures as they become due."""
+        order = self.order()
+        first = int((time.time() - self.begun_s) / self.period_s) + 1
+        for number in range(first, 1 << 40):
+            taken_s = self.begun_s + number * self.period_s
+            time.sleep(max(taken_s - time.time(), 0.0))
+            yield Turn(number, taken_s, self.pictures[order[number % len(order)]], self)
+
+
+_OK = b"HTTP/1.0 200 OK\r\n"
+
+
+def _redirects(to: str) -> Callable[[Wire, HostileCamera], None]:
+    def answer(wire: Wire, camera: HostileCamera) -> None:
+        place = to.format(port=camera.port, elsewhere=camera.elsewhere)
+        wire.send(f"HTTP/1.0 302 Found\r\nLocation: {place}\r\n\r\n".encode())
+
+    return answer
+
+
+def _says(data: bytes) -> Callable[[Wire, HostileCamera], None]:
+    return lambda wire, camera: wire.send(data)
+
+
+def _huge_head(wire: Wire, camera: HostileCamera) -> None:
+    wire.send(_OK, b"X-Long: ")
+    wire.repeat(b"x" * 65_536, 0.001)
+
+
+def _reset(wire: Wire, turn: Turn) -> None:
+    wire.send(turn.part()[: len(turn.jpeg) // 2])
+    wire.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    raise GoneError
+
+
+def _half_closed(wire: Wire, turn: Turn) -> None:
+    wire.send(turn.part()[: len(turn.jpeg) // 2])
+    with suppress(OSError):
+        wire.socket.shutdown(socket.SHUT_WR)
+    wire.hang()
+    raise GoneError
+
+
+def _endless_part(wire: Wire, turn: Turn) -> None:
+    wire.send(turn.part(**{"Content-Length": None})[:-100])
+    wire.repeat(b"x" * 65_536, 0.002)
+    raise GoneError
+
+
+def _endless_headers(wire: Wire, turn: Turn) -> None:
+    wire.send(b"--picture\r\n")
+    wire.repeat(b"X-More: " + b"x" * 1000 + b"\r\n", 0.002)
+    raise GoneError
+
+
+def _burst(wire: Wire, turn: Turn) -> None:
+    if turn.number % 15:
+        return
+    order = turn.camera.order()
+    for number in range(turn.number - 14, turn.number + 1):
+        taken_s = turn.camera.begun_s + number * turn.camera.period_s
+        jpeg = turn.camera.pictures[order[number % len(order)]]
+        wire.send(Turn(number, taken_s, jpeg, turn.camera).part())
+
+
+def _flood(wire: Wire, turn: Turn) -> None:
+    while wire.is_wanted():
+        wire.send(b"--picture\r\nContent-Length: 4\r\n\r\n\xff\xd8\xff\xd9\r\n" * 50)
+    raise GoneError
+
+
+def _sends(change: Callable[[Turn], bytes]) -> Callable[[Wire, Turn], None]:
+    return lambda wire, turn: wire.send(change(turn))
+
+
+def _drips(wire: Wire, turn: Turn) -> None:
+    wire.drip(turn.part(), 0.02)
+
+
+def sized(jpeg: bytes, size_wh: tuple[int, int]) -> bytes:
+    """The same picture, which says that it has another size."""
+    at = next(k for k in range(len(jpeg)) if jpeg[k] == 0xFF and jpeg[k + 1] in (0xC0, 0xC2))
+    return jpeg[: at + 5] + struct.pack(">HH", size_wh[1], size_wh[0]) + jpeg[at + 9 :]
+
+
+def _garbled(turn: Turn) -> bytes:
+    draw = random.Random(turn.number)
+    middle = len(turn.jpeg) // 2
+    return turn.part(turn.jpeg[:middle] + draw.randbytes(2000) + turn.jpeg[middle + 2000 :])
+
+
+def _dark(turn: Turn) -> bytes:
+    noise = np.random.default_rng(turn.number).integers(0, 12, _shape(turn.jpeg), dtype=np.uint8)
+    return turn.part(cv2.imencode(".jpg", noise)[1].tobytes())
+
+
+def _shape(jpeg: bytes) -> tuple[int, ...]:
+    at = next(k for k in range(len(jpeg)) if jpeg[k] == 0xFF and jpeg[k + 1] in (0xC0, 0xC2))
+    return (*struct.unpack(">HH", jpeg[at + 5 : at + 9]), 3)
+
+
+def _before(turn: Turn) -> bytes:
+    order = turn.camera.order()
+    return turn.part(turn.camera.pictures[order[(turn.number - 9) % len(order)]])
+
+
+def _strange(turn: Turn) -> bytes:
+    pictures = turn.camera.strange
+    return turn.part(pictures[turn.number % len(pictures)] if pictures else turn.jpeg)
+
+
+def _stamped(change: Callable[[float], float | None]) -> Callable[[Turn], bytes]:
+    return lambda turn: turn.part(**{"X-Timestamp": change(turn.taken_s)})
+
+
+FAULTS = (
+    Fault("head byte by byte", True, lambda wire, _: wire.drip(_OK + b"X-Long: " + b"x" * 4000)),
+    Fault(
+        "head without end", True, lambda wire, _: wire.repeat(b"HTTP/1.0 100 More\r\n\r\n", 0.01)
+    ),
+    Fault("header of gigabytes", True, _huge_head),
+    Fault("redirects to itself", True, _redirects("http://127.0.0.1:{port}/again")),
+    Fault("redirects to a file", True, _redirects("file:///etc/passwd")),
+    Fault("redirects to another host", None, _redirects("http://127.0.0.1:{elsewhere}/elsewhere")),
+    Fault("404", True, _says(b"HTTP/1.0 404 Gone\r\n\r\n")),
+    Fault("503", True, _says(b"HTTP/1.0 503 \x1b[31mBusy\r\n\r\n")),
+    Fault("a page", True, _says(_OK + b"Content-Type: text/html\r\n\r\n<html>")),
+    Fault("no HTTP", True, _says(b"\x00\x01\x02 what?\r\n\r\n" * 100)),
+    Fault("no answer", True, lambda wire, _: wire.hang()),
+    Fault("closes at once", True, lambda wire, _: None),
+    Fault("stall", True, part=lambda wire, turn: None),
+    Fault("reset in a picture", True, part=_reset),
+    Fault("half-closed in a picture", True, part=_half_closed),
+    Fault("wrong boundary", True, part=_sends(lambda turn: turn.part(boundary=f"x{turn.number}"))),
+    Fault("no length", False, part=_sends(lambda turn: turn.part(**{"Content-Length": None}))),
+    Fault("part without end", True, part=_endless_part),
+    Fault("headers of a part without end", True, part=_endless_headers),
+    Fault("huge length", True, part=_sends(lambda turn: turn.part(**{"Content-Length": 10**11}))),
+    Fault(
+        "length of 5000 digits",
+        True,
+        part=_sends(lambda t: t.part(**{"Content-Length": "9" * 5000})),
+    ),
+    Fault(
+        "length too large",
+        None,
+        part=_sends(lambda turn: turn.part(**{"Content-Length": len(turn.jpeg) + 3000})),
+    ),
+    Fault("picture byte by byte", True, part=_drips),
+    Fault("torn picture", True, part=_sends(lambda turn: turn.part(turn.jpeg[:-4000]))),
+    Fault(
+        "no picture", True, part=_sends(lambda turn: turn.part(random.Random(1).randbytes(9999)))
+    ),
+    Fault("garbled picture", False, part=_sends(_garbled)),
+    Fault("other size", True, part=_sends(lambda turn: turn.part(sized(turn.jpeg, (320, 240))))),
+    Fault(
+        "huge size", True, part=_sends(lambda turn: turn.part(sized(turn.jpeg, (65_500, 65_500))))
+    ),
+    Fault("frozen", True, part=_sends(lambda turn: turn.part(turn.camera.pictures[0]))),
+    Fault("pictures of before", False, part=_sends(_before)),
+    Fault("dark", False, part=_sends(_dark)),
+    Fault("pictures of another camera", False, part=_sends(_strange)),
+    Fault("no stamps", False, part=_sends(_stamped(lambda taken_s: None))),
+    Fault("stamps backwards", False, part=_sends(_stamped(lambda taken_s: 1e9 - taken_s))),
+    Fault("stamps an hour ahead", False, part=_sends(_stamped(lambda taken_s: taken_s + 3600))),
+    Fault("bursts", None, part=_burst),
+    Fault("flood of nothing", True, part=_flood),
+)
+
+
+def _listen(camera: HostileCamera, server: socket.socket) -> None:
+    while True:
+        try:
+            connection, _ = server.accept()
+        except OSError:
+            return
+        threading.Thread(target=_talk, args=(camera, connection), daemon=True).start()
+
+
+def _talk(camera: HostileCamera, connection: socket.socket) -> None:
+    with closing(connection), suppress(OSError, GoneError):
+        connection.settimeout(10.0)
+        request = b""
+        while b"\r\n\r\n" not in request:
+            request += connection.recv(4096) or b"\r\n\r\n"
+        wire = Wire(connection, lambda: True)
+        try:
+            camera.connect(wire, request)
+        finally:
+            camera.sent = max(camera.sent, wire.sent)
+
+
+@contextmanager
+def hostile(cameras: Sequence[HostileCamera]) -> Iterator[list[str]]:
+    """Let cameras be there; yields their addresses, password and all."""
+    servers = []
+    for camera in cameras:
+        pair = [socket.create_server(("127.0.0.1", 0)) for _ in range(2)]
+        camera.port, camera.elsewhere = (one.getsockname()[1] for one in pair)
+        for server in pair:
+            threading.Thread(target=_listen, args=(camera, server), daemon=True).start()
+        servers += pair
+    try:
+        yield [camera.address for camera in cameras]
+    finally:
+        for server in servers:
+            server.shutdown(socket.SHUT_RDWR)
+            server.close()
+
+
+@dataclass
+class Meeting:
+    """What a reader has of a camera with a fault.
+
+    Attributes:
+        camera: the camera.
+        usable: different pictures of the right size that came.
+        told: how it ended; empty where pictures came until it was left.
+        seconds: how long that took.
+    """
+
+    camera: HostileCamera
+    usable: int
+    told: str
+    seconds: float
+
+
+def meet(fault: Fault, pictures: Sequence[bytes], seconds: float) -> Meeting:
+    """Read a camera with this fault for some time, or until it is given up."""
+    camera = HostileCamera(pictures, pictures[::-1], 1 / 30, fault=fault)
+    begun, seen, told = time.monotonic(), set(), ""
+    with hostile([camera]) as (address,):
+        source = CameraAddress("cam0", address).source()
+        with closing(source.shots()) as shots:  # type: ignore[type-var]
+            try:
+                for shot in shots:
+                    if is_whole(shot) and size_wh(shot) == _shape(pictures[0])[1::-1]:
+                        seen.add(shot.jpeg)
+                    if time.monotonic() - begun > seconds:
+                        break
+            except CaptureError as problem:
+                told = str(problem)
+        camera.fault = None
+    return Meeting(camera, len(seen), told, time.monotonic() - begun)
+
+
+def rows(count: int, seed: int) -> list[tuple[str, str]]:
+    """Meet `count` cameras; what their faults were, and what was told."""
+    draw = random.Random(seed)
+    pictures = [
+        cv2.imencode(".jpg", np.random.default_rng(k).integers(0, 255, (120, 160, 3), np.uint8))[1]
+        for k in range(12)
+    ]
+    faults = [draw.choice(FAULTS) for _ in range(count)]
+    with ThreadPoolExecutor(8) as pool:
+        met = list(pool.map(lambda one: meet(one, [p.tobytes() for p in pictures], 3.0), faults))
+    out = []
+    for fault in dict.fromkeys(faults):
+        some = [one for one, other in zip(met, faults, strict=True) if other is fault]
+        texts = {re.sub(r"http://\S+: ", "", one.told) or "pictures came" for one in some}
+        longest = max(one.seconds for one in some)
+        leaks = sum(map(_leaks, some))
+        out.append(
+            (
+                f"{fault.name} ({len(some)})",
+                f"{'; '.join(sorted(texts))} (within {longest:.1f} s)" + " LEAKS" * bool(leaks),
+            )
+        )
+    return out
+
+
+def _leaks(one: Meeting) -> bool:
+    return bool(one.camera.leaked) or any(w in one.told for w in (LOGIN.split(":")[1], TOKEN))
