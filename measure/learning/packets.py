@@ -3,8 +3,8 @@
 A state: magic `TBs1`, sequence number (uint64; zero begins a trajectory, without history), stamp
 (float64, s), count (uint16), then `count` float32 features. An answer: magic `TBe1`, the same
 sequence number and stamp, status (uint8: 0 corrected, 1 corrected but unfamiliar, 2 and above
-refused, see `STATUS`; 8 means that the server has no room for a new sender's history), error x y z (float32, mm; NaN if refused) and the upper triangle of its
-covariance (6 float32, mm^2).
+refused, see `STATUS`; 8 means that the server has no room for a new sender's history), error x y z
+(float32, mm; NaN if refused) and the upper triangle of its covariance (6 float32, mm^2).
 """
 
 from __future__ import annotations
