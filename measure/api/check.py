@@ -36,7 +36,10 @@ from measure.checking import (
     worst_first,
 )
 from measure.checking.body import BodyCheck, LocatedBalls, check_body, locate_balls
-from measure.checking.clocks import CameraClock, estimate_clocks
+from measure.checking.body_explanations import twin_findings
+from measure.checking.camera_errors import CameraError
+from measure.checking.clocks import CameraClock
+from measure.checking.motion import MotionCheck, check_motion, motion_findings, scale_findings
 from measure.errors import ConfigError
 from measure.geometry import RigidTransform
 from measure.host import Registry
@@ -49,8 +52,6 @@ if TYPE_CHECKING:
 
 _REACH_MM = 40.0
 _LEAST_NOISE_PX = 0.1
-_OFFSET_WORTH_A_LINE_S = 0.0005
-_OFFSET_WRONG_S = 0.002
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +67,9 @@ class SessionCheck:
         misfits: cameras that do not stand where the calibration says.
         body: the balls' distances and radii against the body file.
         clocks: of all cameras; empty if the motion was not measured.
+        camera_errors: cameras whose clock, direction or focal length is off.
+        scale: how many times as far apart as in the body file the balls are; NaN if unknown.
+        scale_sd: its standard deviation.
         accuracy: (27, 5) expected standard deviations round the place where the body was (see
             `expected_accuracy`), or None if it was never found.
     """
@@ -78,7 +82,15 @@ class SessionCheck:
     misfits: tuple[CameraMisfit, ...]
     body: BodyCheck
     clocks: tuple[CameraClock, ...]
+    camera_errors: tuple[CameraError, ...]
+    scale: float
+    scale_sd: float
     accuracy: Floats | None
+
+    @property
+    def believable(self) -> bool:
+        """Whether nothing was found that spoils results."""
+        return all(finding.level is not Level.WRONG for finding in self.findings)
 
 
 def check(
@@ -127,11 +139,11 @@ def check(
             overexposed.add(frame_set, searched[-1].agreeing)
             located.append(locate_balls(seen, session.body, session.cameras))
             step()
-        clocks = _clocks(session, searched, registry, profile, clock_samples, duplicates, step)
+        motion = _motion(session, searched, registry, profile, clock_samples, duplicates, step)
         pictures = _stalls(session, duplicates) + colorless.findings() + overexposed.findings()
         for name, frames in damaged_frames(jpeg, step).items():
             pictures += damage_findings(name, frames, len(session.streams[name]))
-        return _concluded(session, total, searched, located, clocks, pictures)
+        return _concluded(session, total, searched, located, motion, pictures)
 
 
 def _steps(progress: Progress | None, total: int) -> Callable[[], None]:
@@ -169,7 +181,7 @@ def _search(
             yield frame_set, dict(zip(names, found, strict=True))
 
 
-def _clocks(
+def _motion(
     session: Session,
     searched: Sequence[SearchSample],
     registry: Registry,
@@ -177,19 +189,17 @@ def _clocks(
     samples: int,
     duplicates: DuplicateCount,
     step: Callable[[], None],
-) -> tuple[CameraClock, ...]:
-    """Compare the clocks, if the body can be followed at all."""
+) -> MotionCheck:
+    """Measure frame sets in a row, if the body can be followed at all."""
     found = sum(sample.world_from_body is not None for sample in searched)
     if not samples or found < len(searched) / 2:
-        return ()
-
-    def measured() -> Iterator[Measurement]:
-        for frame_set, measurement in islice(measure_session(session, profile, registry), samples):
-            duplicates.add(frame_set)
-            step()
-            yield measurement
-
-    return estimate_clocks(measured(), session.body, session.cameras)
+        return MotionCheck()
+    measured = list[Measurement]()
+    for frame_set, measurement in islice(measure_session(session, profile, registry), samples):
+        duplicates.add(frame_set)
+        step()
+        measured.append(measurement)
+    return check_motion(measured, session.body, session.cameras)
 
 
 def _stalls(session: Session, passed: DuplicateCount) -> list[Finding]:
@@ -210,7 +220,7 @@ def _concluded(
     total: int,
     searched: Sequence[SearchSample],
     located: Sequence[LocatedBalls],
-    clocks: tuple[CameraClock, ...],
+    motion: MotionCheck,
     pictures: list[Finding],
 ) -> SessionCheck:
     findings = pictures + [Finding(Level.NOTE, "frames", note) for note in session.notes]
@@ -219,10 +229,13 @@ def _concluded(
         findings += stamp_findings(stream.name, stream.times_s, stream.frames)
     misfits = camera_misfits(with_velocities(searched), session.body, session.cameras)
     misplaced = misfit_findings(misfits)
+    by_motion = motion_findings(motion, {misfit.camera for misfit in misfits})
     shape = check_body(located, session.body)
-    findings += _body_findings(shape, misplaced)
+    cameras_agree = all(f.topic != "calibration" for f in (*misplaced, *by_motion))
+    findings += _body_findings(shape, cameras_agree) or scale_findings(motion, cameras_agree)
+    findings += twin_findings(session.body)
     coverage, weak = coverage_findings(searched, session.body, session.cameras, misfits)
-    findings += weak + misplaced + _clock_findings(clocks)
+    findings += weak + misplaced + by_motion
     return SessionCheck(
         session.name,
         total,
@@ -231,37 +244,20 @@ def _concluded(
         coverage,
         misfits,
         shape,
-        clocks,
+        motion.clocks,
+        motion.errors,
+        motion.scale,
+        motion.scale_sd,
         _accuracy(session, searched),
     )
 
 
-def _body_findings(shape: BodyCheck, misplaced: Sequence[Finding]) -> list[Finding]:
+def _body_findings(shape: BodyCheck, cameras_agree: bool) -> list[Finding]:
     """What is wrong with the body; only weak where cameras do not stand as they should."""
-    if all(finding.level is not Level.WRONG for finding in misplaced):
+    if cameras_agree:
         return [Finding(Level.WRONG, "body", text) for text in shape.findings]
     doubt = "measured with cameras that do not agree: calibrate them first"
     return [Finding(Level.WEAK, "body", f"{text} ({doubt})") for text in shape.findings]
-
-
-def _clock_findings(clocks: Sequence[CameraClock]) -> list[Finding]:
-    out = []
-    for clock in clocks:
-        sd = 1e3 * clock.offset_sd_s
-        if clock.offset_visible and abs(clock.offset_s) > _OFFSET_WORTH_A_LINE_S:
-            level = Level.WRONG if abs(clock.offset_s) > _OFFSET_WRONG_S else Level.WEAK
-            text = (
-                f"{clock.camera}: the clock is {1e3 * clock.offset_s:+.1f} +- {sd:.1f} ms off the "
-                f"others: add {clock.offset_s:+.4f} to its time_offset_s in session.toml"
-            )
-            out.append(Finding(level, "clock", text))
-        if clock.rolling:
-            text = (
-                f"{clock.camera}: its shutter rolls, {1e3 * clock.readout_s:.1f} +- "
-                f"{1e3 * clock.readout_sd_s:.1f} ms from the first row to the last"
-            )
-            out.append(Finding(Level.WEAK, "clock", text))
-    return out
 
 
 def _accuracy(session: Session, searched: Sequence[SearchSample]) -> Floats | None:

@@ -8,7 +8,10 @@ from itertools import combinations, permutations
 
 import numpy as np
 
+from measure.checking.finding import Finding, Level
+from measure.errors import DegenerateGeometryError
 from measure.estimation.body_layout import thickness
+from measure.geometry.alignment import align_points
 from measure.model import Body
 
 _SIGMAS = 4.0
@@ -132,6 +135,40 @@ def _shared_size(radii: Sequence[Compared]) -> list[str]:
     factor = float(np.median([r.measured_mm / r.file_mm for r in radii]))
     radii_text = ", ".join(f"{r.what[0]} {r.measured_mm:.1f} for {r.file_mm:.1f} mm" for r in radii)
     return [f"the balls are {factor:.2f} times as large as the body file says ({radii_text})"]
+
+
+def twin_findings(body: Body) -> list[Finding]:
+    """A line if the body with some balls exchanged is the same body, turned.
+
+    Which of the two is measured rests on the colours in the file alone: no picture contradicts a
+    file in which they are exchanged.
+    """
+    names = body.names
+    if len(names) > _MAX_BALLS_PERMUTED:
+        return []
+    found = []
+    for order in permutations(range(len(names))):
+        moved = [k for k, other in enumerate(order) if k != other]
+        if not moved:
+            continue
+        try:
+            turn = align_points(body.centers[list(order)], body.centers)
+        except DegenerateGeometryError:
+            continue
+        off_mm = np.linalg.norm(turn.apply(body.centers) - body.centers[list(order)], axis=1)
+        if np.max(off_mm) < _SAME_DISTANCE_MM:
+            angle = float(np.degrees(np.linalg.norm(turn.rotvec)))
+            found.append((len(moved), [names[k] for k in moved], angle))
+    if not found:
+        return []
+    _, exchanged, angle = min(found)
+    others = f" (and {len(found) - 1} more such exchanges)" if len(found) > 1 else ""
+    text = (
+        f"with {', '.join(exchanged[:-1])} and {exchanged[-1]} exchanged in the body file its pose "
+        f"would be turned by {angle:.0f} deg{others}, and no picture could tell: look at the body "
+        "whether each colour sits where the file says"
+    )
+    return [Finding(Level.WEAK, "body", text)]
 
 
 def blind_to(body: Body, located: Collection[str]) -> tuple[str, ...]:

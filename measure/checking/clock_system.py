@@ -14,6 +14,8 @@ from measure.geometry import RigidTransform, skew
 _HUBER_SIGMAS = 3.0
 _MIN_IMAGE_SPEED_PX_S = 1e-3
 _JACKKNIFE_BLOCKS = 8
+_UNDETERMINED = 1e-12
+"""Eigenvalues this small, as a share of the largest, are rounding."""
 _PRIOR_SD_S = 10.0
 """A weak prior keeps a parameter that is nearly unobservable from diverging."""
 
@@ -39,8 +41,17 @@ class Instant:
     acceleration: Floats
 
 
-def _linearise(instant: Instant, clocks: Floats) -> tuple[Floats, Floats, Floats]:
-    """Residuals (n, 2), Jacobian by the pose (n, 2, 6), and image velocity (n, 2) in px/s."""
+def linearise(instant: Instant, clocks: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """The observations of an instant as functions of its pose and the clocks.
+
+    Args:
+        instant: the observations.
+        clocks: (c, 2) offsets and readout times in s.
+
+    Returns:
+        Residuals (n, 2), Jacobian by the pose (n, 2, 6), image velocity (n, 2) in px/s, and the
+        balls' centres (n, 3) when their images were taken.
+    """
     s = instant.sightings
     lead = s.lead_s + clocks[instant.cameras, 0] + clocks[instant.cameras, 1] * instant.rows
     moved = lead[:, None] * instant.velocity + lead[:, None] ** 2 / 2 * instant.acceleration
@@ -48,9 +59,10 @@ def _linearise(instant: Instant, clocks: Floats) -> tuple[Floats, Floats, Floats
     arms = instant.pose.rotate(s.points_body)
     by_pose = np.concatenate([np.broadcast_to(np.eye(3), (len(s), 3, 3)), -skew(arms)], axis=2)
     shift = np.einsum("nij,nj->ni", by_pose, moved)
-    pixels, by_point = s.rig.project(arms + instant.pose.translation + shift)
+    points = arms + instant.pose.translation + shift
+    pixels, by_point = s.rig.project(points)
     jacobian = by_point @ by_pose
-    return s.pixels - pixels, jacobian, np.einsum("nij,nj->ni", jacobian, speed)
+    return s.pixels - pixels, jacobian, np.einsum("nij,nj->ni", jacobian, speed), points
 
 
 def bias_deviations(instants: Sequence[Instant], clocks: Floats, bias_px: float) -> Floats:
@@ -62,7 +74,7 @@ def bias_deviations(instants: Sequence[Instant], clocks: Floats, bias_px: float)
     count = len(clocks)
     totals, squares = np.zeros((count, 2, 2)), np.full((count, 2), 1e-30)
     for instant in instants:
-        _, _, flow = _linearise(instant, clocks)
+        _, _, flow, _ = linearise(instant, clocks)
         for k, by in enumerate((flow, flow * instant.rows[:, None])):
             np.add.at(totals[:, k], instant.cameras, by)
             np.add.at(squares[:, k], instant.cameras, np.sum(by**2, axis=1))
@@ -107,16 +119,16 @@ class Reduced:
 
 def reduce_instant(instant: Instant, clocks: Floats, readout: Bools) -> Reduced:
     """Linearise one instant about the clocks (c, 2); only cameras in `readout` (c,) roll."""
-    residuals, by_pose, flow = _linearise(instant, clocks)
+    residuals, by_pose, flow, _ = linearise(instant, clocks)
     by_clock = np.zeros((len(residuals), 2, clocks.size))
     rows = np.arange(len(residuals))
     by_clock[rows, :, 2 * instant.cameras] = flow
     rolling = readout[instant.cameras] * instant.rows
     by_clock[rows, :, 2 * instant.cameras + 1] = flow * rolling[:, None]
-    weight = _weights(residuals, instant.sightings.noise)
+    weight = robust_weights(residuals, instant.sightings.noise)
     weighted_pose = np.swapaxes(by_pose, 1, 2) @ weight
     weighted_clock = np.swapaxes(by_clock, 1, 2) @ weight
-    pose_pose = np.linalg.inv((weighted_pose @ by_pose).sum(axis=0) + 1e-12 * np.eye(6))
+    pose_pose = symmetric_inverse((weighted_pose @ by_pose).sum(axis=0))
     pose_clock = (weighted_pose @ by_clock).sum(axis=0)
     pose_right = np.einsum("nij,nj->i", weighted_pose, residuals)
     back = pose_clock.T @ pose_pose
@@ -178,7 +190,22 @@ def _jackknife_steps(
     return np.stack(steps)
 
 
-def _weights(residuals: Floats, noise: Floats) -> Floats:
+def symmetric_inverse(matrix: Floats) -> Floats:
+    """The inverse (n, n) of a symmetric matrix; directions it does not determine stay put.
+
+    A pose that too few ball-views determine then takes nothing from the clocks, and a clock that
+    nothing determines is left where it is.
+    """
+    size = np.sqrt(np.abs(np.diag(matrix)))
+    scale = 1 / np.where(size > 0, size, 1.0)
+    scaled = matrix * scale[:, None] * scale
+    return np.asarray(
+        np.linalg.pinv(scaled, rcond=_UNDETERMINED, hermitian=True) * scale[:, None] * scale
+    )
+
+
+def robust_weights(residuals: Floats, noise: Floats) -> Floats:
+    """Inverse covariances (n, 2, 2), less (Huber) for residuals of over three deviations."""
     inverse = np.linalg.inv(noise)
     distance = np.sqrt(np.einsum("ni,nij,nj->n", residuals, inverse, residuals))
     return np.asarray(
@@ -193,13 +220,13 @@ def _constrained(normal: Floats, right: Floats, observable: Bools) -> tuple[Floa
     index = np.nonzero(observable)[0]
     if not len(index):
         return step, covariance
-    level = float(np.max(np.diag(normal)))
+    level = float(np.max(np.diag(normal)[index])) or 1.0  # 0 if a block held all the motion
     border = np.where(index % 2 == 0, 1.0, 0.0)
     system = np.zeros((len(index) + 1, len(index) + 1))
     system[:-1, :-1] = normal[np.ix_(index, index)] / level
     system[:-1, :-1] += np.eye(len(index)) / (level * _PRIOR_SD_S**2)
     system[-1, :-1] = system[:-1, -1] = border
-    inverse = np.linalg.inv(system)
+    inverse = symmetric_inverse(system)
     step[index] = (inverse @ np.append(right[index] / level, 0.0))[:-1]
     covariance[np.ix_(index, index)] = inverse[:-1, :-1] / level
     return step, covariance

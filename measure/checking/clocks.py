@@ -113,19 +113,13 @@ def _estimate(
     extra_px: float,
 ) -> tuple[Floats, Floats]:
     """Offsets and readout times (c, 2), and their standard deviations (c, 2)."""
-    names = {camera.name: i for i, camera in enumerate(cameras)}
     by_name = {camera.name: camera for camera in cameras}
     seen = [_sightings(m, body, by_name, extra_px) for m in usable]
     poses = [m.pose for m in usable if m.pose is not None]
-    heights = np.array([camera.intrinsics.size_wh[1] for camera in cameras])
     clocks = np.zeros((len(cameras), 2))
     sd = np.full((len(cameras), 2), np.inf)
     for _ in range(_ITERATIONS):
-        motion = _derivatives(poses)
-        instants = [
-            _instant(s, names, heights, pose.world_from_body, v, a)
-            for s, pose, (v, a) in zip(seen, poses, motion, strict=True)
-        ]
+        instants = _instants(seen, poses, cameras)
         parts = [reduce_instant(instant, clocks, readout) for instant in instants]
         bias = bias_deviations(instants, clocks, extra_px)
         step, sd = solve_clocks(parts, clocks, readout, bias)
@@ -135,6 +129,37 @@ def _estimate(
             for pose, p in zip(poses, parts, strict=True)
         ]
     return clocks, sd
+
+
+def measured_instants(
+    measurements: Iterable[Measurement],
+    body: Body,
+    cameras: Sequence[Camera],
+    extra_px: float = 0.3,
+) -> list[Instant]:
+    """The observations of all instants with a pose, and the motion around them.
+
+    Args:
+        measurements: of one recording, in order of time.
+        body: the body.
+        cameras: its cameras.
+        extra_px: systematic error of a detection, in its weight.
+    """
+    usable = [m for m in measurements if m.pose is not None and _count_cameras(m) >= 2]
+    by_name = {camera.name: camera for camera in cameras}
+    seen = [_sightings(m, body, by_name, extra_px) for m in usable]
+    return _instants(seen, [m.pose for m in usable if m.pose is not None], cameras)
+
+
+def _instants(
+    seen: Sequence[PoseObservations], poses: Sequence[Pose], cameras: Sequence[Camera]
+) -> list[Instant]:
+    names = {camera.name: i for i, camera in enumerate(cameras)}
+    heights = np.array([camera.intrinsics.size_wh[1] for camera in cameras])
+    return [
+        _instant(s, names, heights, pose.world_from_body, v, a)
+        for s, pose, (v, a) in zip(seen, poses, _derivatives(poses), strict=True)
+    ]
 
 
 def _count_cameras(measurement: Measurement) -> int:

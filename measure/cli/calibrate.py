@@ -23,8 +23,11 @@ def calibrate(
     ] = "triball",
     report: Path | None = None,
     json: JsonFlag = False,
-) -> None:
+) -> int:
     """Calibrate cameras from pictures of boards and markers.
+
+    The exit code is 3 if the judgement finds anything wrong; the calibration is then written as
+    well.
 
     Args:
         capture: capture folder (docs/calibration.md), or its capture.toml.
@@ -48,9 +51,10 @@ def calibrate(
         result = run(capture, method, body, progress)
     write_calibration(output, result.calibration, file_format)
     write_calibration_report(capture.name or str(capture), result.rig, result.verdict, page)
+    code = 0 if result.verdict.trustworthy else console.UNBELIEVABLE
     if json:
         console.print_json({"output": output, **result.calibration.provenance})
-        return
+        return code
     console.print_table(
         ("camera", "f_px", "position_sd_mm", "rotation_sd_deg", "rms_px"),
         camera_rows(result.rig.cameras),
@@ -58,3 +62,4 @@ def calibrate(
     for line in judgement_lines(result.rig, result.verdict):
         console.print_text(line)
     console.print_text(f"wrote {output} and {page}")
+    return code

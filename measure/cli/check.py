@@ -27,8 +27,10 @@ def check(
     clock_samples: int = 120,
     json: JsonFlag = False,
     registry: InjectedRegistry,
-) -> None:
+) -> int:
     """Say what is wrong or weak in a session before it is measured.
+
+    The exit code is 3 if anything is wrong, 0 otherwise.
 
     Looks for dropped frames, pictures that come twice or are damaged, uneven stamps, clocks that
     differ, a shutter that rolls, a body file that does not match, cameras that were moved or are
@@ -57,8 +59,9 @@ def check(
         )
     if json:
         console.print_json(found)
-        return
-    _print(found)
+    else:
+        _print(found)
+    return 0 if found.believable else console.UNBELIEVABLE
 
 
 def _print(found: SessionCheck) -> None:

@@ -110,7 +110,8 @@ def print_summary(summary: Summary) -> None:
     for reason, count in summary.reasons.items():
         console.print_text(f"  {count} x {reason}")
     for note in summary.notes:
-        console.print_text(f"note: {note}")
+        levelled = note.startswith(("wrong: ", "weak: "))
+        console.print_text(note if levelled else f"note: {note}")
 
 
 def _print_outcomes(outcomes: Sequence[Outcome], out: Path, json: bool) -> int:

@@ -12,6 +12,7 @@ from measure.errors import MeasureError
 from measure.host import Detector, PoseSolver, Triangulator
 from measure.measuring import plugin_calls, pose_spline, time_alignment
 from measure.measuring.backtracking import ProcessedFrameSet, backtracked
+from measure.measuring.body_scale import ScaleMonitor
 from measure.measuring.duplicate_images import DuplicateImages
 from measure.measuring.measurement import Draft, Measurement, Status
 from measure.measuring.pose_spline import motion_at, with_surrounding_poses
@@ -92,6 +93,7 @@ class Pipeline:
             MeasureError: what the frame sets raise, after those before it have been measured.
         """
         errors = list[MeasureError]()
+        scale = ScaleMonitor(self._body)
         with CameraPool(len(self._cameras)) as pool:
             readable = _until_error(frame_sets, errors)
             processed = (self._process(frame_set, pool) for frame_set in readable)
@@ -102,7 +104,7 @@ class Pipeline:
             if self.stages.smoothing:
                 drafts = map(self._smooth, with_surrounding_poses(drafts))
             for draft in drafts:
-                yield draft.measurement.with_tolerance(self._body)
+                yield scale.judged(draft.measurement.with_tolerance(self._body))
         if errors:
             raise errors[0]
 
@@ -139,9 +141,12 @@ class Pipeline:
         if expected is None:
             return Draft(_skipped(frame_set), None, ())
         draft = self._measure_once(frame_set, expected, pool)
-        if not self.stages.remeasure_after_search:
-            return draft
-        return self._remeasured(frame_set, self._searched(frame_set, draft, pool), pool)
+        if self.stages.remeasure_after_search:
+            draft = self._remeasured(frame_set, self._searched(frame_set, draft, pool), pool)
+        review = self.stages.tracker.doubt(frame_set)
+        if review is not None:
+            review(self._detect(frame_set, {}, pool))
+        return draft
 
     def _searched(self, frame_set: FrameSet, draft: Draft, pool: CameraPool) -> Draft:
         """Search the images in which the tracker just lost the body, so that no pose is missed."""

@@ -10,7 +10,8 @@ import numpy as np
 import pyarrow as pa
 
 from measure.arrays import Floats
-from measure.checking.body_explanations import Compared, layout_findings
+from measure.checking.body_explanations import Compared, layout_findings, twin_findings
+from measure.checking.finding import Level
 from measure.model import Body
 
 MIN_FRAME_SETS = 5
@@ -83,6 +84,11 @@ def _lengths(apart: Floats, covariances: Floats) -> tuple[Floats, Floats]:
     return lengths, np.sqrt(np.einsum("ni,nij,nj->n", along, covariances, along))
 
 
+def body_notes(body: Body, distances: Sequence[BallDistance]) -> tuple[str, ...]:
+    """What is wrong or weak about the body file, a line each, with its level."""
+    return (*contradictions(body, distances), *map(str, twin_findings(body)))
+
+
 def contradictions(body: Body, distances: Sequence[BallDistance]) -> tuple[str, ...]:
     """Distances that contradict the body file by more than both uncertainties; a line each.
 
@@ -101,6 +107,6 @@ def contradictions(body: Body, distances: Sequence[BallDistance]) -> tuple[str, 
         if one.count >= MIN_FRAME_SETS and np.isfinite(one.uncertainty_mm)
     ]
     return tuple(
-        f"{finding}; the body file or the calibration is off, and poses with it"
+        f"{Level.WRONG}: {finding}; the body file or the calibration is off, and poses with it"
         for finding in layout_findings(known, body)
     )

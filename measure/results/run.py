@@ -14,7 +14,7 @@ from measure.arrays import Bools, Floats
 from measure.errors import RunError
 from measure.geometry import RigidTransform
 from measure.model import Body, Camera
-from measure.results.distances import BallDistance, ball_distances, contradictions
+from measure.results.distances import BallDistance, ball_distances, body_notes, contradictions
 from measure.results.provenance import read_provenance
 from measure.results.stored import PLACE, read_tables
 from measure.results.summary import Summary, summarise
@@ -49,7 +49,8 @@ class Run:
     def summary(self) -> Summary:
         """The run in a few numbers."""
         notes = self.provenance.get("session", {}).get("notes", ())
-        return summarise(self.detections, self.poses, notes, self.contradictions)
+        against = body_notes(self.body, self.distances)
+        return summarise(self.detections, self.poses, notes, against)
 
     @cached_property
     def distances(self) -> list[BallDistance]:

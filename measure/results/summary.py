@@ -36,7 +36,8 @@ class Summary:
         suspended: how often each reason suspended a view.
         reasons: how often each reason, its numbers left out, kept a frame set from being "ok".
         notes: what the session left to be known: missing pictures and the like; cameras that
-            took part in no pose; and ball distances that contradict the body file.
+            took part in no pose; ball distances that contradict the body file ("wrong: ..."), and a
+            body that another file describes as well ("weak: ...").
     """
 
     frame_sets: int
@@ -81,7 +82,7 @@ def summarise(
     detections: pa.Table,
     poses: pa.Table,
     notes: Sequence[str] = (),
-    contradictions: Sequence[str] = (),
+    body_notes: Sequence[str] = (),
 ) -> Summary:
     """Count and average the tables of a run.
 
@@ -89,7 +90,7 @@ def summarise(
         detections: a row per frame set, camera and ball.
         poses: a row per frame set.
         notes: what the session left to be known.
-        contradictions: ball distances that contradict the body file.
+        body_notes: what is wrong or weak about the body file, each with its level.
     """
     statuses = Counter(poses["status"].to_pylist())
     doubts = Counter(
@@ -121,7 +122,7 @@ def summarise(
         notes=(
             *notes,
             *_idle(suspended, {row["camera"] for row in used}),
-            *contradictions,
+            *body_notes,
         ),
     )
 

@@ -18,8 +18,9 @@ FRAMES = 8
 def said(path: Path, capsys, clock_samples: int = 0) -> dict[str, tuple[str, str]]:
     """Level and text of what is said about repeats, by camera."""
     given = ["--samples", "8", "--clock-samples", str(clock_samples), "--json"]
-    assert main(["check", str(path), *given]) == 0
+    code = main(["check", str(path), *given])
     found = json.loads(capsys.readouterr().out)["findings"]
+    assert code == (3 if any(f["level"] == "wrong" for f in found) else 0)
     lines = [f for f in found if "repeat the one before" in f["text"]]
     assert all(f["topic"] == "frames" for f in lines)
     return {f["text"].split(":")[0]: (f["level"], f["text"]) for f in lines}

@@ -62,7 +62,7 @@ def rolling(tmp_path_factory) -> Path:
 
 
 def test_check_tells_each_clock_and_each_shutter(rolling, capsys):
-    assert main(["check", str(rolling), "--samples", "6", "--json"]) == 0
+    assert main(["check", str(rolling), "--samples", "6", "--json"]) == 3
     found = json.loads(capsys.readouterr().out)
     assert [clock["camera"] for clock in found["clocks"]] == list(LATE_S)
     for clock in found["clocks"]:

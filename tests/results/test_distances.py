@@ -26,7 +26,7 @@ def notes(folder, stated, noise_mm=0.0, sets=8):
             writer.append(replace(found, positions=tuple(positions)))
         summary = writer.finish()
     assert read_run(folder).summary == summary
-    return summary.notes
+    return tuple(n for n in summary.notes if not n.startswith("weak: with green and red exch"))
 
 
 def resized(share, *names):

@@ -4,7 +4,8 @@ from measure.measuring.association.associate import (
     Association,
     AssociationSettings,
     associate,
+    second_body,
     warm_up,
 )
 
-__all__ = ["Association", "AssociationSettings", "associate", "warm_up"]
+__all__ = ["Association", "AssociationSettings", "associate", "second_body", "warm_up"]

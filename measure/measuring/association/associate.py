@@ -160,6 +160,27 @@ def associate(
     return Association(None, reason=_why_none(body, candidates, points))
 
 
+def second_body(
+    world_from_body: RigidTransform,
+    body: Body,
+    cameras: Sequence[Camera],
+    detections: Mapping[str, Sequence[Detection]],
+    settings: AssociationSettings | None = None,
+) -> tuple[str, ...]:
+    """A flag if there may be another body like the one that is tracked.
+
+    Args:
+        world_from_body: the pose of the one that is tracked.
+        body: the body.
+        cameras: those whose whole images were searched.
+        detections: candidates by camera name.
+        settings: tolerances.
+    """
+    settings = settings or AssociationSettings()
+    candidates = by_ball(detections, body.balls, cameras)
+    return second_body_flags(world_from_body, body, cameras, candidates, settings.sigmas)
+
+
 def _best(problem: _AssociationProblem, poses: RigidTransform) -> Association | None:
     """The accepted pose, or an ambiguous result without one; None if none is acceptable."""
     if not len(poses.translation):

@@ -38,6 +38,9 @@ class Memoryless:
         """Search everything."""
         return dict.fromkeys(frame_set.images, ())
 
+    def doubt(self, frame_set: FrameSet) -> None:
+        """None: every frame set is searched anyway."""
+
     def backwards(self) -> None:
         """Not supported: there is no state."""
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 from measure.arrays import Floats
 from measure.model import BallPosition, BallView, Detection, Expectation, FrameSet, Motion, Pose
+
+Review = Callable[[Mapping[str, Sequence[Detection]]], None]
+"""Takes the detections of whole images by camera name; what follows holds from the next on."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -33,6 +36,9 @@ class Tracker(Protocol):
         A ball without an expectation is searched for in the whole frame, all of them if the mapping
         is empty. None: this frame set is skipped (the paper's "skips a few frames and restarts").
         """
+
+    def doubt(self, frame_set: FrameSet) -> Review | None:
+        """Takes what whole images show, to settle a doubt; None without one. After `conclude`."""
 
     def backwards(self) -> Tracker | None:
         """A tracker in the same state for frame sets backwards in time; None if not supported."""

@@ -130,6 +130,9 @@ class FrameUpdate:
             for name, image in frame_set.images.items()
         }
 
+    def doubt(self, frame_set: FrameSet) -> None:
+        """None: the paper knows one body only."""
+
     def backwards(self) -> None:
         """The paper's algorithm goes forward only."""
 

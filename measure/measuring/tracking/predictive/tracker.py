@@ -19,7 +19,12 @@ from measure.estimation.body_layout import distances_from_body, layout_flags
 from measure.geometry import RigidTransform, chi_square_quantile
 from measure.host.settings import Settings, setting
 from measure.measuring import association
-from measure.measuring.association import Association, AssociationSettings, associate
+from measure.measuring.association import (
+    Association,
+    AssociationSettings,
+    associate,
+    second_body,
+)
 from measure.measuring.tracking.predictive.camera_bias import CameraBiasMonitor
 from measure.measuring.tracking.predictive.consistency import consistency_flags, single_view_balls
 from measure.measuring.tracking.predictive.gating import (
@@ -30,19 +35,19 @@ from measure.measuring.tracking.predictive.gating import (
     GatedObservations,
     gate_observations,
 )
+from measure.measuring.tracking.predictive.identity import IdentityDoubt
 from measure.measuring.tracking.predictive.motion_filter import MotionState, initial_state, per_axis
 from measure.measuring.tracking.predictive.pose_checks import (
     disagreeing_cameras,
     disagreement_flags,
     hard_flags,
-    implausible_motion,
     soft_flags,
     too_uncertain,
     unconfirmed_balls,
     unstable_initialisation,
 )
 from measure.measuring.tracking.predictive.search_windows import SearchWindows, predict_windows
-from measure.measuring.tracking.tracker import Conclusion
+from measure.measuring.tracking.tracker import Conclusion, Review
 from measure.model import (
     BallPosition,
     BallView,
@@ -150,8 +155,7 @@ class PredictiveTracker:
         self._found: Association | None = None
         self._disagreeing: tuple[str, ...] = ()
         self._confirmed: set[str] = set()
-        self._search_flags: tuple[str, ...] = ()
-        self._restart: tuple[MotionState | None, MotionState] | None = None
+        self._identity = IdentityDoubt()
         self._last_state: MotionState | None = None
         self._recovering: dict[tuple[str, str], int] = {}
         self._misses = 0
@@ -178,6 +182,19 @@ class PredictiveTracker:
         )
         c = self.config
         return self._windows.expectations(c.reach_sigmas, c.min_reach_px, c.radius_slack)
+
+    def doubt(self, frame_set: FrameSet) -> Review | None:
+        """Looks for another body beside the one that is tracked, if that may be the wrong one."""
+        state, time_s = self._state, frame_set.time_s
+        if state is None or not self._identity.due(time_s):
+            return None
+        present = [camera for camera in self._cameras if camera.name in frame_set.images]
+
+        def review(detections: Mapping[str, Sequence[Detection]]) -> None:
+            flags = second_body(state.world_from_body, self._body, present, detections)
+            self._identity.reviewed(flags, time_s)
+
+        return review
 
     def backwards(self) -> PredictiveTracker | None:
         """A tracker in the same state of motion; None if the body is lost."""
@@ -222,8 +239,9 @@ class PredictiveTracker:
         hard = hard_flags(
             pose, positions, views, self._body, self._cameras, c.distance_tolerance_mm, c.max_rms_px
         )
-        soft = soft_flags(pose, views, c.max_sd_mm) + self._disagreement(views) + self._search_flags
-        soft += self._implausible_motion() + unconfirmed_balls(views, self._body, self._confirmed)
+        soft = soft_flags(pose, views, c.max_sd_mm) + self._disagreement(views)
+        soft += self._identity.flags(self._state, self._acceleration, self._acceleration_bound)
+        soft += unconfirmed_balls(views, self._body, self._confirmed)
         if self._state is not None and self._state.new:
             soft += unstable_initialisation(
                 views, [image.time_s for image in frame_set.images.values()]
@@ -254,10 +272,9 @@ class PredictiveTracker:
             time_s = float(np.mean([d.time_s for d in found.detections]))
             here = found.world_from_body, found.covariance, time_s
             self._state = initial_state(*here, self._speed, self._acceleration, self._last_state)
-            self._restart = self._last_state, self._state
+            self._identity.begin(found.flags, self._last_state, self._state)
             self._disagreeing = disagreeing_cameras(found, self._body, present, detections)
             self._confirmed = set()
-            self._search_flags = found.flags
         chosen = {(d.camera, d.ball): d for d in found.detections}
         seen = {(d.camera, d.ball) for some in detections.values() for d in some}
         return tuple(
@@ -325,18 +342,6 @@ class PredictiveTracker:
         agreeing = {view.camera for view in views if view.effective}
         self._disagreeing = tuple(name for name in self._disagreeing if name not in agreeing)
         return disagreement_flags(self._disagreeing)
-
-    def _implausible_motion(self) -> tuple[str, ...]:
-        """A flag until the accelerations observed since explain the motion while it was lost."""
-        if self._restart is None:
-            return ()
-        known = self._state is not None and self._state.accelerations_known
-        flags = implausible_motion(
-            *self._restart, self._acceleration_bound if known else self._acceleration
-        )
-        if not flags:
-            self._restart = None
-        return flags
 
     def _missed(self) -> None:
         """Count a frame set without an accepted pose; forget the body at once after a search."""
