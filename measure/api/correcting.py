@@ -11,7 +11,6 @@ from measure.errors import ConfigError, EstimatorError
 
 if TYPE_CHECKING:
     from measure.learning import (
-        Corrected,
         DriftMonitor,
         EstimateServer,
         EstimatorEvaluation,
@@ -30,12 +29,12 @@ def rezero(model_path: Path, stretch: Path) -> tuple[Zeroing, DriftMonitor]:
 def estimate_file(
     model_path: Path,
     states: Path,
-    out: Path | None,
+    out: Path,
     zeroing: Zeroing | None = None,
     *,
     stretch: Path | None = None,
-) -> Corrected:
-    """Correct recorded states; write `run, i, t_s, ex, ey, ez, sd_mm, unfamiliar` if `out`.
+) -> dict[str, int]:
+    """Correct recorded states of any number; write `run, i, t_s, ex, ey, ez, sd_mm, unfamiliar`.
 
     Args:
         model_path: the model.
@@ -43,6 +42,9 @@ def estimate_file(
         out: `.parquet` or `.csv`.
         zeroing: what a restart left.
         stretch: the data set that was found from.
+
+    Returns:
+        How many were corrected, how many refused and why.
 
     Raises:
         EstimatorError: the model or the states do not fit, or `out` is one of their files, or is
@@ -52,14 +54,8 @@ def estimate_file(
     from measure import learning
     from measure.host import OnnxModel
 
-    if out is not None:
-        _check_output(out, [states, model_path, *([stretch] if stretch else [])])
-    model = OnnxModel.load(model_path)
-    table = learning.read_states(states, model)
-    corrected = learning.correct(table, model, zeroing)
-    if out is not None:
-        learning.write_corrected(out, table, corrected)
-    return corrected
+    _check_output(out, [states, model_path, *([stretch] if stretch else [])])
+    return learning.correct_file(states, OnnxModel.load(model_path), out, zeroing)
 
 
 def _check_output(out: Path, read: Sequence[Path]) -> None:

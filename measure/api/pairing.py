@@ -72,13 +72,13 @@ def _paired(
     topic: str | None,
 ) -> tuple[Dataset, list[TrajectoryFacts]]:
     from measure.learning import assemble, files
-    from measure.robots import read_log
+    from measure.robots import LogFile
 
     if len(logs) not in (1, len(runs)):
         raise EstimatorError(
             f"{len(runs)} runs and {len(logs)} robot logs: give one log for all, or one each"
         )
-    read = [read_log(path, schema, topic=topic) for path in logs]
+    read = [LogFile(path, schema, topic) for path in logs]
     each = read * len(runs) if len(read) == 1 else read
     tracks = [files.read_poses(path) for path in runs]
     return assemble(list(zip(tracks, each, strict=True)), settings)

@@ -54,8 +54,8 @@ def estimate(
         raise ConfigError("--input needs --output: where shall the errors go?")
     path = api.shipped_model() if str(model) == "shipped" else model
     zeroing = None if rezero is None else _zeroing(path, rezero)
-    if input_ is not None:
-        counts = api.estimate_file(path, input_, output, zeroing, stretch=rezero).counts
+    if input_ is not None and output is not None:
+        counts = api.estimate_file(path, input_, output, zeroing, stretch=rezero)
         _conclude(counts, json, f"written to {output}")
     else:
         _serve(path, (host, port), zeroing, seconds, json)

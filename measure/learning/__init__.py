@@ -9,9 +9,9 @@ from measure.learning.offline import (
     Corrected,
     StateTable,
     correct,
+    correct_file,
     read_states,
     rezero,
-    write_corrected,
 )
 from measure.learning.packets import AnswerPacket, StatePacket
 from measure.learning.scores import EstimatorEvaluation, Score, evaluate
@@ -57,6 +57,7 @@ __all__ = [
     "ablate",
     "assemble",
     "correct",
+    "correct_file",
     "estimate_offset",
     "evaluate",
     "field_groups",
@@ -73,5 +74,4 @@ __all__ = [
     "split_by_trajectory",
     "sweeping",
     "train",
-    "write_corrected",
 ]

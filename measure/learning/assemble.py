@@ -14,7 +14,7 @@ from measure.host import Dataset
 from measure.learning.agreement import check_frames, check_units
 from measure.learning.clock import ClockOffset, estimate_offset
 from measure.learning.splits import join
-from measure.robots import RobotLog
+from measure.robots import StateLog
 
 _LARGEST_OFFSET_S = 3600.0
 _LARGEST_RATE_HZ = 10_000.0
@@ -94,7 +94,7 @@ class TrajectoryFacts:
 
 
 def assemble(
-    pairs: Sequence[tuple[PoseTrack, RobotLog]], settings: AssemblySettings | None = None
+    pairs: Sequence[tuple[PoseTrack, StateLog]], settings: AssemblySettings | None = None
 ) -> tuple[Dataset, list[TrajectoryFacts]]:
     """Pair every measured pose with the robot's state of that instant.
 
@@ -136,9 +136,9 @@ class _Marks:
 
 
 def _assemble_one(
-    track: PoseTrack, log: RobotLog, settings: AssemblySettings
+    track: PoseTrack, log: StateLog, settings: AssemblySettings
 ) -> tuple[Dataset, TrajectoryFacts]:
-    finite = _finite_states(track.name, log)
+    finite = _complete_states(track.name, log)
     clock = _clock(track, finite, settings)
     offset = clock.offset_s if clock else settings.clock_offset_s or 0.0
     times, row_of_pose = _row_times(track.times_s + offset, finite, settings.history_hz)
@@ -169,24 +169,34 @@ def _assemble_one(
         marks.usable[kept],
     )
     during = (log.times_s >= times[0]) & (log.times_s <= times[-1])
-    bad = int((~np.isfinite(log.states[during]).all(axis=1)).sum())
+    bad = int((~log.complete[during]).sum())
     return part, _facts(track, marks, bad, float(times[-1] - times[0]), clock)
 
 
-def _finite_states(name: str, log: RobotLog) -> RobotLog:
+@dataclass(frozen=True, eq=False)
+class _Complete:
+    """The states that are all numbers: times (n,), reported positions (n, 3), rows (n,)."""
+
+    log: StateLog
+    times_s: Floats
+    reported_mm: Floats
+    rows: Ints
+
+
+def _complete_states(name: str, log: StateLog) -> _Complete:
     """The log without the states that are not all numbers."""
-    bad = ~np.isfinite(log.states)
-    good = ~bad.any(axis=1)
+    good = log.complete
     if good.sum() < 2:
-        worst = int(bad.sum(axis=0).argmax())
+        worst = int(log.broken.argmax())
         raise EstimatorError(
             f"{name}: the robot's log has {int(good.sum())} states that are all numbers; feature "
-            f"'{log.schema.names[worst]}' is none in {int(bad[:, worst].sum())} of {len(bad)}"
+            f"'{log.schema.names[worst]}' is none in {int(log.broken[worst])} of {len(good)}"
         )
-    return RobotLog(log.schema, log.times_s[good], log.states[good])
+    kept = slice(None) if good.all() else good  # a copy of a long log is large
+    return _Complete(log, log.times_s[kept], log.reported_mm[kept], np.flatnonzero(good))
 
 
-def _clock(track: PoseTrack, log: RobotLog, settings: AssemblySettings) -> ClockOffset | None:
+def _clock(track: PoseTrack, log: _Complete, settings: AssemblySettings) -> ClockOffset | None:
     """The offset estimated from the motion, or None if it was given."""
     seen = np.isfinite(track.positions_mm).all(axis=1)
     if seen.sum() < 10:
@@ -197,13 +207,17 @@ def _clock(track: PoseTrack, log: RobotLog, settings: AssemblySettings) -> Clock
         track.times_s[seen],
         track.positions_mm[seen],
         log.times_s,
-        log.schema.position_mm(log.states),
+        log.reported_mm,
         largest_s=settings.largest_offset_s,
     )
 
 
 def _check_common(
-    track: PoseTrack, log: RobotLog, offset_s: float, measured_mm: Floats, reported_mm: Floats
+    track: PoseTrack,
+    log: _Complete,
+    offset_s: float,
+    measured_mm: Floats,
+    reported_mm: Floats,
 ) -> None:
     """Refuse positions (n, 3) of the same instants if there are none, or not in one unit."""
     if not len(measured_mm):
@@ -234,7 +248,7 @@ def _facts(
     )
 
 
-def _row_times(pose_times: Floats, log: RobotLog, history_hz: float) -> tuple[Floats, Ints]:
+def _row_times(pose_times: Floats, log: _Complete, history_hz: float) -> tuple[Floats, Ints]:
     if history_hz <= 0:
         return pose_times, np.arange(len(pose_times))
     start, stop = max(pose_times[0], log.times_s[0]), min(pose_times[-1], log.times_s[-1])
@@ -242,11 +256,15 @@ def _row_times(pose_times: Floats, log: RobotLog, history_hz: float) -> tuple[Fl
     return times, np.searchsorted(times, pose_times)
 
 
-def _interpolate(log: RobotLog, at: Floats, longest_gap_s: float) -> tuple[Floats, Bools]:
+def _interpolate(log: _Complete, at: Floats, longest_gap_s: float) -> tuple[Floats, Bools]:
     right = np.clip(np.searchsorted(log.times_s, at), 1, len(log.times_s) - 1)
     before, after = log.times_s[right - 1], log.times_s[right]
     share = np.clip((at - before) / (after - before), 0.0, 1.0)[:, None]
-    states = (1.0 - share) * log.states[right - 1] + share * log.states[right]
+    both = log.log.states_at(log.rows[np.concatenate([right - 1, right])])
+    states, others = both[: len(at)], both[len(at) :]
+    states *= 1.0 - share
+    others *= share
+    states = states + others  # lets go of the two halves
     nearest = np.minimum(np.abs(at - before), np.abs(after - at))
     return states, nearest <= longest_gap_s
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.ndimage import median_filter
 from scipy.signal import correlate
 
-from measure.arrays import Bools, Floats
+from measure.arrays import Bools, Floats, Ints
 from measure.errors import EstimatorError
 
 _GRID_HZ = 100.0
@@ -24,6 +25,7 @@ _MIN_RESIDUAL_RATIO = 3.0  # of the residual motion at a rival offset to that at
 _MAX_CORRELATION_S = 2.0  # residuals closer in time than this may be correlated
 _MEDIAN_SAMPLES = 5  # window of the median filter that finds outliers
 _MIN_KEPT_SHARE = 0.8  # of the positions; more outliers than the rest mean another cause
+_PIECE = 1 << 16  # instants compared at a time
 _SPARSE_POSES_S = 0.4  # poses farther apart in time miss most of the motion
 
 
@@ -124,14 +126,26 @@ class _PositionTrack:
 
     def known(self, at_s: Floats) -> Bools:
         """Whether velocities at instants (m,) bridge no gap and pass no end."""
-        steps = np.diff(self.times_s)
-        gaps = steps > max(_GAP_S, _GAP_STEPS * float(np.median(steps)))
-        before = np.concatenate([[0], np.cumsum(gaps)])  # gaps before every sample
+        before = self._gaps_before
         first = np.searchsorted(self.times_s, at_s - _HALF_SPAN_S, side="right") - 1
         last = np.searchsorted(self.times_s, at_s + _HALF_SPAN_S, side="left")
         inside = (first >= 0) & (last < len(self.times_s))
-        bridged = before[np.minimum(last, len(gaps))] - before[np.maximum(first, 0)]
+        bridged = before[np.minimum(last, len(before) - 1)] - before[np.maximum(first, 0)]
         return np.asarray(inside & (bridged == 0))
+
+    @cached_property
+    def _gaps_before(self) -> Ints:
+        """Number of gaps before every sample (n,)."""
+        steps = np.diff(self.times_s)
+        gaps = steps > max(_GAP_S, _GAP_STEPS * float(np.median(steps)))
+        return np.concatenate([[0], np.cumsum(gaps)])
+
+    def fastest(self) -> float:
+        """Largest speed at its own instants, mm/s."""
+        pieces = (
+            self.times_s[start : start + _PIECE] for start in range(0, len(self.times_s), _PIECE)
+        )
+        return max(float(np.linalg.norm(self.velocity(at), axis=1).max()) for at in pieces)
 
 
 def _without_outliers(cameras: _PositionTrack, robot: _PositionTrack) -> _PositionTrack:
@@ -140,8 +154,7 @@ def _without_outliers(cameras: _PositionTrack, robot: _PositionTrack) -> _Positi
     They are farther from the median of five neighbours than the robot's largest speed allows. One
     false detection would outweigh all other velocities.
     """
-    moving = robot.velocity(robot.times_s)
-    fastest = float(np.linalg.norm(moving, axis=1).max())
+    fastest = robot.fastest()
     middle = median_filter(cameras.positions_mm, size=(_MEDIAN_SAMPLES, 1), mode="mirror")
     off = np.linalg.norm(cameras.positions_mm - middle, axis=1)
     side, last = _MEDIAN_SAMPLES // 2, len(off) - 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,13 +14,13 @@ from measure.errors import EstimatorError
 from measure.host import Correction, Dataset, OnnxModel
 from measure.learning.guard import DriftMonitor, GuardedModel, runs_of
 from measure.learning.zeroing import Zeroing, fit_zeroing
-from measure.robots import Feature, Reading, StateSchema, check_robot, read_log
-from measure.robots.tables import Table
+from measure.robots import Feature, Reading, StateSchema, check_robot, log_pieces
+from measure.robots.pieces import TableFile, TableWriter
 
 
 @dataclass(frozen=True, eq=False)
 class StateTable:
-    """Recorded states of one or more runs.
+    """Recorded states of one or more runs, or a piece of such a recording.
 
     Attributes:
         run: (n,) labels; the model's history restarts where they change.
@@ -42,11 +43,12 @@ class Corrected:
     sd_mm: Floats
     unfamiliar: Bools
     counts: dict[str, int]
-    covariances: Floats
 
 
-def read_states(path: Path, model: OnnxModel) -> StateTable:
+def read_states(path: Path, model: OnnxModel) -> Iterator[StateTable]:
     """States from Parquet or CSV (columns `run`, `i` and `t_s` or `time_s` optional) or a bag.
+
+    They come in order, piece by piece: files may be of any length.
 
     Raises:
         EstimatorError: features are missing (they are named), the states are of another robot, or
@@ -54,44 +56,118 @@ def read_states(path: Path, model: OnnxModel) -> StateTable:
     """
     if not path.exists():
         raise EstimatorError(f"{path}: no such file of states")
-    if path.suffix not in (".parquet", ".csv"):
-        log = read_log(path, schema_of(model))
-        count = len(log.times_s)
-        return StateTable(np.array([path.stem] * count), np.arange(count), log.times_s, log.states)
-    table = Table.read(path)
-    check_robot(table, model.robot)
-    states = table.numbers(*model.features)
-    run, times = np.array([path.stem] * len(table)), np.full(len(table), np.nan)
-    for name in ("trajectory", "run"):
-        run = np.array(table.labels(name)) if name in table else run
-    for name in ("time_s", "t_s"):
-        times = table.numbers(name)[:, 0] if name in table else times
-    index = np.array(table.labels("i")) if "i" in table else np.arange(len(table))
-    return StateTable(run, index, times, states)
+    if path.suffix in (".parquet", ".csv"):
+        file = TableFile.open(path)
+        check_robot(file, model.robot)
+        file.require(model.features)
+        return _tables(file, model)
+    return _bagged(path, model)
 
 
-def correct(table: StateTable, model: OnnxModel, zeroing: Zeroing | None = None) -> Corrected:
-    """Stream every run through the model, from a reset each."""
-    count = len(table.states)
-    errors, covariances = np.full((count, 3), np.nan), np.full((count, 3, 3), np.nan)
-    unfamiliar = np.zeros(count, dtype=bool)
-    guarded = GuardedModel(model, zeroing)
-    for rows in runs_of(table.run.tolist()):
-        guarded.reset()
-        for row in range(rows.start, rows.stop):
-            answer = guarded.update(table.states[row], float(table.times_s[row]))
-            if isinstance(answer, Correction):
-                errors[row], covariances[row] = answer.error_mm, answer.covariance
-                unfamiliar[row] = answer.unfamiliar
-    sd = np.sqrt(np.trace(covariances, axis1=1, axis2=2))
-    return Corrected(errors, sd, unfamiliar, guarded.counters.values(), covariances)
+def _bagged(path: Path, model: OnnxModel) -> Iterator[StateTable]:
+    row = 0
+    for times, states in log_pieces(path, schema_of(model)):
+        index = np.arange(row, row + len(times))
+        yield StateTable(np.array([path.stem] * len(times)), index, times, states)
+        row += len(times)
 
 
-def write_corrected(path: Path, table: StateTable, corrected: Corrected) -> None:
-    """Write `run, i, t_s, ex, ey, ez, sd_mm, unfamiliar` as Parquet or CSV; errors in mm."""
-    import pyarrow as pa
+def _tables(file: TableFile, model: OnnxModel) -> Iterator[StateTable]:
+    """The last of several names of a column counts."""
+    run = next((name for name in ("run", "trajectory") if name in file), None)
+    time = next((name for name in ("t_s", "time_s") if name in file), None)
+    labels = [name for name in (run, "i") if name is not None and name in file]
+    numbers = model.features if time is None else (*model.features, time)
+    empty = True
+    for table in file.pieces(numbers, labels):
+        empty = False
+        count = len(table)
+        yield StateTable(
+            np.array([file.path.stem] * count if run is None else table.labels(run)),
+            np.arange(table.first_row, table.first_row + count)
+            if "i" not in file
+            else np.array(table.labels("i")),
+            np.full(count, np.nan) if time is None else table.numbers(time)[:, 0],
+            table.numbers(*model.features),
+        )
+    if empty:
+        raise EstimatorError(f"{file.path}: holds no states")
 
-    columns = {
+
+class Corrector:
+    """Streams runs through a model, from a reset each; a run may come in several tables."""
+
+    def __init__(self, model: OnnxModel, zeroing: Zeroing | None = None) -> None:
+        self._guarded = GuardedModel(model, zeroing)
+        self._run: object = None
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """What was counted so far."""
+        return self._guarded.counters.values()
+
+    def correct(self, table: StateTable) -> Corrected:
+        """The next states; the counts are of all so far."""
+        count = len(table.states)
+        errors, covariances = np.full((count, 3), np.nan), np.full((count, 3, 3), np.nan)
+        unfamiliar = np.zeros(count, dtype=bool)
+        labels = table.run.tolist()
+        for rows in runs_of(labels):
+            if rows.start or labels[0] != self._run:
+                self._guarded.reset()
+            for row in range(rows.start, rows.stop):
+                answer = self._guarded.update(table.states[row], float(table.times_s[row]))
+                if isinstance(answer, Correction):
+                    errors[row], covariances[row] = answer.error_mm, answer.covariance
+                    unfamiliar[row] = answer.unfamiliar
+        self._run = labels[-1]
+        sd = np.sqrt(np.trace(covariances, axis1=1, axis2=2))
+        return Corrected(errors, sd, unfamiliar, self.counts)
+
+
+def correct(
+    tables: Iterable[StateTable], model: OnnxModel, zeroing: Zeroing | None = None
+) -> tuple[Floats, Corrected]:
+    """Times (n,) of all states, and their corrections."""
+    corrector = Corrector(model, zeroing)
+    done = [(table.times_s, corrector.correct(table)) for table in tables]
+    parts = [part for _, part in done]
+    whole = Corrected(
+        np.concatenate([part.errors_mm for part in parts]),
+        np.concatenate([part.sd_mm for part in parts]),
+        np.concatenate([part.unfamiliar for part in parts]),
+        corrector.counts,
+    )
+    return np.concatenate([times for times, _ in done]), whole
+
+
+def correct_file(
+    states: Path, model: OnnxModel, out: Path, zeroing: Zeroing | None = None
+) -> dict[str, int]:
+    """Correct recorded states, and count what became of them.
+
+    Writes `run, i, t_s, ex, ey, ez, sd_mm, unfamiliar` as Parquet or CSV; errors in mm. The file
+    is there when all of it is.
+
+    Raises:
+        EstimatorError: as `read_states`.
+    """
+    corrector = Corrector(model, zeroing)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    fresh = out.with_name(f"{out.name}.new")
+    fresh.unlink(missing_ok=True)
+    try:
+        with TableWriter(fresh, comma_separated=out.suffix == ".csv") as writer:
+            for table in read_states(states, model):
+                writer.add(_columns(table, corrector.correct(table)))
+        fresh.replace(out)
+    finally:
+        fresh.unlink(missing_ok=True)
+    return corrector.counts
+
+
+def _columns(table: StateTable, corrected: Corrected) -> dict[str, Any]:
+    return {
         "run": table.run,
         "i": table.index,
         "t_s": table.times_s,
@@ -99,16 +175,6 @@ def write_corrected(path: Path, table: StateTable, corrected: Corrected) -> None
         "sd_mm": corrected.sd_mm,
         "unfamiliar": corrected.unfamiliar,
     }
-    out = pa.table(columns)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if path.suffix == ".csv":
-        from pyarrow import csv
-
-        csv.write_csv(out, path)
-    else:
-        from pyarrow import parquet
-
-        parquet.write_table(out, path)
 
 
 def rezero(

@@ -11,7 +11,7 @@ from measure.arrays import Bools, Floats
 from measure.host import OnnxModel
 from measure.learning.assemble import AssemblySettings, PoseTrack, assemble
 from measure.learning.offline import correct, read_states
-from measure.robots import StateSchema, read_log
+from measure.robots import LogFile, StateSchema
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,16 +49,15 @@ def robot_traces(
     Raises:
         EstimatorError: the log or the model does not fit, or the clocks cannot be aligned.
     """
-    data, (facts,) = assemble([(track, read_log(log, schema))], AssemblySettings())
+    data, (facts,) = assemble([(track, LogFile(log, schema))], AssemblySettings())
     offset = facts.clock.offset_s if facts.clock else 0.0
     reported = data.reported_mm
     errors, sd = np.full((len(data), 3), np.nan), np.full(len(data), np.nan)
     unfamiliar = np.zeros(len(data), dtype=bool)
     if model is not None:
         model.check(schema)
-        table = read_states(log, model)
-        corrected = correct(table, model)
-        at = np.searchsorted(table.times_s, data.times_s, side="right") - 1
+        times, corrected = correct(read_states(log, model), model)
+        at = np.searchsorted(times, data.times_s, side="right") - 1
         began = at >= 0
         errors[began], sd[began] = corrected.errors_mm[at[began]], corrected.sd_mm[at[began]]
         unfamiliar[began] = corrected.unfamiliar[at[began]]

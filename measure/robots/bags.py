@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +12,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.reading import check_ordinary
+from measure.robots.pieces import PIECE_ROWS
 from measure.robots.raven import FIELDS, raven_schema
 from measure.robots.schema import StateSchema
 
@@ -62,10 +65,12 @@ def _types() -> Any:
     return store
 
 
-def read_bag(path: Path, schema: StateSchema, topic: str | None = None) -> tuple[Floats, Floats]:
-    """States of one arm from a bag.
+def bag_pieces(
+    path: Path, schema: StateSchema, topic: str | None = None
+) -> Iterator[tuple[Floats, Floats]]:
+    """States of one arm from a bag, piece by piece.
 
-    Returns:
+    Yields:
         Stamps (n,) from the message headers, in s, and states (n, 118).
 
     Raises:
@@ -77,23 +82,28 @@ def read_bag(path: Path, schema: StateSchema, topic: str | None = None) -> tuple
         raise EstimatorError(f"{path}: bags hold RAVEN-II states, not those of {schema.robot}")
     if not path.is_dir():
         check_ordinary(path, EstimatorError)
-    highlevel = _rosbags().highlevel
-    times, rows = [], []
+    states = _bag_states(path, arm, topic)
+    while some := list(itertools.islice(states, PIECE_ROWS)):
+        times, rows = zip(*some, strict=True)
+        yield np.array(times), np.array(rows)
+
+
+def _bag_states(path: Path, arm: int, topic: str | None) -> Iterator[tuple[float, Floats]]:
+    count = 0
     try:
-        with highlevel.AnyReader([path], default_typestore=_types()) as reader:
+        with _rosbags().highlevel.AnyReader([path], default_typestore=_types()) as reader:
             connection = _choose(path, reader.connections, topic)
             for _, _, raw in reader.messages(connections=[connection]):
                 message = reader.deserialize(raw, connection.msgtype)
                 stamp = message.hdr.stamp
-                times.append(stamp.sec + 1e-9 * stamp.nanosec)
-                rows.append(_row(path, message, arm))
+                yield stamp.sec + 1e-9 * stamp.nanosec, _row(path, message, arm)
+                count += 1
     except EstimatorError:
         raise
     except Exception as error:  # rosbags raises many kinds; all mean the file
         raise EstimatorError(f"{path}: cannot be read as a bag: {error}") from None
-    if not rows:
+    if not count:
         raise EstimatorError(f"{path}: holds no message of the topic {connection.topic}")
-    return np.array(times), np.array(rows)
 
 
 def _arm(schema: StateSchema) -> int | None:

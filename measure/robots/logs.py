@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,7 +15,7 @@ from measure.robots.raven import raven_schema
 from measure.robots.schema import RobotLog, StateSchema
 
 if TYPE_CHECKING:
-    from measure.robots.tables import Table
+    from measure.robots.tables import Columns
 
 TIME = "time_s"
 ROBOT_KEY = b"measure.robot"
@@ -45,7 +45,7 @@ def find_schema(name: str) -> StateSchema:
 
 
 def read_log(path: Path, schema: StateSchema, *, topic: str | None = None) -> RobotLog:
-    """Read a log.
+    """Read a log into memory; `open_log` reads one of any length.
 
     Args:
         path: `.parquet`, `.csv`, `.bag`, `.mcap`, or a ROS 2 bag folder.
@@ -56,15 +56,48 @@ def read_log(path: Path, schema: StateSchema, *, topic: str | None = None) -> Ro
         EstimatorError: the file is missing or unreadable, lacks features (they are named), or its
             clock runs backwards.
     """
+    times, states = zip(*log_pieces(path, schema, topic), strict=True)
+    return RobotLog(schema, np.concatenate(times), np.concatenate(states))
+
+
+def log_pieces(
+    path: Path, schema: StateSchema, topic: str | None = None
+) -> Iterator[tuple[Floats, Floats]]:
+    """Times (n,) and states (n, features) of a log in order, piece by piece; no time twice.
+
+    Raises:
+        EstimatorError: as `read_log`, when the piece is due.
+    """
     if not path.exists():
         raise EstimatorError(f"{path}: no such robot log")
     if path.suffix in (".parquet", ".csv"):
-        times, states = _read_table(path, schema)
+        pieces = _table_pieces(path, schema)
     else:
-        from measure.robots.bags import read_bag
+        from measure.robots.bags import bag_pieces
 
-        times, states = read_bag(path, schema, topic)
-    return _checked(path, RobotLog(schema, times, states))
+        pieces = bag_pieces(path, schema, topic)
+    row, last_s, kept = 0, -np.inf, 0
+    for times, states in pieces:
+        _check_times(path, times, last_s, row)
+        new = np.diff(times, prepend=last_s) > 0
+        row, kept, last_s = row + len(times), kept + int(new.sum()), float(times[-1])
+        if new.any():
+            yield times[new], states[new]
+    if kept < 2:
+        raise EstimatorError(f"{path}: holds {kept} states; a log needs at least two")
+
+
+def _check_times(path: Path, times: Floats, last_s: float, row: int) -> None:
+    """Refuse a piece whose times (n,) do not go on from the last one; `row` rows came before."""
+    if not np.isfinite(times).all():
+        where = row + int(np.argmin(np.isfinite(times))) + 1
+        raise EstimatorError(f"{path}: row {where} has no time")
+    back = np.diff(times, prepend=last_s) < 0
+    if back.any():
+        # The row before it, as long as there is one: where the log is to be split.
+        raise EstimatorError(
+            f"{path}: time runs backwards at row {row + int(np.argmax(back))}: split the log there"
+        )
 
 
 def write_log(path: Path, log: RobotLog) -> None:
@@ -86,7 +119,7 @@ def write_log(path: Path, log: RobotLog) -> None:
         parquet.write_table(named, path, compression="zstd")
 
 
-def check_robot(table: Table, robot: str) -> None:
+def check_robot(table: Columns, robot: str) -> None:
     """Refuse a table whose metadata names another robot; most files name none.
 
     Raises:
@@ -97,24 +130,11 @@ def check_robot(table: Table, robot: str) -> None:
         raise EstimatorError(f"{table.path}: holds states of robot '{named}', not of '{robot}'")
 
 
-def _read_table(path: Path, schema: StateSchema) -> tuple[Floats, Floats]:
-    from measure.robots.tables import Table
+def _table_pieces(path: Path, schema: StateSchema) -> Iterator[tuple[Floats, Floats]]:
+    from measure.robots.pieces import TableFile
 
-    table = Table.read(path)
-    check_robot(table, schema.robot)
-    columns = table.numbers(TIME, *schema.names)
-    return columns[:, 0], columns[:, 1:]
-
-
-def _checked(path: Path, log: RobotLog) -> RobotLog:
-    if len(log.times_s) < 2:
-        raise EstimatorError(f"{path}: holds {len(log.times_s)} states; a log needs at least two")
-    if not np.isfinite(log.times_s).all():
-        row = int(np.argmin(np.isfinite(log.times_s))) + 1
-        raise EstimatorError(f"{path}: row {row} has no time")
-    step = np.diff(log.times_s)
-    if np.any(step < 0):
-        row = int(np.argmax(step < 0)) + 1
-        raise EstimatorError(f"{path}: time runs backwards at row {row}: split the log there")
-    keep = np.concatenate([[True], step > 0])
-    return RobotLog(log.schema, log.times_s[keep], log.states[keep])
+    file = TableFile.open(path)
+    check_robot(file, schema.robot)
+    for table in file.pieces((TIME, *schema.names)):
+        columns = table.numbers(TIME, *schema.names)
+        yield columns[:, 0], columns[:, 1:]

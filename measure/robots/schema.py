@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from measure.arrays import Floats, floats
+from measure.arrays import Bools, Floats, Ints, floats
 from measure.errors import EstimatorError
 from measure.robots.chain import Joint, SerialChain
 
@@ -144,9 +144,42 @@ class StateSchema:
         )
 
 
+class StateLog(Protocol):
+    """States of one robot on the robot's own clock, in memory or not."""
+
+    @property
+    def schema(self) -> StateSchema:
+        """What the columns of states are."""
+        ...
+
+    @property
+    def times_s(self) -> Floats:
+        """(n,) strictly increasing."""
+        ...
+
+    @property
+    def broken(self) -> Ints:
+        """(features,) in how many states a feature is no number."""
+        ...
+
+    @property
+    def complete(self) -> Bools:
+        """(n,) whether a state is all numbers."""
+        ...
+
+    @property
+    def reported_mm(self) -> Floats:
+        """(n, 3) the tip as reported; NaN where a state is not complete."""
+        ...
+
+    def states_at(self, rows: Ints) -> Floats:
+        """States (k, features) of some rows (k,), in any order."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class RobotLog:
-    """States of one robot on the robot's own clock.
+    """A log in memory.
 
     Attributes:
         schema: what the columns of `states` are.
@@ -161,3 +194,29 @@ class RobotLog:
     def __post_init__(self) -> None:
         count = len(floats("times_s", self.times_s, "n"))
         floats("states", self.states, count, len(self.schema.features))
+
+    @property
+    def broken(self) -> Ints:
+        """(features,) in how many states a feature is no number."""
+        return np.asarray((~np.isfinite(self.states)).sum(axis=0), dtype=np.int64)
+
+    @property
+    def complete(self) -> Bools:
+        """(n,) whether a state is all numbers."""
+        return np.asarray(np.isfinite(self.states).all(axis=1))
+
+    @property
+    def reported_mm(self) -> Floats:
+        """(n, 3) the tip as reported; NaN where a state is not complete."""
+        return reported_mm(self.schema, self.states, self.complete)
+
+    def states_at(self, rows: Ints) -> Floats:
+        """States (k, features) of some rows (k,), in any order."""
+        return self.states[rows]
+
+
+def reported_mm(schema: StateSchema, states: Floats, complete: Bools) -> Floats:
+    """The reported tip (n, 3) of states (n, features); NaN where one is not `complete` (n,)."""
+    out = np.full((len(states), 3), np.nan)
+    out[complete] = schema.position_mm(states[complete])
+    return out

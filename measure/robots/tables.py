@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self
 
@@ -19,17 +19,52 @@ from measure.reading import check_ordinary
 _SHOWN = 12
 
 
-@dataclass(frozen=True, eq=False)
-class Table:
-    """A Parquet or CSV file in memory.
+class Columns:
+    """What a table's columns are called.
 
     Attributes:
         path: the file.
-        content: what it holds.
+        schema: names, types and metadata.
     """
 
     path: Path
-    content: pa.Table
+    schema: pa.Schema
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.schema.names
+
+    def metadata(self, key: bytes) -> str:
+        """Metadata of a Parquet file under a key; empty if there is none."""
+        return (self.schema.metadata or {}).get(key, b"").decode("utf-8", "replace")
+
+    def require(self, names: Sequence[str]) -> None:
+        """Refuse a table that lacks one of these columns, or holds it twice.
+
+        Raises:
+            EstimatorError: with the columns there are.
+        """
+        there = self.schema.names
+        if missing := [name for name in names if name not in there]:
+            raise EstimatorError(
+                f"{self.path}: lacks {len(missing)} of {len(names)} columns: "
+                f"{', '.join(missing[:_SHOWN])}{', ...' if len(missing) > _SHOWN else ''}; it has "
+                f"{', '.join(there[:8])}"
+            )
+        if twice := [name for name in names if there.count(name) > 1]:
+            raise EstimatorError(f"{self.path}: column '{twice[0]}' is there twice")
+
+
+class Table(Columns):
+    """A Parquet or CSV file in memory, or a piece of one.
+
+    Attributes:
+        content: what it holds.
+        first_row: rows of the file before it.
+    """
+
+    def __init__(self, path: Path, content: pa.Table, first_row: int = 0) -> None:
+        self.path, self.content, self.first_row = path, content, first_row
+        self.schema = content.schema
 
     @classmethod
     def read(cls, path: Path) -> Self:
@@ -39,21 +74,12 @@ class Table:
             EstimatorError: it cannot be read.
         """
         check_ordinary(path, EstimatorError)
-        try:
+        with reading(path):
             content = csv.read_csv(path) if path.suffix == ".csv" else parquet.read_table(path)
-        except (pa.ArrowException, OSError) as error:
-            raise EstimatorError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from None
         return cls(path, content)
-
-    def __contains__(self, name: str) -> bool:
-        return name in self.content.column_names
 
     def __len__(self) -> int:
         return int(self.content.num_rows)
-
-    def metadata(self, key: bytes) -> str:
-        """Metadata of a Parquet file under a key; empty if there is none."""
-        return (self.content.schema.metadata or {}).get(key, b"").decode("utf-8", "replace")
 
     def numbers(self, *names: str) -> Floats:
         """Columns (n, k) as numbers; NaN where a cell is empty.
@@ -77,25 +103,9 @@ class Table:
             raise EstimatorError(f"{self.path}: column '{name}' holds {column.type}, not words")
         values = column.to_pylist()
         if None in values:
-            row = values.index(None) + 1
+            row = self.first_row + values.index(None) + 1
             raise EstimatorError(f"{self.path}: column '{name}' is empty in row {row}")
         return values
-
-    def require(self, names: Sequence[str]) -> None:
-        """Refuse a table that lacks one of these columns, or holds it twice.
-
-        Raises:
-            EstimatorError: with the columns there are.
-        """
-        there = self.content.column_names
-        if missing := [name for name in names if name not in there]:
-            raise EstimatorError(
-                f"{self.path}: lacks {len(missing)} of {len(names)} columns: "
-                f"{', '.join(missing[:_SHOWN])}{', ...' if len(missing) > _SHOWN else ''}; it has "
-                f"{', '.join(there[:8])}"
-            )
-        if twice := [name for name in names if there.count(name) > 1]:
-            raise EstimatorError(f"{self.path}: column '{twice[0]}' is there twice")
 
     def _numbers(self, name: str) -> Floats:
         column = self.content[name]
@@ -108,19 +118,34 @@ class Table:
             return np.full(len(self), np.nan)
         if kinds.is_string(kind) or kinds.is_large_string(kind):
             row, text = next(
-                ((row, t) for row, t in enumerate(column.to_pylist(), 1) if not _is_number(t)),
+                ((row, t) for row, t in enumerate(column.to_pylist(), 1) if not is_number(t)),
                 (1, ""),
             )
             raise EstimatorError(
-                f"{self.path}: column '{name}' holds text, {text!r} in row {row}, where numbers "
-                "are needed"
+                f"{self.path}: column '{name}' holds text, {text!r} in row "
+                f"{self.first_row + row}, where numbers are needed"
             )
         raise EstimatorError(f"{self.path}: column '{name}' holds {kind}, where numbers are needed")
 
 
-def _is_number(text: str | None) -> bool:
+def is_number(text: str | None) -> bool:
+    """Whether a cell is empty or a number."""
     try:
         float(text or "nan")
     except ValueError:
         return False
     return True
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Turn what pyarrow raises of a file into one line.
+
+    Raises:
+        EstimatorError: it cannot be read.
+    """
+    try:
+        yield
+    except (pa.ArrowException, OSError) as error:
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise EstimatorError(f"{path}: cannot be read: {reason}") from None

@@ -1,0 +1,156 @@
+"""Tables read in pieces, so that files of any length take little memory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Self
+
+import pyarrow as pa
+from pyarrow import csv, parquet
+from pyarrow import types as kinds
+
+from measure.errors import EstimatorError
+from measure.reading import check_ordinary
+from measure.robots.tables import Columns, Table, is_number, reading
+
+PIECE_ROWS = 1 << 16
+"""Rows in memory at a time."""
+_BUFFER_BYTES = 1 << 20
+_BLOCK_BYTES = 16 << 20
+_GROUP_ROWS = 1 << 20
+
+
+class TableFile(Columns):
+    """A Parquet or CSV file that is read as often as needed, a piece at a time."""
+
+    def __init__(self, path: Path, schema: pa.Schema) -> None:
+        self.path, self.schema = path, schema
+
+    @classmethod
+    def open(cls, path: Path) -> Self:
+        """Read the names and types of its columns; CSV if its name ends so, else Parquet.
+
+        Raises:
+            EstimatorError: it cannot be read.
+        """
+        check_ordinary(path, EstimatorError)
+        with reading(path):
+            if path.suffix != ".csv":
+                return cls(path, parquet.read_schema(path))
+            with csv.open_csv(path, read_options=_blocks()) as reader:
+                return cls(path, reader.schema)
+
+    def pieces(self, numbers: Sequence[str], labels: Sequence[str] = ()) -> Iterator[Table]:
+        """The rows of some columns, in order.
+
+        Args:
+            numbers: columns that are numbers.
+            labels: columns that name something; of one type in all pieces.
+
+        Raises:
+            EstimatorError: a column is missing or there twice, or the file cannot be read.
+        """
+        names = list(dict.fromkeys((*numbers, *labels)))
+        self.require(names)
+        if self.path.suffix == ".csv":
+            batches = self._csv_batches(names, numbers, labels)
+        else:
+            batches = self._parquet_batches(names)
+        row = 0
+        for batch in batches:
+            for start in range(0, batch.num_rows, PIECE_ROWS):
+                piece = pa.Table.from_batches([batch.slice(start, PIECE_ROWS)])
+                yield Table(self.path, piece, row)
+                row += piece.num_rows
+
+    def _parquet_batches(self, names: Sequence[str]) -> Iterator[pa.RecordBatch]:
+        # Else all columns of a group of rows, often a million, are in memory at once.
+        small = {"pre_buffer": False, "buffer_size": _BUFFER_BYTES}
+        with reading(self.path), parquet.ParquetFile(self.path, **small) as file:
+            yield from file.iter_batches(PIECE_ROWS, columns=names, use_threads=False)
+
+    def _csv_batches(
+        self, names: Sequence[str], numbers: Sequence[str], labels: Sequence[str]
+    ) -> Iterator[pa.RecordBatch]:
+        """Types are those of the whole file: its begin may be whole numbers or empty."""
+        types = {name: pa.float64() for name in numbers if self._may_be_number(name)}
+        with reading(self.path):
+            for name in labels:
+                only = csv.ConvertOptions(include_columns=[name])
+                types[name] = csv.read_csv(self.path, convert_options=only).schema.field(0).type
+        try:
+            yield from _csv_batches(self.path, names, types)
+        except pa.ArrowInvalid as error:
+            self._refuse_text([name for name in numbers if name in types])
+            with reading(self.path):
+                raise error from None
+
+    def _may_be_number(self, name: str) -> bool:
+        kind = self.schema.field(name).type
+        return kinds.is_integer(kind) or kinds.is_floating(kind) or kinds.is_null(kind)
+
+    def _refuse_text(self, names: Sequence[str]) -> None:
+        """Name the first cell that is no number.
+
+        Raises:
+            EstimatorError: there is one.
+        """
+        row = 0
+        with reading(self.path):
+            texts = dict.fromkeys(names, pa.string())
+            for batch in _csv_batches(self.path, names, texts, empty=True):
+                for name in names:
+                    if not all(map(is_number, batch[name].to_pylist())):
+                        Table(self.path, pa.Table.from_batches([batch]), row).numbers(name)
+                row += batch.num_rows
+
+
+def _csv_batches(
+    path: Path, names: Sequence[str], types: dict[str, pa.DataType], *, empty: bool = False
+) -> Iterator[pa.RecordBatch]:
+    options = csv.ConvertOptions(
+        include_columns=list(names), column_types=types, strings_can_be_null=empty
+    )
+    with csv.open_csv(path, read_options=_blocks(), convert_options=options) as reader:
+        yield from reader
+
+
+def _blocks() -> csv.ReadOptions:
+    return csv.ReadOptions(block_size=_BLOCK_BYTES)
+
+
+class TableWriter:
+    """Writes a Parquet or CSV file in pieces, as it would be written in one."""
+
+    def __init__(self, path: Path, *, comma_separated: bool) -> None:
+        self._path, self._comma_separated = path, comma_separated
+        self._waiting: list[pa.Table] = []
+        self._schema: pa.Schema | None = None
+        self._out: Any = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if kind is None:
+            self._write()
+        if self._out is not None:
+            self._out.close()
+
+    def add(self, columns: Mapping[str, Any]) -> None:
+        """Add rows: arrays (n,) by name, of the types of the first ones."""
+        table = pa.table(dict(columns), schema=self._schema)
+        self._schema = table.schema
+        self._waiting.append(table)
+        if sum(map(len, self._waiting)) >= _GROUP_ROWS:
+            self._write()
+
+    def _write(self) -> None:
+        if not self._waiting:
+            return
+        table, self._waiting = pa.concat_tables(self._waiting).combine_chunks(), []
+        if self._out is None:
+            kind = csv.CSVWriter if self._comma_separated else parquet.ParquetWriter
+            self._out = kind(self._path, table.schema)
+        self._out.write_table(table)
