@@ -11,7 +11,7 @@ from measure.arrays import Floats, Ints
 from measure.viewing.report import style
 
 MAX_POINTS = 2000
-"""Curves longer than this are thinned for drawing; extremes survive. They are drawn without WebGL,
+"""Longer curves are thinned for drawing; extremes and gaps survive. They are drawn without WebGL,
 of which browsers grant a page only a few."""
 
 ARROW_SCALE = 60.0
@@ -89,7 +89,7 @@ def residual_map(
         size_wh: of the image.
         name: of the camera.
     """
-    keep = thinned(len(centers_px))
+    keep = thinned(len(centers_px), np.linalg.norm(residuals_px, axis=1))
     start, arrows = centers_px[keep], residuals_px[keep] * ARROW_SCALE
     gaps = np.full(len(start), np.nan)
     title = {"text": name, "font": {"size": 13}, "x": 0.02, "y": 0.98, "yref": "container"}
@@ -124,7 +124,7 @@ def residual_map(
 def state_timeline(
     times_s: Floats, codes: Ints, views: Sequence[str], reasons: Sequence[str]
 ) -> go.Figure:
-    """Who saw what when.
+    """Who saw what when; where time is short, the commonest reason against a view is shown.
 
     Args:
         times_s: (n,).
@@ -132,7 +132,9 @@ def state_timeline(
         views: one name per row ("red in cam0").
         reasons: what each code says.
     """
-    keep = _every(len(times_s))
+    count = len(times_s)
+    ends = np.linspace(0, count, min(count, MAX_POINTS) + 1).astype(np.int64)
+    shown = codes if count <= MAX_POINTS else _commonest(codes, ends)
     colors = (style.GOOD, style.DOUBTFUL, "#b05fc4", "#9aa4ae", style.BAD, style.ACCENT, "#6b7480")
     top = max(len(reasons) - 1, 1)
     scale = []
@@ -142,9 +144,9 @@ def state_timeline(
     figure = style.figure(90 + 22 * len(views))
     figure.add_trace(
         go.Heatmap(
-            x=times_s[keep],
+            x=times_s[ends[:-1]],
             y=list(views),
-            z=codes[:, keep].astype(np.int8),
+            z=shown.astype(np.int8),
             zmin=-0.5,
             zmax=top + 0.5,
             colorscale=scale,
@@ -161,17 +163,34 @@ def state_timeline(
     return figure
 
 
-def _every(count: int) -> Ints:
-    return np.unique(np.linspace(0, max(count - 1, 0), min(count, MAX_POINTS)).astype(np.int64))
+def thinned(count: int, *curves: Floats) -> Ints:
+    """Indices of what is drawn: all if few; else of each stretch what a longer drawing would show.
+
+    That is both extremes of every curve (count,), and a gap (NaN) where there is one.
+    """
+    if count <= MAX_POINTS:
+        return np.arange(count)
+    ends = np.linspace(0, count, MAX_POINTS // (3 * max(len(curves), 1)) + 1).astype(np.int64)
+    keep = [np.array([0, count - 1])] if curves else [ends[:-1]]
+    for values in curves:
+        known = np.isfinite(values)
+        low, high = (np.where(known, sign * values, np.inf) for sign in (1, -1))
+        keep += [_first_smallest(order, ends) for order in (low, high, known.astype(np.float64))]
+    return np.unique(np.concatenate(keep))
 
 
-def thinned(count: int, values: Floats | None = None) -> Ints:
-    """Indices to draw: all if few, else evenly spaced ones plus the extreme of each stretch."""
-    keep = _every(count)
-    if values is None or count <= MAX_POINTS:
-        return keep
-    finite = np.where(np.isfinite(values), values, -np.inf)
-    stretches = np.array_split(finite, MAX_POINTS // 2)
-    starts = np.cumsum([0, *(len(stretch) for stretch in stretches[:-1])])
-    peaks = starts + np.array([int(np.argmax(stretch)) for stretch in stretches])
-    return np.unique(np.concatenate([keep, peaks]))
+def _first_smallest(values: Floats, ends: Ints) -> Ints:
+    """Index of the first smallest value (n,) of each stretch between `ends` (m + 1,)."""
+    smallest = np.minimum.reduceat(values, ends[:-1])
+    at = np.flatnonzero(values == np.repeat(smallest, np.diff(ends)))
+    return at[np.searchsorted(at, ends[:-1])]
+
+
+def _commonest(codes: Ints, ends: Ints) -> Ints:
+    """Of each stretch of codes (views, n) the commonest but 0; 0 where all are."""
+    counts = [
+        np.add.reduceat(codes == code, ends[:-1], axis=1) for code in range(1, int(codes.max()) + 1)
+    ]
+    if not counts:
+        return np.zeros((len(codes), len(ends) - 1), dtype=np.int64)
+    return np.where(np.any(counts, axis=0), 1 + np.argmax(counts, axis=0), 0)

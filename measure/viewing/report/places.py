@@ -25,7 +25,7 @@ def trajectory(
         camera_centers: (m, 3) in mm.
         camera_names: m names.
     """
-    keep = thinned(len(positions))
+    keep = thinned(len(positions), *positions.T)
     colors = {
         "color": sd_mm[keep],
         "colorscale": "Viridis",
@@ -102,7 +102,7 @@ def accuracy(
 
 
 def _path(positions: Floats, axes: tuple[int, int], color: str) -> go.Scatter:
-    keep = thinned(len(positions))
+    keep = thinned(len(positions), *positions[:, axes].T)
     return go.Scatter(
         x=positions[keep, axes[0]],
         y=positions[keep, axes[1]],

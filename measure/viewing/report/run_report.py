@@ -8,6 +8,8 @@ from datetime import datetime
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 
 from measure.arrays import Floats, Ints
 from measure.calibration import camera_rows
@@ -150,7 +152,8 @@ def _add_views(page: Page, run: Run) -> None:
     codes, views, reasons = _states(run)
     page.figures(
         "Who saw what when",
-        "Each ball in each camera: effective, or suspended and why.",
+        "Each ball in each camera: effective, or suspended and why. Where frame sets are many, a "
+        "column stands for several and shows the commonest reason against a view among them.",
         figures.state_timeline(run.times_s, codes, views, reasons),
     )
     seen = {name: run.detections[name].to_numpy(zero_copy_only=False) for name in _RESIDUAL}
@@ -176,18 +179,19 @@ _RESIDUAL = ("camera", "u_px", "v_px", "residual_u_px", "residual_v_px")
 
 def _states(run: Run) -> tuple[Ints, list[str], list[str]]:
     """Code of every ball and camera over the frame sets; code 0 is effective."""
-    reasons = ["effective", *sorted({r for r in run.detections["reason"].to_pylist() if r})]
+    given = pc.unique(run.detections["reason"]).to_pylist()
+    reasons = ["effective", *sorted(reason for reason in given if reason)]
     views = [f"{ball} in {camera.name}" for camera in run.cameras for ball in run.body.names]
-    rows = {view: index for index, view in enumerate(views)}
-    columns = {index: at for at, index in enumerate(run.poses["index"].to_pylist())}
     # A skipped frame set has no views: shown as the last code, "not looked at".
     reasons.append("not looked at")
     codes = np.full((len(views), run.poses.num_rows), len(reasons) - 1, dtype=np.int64)
-    names = ("ball", "camera", "index", "reason")
-    for ball, camera, index, reason in zip(
-        *(run.detections[name].to_pylist() for name in names), strict=True
-    ):
-        codes[rows[f"{ball} in {camera}"], columns[index]] = reasons.index(reason or "effective")
+    seen = run.detections
+    view = pc.binary_join_element_wise(seen["ball"], seen["camera"], " in ")
+    reason = pc.if_else(pc.equal(seen["reason"], ""), "effective", seen["reason"])
+    at = seen["index"].to_numpy()  # frame sets count from 0, without gaps
+    codes[pc.index_in(view, pa.array(views)).to_numpy(), at] = pc.index_in(
+        pc.fill_null(reason, "effective"), pa.array(reasons)
+    ).to_numpy()
     return codes, views, reasons
 
 
