@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from measure.arrays import Bytes
+from measure.capture.rtsp import refuse_redirection
 from measure.capture.sources import PATIENCE_S, Shot, Source
 from measure.capture.web_address import shown
 from measure.errors import CaptureError, SessionError
@@ -45,6 +46,8 @@ class AvSource(Source):
         """Pictures as they come, with the times the device, or the stream, gives them."""
         import av
 
+        if self._form is None:
+            refuse_redirection(self._opened)
         try:
             with self._container() as container:
                 if not container.streams.video:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import re
+import socket
+import threading
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, closing, suppress
 
 import cv2
 import numpy as np
@@ -10,6 +14,7 @@ import pytest
 
 from measure.capture import CameraAddress, Cameras
 from measure.capture.web_address import shown
+from measure.errors import CaptureError
 from tests.capture.test_cameras import waited
 from tests.faults.cameras import FAULTS, LOGIN, TOKEN, Fault, HostileCamera, hostile, meet
 
@@ -84,6 +89,43 @@ def test_a_password_is_sent_to_its_own_host_only(pictures):
         next(CameraAddress("a", address).source().shots())
     assert b"Authorization: Basic " in heard[0]
     assert f"token={TOKEN}".encode() in heard[0]
+
+
+def test_a_password_of_rtsp_follows_no_redirection():
+    """FFmpeg would send it; the control redirects an address without one, and is followed."""
+    heard = []
+
+    def answer(connection, location):
+        while request := connection.recv(4096):
+            heard.append((location, request))
+            told = b"302 Found\r\nLocation: " + location if location else b"401 Unauthorized"
+            lines = [b"RTSP/1.0 " + told, re.search(rb"CSeq: \d+", request)[0]]
+            lines += [b'WWW-Authenticate: Basic realm="x"', b"", b""]
+            connection.sendall(b"\r\n".join(lines))
+
+    def listen(server, location):
+        with suppress(OSError):
+            while True:
+                connection, _ = server.accept()
+                with connection, suppress(OSError):
+                    answer(connection, location)
+
+    with ExitStack() as stack:
+        first, other = (
+            stack.enter_context(closing(socket.create_server(("127.0.0.1", 0)))) for _ in range(2)
+        )
+        port = other.getsockname()[1]
+        for server, location in ((first, b"rtsp://127.0.0.1:%d/x" % port), (other, b"")):
+            threading.Thread(target=listen, args=(server, location), daemon=True).start()
+            stack.callback(server.shutdown, socket.SHUT_RDWR)
+        place = f"127.0.0.1:{first.getsockname()[1]}/y"
+        with pytest.raises(CaptureError, match="redirects to another address"):
+            next(CameraAddress("a", f"rtsp://{LOGIN}@{place}").source().shots())
+        assert all(location for location, _ in heard)
+        with pytest.raises(CaptureError, match="401"):
+            next(CameraAddress("a", f"rtsp://{place}").source().shots())
+        assert not all(location for location, _ in heard)
+    assert not any(b"uthorization" in request for _, request in heard)
 
 
 def test_an_outage_is_told_at_once_and_once(pictures):
