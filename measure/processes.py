@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import ctypes
 import multiprocessing
 import os
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
 from threading import Thread
 from typing import Protocol
+
+_M_ARENA_MAX = -8
+"""Of glibc's malloc.h."""
+_HEAPS = 2
 
 
 class Progress(Protocol):
@@ -40,3 +46,13 @@ def _wait_for_parent() -> None:
 def usable_cores() -> int:
     """Those it is held to, where the system can tell; else all."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def share_heaps() -> None:
+    """Let the threads that are yet to begin allocate from two heaps, not from one each.
+
+    Those of threads that decode pictures grow and do not shrink: in twenty minutes of live
+    measurement with cameras that come and go they took 75 MB more. Only glibc has such heaps.
+    """
+    with suppress(OSError, AttributeError, TypeError):
+        ctypes.CDLL(None).mallopt(_M_ARENA_MAX, _HEAPS)

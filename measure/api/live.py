@@ -34,6 +34,7 @@ from measure.host import Registry
 from measure.measuring import Measurement, Profile
 from measure.measuring.burn_in import enter_realtime
 from measure.model import Body, FrameSet
+from measure.processes import share_heaps
 from measure.results import Provenance, Summary, refuse_other_writer
 from measure.session import read_body
 
@@ -110,6 +111,7 @@ def live(
         MeasureError: whatever is wrong with cameras, calibration, body, plugins or settings; what
             was measured before it was met is kept.
     """
+    share_heaps()
     options = options or LiveOptions()
     check_seconds(options.seconds)
     if len(cameras) < 2:
