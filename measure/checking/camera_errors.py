@@ -26,8 +26,9 @@ _BIAS_PX = 0.15
 """Standard deviation of what a ball-view errs by in all frame sets alike (light on its edge)."""
 _WEAK, _WRONG = 1 - 6.3e-5, 1 - 2e-9
 """Shares of a normal variable within four and within six standard deviations."""
-_RIVAL_SHARE = 0.7
-"""Of the best explanation's gain: what explains as much is an explanation as well."""
+_RIVAL_SHARE, _ALIKE_SHARE = 0.7, 0.9
+"""Of the best explanation's gain: what explains as much is an explanation as well, and the simpler
+one is named first."""
 _BLOCKS = 8
 _MIN_INSTANTS = 5
 
@@ -157,11 +158,10 @@ class _System:
             return None
         most = max(fit.gain for fit in fits)
         alike = [fit for fit in fits if fit.gain > _RIVAL_SHARE * most]
-        # Of one camera's errors that explain alike the one of fewest parameters is the simplest.
         camera = max(alike, key=lambda fit: fit.gain).camera
-        own = [fit for fit in alike if fit.camera == camera]
-        simplest = min(own, key=lambda fit: (fit.size, -fit.gain))
-        return simplest, [fit for fit in alike if fit is not simplest]
+        own = [fit for fit in alike if fit.camera == camera and fit.gain > _ALIKE_SHARE * most]
+        first = min(own, key=lambda fit: (fit.size, -fit.gain))
+        return first, [fit for fit in alike if fit is not first]
 
     def _significant(self, camera: int, taken: Sequence[int]) -> Iterator[_Fit]:
         before = self._gain(list(taken))
@@ -279,10 +279,15 @@ def _sentence(error: CameraError) -> str:
             f"{error.camera}: its focal length is {100 * error.amount:+.2f} +- "
             f"{100 * error.sd:.2f} % off its calibration: was it focused or zoomed? calibrate it"
         )
-    others = [f"the {kind} of {camera}" for camera, kind in error.rivals]
-    if others:
-        text += (
-            f"; this motion cannot tell it from {', '.join(others)}: "
-            "move the body to and fro, through the whole view"
-        )
-    return text
+    return text + rivals_text(error)
+
+
+def rivals_text(error: CameraError) -> str:
+    """The end of a line on an error that others explain as well; empty if none does."""
+    if not error.rivals:
+        return ""
+    others = ", ".join(f"the {kind} of {camera}" for camera, kind in error.rivals)
+    return (
+        f"; this motion cannot tell it from {others}: "
+        "move the body to and fro, through the whole view"
+    )

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from measure.checking.camera_errors import CameraError, Kind, camera_errors, error_findings
+from measure.checking.camera_errors import (
+    CameraError,
+    Kind,
+    camera_errors,
+    error_findings,
+    rivals_text,
+)
 from measure.checking.clocks import CameraClock, estimate_clocks, measured_instants
 from measure.checking.finding import Finding, Level
 from measure.measuring.body_scale import relative_scale
@@ -41,6 +47,11 @@ class MotionCheck:
     scale_sd: float = np.nan
     measured: int = 0
     flags: tuple[tuple[str, int], ...] = ()
+
+    @property
+    def late(self) -> set[str]:
+        """Names of cameras whose disagreement a clock explains best."""
+        return {error.camera for error in self.errors if error.kind is Kind.CLOCK}
 
 
 def check_motion(
@@ -79,10 +90,10 @@ def motion_findings(motion: MotionCheck, misplaced: Collection[str]) -> list[Fin
     errors = [error for error in motion.errors if error.camera not in misplaced]
     findings = error_findings(errors)
     blamed = {*misplaced, *(e.camera for e in errors if e.kind is not Kind.CLOCK)}
-    late = {error.camera for error in errors if error.kind is Kind.CLOCK}
+    late = {e.camera: rivals_text(e) for e in errors if e.kind is Kind.CLOCK}
     # Where a camera stands elsewhere, clocks seem to differ: only what is left then counts.
-    clocks = [c for c in motion.clocks if not blamed or c.camera in late - blamed]
-    return findings + _clock_findings(clocks) + _flag_findings(motion)
+    clocks = [c for c in motion.clocks if not blamed or c.camera in late.keys() - blamed]
+    return findings + _clock_findings(clocks, late) + _flag_findings(motion)
 
 
 def scale_findings(motion: MotionCheck, cameras_agree: bool) -> list[Finding]:
@@ -113,7 +124,13 @@ def _flag_findings(motion: MotionCheck) -> list[Finding]:
     return [Finding(Level.WEAK, "poses", text)]
 
 
-def _clock_findings(clocks: Sequence[CameraClock]) -> list[Finding]:
+def _clock_findings(clocks: Sequence[CameraClock], rivals: Mapping[str, str]) -> list[Finding]:
+    """A line for every clock that is off and every shutter that rolls.
+
+    Args:
+        clocks: of cameras that stand where they should.
+        rivals: by camera, what ends the line if something else explains as much.
+    """
     out = []
     for clock in clocks:
         sd = 1e3 * clock.offset_sd_s
@@ -122,6 +139,7 @@ def _clock_findings(clocks: Sequence[CameraClock]) -> list[Finding]:
             text = (
                 f"{clock.camera}: the clock is {1e3 * clock.offset_s:+.1f} +- {sd:.1f} ms off the "
                 f"others: add {clock.offset_s:+.4f} to its time_offset_s in session.toml"
+                f"{rivals.get(clock.camera, '')}"
             )
             out.append(Finding(level, "clock", text))
         if clock.rolling:

@@ -1,0 +1,172 @@
+"""Rigs that are a little wrong are named before their numbers are believed.
+
+No pose without a flag is further off than three of its stated standard deviations.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from measure import api
+from measure.checking import Level
+from measure.geometry import RigidTransform
+from measure.host import Registry
+from measure.measuring import Status
+from measure.model import Body, Camera
+from measure.session import Calibration, open_session, read_trajectory, write_body
+from measure.session import write_calibration as write
+
+Cameras = Sequence[Camera]
+
+
+def turned(cameras: Cameras, deg: float) -> list[Camera]:
+    """The second camera about its own vertical axis."""
+    first, second, *others = cameras
+    axis = second.world_from_camera.rotate(np.array([0, np.radians(deg), 0]))
+    pose = second.world_from_camera.perturb([0, 0, 0, *axis])
+    return [first, replace(second, world_from_camera=pose), *others]
+
+
+def spread(cameras: Cameras, share: float) -> list[Camera]:
+    """All cameras further from the world's origin."""
+    return [
+        replace(c, world_from_camera=RigidTransform(w.rotation, share * w.translation))
+        for c in cameras
+        for w in [c.world_from_camera]
+    ]
+
+
+def lens(camera: Camera, focal: float = 1.0, shift_px: float = 0.0) -> Camera:
+    matrix = camera.intrinsics.matrix * np.array([[focal, 1, 1], [1, focal, 1], [1, 1, 1]])
+    matrix[0, 2] += shift_px
+    return replace(camera, intrinsics=replace(camera.intrinsics, matrix=matrix))
+
+
+def zoomed(cameras: Cameras, share: float) -> list[Camera]:
+    """The second camera's focal length."""
+    first, second, *others = cameras
+    return [first, lens(second, focal=share), *others]
+
+
+def shifted(cameras: Cameras, shift_px: float) -> list[Camera]:
+    """The principal points of all cameras."""
+    return [lens(camera, shift_px=shift_px) for camera in cameras]
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A wrong rig, and what is said of it.
+
+    Attributes:
+        wrong: what is done to the cameras.
+        amount: of that.
+        level: of the finding of `check`.
+        said: a pattern of its words.
+        flag: a pattern of a flag of most poses; empty if they may be believed.
+    """
+
+    wrong: Callable[[Cameras, float], list[Camera]]
+    amount: float
+    level: Level
+    said: str
+    flag: str = ""
+
+
+RIGS = {
+    "turned by 0.1 deg": Rig(
+        turned, 0.1, Level.WRONG, r"cam1 points 0\.(09|10|11) \+- 0\.01 deg beside", "cam1"
+    ),
+    "scale 0.3 %": Rig(
+        spread, 1.003, Level.WRONG, r"the balls are 1\.00[23]\d \+- ", r"the balls are 1\.00[23]"
+    ),
+    "scale 1 %": Rig(
+        spread, 1.01, Level.WRONG, r"the balls are 1\.0(09|10)\d* \+?", r"the balls|ball .* mm from"
+    ),
+    "focal length 0.5 %": Rig(
+        zoomed, 1.005, Level.WEAK, r"cam1: its focal length is -0\.\d+ \+- 0\.\d+ % off"
+    ),
+    "principal points 5 px": Rig(
+        shifted, 5.0, Level.WRONG, r"cam\d (sees the balls|points) .* (calibrate it)", "."
+    ),
+}
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_a_wrong_rig_is_named(still: Path, tmp_path: Path, name: str) -> None:
+    rig = RIGS[name]
+    with open_session(still) as session:
+        cameras = rig.wrong(session.cameras, rig.amount)
+    write(tmp_path / "c.toml", Calibration(tuple(cameras)))
+    found = api.check(still, Registry.discover(), calibration=tmp_path / "c.toml", samples=6)
+    said = [f.text for f in found.findings if f.level is rig.level and re.search(rig.said, f.text)]
+    assert said, found.findings
+    assert not any(f.topic == "clock" for f in found.findings), found.findings
+    assert found.believable == (rig.level is not Level.WRONG)
+    measured = poses(still, tmp_path / "c.toml")
+    flagged = [any(re.search(rig.flag, flag) for flag in m.pose.flags) for m in measured]
+    if rig.flag:
+        assert np.mean(flagged) > 0.8
+    assert max(deviations(still, measured), default=0.0) < 3
+
+
+def test_a_right_rig_has_nothing_wrong(still: Path) -> None:
+    found = api.check(still, Registry.discover(), samples=6)
+    assert [f.text for f in found.findings if f.level is Level.WRONG] == []
+    assert [f.text for f in found.findings if f.topic in ("calibration", "clock")] == []
+    assert abs(found.scale - 1) < 2 * found.scale_sd < 0.002
+    measured = poses(still)
+    assert [m.status for m in measured] == [Status.OK] * len(measured)
+    assert max(deviations(still, measured)) < 3
+
+
+def test_a_body_that_is_its_own_twin_is_named(still: Path, tmp_path: Path) -> None:
+    """With red and green exchanged every pose is wrong by half a turn, and fits as well."""
+    with open_session(still) as session:
+        body = session.body
+    green, yellow, red = body.balls
+    exchanged = (
+        replace(green, center_mm=red.center_mm),
+        yellow,
+        replace(red, center_mm=green.center_mm),
+    )
+    write_body(tmp_path / "twin.toml", Body("twin", exchanged))
+    registry = Registry.discover()
+    twin = api.check(still, registry, body=tmp_path / "twin.toml", samples=4, clock_samples=0)
+    assert twins(str(f) for f in twin.findings) == 1
+    options = api.RunOptions(body=tmp_path / "twin.toml", recording=False)
+    summary = api.run(still, tmp_path / "run", api.load_profile(), registry, options)
+    assert summary.ok == summary.frame_sets
+    assert twins(summary.notes) == 1
+
+
+def twins(lines) -> int:
+    return sum(
+        "weak: with green and red exchanged in the body file its pose would be turned by 180 deg"
+        in line
+        for line in lines
+    )
+
+
+def poses(folder: Path, calibration: Path | None = None):
+    with open_session(folder, calibration) as session:
+        found = api.measure_session(session, api.load_profile(), Registry.discover())
+        return [m for _, m in found if m.pose is not None]
+
+
+def deviations(folder: Path, measured) -> list[float]:
+    """Errors of the poses without flags, in their stated standard deviations (RMS of the axes)."""
+    truth = read_trajectory(folder / "truth.csv")
+    believed = [m.pose for m in measured if m.status is Status.OK]
+    out = []
+    for pose in believed:
+        off = pose.world_from_body.difference(truth.at(np.array([pose.time_s]))[0])
+        for part in (slice(0, 3), slice(3, 6)):
+            own = pose.covariance[part, part]
+            out.append(float(np.sqrt(off[part] @ np.linalg.solve(own, off[part]) / 3)))
+    return out
