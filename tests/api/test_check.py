@@ -103,8 +103,8 @@ def test_a_camera_upside_down_is_named_before_a_second_body(shared, tmp_path, ca
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["cam0", "cam2"])
-def test_only_the_camera_moved_by_half_a_degree_is_named(shared, tmp_path, capsys, name):
+def test_only_the_camera_moved_by_half_a_degree_is_named(shared, tmp_path, capsys):
+    name = "cam2"
     cameras = list(read_calibration(still(shared) / "calibration.toml").cameras)
     at = [camera.name for camera in cameras].index(name)
     pose = cameras[at].world_from_camera
