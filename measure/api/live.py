@@ -129,9 +129,10 @@ def live(
         check_viewer(options.viewer)
     pipeline = warm_pipeline(profile, registry, measured, calibrated)
     made_from = _provenance(options.record, calibration, measured, profile, registry)
-    gathering = Gathering([camera.name for camera in calibrated])
+    rig = Cameras(sources, sizes_of(calibrated), on_outage)
+    gathering = Gathering([camera.name for camera in calibrated], on_read=rig.note_read)
     with ExitStack() as stack:
-        rig = stack.enter_context(Cameras(sources, sizes_of(calibrated), on_outage))
+        stack.enter_context(rig)
         stop = stack.enter_context(until_stopped())
         sinks = [gathering.add]
         if options.record is not None:

@@ -140,6 +140,10 @@ class Cameras:
         """The cameras that are away now."""
         return self._watch.away
 
+    def note_read(self, name: str, readable: bool) -> None:
+        """Hear whether a picture that was handed on could be decoded."""
+        self._watch.read(name, readable)
+
     @property
     def over(self) -> bool:
         """Whether none delivers any more."""

@@ -43,9 +43,20 @@ class Gathering:
         unreadable: how many pictures could not be decoded.
     """
 
-    def __init__(self, names: Sequence[str], clock: Callable[[], float] = time.monotonic) -> None:
-        """Make one for cameras of these names; `clock` tells, in s, how long pictures wait."""
-        self._clock = clock
+    def __init__(
+        self,
+        names: Sequence[str],
+        clock: Callable[[], float] = time.monotonic,
+        on_read: Callable[[str, bool], None] = lambda *_: None,
+    ) -> None:
+        """Make one.
+
+        Args:
+            names: of the cameras.
+            clock: tells, in s, how long pictures wait.
+            on_read: called with a camera's name, and whether its picture could be decoded.
+        """
+        self._clock, self._on_read = clock, on_read
         self._waiting: dict[str, deque[tuple[float, Image]]] = {
             name: deque(maxlen=_MAX_WAITING) for name in names
         }
@@ -100,7 +111,10 @@ class Gathering:
                         return
                     self._wait()
                     continue
-                images = [one for one in pool.map(_decoded, taken) if one is not None]
+                decoded = list(pool.map(_decoded, taken))
+                for one, image in zip(taken, decoded, strict=True):
+                    self._on_read(one.camera, image is not None)
+                images = [image for image in decoded if image is not None]
                 self.unreadable += len(taken) - len(images)
                 if images:
                     named = {image.camera: image for image in images}

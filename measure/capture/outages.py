@@ -65,6 +65,7 @@ class _Attendance:
     back_s: float = math.inf
     back_time_s: float = math.nan
     trouble: str = ""
+    spoiled: int = 0
     past: deque[Outage] = field(default_factory=lambda: deque(maxlen=_LISTED))
 
     @property
@@ -121,7 +122,7 @@ class OutageWatch:
             step_s = time_s - one.time_s
             if exact and step_s > (_MISSING + 0.5) * one.period_s:
                 self._miss(name, one)
-            if one.outage is not None and math.isinf(one.back_s):
+            if one.outage is not None and math.isinf(one.back_s) and one.spoiled < _MISSING:
                 one.back_s, one.back_time_s = now, time_s
             if not math.isnan(step_s):
                 one.steps.append(step_s)
@@ -133,6 +134,15 @@ class OutageWatch:
         """A camera broke off, or delivers what cannot be used."""
         self._cameras[name].trouble = reason
 
+    def read(self, name: str, readable: bool) -> None:
+        """A picture of a camera was decoded, or could not be; three in a row are missing."""
+        one = self._cameras[name]
+        with self._lock:
+            one.spoiled = 0 if readable else one.spoiled + 1
+            if one.spoiled >= _MISSING:
+                one.trouble = "its pictures cannot be decoded"
+                self._miss(name, one)
+
     def look(self) -> list[Outage]:
         """What has changed since the last look: outages that began, and those that ended."""
         now, changed = self._clock(), list[Outage]()
@@ -143,7 +153,7 @@ class OutageWatch:
                 if one.outage is not None and not one.told:
                     one.told = True
                     changed.append(one.outage)
-                if one.outage is not None and now - one.back_s > _STEADY_S:
+                if one.outage is not None and one.heard_s - one.back_s > _STEADY_S:
                     changed.append(self._end(one.outage, one))
         return changed
 

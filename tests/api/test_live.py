@@ -24,7 +24,8 @@ from measure.host import Registry
 from measure.results import read_run
 from measure.session import read_trajectory
 from tests.camera_server import ServedCamera, serving
-from tests.faults.cameras import FAULTS, LOGIN, TOKEN, HostileCamera, hostile
+from tests.faults.cameras import FAULTS
+from tests.faults.hostile_camera import LOGIN, TOKEN, HostileCamera, hostile
 
 PERIOD_S = 0.1
 """A busy machine may take its time."""

@@ -108,12 +108,14 @@ def test_undecodable_picture_is_left_out_and_counted():
     def broken():
         raise SessionError("torn")
 
-    gathering = Gathering(["a", "b"])
+    told = []
+    gathering = Gathering(["a", "b"], on_read=lambda *one: told.append(one))
     gathering.add(Image("a", 0, 0.0, broken))
     gathering.add(image("b", 0, 0.001))
     (only,) = gathering.frame_sets(lambda: True)
     assert list(only.images) == ["b"]
     assert gathering.unreadable == 1
+    assert told == [("a", False), ("b", True)]
 
 
 def test_what_a_camera_died_of_ends_it():

@@ -1,7 +1,7 @@
-"""A hostile camera on loopback: motion JPEG over HTTP, with whatever fault it is told to have.
+"""What may be wrong with a camera, and what a reader of its pictures is told.
 
 `python -m tests.faults cameras --count N` meets N cameras, each with a fault drawn at random, and
-says what a reader of its pictures is told, and after how long.
+says what is told of it, and after how long.
 """
 
 from __future__ import annotations
@@ -10,173 +10,30 @@ import random
 import re
 import socket
 import struct
-import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing, contextmanager, suppress
-from dataclasses import dataclass, field
+from contextlib import closing, suppress
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from measure.capture import CameraAddress
-from measure.capture.pictures import is_whole, size_wh
-from measure.errors import CaptureError
-
-LOGIN, TOKEN = "watcher:s3cret", "t0ken"
-"""What must never be seen again: a user with a password, and a query."""
-
-
-class GoneError(Exception):
-    """The connection is over."""
-
-
-@dataclass
-class Wire:
-    """One connection to a camera."""
-
-    socket: socket.socket
-    is_wanted: Callable[[], bool]
-    """Whether the fault that it shows is still the camera's."""
-    sent: int = 0
-    """Bytes."""
-
-    def send(self, *data: bytes) -> None:
-        try:
-            self.socket.sendall(b"".join(data))
-        except OSError:
-            raise GoneError from None
-        self.sent += sum(map(len, data))
-
-    def repeat(self, data: bytes, every_s: float) -> None:
-        """Send the same again and again, as long as it is wanted."""
-        while self.is_wanted():
-            self.send(data)
-            time.sleep(every_s)
-
-    def drip(self, data: bytes, every_s: float = 0.3) -> None:
-        """Send it byte by byte."""
-        for k in range(len(data)):
-            if not self.is_wanted():
-                return
-            self.send(data[k : k + 1])
-            time.sleep(every_s)
-
-    def hang(self) -> None:
-        """Say nothing, as long as it is wanted."""
-        while self.is_wanted():
-            time.sleep(0.05)
-
-
-@dataclass
-class Turn:
-    """A picture that is due."""
-
-    number: int
-    taken_s: float
-    jpeg: bytes
-    camera: HostileCamera
-
-    def part(self, jpeg: bytes | None = None, **more: object) -> bytes:
-        """A part of the stream, like a good camera's but for what is said otherwise."""
-        data = self.jpeg if jpeg is None else jpeg
-        lines = {
-            "boundary": "picture",
-            "Content-Type": "image/jpeg",
-            "Content-Length": len(data),
-            "X-Timestamp": f"{self.taken_s - 1.6e9:.6f}",
-        } | more
-        boundary = lines.pop("boundary")
-        head = [f"--{boundary}", *(f"{k}: {v}" for k, v in lines.items() if v is not None), "", ""]
-        return "\r\n".join(head).encode() + data + b"\r\n"
-
-
-@dataclass(frozen=True)
-class Fault:
-    """What may be wrong with a camera.
-
-    Attributes:
-        name: in words.
-        silences: whether no new picture can be had while it lasts; None where some may.
-        answer: what it does instead of answering a request.
-        part: what it does instead of sending a picture.
-    """
-
-    name: str
-    silences: bool | None
-    answer: Callable[[Wire, HostileCamera], None] | None = None
-    part: Callable[[Wire, Turn], None] | None = None
-
-
-@dataclass
-class HostileCamera:
-    """One camera.
-
-    Attributes:
-        pictures: JPEGs; from the last one on they come back in reverse, for ever.
-        strange: pictures of another camera.
-        period_s: between two of them.
-        begun_s: when the first was due, `time.time`.
-        fault: what is wrong with it now.
-        good_s: when the last picture that a reader can use was sent.
-        sent: bytes that a reader took on one connection, at most, what is under way included.
-        leaked: what it heard at an address that it redirected to, and should not have.
-    """
-
-    pictures: Sequence[bytes]
-    strange: Sequence[bytes] = ()
-    period_s: float = 1 / 15
-    begun_s: float = field(default_factory=time.time)
-    fault: Fault | None = None
-    good_s: float = float("nan")
-    sent: int = 0
-    leaked: list[str] = field(default_factory=list)
-    port: int = 0
-    elsewhere: int = 0
-
-    @property
-    def address(self) -> str:
-        return f"http://{LOGIN}@127.0.0.1:{self.port}/stream?token={TOKEN}"
-
-    def order(self) -> list[int]:
-        """Which pictures follow each other."""
-        return [*range(len(self.pictures)), *range(len(self.pictures) - 2, 0, -1)]
-
-    def connect(self, wire: Wire, request: bytes) -> None:
-        """Answer a request."""
-        fault, elsewhere = self.fault, b"/elsewhere" in request
-        wire.is_wanted = lambda: self.fault is fault
-        if elsewhere:
-            self.leaked += [text for text in ("uthorization", TOKEN) if text.encode() in request]
-        elif fault is not None and fault.answer is not None:
-            fault.answer(wire, self)
-            return
-        wire.send(_OK, b"Content-Type: multipart/x-mixed-replace; boundary=picture\r\n\r\n")
-        for turn in self.turns():
-            if elsewhere and self.fault is not fault:
-                return
-            fault = self.fault
-            if not elsewhere and fault is not None and fault.answer is not None:
-                return
-            if fault is None or fault.part is None:
-                wire.send(turn.part())
-                self.good_s = time.time()
-            else:
-                wire.is_wanted = lambda shown=fault: self.fault is shown  # type: ignore[misc]
-                fault.part(wire, turn)
-
-    def turns(self) -> Iterator[Turn]:
-        """Pictures as they become due."""
-        order = self.order()
-        first = int((time.time() - self.begun_s) / self.period_s) + 1
-        for number in range(first, 1 << 40):
-            taken_s = self.begun_s + number * self.period_s
-            time.sleep(max(taken_s - time.time(), 0.0))
-            yield Turn(number, taken_s, self.pictures[order[number % len(order)]], self)
-
-
-_OK = b"HTTP/1.0 200 OK\r\n"
+from measure.capture.pictures import image_of, is_whole, size_wh
+from measure.capture.sources import Shot
+from measure.errors import CaptureError, SessionError
+from tests.faults.hostile_camera import (
+    LOGIN,
+    OK,
+    TOKEN,
+    Fault,
+    GoneError,
+    HostileCamera,
+    Turn,
+    Wire,
+    hostile,
+)
 
 
 def _redirects(to: str) -> Callable[[Wire, HostileCamera], None]:
@@ -192,7 +49,7 @@ def _says(data: bytes) -> Callable[[Wire, HostileCamera], None]:
 
 
 def _huge_head(wire: Wire, camera: HostileCamera) -> None:
-    wire.send(_OK, b"X-Long: ")
+    wire.send(OK, b"X-Long: ")
     wire.repeat(b"x" * 65_536, 0.001)
 
 
@@ -258,6 +115,11 @@ def _garbled(turn: Turn) -> bytes:
     return turn.part(turn.jpeg[:middle] + draw.randbytes(2000) + turn.jpeg[middle + 2000 :])
 
 
+def _undecodable(turn: Turn) -> bytes:
+    """Without the tables that its coefficients were divided by."""
+    return turn.part(turn.jpeg.replace(b"\xff\xdb", b"\xff\xeb"))
+
+
 def _dark(turn: Turn) -> bytes:
     noise = np.random.default_rng(turn.number).integers(0, 12, _shape(turn.jpeg), dtype=np.uint8)
     return turn.part(cv2.imencode(".jpg", noise)[1].tobytes())
@@ -283,7 +145,7 @@ def _stamped(change: Callable[[float], float | None]) -> Callable[[Turn], bytes]
 
 
 FAULTS = (
-    Fault("head byte by byte", True, lambda wire, _: wire.drip(_OK + b"X-Long: " + b"x" * 4000)),
+    Fault("head byte by byte", True, lambda wire, _: wire.drip(OK + b"X-Long: " + b"x" * 4000)),
     Fault(
         "head without end", True, lambda wire, _: wire.repeat(b"HTTP/1.0 100 More\r\n\r\n", 0.01)
     ),
@@ -293,7 +155,7 @@ FAULTS = (
     Fault("redirects to another host", None, _redirects("http://127.0.0.1:{elsewhere}/elsewhere")),
     Fault("404", True, _says(b"HTTP/1.0 404 Gone\r\n\r\n")),
     Fault("503", True, _says(b"HTTP/1.0 503 \x1b[31mBusy\r\n\r\n")),
-    Fault("a page", True, _says(_OK + b"Content-Type: text/html\r\n\r\n<html>")),
+    Fault("a page", True, _says(OK + b"Content-Type: text/html\r\n\r\n<html>")),
     Fault("no HTTP", True, _says(b"\x00\x01\x02 what?\r\n\r\n" * 100)),
     Fault("no answer", True, lambda wire, _: wire.hang()),
     Fault("closes at once", True, lambda wire, _: None),
@@ -321,6 +183,7 @@ FAULTS = (
         "no picture", True, part=_sends(lambda turn: turn.part(random.Random(1).randbytes(9999)))
     ),
     Fault("garbled picture", False, part=_sends(_garbled)),
+    Fault("picture that cannot be decoded", True, part=_sends(_undecodable)),
     Fault("other size", True, part=_sends(lambda turn: turn.part(sized(turn.jpeg, (320, 240))))),
     Fault(
         "huge size", True, part=_sends(lambda turn: turn.part(sized(turn.jpeg, (65_500, 65_500))))
@@ -335,46 +198,6 @@ FAULTS = (
     Fault("bursts", None, part=_burst),
     Fault("flood of nothing", True, part=_flood),
 )
-
-
-def _listen(camera: HostileCamera, server: socket.socket) -> None:
-    while True:
-        try:
-            connection, _ = server.accept()
-        except OSError:
-            return
-        threading.Thread(target=_talk, args=(camera, connection), daemon=True).start()
-
-
-def _talk(camera: HostileCamera, connection: socket.socket) -> None:
-    with closing(connection), suppress(OSError, GoneError):
-        connection.settimeout(10.0)
-        request = b""
-        while b"\r\n\r\n" not in request:
-            request += connection.recv(4096) or b"\r\n\r\n"
-        wire = Wire(connection, lambda: True)
-        try:
-            camera.connect(wire, request)
-        finally:
-            camera.sent = max(camera.sent, wire.sent)
-
-
-@contextmanager
-def hostile(cameras: Sequence[HostileCamera]) -> Iterator[list[str]]:
-    """Let cameras be there; yields their addresses, password and all."""
-    servers = []
-    for camera in cameras:
-        pair = [socket.create_server(("127.0.0.1", 0)) for _ in range(2)]
-        camera.port, camera.elsewhere = (one.getsockname()[1] for one in pair)
-        for server in pair:
-            threading.Thread(target=_listen, args=(camera, server), daemon=True).start()
-        servers += pair
-    try:
-        yield [camera.address for camera in cameras]
-    finally:
-        for server in servers:
-            server.shutdown(socket.SHUT_RDWR)
-            server.close()
 
 
 @dataclass
@@ -403,7 +226,7 @@ def meet(fault: Fault, pictures: Sequence[bytes], seconds: float) -> Meeting:
         with closing(source.shots()) as shots:  # type: ignore[type-var]
             try:
                 for shot in shots:
-                    if is_whole(shot) and size_wh(shot) == _shape(pictures[0])[1::-1]:
+                    if _is_usable(shot, _shape(pictures[0])[1::-1]):
                         seen.add(shot.jpeg)
                     if time.monotonic() - begun > seconds:
                         break
@@ -411,6 +234,15 @@ def meet(fault: Fault, pictures: Sequence[bytes], seconds: float) -> Meeting:
                 told = str(problem)
         camera.fault = None
     return Meeting(camera, len(seen), told, time.monotonic() - begun)
+
+
+def _is_usable(shot: Shot, wanted_wh: tuple[int, ...]) -> bool:
+    if not is_whole(shot) or size_wh(shot) != wanted_wh:
+        return False
+    try:
+        return image_of("cam0", 0, 0.0, shot).pixels is not None
+    except SessionError:
+        return False
 
 
 def rows(count: int, seed: int) -> list[tuple[str, str]]:

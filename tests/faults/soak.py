@@ -26,7 +26,8 @@ from typing import TextIO
 import numpy as np
 
 from measure.session import read_trajectory
-from tests.faults.cameras import FAULTS, LOGIN, TOKEN, Fault, HostileCamera, hostile
+from tests.faults.cameras import FAULTS
+from tests.faults.hostile_camera import LOGIN, TOKEN, Fault, HostileCamera, hostile
 from tests.simulated.sessions import STILL_HZ, STILL_SETS, still_session
 
 NAMES = tuple(f"cam{k}" for k in range(4))

@@ -16,7 +16,8 @@ from measure.capture import CameraAddress, Cameras
 from measure.capture.web_address import shown
 from measure.errors import CaptureError
 from tests.capture.test_cameras import waited
-from tests.faults.cameras import FAULTS, LOGIN, TOKEN, Fault, HostileCamera, hostile, meet
+from tests.faults.cameras import FAULTS, meet
+from tests.faults.hostile_camera import LOGIN, TOKEN, Fault, HostileCamera, hostile
 
 SECRETS = (LOGIN, LOGIN.partition(":")[2], TOKEN)
 LIMIT_S = 0.6
