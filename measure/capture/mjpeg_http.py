@@ -29,6 +29,7 @@ _MAX_LINE = 8 << 10
 """Bytes of a line that is not a picture's."""
 _MAX_PICTURE_S = 3 * PATIENCE_S
 """Longest time for one picture: a camera may send bytes too slowly to count as silent."""
+_MAX_RATE_HZ = 1000
 _TIME_HEADERS = ("x-timestamp", "x-timestamp-sec")
 """Seconds on the camera's clock; the first is mjpg-streamer's."""
 
@@ -47,7 +48,23 @@ class HttpSource(Source):
             def begin_part() -> None:
                 stream.allow("a picture", _MAX_PICTURE_S, _MAX_BYTES)
 
-            yield from parts_of(_stream_of(answer, self.address), self.address, begin_part)
+            body = _stream_of(answer, self.address)
+            yield from _paced(parts_of(body, self.address, begin_part), self.address)
+
+
+def _paced(shots: Iterator[Shot], address: str) -> Iterator[Shot]:
+    """The same, as long as they are no flood that would leave no time for other cameras.
+
+    Raises:
+        CaptureError: they are.
+    """
+    second, count = 0, 0
+    for shot in shots:
+        now = int(shot.arrived_s)
+        second, count = now, 1 + count * (now == second)
+        if count > _MAX_RATE_HZ:
+            raise CaptureError(f"{address}: sends more than {_MAX_RATE_HZ} pictures a second")
+        yield shot
 
 
 def _stream_of(answer: HTTPResponse, address: str) -> BufferedIOBase:

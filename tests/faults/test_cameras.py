@@ -80,6 +80,13 @@ def test_what_is_told(met, name, told):
     assert told in met[name].told
 
 
+def test_a_flood_of_pictures_is_given_up(pictures):
+    """Reading it took all the time of this process."""
+    flood = next(fault for fault in FAULTS if fault.name == "flood of nothing")
+    meeting = meet(flood, pictures, 5.0)
+    assert meeting.told.endswith("sends more than 1000 pictures a second")
+
+
 def test_a_password_is_sent_to_its_own_host_only(pictures):
     """The control: there it is sent, and a redirection within the host keeps it."""
     camera = HostileCamera(pictures)
