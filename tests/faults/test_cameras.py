@@ -55,6 +55,10 @@ def test_it_is_given_up_in_time(met, fault: Fault):
     assert meeting.camera.leaked == []
 
 
+def _says(*data):
+    return lambda wire, _: wire.send(*data)
+
+
 def test_a_head_without_end_takes_no_memory(met):
     """A hundred lines of 64 KiB, and as many more as come in time, used to be read."""
     buffers = 8 << 20  # of the two sockets
@@ -78,6 +82,20 @@ def test_a_head_without_end_takes_no_memory(met):
 )
 def test_what_is_told(met, name, told):
     assert told in met[name].told
+
+
+def test_a_stream_in_chunks_is_read(pictures):
+    """As ESP32 cameras send it: each part in a chunk of HTTP/1.1."""
+    head = b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n"
+    head += b"Content-Type: multipart/x-mixed-replace; boundary=b\r\n\r\n"
+    parts = [b"--b\r\nContent-Length: %d\r\n\r\n%b\r\n" % (len(one), one) for one in pictures]
+    chunks = [b"%x\r\n%b\r\n" % (len(part), part) for part in parts]
+    camera = HostileCamera(
+        pictures, fault=Fault("chunks", False, _says(head, *chunks, b"0\r\n\r\n"))
+    )
+    with hostile([camera]) as (address,):
+        shots = list(CameraAddress("a", address).source().shots())
+    assert [shot.jpeg for shot in shots] == pictures
 
 
 def test_a_flood_of_pictures_is_given_up(pictures):
