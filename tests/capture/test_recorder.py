@@ -146,3 +146,15 @@ def test_full_disk_is_reported_though_closing_fails_too(tmp_path):
     told = "No space left on device; what was recorded before"
     with pytest.raises(CaptureError, match=told), recorder:
         recorder.add(next(pictures()))
+
+
+def test_the_second_of_two_that_begin_at_once_writes_nothing(
+    tmp_path, paper_body, cameras, monkeypatch
+):
+    """Both have found the folder free."""
+    folder = recorded(tmp_path / "s", paper_body, cameras)
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    monkeypatch.setattr("measure.capture.recorder.check_new", lambda *_: None)
+    with pytest.raises(CaptureError, match="cam0: cannot be written: File exists"):
+        Recorder(folder, dict.fromkeys(NAMES, "other"), None, [])
+    assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
