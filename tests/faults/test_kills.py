@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import os
 import random
-import signal
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from measure.results.files import GrowingFile
 from measure.results.kept import csv_rows
-from tests.faults.killed import Ended, Moment, Process
+from tests.faults.killed import Moment
 from tests.faults.kills import Case, Uninterrupted, killed_and_resumed, second_writers
 from tests.results.conftest import measurement, open_writer
 
 SETS = 4
 
 
-def write(folder: Path, resume: bool) -> int:
+def write(folder: Path, resume: bool) -> None:
     """Write a run whose measurements cost no time."""
     with open_writer(folder, resume=resume) as writer:
         for k in range(SETS):
@@ -24,11 +27,38 @@ def write(folder: Path, resume: bool) -> int:
             if k == 1:
                 writer._flush()
         writer.finish()
-    return 0
 
 
-def written(folder: Path, resume: bool, moment: Moment | None) -> Ended:
-    return Process(write, (folder, resume), folder, moment).end()
+def killed_at_every_step(folder: Path, resume: bool, kept: Path) -> list[Path]:
+    """What kills would leave of `write`: the folder before each step that changes it, copied."""
+    left: list[Path] = []
+    states = [list[tuple[str, int, int]]()]
+
+    def watched(step: Callable[..., object]) -> Callable[..., object]:
+        def watching(*args: object, **options: object) -> object:
+            if folder.exists() and (state := sizes(folder)) != states[-1]:
+                states.append(state)
+                left.append(kept / f"{folder.name}-{len(left)}")
+                shutil.copytree(folder, left[-1], copy_function=shutil.copyfile)
+            return step(*args, **options)
+
+        return watching
+
+    with pytest.MonkeyPatch.context() as patch:
+        for place, name in (
+            (Path, "open"),
+            (Path, "replace"),
+            (Path, "unlink"),
+            (GrowingFile, "append"),
+        ):
+            patch.setattr(place, name, watched(getattr(place, name)))
+        write(folder, resume)
+    return left
+
+
+def sizes(folder: Path) -> list[tuple[str, int, int]]:
+    with os.scandir(folder) as files:
+        return sorted((one.name, one.stat().st_size, one.inode()) for one in files)
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -36,23 +66,23 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def test_a_kill_at_any_step_costs_nothing(tmp_path: Path) -> None:
-    """At every other step a further one while resuming."""
-    whole, rng = written(tmp_path / "whole", False, None), random.Random(1)
-    assert whole.code == 0, whole.said
-    # A kill before an unnecessary removal is one after it.
-    steps = [k for k, step in enumerate(whole.steps) if not step.startswith("os.remove")]
-    for step in steps:
-        folder = tmp_path / f"killed{step}"
-        assert written(folder, False, Moment(step)).code == -signal.SIGKILL
-        rows = csv_rows(folder / "poses.csv")
-        assert rows == max(sum(one.startswith("row") for one in whole.steps[:step]) - 1, 0)
-        if step % 2:
-            again = written(folder, True, Moment(rng.choice(steps)))
-            assert again.code in (0, -signal.SIGKILL), again.said
-            assert csv_rows(folder / "poses.csv") >= rows
-        last = written(folder, True, None)
-        assert last.code == 0, last.said
-        assert contents(folder) == contents(tmp_path / "whole"), whole.steps[step]
+    """Nor does a further one while resuming."""
+    whole, rng = tmp_path / "whole", random.Random(1)
+    kept = tmp_path / "killed"
+    kept.mkdir()
+    killed = killed_at_every_step(whole, False, kept)
+    assert len({csv_rows(folder / "poses.csv") for folder in killed}) == SETS + 1
+    for number, folder in enumerate(killed):
+        rows, left = csv_rows(folder / "poses.csv"), sorted(contents(folder))
+        if number % 4:
+            write(folder, True)
+        else:
+            again = killed_at_every_step(folder, True, kept)
+            assert all(csv_rows(one / "poses.csv") >= rows for one in again)
+            second = rng.choice(again)
+            write(second, True)
+            assert contents(second) == contents(whole), left
+        assert contents(folder) == contents(whole), left
 
 
 @pytest.fixture(scope="module", params=["precise", "paper"])
