@@ -31,6 +31,7 @@ GROUPS: dict[str, tuple[Command, ...]] = {
         ),
     ),
     "Set up": (
+        Command("detect", "Show what the detector sees in single pictures."),
         Command("target", "Draw a printable board, marker field or body."),
         Command("record", "Record cameras into a session."),
         Command("calibrate", "Calibrate cameras from pictures of boards and markers."),

@@ -1,0 +1,214 @@
+"""What a detector sees in single pictures, with no recording."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from measure.api.outputs import check_apart, check_writable
+from measure.arrays import Floats
+from measure.errors import ConfigError
+from measure.geometry import RigidTransform
+from measure.host import Registry
+from measure.measuring import Profile, plugin_calls
+from measure.model import Body, Camera, Detection, Expectation, Image, Intrinsics
+from measure.processes import Progress
+from measure.session import read_calibration, read_picture
+
+_USUAL_FOCAL = 0.72
+"""Focal length over the longer side of a picture, of ordinary webcams."""
+_SIZE_FACTOR = 1.25
+"""How much larger or smaller than expected a ball may be."""
+_PLACE_STEPS = 4
+_REACH_RADII = 0.5
+"""How far from where it is expected a ball may be, in its radii."""
+
+
+@dataclass(frozen=True)
+class Lens:
+    """What is known of the camera that took the pictures.
+
+    Attributes:
+        calibration: a calibration file; None if there is none.
+        camera: the camera's name in it; may be left out if it holds one only.
+        focal_px: the focal length where there is no calibration; None for 0.72 times the picture's
+            longer side, as of ordinary webcams.
+    """
+
+    calibration: Path | None = None
+    camera: str | None = None
+    focal_px: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class SeenPicture:
+    """The balls seen in one picture.
+
+    Attributes:
+        picture: its file.
+        detections: the best first.
+    """
+
+    picture: Path
+    detections: tuple[Detection, ...]
+
+
+def parse_expectation(text: str) -> tuple[str, tuple[float, float, float]]:
+    """Read BALL=U,V,R: a ball's name, its centre in px, and its radius in px.
+
+    Raises:
+        ConfigError: anything else.
+    """
+    ball, _, numbers = text.rpartition("=")
+    try:
+        u, v, radius = (float(number) for number in numbers.split(","))
+    except ValueError:
+        u = v = radius = np.nan
+    if not ball or not np.isfinite([u, v, radius]).all() or radius <= 0:
+        raise ConfigError(f"--expect {text}: expected BALL=U,V,R, such as red=640,360,45 (in px)")
+    return ball, (u, v, radius)
+
+
+def detect(
+    pictures: Sequence[Path],
+    registry: Registry,
+    profile: Profile,
+    body: Body,
+    lens: Lens | None = None,
+    expected: Iterable[tuple[str, tuple[float, float, float]]] = (),
+    out: Path | None = None,
+    progress: Progress | None = None,
+) -> tuple[SeenPicture, ...]:
+    """Find a body's balls in single pictures.
+
+    Args:
+        pictures: files of one camera.
+        registry: where the plugins come from.
+        profile: whose detector looks, with its settings.
+        body: colours and radii of the balls.
+        lens: of the camera.
+        expected: balls, where their centres are and their radii in px; without any the whole
+            picture is searched for all balls.
+        out: a folder for copies of the pictures with the outlines drawn in.
+        progress: called with how many pictures are done, and of how many.
+
+    Raises:
+        MeasureError: a picture that cannot be read or is not of the calibration's size; a ball that
+            the body has not; a folder that cannot be written.
+    """
+    asked = dict(expected)
+    if unknown := [ball for ball in asked if ball not in body.names]:
+        raise ConfigError(
+            f"--expect {unknown[0]}: the body has no such ball, but {', '.join(body.names)}"
+        )
+    drawn = _drawings(pictures, out)
+    cameras = _Cameras(lens or Lens())
+    seen = []
+    for index, path in enumerate(pictures):
+        pixels = read_picture(path)
+        camera = cameras.of(pixels.shape[1], pixels.shape[0], path)
+        where = [_expectation(ball, at, body, camera) for ball, at in asked.items()]
+        settings = profile.settings.get("detector", {})
+        detector = registry.detector(profile.detector, settings, body, camera)
+        image = Image(camera.name, index, 0.0, partial(np.asarray, pixels))
+        found = plugin_calls.detections(detector, image, where, body)
+        kept = [d for d in found if not asked or d.ball in asked]
+        seen.append(SeenPicture(path, tuple(sorted(kept, key=lambda d: -d.score))))
+        if out is not None:
+            from measure.viewing.outlines import write_outlines
+
+            write_outlines(pixels, seen[-1].detections, drawn[index])
+        if progress is not None:
+            progress(index + 1, len(pictures))
+    return tuple(seen)
+
+
+class _Cameras:
+    """The camera of a picture: calibrated, or a plain one of the picture's size."""
+
+    def __init__(self, lens: Lens) -> None:
+        self._focal_px, self._calibration = lens.focal_px, lens.calibration
+        self._calibrated: Camera | None = None
+        if lens.calibration is not None:
+            if lens.focal_px is not None:
+                raise ConfigError("--focal-px and --calibration both give a focal length: give one")
+            self._calibrated = _chosen(lens.calibration, lens.camera)
+        elif lens.camera is not None:
+            raise ConfigError(f"--camera {lens.camera}: give the --calibration that holds it")
+        if lens.focal_px is not None and not 0 < lens.focal_px < np.inf:
+            raise ConfigError(f"--focal-px {lens.focal_px}: expected a length in px above 0")
+
+    def of(self, width: int, height: int, picture: Path) -> Camera:
+        if self._calibrated is None:
+            focal = self._focal_px or _USUAL_FOCAL * max(width, height)
+            matrix = [[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]]
+            lens = Intrinsics((width, height), np.array(matrix), np.zeros(5))
+            return Camera("camera", lens, RigidTransform.identity())
+        size = self._calibrated.intrinsics.size_wh
+        if size != (width, height):
+            raise ConfigError(
+                f"{picture}: is {width}x{height} px, but {self._calibration} holds "
+                f"'{self._calibrated.name}' for {size[0]}x{size[1]}: give the camera that took it"
+            )
+        return self._calibrated
+
+
+def _chosen(path: Path, name: str | None) -> Camera:
+    cameras: Mapping[str, Camera] = {c.name: c for c in read_calibration(path).cameras}
+    if name is None and len(cameras) == 1:
+        (name,) = cameras
+    if name is None or name not in cameras:
+        given = "which camera took the pictures?" if name is None else f"it has no '{name}':"
+        raise ConfigError(f"{path}: {given} give --camera, one of {', '.join(cameras)}")
+    return cameras[name]
+
+
+def _expectation(
+    ball: str, at: tuple[float, float, float], body: Body, camera: Camera
+) -> Expectation:
+    u, v, radius_px = at
+    center = np.array([u, v])
+    return Expectation(
+        ball,
+        center,
+        (radius_px / _SIZE_FACTOR, radius_px * _SIZE_FACTOR),
+        2 * radius_px,
+        _REACH_RADII * radius_px,
+        center_camera=_place(center, radius_px, body.radii[body.index(ball)], camera),
+    )
+
+
+def _place(center_px: Floats, radius_px: float, radius_mm: float, camera: Camera) -> Floats | None:
+    """The centre (3,) in mm of a sphere whose outline has the radius; None beyond the lens.
+
+    Off the axis an outline is longer than it is wide: its mean radius decides.
+    """
+    bearing = camera.intrinsics.unproject(center_px[None])[0]
+    if not np.isfinite(bearing).all():
+        return None
+    distance_mm = radius_mm * camera.intrinsics.focal_px / radius_px
+    for _ in range(_PLACE_STEPS):
+        outline = camera.outline(distance_mm * bearing, radius_mm)
+        seen_px = np.linalg.norm(outline - outline.mean(axis=0), axis=1).mean()
+        if not np.isfinite(seen_px):
+            return None
+        distance_mm *= float(seen_px) / radius_px
+    return np.asarray(distance_mm * bearing)
+
+
+def _drawings(pictures: Sequence[Path], out: Path | None) -> list[Path]:
+    """The files to draw into, all of which can be written."""
+    if out is None:
+        return []
+    drawn = [out / f"{picture.stem}.png" for picture in pictures]
+    check_apart(*drawn)
+    for one in drawn:
+        check_writable(one, folder_is_made=True)
+    if any(one.exists() and any(one.samefile(p) for p in pictures) for one in drawn):
+        raise ConfigError(f"{out}: the pictures would be drawn over: give another folder")
+    out.mkdir(parents=True, exist_ok=True)
+    return drawn

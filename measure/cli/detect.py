@@ -1,0 +1,97 @@
+"""`measure detect`: does it see my balls?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from measure.cli import console
+from measure.cli.console import JsonFlag
+from measure.cli.options import InjectedRegistry, SettingTexts
+
+if TYPE_CHECKING:
+    from measure.api.detecting import SeenPicture
+
+
+def detect(
+    *pictures: Path,
+    body: Path,
+    calibration: Path | None = None,
+    camera: str | None = None,
+    focal_px: float | None = None,
+    expect: tuple[str, ...] = (),
+    profile: str = "precise",
+    detector: str | None = None,
+    set_: SettingTexts = (),
+    out: Annotated[Path | None, Parameter(name=("--out", "-o"))] = None,
+    json: JsonFlag = False,
+    registry: InjectedRegistry,
+) -> None:
+    """Show what the detector sees in single pictures.
+
+    No recording is needed, and no calibration: an ordinary webcam's focal length is assumed. The
+    whole picture is searched, unless it is said where a ball is expected.
+
+    Args:
+        pictures: picture files of one camera.
+        body: the body's file: the balls' colours and radii.
+        calibration: of the camera, if there is one.
+        camera: the camera's name in it.
+        focal_px: the focal length without a calibration; 0.72 times the longer side if omitted.
+        expect: BALL=U,V,R: look for the ball round (U, V) px with radius R px; may be repeated.
+        profile: `precise`, `paper`, or the path of a profile of your own (.toml).
+        detector: a detector plugin to use instead of the profile's.
+        set_: a setting as detector.NAME=VALUE; may be repeated.
+        out: folder for copies of the pictures with the balls drawn in.
+    """
+    from measure import api
+    from measure.api.detecting import Lens, detect, parse_expectation
+    from measure.errors import ConfigError
+    from measure.session import read_body
+
+    if not pictures:
+        raise ConfigError("no picture is given: measure detect PICTURE... --body BODY.toml")
+    chosen = api.choose(api.load_profile(profile), {"detector": detector}, set_)
+    with console.progress("looking", "pictures") as report:
+        seen = detect(
+            pictures,
+            registry,
+            chosen,
+            read_body(body),
+            Lens(calibration, camera, focal_px),
+            [parse_expectation(text) for text in expect],
+            out,
+            report,
+        )
+    if json:
+        console.print_json({"pictures": [_values(one) for one in seen]})
+        return
+    _print(seen)
+    if out is not None:
+        console.print_text(f"drawn in {out}")
+
+
+def _values(one: SeenPicture) -> dict[str, object]:
+    keys = ("ball", "center_px", "radius_px", "covariance_px", "score", "color_match")
+    found = [{key: getattr(d, key) for key in keys} for d in one.detections]
+    return {"picture": one.picture, "detections": found}
+
+
+def _print(seen: Sequence[SeenPicture]) -> None:
+    rows = [
+        (one.picture.name, d.ball, *d.center_px, d.radius_px, d.variance_px2**0.5, d.score)
+        for one in seen
+        for d in one.detections
+    ]
+    if rows:
+        heads = ("picture", "ball", "u_px", "v_px", "radius_px", "sd_px", "score")
+        console.print_table(heads, rows)
+    for one in seen:
+        if not one.detections:
+            console.print_text(
+                f"{one.picture}: no ball is seen: is its colour the one in the body file, and is "
+                "it larger than a dozen pixels?"
+            )

@@ -1,0 +1,89 @@
+"""`measure detect` on single pictures: found, told where, drawn, refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from measure.cli import main
+from measure.session import open_session, read_trajectory
+from tests.cli.test_bad_input import complaint
+
+
+@pytest.fixture
+def picture(still: Path) -> Path:
+    return still / "cam0" / "000000.jpg"
+
+
+def seen(capsys, *words: object) -> list[dict]:
+    assert main(["detect", *map(str, words), "--json"]) == 0
+    (one,) = json.loads(capsys.readouterr().out)["pictures"]
+    return one["detections"]
+
+
+def truth_px(still: Path) -> dict[str, tuple[np.ndarray, float]]:
+    """The spheres' centres, and the mean radii of their outlines, in the first picture of cam0."""
+    with open_session(still) as session:
+        times_s = session.streams["cam0"].times_s[:1]
+        pose = read_trajectory(still / "truth.csv").at(times_s)[0]
+        camera, out = session.cameras[0], {}
+        for ball, center in zip(session.body.balls, pose.apply(session.body.centers), strict=True):
+            outline = camera.outline(center, ball.radius_mm)
+            radius = np.linalg.norm(outline - outline.mean(axis=0), axis=1).mean()
+            out[ball.name] = camera.project(center[None])[0], float(radius)
+        return out
+
+
+def test_the_balls_of_a_picture_are_found_and_drawn(still, picture, tmp_path, capsys):
+    lens = ("--calibration", still / "calibration.toml", "--camera", "cam0")
+    words = (picture, "--body", still / "body.toml", *lens, "-o", tmp_path / "drawn")
+    found = seen(capsys, *words)
+    scores = [one["score"] for one in found]
+    assert scores == sorted(scores, reverse=True)
+    best = {one["ball"]: one for one in reversed(found)}
+    for ball, (center, _) in truth_px(still).items():
+        if ball in best:
+            assert np.linalg.norm(np.array(best[ball]["center_px"]) - center) < 2.0
+    assert len(best) >= 2
+    before, after = cv2.imread(str(picture)), cv2.imread(str(tmp_path / "drawn" / "000000.png"))
+    changed = np.argwhere(np.any(before != after, axis=2))
+    u, v = best[found[0]["ball"]]["center_px"]
+    assert np.min(np.hypot(changed[:, 1] - u, changed[:, 0] - v)) < 3
+
+
+def test_without_a_calibration_and_with_an_expectation(still, picture, capsys):
+    (u, v), radius = truth_px(still)["yellow"]
+    words = (picture, "--body", still / "body.toml", "--focal-px", "1420")
+    (one,) = seen(capsys, *words, "--expect", f"yellow={u + 2:.1f},{v - 2:.1f},{radius:.1f}")
+    assert one["ball"] == "yellow"
+    assert np.linalg.norm(np.array(one["center_px"]) - (u, v)) < 1.0
+    assert np.all(np.linalg.eigvalsh(one["covariance_px"]) > 0)
+    assert seen(capsys, *words, "--expect", "yellow=60,60,63") == []
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--expect", "blue=1,2,3"), "--expect blue: the body has no such ball, but green, yellow"),
+        (("--expect", "red=1,2"), "--expect red=1,2: expected BALL=U,V,R"),
+        (("--focal-px", "-3"), "--focal-px -3.0: expected a length in px above 0"),
+        (("--camera", "cam0"), "--camera cam0: give the --calibration that holds it"),
+        (("--calibration", "calibration.toml"), "which camera took the pictures? give --camera"),
+    ],
+)
+def test_what_does_not_fit_is_said_in_one_line(still, picture, capsys, words, said):
+    given = [still / word if str(word).endswith(".toml") else word for word in words]
+    line = complaint(capsys, "detect", picture, "--body", still / "body.toml", *given)
+    assert said in line
+
+
+def test_a_picture_of_another_size_is_refused(still, tmp_path, capsys):
+    cv2.imwrite(str(tmp_path / "small.png"), np.zeros((90, 160, 3), np.uint8))
+    lens = ("--calibration", still / "calibration.toml", "--camera", "cam1")
+    line = complaint(capsys, "detect", tmp_path / "small.png", "--body", still / "body.toml", *lens)
+    assert "is 160x90 px, but" in line
+    assert "1280x720" in line
