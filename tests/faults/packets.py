@@ -141,10 +141,10 @@ def _served() -> Iterator[tuple[tuple[str, int], subprocess.Popen[str]]]:
 _FLOODER = """
 import sys, threading
 from tests.faults import packets
-over = threading.Event()
+over, datagrams = threading.Event(), packets.flood_of(sys.argv[2])
 threading.Thread(target=lambda: (sys.stdin.read(), over.set())).start()
 print("floods", flush=True)
-print(packets.flood(("127.0.0.1", int(sys.argv[1])), packets.flood_of(sys.argv[2]), over))
+print(packets.flood(("127.0.0.1", int(sys.argv[1])), datagrams, over))
 """
 
 
@@ -168,6 +168,7 @@ def under_flood(name: str, seconds: float = FLOOD_S) -> str:
         ) as flooder:
             lines: Any = flooder.stdout
             lines.readline()
+            time.sleep(0.5)
             done = time_round_trips(client, states, seconds)
             sent = int(flooder.communicate("")[0])
         client.close()
