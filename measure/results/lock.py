@@ -43,8 +43,10 @@ class FolderLock:
         self._path = folder / LOCK_FILE
         self._descriptor = self._locked()
         # The first byte is what some systems lock, for readers too.
-        os.ftruncate(self._descriptor, 0)
-        os.write(self._descriptor, f"\n{json.dumps(_this_process())}\n".encode())
+        told = f"\n{json.dumps(_this_process())}\n".encode()
+        with suppress(OSError):  # a full disk is told by what needs the room
+            os.ftruncate(self._descriptor, 0)
+            os.write(self._descriptor, told)
 
     def release(self) -> None:
         """Give it up; a second time does no harm."""
@@ -106,7 +108,8 @@ def refuse_other_writer(folder: Path) -> None:
 def _this_process() -> dict[str, str | int]:
     """What is told to those who are kept out."""
     # Of the command no more than its name: what follows may hold a camera's password.
-    words = [Path(sys.argv[0]).name, *(word for word in sys.argv[1:2] if word.isalpha())]
+    program = [Path(word).name for word in sys.argv[:1]]
+    words = [*program, *(word for word in sys.argv[1:2] if word.isalpha())]
     return {
         "pid": os.getpid(),
         "host": socket.gethostname(),
