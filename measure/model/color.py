@@ -156,7 +156,7 @@ def _hsv(hue: tuple[int, int], saturation: int, value: int) -> ColorRange:
 
 NAMED_RANGES: dict[str, tuple[ColorRange, ...]] = {
     "red": (_hsv((168, 8), 90, 30),),
-    "orange": (_hsv((6, 17), 110, 40),),
+    "orange": (_hsv((2, 19), 110, 40),),
     "yellow": (_hsv((17, 36), 80, 40),),
     "green": (_hsv((38, 88), 60, 25),),
     "cyan": (_hsv((80, 100), 70, 40),),

@@ -29,6 +29,13 @@ def test_the_common_balls_do_not_match_one_another(name):
     assert not BallColor.named(name).matches(others).any()
 
 
+@pytest.mark.parametrize("hue", [3, 7, 14])
+def test_orange_foam_under_a_warm_white_balance_is_orange(hue):
+    lit = cv2.cvtColor(np.uint8([[[hue, 190, 220]]]), cv2.COLOR_HSV2BGR)[0]
+    assert BallColor.named("orange").matches(lit).all()
+    assert not BallColor.named("yellow").matches(lit).any()
+
+
 def test_names_are_not_case_sensitive_and_unknown_ones_are_refused():
     assert BallColor.named("Green") == BallColor("Green", NAMED_RANGES["green"])
     with pytest.raises(KeyError):
