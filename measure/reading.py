@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import difflib
 import stat
 import tomllib
@@ -71,14 +72,16 @@ def read_bytes(path: Path, error: type[MeasureError], most: int, where: str = ""
 
 
 def read_text(path: Path | str, error: type[MeasureError], most: int = MAX_TEXT_BYTES) -> str:
-    """The text of an ordinary file, UTF-8; every kind of line end becomes a newline.
+    """The text of an ordinary file, UTF-8 or marked UTF-16; all line ends become newlines.
 
     Raises:
         error: missing, not an ordinary file, unreadable, larger than `most` bytes or not text.
     """
     path = Path(path)
+    data = read_bytes(path, error, most)
     try:
-        text = read_bytes(path, error, most).decode("utf-8-sig")
+        marked = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+        text = data.decode("utf-16" if marked else "utf-8-sig")
     except UnicodeDecodeError as problem:
         raise error(f"{path}: not a text file (byte {problem.start} is not UTF-8)") from None
     return text.replace("\r\n", "\n").replace("\r", "\n")

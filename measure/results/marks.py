@@ -13,7 +13,7 @@ from measure.errors import MeasureError, RunError
 from measure.results.columns import integers, texts
 from measure.results.run import Run
 from measure.session import open_session
-from measure.session.timestamps import read_number_table
+from measure.session.number_table import read_number_table
 
 Marks: TypeAlias = dict[tuple[str, int, str], Floats]
 """(2,) px by camera, the camera's frame number, and ball."""

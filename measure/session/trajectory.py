@@ -15,7 +15,7 @@ from measure.arrays import Bools, Floats, Ints
 from measure.errors import MeasureError, SessionError
 from measure.geometry import RigidTransform
 from measure.reading import read_text
-from measure.session.timestamps import read_number_table
+from measure.session.number_table import read_number_table
 
 COLUMNS = ("time_s", "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
 MAX_GAP_PERIODS = 5.0

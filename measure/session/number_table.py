@@ -1,0 +1,187 @@
+"""Tables of numbers as text, in the dialects that programs and spreadsheets write.
+
+Cells are separated by commas, semicolons or tabs; between the latter two a comma may stand for the
+decimal point. Times may be seconds, ISO 8601, or ROS's seconds and nanoseconds in two columns.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.errors import MeasureError, SessionError
+from measure.reading import read_text
+
+TIME = "time_s"
+"""The column that may be written in other ways."""
+_SECONDS_AND_NANOSECONDS = (
+    ("secs", "nsecs"),
+    ("sec", "nanosec"),
+    ("header.stamp.secs", "header.stamp.nsecs"),
+    ("header.stamp.sec", "header.stamp.nanosec"),
+)
+"""What ROS 1 and ROS 2 call the parts of a stamp."""
+_SEPARATORS = ",;\t"
+
+
+@dataclass(frozen=True, eq=False)
+class NumberTable:
+    """A CSV file's rows.
+
+    Attributes:
+        columns: of numbers by name, each (n,).
+        lines: of the file on which each row stands.
+        words: columns of text by name.
+    """
+
+    columns: dict[str, Floats]
+    lines: list[int]
+    words: dict[str, list[str]]
+
+
+def read_number_table(
+    path: Path,
+    needed: tuple[str, ...],
+    prefix: str = "",
+    error: type[MeasureError] = SessionError,
+    *,
+    empty_is_nan: bool = False,
+    words: tuple[str, ...] = (),
+) -> NumberTable:
+    """Read the columns `needed` of a table with a header line; others are passed over.
+
+    Those called `words` hold text.
+
+    Raises:
+        error: a column is missing, a value is no number, or a row has more cells than the header;
+            the message starts with `prefix`, file and line.
+    """
+    text = read_text(path, error)
+    separator = _separator(text)
+    numbered = _numbered_rows(text, separator, f"{prefix}{path}", error)
+    _, first = next(numbered, (1, []))
+    header = [name.strip() for name in first]
+    stamp = _stamp_columns(header) if TIME in needed else None
+    found = [*header, TIME] if stamp is not None else header
+    if missing := [name for name in (*words, *needed) if name not in found]:
+        raise error(
+            f"{prefix}{path}:1: the header lacks {', '.join(missing)}; it must hold "
+            f"{','.join((*words, *needed))}, it holds {','.join(header)[:80] or 'nothing'}"
+        )
+    reader = _RowReader(header, needed, separator, stamp, empty_is_nan)
+    rows, lines = [], list[int]()
+    texts: dict[str, list[str]] = {name: [] for name in words}
+    for line, row in numbered:
+        if any(cell.strip() for cell in row):
+            place = f"{prefix}{path}:{line}"
+            if any(cell.strip() for cell in row[len(header) :]):
+                raise error(
+                    f"{place}: {len(row)} cells under {len(header)} headings"
+                    f"{_alike(numbered, len(header))}: are decimal commas "
+                    "among them? Write points, and a heading for every column"
+                )
+            try:
+                rows.append(reader.numbers(row))
+            except _BadCellError as bad:
+                raise error(f"{place}: {bad}") from None
+            lines.append(line)
+            for name in words:
+                texts[name].append(_cell(row, header.index(name)))
+    if not rows:
+        raise error(f"{prefix}{path}: has a header but no rows")
+    values = np.array(rows, dtype=np.float64)
+    return NumberTable({name: values[:, i] for i, name in enumerate(needed)}, lines, texts)
+
+
+def _separator(text: str) -> str:
+    """What stands between the names of the header, the most frequent; a comma if none does."""
+    header = next((line for line in text.splitlines() if line.strip()), "")
+    return max(_SEPARATORS, key=header.count)
+
+
+def _stamp_columns(header: list[str]) -> tuple[int, int] | None:
+    """Where ROS's seconds and nanoseconds stand, if the time is not there as one column."""
+    if TIME in header:
+        return None
+    for names in _SECONDS_AND_NANOSECONDS:
+        if all(name in header for name in names):
+            return header.index(names[0]), header.index(names[1])
+    return None
+
+
+def _alike(rest: Iterator[tuple[int, list[str]]], cells: int) -> str:
+    """How many of the rows that follow are too long as well, in words."""
+    count = sum(any(cell.strip() for cell in row[cells:]) for _, row in rest)
+    return f" (and {count} rows more like it)" if count else ""
+
+
+def _numbered_rows(
+    text: str, separator: str, place: str, error: type[MeasureError]
+) -> Iterator[tuple[int, list[str]]]:
+    """Rows with the numbers of the lines they end in."""
+    reader = csv.reader(text.splitlines(), delimiter=separator)
+    try:
+        for row in reader:
+            yield reader.line_num, row
+    except csv.Error as problem:
+        raise error(
+            f"{place}:{reader.line_num}: {problem}: is a quotation mark not closed?"
+        ) from None
+
+
+class _BadCellError(ValueError):
+    """A cell that is no number; the message says which."""
+
+
+@dataclass(frozen=True)
+class _RowReader:
+    """Makes numbers of a row's cells."""
+
+    header: list[str]
+    needed: tuple[str, ...]
+    separator: str
+    stamp: tuple[int, int] | None
+    empty_is_nan: bool
+
+    def numbers(self, row: list[str]) -> list[float]:
+        return [self._value(row, name) for name in self.needed]
+
+    def _value(self, row: list[str], name: str) -> float:
+        if name == TIME and self.stamp is not None:
+            seconds, nanoseconds = (
+                self._number(_cell(row, index), self.header[index]) for index in self.stamp
+            )
+            return seconds + 1e-9 * nanoseconds
+        return self._number(_cell(row, self.header.index(name)), name)
+
+    def _number(self, cell: str, name: str) -> float:
+        if self.empty_is_nan and not cell:
+            return float("nan")
+        text = cell
+        if self.separator != "," and "." not in cell and cell.count(",") == 1:
+            text = cell.replace(",", ".")
+        try:
+            return float(text)
+        except ValueError:
+            if name == TIME and (time_s := _iso_seconds(cell)) is not None:
+                return time_s
+            raise _BadCellError(f"{name} is {cell!r}, not a number") from None
+
+
+def _iso_seconds(cell: str) -> float | None:
+    """Seconds since 1970 of a time in ISO 8601, UTC if it names no zone; None if it is none."""
+    try:
+        time = datetime.fromisoformat(cell)
+    except ValueError:
+        return None
+    return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()
+
+
+def _cell(row: list[str], index: int) -> str:
+    return row[index].strip() if index < len(row) else ""

@@ -1,0 +1,83 @@
+"""Tables in the dialects that spreadsheets, ROS and loggers write are the same table."""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pytest
+
+from measure.errors import SessionError
+from measure.session.timestamps import read_stamps
+
+TIMES_S = [1700000000.0, 1700000000.033333, 1700000000.066667]
+DIALECTS = {
+    "comma": ",".join,
+    "semicolon": lambda cells: ";".join(cells),
+    "tab": lambda cells: "\t".join(cells),
+    "semicolon and decimal comma": lambda cells: ";".join(cells).replace(".", ","),
+    "tab and decimal comma": lambda cells: "\t".join(cells).replace(".", ","),
+}
+
+
+def table(join, times_s=TIMES_S):
+    rows = [("frame", "time_s"), *((str(k), f"{t:.6f}") for k, t in enumerate(times_s))]
+    return "\n".join(join(row) for row in rows) + "\n"
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+@pytest.mark.parametrize("name", DIALECTS)
+def test_a_dialect_is_read_as_any_other(tmp_path, name, encoding):
+    path = tmp_path / "cam0.csv"
+    path.write_bytes(table(DIALECTS[name]).encode(encoding))
+    stamps = read_stamps(path, "cam0")
+    np.testing.assert_array_equal(stamps.frames, [0, 1, 2])
+    np.testing.assert_allclose(stamps.times_s, TIMES_S, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "frame,secs,nsecs\n0,1700000000,0\n1,1700000000,33333000\n2,1700000000,66667000\n",
+        "sec;nanosec;frame\n1700000000;0;0\n1700000000;33333000;1\n1700000000;66667000;2\n",
+        (
+            "frame,time_s\n0,2023-11-14T22:13:20Z\n1,2023-11-14T22:13:20.033333Z\n"
+            "2,2023-11-14T23:13:20.066667+01:00\n"
+        ),
+        (
+            "frame,time_s\n0,2023-11-14 22:13:20\n1,2023-11-14 22:13:20.033333\n"
+            "2,2023-11-14 22:13:20.066667\n"
+        ),
+    ],
+    ids=["ROS 1", "ROS 2", "ISO 8601", "ISO 8601 without a zone"],
+)
+def test_times_of_ros_and_of_iso_8601(tmp_path, text):
+    (tmp_path / "cam0.csv").write_text(text)
+    np.testing.assert_allclose(read_stamps(tmp_path / "cam0.csv", "cam0").times_s, TIMES_S)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("frame,time_s\n0,0,5\n1,0,6\n2,0,7\n", "2: 3 cells under 2 headings (and 2 rows more"),
+        ("frame,time_s\n0,1.234,5\n", "2: 3 cells under 2 headings: are decimal commas"),
+        ("frame;time_s\n0;1.234,5\n", "2: time_s is '1.234,5', not a number"),
+        ("frame,time_s\n0,yesterday\n", "2: time_s is 'yesterday', not a number"),
+        ("frame,secs\n0,17\n", "1: the header lacks time_s"),
+    ],
+)
+def test_what_may_mean_two_things_is_refused(tmp_path, text, said):
+    (tmp_path / "cam0.csv").write_text(text)
+    with pytest.raises(SessionError) as refused:
+        read_stamps(tmp_path / "cam0.csv", "cam0")
+    assert said in str(refused.value)
+
+
+@pytest.mark.parametrize("name", ["iso", "ros", "semi", "tabs", "utf16"])
+def test_stamps_of_other_programs(shared, tmp_path, name):
+    path = shared / "inputs" / "csv_semicolon_tab_utf16" / f"{name}.csv"
+    if not path.is_file():
+        pytest.skip("no stamps of other programs in ../shared")
+    shutil.copy(path, tmp_path / "cam0.csv")
+    stamps = read_stamps(tmp_path / "cam0.csv", "cam0")
+    np.testing.assert_allclose(np.diff(stamps.times_s), 1 / 30, atol=2e-6)
