@@ -60,8 +60,9 @@ def print_table(columns: Sequence[str], rows: Iterable[Sequence[object]], title:
 
 
 def note(text: str) -> None:
-    """Print a line on stderr, at once."""
-    print(text, file=sys.stderr, flush=True)
+    """Print a line on stderr, at once and at one go: several threads may."""
+    sys.stderr.write(f"{text}\n")
+    sys.stderr.flush()
 
 
 def shares(report: Progress) -> Callable[[float, str], None]:

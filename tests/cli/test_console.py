@@ -141,3 +141,17 @@ def test_long_cells_are_folded_never_cut(capsys):
 def test_an_empty_table_is_its_heading(capsys):
     console.print_table(("a", "b"), [])
     assert capsys.readouterr().out.split() == ["a", "b"]
+
+
+def test_a_line_is_written_at_one_go(monkeypatch):
+    """Two threads' lines ran into each other where the line's end was a write of its own."""
+    written = []
+
+    class Stream(io.StringIO):
+        def write(self, text):
+            written.append(text)
+            return len(text)
+
+    monkeypatch.setattr("sys.stderr", Stream())
+    console.note("cam1 is away")
+    assert written == ["cam1 is away\n"]

@@ -142,9 +142,8 @@ class HostileCamera:
             return
         wire.send(OK, b"Content-Type: multipart/x-mixed-replace; boundary=picture\r\n\r\n")
         for turn in self.turns():
-            if elsewhere and self.fault is not fault:
-                return
-            fault = self.fault
+            elsewhere &= self.fault in (fault, None)  # then it is a camera like others
+            fault = fault if elsewhere else self.fault
             if not elsewhere and fault is not None and fault.answer is not None:
                 return
             if fault is None or fault.part is None:
