@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from http import HTTPStatus
-from http.client import HTTPException, HTTPResponse
+from http.client import HTTPException, HTTPResponse, IncompleteRead
 from typing import Any, cast
 
 from measure.capture.sources import PATIENCE_S
@@ -110,9 +110,7 @@ def open_stream(address: str) -> Iterator[tuple[HTTPResponse, Stream]]:
                     yield answer, stream
                     return
                 place = _redirected(place, answer, where)
-    except HTTPException:
-        raise CaptureError(f"{where}: what it answers is no HTTP") from None
-    except (OSError, ValueError) as problem:
+    except (OSError, ValueError, HTTPException) as problem:
         raise CaptureError(f"{where}: {_text(problem)}") from None
     raise CaptureError(f"{where}: redirects more than {_MAX_REDIRECTIONS} times")
 
@@ -167,4 +165,8 @@ def _text(problem: Exception) -> str:
     """What went wrong; no text that the camera sent, and no part of the address."""
     if isinstance(problem, OSError):
         return problem.strerror or str(problem) or type(problem).__name__
+    if isinstance(problem, IncompleteRead):
+        return "the stream broke off"
+    if isinstance(problem, HTTPException):
+        return "what it answers is no HTTP"
     return "invalid address or answer"

@@ -258,7 +258,7 @@ def rows(count: int, seed: int) -> list[tuple[str, str]]:
     out = []
     for fault in dict.fromkeys(faults):
         some = [one for one, other in zip(met, faults, strict=True) if other is fault]
-        texts = {re.sub(r"http://\S+: ", "", one.told) or "pictures came" for one in some}
+        texts = {re.sub(r"http://\S+: ", "", one.told) or _came(one) for one in some}
         longest = max(one.seconds for one in some)
         leaks = sum(map(_leaks, some))
         out.append(
@@ -268,6 +268,10 @@ def rows(count: int, seed: int) -> list[tuple[str, str]]:
             )
         )
     return out
+
+
+def _came(one: Meeting) -> str:
+    return "usable pictures came" if one.usable > 1 else "no usable pictures came"
 
 
 def _leaks(one: Meeting) -> bool:

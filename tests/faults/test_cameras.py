@@ -75,6 +75,8 @@ def test_a_head_without_end_takes_no_memory(met):
         ("redirects to itself", "redirects more than 4 times"),
         ("redirects to a file", "redirects to no address of HTTP"),
         ("503", "answers 503 Service Unavailable"),
+        ("closes at once", "Remote end closed connection without response"),
+        ("no HTTP", "what it answers is no HTTP"),
         ("no answer", "the head of its answer did not come to its end in 0.6 s"),
         ("picture byte by byte", "a picture did not come to its end in 0.6 s"),
         ("huge length", "announces a picture of 100000000000 bytes"),
