@@ -19,6 +19,7 @@ from measure.session.calibration_file import (
     write_own_calibration,
 )
 from measure.session.interchange_opencv import (
+    READ,
     is_opencv,
     read_opencv,
     read_opencv_intrinsics,
@@ -64,6 +65,8 @@ def read_calibration(path: Path | str, unit: Unit | None = None) -> Calibration:
         calibration = read_opencv(path, text, unit)
     elif (values := _toml(text)) is not None and is_foreign_toml(values):
         calibration = read_foreign_toml(path, text, values, unit)
+    elif values is None and path.suffix.lower() != ".toml":
+        raise CalibrationError(f"{path}: not a calibration that is read; {READ}")
     else:
         calibration = read_own_calibration(path)
     check_calibration(calibration, str(path))

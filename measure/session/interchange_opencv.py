@@ -23,8 +23,28 @@ from measure.session.interchange_toml import (
 
 _MATRIX_NAMES = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "K")
 _DISTORTION_NAMES = ("distortion_coefficients", "Distortion_Coefficients", "distCoeffs", "D")
+_PINHOLE_MODELS = (
+    "",
+    "plumb_bob",
+    "rational_polynomial",
+    "radtan",
+    "pinhole",
+    "standard",
+    "opencv",
+)
+"""What programs call the lens model that these files are read by."""
+_MODEL_NAMES = ("distortion_model", "camera_model", "lens_model", "model")
+_FISHEYE_FLAGS = ("fisheye_model", "fisheye", "is_fisheye", "distortion_type")
+"""Where a number other than 0 says that the lens is a fisheye."""
 _ROTATION_NAMES = ("rotation", "R", "rvec")
 _TRANSLATION_NAMES = ("translation", "T", "tvec", "t")
+
+
+READ = (
+    "calibrations are read as this program's TOML, aniposelib's or caliscope's TOML, or OpenCV's "
+    "YAML, XML or JSON with camera_matrix, distortion_coefficients, image_width and image_height"
+)
+"""The end of messages on files of other programs."""
 
 
 def is_opencv(text: str) -> bool:
@@ -45,6 +65,7 @@ def read_opencv(path: Path, text: str, unit: Unit | None) -> Calibration:
         CalibrationError: not such a file, or a camera without matrix, image size or pose.
     """
     storage = _parse(path, text)
+    _refuse_other_model(storage, str(path))
     scale = mm_per(path, storage.getNode("unit").string(), unit)
     cameras = []
     for node, name in _camera_nodes(storage, path):
@@ -78,6 +99,7 @@ def read_opencv_intrinsics(path: Path, text: str) -> dict[str, Intrinsics]:
         CalibrationError: not such a file, or a camera without matrix or image size.
     """
     storage = _parse(path, text)
+    _refuse_other_model(storage, str(path))
     return {name: _intrinsics(node, path, name) for node, name in _camera_nodes(storage, path)}
 
 
@@ -109,7 +131,9 @@ def _parse(path: Path, text: str) -> Any:
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
     except (cv2.error, SystemError) as problem:
         cause = str(problem.__cause__ or problem).strip().splitlines()[-1]
-        raise CalibrationError(f"{path}: not a file OpenCV can read ({cause})") from None
+        raise CalibrationError(
+            f"{path}: not a file OpenCV can read ({cause.rpartition('error: ')[2]}); {READ}"
+        ) from None
     return storage
 
 
@@ -122,7 +146,7 @@ def _camera_nodes(storage: Any, path: Path) -> list[tuple[Any, str]]:
         return [(n, n.getNode("camera_name").string() or f"cam{i}") for i, n in enumerate(found)]
     if _first(storage, _MATRIX_NAMES) is None:
         known = ", ".join(storage.root().keys()) or "nothing"
-        raise CalibrationError(f"{path}: no camera_matrix in it; it holds {known}")
+        raise CalibrationError(f"{path}: no camera_matrix in it; it holds {known}; {READ}")
     return [(storage, storage.getNode("camera_name").string() or path.stem)]
 
 
@@ -138,7 +162,26 @@ def _first(node: Any, names: tuple[str, ...]) -> Floats | None:
     return None
 
 
+def _refuse_other_model(node: Any, place: str) -> None:
+    """Refuse a lens model that the numbers would be misread by."""
+    for key in _MODEL_NAMES:
+        said = node.getNode(key).string()
+        if said.lower() not in _PINHOLE_MODELS:
+            raise CalibrationError(
+                f"{place}: {key} is '{said}': only lenses of OpenCV's plumb_bob and "
+                "rational_polynomial models are read; calibrate with such a lens model"
+            )
+    for key in _FISHEYE_FLAGS:
+        flag = node.getNode(key)
+        if not flag.empty() and (flag.isInt() or flag.isReal()) and flag.real() != 0:
+            raise CalibrationError(
+                f"{place}: {key} is {flag.real():g}, a fisheye lens: only lenses of OpenCV's "
+                "plumb_bob and rational_polynomial models are read; calibrate with such a model"
+            )
+
+
 def _intrinsics(node: Any, path: Path, name: str) -> Intrinsics:
+    _refuse_other_model(node, f"{path}: camera '{name}'")
     matrix = _first(node, _MATRIX_NAMES)
     distortion = _first(node, _DISTORTION_NAMES)
     width, height = node.getNode("image_width"), node.getNode("image_height")

@@ -144,3 +144,28 @@ def test_a_rolling_shutter_that_a_format_cannot_hold_is_said(tmp_path: Path, cap
     assert not caplog.text
     write_calibration(tmp_path / "c.toml", rolling, "caliscope")
     assert "cannot hold the rolling shutter (readout_s) of cam0" in caplog.text
+
+
+@pytest.mark.parametrize("key", ["distortion_model", "fisheye_model"])
+@pytest.mark.parametrize("read", [read_calibration, read_intrinsics])
+def test_a_fisheye_is_not_read_as_another_lens(tmp_path: Path, key: str, read) -> None:
+    """Its four coefficients would be taken for k1 k2 p1 p2: millimetres, without a word."""
+    path = tmp_path / "c.yml"
+    write_calibration(path, Calibration(cameras()), "opencv")
+    value = '"equidistant"' if key == "distortion_model" else "1"
+    text = path.read_text()
+    path.write_text(text.replace("      image_width:", f"      {key}: {value}\n      image_width:"))
+    with pytest.raises(CalibrationError, match=f"{key} is .*: only lenses of OpenCV's plumb_bob"):
+        read(path)
+    known = '      distortion_model: "plumb_bob"\n      image_width:'
+    path.write_text(text.replace("      image_width:", known))
+    assert len(read(path) if read is read_intrinsics else read(path).cameras) == len(cameras())
+
+
+def test_a_file_that_is_not_read_is_answered_with_what_is(shared: Path) -> None:
+    folder = shared / "inputs" / "other_programs_calibrations"
+    if not folder.is_dir():
+        pytest.skip("no calibrations of other programs in ../shared")
+    for path in sorted(folder.iterdir()):
+        with pytest.raises(CalibrationError, match="calibrations are read as"):
+            read_calibration(path)
