@@ -25,6 +25,8 @@ _CONTAINERS = (
     "h264,hevc,m4v,mjpeg,mpegvideo,rawvideo"
 )
 """What is opened. None of these names further files to be opened, as playlists do."""
+_PATIENCE_S = 8.0
+"""Longest search for the next packet: damaged files may promise terabytes."""
 _RAW_CONTAINERS = ("h264", "hevc", "m4v", "mjpeg", "mpeg", "rawvideo")
 """Bare streams without any time; a reader that gives some invents them."""
 
@@ -165,7 +167,10 @@ class VideoReader:
         self._close()
         self._container = _open(self.path, where)
         stream = _video_of(self._container, self.path, where)
-        stream.codec_context.options = {"err_detect": "explode", **_limits()}
+        stream.codec_context.options = {
+            "err_detect": "explode",
+            "max_pixels": f"{most_pixels():.0f}",
+        }
         self._next = 0
         if position > 0 and not self.index.counted:
             self._container.seek(self._key_before(position), stream=stream, backward=True)
@@ -194,18 +199,15 @@ def _open(path: Path, where: str) -> Any:
 
     try:
         return av.open(
-            str(path), options={"format_whitelist": _CONTAINERS}, stream_options=[_limits()]
+            str(path),
+            options={"format_whitelist": _CONTAINERS},
+            timeout=_PATIENCE_S,
         )
     except (av.error.FFmpegError, OSError) as problem:
         raise SessionError(
             f"{where}{path}: not a video that can be read, or its recording was cut off "
             f"({_reason(problem)}): copy it again from where it was recorded, or record it anew"
         ) from None
-
-
-def _limits() -> dict[str, str]:
-    """Settings of a decoder: pictures may state any size in the middle of a stream, too."""
-    return {"max_pixels": str(int(most_pixels()))}
 
 
 def _reason(problem: BaseException) -> str:

@@ -110,6 +110,13 @@ def test_pictures_of_a_video_are_sized_too(tmp_path: Path, monkeypatch: pytest.M
         open_video_stream("c", plain)
 
 
+@pytest.mark.parametrize("name", ["a.ts", "a.mkv", "a.mov", "a.avi", "a.flv", "a.webm"])
+def test_containers_of_every_kind_are_opened(tmp_path: Path, name: str) -> None:
+    codec = {"flv": "flv", "webm": "libvpx"}.get(name[2:], "libx264")
+    write_video(tmp_path / name, codec, frames=6)
+    assert open_video_stream("c", tmp_path / name).size_wh == (64, 48)
+
+
 @pytest.mark.parametrize(
     "text", ["#EXTM3U\n#EXTINF:1,\na.mp4\n#EXT-X-ENDLIST\n", "ffconcat version 1.0\nfile a.mp4\n"]
 )
