@@ -11,6 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from measure.errors import RunError
+from measure.reading import check_ordinary
 from measure.results.files import MEND, GrowingFile, replacing
 
 
@@ -84,11 +85,14 @@ def read_table(folder: Path, name: str, schema: pa.Schema) -> pa.Table:
     if is_missing(folder, name):
         raise RunError(f"{folder} is torn: it has no {name}.parquet: {MEND}")
     try:
+        check_ordinary(where, RunError)
         table = (_whole_batches if where == stream else _whole_table)(where, schema)
         table.validate(full=True)  # texts that are none, lists longer than what they hold
-    except (pa.ArrowException, OSError) as error:
+    except (pa.ArrowException, OSError, RunError) as error:
         if where == stream and not stream.exists():  # it has become a table just now
             return read_table(folder, name, schema)
+        if isinstance(error, RunError):
+            raise
         raise RunError(f"{where}: cannot be read ({error}): {MEND}") from error
     return table
 

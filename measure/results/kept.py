@@ -10,6 +10,7 @@ import pyarrow as pa
 
 from measure.errors import RunError
 from measure.model import Body, Camera
+from measure.reading import check_ordinary
 from measure.results.provenance import Provenance, changed_versions, read_provenance
 from measure.results.stored import read_tables
 from measure.results.tables import SCHEMAS
@@ -79,5 +80,6 @@ def csv_rows(path: Path) -> int:
     """How many whole rows `poses.csv` has; none if it is not there."""
     if not path.exists():
         return 0
+    check_ordinary(path, RunError)
     with path.open("rb") as file:
         return max(sum(line.endswith(b"\n") for line in file) - 1, 0)

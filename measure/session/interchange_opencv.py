@@ -21,6 +21,8 @@ from measure.session.interchange_toml import (
     rotation_matrix,
 )
 
+_SHOWN = 120
+"""Characters of a reason: OpenCV quotes what it could not read."""
 _MATRIX_NAMES = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "K")
 _DISTORTION_NAMES = ("distortion_coefficients", "Distortion_Coefficients", "distCoeffs", "D")
 _PINHOLE_MODELS = (
@@ -131,9 +133,8 @@ def _parse(path: Path, text: str) -> Any:
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
     except (cv2.error, SystemError) as problem:
         cause = str(problem.__cause__ or problem).strip().splitlines()[-1]
-        raise CalibrationError(
-            f"{path}: not a file OpenCV can read ({cause.rpartition('error: ')[2]}); {READ}"
-        ) from None
+        cause = cause.rpartition("error: ")[2][:_SHOWN]
+        raise CalibrationError(f"{path}: not a file OpenCV can read ({cause}); {READ}") from None
     return storage
 
 

@@ -57,6 +57,17 @@ def test_links_in_a_circle_are_not_followed(recording: Recording, capsys) -> Non
     assert main([*run_words(recording)]) == 0
 
 
+@pytest.mark.parametrize("name", ["poses.parquet", "balls.arrows", "run.toml", "body.toml"])
+def test_a_pipe_among_a_runs_files(recording: Recording, name: str, capsys) -> None:
+    assert main([*run_words(recording)]) == 0
+    file = recording.path.with_name("run") / name
+    file.unlink(missing_ok=True)
+    os.mkfifo(file)
+    capsys.readouterr()
+    line = complaint(capsys, "report", file.parent)
+    assert f"{name}: is a pipe, not an ordinary file" in line
+
+
 @pytest.mark.parametrize("command", ["report", "export"])
 @pytest.mark.parametrize("there", [True, False])
 def test_nothing_is_written_through_a_link(

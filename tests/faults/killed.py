@@ -109,7 +109,7 @@ class Process:
     ) -> None:
         self._log = folder.with_name(f"{folder.name}.{time.monotonic_ns()}.log")
         started = (work, args, folder, moment, self._log)
-        self._process = _context().Process(target=_run, args=started)
+        self._process = context().Process(target=_run, args=started)
         self._process.start()
         assert self._process.pid is not None
         self.pid = self._process.pid
@@ -136,10 +136,11 @@ class Process:
         return Ended(self._process.exitcode, self._log.read_text(), done)
 
 
-def _context() -> multiprocessing.context.ForkServerContext:
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["tests.faults.warm"])
-    return context
+def context() -> multiprocessing.context.ForkServerContext:
+    """A fork server that has imported and compiled what commands need."""
+    server = multiprocessing.get_context("forkserver")
+    server.set_forkserver_preload(["tests.faults.warm"])
+    return server
 
 
 def _run(

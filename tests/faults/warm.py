@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import cv2
 
+import measure.calibration
+import measure.checking
+import measure.learning
+import measure.viewing.report.run_report
 from measure.api import load_profile
 from measure.api.warming_up import warm_pipeline
 from measure.cli import main
 from measure.host import Registry
 from measure.simulation.catalogue import webcam_scene
 
-__all__ = ["main"]
+__all__ = ["main", "measure"]
 
 cv2.setNumThreads(1)  # threads do not outlive a fork
 _SCENE = webcam_scene()
