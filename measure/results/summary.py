@@ -34,7 +34,8 @@ class Summary:
         rms_px: likewise the median reprojection error.
         effective: share of frame sets in which a camera saw a ball effectively, by "ball@camera".
         suspended: how often each reason suspended a view.
-        reasons: how often each reason, its numbers left out, kept a frame set from being "ok".
+        reasons: how often each reason, its numbers left out, kept a frame set from being "ok"; and
+            how often a camera of a live run was away.
         notes: what the session left to be known: missing pictures and the like; cameras that
             took part in no pose; ball distances that contradict the body file ("wrong: ..."), and a
             body that another file describes as well ("weak: ...").
