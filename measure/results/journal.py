@@ -114,6 +114,8 @@ def _refuse_missing(wanted: pa.Schema, there: pa.Schema) -> None:
     """Columns that are not there would be read as empty ones."""
     if missing := [name for name in wanted.names if name not in there.names]:
         raise pa.ArrowKeyError(f"no column {', '.join(missing)}")
+    if twice := [name for name in wanted.names if there.names.count(name) > 1]:
+        raise pa.ArrowKeyError(f"column {twice[0]} is there twice")
 
 
 def _whole_batches(path: Path, schema: pa.Schema) -> pa.Table:

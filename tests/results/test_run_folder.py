@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from measurements import BODY, CAMERAS, measurement
+from pyarrow import parquet
 
 from measure.errors import RunError
 from measure.results import Provenance, RunWriter, journal, read_run
@@ -132,3 +133,20 @@ def test_what_is_no_run_is_refused(tmp_path, make, said):
         (tmp_path / "x").mkdir()
     with pytest.raises(RunError, match=said):
         read_run(tmp_path / "x")
+
+
+@pytest.mark.parametrize("stream", [True, False])
+def test_a_table_with_a_column_twice_is_damaged(tmp_path, stream):
+    _write(tmp_path / "run", 2)
+    file = tmp_path / "run/poses.parquet"
+    table = parquet.read_table(file)
+    twice = table.append_column("x_mm", table["x_mm"])
+    if stream:
+        file.unlink()
+        content = file.with_suffix(".arrows").open("wb")
+        with content, pa.ipc.new_stream(content, twice.schema) as out:
+            out.write_table(twice)
+    else:
+        parquet.write_table(twice, file)
+    with pytest.raises(RunError, match=r"cannot be read .*column x_mm is there twice"):
+        read_run(tmp_path / "run")
