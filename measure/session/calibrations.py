@@ -32,6 +32,7 @@ from measure.session.interchange_toml import (
     write_anipose,
     write_caliscope,
 )
+from measure.session.interchange_yaml import read_yaml, read_yaml_intrinsics, yaml_values
 
 _log = logging.getLogger(__name__)
 
@@ -49,7 +50,9 @@ METRES_SPREAD_MM = 3.0
 
 
 def read_calibration(path: Path | str, unit: Unit | None = None) -> Calibration:
-    """Read a calibration: ours, aniposelib's, caliscope's or OpenCV's, told apart by content.
+    """Read a calibration: ours or another program's, told apart by content.
+
+    Of other programs aniposelib's, caliscope's, Kalibr's and OpenCV's.
 
     Args:
         path: the file.
@@ -66,7 +69,10 @@ def read_calibration(path: Path | str, unit: Unit | None = None) -> Calibration:
     elif (values := _toml(text)) is not None and is_foreign_toml(values):
         calibration = read_foreign_toml(path, text, values, unit)
     elif values is None and path.suffix.lower() != ".toml":
-        raise CalibrationError(f"{path}: not a calibration that is read; {READ}")
+        tables = yaml_values(text)
+        if tables is None:
+            raise CalibrationError(f"{path}: not a calibration that is read; {READ}")
+        calibration = read_yaml(path, tables, unit)
     else:
         calibration = read_own_calibration(path)
     check_calibration(calibration, str(path))
@@ -74,7 +80,7 @@ def read_calibration(path: Path | str, unit: Unit | None = None) -> Calibration:
 
 
 def read_intrinsics(path: Path | str) -> dict[str, Intrinsics]:
-    """The lenses alone, by camera name; an OpenCV file needs no poses for that.
+    """The lenses alone, by camera name; files of OpenCV and ROS need no poses for that.
 
     Raises:
         CalibrationError: the file cannot be used.
@@ -82,6 +88,8 @@ def read_intrinsics(path: Path | str) -> dict[str, Intrinsics]:
     text = read_text(path, CalibrationError)
     if is_opencv(text):
         return read_opencv_intrinsics(Path(path), text)
+    if _toml(text) is None and (tables := yaml_values(text)) is not None:
+        return read_yaml_intrinsics(Path(path), tables)
     return {camera.name: camera.intrinsics for camera in read_calibration(path).cameras}
 
 

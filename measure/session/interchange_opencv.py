@@ -20,21 +20,12 @@ from measure.session.interchange_toml import (
     opencv_distortion,
     rotation_matrix,
 )
+from measure.session.interchange_yaml import refuse_model
 
 _SHOWN = 120
 """Characters of a reason: OpenCV quotes what it could not read."""
 _MATRIX_NAMES = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "K")
 _DISTORTION_NAMES = ("distortion_coefficients", "Distortion_Coefficients", "distCoeffs", "D")
-_PINHOLE_MODELS = (
-    "",
-    "plumb_bob",
-    "rational_polynomial",
-    "radtan",
-    "pinhole",
-    "standard",
-    "opencv",
-)
-"""What programs call the lens model that these files are read by."""
 _MODEL_NAMES = ("distortion_model", "camera_model", "lens_model", "model")
 _FISHEYE_FLAGS = ("fisheye_model", "fisheye", "is_fisheye", "distortion_type")
 """Where a number other than 0 says that the lens is a fisheye."""
@@ -43,8 +34,9 @@ _TRANSLATION_NAMES = ("translation", "T", "tvec", "t")
 
 
 READ = (
-    "calibrations are read as this program's TOML, aniposelib's or caliscope's TOML, or OpenCV's "
-    "YAML, XML or JSON with camera_matrix, distortion_coefficients, image_width and image_height"
+    "calibrations are read as this program's TOML, aniposelib's or caliscope's TOML, Kalibr's "
+    "camchain, ROS's camera_info (lenses), or OpenCV's YAML, XML or JSON with camera_matrix, "
+    "distortion_coefficients, image_width and image_height"
 )
 """The end of messages on files of other programs."""
 
@@ -166,12 +158,7 @@ def _first(node: Any, names: tuple[str, ...]) -> Floats | None:
 def _refuse_other_model(node: Any, place: str) -> None:
     """Refuse a lens model that the numbers would be misread by."""
     for key in _MODEL_NAMES:
-        said = node.getNode(key).string()
-        if said.lower() not in _PINHOLE_MODELS:
-            raise CalibrationError(
-                f"{place}: {key} is '{said}': only lenses of OpenCV's plumb_bob and "
-                "rational_polynomial models are read; calibrate with such a lens model"
-            )
+        refuse_model(place, key, node.getNode(key).string())
     for key in _FISHEYE_FLAGS:
         flag = node.getNode(key)
         if not flag.empty() and (flag.isInt() or flag.isReal()) and flag.real() != 0:

@@ -162,6 +162,80 @@ def test_a_fisheye_is_not_read_as_another_lens(tmp_path: Path, key: str, read) -
     assert len(read(path) if read is read_intrinsics else read(path).cameras) == len(cameras())
 
 
+ROS = """
+image_width: 1280
+image_height: 720
+camera_name: left
+camera_matrix: {{rows: 3, cols: 3, data: [1400.0, 0.0, 640.0, 0.0, 1401.0, 360.0, 0.0, 0.0, 1.0]}}
+distortion_model: {model}
+distortion_coefficients: {{rows: 1, cols: 5, data: [0.06, -0.14, -0.0009, 0.0007, 0.05]}}
+"""
+
+
+def test_a_lens_as_ros_writes_it(tmp_path: Path) -> None:
+    path = tmp_path / "left.yaml"
+    path.write_text(ROS.format(model="plumb_bob"))
+    (lens,) = read_intrinsics(path).values()
+    assert lens.size_wh == (1280, 720)
+    np.testing.assert_allclose(lens.matrix, [[1400, 0, 640], [0, 1401, 360], [0, 0, 1]])
+    np.testing.assert_allclose(lens.distortion[:5], [0.06, -0.14, -0.0009, 0.0007, 0.05])
+    with pytest.raises(CalibrationError, match="holds the lens of 'left' but no pose"):
+        read_calibration(path)
+    path.write_text(ROS.format(model="equidistant"))
+    with pytest.raises(CalibrationError, match="'left': distortion_model is 'equidistant'"):
+        read_intrinsics(path)
+
+
+def camchain() -> str:
+    """The rig as Kalibr writes it: each camera from the one before, in metres."""
+    lines, before = [], None
+    for index, camera in enumerate(cameras()):
+        lens, pose = camera.intrinsics, camera.camera_from_world
+        (fx, _, cx), (_, fy, cy), _ = lens.matrix.tolist()
+        lines += [
+            f"cam{index}:",
+            "  camera_model: pinhole",
+            f"  distortion_coeffs: {lens.distortion[:4].tolist()}",
+            "  distortion_model: radtan",
+            f"  intrinsics: [{fx}, {fy}, {cx}, {cy}]",
+            f"  resolution: {list(lens.size_wh)}",
+        ]
+        if before is not None:
+            step = (pose @ before.inverse()).matrix
+            step[:3, 3] /= 1000
+            lines += ["  T_cn_cnm1:", *(f"  - {row}" for row in step.tolist())]
+        before = pose
+    return "\n".join(lines)
+
+
+def test_a_rig_as_kalibr_writes_it(tmp_path: Path) -> None:
+    (tmp_path / "camchain.yaml").write_text(camchain())
+    found, true = read_calibration(tmp_path / "camchain.yaml").cameras, cameras()
+    assert [camera.name for camera in found] == ["cam0", "cam1", "cam2", "cam3"]
+    for one, other in zip(found, true, strict=True):
+        placed = true[0].camera_from_world @ other.world_from_camera
+        assert np.abs(one.world_from_camera.difference(placed)).max() < 1e-6
+        np.testing.assert_allclose(one.intrinsics.matrix, other.intrinsics.matrix)
+    broken = camchain().replace("radtan", "equidistant", 1)
+    (tmp_path / "camchain.yaml").write_text(broken)
+    with pytest.raises(CalibrationError, match="'cam0': distortion_model is 'equidistant'"):
+        read_calibration(tmp_path / "camchain.yaml")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("resolution: [", "resolution: [0, ", "'cam0': its picture size is no two whole numbers"),
+        ("intrinsics: [", "intrinsics: [.nan, ", "'cam0': intrinsics is no list of 4 finite"),
+        ("  - [", "  - [x, ", "'cam1': T_cn_cnm1 is no list of 16 finite numbers"),
+    ],
+)
+def test_a_slip_in_a_camchain(tmp_path: Path, old: str, new: str, said: str) -> None:
+    (tmp_path / "camchain.yaml").write_text(camchain().replace(old, new, 1))
+    with pytest.raises(CalibrationError, match=said):
+        read_calibration(tmp_path / "camchain.yaml")
+
+
 def test_a_file_that_is_not_read_is_answered_with_what_is(shared: Path) -> None:
     folder = shared / "inputs" / "other_programs_calibrations"
     if not folder.is_dir():
