@@ -59,10 +59,9 @@ def test_no_frame_set_of_a_sharpened_recording_is_lost(shared, tmp_path, without
     assert status is not Status.OK or position_mm > 0.15
 
 
-@pytest.mark.parametrize("name", ["still", "clutter"])
-def test_a_mild_bend_is_estimated_better_by_all_cameras(shared, tmp_path, monkeypatch, name):
+def test_a_mild_bend_is_estimated_better_by_all_cameras(shared, tmp_path, monkeypatch):
     folder = tmp_path / "contrast"
-    altered_copy(shared / "renders" / name, folder, "contrast")
+    altered_copy(shared / "renders" / "still", folder, "contrast")
     together = [position_mm for _, position_mm, _ in first_errors(folder, 6)]
     monkeypatch.setattr(OutlineDetector, "fuse_calibration", lambda *_: None)
     alone = [position_mm for _, position_mm, _ in first_errors(folder, 6)]

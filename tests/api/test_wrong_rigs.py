@@ -103,7 +103,7 @@ def test_a_wrong_rig_is_named(still: Path, tmp_path: Path, name: str) -> None:
     with open_session(still) as session:
         cameras = rig.wrong(session.cameras, rig.amount)
     write(tmp_path / "c.toml", Calibration(tuple(cameras)))
-    found = api.check(still, Registry.discover(), calibration=tmp_path / "c.toml", samples=6)
+    found = api.check(still, Registry.discover(), calibration=tmp_path / "c.toml", samples=4)
     said = [f.text for f in found.findings if f.level is rig.level and re.search(rig.said, f.text)]
     assert said, found.findings
     assert not any(f.topic == "clock" for f in found.findings), found.findings
@@ -116,7 +116,7 @@ def test_a_wrong_rig_is_named(still: Path, tmp_path: Path, name: str) -> None:
 
 
 def test_a_right_rig_has_nothing_wrong(still: Path) -> None:
-    found = api.check(still, Registry.discover(), samples=6)
+    found = api.check(still, Registry.discover(), samples=4)
     assert [f.text for f in found.findings if f.level is Level.WRONG] == []
     assert [f.text for f in found.findings if f.topic in ("calibration", "clock")] == []
     assert abs(found.scale - 1) < 2 * found.scale_sd < 0.002

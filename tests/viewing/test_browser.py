@@ -61,8 +61,9 @@ def page(browser: Chromium) -> Chromium:
     return browser
 
 
-@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
-@pytest.mark.parametrize("width", [1600, 390])
+@pytest.mark.parametrize(
+    ("width", "dark"), [(1600, False), (390, True)], ids=["1600-light", "390-dark"]
+)
 def test_the_report_draws_every_figure_and_fetches_nothing(
     run: Path, page: Chromium, width: int, dark: bool
 ):
