@@ -20,6 +20,8 @@ from measure.session.toml_text import dump_toml
 
 Unit = Literal["mm", "cm", "m"]
 MM_PER: dict[str, float] = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
+_MAX_ROTATION_RAD = 100.0
+"""Of a component of a rotation vector: a few turns."""
 
 
 class ForeignCamera(BaseModel):
@@ -148,6 +150,10 @@ def rotation_matrix(rotation: Floats) -> Floats:
         CalibrationError: the matrix is no rotation.
     """
     if rotation.size == 3:
+        if np.max(np.abs(rotation)) > _MAX_ROTATION_RAD:
+            raise CalibrationError(
+                f"its rotation vector of {np.max(np.abs(rotation)):.3g} is none: is it in rad?"
+            )
         return RigidTransform.from_rotvec(rotation.reshape(3)).rotation
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
         raise CalibrationError(

@@ -236,6 +236,17 @@ def test_a_slip_in_a_camchain(tmp_path: Path, old: str, new: str, said: str) -> 
         read_calibration(tmp_path / "camchain.yaml")
 
 
+@pytest.mark.parametrize("angle", ["1e300", "180.0"])
+def test_a_rotation_vector_beyond_reason(tmp_path: Path, angle: str) -> None:
+    write_calibration(tmp_path / "c.toml", Calibration(cameras()), "anipose")
+    lines = (tmp_path / "c.toml").read_text().splitlines()
+    at = next(k for k, line in enumerate(lines) if line.startswith("rotation"))
+    lines[at] = f"rotation = [0.1, {angle}, 0.2]"
+    (tmp_path / "c.toml").write_text("\n".join(lines))
+    with pytest.raises(CalibrationError, match=r"rotation vector of .* is none: is it in rad"):
+        read_calibration(tmp_path / "c.toml")
+
+
 def test_a_file_that_is_not_read_is_answered_with_what_is(shared: Path) -> None:
     folder = shared / "inputs" / "other_programs_calibrations"
     if not folder.is_dir():
