@@ -13,6 +13,7 @@ from measure.api.correcting import (
     shipped_model,
 )
 from measure.api.demo import Demo, demo, render_demo
+from measure.api.detecting import Lens, SeenPicture, detect, parse_expectation
 from measure.api.live import LiveEnd, LiveState, live
 from measure.api.live_outputs import LiveOptions
 from measure.api.many import Outcome, run_many
@@ -39,6 +40,7 @@ __all__ = [
     "CalibrationResult",
     "CaptureRequest",
     "Demo",
+    "Lens",
     "LiveEnd",
     "LiveOptions",
     "LiveState",
@@ -46,6 +48,7 @@ __all__ = [
     "RecordedSession",
     "RefineResult",
     "RunOptions",
+    "SeenPicture",
     "SessionCheck",
     "SweepOptions",
     "TrainOptions",
@@ -57,6 +60,7 @@ __all__ = [
     "choose",
     "correct_simulated_robot",
     "demo",
+    "detect",
     "draw_target",
     "estimate_file",
     "estimate_online",
@@ -68,6 +72,7 @@ __all__ = [
     "make_dataset",
     "measure_session",
     "parse_cameras",
+    "parse_expectation",
     "parse_images",
     "parse_receiver",
     "parse_settings",

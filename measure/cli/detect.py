@@ -13,7 +13,7 @@ from measure.cli.console import JsonFlag
 from measure.cli.options import InjectedRegistry, SettingTexts
 
 if TYPE_CHECKING:
-    from measure.api.detecting import SeenPicture
+    from measure.api import SeenPicture
 
 
 def detect(
@@ -48,7 +48,6 @@ def detect(
         out: folder for copies of the pictures with the balls drawn in.
     """
     from measure import api
-    from measure.api.detecting import Lens, detect, parse_expectation
     from measure.errors import ConfigError
     from measure.session import read_body
 
@@ -56,13 +55,13 @@ def detect(
         raise ConfigError("no picture is given: measure detect PICTURE... --body BODY.toml")
     chosen = api.choose(api.load_profile(profile), {"detector": detector}, set_)
     with console.progress("looking", "pictures") as report:
-        seen = detect(
+        seen = api.detect(
             pictures,
             registry,
             chosen,
             read_body(body),
-            Lens(calibration, camera, focal_px),
-            [parse_expectation(text) for text in expect],
+            api.Lens(calibration, camera, focal_px),
+            [api.parse_expectation(text) for text in expect],
             out,
             report,
         )

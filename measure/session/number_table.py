@@ -79,17 +79,11 @@ def read_number_table(
     texts: dict[str, list[str]] = {name: [] for name in words}
     for line, row in numbered:
         if any(cell.strip() for cell in row):
-            place = f"{prefix}{path}:{line}"
-            if any(cell.strip() for cell in row[len(header) :]):
-                raise error(
-                    f"{place}: {len(row)} cells under {len(header)} headings"
-                    f"{_alike(numbered, len(header))}: are decimal commas "
-                    "among them? Write points, and a heading for every column"
-                )
             try:
                 rows.append(reader.numbers(row))
-            except _BadCellError as bad:
-                raise error(f"{place}: {bad}") from None
+            except _BadRowError as bad:
+                more = _alike(numbered, len(header)) if bad.too_long else ""
+                raise error(f"{prefix}{path}:{line}: {bad}{more}") from None
             lines.append(line)
             for name in words:
                 texts[name].append(_cell(row, header.index(name)))
@@ -116,9 +110,10 @@ def _stamp_columns(header: list[str]) -> tuple[int, int] | None:
 
 
 def _alike(rest: Iterator[tuple[int, list[str]]], cells: int) -> str:
-    """How many of the rows that follow are too long as well, in words."""
+    """What a row with too many cells means, and how many that follow are like it."""
     count = sum(any(cell.strip() for cell in row[cells:]) for _, row in rest)
-    return f" (and {count} rows more like it)" if count else ""
+    like = f" (and {count} rows more like it)" if count else ""
+    return f"{like}: are decimal commas among them? Write points, and a heading for every column"
 
 
 def _numbered_rows(
@@ -135,8 +130,12 @@ def _numbered_rows(
         ) from None
 
 
-class _BadCellError(ValueError):
-    """A cell that is no number; the message says which."""
+class _BadRowError(ValueError):
+    """A cell that is no number, or more cells than headings; the message says which."""
+
+    def __init__(self, message: str, *, too_long: bool = False) -> None:
+        super().__init__(message)
+        self.too_long = too_long
 
 
 @dataclass(frozen=True)
@@ -150,6 +149,9 @@ class _RowReader:
     empty_is_nan: bool
 
     def numbers(self, row: list[str]) -> list[float]:
+        headings = len(self.header)
+        if any(cell.strip() for cell in row[headings:]):
+            raise _BadRowError(f"{len(row)} cells under {headings} headings", too_long=True)
         return [self._value(row, name) for name in self.needed]
 
     def _value(self, row: list[str], name: str) -> float:
@@ -171,7 +173,7 @@ class _RowReader:
         except ValueError:
             if name == TIME and (time_s := _iso_seconds(cell)) is not None:
                 return time_s
-            raise _BadCellError(f"{name} is {cell!r}, not a number") from None
+            raise _BadRowError(f"{name} is {cell!r}, not a number") from None
 
 
 def _iso_seconds(cell: str) -> float | None:
