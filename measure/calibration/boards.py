@@ -66,11 +66,22 @@ class Board(Protocol):
         """All corners (n, 3) in mm."""
 
     @property
-    def symmetric(self) -> bool:
-        """Whether the pattern looks the same after half a turn, so that its origin is ambiguous."""
+    def turns(self) -> tuple[Ints, ...]:
+        """Renumberings (n,) of the corners by turns that leave the pattern as it was.
+
+        The first is none at all. Where there are more a picture cannot tell which corner is which.
+        """
 
     def find(self, gray: Bytes, source: str = "") -> Corners | None:
         """The corners in a grey picture (h, w), or None where there is no board."""
+
+
+def same_after(board: Board) -> str:
+    """After which turn a board with several of them looks the same."""
+    columns, rows = np.ptp(board.points[:, :2], axis=0) / np.abs(np.diff(board.points[:2, 0])) + 1
+    name = f"the board of {columns:.0f}x{rows:.0f} inner corners"
+    turn = "half a turn" if len(board.turns) == 2 else "a quarter turn"
+    return f"{name} looks the same after {turn}"
 
 
 def _grid(inner_corners: tuple[int, int], square_mm: float) -> Floats:
@@ -100,9 +111,14 @@ class Chessboard:
         return _grid(self.inner_corners, self.square_mm)
 
     @property
-    def symmetric(self) -> bool:
-        """Whether half a turn leaves the pattern as it was."""
-        return (self.inner_corners[0] + self.inner_corners[1]) % 2 == 0
+    def turns(self) -> tuple[Ints, ...]:
+        """Renumberings (n,) of the corners by turns that leave the pattern as it was."""
+        columns, rows = self.inner_corners
+        numbers = np.arange(columns * rows).reshape(rows, columns)
+        if (columns + rows) % 2:
+            return (numbers.ravel(),)
+        quarters = range(4) if columns == rows and rows % 2 == 0 else (0, 2)
+        return tuple(np.rot90(numbers, quarter).ravel() for quarter in quarters)
 
     def find(self, gray: Bytes, source: str = "") -> Corners | None:
         """The corners in a grey picture (h, w), or None where there is no board."""
@@ -123,9 +139,10 @@ class Chessboard:
         along, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
         if along[0] * down[1] - along[1] * down[0] < 0:  # x to the right, y down: never mirrored
             grid = grid[:, ::-1]
-        half_turn = grid[::-1, ::-1]
-        if not self.symmetric and _outer_level(half_turn, gray) < _outer_level(grid, gray):
-            grid = half_turn
+        quarters = range(4) if columns == rows else (0, 2)
+        if len(self.turns) < len(quarters):
+            turned = [np.rot90(grid, quarter) for quarter in quarters]
+            grid = min(turned, key=lambda corners: _outer_level(corners, gray))
         return np.ascontiguousarray(grid.reshape(-1, 2))
 
 
@@ -181,9 +198,9 @@ class Charuco:
         return np.asarray(self.pattern.getChessboardCorners(), dtype=np.float64).reshape(-1, 3)
 
     @property
-    def symmetric(self) -> bool:
-        """Never: the markers carry numbers."""
-        return False
+    def turns(self) -> tuple[Ints, ...]:
+        """None but none at all: the markers carry numbers."""
+        return (np.arange(len(self.points)),)
 
     def find(self, gray: Bytes, source: str = "") -> Corners | None:
         """The corners in a grey picture (h, w), or None where there is no board."""

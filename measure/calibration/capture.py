@@ -61,6 +61,7 @@ class CaptureCameraTable(FileModel):
     board_image: Name | None = None
     board_quat_wxyz: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat] | None = None
     board_translation_mm: Position | None = None
+    board_origin_px: tuple[FiniteFloat, FiniteFloat] | None = None
     marker_image: Name | None = None
 
     @model_validator(mode="after")
@@ -97,6 +98,7 @@ class CameraCapture:
         known: its lens, if that is given.
         board_image: picture of the board of known pose.
         world_from_board: that pose.
+        board_origin_px: where about its origin appears, if that is given.
         marker_image: picture of the markers.
         marks: hand marks, by marker name (2,) px.
     """
@@ -107,6 +109,7 @@ class CameraCapture:
     known: Intrinsics | None
     board_image: Path | None
     world_from_board: RigidTransform | None
+    board_origin_px: tuple[float, float] | None
     marker_image: Path | None
     marks: dict[str, Floats] = field(default_factory=dict)
 
@@ -229,6 +232,7 @@ def _camera(folder: Path, table: CaptureCameraTable, marks: dict[str, Floats]) -
         known,
         None if table.board_image is None else folder / table.board_image,
         pose,
+        table.board_origin_px,
         None if table.marker_image is None else folder / table.marker_image,
         marks,
     )

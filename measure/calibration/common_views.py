@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from measure.arrays import Floats, Ints, rms_length
-from measure.calibration.boards import Corners
+from measure.calibration.boards import Board, Corners, same_after
 from measure.calibration.intrinsics import LensCalibration
 from measure.calibration.least_squares import Group, Huber, LeastSquaresSolution, Linearised, solve
 from measure.calibration.lens import changed, stack, with_covariance
@@ -20,6 +20,12 @@ from measure.model import Camera
 
 _HUBER_REACH = 4.0
 _MIN_COMMON = 3
+_SAME_SHARE, _CLEAR_RATIO, _OTHER_RAD = 0.02, 3.0, 0.5
+"""Views agree about a camera's pose if they differ by no more than this share of the board's
+diagonal, and alone about it if they differ so much more about any pose that is so far from it."""
+_APART_SHARE = 0.1
+"""Views that disagree by more were not taken together."""
+_NOT_TOGETHER = "do pictures (video frames) of one number show one instant?"
 _ONE_INSTANT_PX = 3.0
 """Cameras that miss common views by more than this did not take them together."""
 
@@ -31,27 +37,29 @@ class _CommonViewsState:
 
 
 def fit_common_views(
-    points: Floats, lenses: Mapping[str, LensCalibration]
+    board: Board, lenses: Mapping[str, LensCalibration]
 ) -> tuple[tuple[Camera, ...], Floats]:
     """Fit all cameras, lenses included, with the first camera as the world.
 
     Pictures of one instant carry the same number in their names, or are frames of that number.
 
     Args:
-        points: (k, 3) the board's corners, mm.
+        board: whose views these are.
         lenses: each camera's lens and views.
 
     Returns:
         The cameras, and the board's corners in the world at all instants (n, 3) mm.
 
     Raises:
-        CalibrationError: a camera shares fewer than three views with those already placed, or its
-            pictures contradict the others'.
+        CalibrationError: a camera shares fewer than three views with those already placed, its
+            pictures contradict the others', or the board looks the same after a turn and the views
+            do not tell which it is.
     """
     views = {
         name: {_instant(v.source): v for v in lens.views.views} for name, lens in lenses.items()
     }
-    cameras, boards = _start(points, lenses, views)
+    points = board.points
+    cameras, boards = _start(board, lenses, views)
     instants = sorted(boards)
     sds = {name: lens.fit.sd_px for name, lens in lenses.items()}
     free = {name: np.array(lens.model.free, dtype=np.int64) for name, lens in lenses.items()}
@@ -72,7 +80,7 @@ def _check_instants(cameras: tuple[Camera, ...], lenses: Mapping[str, LensCalibr
     if missed_px > alone_px + _ONE_INSTANT_PX:
         raise CalibrationError(
             f"camera {worst.name}: misses the common views by {missed_px:.1f} px, by itself by "
-            f"{alone_px:.1f} px: do pictures (video frames) of one number show one instant?"
+            f"{alone_px:.1f} px: {_NOT_TOGETHER}"
         )
 
 
@@ -85,11 +93,14 @@ def _instant(source: str) -> int:
 
 
 def _start(
-    points: Floats,
+    board: Board,
     lenses: Mapping[str, LensCalibration],
-    views: Mapping[str, Mapping[int, Corners]],
+    views: Mapping[str, dict[int, Corners]],
 ) -> tuple[tuple[Camera, ...], dict[int, RigidTransform]]:
-    """Camera after camera, by the board poses it shares with those placed before."""
+    """Camera after camera, by the board poses it shares with those placed before.
+
+    Views of a board that looks the same after a turn are renumbered to agree with those before.
+    """
     placed: dict[str, Camera] = {}
     boards: dict[int, RigidTransform] = {}
     waiting = list(lenses)
@@ -98,8 +109,8 @@ def _start(
         if not placed:
             name = waiting[0]
         waiting.remove(name)
-        lens = lenses[name].intrinsics
-        from_board = {i: board_pose(lens, points[v.ids], v.pixels) for i, v in views[name].items()}
+        lens, mine = lenses[name].intrinsics, views[name]
+        from_board = {i: board_pose(lens, board.points[v.ids], v.pixels) for i, v in mine.items()}
         common = sorted(from_board.keys() & boards.keys())
         if placed and len(common) < _MIN_COMMON:
             raise CalibrationError(
@@ -108,14 +119,62 @@ def _start(
             )
         pose = RigidTransform.identity()
         if placed:
-            guesses = stack([boards[i] @ from_board[i].inverse() for i in common])
-            distance = np.linalg.norm(
-                guesses.translation - np.median(guesses.translation, axis=0), axis=1
-            )
-            pose = guesses[int(np.argmin(distance))]
+            pairs = [(boards[i], from_board[i]) for i in common]
+            pose, turned = _agreed_pose(board, pairs, name)
+            for instant, turn in zip(common, turned, strict=True):
+                ids = board.turns[turn][mine[instant].ids]
+                mine[instant] = replace(mine[instant], ids=ids)
         placed[name] = Camera(name, lens, pose)
         boards |= {i: pose @ p for i, p in from_board.items() if i not in boards}
     return tuple(placed[name] for name in lenses), boards
+
+
+def _agreed_pose(
+    board: Board, pairs: list[tuple[RigidTransform, RigidTransform]], name: str
+) -> tuple[RigidTransform, Ints]:
+    """The pose of a camera on which most of its views agree, and each view's number of turns.
+
+    Args:
+        board: seen at several instants.
+        pairs: of each instant, world_from_board as known and camera_from_board as seen here.
+        name: of the camera.
+
+    Raises:
+        CalibrationError: they agree on none, or on another pose as well.
+    """
+    turns = [_turned(board.points, turn) for turn in board.turns]
+    guesses = stack([known @ t @ seen.inverse() for known, seen in pairs for t in turns])
+    here = np.stack([seen.apply(board.points) for _, seen in pairs])
+    there = np.stack([[(known @ t).apply(board.points) for t in turns] for known, _ in pairs])
+    placed = np.einsum("gab,fnb->gfna", guesses.rotation, here)
+    placed = placed + guesses.translation[:, None, None]
+    apart = np.linalg.norm(placed[:, :, None] - there, axis=-1).mean(axis=-1)
+    misfit = np.median(apart.min(axis=2), axis=1)
+    best = int(np.argmin(misfit))
+    cosine = (np.einsum("gab,ab->g", guesses.rotation, guesses.rotation[best]) - 1) / 2
+    other = np.min(misfit[cosine < np.cos(_OTHER_RAD)], initial=np.inf)
+    diagonal = float(np.linalg.norm(np.ptp(board.points, axis=0)))
+    if misfit[best] > _APART_SHARE * diagonal:
+        raise CalibrationError(
+            f"camera {name}: sees the board {misfit[best]:.0f} mm from where the others see it: "
+            f"{_NOT_TOGETHER}"
+        )
+    if len(turns) > 1 and other < max(_SAME_SHARE * diagonal, _CLEAR_RATIO * misfit[best]):
+        raise CalibrationError(
+            f"camera {name}: {same_after(board)}, and the common views fit two poses of the "
+            "camera: tilt the board to other sides between pictures, or use one with an odd and an "
+            "even number of inner corners, or a ChArUco board"
+        )
+    return guesses[best], np.argmin(apart[best], axis=1)
+
+
+def _turned(points: Floats, turn: Ints) -> RigidTransform:
+    """The turn of a flat board about its middle that takes each corner to where another was."""
+    middle = points.mean(axis=0)
+    (x, y, _), (u, v, _) = points[0] - middle, points[turn[0]] - middle
+    angle = np.arctan2(x * v - y * u, x * u + y * v)
+    turned = RigidTransform.from_rotvec(np.array([0.0, 0.0, angle]))
+    return RigidTransform(turned.rotation, middle - turned.rotation @ middle)
 
 
 @dataclass(frozen=True, eq=False)

@@ -75,12 +75,14 @@ class Sheet:
         paper: its name, "A4" and so on, or "" if none fits.
         origin_mm: where the target's own origin came to lie.
         shapes: what is drawn.
+        note: what to know before it is used, or "".
     """
 
     size_mm: tuple[float, float]
     paper: str
     origin_mm: tuple[float, float]
     shapes: tuple[Shape, ...] = field(default=())
+    note: str = ""
 
 
 def lay_out(

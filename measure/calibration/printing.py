@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from measure.calibration.boards import Charuco, Chessboard
+from measure.calibration.boards import Charuco, Chessboard, same_after
 from measure.calibration.drawing import Disc, Label, Rectangle, Segment, Shape, Sheet, lay_out
 from measure.calibration.targets import (
     CharucoFile,
@@ -61,7 +62,14 @@ def chessboard_sheet(board: Chessboard, name: str) -> Sheet:
         if (x + y) % 2 == 0
     ]
     text = f"{name}: {board.inner_corners[0]} x {board.inner_corners[1]} inner corners, {side:g} mm"
-    return lay_out(shapes, (columns * side, rows * side), (side, side), text)
+    note = ""
+    if len(board.turns) > 1:
+        note = (
+            f"{same_after(board)}: no picture shows which corner is its origin; take one with an "
+            "odd and an even number of inner corners, or a ChArUco board"
+        )
+    sheet = lay_out(shapes, (columns * side, rows * side), (side, side), text)
+    return replace(sheet, note=note)
 
 
 def charuco_sheet(board: Charuco, name: str) -> Sheet:

@@ -31,6 +31,7 @@ from measure.calibration.starts import (
 )
 from measure.calibration.targets import MarkerField
 from measure.calibration.tolerance import DEFAULT_COMMON_PX, fit_rig_with_boards, held_within
+from measure.calibration.turned_boards import oriented_board
 from measure.calibration.views import ALL_VIEWS, MAX_VIEWS, find_views
 from measure.checking import Finding
 from measure.errors import CalibrationError
@@ -119,7 +120,7 @@ def _relative(capture: Capture, lenses: dict[str, LensCalibration]) -> RigCalibr
             f"{capture.path}: common_views needs pictures of the board for every camera"
             + (f" (none for {', '.join(missing)})" if missing else "")
         )
-    cameras, around = fit_common_views(capture.board.points, lenses)
+    cameras, around = fit_common_views(capture.board, lenses)
     return RigCalibration(
         cameras,
         "joint",
@@ -211,7 +212,9 @@ def _boards_of(
             rule: CornerRule = "pattern"
             if camera.name in lenses:
                 rule = lenses[camera.name].corner_rule
-            seen[camera.name] = _see_board(camera, known[camera.name], capture.board, rule)
+            lens, board = known[camera.name], capture.board
+            found = _see_board(camera, lens, board, rule)
+            seen[camera.name] = oriented_board(camera, lens, board, found, capture)
     return seen
 
 

@@ -30,7 +30,12 @@ def target(
     sheet, written = draw_target(target_file, output)
     width, height = sheet.size_mm
     if json:
-        console.print_json({"output": written, "paper": sheet.paper, "size_mm": [width, height]})
+        size = [width, height]
+        console.print_json(
+            {"output": written, "paper": sheet.paper, "size_mm": size, "note": sheet.note}
+        )
         return
     paper = sheet.paper or "no standard paper"
     console.print_text(f"wrote {written}: {width:.0f} x {height:.0f} mm ({paper}), print at 100 %")
+    if sheet.note:
+        console.print_text(f"note: {sheet.note}")
