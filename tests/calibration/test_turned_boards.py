@@ -109,7 +109,7 @@ def test_a_board_of_known_pose_lies_where_the_marks_agree(corners: tuple[int, in
 @pytest.mark.parametrize(("corners", "ways"), [((7, 5), 2), ((6, 6), 4), ((5, 5), 2), ((6, 5), 1)])
 def test_pictures_that_look_the_same_have_as_many_turns(corners, ways: int) -> None:
     columns, rows = corners
-    squares = (np.add.outer(np.arange(rows + 1), np.arange(columns + 1)) % 2 * 215 + 20)
+    squares = np.add.outer(np.arange(rows + 1), np.arange(columns + 1)) % 2 * 215 + 20
     picture = cv2.copyMakeBorder(
         np.kron(squares, np.ones((30, 30))).astype(np.uint8), 30, 30, 30, 30, 0, value=235
     )
