@@ -1,7 +1,7 @@
 """Bodies, cameras, and what was seen: detections, positions of balls, and poses."""
 
 from measure.model.body import Ball, Body, paper_body
-from measure.model.camera import Camera, Intrinsics
+from measure.model.camera import Camera, Intrinsics, Projection
 from measure.model.color import BallColor, ColorRange, ConvertedImage
 from measure.model.frames import FrameSet, Image
 from measure.model.motion import Motion
@@ -32,6 +32,7 @@ __all__ = [
     "Intrinsics",
     "Motion",
     "Pose",
+    "Projection",
     "Reason",
     "Rig",
     "RigRows",

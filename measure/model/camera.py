@@ -1,17 +1,21 @@
-"""The camera: OpenCV's pinhole with distortion, standing somewhere in the world."""
+"""The camera: OpenCV's pinhole with distortion or its fisheye, standing somewhere in the world."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from measure.arrays import Bools, Floats, floats
 from measure.geometry import Cone, Rays, RigidTransform, UncertainTransform, skew, tangent_cone
-from measure.model.distortion import distort, distort_with_jacobians, fold_radius, undistort
+from measure.model import distortion, fisheye
 
+Projection = Literal["pinhole", "fisheye"]
+_MODELS = {"pinhole": distortion, "fisheye": fisheye}
 MIN_DEPTH_MM = 1e-6
 """Points nearer to the camera's plane than this, or behind it, have no image."""
 
@@ -24,20 +28,21 @@ class Intrinsics:
         size_wh: image width and height in px.
         matrix: (3, 3) camera matrix [[fx, skew, cx], [0, fy, cy], [0, 0, 1]] in px, pixel centres
             at integers.
-        distortion: (8,) k1 k2 p1 p2 k3 k4 k5 k6; shorter OpenCV vectors (0, 4, 5 or 8) are filled
-            with zeros.
+        distortion: (8,) k1 k2 p1 p2 k3 k4 k5 k6, or of a fisheye k1 k2 k3 k4 and four zeros;
+            shorter OpenCV vectors (0, 4 or 5) are filled with zeros.
         covariance: (12, 12) of fx fy cx cy and the eight coefficients, or None if unknown.
+        model: the lens model.
     """
 
     size_wh: tuple[int, int]
     matrix: Floats
     distortion: Floats = field(default_factory=lambda: np.zeros(8))
     covariance: Floats | None = None
+    model: Projection = "pinhole"
 
     def __post_init__(self) -> None:
         given = np.asarray(self.distortion, dtype=np.float64).reshape(-1)
-        if given.size not in (0, 4, 5, 8):
-            raise ValueError(f"distortion: expected 0, 4, 5 or 8 coefficients, got {given.size}")
+        check_coefficients(given, self.model)
         object.__setattr__(self, "distortion", np.pad(given, (0, 8 - given.size)))
         object.__setattr__(self, "matrix", floats("matrix", self.matrix, 3, 3))
         if self.covariance is not None:
@@ -48,16 +53,23 @@ class Intrinsics:
         """Mean focal length in px."""
         return float((self.matrix[0, 0] + self.matrix[1, 1]) / 2)
 
+    @property
+    def coefficients(self) -> Floats:
+        """The distortion's coefficients that the model has: (8,), of a fisheye (4,)."""
+        return self.distortion[:4] if self.model == "fisheye" else self.distortion
+
     @cached_property
     def row(self) -> Floats:
-        """Fx skew cx fy cy k1 k2 p1 p2 k3 k4 k5 k6 as (13,), for compiled loops."""
+        """Matrix, distortion, widest angle of a fisheye: (14,) for compiled loops, see `lens`."""
         k = self.matrix
-        return np.concatenate([[k[0, 0], k[0, 1], k[0, 2], k[1, 1], k[1, 2]], self.distortion])
+        affine = k[0, 0], k[0, 1], k[0, 2], k[1, 1], k[1, 2]
+        widest = np.arctan(self.reach) if self.model == "fisheye" else 0.0
+        return np.concatenate([affine, self.distortion, [widest]])
 
     @cached_property
     def reach(self) -> float:
-        """Ideal (undistorted, normalised) radius beyond which the lens model folds back."""
-        return fold_radius(self.distortion)
+        """Ideal (undistorted, normalised) radius beyond which the lens model sees nothing."""
+        return _MODELS[self.model].fold_radius(self.distortion)
 
     def project(self, points_camera: ArrayLike) -> Floats:
         """Pixels (n, 2) of points (n, 3) in the camera frame.
@@ -65,7 +77,7 @@ class Intrinsics:
         NaN for points not in front of it, or so far aside that the lens model folds.
         """
         ideal, _ = self._ideal(floats("points_camera", points_camera, "n", 3))
-        bent, _ = distort(ideal, self.distortion)
+        bent, _ = _MODELS[self.model].distort(ideal, self.distortion)
         return bent @ self.matrix[:2, :2].T + self.matrix[:2, 2]
 
     def _ideal(self, p: Floats) -> tuple[Floats, Floats]:
@@ -87,7 +99,8 @@ class Intrinsics:
         """
         p = floats("points_camera", points_camera, "n", 3)
         ideal, depth = self._ideal(p)
-        bent, by_ideal, by_coefficient = distort_with_jacobians(ideal, self.distortion)
+        lens = _MODELS[self.model]
+        bent, by_ideal, by_coefficient = lens.distort_with_jacobians(ideal, self.distortion)
         affine, centre = self.matrix[:2, :2], self.matrix[:2, 2]
         ideal_by_point = np.zeros((len(p), 2, 3))
         ideal_by_point[:, 0, 0] = ideal_by_point[:, 1, 1] = 1 / depth
@@ -106,7 +119,7 @@ class Intrinsics:
         uv = floats("pixels", pixels, "n", 2)
         affine = np.linalg.inv(self.matrix[:2, :2])
         bent: Floats = (uv - self.matrix[:2, 2]) @ affine.T
-        ideal = undistort(bent, self.distortion, self.reach)
+        ideal = _MODELS[self.model].undistort(bent, self.distortion, self.reach)
         rays = np.column_stack([ideal, np.ones(len(ideal))])
         return rays / np.linalg.norm(rays, axis=1, keepdims=True)
 
@@ -119,6 +132,19 @@ class Intrinsics:
         upper = np.asarray(self.size_wh) - 1 - margin_px
         with np.errstate(invalid="ignore"):
             return np.all((pixels >= margin_px) & (pixels <= upper), axis=-1)
+
+
+def check_coefficients(distortion: Sequence[float] | Floats, model: Projection) -> None:
+    """Refuse distortion coefficients that a lens model does not have.
+
+    Raises:
+        ValueError: with their number.
+    """
+    given = len(distortion)
+    if given not in (0, 4, 5, 8):
+        raise ValueError(f"distortion: expected 0, 4, 5 or 8 coefficients, got {given}")
+    if model == "fisheye" and np.any(distortion[4:]):
+        raise ValueError(f"distortion of a fisheye: expected 0 or 4 coefficients, got {given}")
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,36 +1,148 @@
-"""The lens model of `distortion.py` in compiled code: one point, and rays of many pixels at once.
+"""The lens models of `distortion.py` and `fisheye.py` in compiled code: points, rays of pixels.
 
-A lens is a row of 13 numbers, `Intrinsics.row`: fx skew cx fy cy k1 k2 p1 p2 k3 k4 k5 k6.
+A lens is a row of 14 numbers, `Intrinsics.row`: fx skew cx fy cy, the eight distortion coefficients
+(k1 k2 p1 p2 k3 k4 k5 k6 of a pinhole; k1 k2 k3 k4 of a fisheye, and zeros), and `FISHEYE`. Loops
+over many points choose the model before they begin, so that the compiler can vectorise them.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled, inlined
 
+FISHEYE = 13
+"""Where a lens row holds the angle off the axis up to which a fisheye sees, rad; 0: a pinhole."""
 Numbers = tuple[
-    float, float, float, float, float, float, float, float, float, float, float, float, float
+    float, float, float, float, float, float, float, float, float, float, float, float, float, float
 ]
 """A lens row as a tuple, see `lens_numbers`: `distort_point` and `to_pixel` take either."""
+PixelOf = Callable[[float, float, float, Numbers], tuple[float, float]]
+Slopes = Callable[[float, float, Floats], tuple[float, float, float, float]]
 NEWTON_STEPS = 20
 NEWTON_TOLERANCE = 1e-5
 """Newton's steps shrink quadratically: after one so short less than 1e-9 is left."""
+FISHEYE_STEPS, FISHEYE_TOLERANCE = 60, 1e-12
+TINY = 1e-20
+"""Square of a radius at which a fisheye bends nothing: it keeps zero out of divisions."""
 
 
 @compiled
 def lens_numbers(lens: Floats) -> Numbers:
-    """A lens row (13,) as a tuple: the compiler keeps it in registers and vectorises the loop."""
+    """A lens row (14,) as a tuple: the compiler keeps it in registers and vectorises the loop."""
     return (
         lens[0], lens[1], lens[2], lens[3], lens[4], lens[5], lens[6], lens[7], lens[8], lens[9],
-        lens[10], lens[11], lens[12],
+        lens[10], lens[11], lens[12], lens[13],
     )  # fmt: skip
 
 
 @compiled
 def distort_point(x: float, y: float, lens: Floats | Numbers) -> tuple[float, float]:
-    """Distort a normalised image point."""
+    """Distort a normalised image point; NaN beyond what a fisheye sees."""
+    if lens[FISHEYE] > 0:
+        return fisheye_point(x, y, lens)
+    return pinhole_point(x, y, lens)
+
+
+@compiled
+def distortion_slopes(x: float, y: float, lens: Floats) -> tuple[float, float, float, float]:
+    """Derivatives of `distort_point`: of u by x and y, of v by x and y."""
+    if lens[FISHEYE] > 0:
+        return fisheye_slopes(x, y, lens)
+    return pinhole_slopes(x, y, lens)
+
+
+@compiled
+def to_pixel(x: float, y: float, z: float, lens: Floats | Numbers) -> tuple[float, float]:
+    """Pixel of a camera-frame point in front of the camera; NaN beyond what a fisheye sees."""
+    if lens[FISHEYE] > 0:
+        return fisheye_pixel(x, y, z, lens)
+    return pinhole_pixel(x, y, z, lens)
+
+
+@inlined
+def pinhole_pixel(x: float, y: float, z: float, lens: Floats | Numbers) -> tuple[float, float]:
+    """`to_pixel` of a pinhole."""
+    u, v = pinhole_point(x / z, y / z, lens)
+    return lens[0] * u + lens[1] * v + lens[2], lens[3] * v + lens[4]
+
+
+@inlined
+def fisheye_pixel(x: float, y: float, z: float, lens: Floats | Numbers) -> tuple[float, float]:
+    """`to_pixel` of a fisheye."""
+    if not z > 0:
+        return np.nan, np.nan
+    u, v = fisheye_point(x / z, y / z, lens)
+    return lens[0] * u + lens[1] * v + lens[2], lens[3] * v + lens[4]
+
+
+@inlined
+def fisheye_point(x: float, y: float, lens: Floats | Numbers) -> tuple[float, float]:
+    """`distort_point` of a fisheye."""
+    r = np.sqrt(max(x * x + y * y, TINY))
+    angle = np.arctan(r)
+    if not angle < lens[FISHEYE]:
+        return np.nan, np.nan
+    scale = _bent_angle(angle, lens) / r
+    return x * scale, y * scale
+
+
+@inlined
+def fisheye_slopes(x: float, y: float, lens: Floats) -> tuple[float, float, float, float]:
+    """`distortion_slopes` of a fisheye."""
+    r2 = max(x * x + y * y, TINY)
+    r = np.sqrt(r2)
+    angle = np.arctan(r)
+    scale = _bent_angle(angle, lens) / r
+    rise = (_bending(angle, lens) / (1 + r2) - scale) / r2
+    return scale + x * x * rise, x * y * rise, x * y * rise, scale + y * y * rise
+
+
+@inlined
+def _bent_angle(angle: float, lens: Floats | Numbers) -> float:
+    t = angle * angle
+    return angle * (1 + t * (lens[5] + t * (lens[6] + t * (lens[7] + t * lens[8]))))
+
+
+@inlined
+def _bending(angle: float, lens: Floats | Numbers) -> float:
+    """Derivative of `_bent_angle`."""
+    t = angle * angle
+    return 1 + t * (3 * lens[5] + t * (5 * lens[6] + t * (7 * lens[7] + t * 9 * lens[8])))
+
+
+@compiled
+def fisheye_ideal(x: float, y: float, lens: Floats) -> tuple[float, float]:
+    """The ideal point that a fisheye distorts to (x, y); NaN beyond what it sees.
+
+    Newton's method within bounds, which always converges: the bent angle grows with the angle.
+    """
+    bent, low, high = np.sqrt(max(x * x + y * y, TINY)), 0.0, lens[FISHEYE]
+    if not bent < _bent_angle(high, lens):
+        return np.nan, np.nan
+    angle = min(bent, high)
+    for _ in range(FISHEYE_STEPS):
+        off = _bent_angle(angle, lens) - bent
+        if off > 0:
+            high = angle
+        else:
+            low = angle
+        closer = angle - off / _bending(angle, lens)
+        if not low <= closer <= high:
+            closer = (low + high) / 2
+        step, angle = abs(closer - angle), closer
+        if step < FISHEYE_TOLERANCE:
+            break
+    scale = np.tan(angle) / bent
+    return x * scale, y * scale
+
+
+@compiled
+def pinhole_point(x: float, y: float, lens: Floats | Numbers) -> tuple[float, float]:
+    """`distort_point` of a pinhole."""
     r2 = x * x + y * y
     above = 1 + r2 * (lens[5] + r2 * (lens[6] + r2 * lens[9]))
     below = 1 + r2 * (lens[10] + r2 * (lens[11] + r2 * lens[12]))
@@ -43,15 +155,8 @@ def distort_point(x: float, y: float, lens: Floats | Numbers) -> tuple[float, fl
 
 
 @compiled
-def to_pixel(x: float, y: float, z: float, lens: Floats | Numbers) -> tuple[float, float]:
-    """Pixel of a camera-frame point in front of the camera."""
-    u, v = distort_point(x / z, y / z, lens)
-    return lens[0] * u + lens[1] * v + lens[2], lens[3] * v + lens[4]
-
-
-@compiled
-def distortion_slopes(x: float, y: float, lens: Floats) -> tuple[float, float, float, float]:
-    """Derivatives of `distort_point`: of u by x and y, of v by x and y."""
+def pinhole_slopes(x: float, y: float, lens: Floats) -> tuple[float, float, float, float]:
+    """`distortion_slopes` of a pinhole."""
     r2 = x * x + y * y
     above = 1 + r2 * (lens[5] + r2 * (lens[6] + r2 * lens[9]))
     below = 1 + r2 * (lens[10] + r2 * (lens[11] + r2 * lens[12]))
@@ -74,10 +179,13 @@ def bearing(pixel: Floats, lens: Floats) -> Floats:
     """Unit bearing (3,) of a pixel (2,); NaN where the lens model has no inverse."""
     yd = (pixel[1] - lens[4]) / lens[3]
     xd = (pixel[0] - lens[2] - lens[1] * yd) / lens[0]
+    if lens[FISHEYE] > 0:
+        x, y = fisheye_ideal(xd, yd, lens)
+        return np.array([x, y, 1.0]) / np.sqrt(x * x + y * y + 1)
     x, y = xd, yd
     for _ in range(NEWTON_STEPS):
-        u, v = distort_point(x, y, lens)
-        a, b, c, d = distortion_slopes(x, y, lens)
+        u, v = pinhole_point(x, y, lens)
+        a, b, c, d = pinhole_slopes(x, y, lens)
         det = a * d - b * c
         step_x, step_y = (d * (xd - u) - b * (yd - v)) / det, (a * (yd - v) - c * (xd - u)) / det
         x, y = x + step_x, y + step_y
@@ -98,7 +206,7 @@ def fill_rays(pixels: Floats, start: int, end: int, lens: Floats, out: Floats) -
         pixels: (n, 2).
         start: the first of them.
         end: behind the last of them.
-        lens: (13,).
+        lens: (14,).
         out: (9, n) filled.
     """
     first, n = np.uint64(start), np.uint64(end - start)
@@ -108,13 +216,19 @@ def fill_rays(pixels: Floats, start: int, end: int, lens: Floats, out: Floats) -
     for i in range(n):
         distorted_x[i] = (pixels[first + i, 0] - lens[2] - lens[1] * distorted_y[i]) / lens[0]
     x, y = distorted_x.copy(), distorted_y.copy()
+    if lens[FISHEYE] > 0:
+        for i in range(n):
+            x[i], y[i] = fisheye_ideal(distorted_x[i], distorted_y[i], lens)
+        _fill_bearings(x, y, first, out)
+        _fill_slopes(x, y, lens, first, out, fisheye_slopes)
+        return
     for _ in range(NEWTON_STEPS):
         if _newton_step(distorted_x, distorted_y, lens, x, y) == 0:
             break
     else:
         _reject_unconverged(distorted_x, distorted_y, lens, x, y)
     _fill_bearings(x, y, first, out)
-    _fill_slopes(x, y, lens, first, out)
+    _fill_slopes(x, y, lens, first, out, pinhole_slopes)
 
 
 @inlined
@@ -128,8 +242,8 @@ def _newton_step(
     """
     long = 0
     for i in range(len(x)):
-        u, v = distort_point(x[i], y[i], lens)
-        a, b, c, d = distortion_slopes(x[i], y[i], lens)
+        u, v = pinhole_point(x[i], y[i], lens)
+        a, b, c, d = pinhole_slopes(x[i], y[i], lens)
         unit, u, v = 1 / (a * d - b * c), distorted_x[i] - u, distorted_y[i] - v
         step_x, step_y = (d * u - b * v) * unit, (a * v - c * u) * unit
         x[i] += step_x
@@ -144,7 +258,7 @@ def _reject_unconverged(
 ) -> None:
     """Set to NaN the points that the lens does not distort to the given ones."""
     for i in range(len(x)):
-        u, v = distort_point(x[i], y[i], lens)
+        u, v = pinhole_point(x[i], y[i], lens)
         if not abs(distorted_x[i] - u) + abs(distorted_y[i] - v) < NEWTON_TOLERANCE:
             x[i] = np.nan
 
@@ -158,17 +272,19 @@ def _fill_bearings(x: Floats, y: Floats, first: np.uint64, out: Floats) -> None:
 
 
 @inlined
-def _fill_slopes(x: Floats, y: Floats, lens: Floats, first: np.uint64, out: Floats) -> None:
+def _fill_slopes(
+    x: Floats, y: Floats, lens: Floats, first: np.uint64, out: Floats, slopes: Slopes
+) -> None:
     """Fill the pixels' derivatives; those by the bearing's z follow from those by x and y."""
     n = np.uint64(len(x))
     for i in range(n):
         length = np.sqrt(x[i] * x[i] + y[i] * y[i] + 1)
-        a, b, c, d = distortion_slopes(x[i], y[i], lens)
+        a, b, c, d = slopes(x[i], y[i], lens)
         out[3, first + i] = (lens[0] * a + lens[1] * c) * length
         out[4, first + i] = (lens[0] * b + lens[1] * d) * length
     for i in range(n):
         length = np.sqrt(x[i] * x[i] + y[i] * y[i] + 1)
-        _, _, c, d = distortion_slopes(x[i], y[i], lens)
+        _, _, c, d = slopes(x[i], y[i], lens)
         out[6, first + i], out[7, first + i] = lens[3] * c * length, lens[3] * d * length
     for i in range(n):
         out[5, first + i] = -(out[3, first + i] * x[i] + out[4, first + i] * y[i])

@@ -19,8 +19,8 @@ class RigRows(NamedTuple):
     """The arrays of n cameras as compiled code takes them, see `Rig`.
 
     Attributes:
-        lenses: (n, 13) see `Intrinsics.row`.
-        reach: (n,) ideal radii beyond which the lens models fold back.
+        lenses: (n, 14) see `Intrinsics.row`.
+        reach: (n,) ideal radii beyond which the lens models see nothing.
         rotation: (n, 3, 3) of world_from_camera.
         centers: (n, 3) projection centres in the world, mm.
         covariances: (n, 18, 18) of pose and intrinsics; zero where unknown.
@@ -41,8 +41,8 @@ class Rig:
 
     Attributes:
         names: (n,) of the cameras.
-        lenses: (n, 13) fx skew cx fy cy and the distortion, see `Intrinsics.row`.
-        reach: (n,) ideal radii beyond which the lens models fold back.
+        lenses: (n, 14) see `Intrinsics.row`.
+        reach: (n,) ideal radii beyond which the lens models see nothing.
         rotation: (n, 3, 3) world_from_camera rotations.
         centers: (n, 3) projection centres in the world, mm.
         covariances: (n, 18, 18) of pose and intrinsics (see `Camera`); zero where unknown.
@@ -121,7 +121,7 @@ def _stacked(cameras: tuple[Camera, ...]) -> Rig:
     lenses = [camera.intrinsics for camera in cameras]
     return Rig(
         tuple(camera.name for camera in cameras),
-        np.array([lens.row for lens in lenses]).reshape(-1, 13),
+        np.array([lens.row for lens in lenses]).reshape(-1, 14),
         np.array([lens.reach for lens in lenses], dtype=np.float64),
         np.array([c.world_from_camera.rotation for c in cameras]).reshape(-1, 3, 3),
         np.array([c.center for c in cameras]).reshape(-1, 3),

@@ -6,7 +6,14 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
-from measure.model.lens import distort_point, distortion_slopes
+from measure.model.lens import (
+    FISHEYE,
+    distort_point,
+    distortion_slopes,
+    fisheye_ideal,
+    pinhole_point,
+    pinhole_slopes,
+)
 from measure.model.rig import RigRows
 
 _NEWTON_STEPS = 20
@@ -62,10 +69,12 @@ def ideal_point(pixel: Floats, lens: Floats, reach: float) -> tuple[float, float
     """The undistorted normalised point of a pixel (Newton); NaN where the lens has no inverse."""
     yd = (pixel[1] - lens[4]) / lens[3]
     xd = (pixel[0] - lens[2] - lens[1] * yd) / lens[0]
+    if lens[FISHEYE] > 0:
+        return fisheye_ideal(xd, yd, lens)
     x, y, size, det = xd, yd, np.inf, 1.0
     for _ in range(_NEWTON_STEPS):
-        u, v = distort_point(x, y, lens)
-        a, b, c, d = distortion_slopes(x, y, lens)
+        u, v = pinhole_point(x, y, lens)
+        a, b, c, d = pinhole_slopes(x, y, lens)
         det = a * d - b * c
         step_x, step_y = (d * (xd - u) - b * (yd - v)) / det, (a * (yd - v) - c * (xd - u)) / det
         x, y = x + step_x, y + step_y

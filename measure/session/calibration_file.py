@@ -8,12 +8,20 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import AfterValidator, Field, FiniteFloat, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    FiniteFloat,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from measure.arrays import Floats
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
-from measure.model import Camera, Intrinsics
+from measure.model import Camera, Intrinsics, Projection
+from measure.model.camera import check_coefficients
 from measure.session.files import FileModel, Name, load_toml
 from measure.session.toml_text import dump_toml
 
@@ -77,6 +85,7 @@ class CameraModel(FileModel):
     name: Name
     size_wh: tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]]
     matrix: CameraMatrix
+    model: Projection = "pinhole"
     distortion: Annotated[Row, Field(default_factory=list)]
     quat_wxyz: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
     translation_mm: Triple
@@ -88,9 +97,8 @@ class CameraModel(FileModel):
 
     @field_validator("distortion")
     @classmethod
-    def _is_opencv_distortion(cls, value: Row) -> Row:
-        if len(value) not in (0, 4, 5, 8):
-            raise ValueError(f"expected 0, 4, 5 or 8 coefficients, got {len(value)}")
+    def _is_of_the_model(cls, value: Row, given: ValidationInfo) -> Row:
+        check_coefficients(value, given.data.get("model", "pinhole"))
         return value
 
     @field_validator("quat_wxyz")
@@ -136,6 +144,7 @@ class CameraModel(FileModel):
             np.array(self.matrix),
             np.array(self.distortion),
             None if covariance is None else np.array(covariance),
+            self.model,
         )
         pose = RigidTransform.from_quat_wxyz(self.quat_wxyz, self.translation_mm)
         known = None if self.pose_covariance is None else np.array(self.pose_covariance)
@@ -182,7 +191,8 @@ def _camera_values(camera: Camera) -> dict[str, Any]:
         "name": camera.name,
         "size_wh": list(camera.intrinsics.size_wh),
         "matrix": camera.intrinsics.matrix,
-        "distortion": camera.intrinsics.distortion,
+        "model": None if camera.intrinsics.model == "pinhole" else camera.intrinsics.model,
+        "distortion": camera.intrinsics.coefficients,
         "quat_wxyz": camera.world_from_camera.quat_wxyz,
         "translation_mm": camera.world_from_camera.translation,
         "reprojection_rms_px": camera.reprojection_rms_px,

@@ -11,7 +11,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
-from measure.model import Camera, Intrinsics
+from measure.model import Camera, Intrinsics, Projection
 from measure.session.calibration_file import NO_CAMERA_MATRIX, Calibration, is_camera_matrix
 from measure.session.interchange_toml import (
     Unit,
@@ -20,7 +20,7 @@ from measure.session.interchange_toml import (
     opencv_distortion,
     rotation_matrix,
 )
-from measure.session.interchange_yaml import refuse_model
+from measure.session.interchange_yaml import stated_model
 
 _SHOWN = 120
 """Characters of a reason: OpenCV quotes what it could not read."""
@@ -28,7 +28,7 @@ _MATRIX_NAMES = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "K")
 _DISTORTION_NAMES = ("distortion_coefficients", "Distortion_Coefficients", "distCoeffs", "D")
 _MODEL_NAMES = ("distortion_model", "camera_model", "lens_model", "model")
 _FISHEYE_FLAGS = ("fisheye_model", "fisheye", "is_fisheye", "distortion_type")
-"""Where a number other than 0 says that the lens is a fisheye."""
+"""Where the number 1 says that the lens is a fisheye, and 0 that it is not."""
 _ROTATION_NAMES = ("rotation", "R", "rvec")
 _TRANSLATION_NAMES = ("translation", "T", "tvec", "t")
 
@@ -59,7 +59,6 @@ def read_opencv(path: Path, text: str, unit: Unit | None) -> Calibration:
         CalibrationError: not such a file, or a camera without matrix, image size or pose.
     """
     storage = _parse(path, text)
-    _refuse_other_model(storage, str(path))
     scale = mm_per(path, storage.getNode("unit").string(), unit)
     cameras = []
     for node, name in _camera_nodes(storage, path):
@@ -82,7 +81,9 @@ def read_opencv(path: Path, text: str, unit: Unit | None) -> Calibration:
             raise CalibrationError(f"{path}: camera '{name}': {problem}") from None
         error = node.getNode("avg_reprojection_error")
         rms = None if error.empty() else float(error.real())
-        cameras.append(Camera(name, _intrinsics(node, path, name), pose.inverse(), None, rms))
+        cameras.append(
+            Camera(name, _intrinsics(storage, node, path, name), pose.inverse(), None, rms)
+        )
     return Calibration(tuple(cameras), {"format": "opencv"})
 
 
@@ -93,8 +94,9 @@ def read_opencv_intrinsics(path: Path, text: str) -> dict[str, Intrinsics]:
         CalibrationError: not such a file, or a camera without matrix or image size.
     """
     storage = _parse(path, text)
-    _refuse_other_model(storage, str(path))
-    return {name: _intrinsics(node, path, name) for node, name in _camera_nodes(storage, path)}
+    return {
+        name: _intrinsics(storage, node, path, name) for node, name in _camera_nodes(storage, path)
+    }
 
 
 def write_opencv(path: Path, calibration: Calibration) -> None:
@@ -109,6 +111,8 @@ def write_opencv(path: Path, calibration: Calibration) -> None:
         out.write("camera_name", camera.name)
         out.write("image_width", int(camera.intrinsics.size_wh[0]))
         out.write("image_height", int(camera.intrinsics.size_wh[1]))
+        if camera.intrinsics.model == "fisheye":
+            out.write("camera_model", "fisheye")
         out.write("camera_matrix", camera.intrinsics.matrix)
         out.write("distortion_coefficients", opencv_distortion(camera).reshape(-1, 1))
         out.write("R", camera.camera_from_world.rotation)
@@ -155,21 +159,21 @@ def _first(node: Any, names: tuple[str, ...]) -> Floats | None:
     return None
 
 
-def _refuse_other_model(node: Any, place: str) -> None:
-    """Refuse a lens model that the numbers would be misread by."""
-    for key in _MODEL_NAMES:
-        refuse_model(place, key, node.getNode(key).string())
-    for key in _FISHEYE_FLAGS:
-        flag = node.getNode(key)
-        if not flag.empty() and (flag.isInt() or flag.isReal()) and flag.real() != 0:
-            raise CalibrationError(
-                f"{place}: {key} is {flag.real():g}, a fisheye lens: only lenses of OpenCV's "
-                "plumb_bob and rational_polynomial models are read; calibrate with such a model"
-            )
+def _model(nodes: tuple[Any, ...], place: str) -> Projection:
+    """The lens model stated by the file or the camera's own part of it."""
+    models = []
+    for node in nodes:
+        said = {key: node.getNode(key).string() for key in _MODEL_NAMES}
+        for key in _FISHEYE_FLAGS:
+            flag = node.getNode(key)
+            if not flag.empty() and (flag.isInt() or flag.isReal()) and flag.real() != 0:
+                said[key] = "fisheye" if flag.real() == 1 else f"{flag.real():g}"
+        models.append(stated_model(place, said))
+    return "fisheye" if "fisheye" in models else "pinhole"
 
 
-def _intrinsics(node: Any, path: Path, name: str) -> Intrinsics:
-    _refuse_other_model(node, f"{path}: camera '{name}'")
+def _intrinsics(storage: Any, node: Any, path: Path, name: str) -> Intrinsics:
+    model = _model((storage, node), f"{path}: camera '{name}'")
     matrix = _first(node, _MATRIX_NAMES)
     distortion = _first(node, _DISTORTION_NAMES)
     width, height = node.getNode("image_width"), node.getNode("image_height")
@@ -185,7 +189,8 @@ def _intrinsics(node: Any, path: Path, name: str) -> Intrinsics:
             "without which its fit to the images cannot be checked"
         )
     try:
-        coefficients = distortion8(np.zeros(0) if distortion is None else distortion)
+        coefficients = distortion8(np.zeros(0) if distortion is None else distortion, model)
     except CalibrationError as problem:
         raise CalibrationError(f"{path}: camera '{name}': {problem}") from None
-    return Intrinsics((int(width.real()), int(height.real())), matrix, coefficients)
+    size = int(width.real()), int(height.real())
+    return Intrinsics(size, matrix, coefficients, model=model)

@@ -13,7 +13,8 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 from measure.arrays import Floats
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
-from measure.model import Camera, Intrinsics
+from measure.model import Camera, Intrinsics, Projection
+from measure.model.camera import check_coefficients
 from measure.session.calibration_file import Calibration, CameraMatrix, Row, Triple
 from measure.session.toml_errors import validation_message
 from measure.session.toml_text import dump_toml
@@ -46,7 +47,9 @@ class ForeignCamera(BaseModel):
         camera_from_world = RigidTransform(
             rotation_matrix(np.array(self.rotation)), mm_per_unit * np.array(self.translation)
         )
-        intrinsics = Intrinsics(self.size, np.array(self.matrix), distortion8(self.distortions))
+        model: Projection = "fisheye" if self.fisheye else "pinhole"
+        distortion = distortion8(self.distortions, model)
+        intrinsics = Intrinsics(self.size, np.array(self.matrix), distortion, model=model)
         return Camera(name, intrinsics, camera_from_world.inverse(), None, self.error)
 
 
@@ -85,8 +88,6 @@ def read_foreign_toml(
         except ValidationError as problem:
             message = validation_message(path, text, problem, ForeignCamera, table, keys)
             raise CalibrationError(message) from None
-        if given.fisheye:
-            raise CalibrationError(f"{path}: camera {keys[-1]} has a fisheye lens: not supported")
         number = given.cam_id if given.cam_id is not None else given.port
         name = given.name or (keys[-1] if number is None else f"cam_{number}")
         try:
@@ -135,7 +136,6 @@ def write_caliscope(path: Path, calibration: Calibration) -> None:
             "name": camera.name,
             "rotation_count": 0,
             "error": camera.reprojection_rms_px,
-            "fisheye": False,
             **_foreign_values(camera, "m"),
         }
         for i, camera in enumerate(calibration.cameras)
@@ -164,25 +164,26 @@ def rotation_matrix(rotation: Floats) -> Floats:
     return u @ vt
 
 
-def distortion8(values: Row | Floats) -> Floats:
+def distortion8(values: Row | Floats, model: Projection) -> Floats:
     """OpenCV coefficients without the thin-prism and tilt terms, which must be zero.
 
     Raises:
-        CalibrationError: they are not, or their number is none of OpenCV's.
+        CalibrationError: they are not, or their number is none of the lens model's.
     """
     given = np.asarray(values, dtype=np.float64).reshape(-1)
-    if given.size in (12, 14) and not given[8:].any():
-        given = given[:8]
-    if given.size not in (0, 4, 5, 8):
-        raise CalibrationError(
-            f"{given.size} distortion coefficients: supported are OpenCV's models of 0, 4, 5 and 8"
-        )
+    longest = 4 if model == "fisheye" else 8
+    if given.size > longest and not given[longest:].any():
+        given = given[:longest]
+    try:
+        check_coefficients(given, model)
+    except ValueError as problem:
+        raise CalibrationError(str(problem)) from None
     return given
 
 
 def opencv_distortion(camera: Camera) -> Floats:
-    """The shortest OpenCV vector (5 or 8) that holds a camera's distortion."""
-    distortion = camera.intrinsics.distortion
+    """The shortest OpenCV vector (5 or 8; 4 of a fisheye) that holds a camera's distortion."""
+    distortion = camera.intrinsics.coefficients
     return distortion if distortion[5:].any() else distortion[:5]
 
 
@@ -203,6 +204,7 @@ def _foreign_values(camera: Camera, unit: Unit) -> dict[str, Any]:
         "size": list(camera.intrinsics.size_wh),
         "matrix": camera.intrinsics.matrix,
         "distortions": opencv_distortion(camera),
+        "fisheye": camera.intrinsics.model == "fisheye",
         "rotation": np.asarray(rotation).reshape(3),
         "translation": camera.camera_from_world.translation / MM_PER[unit],
     }

@@ -12,12 +12,17 @@ import yaml
 from measure.arrays import Floats
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
-from measure.model import Camera, Intrinsics
+from measure.model import Camera, Intrinsics, Projection
 from measure.session.calibration_file import NO_CAMERA_MATRIX, Calibration, is_camera_matrix
 from measure.session.interchange_toml import Unit, distortion8, mm_per, rotation_matrix
 
-PINHOLE_MODELS = ("", "plumb_bob", "rational_polynomial", "radtan", "pinhole", "opencv")
-"""What programs call the lens model that is read."""
+_MODELS: dict[str, Projection] = {
+    **dict.fromkeys(("fisheye", "equidistant", "equi", "kannala_brandt", "kb4"), "fisheye"),
+    **dict.fromkeys(
+        ("", "none", "plumb_bob", "rational_polynomial", "radtan", "pinhole", "opencv"), "pinhole"
+    ),
+}
+"""What programs call the lens models that are read."""
 
 
 def yaml_values(text: str) -> Mapping[str, Any] | None:
@@ -75,17 +80,23 @@ def read_yaml_intrinsics(path: Path, values: Mapping[str, Any]) -> dict[str, Int
     }
 
 
-def refuse_model(place: str, key: str, said: object) -> None:
-    """Refuse a lens model by whose numbers another one would be misread.
+def stated_model(place: str, said: Mapping[str, object]) -> Projection:
+    """The lens model that a file states under some keys, a pinhole if it does not.
 
     Raises:
-        CalibrationError: it is not OpenCV's.
+        CalibrationError: it is one by whose numbers another one would be misread.
     """
-    if str(said or "").lower() not in PINHOLE_MODELS:
-        raise CalibrationError(
-            f"{place}: {key} is '{said}': only lenses of OpenCV's plumb_bob and "
-            "rational_polynomial models are read; calibrate with such a lens model"
-        )
+    models = set()
+    for key, value in said.items():
+        name = "" if value is None else str(value).lower().replace("-", "_")
+        if name not in _MODELS:
+            raise CalibrationError(
+                f"{place}: {key} is '{value}': only lenses of OpenCV's plumb_bob, "
+                "rational_polynomial and fisheye (equidistant) models are read; calibrate with "
+                "such a lens model"
+            )
+        models.add(_MODELS[name])
+    return "fisheye" if "fisheye" in models else "pinhole"
 
 
 def _chain(values: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
@@ -99,34 +110,36 @@ def _chain(values: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
 
 
 def _ros_lens(values: Mapping[str, Any], place: str) -> Intrinsics:
-    refuse_model(place, "distortion_model", values.get("distortion_model"))
+    model = stated_model(place, {"distortion_model": values.get("distortion_model")})
     matrix = _numbers(values.get("camera_matrix"), place, "camera_matrix", 9).reshape(3, 3)
     distortion = _numbers(values.get("distortion_coefficients"), place, "distortion_coefficients")
     size = (values.get("image_width"), values.get("image_height"))
-    return _lens(size, matrix, distortion, place)
+    return _lens(size, matrix, distortion, model, place)
 
 
 def _kalibr_lens(table: Mapping[str, Any], place: str) -> Intrinsics:
-    refuse_model(place, "camera_model", table.get("camera_model"))
-    refuse_model(place, "distortion_model", table.get("distortion_model"))
+    keys = ("camera_model", "distortion_model")
+    model = stated_model(place, {key: table.get(key) for key in keys})
     fx, fy, cx, cy = _numbers(table["intrinsics"], place, "intrinsics", 4)
     distortion = _numbers(table.get("distortion_coeffs"), place, "distortion_coeffs")
     size = table["resolution"]
     matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-    return _lens(size, matrix, distortion, place)
+    return _lens(size, matrix, distortion, model, place)
 
 
-def _lens(size: object, matrix: Floats, distortion: Floats, place: str) -> Intrinsics:
+def _lens(
+    size: object, matrix: Floats, distortion: Floats, model: Projection, place: str
+) -> Intrinsics:
     whole = isinstance(size, list | tuple) and all(type(n) is int and n > 0 for n in size)
     if not (whole and isinstance(size, list | tuple) and len(size) == 2):
         raise CalibrationError(f"{place}: its picture size is no two whole numbers")
     if not is_camera_matrix(matrix):
         raise CalibrationError(f"{place}: {NO_CAMERA_MATRIX}")
     try:
-        coefficients = distortion8(distortion)
+        coefficients = distortion8(distortion, model)
     except CalibrationError as problem:
         raise CalibrationError(f"{place}: {problem}") from None
-    return Intrinsics((size[0], size[1]), matrix, coefficients)
+    return Intrinsics((size[0], size[1]), matrix, coefficients, model=model)
 
 
 def _numbers(value: object, place: str, key: str, count: int | None = None) -> Floats:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
@@ -162,7 +163,7 @@ def reduced(intrinsics: Intrinsics, factor: int) -> Intrinsics:
     matrix[:2, 2] -= (factor - 1) / (2 * factor)
     matrix[2, 2] = 1.0
     size = (-(-width // factor), -(-height // factor))
-    return Intrinsics(size, matrix, intrinsics.distortion)
+    return replace(intrinsics, size_wh=size, matrix=matrix)
 
 
 def _knots(length: int) -> Floats:

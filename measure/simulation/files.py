@@ -38,7 +38,8 @@ def calibration_toml(cameras: tuple[Camera, ...]) -> str:
             f"name = {json.dumps(camera.name)}",
             f"size_wh = [{lens.size_wh[0]}, {lens.size_wh[1]}]",
             f"matrix = [{matrix}]",
-            f"distortion = {_row(lens.distortion)}",
+            *([] if lens.model == "pinhole" else [f"model = {json.dumps(lens.model)}"]),
+            f"distortion = {_row(lens.coefficients)}",
             f"quat_wxyz = {_row(pose.quat_wxyz)}",
             f"translation_mm = {_row(pose.translation)}",
         ]

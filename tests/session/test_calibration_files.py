@@ -167,7 +167,7 @@ def test_caliscope_is_in_metres(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("fisheye = false", "fisheye = true", "camera 1 has a fisheye lens: not supported"),
+        ("fisheye = false", "fisheye = true", "camera 1: distortion of a fisheye: expected"),
         ("translation = [ 0.0, 0.0, 1.5 ]\n", "", "camera 1 has no pose"),
         ("size = [ 1920, 1080 ]\nmatrix", "size = [ 0, 1080 ]\nmatrix", "cameras.1.size"),
         ("[ 1.0, 0.0, 0.0 ], [ 0.0, 1.0, 0.0 ]", "[ 0, 1.0, 0 ], [ 1.0, 0, 0 ]", "not a rotation"),

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from measure.errors import CalibrationError
+from measure.model import Camera, Projection
 from measure.session import Calibration, read_calibration, read_intrinsics, write_calibration
 from tests.calibration.rigs import cameras
 
@@ -146,20 +147,56 @@ def test_a_rolling_shutter_that_a_format_cannot_hold_is_said(tmp_path: Path, cap
     assert "cannot hold the rolling shutter (readout_s) of cam0" in caplog.text
 
 
-@pytest.mark.parametrize("key", ["distortion_model", "fisheye_model"])
+@pytest.mark.parametrize(
+    ("said", "other"),
+    [
+        ('distortion_model: "equidistant"', 'distortion_model: "mei"'),
+        ("fisheye_model: 1", "fisheye_model: 2"),
+    ],
+)
 @pytest.mark.parametrize("read", [read_calibration, read_intrinsics])
-def test_a_fisheye_is_not_read_as_another_lens(tmp_path: Path, key: str, read) -> None:
-    """Its four coefficients would be taken for k1 k2 p1 p2: millimetres, without a word."""
+def test_a_lens_is_read_by_the_model_that_its_file_names(tmp_path, said, other, read) -> None:
+    """Read as k1 k2 p1 p2, a fisheye's four coefficients cost millimetres, without a word."""
     path = tmp_path / "c.yml"
-    write_calibration(path, Calibration(cameras()), "opencv")
-    value = '"equidistant"' if key == "distortion_model" else "1"
-    text = path.read_text()
-    path.write_text(text.replace("      image_width:", f"      {key}: {value}\n      image_width:"))
-    with pytest.raises(CalibrationError, match=f"{key} is .*: only lenses of OpenCV's plumb_bob"):
-        read(path)
-    known = '      distortion_model: "plumb_bob"\n      image_width:'
-    path.write_text(text.replace("      image_width:", known))
-    assert len(read(path) if read is read_intrinsics else read(path).cameras) == len(cameras())
+    write_calibration(
+        path, Calibration((with_lens(cameras()[0], "fisheye"), *cameras()[1:])), "opencv"
+    )
+    written = path.read_text()
+    assert written.count("camera_model: fisheye") == 1
+
+    def models(stated: str) -> list[str]:
+        path.write_text(written.replace("camera_model: fisheye", stated))
+        found = read(path)
+        lenses = (
+            found.values() if read is read_intrinsics else [c.intrinsics for c in found.cameras]
+        )
+        return [lens.model for lens in lenses]
+
+    fisheye_first = ["fisheye", *["pinhole"] * (len(cameras()) - 1)]
+    assert models("camera_model: fisheye") == models(said) == fisheye_first
+    assert models('distortion_model: "plumb_bob"') == ["pinhole"] * len(cameras())
+    with pytest.raises(
+        CalibrationError, match=f"{other.split(':')[0]} is .*: only lenses of OpenCV's"
+    ):
+        models(other)
+
+
+def with_lens(camera: Camera, model: Projection) -> Camera:
+    bent = [-0.02, 0.004, -0.001, 0.0002]
+    return replace(camera, intrinsics=replace(camera.intrinsics, distortion=bent, model=model))
+
+
+@pytest.mark.parametrize("file_format", ["triball", "anipose", "caliscope", "opencv"])
+def test_a_fisheye_comes_back_from_every_format(tmp_path: Path, file_format) -> None:
+    path, rig = tmp_path / "c.yml", tuple(with_lens(camera, "fisheye") for camera in cameras())
+    path = path.with_suffix(".yml" if file_format == "opencv" else ".toml")
+    write_calibration(path, Calibration(rig), file_format)
+    for lens in (camera.intrinsics for camera in read_calibration(path).cameras):
+        assert lens.model == "fisheye"
+        np.testing.assert_allclose(lens.coefficients, [-0.02, 0.004, -0.001, 0.0002])
+    path.write_text(path.read_text().replace("0.004", "0.004, 0.0, 0.3"))
+    with pytest.raises(CalibrationError):
+        read_calibration(path)
 
 
 ROS = """
@@ -182,8 +219,10 @@ def test_a_lens_as_ros_writes_it(tmp_path: Path) -> None:
     with pytest.raises(CalibrationError, match="holds the lens of 'left' but no pose"):
         read_calibration(path)
     path.write_text(ROS.format(model="equidistant"))
-    with pytest.raises(CalibrationError, match="'left': distortion_model is 'equidistant'"):
+    with pytest.raises(CalibrationError, match="'left': distortion of a fisheye: expected 0 or 4"):
         read_intrinsics(path)
+    path.write_text(ROS.format(model="equidistant").replace(", 0.05]", "]"))
+    assert read_intrinsics(path)["left"].model == "fisheye"
 
 
 def camchain() -> str:
@@ -216,9 +255,12 @@ def test_a_rig_as_kalibr_writes_it(tmp_path: Path) -> None:
         placed = true[0].camera_from_world @ other.world_from_camera
         assert np.abs(one.world_from_camera.difference(placed)).max() < 1e-6
         np.testing.assert_allclose(one.intrinsics.matrix, other.intrinsics.matrix)
-    broken = camchain().replace("radtan", "equidistant", 1)
-    (tmp_path / "camchain.yaml").write_text(broken)
-    with pytest.raises(CalibrationError, match="'cam0': distortion_model is 'equidistant'"):
+    wide = camchain().replace("radtan", "equidistant", 1)
+    (tmp_path / "camchain.yaml").write_text(wide)
+    models = [c.intrinsics.model for c in read_calibration(tmp_path / "camchain.yaml").cameras]
+    assert models == ["fisheye", "pinhole", "pinhole", "pinhole"]
+    (tmp_path / "camchain.yaml").write_text(camchain().replace("model: pinhole", "model: omni", 1))
+    with pytest.raises(CalibrationError, match="'cam0': camera_model is 'omni'"):
         read_calibration(tmp_path / "camchain.yaml")
 
 

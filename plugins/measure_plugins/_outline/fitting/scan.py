@@ -56,7 +56,7 @@ class CameraImage(NamedTuple):
         pixels: (h, w, 3) uint8.
         table: (256,) light of each picture value.
         sensor: how the camera turns light into values.
-        lens: (13,) lens row.
+        lens: (14,) lens row.
         point_lights: (k, 4) in the camera frame, see `appearance.point_lights`.
         environment: the surroundings that balls mirror.
         correction_weight: see `Appearance`.

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from measure.arrays import Bools, Bytes, Floats, Ints, Singles
-from measure.compiling import compiled
-from measure.model.lens import lens_numbers, to_pixel
+from measure.compiling import compiled, inlined
+from measure.model.lens import FISHEYE, PixelOf, fisheye_pixel, lens_numbers, pinhole_pixel
 
 STEPS = np.arange(-16.5, 6.51, 1.0)
 """Samples along a ray, px along the outward normal: a pixel apart, as the picture's pixels are, and
@@ -106,7 +106,23 @@ def _project_ring(
     frame: Floats, half_angle: float, around: Floats, lens: Floats, out: Floats
 ) -> None:
     """Fill pixels (2, n) of the directions at `half_angle` from `frame[2]`, at (n, 2) around it."""
-    near, radial = np.cos(half_angle), np.sin(half_angle)
+    ring = (np.cos(half_angle), np.sin(half_angle))
+    if lens[FISHEYE] > 0:
+        _fill_ring(frame, ring, around, lens, fisheye_pixel, out)
+    else:
+        _fill_ring(frame, ring, around, lens, pinhole_pixel, out)
+
+
+@inlined
+def _fill_ring(
+    frame: Floats,
+    ring: tuple[float, float],
+    around: Floats,
+    lens: Floats,
+    pixel: PixelOf,
+    out: Floats,
+) -> None:
+    near, radial = ring
     a, b, c = near * frame[2, 0], near * frame[2, 1], near * frame[2, 2]
     numbers = lens_numbers(lens)
     for i in range(len(around)):
@@ -114,7 +130,7 @@ def _project_ring(
         x = cosine * frame[0, 0] + sine * frame[1, 0]
         y = cosine * frame[0, 1] + sine * frame[1, 1]
         z = cosine * frame[0, 2] + sine * frame[1, 2]
-        out[0, i], out[1, i] = to_pixel(a + radial * x, b + radial * y, c + radial * z, numbers)
+        out[0, i], out[1, i] = pixel(a + radial * x, b + radial * y, c + radial * z, numbers)
 
 
 @compiled

@@ -89,7 +89,7 @@ def background_of(pixels: Bytes, lens: Floats, balls: Floats) -> BackgroundAccum
 
     Args:
         pixels: (h, w, 3) the picture.
-        lens: (13,) lens row.
+        lens: (14,) lens row.
         balls: (k, 4) unit axes and half angles of the outlines of all balls.
     """
     low, high = _visible_plane(pixels.shape[1], pixels.shape[0], lens)
@@ -106,8 +106,9 @@ def _visible_plane(width: int, height: int, lens: Floats) -> tuple[Floats, Float
     sides = np.array([0.0, 0.5, 1.0])
     pixels = np.array([[x * (width - 1), y * (height - 1)] for x in sides for y in sides])
     rays = np.array([bearing(pixel, lens) for pixel in pixels])
-    rays = rays[rays[:, 2] > 0]
-    plane = np.clip(rays[:, :2] / rays[:, 2:], -_MAX_TANGENT, _MAX_TANGENT)
+    beyond = np.sign(pixels - lens[[2, 4]]) * _MAX_TANGENT
+    plane = np.where(np.isfinite(rays[:, 2:]), rays[:, :2] / rays[:, 2:], beyond)
+    plane = np.clip(plane, -_MAX_TANGENT, _MAX_TANGENT)
     return plane.min(axis=0), plane.max(axis=0)
 
 
