@@ -9,7 +9,7 @@ import measure
 from measure.calibration import Method, RigCalibration, Sheet, Verdict
 from measure.errors import ConfigError
 from measure.processes import Progress
-from measure.session import Calibration, read_body
+from measure.session import Calibration, check_unit, read_body
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +53,8 @@ def calibrate(
     opened = open_capture(capture)
     measured_with = paper_body() if body is None else read_body(body)
     rig = calibrate_capture(opened, method, progress)
+    cure = "are the capture's lengths in mm (square_mm)? If so give --body, the body to be measured"
+    check_unit(Calibration(rig.cameras), measured_with, str(capture), cure)
     verdict = judge(rig, measured_with, opened.settings.floor_z_mm)
     values = provenance(rig, verdict, opened.settings.name)
     return CalibrationResult(Calibration(rig.cameras, values), rig, verdict)

@@ -36,7 +36,7 @@ from measure.measuring.burn_in import enter_realtime
 from measure.model import Body, FrameSet
 from measure.processes import share_heaps
 from measure.results import Provenance, Summary, refuse_other_writer
-from measure.session import read_body
+from measure.session import Calibration, check_unit, read_body
 
 _RECENT = 30
 """Frame sets over which the rate and the age of poses are taken."""
@@ -117,6 +117,8 @@ def live(
     if len(cameras) < 2:
         raise ConfigError(f"a measurement needs at least two cameras, got {len(cameras)}")
     calibrated, measured = calibrated_cameras(cameras, calibration), read_body(body)
+    cure = 'write mm, or into another program\'s file its unit, as in unit = "m"'
+    check_unit(Calibration(tuple(calibrated)), measured, str(calibration), cure)
     profile = profile.model_copy(update={"smoothing": False})
     sources = sources_of(cameras, calibrated, options.request)
     if options.record is not None:

@@ -9,6 +9,7 @@ from measure.session.files import FileModel, Length, Name, Position, load_toml, 
 from measure.session.opening import open_session, session_truth
 from measure.session.pairing import Pairing, pair_nearest
 from measure.session.pictures import decode_picture, is_complete_jpeg, read_picture
+from measure.session.rig_scale import check_unit
 from measure.session.session import Session
 from measure.session.streams import Stream
 from measure.session.toml_text import dump_toml
@@ -26,6 +27,7 @@ __all__ = [
     "Stream",
     "Trajectory",
     "VideoStream",
+    "check_unit",
     "clock_values",
     "damaged_frames",
     "decode_picture",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from measure.session.calibrations import read_calibration
 from measure.session.clock_shifts import clock_digest, shift_clocks, shift_notes
 from measure.session.files import load_toml
 from measure.session.image_stream import open_image_stream
+from measure.session.rig_scale import check_unit
 from measure.session.session import Session
 from measure.session.settings import CameraTable, SessionModel
 from measure.session.streams import Stream
@@ -48,6 +50,7 @@ def open_session(
     calibration_path = _calibration_path(given, file, calibration)
     calibration_read = read_calibration(calibration_path, given.session.calibration_unit)
     cameras = _cameras(given, calibration_read, calibration_path, file)
+    check_unit(replace(calibration_read, cameras=cameras), measured, str(calibration_path))
     streams: dict[str, Stream] = {}
     try:
         for table, camera in zip(given.cameras, cameras, strict=True):
