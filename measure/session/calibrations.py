@@ -18,13 +18,8 @@ from measure.session.calibration_file import (
     read_own_calibration,
     write_own_calibration,
 )
-from measure.session.interchange_opencv import (
-    READ,
-    is_opencv,
-    read_opencv,
-    read_opencv_intrinsics,
-    write_opencv,
-)
+from measure.session.interchange_opencv import write_opencv
+from measure.session.interchange_tables import read_tables
 from measure.session.interchange_toml import (
     Unit,
     is_foreign_toml,
@@ -32,7 +27,9 @@ from measure.session.interchange_toml import (
     write_anipose,
     write_caliscope,
 )
-from measure.session.interchange_yaml import read_yaml, read_yaml_intrinsics, yaml_values
+from measure.session.interchange_xml import read_xml
+from measure.session.plain_values import plain_values
+from measure.session.stated_rig import Sizes, StatedRig
 
 _log = logging.getLogger(__name__)
 
@@ -49,14 +46,16 @@ METRES_SPREAD_MM = 3.0
 """Cameras all within this many "mm" of the first were surely written in metres."""
 
 
-def read_calibration(path: Path | str, unit: Unit | None = None) -> Calibration:
+def read_calibration(
+    path: Path | str, unit: Unit | None = None, pictures: Sizes | None = None
+) -> Calibration:
     """Read a calibration: ours or another program's, told apart by content.
-
-    Of other programs aniposelib's, caliscope's, Kalibr's and OpenCV's.
 
     Args:
         path: the file.
         unit: of the translations in a file of another program that states none; ours are mm.
+        pictures: names of the cameras that are wanted, with the sizes of their pictures, for files
+            of other programs that number their cameras or state no sizes.
 
     Raises:
         CalibrationError: the file cannot be used, two cameras share a name, or the translations
@@ -64,33 +63,34 @@ def read_calibration(path: Path | str, unit: Unit | None = None) -> Calibration:
     """
     path = Path(path)
     text = read_text(path, CalibrationError)
-    if is_opencv(text):
-        calibration = read_opencv(path, text, unit)
-    elif (values := _toml(text)) is not None and is_foreign_toml(values):
+    values = _toml(text)
+    if values is not None and is_foreign_toml(values):
         calibration = read_foreign_toml(path, text, values, unit)
-    elif values is None and path.suffix.lower() != ".toml":
-        tables = yaml_values(text)
-        if tables is None:
-            raise CalibrationError(f"{path}: not a calibration that is read; {READ}")
-        calibration = read_yaml(path, tables, unit)
-    else:
+    elif values is not None or path.suffix.lower() == ".toml":
         calibration = read_own_calibration(path)
+    else:
+        calibration = _foreign(path, text).calibration(path, unit, pictures or {})
     check_calibration(calibration, str(path))
     return calibration
 
 
 def read_intrinsics(path: Path | str) -> dict[str, Intrinsics]:
-    """The lenses alone, by camera name; files of OpenCV and ROS need no poses for that.
+    """The lenses alone, by camera name; files that are no TOML need no poses for that.
 
     Raises:
         CalibrationError: the file cannot be used.
     """
+    path = Path(path)
     text = read_text(path, CalibrationError)
-    if is_opencv(text):
-        return read_opencv_intrinsics(Path(path), text)
-    if _toml(text) is None and (tables := yaml_values(text)) is not None:
-        return read_yaml_intrinsics(Path(path), tables)
+    if _toml(text) is None and path.suffix.lower() != ".toml":
+        return _foreign(path, text).lenses(path)
     return {camera.name: camera.intrinsics for camera in read_calibration(path).cameras}
+
+
+def _foreign(path: Path, text: str) -> StatedRig:
+    if text.lstrip().startswith("<") and "<opencv_storage" not in text:
+        return read_xml(path, text)
+    return read_tables(path, plain_values(path, text))
 
 
 def write_calibration(

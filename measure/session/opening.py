@@ -48,13 +48,17 @@ def open_session(
     folder = file.parent
     measured = _body(given, file, body)
     calibration_path = _calibration_path(given, file, calibration)
-    calibration_read = read_calibration(calibration_path, given.session.calibration_unit)
-    cameras = _cameras(given, calibration_read, calibration_path, file)
-    check_unit(replace(calibration_read, cameras=cameras), measured, str(calibration_path))
     streams: dict[str, Stream] = {}
     try:
-        for table, camera in zip(given.cameras, cameras, strict=True):
-            streams[table.name] = _open_stream(table, folder, camera, calibration_path)
+        for table in given.cameras:
+            streams[table.name] = _open_stream(table, folder)
+        pictures = {name: stream.size_wh for name, stream in streams.items()}
+        unit = given.session.calibration_unit
+        calibration_read = read_calibration(calibration_path, unit, pictures)
+        cameras = _cameras(given, calibration_read, calibration_path, file)
+        for camera in cameras:
+            _check_size(streams[camera.name], camera, calibration_path)
+        check_unit(replace(calibration_read, cameras=cameras), measured, str(calibration_path))
         digest = clock_digest(streams.values())
         shifts = shift_clocks(streams, digest, calibration_read.provenance, calibration_path)
         _check_overlap(list(streams.values()))
@@ -72,7 +76,11 @@ def open_session(
         truth_path=_optional(folder, given.session.truth, file),
         robot_log=_optional(folder, given.robot.log if given.robot else None, file),
         description=given.session.description,
-        notes=(*(n for stream in streams.values() for n in stream.notes), *shift_notes(shifts)),
+        notes=(
+            *_order_notes(calibration_read, calibration_path),
+            *(n for stream in streams.values() for n in stream.notes),
+            *shift_notes(shifts),
+        ),
         clock_digest=digest,
         clock_shifts_s=shifts,
     )
@@ -138,7 +146,13 @@ def _cameras(
     return tuple(out)
 
 
-def _open_stream(table: CameraTable, folder: Path, camera: Camera, calibrated: Path) -> Stream:
+def _order_notes(calibration: Calibration, path: Path) -> list[str]:
+    order = calibration.provenance.get("taken_in_order")
+    named = f"{path} numbers its cameras: taken in the session's order, {order}"
+    return [named] if order and "format" in calibration.provenance else []
+
+
+def _open_stream(table: CameraTable, folder: Path) -> Stream:
     stamps_path = folder / table.timestamps if table.timestamps else None
     stamps = read_stamps(stamps_path, table.name) if stamps_path else None
     stream: Stream
@@ -153,14 +167,16 @@ def _open_stream(table: CameraTable, folder: Path, camera: Camera, calibrated: P
         stream = open_image_stream(
             table.name, folder, table.images, stamps, stamps_path, table.time_offset_s
         )
-    if stream.size_wh != tuple(camera.intrinsics.size_wh):
-        have, want = stream.size_wh, camera.intrinsics.size_wh
-        stream.close()
+    return stream
+
+
+def _check_size(stream: Stream, camera: Camera, calibrated: Path) -> None:
+    have, want = stream.size_wh, camera.intrinsics.size_wh
+    if have != tuple(want):
         raise CalibrationError(
-            f"camera '{table.name}': the images ({stream.source}) are {have[0]}x{have[1]} px, "
+            f"camera '{camera.name}': the images ({stream.source}) are {have[0]}x{have[1]} px, "
             f"but {calibrated} calibrates {want[0]}x{want[1]} px: record or calibrate at one size"
         )
-    return stream
 
 
 def _check_overlap(streams: list[Stream]) -> None:

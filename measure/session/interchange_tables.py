@@ -1,0 +1,243 @@
+"""Rigs in tables: OpenCV's own, stereo pairs, EasyMocap, MC-Calib, multical, Kalibr and ROS."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.errors import CalibrationError
+from measure.reading import read_text
+from measure.session.plain_values import READ, plain_values
+from measure.session.stated_rig import StatedCamera, StatedRig, stated_model
+
+Table = Mapping[str, Any]
+
+_MATRIX = ("camera_matrix", "cameramatrix", "k", "mtx")
+_DISTORTION = (
+    *("distortion_coefficients", "distortion_coeffs", "distortion_vector", "distcoeffs"),
+    *("dist_coeffs", "dist_coeff", "distortion", "dist", "d"),
+)
+_MODEL = (
+    *("distortion_model", "camera_model", "lens_model", "model"),
+    *("fisheye_model", "fisheye", "is_fisheye", "distortion_type"),
+)
+_ROTATION, _TRANSLATION = ("rotation", "r", "rvec"), ("translation", "t", "tvec")
+_WIDTHS, _HEIGHTS = ("image_width", "img_width", "width"), ("image_height", "img_height", "height")
+_SIZES = ("image_size", "imagesize", "resolution", "size")
+_RMS = ("avg_reprojection_error",)
+_SIDES = (("1", "2"), ("_1", "_2"), ("_left", "_right"), ("_l", "_r"), ("l", "r"))
+"""What ends the names of the two cameras of a stereo pair."""
+_STEREO_MATRIX = ("m", *_MATRIX)
+
+
+def read_tables(path: Path, values: object) -> StatedRig:
+    """The cameras of a file that is no TOML.
+
+    Args:
+        path: of the file; one that holds lenses alone or poses alone is read with its companion,
+            such as `extri.yml` beside `intri.yml`.
+        values: its content.
+
+    Raises:
+        CalibrationError: it is none of these, or a camera in it is broken or of another lens model.
+    """
+    if isinstance(values, Mapping):
+        for read in (_kalibr, _mc_calib, _multical, _easymocap, _stereo, _opencv):
+            rig = read(path, {str(key): value for key, value in values.items()})
+            if rig is not None:
+                return rig
+        known = ", ".join(map(str, values)) or "nothing"
+        raise CalibrationError(f"{path}: no camera_matrix in it; it holds {known[:120]}; {READ}")
+    raise CalibrationError(f"{path}: not a calibration that is read; {READ}")
+
+
+def _kalibr(path: Path, values: Table) -> StatedRig | None:
+    """`camchain.yaml`: each camera's `T_cn_cnm1` takes points from the camera before it, in m."""
+    chain = {
+        name: table
+        for name, table in values.items()
+        if isinstance(table, Mapping) and {"intrinsics", "resolution"} <= table.keys()
+    }
+    camera_from_world, cameras = np.eye(4), list[StatedCamera]()
+    for name, table in sorted(chain.items(), key=lambda pair: (len(pair[0]), pair[0])):
+        place = f"{path}: camera '{name}'"
+        fx, fy, cx, cy = _numbers(table["intrinsics"], place, "intrinsics", 4)
+        lens = {"camera_matrix": [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], **table}
+        if cameras:
+            step = _numbers(table.get("T_cn_cnm1"), place, "T_cn_cnm1", 16)
+            camera_from_world = step.reshape(4, 4) @ camera_from_world
+        pose = camera_from_world[:3, :3], camera_from_world[:3, 3]
+        cameras.append(_camera(name, place, lens, values, pose))
+    return StatedRig("kalibr", tuple(cameras), "m") if cameras else None
+
+
+def _mc_calib(path: Path, values: Table) -> StatedRig | None:
+    """`calibrated_cameras_data.yml`: `camera_pose_matrix` is world_from_camera."""
+    cameras, groups = [], set()
+    for name, table in values.items():
+        if not (isinstance(table, Mapping) and "camera_pose_matrix" in table):
+            continue
+        place = f"{path}: camera '{name}'"
+        matrix = _numbers(table["camera_pose_matrix"], place, "camera_pose_matrix", 16)
+        turn, center = matrix.reshape(4, 4)[:3, :3].T, matrix.reshape(4, 4)[:3, 3]
+        cameras.append(_camera(name, place, table, {}, (turn, -turn @ center)))
+        groups.add(table.get("camera_group"))
+    if len(groups) > 1:
+        raise CalibrationError(
+            f"{path}: its cameras are in {len(groups)} groups (camera_group), which MC-Calib could "
+            "not relate to each other: calibrate them with common views"
+        )
+    return StatedRig("mc-calib", tuple(cameras), values.get("unit"), True) if cameras else None
+
+
+def _multical(path: Path, values: Table) -> StatedRig | None:
+    """JSON of multical: `camera_poses` are camera_from_rig, by `a_to_b` or the camera's name."""
+    poses, lenses = values.get("camera_poses"), values.get("cameras")
+    if not (isinstance(poses, Mapping) and isinstance(lenses, Mapping)):
+        return None
+    own = {str(key).partition("_to_")[0]: pose for key, pose in poses.items()}
+    cameras = []
+    for name, table in lenses.items():
+        merged = {**own.get(str(name), {}), **table}
+        cameras.append(_camera(str(name), f"{path}: camera '{name}'", merged, {}))
+    return StatedRig("multical", tuple(cameras), values.get("unit", "m"))
+
+
+def _easymocap(path: Path, values: Table) -> StatedRig | None:
+    """EasyMocap's `intri.yml` and `extri.yml`: camera_from_world, in metres."""
+    names = values.get("names")
+    if not isinstance(names, list) or not any(f"{k}_{names[0]}" in values for k in "KRT"):
+        return None
+    for needed in "KT":
+        values = _with_companion(path, values, f"{needed}_{names[0]}")
+    cameras = []
+    for name in map(str, names):
+        own = {key: values.get(f"{key}_{name}") for key in ("K", "dist", "T")}
+        own["R"] = values.get(f"Rot_{name}", values.get(f"R_{name}"))
+        own["width"], own["height"] = values.get(f"W_{name}"), values.get(f"H_{name}")
+        cameras.append(_camera(name, f"{path}: camera '{name}'", own, {}))
+    return StatedRig("easymocap", tuple(cameras), values.get("unit", "m"))
+
+
+def _stereo(path: Path, values: Table) -> StatedRig | None:
+    """What OpenCV's sample `stereo_calib` writes: R and T take points from camera 1 to 2."""
+    rectified = {"R1", "R2", "P1", "P2"} <= values.keys()
+    lower = _lower(_with_companion(path, values, "M1") if rectified else values)
+    for sides in _SIDES:
+        lenses = [_first(lower, _STEREO_MATRIX, side) for side in sides]
+        if not all(isinstance(lens, np.ndarray | list | Mapping) for lens in lenses):
+            continue
+        if not rectified and _first(lower, _ROTATION) is None:
+            lower = _lower(_with_companion(path, values, "R"))
+        one, two = (_stereo_lens(lower, side) for side in sides)
+        placed = {key: lower.get(key) for key in (*_ROTATION, *_TRANSLATION)}
+        seen = any(value is not None for value in placed.values())
+        start = (np.eye(3), np.zeros(3)) if seen else None
+        cameras = (
+            _camera("1", f"{path}: camera '1'", one, lower, start),
+            _camera("2", f"{path}: camera '2'", {**two, **placed}, lower),
+        )
+        return StatedRig("opencv stereo", cameras, lower.get("unit"), True)
+    return None
+
+
+def _stereo_lens(values: Table, side: str) -> dict[str, Any]:
+    size = {key: values.get(key) for key in (*_WIDTHS, *_HEIGHTS, *_SIZES)}
+    matrix, distortion = _first(values, _STEREO_MATRIX, side), _first(values, _DISTORTION, side)
+    return {"k": matrix, "d": distortion, **size}
+
+
+def _opencv(path: Path, values: Table) -> StatedRig | None:
+    """One camera, or several under `cameras`: camera_from_world."""
+    tables = values.get("cameras", [values])
+    if not (isinstance(tables, list) and all(isinstance(table, Mapping) for table in tables)):
+        raise CalibrationError(f"{path}: cameras must be maps with a camera_matrix each; {READ}")
+    if tables[:1] == [values] and _first(_lower(values), _MATRIX) is None:
+        return None
+    cameras = []
+    for index, table in enumerate(tables):
+        usual = path.stem if table is values else f"cam{index}"
+        name = str(table.get("camera_name") or usual)
+        shared = {key: value for key, value in values.items() if key != "cameras"}
+        cameras.append(_camera(name, f"{path}: camera '{name}'", table, shared))
+    return StatedRig("opencv", tuple(cameras), values.get("unit"))
+
+
+def _camera(
+    name: str, place: str, table: Table, shared: Table, pose: tuple[Floats, Floats] | None = None
+) -> StatedCamera:
+    """A camera from its table; the lens model may be stated by what all share."""
+    own = _lower(table)
+    said = [{key: t.get(key) for key in _MODEL} for t in (_lower(shared), own)]
+    models = [stated_model(place, words) for words in said]
+    matrix = _numbers(_first(own, _MATRIX), place, "camera_matrix", 9)
+    distortion = _numbers(_first(own, _DISTORTION), place, "distortion coefficients")
+    turn, shift = _first(own, _ROTATION), _first(own, _TRANSLATION)
+    if pose is None and turn is not None and shift is not None:
+        rotation = _numbers(turn, place, "R")
+        if rotation.size not in (3, 9):
+            raise CalibrationError(f"{place}: its pose is no 3x3 matrix R, nor a vector of 3")
+        shape = (3, 3) if rotation.size == 9 else (3,)
+        pose = rotation.reshape(shape), _numbers(shift, place, "T", 3)
+    rms = _first(own, _RMS)
+    return StatedCamera(
+        name,
+        matrix.reshape(3, 3),
+        distortion,
+        "fisheye" if "fisheye" in models else "pinhole",
+        _size(own, place),
+        pose,
+        None if rms is None else float(_numbers(rms, place, _RMS[0], 1)[0]),
+    )
+
+
+def _with_companion(path: Path, values: Table, needed: str) -> Table:
+    """The values, with those of the file that holds the other half beside it."""
+    if needed in values:
+        return values
+    for pair in (("intri", "extri"), ("extri", "intri")):
+        other = path.with_name(re.sub(*pair, path.name))
+        if other != path and other.is_file():
+            more = plain_values(other, read_text(other, CalibrationError))
+            return {**more, **values} if isinstance(more, Mapping) else values
+    return values
+
+
+def _lower(table: Table) -> dict[str, Any]:
+    return {str(key).lower(): value for key, value in table.items()}
+
+
+def _first(table: Table, names: tuple[str, ...], side: str = "") -> object:
+    """What stands under the first of these names that is there."""
+    return next((v for name in names if (v := table.get(name + side)) is not None), None)
+
+
+def _size(table: Table, place: str) -> tuple[int, int] | None:
+    """Width and height in px, if they are stated."""
+    given = _first(table, _SIZES)
+    if given is None:
+        given = [_first(table, _WIDTHS), _first(table, _HEIGHTS)]
+        if None in given:
+            return None
+    width, height = _numbers(given, place, "picture size", 2)
+    if min(width, height) < 1 or not float(width).is_integer() or not float(height).is_integer():
+        raise CalibrationError(f"{place}: its picture size is no two whole numbers")
+    return int(width), int(height)
+
+
+def _numbers(value: object, place: str, key: str, count: int | None = None) -> Floats:
+    """Finite numbers (n,), perhaps the `data` of a matrix; none if they are left out."""
+    given = value.get("data") if isinstance(value, Mapping) else value
+    try:
+        numbers = np.array([] if given is None else given, dtype=np.float64).reshape(-1)
+    except (TypeError, ValueError):
+        numbers = np.array([np.nan])
+    if not np.isfinite(numbers).all() or (count is not None and len(numbers) != count):
+        many = "" if count is None else f"{count} "
+        raise CalibrationError(f"{place}: {key} must be {many}finite numbers")
+    return numbers

@@ -1,0 +1,155 @@
+"""Cameras as files of other programs state them, and how they become ours."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from measure.arrays import Floats
+from measure.errors import CalibrationError
+from measure.geometry import RigidTransform
+from measure.model import Camera, Intrinsics, Projection
+from measure.session.calibration_file import NO_CAMERA_MATRIX, Calibration, is_camera_matrix
+from measure.session.interchange_toml import Unit, distortion8, mm_per, rotation_matrix
+
+_MODELS: dict[str, Projection] = {
+    **dict.fromkeys(
+        ("fisheye", "equidistant", "equi", "kannala_brandt", "kb4", "1", "true"), "fisheye"
+    ),
+    **dict.fromkeys(("", "none", "plumb_bob", "rational_polynomial", "rational", "0"), "pinhole"),
+    **dict.fromkeys(("radtan", "pinhole", "opencv", "standard", "false"), "pinhole"),
+}
+"""What programs call the lens models that are read; numbers are MC-Calib's and OpenCV's."""
+
+Sizes = Mapping[str, tuple[int, int]]
+
+
+@dataclass(frozen=True, eq=False)
+class StatedCamera:
+    """One camera.
+
+    Attributes:
+        name: of the camera.
+        matrix: (3, 3) px.
+        distortion: OpenCV's coefficients of the model.
+        model: of the lens.
+        size_wh: of its pictures in px; None where the file does not say.
+        pose: rotation (vector or matrix) and translation, camera_from_world; None if not there.
+        rms_px: of its calibration, or None.
+    """
+
+    name: str
+    matrix: Floats
+    distortion: Floats
+    model: Projection = "pinhole"
+    size_wh: tuple[int, int] | None = None
+    pose: tuple[Floats, Floats] | None = None
+    rms_px: float | None = None
+
+    def lens(self, place: str) -> Intrinsics:
+        """Its lens.
+
+        Raises:
+            CalibrationError: the numbers are none of a lens, or the size of its pictures is
+                unknown.
+        """
+        if self.matrix.shape != (3, 3) or not is_camera_matrix(self.matrix):
+            raise CalibrationError(f"{place}: {NO_CAMERA_MATRIX}")
+        if self.size_wh is None:
+            raise CalibrationError(
+                f"{place}: has no picture size: write image_width and image_height into it"
+            )
+        try:
+            coefficients = distortion8(self.distortion, self.model)
+        except CalibrationError as problem:
+            raise CalibrationError(f"{place}: {problem}") from None
+        return Intrinsics(self.size_wh, self.matrix, coefficients, model=self.model)
+
+
+@dataclass(frozen=True, eq=False)
+class StatedRig:
+    """The cameras of one file.
+
+    Attributes:
+        program: that wrote it.
+        cameras: in the file's order.
+        unit: of the translations, as the file or the program has it.
+        numbered: whether its cameras have no names but numbers.
+    """
+
+    program: str
+    cameras: tuple[StatedCamera, ...]
+    unit: object = "mm"
+    numbered: bool = False
+
+    def calibration(self, path: Path, unit: Unit | None, pictures: Sizes) -> Calibration:
+        """As our calibration.
+
+        Args:
+            path: for messages.
+            unit: goes before the file's.
+            pictures: by camera name, size of the pictures that will be measured: where the file
+                has no sizes, and names for numbered cameras, in order.
+
+        Raises:
+            CalibrationError: a camera cannot be used, or has no pose.
+        """
+        scale = mm_per(path, self.unit, unit)
+        cameras = []
+        named = self._named(pictures)
+        for stated in named:
+            place = f"{path}: camera '{stated.name}'"
+            if stated.pose is None:
+                raise CalibrationError(
+                    f"{place} has intrinsics but no pose (R and T, camera from world): name the "
+                    "file in a capture and locate the camera with measure calibrate"
+                )
+            rotation, translation = stated.pose
+            try:
+                pose = RigidTransform(rotation_matrix(rotation), scale * translation)
+            except CalibrationError as problem:
+                raise CalibrationError(f"{place}: {problem}") from None
+            lens = stated.lens(place)
+            cameras.append(Camera(stated.name, lens, pose.inverse(), None, stated.rms_px))
+        facts: dict[str, object] = {"format": self.program, "mm_per_unit": scale}
+        pairs = zip(named, self.cameras, strict=True)
+        if order := [f"{new.name} = {old.name}" for new, old in pairs if new.name != old.name]:
+            facts["taken_in_order"] = ", ".join(order)
+        return Calibration(tuple(cameras), facts)
+
+    def lenses(self, path: Path) -> dict[str, Intrinsics]:
+        """The lenses alone, by camera name.
+
+        Raises:
+            CalibrationError: a camera cannot be used.
+        """
+        return {one.name: one.lens(f"{path}: camera '{one.name}'") for one in self.cameras}
+
+    def _named(self, pictures: Sizes) -> list[StatedCamera]:
+        names = [camera.name for camera in self.cameras]
+        if self.numbered and len(names) == len(pictures) and not set(names) & set(pictures):
+            names = list(pictures)
+        return [
+            replace(camera, name=name, size_wh=camera.size_wh or pictures.get(name))
+            for camera, name in zip(self.cameras, names, strict=True)
+        ]
+
+
+def stated_model(place: str, said: Mapping[str, object]) -> Projection:
+    """The lens model that a file states under some keys, a pinhole if it does not.
+
+    Raises:
+        CalibrationError: it is one by whose numbers another one would be misread.
+    """
+    models = set()
+    for key, value in said.items():
+        name = "" if value is None else str(value).lower().replace("-", "_").removesuffix(".0")
+        if name not in _MODELS:
+            raise CalibrationError(
+                f"{place}: {key} is '{value}': only lenses of OpenCV's plumb_bob, "
+                "rational_polynomial and fisheye (equidistant) models are read; calibrate with "
+                "such a lens model"
+            )
+        models.add(_MODELS[name])
+    return "fisheye" if "fisheye" in models else "pinhole"
