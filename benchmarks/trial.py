@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -15,7 +15,7 @@ from benchmarks.methods import Method
 from measure.arrays import Floats
 from measure.host import Registry
 from measure.measuring import Measurement, Status
-from measure.measuring.burn_in import burn_in_if_needed
+from measure.measuring.burn_in import calibrated
 from measure.model import FrameSet
 from measure.session import Session, Trajectory
 
@@ -115,13 +115,10 @@ def measure_timed(
     for _ in method.pipeline(session, registry).measure(iter(sets[:2])):
         pass
     steps: list[float] = []
-    pipeline = method.pipeline(session, registry)
-    burn_in_if_needed(
-        session.body,
-        session.cameras,
-        pipeline.stages.detectors,
-        lambda: method.pipeline(session, registry).stages,
-        sets,
+    pipeline = calibrated(
+        method.pipeline(session, registry),
+        lambda body: method.pipeline(replace(session, body=body), registry),
+        lambda: sets,
     )
     measured = list(pipeline.measure(_timed(sets, steps)))
     return measured, np.array(steps)

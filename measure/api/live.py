@@ -14,7 +14,7 @@ from threading import Event
 import numpy as np
 
 from measure.api.live_outputs import LiveOptions, LiveOutputs
-from measure.api.measuring import burn_in, measure_frame_sets
+from measure.api.measuring import burnt_in, measure_frame_sets
 from measure.api.profiles import RUN_FILE
 from measure.api.recording import (
     calibrated_cameras,
@@ -143,7 +143,7 @@ def live(
         outputs = LiveOutputs(stack, out, made_from, measured, calibrated, options)
         rig.begin(sinks)
         frame_sets = _FrameSets(gathering, rig, stop, options.seconds)
-        burn_in(pipeline, profile, registry, measured, calibrated, frame_sets())
+        pipeline = burnt_in(pipeline, profile, registry, frame_sets)
         enter_realtime(pipeline.stages.detectors)
         state, watch = None, _PaceMeter(gathering, rig)
         for frame_set, found in measure_frame_sets(pipeline, frame_sets()):

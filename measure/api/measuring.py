@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 
 from measure.api.warming_up import warm_pipeline
 from measure.host import Registry
 from measure.measuring import Measurement, Pipeline, Profile
-from measure.model import Body, Camera, FrameSet
+from measure.model import FrameSet
 from measure.session import Session
 
 
@@ -57,37 +57,28 @@ def calibrated_pipeline(session: Session, profile: Profile, registry: Registry) 
         ConfigError: settings that do not fit.
         SessionError: no two cameras have images close enough in time.
     """
-    body, cameras = session.body, session.cameras
-    pipeline = warm_pipeline(profile, registry, body, cameras)
-    burn_in(pipeline, profile, registry, body, cameras, session.frame_sets())
-    return pipeline
+    pipeline = warm_pipeline(profile, registry, session.body, session.cameras)
+    return burnt_in(pipeline, profile, registry, session.frame_sets)
 
 
-def burn_in(
+def burnt_in(
     pipeline: Pipeline,
     profile: Profile,
     registry: Registry,
-    body: Body,
-    cameras: Sequence[Camera],
-    frame_sets: Iterable[FrameSet],
-) -> None:
-    """Let a pipeline's detectors calibrate themselves, if any of them needs a burn-in.
+    frame_sets: Callable[[], Iterable[FrameSet]],
+) -> Pipeline:
+    """A pipeline to measure with: its detectors have calibrated themselves, if any needs that.
 
     Args:
-        pipeline: built from the four that follow.
+        pipeline: built from profile and registry.
         profile: the stages and their settings.
         registry: where the plugins come from.
-        body: what is measured.
-        cameras: calibrated.
-        frame_sets: the first ones.
+        frame_sets: the first ones, at every call.
     """
     from measure.api.profiles import build_pipeline
-    from measure.measuring.burn_in import burn_in_if_needed
+    from measure.measuring.burn_in import calibrated
 
-    burn_in_if_needed(
-        body,
-        cameras,
-        pipeline.stages.detectors,
-        lambda: build_pipeline(profile, registry, body, cameras).stages,
-        frame_sets,
+    cameras = pipeline.cameras
+    return calibrated(
+        pipeline, lambda body: build_pipeline(profile, registry, body, cameras), frame_sets
     )

@@ -40,7 +40,7 @@ class RefineResult:
     Attributes:
         calibration: the refined cameras.
         rig: residuals, clocks, ball centres, verdict.
-        body: with its balls where the recording puts them, within the tolerance.
+        body: with its balls where the recording puts them, within the tolerance, and as large.
         notes: reasons to doubt it, in words.
     """
 
@@ -80,16 +80,17 @@ def refine(
     with open_session(session, calibration=calibration) as opened:
         joint = _joint_covariance(opened.calibration_path)
         given = (opened.cameras, opened.body)
-        measured = _measure(opened, chosen, registry, progress)
+        measured, sized = _measure(opened, chosen, registry, progress)
         rough = rough_cameras(*given, measured, settings, joint)
         if rough is not None:
             _log.warning("the cameras disagree much: measuring again with roughly refined ones")
-            measured = _measure(replace(opened, cameras=rough), chosen, registry, progress)
+            again = replace(opened, cameras=rough)
+            measured, sized = _measure(again, chosen, registry, progress)
         rig = refine_measured(*given, measured, settings, joint)
         clocks = clock_values(opened.clock_digest, _shifts(rig, opened.clock_shifts_s))
     notes = rig.verdict.notes + (() if rig.refinement.world_held else (LOOSE_WORLD,))
     values = _provenance(str(session), rig) | clocks | {"notes": list(notes)}
-    refined = given[1].with_centers(rig.refinement.centers)
+    refined = _with_centers(sized, rig.refinement.centers)
     return RefineResult(Calibration(rig.refinement.cameras, values), rig, refined, notes)
 
 
@@ -107,15 +108,22 @@ def _measure(
     profile: Profile,
     registry: Registry,
     progress: Progress | None,
-) -> list[Measurement]:
-    from measure.api.measuring import measure_session
+) -> tuple[list[Measurement], Body]:
+    """Every frame set measured, and the body with the radii that its outlines show."""
+    from measure.api.measuring import calibrated_pipeline
 
-    measured = []
-    for _, measurement in measure_session(opened, profile, registry):
+    pipeline, measured = calibrated_pipeline(opened, profile, registry), []
+    for measurement in pipeline.measure(opened.frame_sets()):
         measured.append(measurement)
         if progress is not None:
             progress(len(measured), None)
-    return measured
+    return measured, pipeline.body
+
+
+def _with_centers(sized: Body, centers: Floats) -> Body:
+    """The body to write: what is known of its radii becomes their tolerance."""
+    sd_mm = float(np.sqrt(np.mean(np.diag(sized.radius_covariance))))
+    return replace(sized.with_centers(centers), radius_tolerance_mm=sd_mm)
 
 
 def _joint_covariance(path: Path) -> Floats | None:

@@ -18,6 +18,7 @@ from measure.host.settings import read_settings
 from measure.measuring import Profile
 from measure.measuring.profile import Stage
 from measure.model import Body
+from measure.model.body import USUAL_RADIUS_TOLERANCE_MM
 from measure.processes import Progress
 from measure.results import Provenance, RunWriter, Summary, digest
 from measure.session import Session, Trajectory, open_session, read_trajectory
@@ -171,6 +172,8 @@ def _body_digest(body: Body) -> str:
     described = [f"{ball!r}" for ball in body.balls]
     if body.tolerance_mm:
         described.append(f"{body.tolerance_mm!r}")
+    if body.radius_tolerance_mm != USUAL_RADIUS_TOLERANCE_MM:
+        described.append(f"radii {body.radius_tolerance_mm!r}")
     return digest([text.encode() for text in described])
 
 

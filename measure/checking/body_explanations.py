@@ -12,6 +12,7 @@ from measure.checking.finding import Finding, Level
 from measure.errors import DegenerateGeometryError
 from measure.estimation.body_layout import thickness
 from measure.geometry.alignment import align_points
+from measure.measuring.ball_radii import OutlineGrowth
 from measure.model import Body
 
 _SIGMAS = 4.0
@@ -135,6 +136,26 @@ def _shared_size(radii: Sequence[Compared]) -> list[str]:
     factor = float(np.median([r.measured_mm / r.file_mm for r in radii]))
     radii_text = ", ".join(f"{r.what[0]} {r.measured_mm:.1f} for {r.file_mm:.1f} mm" for r in radii)
     return [f"the balls are {factor:.2f} times as large as the body file says ({radii_text})"]
+
+
+def size_findings(body: Body, seen: OutlineGrowth) -> list[Finding]:
+    """A line with the balls' sizes and their uncertainty where outlines contradict the file."""
+    if not seen.contradicts(body):
+        return []
+    off, covariance = seen.growth_mm / body.radii, seen.covariance_mm2
+    relative = covariance / np.outer(body.radii, body.radii)
+    share, sd = float(np.mean(off)), float(np.sqrt(np.mean(relative)))
+    what = "balls look larger or smaller than the body file says"
+    if np.all(np.sign(off) == np.sign(share)):
+        size = "larger" if share > 0 else "smaller"
+        what = f"all balls look {size} than the body file says, by {abs(share):.1%} +- {sd:.1%}"
+    rows = zip(body.balls, seen.growth_mm, np.sqrt(np.diag(covariance)), strict=True)
+    each = ", ".join(
+        f"{ball.name} {ball.radius_mm + growth:.2f} +- {sd:.2f} mm for {ball.radius_mm:g}"
+        for ball, growth, sd in rows
+    )
+    cure = "measure them with callipers, or state a larger radius_tolerance_mm"
+    return [Finding(Level.WEAK, "body", f"{what} (radii: {each}): {cure}")]
 
 
 def twin_findings(body: Body) -> list[Finding]:

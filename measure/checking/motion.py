@@ -17,6 +17,7 @@ from measure.checking.camera_errors import (
 )
 from measure.checking.clocks import CameraClock, estimate_clocks, measured_instants
 from measure.checking.finding import Finding, Level
+from measure.measuring.ball_radii import OutlineGrowth, outline_growth, seen_balls
 from measure.measuring.body_scale import relative_scale
 from measure.measuring.measurement import Measurement, Status
 from measure.model import Body, Camera
@@ -39,6 +40,7 @@ class MotionCheck:
         scale_sd: its standard deviation.
         measured: how many frame sets have a pose.
         flags: how many of these are flagged, by the most frequent reasons.
+        sizes: how much larger than expected the balls' outlines are; None if too few were measured.
     """
 
     clocks: tuple[CameraClock, ...] = ()
@@ -47,6 +49,7 @@ class MotionCheck:
     scale_sd: float = np.nan
     measured: int = 0
     flags: tuple[tuple[str, int], ...] = ()
+    sizes: OutlineGrowth | None = None
 
     @property
     def late(self) -> set[str]:
@@ -67,6 +70,7 @@ def check_motion(
         *_scale(posed, body),
         len(posed),
         tuple(flags.most_common()),
+        outline_growth(seen_balls(posed), body, cameras),
     )
 
 

@@ -7,19 +7,33 @@ the standard response.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import closing, suppress
 from dataclasses import replace
+from itertools import islice
+
+import numpy as np
 
 from measure.errors import MeasureError
 from measure.host import Detector, SelfCalibratingDetector
-from measure.measuring.pipeline import Pipeline, Stages
-from measure.model import Body, Camera, FrameSet
+from measure.measuring.ball_radii import (
+    OutlineGrowth,
+    outline_growth,
+    seen_balls,
+    with_estimated_radii,
+)
+from measure.measuring.measurement import Measurement
+from measure.measuring.pipeline import Pipeline
+from measure.model import Body, FrameSet
 
 _FRAME_SETS_WITH_BODY = 16
 """Frame sets with a pose after which every camera has seen enough balls, if it ever will."""
 _MAX_FRAME_SETS = 64
 """Two seconds of most recordings."""
+_FRAME_SETS_FOR_RADII = 8
+"""Detectors know their images from the burn-in, and learn nothing new from them."""
+
+FrameSets = Callable[[], Iterable[FrameSet]]
 
 
 def needed(detectors: Mapping[str, Detector]) -> bool:
@@ -31,49 +45,75 @@ def _self_calibrating(detectors: Mapping[str, Detector]) -> list[SelfCalibrating
     return [one for one in detectors.values() if isinstance(one, SelfCalibratingDetector)]
 
 
-def burn_in_if_needed(
-    body: Body,
-    cameras: Sequence[Camera],
-    detectors: Mapping[str, Detector],
-    new_stages: Callable[[], Stages],
-    frame_sets: Iterable[FrameSet],
-) -> None:
-    """Measure the start of a recording with detectors, one per camera, if any needs a burn-in.
+def calibrated(
+    pipeline: Pipeline, build: Callable[[Body], Pipeline], frame_sets: FrameSets
+) -> Pipeline:
+    """A pipeline whose detectors have calibrated themselves, if any of them needs a burn-in.
+
+    Where the solver fits outlines, these are then compared with the balls' radii, and the result is
+    a pipeline for a body with what is known of them. See `ball_radii`.
 
     Args:
-        body: what is measured.
-        cameras: calibrated.
-        detectors: those that will measure the recording.
-        new_stages: builds stages of which all but the detectors are used; discarded afterwards.
-        frame_sets: of the recording, from its start.
+        pipeline: of detectors as they were built.
+        build: a pipeline like it for a body; of parts of its own.
+        frame_sets: of the recording, from its start, at every call.
     """
-    if needed(detectors):
-        burn_in(body, cameras, replace(new_stages(), detectors=detectors), frame_sets)
+    if not needed(pipeline.stages.detectors):
+        return pipeline
+    given, detectors = pipeline.body, pipeline.stages.detectors
+    if not pipeline.stages.solver.requires_outlines:
+        burn_in(_with(build(given), detectors), frame_sets())
+        return pipeline
+
+    def growth(body: Body) -> OutlineGrowth:
+        nonlocal detectors
+        fresh = build(body)
+        detectors = pipeline.stages.detectors if body is given else fresh.stages.detectors
+        burn_in(_with(fresh, detectors), frame_sets())
+        known = islice(frame_sets(), _FRAME_SETS_FOR_RADII)
+        measured = _measured(_with(build(body), detectors), known)
+        return outline_growth(seen_balls(measured), body, fresh.cameras)
+
+    body = with_estimated_radii(given, growth)
+    if np.any(body.radii != given.radii):
+        growth(body)
+    else:
+        detectors = pipeline.stages.detectors
+    return _with(build(body), detectors, pipeline.stages.smoothing)
 
 
-def burn_in(
-    body: Body, cameras: Sequence[Camera], stages: Stages, frame_sets: Iterable[FrameSet]
-) -> None:
+def _with(
+    pipeline: Pipeline, detectors: Mapping[str, Detector], smoothing: bool = False
+) -> Pipeline:
+    """The same with other detectors."""
+    stages = replace(pipeline.stages, detectors=detectors, smoothing=smoothing)
+    return Pipeline(pipeline.body, pipeline.cameras, stages)
+
+
+def _measured(pipeline: Pipeline, frame_sets: Iterable[FrameSet]) -> Iterator[Measurement]:
+    """What can be measured: errors recur when the recording is."""
+    with suppress(MeasureError), closing(pipeline.measure(frame_sets)) as measured:
+        yield from measured
+
+
+def burn_in(pipeline: Pipeline, frame_sets: Iterable[FrameSet]) -> None:
     """Measure frame sets until the detectors are calibrated, then combine their estimates.
 
     Errors of the frame sets are ignored here: they recur when the recording is measured.
 
     Args:
-        body: what is measured.
-        cameras: calibrated.
-        stages: with the detectors to calibrate; its tracker is left in the state of the last frame
-            set and must not be used again.
+        pipeline: with the detectors to calibrate; its tracker is left in the state of the last
+            frame set and must not be used again.
         frame_sets: of the recording, from its start.
     """
-    pipeline, found = Pipeline(body, cameras, replace(stages, smoothing=False)), 0
-    with suppress(MeasureError), closing(pipeline.measure(frame_sets)) as measured:
-        for seen, one in enumerate(measured, 1):
-            found += one.pose is not None
-            if seen == _MAX_FRAME_SETS or found == _FRAME_SETS_WITH_BODY:
-                break
-            if not needed(stages.detectors):
-                break
-    calibrating = _self_calibrating(stages.detectors)
+    detectors, found = pipeline.stages.detectors, 0
+    for seen, one in enumerate(_measured(pipeline, frame_sets), 1):
+        found += one.pose is not None
+        if seen == _MAX_FRAME_SETS or found == _FRAME_SETS_WITH_BODY:
+            break
+        if not needed(detectors):
+            break
+    calibrating = _self_calibrating(detectors)
     states = [detector.calibration_state for detector in calibrating]
     for detector in calibrating:
         detector.fuse_calibration(states)

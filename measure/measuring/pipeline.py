@@ -57,7 +57,7 @@ class Pipeline:
     """Measures frame sets one after the other, the cameras of each in parallel."""
 
     def __init__(self, body: Body, cameras: Sequence[Camera], stages: Stages) -> None:
-        self._body = body
+        self.body, self.cameras = body, tuple(cameras)
         self._cameras = {camera.name: camera for camera in cameras}
         self._rolling = any(camera.readout_s for camera in cameras)
         self._duplicates = DuplicateImages()
@@ -81,8 +81,8 @@ class Pipeline:
         self.stages.tracker.warm_up()
         plugin_calls.warm_up("triangulator", self.stages.triangulator)
         plugin_calls.warm_up("solver", self.stages.solver)
-        for camera in list(self._cameras.values())[:1]:
-            time_alignment.warm_up(self._body, camera)
+        for camera in self.cameras[:1]:
+            time_alignment.warm_up(self.body, camera)
         if self.stages.smoothing:
             pose_spline.warm_up()
 
@@ -93,7 +93,7 @@ class Pipeline:
             MeasureError: what the frame sets raise, after those before it have been measured.
         """
         errors = list[MeasureError]()
-        scale = ScaleMonitor(self._body)
+        scale = ScaleMonitor(self.body)
         with CameraPool(len(self._cameras)) as pool:
             readable = _until_error(frame_sets, errors)
             processed = (self._process(frame_set, pool) for frame_set in readable)
@@ -104,7 +104,7 @@ class Pipeline:
             if self.stages.smoothing:
                 drafts = map(self._smooth, with_surrounding_poses(drafts))
             for draft in drafts:
-                yield scale.judged(draft.measurement.with_tolerance(self._body))
+                yield scale.judged(draft.measurement.with_tolerance(self.body))
         if errors:
             raise errors[0]
 
@@ -119,8 +119,7 @@ class Pipeline:
         tracker = self.stages.tracker.backwards()
         if tracker is None:
             return drafts
-        cameras = list(self._cameras.values())
-        backward = Pipeline(self._body, cameras, replace(self.stages, tracker=tracker))
+        backward = Pipeline(self.body, self.cameras, replace(self.stages, tracker=tracker))
         for i in reversed(range(len(drafts))):
             again = backward._track(waiting[i].frame_set, pool)
             if again is None:
@@ -176,12 +175,12 @@ class Pipeline:
         views = tracker.judge(frame_set, self._detect(frame_set, expected, pool))
         time_s = self._instant(frame_set)
         prior = tracker.motion(time_s)
-        seen = FrameSetObservations.of(views, time_s, self._body, self._cameras)
+        seen = FrameSetObservations.of(views, time_s, self.body, self._cameras)
         positions = self._triangulate(seen, prior)
         pose = self._solve(seen, positions, prior)
         residuals_px = self._residuals(seen, pose, prior)
         conclusion = tracker.conclude(frame_set, views, positions, pose, residuals_px)
-        balls = len(self._body.balls)
+        balls = len(self.body.balls)
         measured = Measurement(
             index=frame_set.index,
             time_s=time_s,
@@ -203,7 +202,7 @@ class Pipeline:
     ) -> dict[str, list[Detection]]:
         def detect(name: str) -> list[Detection]:
             detector, image = self.stages.detectors[name], frame_set.images[name]
-            found = plugin_calls.detections(detector, image, expected.get(name, ()), self._body)
+            found = plugin_calls.detections(detector, image, expected.get(name, ()), self.body)
             return self._at_row_times(found) if self.stages.per_image_timestamps else found
 
         return pool.map(detect, frame_set.images)
@@ -235,7 +234,7 @@ class Pipeline:
         if motion is not None and self.stages.per_image_timestamps:
             used = seen.at_instant(motion)
         positions = plugin_calls.positions(
-            self.stages.triangulator, used, self._cameras, self._body, seen.time_s
+            self.stages.triangulator, used, self._cameras, self.body, seen.time_s
         )
         return tuple(
             [p if p.time_s == seen.time_s else replace(p, time_s=seen.time_s) for p in positions]

@@ -13,6 +13,9 @@ from measure.arrays import Floats, floats
 from measure.errors import DegenerateGeometryError
 from measure.model.color import BallColor
 
+USUAL_RADIUS_TOLERANCE_MM = 0.05
+COMMON_RADIUS_VARIANCE = 0.5
+"""Share of the radii's variance that balls of one make and paint have in common."""
 MIN_BREADTH_RATIO = 0.02
 """Balls whose second extent is below this share of the first count as collinear."""
 
@@ -51,15 +54,20 @@ class Body:
         name: of the body.
         balls: where they should be.
         tolerance_mm: standard deviation of each coordinate of where they are; 0 is exact.
+        radius_tolerance_mm: standard deviation of each radius; 0 is exact.
+        measured_radii: covariance (k, k) in mm^2 of radii that were measured; None if they are as
+            `radius_tolerance_mm` says.
 
     Raises:
         DegenerateGeometryError: fewer than three balls, or collinear ones.
-        ValueError: two balls have one name, or the tolerance is none.
+        ValueError: two balls have one name, or a tolerance is none.
     """
 
     name: str
     balls: tuple[Ball, ...]
     tolerance_mm: float = 0.0
+    radius_tolerance_mm: float = USUAL_RADIUS_TOLERANCE_MM
+    measured_radii: Floats | None = None
 
     def __post_init__(self) -> None:
         if len(self.balls) < 3:
@@ -68,6 +76,8 @@ class Body:
             )
         if not 0 <= self.tolerance_mm < np.inf:
             raise ValueError(f"body '{self.name}': tolerance_mm must be 0 or more")
+        if not 0 <= self.radius_tolerance_mm < np.inf:
+            raise ValueError(f"body '{self.name}': radius_tolerance_mm must be 0 or more")
         if twice := {name for name in self.names if self.names.count(name) > 1}:
             names = " and ".join(f"'{name}'" for name in sorted(twice))
             raise ValueError(f"body '{self.name}': more than one ball is called {names}")
@@ -84,6 +94,12 @@ class Body:
         moved = zip(self.balls, centers, strict=True)
         return replace(self, balls=tuple(replace(ball, center_mm=at) for ball, at in moved))
 
+    def with_radii(self, radii: Floats, covariance: Floats) -> Body:
+        """The same balls with measured radii (k,) mm and their covariance (k, k) mm^2."""
+        sized = zip(self.balls, radii.tolist(), strict=True)
+        balls = tuple(replace(ball, radius_mm=radius) for ball, radius in sized)
+        return replace(self, balls=balls, measured_radii=covariance)
+
     @cached_property
     def centers(self) -> Floats:
         """Ball centres (k, 3) in the body frame, mm."""
@@ -98,6 +114,14 @@ class Body:
     def radii(self) -> Floats:
         """Ball radii (k,) in mm."""
         return np.array([ball.radius_mm for ball in self.balls])
+
+    @cached_property
+    def radius_covariance(self) -> Floats:
+        """Covariance (k, k) in mm^2 of the radii: as measured, or by their tolerance."""
+        if self.measured_radii is not None:
+            return self.measured_radii
+        alike, k = COMMON_RADIUS_VARIANCE, len(self.balls)
+        return self.radius_tolerance_mm**2 * ((1 - alike) * np.eye(k) + alike)
 
     @cached_property
     def center_covariance(self) -> Floats:

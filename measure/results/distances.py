@@ -10,8 +10,14 @@ import numpy as np
 import pyarrow as pa
 
 from measure.arrays import Floats
-from measure.checking.body_explanations import Compared, layout_findings, twin_findings
+from measure.checking.body_explanations import (
+    Compared,
+    layout_findings,
+    size_findings,
+    twin_findings,
+)
 from measure.checking.finding import Level
+from measure.measuring.ball_radii import OutlineGrowth
 from measure.model import Body
 
 MIN_FRAME_SETS = 5
@@ -84,9 +90,12 @@ def _lengths(apart: Floats, covariances: Floats) -> tuple[Floats, Floats]:
     return lengths, np.sqrt(np.einsum("ni,nij,nj->n", along, covariances, along))
 
 
-def body_notes(body: Body, distances: Sequence[BallDistance]) -> tuple[str, ...]:
+def body_notes(
+    body: Body, distances: Sequence[BallDistance], sizes: OutlineGrowth
+) -> tuple[str, ...]:
     """What is wrong or weak about the body file, a line each, with its level."""
-    return (*contradictions(body, distances), *map(str, twin_findings(body)))
+    weak = (*size_findings(body, sizes), *twin_findings(body))
+    return (*contradictions(body, distances), *map(str, weak))
 
 
 def contradictions(body: Body, distances: Sequence[BallDistance]) -> tuple[str, ...]:

@@ -14,6 +14,7 @@ from measure.arrays import Bools, Floats
 from measure.errors import RunError
 from measure.geometry import RigidTransform
 from measure.model import Body, Camera
+from measure.results.ball_sizes import outline_sizes
 from measure.results.distances import BallDistance, ball_distances, body_notes, contradictions
 from measure.results.provenance import read_provenance
 from measure.results.stored import PLACE, read_tables
@@ -49,7 +50,8 @@ class Run:
     def summary(self) -> Summary:
         """The run in a few numbers."""
         notes = self.provenance.get("session", {}).get("notes", ())
-        against = body_notes(self.body, self.distances)
+        sizes = outline_sizes(self.body, self.cameras, self.detections, self.poses)
+        against = body_notes(self.body, self.distances, sizes)
         return summarise(self.detections, self.poses, notes, against)
 
     @cached_property

@@ -14,6 +14,7 @@ from pydantic import Field, FiniteFloat, ValidationInfo, field_validator, model_
 from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError, SessionError
 from measure.model import Ball, BallColor, Body, ColorRange
+from measure.model.body import USUAL_RADIUS_TOLERANCE_MM
 from measure.model.color import NAMED_RANGES
 from measure.session.files import FileModel, Length, Name, Position, load_toml
 from measure.session.pictures import read_picture
@@ -25,6 +26,7 @@ Triple = tuple[Level, Level, Level]
 _LEAST_RADIUS_MM = 0.5
 """Smaller balls show no outline to a webcam: sizes are then rather metres."""
 _MOST_TOLERANCE_MM = 10.0
+Tolerance = Annotated[FiniteFloat, Field(ge=0, le=_MOST_TOLERANCE_MM)]
 _LAST_HUE = 179
 _TOUCHING = 0.9
 """Share of the radii's sum by which balls that touch are apart at least, carelessly measured."""
@@ -123,7 +125,8 @@ class BodyModel(FileModel):
     """A body file, or the `[body]` table of a session."""
 
     name: str = "body"
-    tolerance_mm: Annotated[FiniteFloat, Field(ge=0, le=_MOST_TOLERANCE_MM)] = 0.0
+    tolerance_mm: Tolerance = 0.0
+    radius_tolerance_mm: Tolerance = USUAL_RADIUS_TOLERANCE_MM
     balls: list[BallModel]
 
     @model_validator(mode="after")
@@ -159,7 +162,7 @@ class BodyModel(FileModel):
         """
         try:
             balls = tuple(_ball(ball, source.parent) for ball in self.balls)
-            return Body(self.name, balls, self.tolerance_mm)
+            return Body(self.name, balls, self.tolerance_mm, self.radius_tolerance_mm)
         except DegenerateGeometryError as problem:
             raise SessionError(f"{source}: {problem}") from None
 
@@ -184,7 +187,12 @@ def write_body(path: Path | str, body: Body) -> None:
         }
         for ball in body.balls
     ]
-    values = {"name": body.name, "tolerance_mm": body.tolerance_mm or None, "balls": balls}
+    values = {
+        "name": body.name,
+        "tolerance_mm": body.tolerance_mm or None,
+        "radius_tolerance_mm": body.radius_tolerance_mm,
+        "balls": balls,
+    }
     Path(path).write_text(dump_toml(values), encoding="utf-8")
 
 

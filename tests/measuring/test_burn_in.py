@@ -12,7 +12,7 @@ from measure.errors import SessionError
 from measure.geometry import RigidTransform
 from measure.host import Loaded, Registry, SelfCalibratingDetector
 from measure.host.discovery import Distribution
-from measure.measuring import Stages, burn_in
+from measure.measuring import Pipeline, Stages, burn_in
 from measure.measuring.tracking.predictive import PredictiveConfig, PredictiveTracker
 from measure.session import open_session
 from measure_plugins.pose_solvers.kabsch import KabschConfig, KabschSolver
@@ -167,10 +167,10 @@ def test_a_burn_in_ends_whatever_the_detectors_want(hidden, shown):
         ReprojectionTriangulator(ReprojectionConfig()),
         KabschSolver(KabschConfig(), BODY),
         per_image_timestamps=True,
-        smoothing=True,
+        smoothing=False,
         remeasure_after_search=True,
     )
-    burn_in.burn_in(BODY, CAMERAS, stages, frame_sets(cameras, 100))
+    burn_in.burn_in(Pipeline(BODY, CAMERAS, stages), frame_sets(cameras, 100))
     assert [detector.shown for detector in detectors.values()] == [shown, shown]
 
 

@@ -65,8 +65,12 @@ def measurement(
     covariance: Floats | None = None,
     pixel_error: Floats | None = None,
     lost: bool = False,
+    size: float = 1.0,
 ) -> Measurement:
-    """A frame set whose pose is off by `error` (6,) and whose centres are off by `pixel_error`."""
+    """A frame set whose pose is off by `error` (6,) and whose centres are off by `pixel_error`.
+
+    Outlines are `size` times as large as those of the body's balls.
+    """
     time_s = index * PERIOD_S
     exact = true_pose(time_s)
     error = np.zeros(6) if error is None else error
@@ -79,7 +83,9 @@ def measurement(
     for camera in CAMERAS:
         centers = camera.project(exact.apply(BODY.centers)) + pixel_error
         for ball, center in zip(BODY.balls, centers, strict=True):
-            seen = Detection(ball.name, camera.name, time_s, center, 50.0, np.eye(2) * 0.01)
+            outline = camera.outline(exact.apply(ball.center_mm), ball.radius_mm)
+            radius = size * float(np.mean(np.linalg.norm(outline - outline.mean(axis=0), axis=1)))
+            seen = Detection(ball.name, camera.name, time_s, center, radius, np.eye(2) * 0.01)
             views.append(BallView(ball.name, camera.name, State.EFFECTIVE, Reason.NONE, seen))
     positions = tuple(
         BallPosition(

@@ -13,13 +13,13 @@ from tests.results.conftest import BODY, CAMERAS, made_from, measurement
 SD_MM = 0.04
 
 
-def notes(folder, stated, noise_mm=0.0, sets=8):
+def notes(folder, stated, noise_mm=0.0, sets=8, size=1.0):
     """Of a run in which BODY's balls are located where they are, but `stated` is the body file."""
     rng = np.random.default_rng(2)
     covariance = np.diag([SD_MM**2] * 3 + [1e-6] * 3)
     with RunWriter(folder, made_from(), stated, CAMERAS) as writer:
         for index in range(sets):
-            found = measurement(index, covariance=covariance)
+            found = measurement(index, covariance=covariance, size=size)
             positions = [
                 replace(f, center=f.center + rng.normal(0, noise_mm, 3)) for f in found.positions
             ]
@@ -63,3 +63,15 @@ def test_uncertainty_holds_what_all_frame_sets_err_by_alike(folder):
     notes(folder, BODY)
     for distance in read_run(folder).distances:
         assert distance.uncertainty_mm == pytest.approx(np.sqrt(2) * SD_MM)
+
+
+@pytest.mark.parametrize(("size", "word"), [(0.99, "smaller"), (1.01, "larger")])
+def test_balls_that_all_look_larger_or_smaller_are_told(folder, size, word):
+    (note,) = notes(folder, BODY, size=size)
+    assert f"all balls look {word} than the body file says, by 1.0% +- 0." in note
+    assert f"green {20 * size:.2f} +- 0." in note
+    assert "callipers" in note
+
+
+def test_sizes_within_the_stated_tolerance_are_not_told(folder):
+    assert notes(folder, replace(BODY, radius_tolerance_mm=0.3), size=0.99) == ()

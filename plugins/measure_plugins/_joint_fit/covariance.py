@@ -57,7 +57,7 @@ def solve_outlines(
     translation: Floats,
     prior_information: Floats,
     ball_of: Ints,
-    balls: int,
+    radius_covariance: Floats,
     rig: RigRows,
     view_noise: Floats,
     widening: float,
@@ -72,7 +72,7 @@ def solve_outlines(
         translation: (3,) of the same.
         prior_information: (6, 6) see `fit_outlines`.
         ball_of: (k,) index of the ball.
-        balls: how many there are.
+        radius_covariance: (b, b) of the body's radii, mm^2.
         rig: the c cameras.
         view_noise: (c, 2, 2) covariances of the views' shifts by their calibration, px^2.
         widening: factor of the covariance, for effects whose variance is itself estimated.
@@ -82,7 +82,9 @@ def solve_outlines(
     )
     known = fit.covariance * widening
     if fit.solved:
-        known += light_covariance(outlines, fit, ball_of, balls, rig.lenses)
+        known += light_covariance(outlines, fit, ball_of, len(radius_covariance), rig.lenses)
+        by_radius = pose_by_radius(outlines, fit, ball_of, len(radius_covariance), rig.lenses)
+        known += by_radius @ radius_covariance @ by_radius.T
         known += calibration_covariance(outlines, fit, rig)
     off = fit.effects_px[:, :2]
     return JointFit(
@@ -129,6 +131,33 @@ def calibration_covariance(outlines: PackedOutlines, fit: OutlineFit, rig: RigRo
                 _outline_by_lens(outlines, fit, k, rig.lenses[view], by_intrinsics)
                 lever[:, 6:] -= fit.by_effect[k] @ by_intrinsics
         out += lever @ rig.covariances[view] @ lever.T
+    return out
+
+
+@compiled
+def pose_by_radius(
+    outlines: PackedOutlines, fit: OutlineFit, ball_of: Ints, balls: int, lenses: Floats
+) -> Floats:
+    """Derivatives (6, b) of the pose by the balls' radii, per mm.
+
+    A ball that is larger has larger outlines in all views. See docs/explanation/joint_fit.md,
+    formula 22.
+
+    Args:
+        outlines: k ball-views in c views.
+        fit: the pose fitted to them.
+        ball_of: (k,) index of the ball.
+        balls: how many there are.
+        lenses: (c, 13) lens rows.
+    """
+    out = np.zeros((6, balls))
+    for k in range(len(outlines.view_of)):
+        view = outlines.view_of[k]
+        place = apply_matrix(fit.rotation, outlines.centers_body[k]) + fit.translation
+        center = apply_matrix(outlines.rotations[view], place) + outlines.translations[view]
+        square = np.sum(center * center) - outlines.radii[k] ** 2
+        focal = (lenses[view, 0] + lenses[view, 3]) / 2
+        out[:, ball_of[k]] += fit.by_effect[k, :, 2] * focal / np.sqrt(square)
     return out
 
 

@@ -156,7 +156,7 @@ class ContoursSolver(PoseSolver):
             np.ascontiguousarray(start.translation),
             information,
             named.ball_of,
-            len(self.body.balls),
+            self.body.radius_covariance,
             named.rig.rows,
             view_noise,
             _small_sample(2 * len(named.balls) - 6),

@@ -1,0 +1,138 @@
+"""The balls' radii as their outlines show them, against those of the body file.
+
+A ball's outline is as large as its radius and distance say; the distance is known from the rays.
+What detectors learn of the balls' appearance rests on the radii that they are given, so that an
+error is partly learnt as appearance, and the outlines show only a share of it: the estimate goes on
+from there (secant method) to where outlines and radii agree.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.geometry import RigidTransform
+from measure.measuring.measurement import Measurement
+from measure.model import Body, Camera, Detection
+from measure.model.body import COMMON_RADIUS_VARIANCE
+
+_LEAST_VIEWS = 8
+"""Ball-views that tell a ball's size."""
+_SHARE_SHOWN = 0.5
+"""Share of an error that the outlines show at first: 0.25 to 0.6 on path-traced recordings."""
+_LEAST_SHARE_SHOWN = 0.25
+_COMMON_VARIANCE = 0.8
+"""Share of the variance of measured radii that all balls have in common: blur, noise and light make
+all outlines larger or smaller. Measured on path-traced recordings."""
+_DOUBT, _CONTRADICTION = 3.0, 6.25
+"""Squared Mahalanobis distances from which outlines are measured a second time, and contradict the
+body file: 4 and 1 in 10 (chi-square, three degrees of freedom)."""
+_LEAST_TOLERANCE_MM = 1e-4
+_UNKNOWN_MM2 = 1e6
+_ITERATIONS = 20
+
+
+class OutlineGrowth(NamedTuple):
+    """How much larger than expected k balls' outlines are.
+
+    Attributes:
+        growth_mm: (k,) of the radii, medians over ball-views; 0 for a ball that is hardly seen.
+        covariance_mm2: (k, k) that of a single view of each: views share their errors.
+    """
+
+    growth_mm: Floats
+    covariance_mm2: Floats
+
+    def misfit(self, body: Body) -> float:
+        """Squared Mahalanobis distance from a body with its uncertain radii, for three balls."""
+        known = body.radius_covariance + self.covariance_mm2
+        square = float(self.growth_mm @ np.linalg.solve(known, self.growth_mm))
+        return square * 3 / len(self.growth_mm)
+
+    def contradicts(self, body: Body) -> bool:
+        """Whether the body does not look like this, but in 1 of 10 cases."""
+        return self.misfit(body) > _CONTRADICTION
+
+
+def seen_balls(measurements: Iterable[Measurement]) -> Iterator[tuple[RigidTransform, Detection]]:
+    """Each effective detection with the pose of its frame set."""
+    for measured in measurements:
+        for view in measured.views if measured.pose is not None else ():
+            if measured.pose is not None and view.detection is not None and view.effective:
+                yield measured.pose.world_from_body, view.detection
+
+
+def outline_growth(
+    seen: Iterable[tuple[RigidTransform, Detection]], body: Body, cameras: Sequence[Camera]
+) -> OutlineGrowth:
+    """Compare outlines with those of the body's balls at these poses, world_from_body."""
+    by_name = {camera.name: camera for camera in cameras}
+    rows: list[list[tuple[float, float]]] = [[] for _ in body.balls]
+    for world_from_body, detection in seen:
+        k = body.index(detection.ball)
+        ball = body.balls[k]
+        center = world_from_body.apply(ball.center_mm)
+        outline = by_name[detection.camera].outline(center, ball.radius_mm)
+        expected_px = np.mean(np.linalg.norm(outline - outline.mean(axis=0), axis=1))
+        if np.isfinite(expected_px):
+            mm_per_px = ball.radius_mm / float(expected_px)
+            growth_mm = mm_per_px * detection.radius_px - ball.radius_mm
+            rows[k].append((growth_mm, mm_per_px**2 * detection.variance_px2))
+    growth, variance = np.zeros(len(rows)), np.full(len(rows), _UNKNOWN_MM2)
+    for k, row in enumerate(rows):
+        if len(row) >= _LEAST_VIEWS:
+            growth[k], variance[k] = np.median(row, axis=0)
+    share = (1 - _COMMON_VARIANCE) * np.eye(len(rows)) + _COMMON_VARIANCE
+    return OutlineGrowth(growth, share * np.sqrt(np.outer(variance, variance)))
+
+
+def with_estimated_radii(body: Body, measure: Callable[[Body], OutlineGrowth]) -> Body:
+    """The body with what file and outlines together say of its radii.
+
+    The radii of the file stay unless the outlines contradict them; their covariance shrinks.
+
+    Args:
+        body: as in its file.
+        measure: how much larger the outlines of a body are than expected; called a second time
+            where they may contradict the file.
+    """
+    first = measure(body)
+    shown = first._replace(growth_mm=first.growth_mm / _SHARE_SHOWN)
+    if shown.misfit(body) > _DOUBT:
+        way = shown.growth_mm
+        second = measure(body.with_radii(body.radii + way, body.radius_covariance))
+        share = (first.growth_mm - second.growth_mm) / np.where(way == 0, np.inf, way)
+        way = way + second.growth_mm / np.clip(share, _LEAST_SHARE_SHOWN, 1.0)
+        shown = first._replace(growth_mm=way)
+    gone, covariance = _posterior(body, shown)
+    if shown.contradicts(body):
+        return body.with_radii(body.radii + gone, covariance)
+    # What the radii may be off by, by the outlines, counts as their uncertainty.
+    return body.with_radii(body.radii, covariance + np.outer(gone, gone))
+
+
+def _posterior(body: Body, shown: OutlineGrowth) -> tuple[Floats, Floats]:
+    """Correction (k,) in mm and covariance (k, k) of the radii by both file and outlines.
+
+    Where they contradict each other, the variances of the file's error, the part that balls have in
+    common and their own, are estimated as well: as factors of the stated ones that make what is
+    shown most likely (MacKay 1992, fixed point of the evidence).
+    """
+    k = len(body.balls)
+    parts = np.hstack([np.ones((k, 1)), np.eye(k)])
+    stated = np.array([COMMON_RADIUS_VARIANCE, *[1 - COMMON_RADIUS_VARIANCE] * k])
+    stated *= max(body.radius_tolerance_mm, _LEAST_TOLERANCE_MM) ** 2
+    variances, contradict = stated, shown.contradicts(body)
+    for _ in range(_ITERATIONS if contradict else 1):
+        prior = parts * variances
+        gain = prior.T @ np.linalg.inv(prior @ parts.T + shown.covariance_mm2)
+        found, determined = gain @ shown.growth_mm, np.diag(gain @ parts)
+        if contradict:
+            own = np.sum(found[1:] ** 2) / np.sum(determined[1:])
+            estimated = np.array([found[0] ** 2 / determined[0], *[own] * k])
+            variances = np.maximum(stated, estimated)
+    known = prior @ parts.T
+    return parts @ found, known - parts @ gain @ known
