@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 
+from measure.arrays import Bytes
+from measure.calibration.aprilgrid import BORDER_BITS, DICTIONARY, AprilGrid
 from measure.calibration.boards import Charuco, Chessboard, same_after
 from measure.calibration.drawing import Disc, Label, Rectangle, Segment, Shape, Sheet, lay_out
 from measure.calibration.targets import (
-    CharucoFile,
-    ChessboardFile,
     MarkerField,
     MarkerFieldFile,
     kind_of,
-    read_board,
+    read_board_file,
     read_markers,
 )
 from measure.errors import CalibrationError, ConfigError
@@ -33,16 +35,13 @@ def target_sheet(path: Path) -> Sheet:
         CalibrationError: the file cannot be used.
         SessionError: a body file that cannot be used.
     """
-    kind = kind_of(path)
-    if kind in ("chessboard", "charuco"):
-        board = read_board(path)
-        if isinstance(board, Chessboard):
-            return chessboard_sheet(board, load_toml(path, ChessboardFile, CalibrationError).name)
-        assert isinstance(board, Charuco)
-        return charuco_sheet(board, load_toml(path, CharucoFile, CalibrationError).name)
+    kind = "aprilgrid" if path.suffix.lower() in (".yaml", ".yml") else kind_of(path)
+    if kind in _SHEETS:
+        given = read_board_file(path)
+        return _SHEETS[given.kind](given.board(), given.name)
     if kind == "markers":
-        given = load_toml(path, MarkerFieldFile, CalibrationError)
-        return marker_sheet(read_markers(path), given.name, given.dot_mm)
+        field = load_toml(path, MarkerFieldFile, CalibrationError)
+        return marker_sheet(read_markers(path), field.name, field.dot_mm)
     if kind == "body":
         return body_sheet(read_body(path))
     raise ConfigError(
@@ -76,14 +75,15 @@ def charuco_sheet(board: Charuco, name: str) -> Sheet:
     """Squares with markers in the white ones, as OpenCV places and numbers them."""
     (columns, rows), side = board.squares, board.square_mm
     size = (columns * side, rows * side)
-    with_marker = set()
+    with_marker, dictionary = set(), board.pattern.getDictionary()
     markers: list[Shape] = []
     for number, corners in zip(
         np.ravel(board.pattern.getIds()), board.pattern.getObjPoints(), strict=True
     ):
         left, top = np.asarray(corners, dtype=np.float64).reshape(4, 3)[:, :2].min(axis=0)
         with_marker.add((int(left // side), int(top // side)))
-        markers += _marker(board, int(number), float(left), float(top))
+        bits = np.asarray(dictionary.generateImageMarker(int(number), dictionary.markerSize + 2))
+        markers += _cells(bits, float(left), float(top), board.marker_mm, not board.inverted)
     shapes: list[Shape] = [Rectangle(0, 0, *size, black=False)]
     if board.inverted:
         shapes = [Rectangle(-4, -4, size[0] + 8, size[1] + 8)]
@@ -97,20 +97,35 @@ def charuco_sheet(board: Charuco, name: str) -> Sheet:
     return lay_out([*shapes, *markers], size, (side, side), text)
 
 
-def _marker(board: Charuco, number: int, left: float, top: float) -> list[Shape]:
-    """The black cells of a marker, merged along rows; one box in the background colour below."""
-    dictionary = board.pattern.getDictionary()
-    cells = int(dictionary.markerSize) + 2
-    bits = np.asarray(cv2.aruco.generateImageMarker(dictionary, number, cells))
-    cell = board.marker_mm / cells
+def _cells(bits: Bytes, left: float, top: float, side: float, black: bool = True) -> list[Shape]:
+    """The light cells (n, n) of a marker on a box of the other colour."""
+    cell = side / len(bits)
+    return [
+        Rectangle(left, top, side, side, black),
+        *(
+            Rectangle(left + x * cell, top + y * cell, cell, cell, not black)
+            for y, x in zip(*np.nonzero(bits), strict=True)
+        ),
+    ]
+
+
+def aprilgrid_sheet(board: AprilGrid, name: str) -> Sheet:
+    """Tags as Kalibr prints them, with the small squares that make their corners sharp."""
+    (columns, rows), side = board.tags, board.tag_mm
+    gap = side * board.tag_spacing
+    pitch, size = side + gap, (columns * (side + gap) + gap, rows * (side + gap) + gap)
     shapes: list[Shape] = [
-        Rectangle(left, top, board.marker_mm, board.marker_mm, not board.inverted)
+        Rectangle(column * pitch, row * pitch, gap, gap)
+        for row in range(rows + 1)
+        for column in range(columns + 1)
     ]
-    shapes += [
-        Rectangle(left + x * cell, top + y * cell, cell, cell, black=board.inverted)
-        for y, x in zip(*np.nonzero(bits), strict=True)
-    ]
-    return shapes
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, DICTIONARY))
+    cells = dictionary.markerSize + 2 * BORDER_BITS
+    for number, (x, y, _) in enumerate(board.points[::4].tolist()):
+        tag = dictionary.generateImageMarker(number, cells, borderBits=BORDER_BITS)
+        shapes += _cells(np.rot90(np.asarray(tag), 2), x + gap, y + gap, side)
+    text = f"{name}: {columns} x {rows} tags of 36h11, {side:g} mm, spacing {board.tag_spacing:g}"
+    return lay_out(shapes, size, (gap, gap), text)
 
 
 def marker_sheet(field: MarkerField, name: str, dot_mm: float) -> Sheet:
@@ -157,3 +172,10 @@ def body_sheet(body: Body) -> Sheet:
 
 def _cross(x: float, y: float, reach: float) -> list[Shape]:
     return [Segment(x - reach, y, x + reach, y), Segment(x, y - reach, x, y + reach)]
+
+
+_SHEETS: dict[str, Callable[[Any, str], Sheet]] = {
+    "chessboard": chessboard_sheet,
+    "charuco": charuco_sheet,
+    "aprilgrid": aprilgrid_sheet,
+}

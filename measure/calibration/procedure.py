@@ -11,6 +11,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.calibration.boards import Board, CornerRule
 from measure.calibration.capture import CameraCapture, Capture
+from measure.calibration.charuco_slips import charuco_slip
 from measure.calibration.common_views import fit_common_views
 from measure.calibration.contradictions import check_board_against_marks
 from measure.calibration.extrinsics import RigFit
@@ -253,7 +254,10 @@ def _see_board(
     corners = board.find(gray, camera.board_image.name)
     if corners is None:
         raise CalibrationError(
-            f"camera {camera.name}: no board found in {camera.board_image}; all of it must be in "
-            "view, sharp, and as board.toml describes it"
+            f"camera {camera.name}: no board found in {camera.board_image}; "
+            + (
+                charuco_slip(board, [gray])
+                or "all of it must be in view, as board.toml says, sharp"
+            )
         )
     return DetectedBoard(corners.localised(rule), camera.world_from_board)

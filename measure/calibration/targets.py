@@ -6,13 +6,22 @@ import csv
 import io
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import cv2
 import numpy as np
-from pydantic import AfterValidator, Field, FiniteFloat, field_validator, model_validator
+import yaml
+from pydantic import (
+    AfterValidator,
+    Field,
+    FiniteFloat,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
 from measure.arrays import Floats
+from measure.calibration.aprilgrid import AprilGrid
 from measure.calibration.boards import Board, Charuco, Chessboard
 from measure.errors import CalibrationError
 from measure.reading import read_text
@@ -92,6 +101,36 @@ class CharucoFile(FileModel):
         )
 
 
+class AprilGridFile(FileModel):
+    """`kind = "aprilgrid"`."""
+
+    kind: Literal["aprilgrid"]
+    name: str = "AprilGrid"
+    tags: tuple[Count, Count]
+    tag_mm: Length
+    tag_spacing: Annotated[FiniteFloat, Field(gt=0, le=2)]
+
+    @field_validator("tags")
+    @classmethod
+    def _in_family(cls, value: tuple[int, int]) -> tuple[int, int]:
+        if value[0] * value[1] > _TAGS_36H11:
+            raise ValueError(f"{value[0]}x{value[1]} tags: the family 36h11 has {_TAGS_36H11}")
+        return value
+
+    def board(self) -> Board:
+        """The board described."""
+        return AprilGrid(self.tags, self.tag_mm, self.tag_spacing)
+
+
+_TAGS_36H11 = 587
+BoardFile = ChessboardFile | CharucoFile | AprilGridFile
+_BOARD_FILES: dict[str, type[BoardFile]] = {
+    "chessboard": ChessboardFile,
+    "charuco": CharucoFile,
+    "aprilgrid": AprilGridFile,
+}
+
+
 class MarkerRow(FileModel):
     """One marker of a field."""
 
@@ -129,17 +168,56 @@ class MarkerField:
 
 
 def read_board(path: Path) -> Board:
-    """The board in a TOML file.
+    """The board in a TOML file, or in a YAML file of Kalibr's.
 
     Raises:
         CalibrationError: with file, line and key.
     """
+    return read_board_file(path).board()
+
+
+def read_board_file(path: Path) -> BoardFile:
+    """The same as the file has it, with its name.
+
+    Raises:
+        CalibrationError: with file, line and key.
+    """
+    if path.suffix.lower() in (".yaml", ".yml"):
+        return _kalibr_target(path)
     kind = kind_of(path)
-    if kind == "chessboard":
-        return load_toml(path, ChessboardFile, CalibrationError).board()
-    if kind == "charuco":
-        return load_toml(path, CharucoFile, CalibrationError).board()
-    raise CalibrationError(f'{path}: kind = "{kind}" is no board; there is chessboard and charuco')
+    if kind not in _BOARD_FILES:
+        raise CalibrationError(
+            f'{path}: kind = "{kind}" is no board; there is {", ".join(_BOARD_FILES)}'
+        )
+    return load_toml(path, _BOARD_FILES[kind], CalibrationError)
+
+
+def _kalibr_target(path: Path) -> BoardFile:
+    """Kalibr's aprilgrid or checkerboard, whose lengths are in metres."""
+    try:
+        values = yaml.safe_load(read_text(path, CalibrationError))
+        kind = values["target_type"]
+        given: dict[str, Any] = {"name": path.stem}
+        if kind == "aprilgrid":
+            given |= {"kind": kind, "tags": (values["tagCols"], values["tagRows"])}
+            given |= {
+                "tag_mm": 1000 * float(values["tagSize"]),
+                "tag_spacing": values["tagSpacing"],
+            }
+            return AprilGridFile.model_validate(given)
+        if kind == "checkerboard" and values["rowSpacingMeters"] == values["colSpacingMeters"]:
+            given |= {"kind": "chessboard", "square_mm": 1000 * float(values["rowSpacingMeters"])}
+            given["inner_corners"] = values["targetCols"], values["targetRows"]
+            return ChessboardFile.model_validate(given)
+    except (yaml.YAMLError, RecursionError, KeyError, TypeError, ValueError) as problem:
+        said = problem.errors()[0]["msg"] if isinstance(problem, ValidationError) else str(problem)
+        raise CalibrationError(
+            f"{path}: not a target as Kalibr writes it: {said.splitlines()[0][:80]}"
+        ) from None
+    raise CalibrationError(
+        f"{path}: a target of type '{kind}' is not read; of Kalibr's aprilgrid and checkerboard "
+        "(of squares) are"
+    )
 
 
 class _KindOnly(FileModel):
@@ -149,7 +227,7 @@ class _KindOnly(FileModel):
 
 
 def kind_of(path: Path) -> str:
-    """What a target file describes: "chessboard", "charuco", "markers" or "body" (no kind)."""
+    """What a target file describes; "body" where it names no kind."""
     return load_toml(path, _KindOnly, CalibrationError).kind
 
 

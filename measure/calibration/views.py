@@ -10,6 +10,7 @@ import numpy as np
 
 from measure.arrays import Bytes, Floats, rms_length
 from measure.calibration.boards import Board, Corners, MirroredBoardError
+from measure.calibration.charuco_slips import charuco_slip
 from measure.errors import CalibrationError
 
 MAX_VIEWS = 40
@@ -19,6 +20,8 @@ ALIKE_SHARE = 0.02
 """Views whose corners moved by less than this share of the image diagonal are one view."""
 SAME_SHARE = 0.004
 """Views that differ by less than this are the same: the second one is left out."""
+_EXPLAINED = 3
+"""Pictures in which another board than the stated one is looked for."""
 _BLURRED_SHARE = 0.5
 _COVERAGE_GRID = (8, 6)
 
@@ -76,6 +79,7 @@ def find_views(
     left_out: dict[str, str] = {}
     size: tuple[int, int] | None = None
     mirrored = 0
+    missed: list[Bytes] = []
     for name, bgr in pictures:
         size = _size_as_before(size, bgr, name, camera)
         gray = np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY), np.uint8)
@@ -86,13 +90,17 @@ def find_views(
             mirrored += 1
         if corners is None:
             left_out[name] = "no board found"
+            missed = [*missed, gray][-_EXPLAINED:]
         else:
             seen.append(corners)
     if size is None or not seen:
+        usual = (
+            "check that board.toml describes the printed board (inner corners, not squares) and "
+            "that all of it is in view"
+        )
         raise CalibrationError(
-            f"camera {camera}: no board found in any of {len(left_out)} pictures; check that "
-            "board.toml describes the printed board (inner corners, not squares) and that all of "
-            "it is in view"
+            f"camera {camera}: no board found in any of {len(left_out)} pictures; "
+            f"{charuco_slip(board, missed) or usual}"
         )
     chosen = choose_views(board, seen, size, camera, left_out, limit)
     return replace(chosen, mirrored=mirrored)

@@ -35,15 +35,28 @@ def rasterised(target: str, folder: Path) -> tuple[Sheet, Bytes]:
     return sheet, np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY), np.uint8)
 
 
-@pytest.mark.parametrize("name", ["chessboard_9x6_25.toml", "charuco_8x5_27.toml"])
+KALIBR = """\
+target_type: 'aprilgrid' #gridtype
+tagCols: 5
+tagRows: 4
+tagSize: 0.028
+tagSpacing: 0.3
+"""
+
+
+@pytest.mark.parametrize("name", ["chessboard_9x6_25.toml", "charuco_8x5_27.toml", "grid.yaml"])
 def test_every_corner_is_found_again_at_its_place(name: str, tmp_path: Path) -> None:
-    sheet, gray = rasterised(name, tmp_path)
-    board = read_board(TARGETS / name)
+    path = TARGETS / name
+    if path.suffix == ".yaml":
+        path = tmp_path / name
+        path.write_text(KALIBR)
+    sheet, gray = rasterised(str(path), tmp_path)
+    board = read_board(path)
     found = board.find(gray)
     assert found is not None
     assert len(found.ids) == len(board.points)
     # The frame's origin is the first inner corner; Charuco counts from the outer corner.
-    first = board.points[found.ids] - board.points[0]
+    first = board.points[found.ids] - board.points.min(axis=0)
     places = (found.pixels + 0.5) / PX_PER_MM
     np.testing.assert_allclose(places, first[:, :2] + sheet.origin_mm, atol=0.1)
     scale = np.linalg.norm(np.ptp(places, axis=0)) / np.linalg.norm(np.ptp(first[:, :2], axis=0))
@@ -98,7 +111,7 @@ def test_a_browser_draws_every_corner_of_the_svg_at_its_place(name: str, tmp_pat
     found = board.find(np.asarray(gray, np.uint8))
     assert found is not None
     assert len(found.ids) == len(board.points)
-    first = board.points[found.ids] - board.points[0]
+    first = board.points[found.ids] - board.points.min(axis=0)
     places = (found.pixels + 0.5) / 96 * 25.4  # CSS: 96 px an inch
     np.testing.assert_allclose(places, first[:, :2] + sheet.origin_mm, atol=0.3)
 
