@@ -36,7 +36,7 @@ def off_axis_recordings(folder: Path, frames: int) -> list[Path]:
         targets.append(folder / f"off-axis-{frames}-{first}-{towards:.0f}")
         if not (targets[-1] / "truth.csv").exists():
             cameras = tuple(
-                _turned(camera, _TURN_DEG[(k + first) % len(_TURN_DEG)], towards)
+                turned(camera, _TURN_DEG[(k + first) % len(_TURN_DEG)], towards)
                 for k, camera in enumerate(scene.cameras)
             )
             turned = replace(scene, name="off-axis", cameras=cameras)
@@ -70,7 +70,7 @@ def _cell(outward: np.ndarray) -> str:
     return f"{np.median(outward):+.3f}" if len(outward) else "none"
 
 
-def _turned(camera: Camera, aside_deg: float, towards_deg: float) -> Camera:
+def turned(camera: Camera, aside_deg: float, towards_deg: float) -> Camera:
     """The camera turned so that what was ahead is seen towards a direction of its picture."""
     towards = np.radians(towards_deg)
     axis = np.array([np.sin(towards), -np.cos(towards), 0.0])

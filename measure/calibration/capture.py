@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -17,7 +17,7 @@ from measure.calibration.markers import MarkerKind
 from measure.calibration.targets import MarkerField, Tolerance, read_board, read_markers, read_marks
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
-from measure.model import Intrinsics
+from measure.model import Intrinsics, Projection
 from measure.session import (
     FileModel,
     Name,
@@ -50,6 +50,7 @@ class CaptureTable(FileModel):
     mark_sd_px: Annotated[FiniteFloat, Field(ge=1e-3, le=1e3)] | None = None
     common_views: bool = False
     floor_z_mm: FiniteFloat | None = None
+    model: Projection | None = None
 
 
 class CaptureCameraTable(FileModel):
@@ -57,6 +58,7 @@ class CaptureCameraTable(FileModel):
 
     name: Name
     intrinsics: Name | None = None
+    model: Projection | None = None
     calibration: Name | None = None
     board_image: Name | None = None
     board_quat_wxyz: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat] | None = None
@@ -68,6 +70,8 @@ class CaptureCameraTable(FileModel):
     def _complete(self) -> CaptureCameraTable:
         if (self.intrinsics is None) == (self.calibration is None):
             raise ValueError("give either intrinsics (pictures or a video) or calibration (a file)")
+        if self.model and self.calibration:
+            raise ValueError("model is for intrinsics: a calibration file states its own")
         pose = (self.board_quat_wxyz is None, self.board_translation_mm is None)
         if pose[0] != pose[1]:
             raise ValueError("board_quat_wxyz and board_translation_mm belong together")
@@ -101,6 +105,7 @@ class CameraCapture:
         board_origin_px: where about its origin appears, if that is given.
         marker_image: picture of the markers.
         marks: hand marks, by marker name (2,) px.
+        model: the kind of lens to be calibrated, if that is stated.
     """
 
     name: str
@@ -112,6 +117,7 @@ class CameraCapture:
     board_origin_px: tuple[float, float] | None
     marker_image: Path | None
     marks: dict[str, Floats] = field(default_factory=dict)
+    model: Projection | None = None
 
     def views(self) -> Iterator[tuple[str, Bytes]]:
         """The pictures of the board for the lens: name and BGR pixels.
@@ -202,7 +208,12 @@ def open_capture(path: Path | str) -> Capture:
                 f"{folder / str(settings.marks)}: no camera is called '{name}'; "
                 f"there is {', '.join(names)}"
             )
-    cameras = tuple(_camera(folder, table, marks.get(table.name, {})) for table in given.cameras)
+    cameras = tuple(
+        replace(
+            _camera(folder, table, marks.get(table.name, {})), model=table.model or settings.model
+        )
+        for table in given.cameras
+    )
     if board is None and any(c.pictures or c.board_image for c in cameras):
         raise CalibrationError(
             f'{file}: pictures of a board need board = "board.toml" in [capture]'

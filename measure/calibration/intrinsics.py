@@ -9,7 +9,7 @@ import numpy as np
 
 from measure.arrays import Floats, rms_length
 from measure.calibration.boards import Board, CornerRule, Corners
-from measure.calibration.lens import LENS_MODELS, LensModel
+from measure.calibration.lens import MODELS_OF, LensModel
 from measure.calibration.single_camera import (
     SingleCameraFit,
     board_pose,
@@ -18,7 +18,7 @@ from measure.calibration.single_camera import (
 )
 from measure.calibration.views import MIN_VIEWS, ViewSet
 from measure.errors import CalibrationError
-from measure.model import Intrinsics
+from measure.model import Intrinsics, Projection
 
 _FOLDS = 5
 _WORST_VIEW_RATIO = 3.0
@@ -27,6 +27,10 @@ _MIN_IMPROVEMENT_RATIO = 0.005
 MAX_FOCAL_SD = 0.03
 """Focal lengths known worse than this share are refused."""
 MAX_RMS_PX = 2.0
+_WIDE_RAD = np.deg2rad(80.0)
+"""Field of view, corner to corner, from which a lens may be a fisheye."""
+_CLEARLY_BETTER = 0.8
+"""A fisheye is advised where it leaves less than this share of the pinhole's error."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,29 +59,79 @@ class LensCalibration:
         return self.fit.intrinsics
 
 
-def calibrate_lens(board: Board, views: ViewSet, camera: str) -> LensCalibration:
+def calibrate_lens(
+    board: Board, views: ViewSet, camera: str, projection: Projection | None = None
+) -> LensCalibration:
     """Calibrate a lens.
+
+    Args:
+        board: shown.
+        views: of it.
+        camera: its name.
+        projection: the kind of lens. If omitted a pinhole, with advice where a fisheye fits better.
 
     Raises:
         CalibrationError: the views do not fit the board, are too few after bad ones went, or leave
             the focal length undetermined.
     """
-    views = _without_bad_views(board, views, camera)
-    views, rule = _better_corners(board.points, views)
-    model, held_out, reasons = _choose_model(board.points, views)
-    fit = fit_lens(
-        start_intrinsics(views.size_wh, board.points, views.views), board.points, views.views, model
-    )
+    if projection is not None:
+        return _calibrate(board, views, camera, projection)
+    try:
+        found = _calibrate(board, views, camera, "pinhole")
+    except CalibrationError as problem:
+        if advice := _fisheye_advice(board.points, views, MAX_RMS_PX):
+            raise CalibrationError(f"{problem}; {advice}") from None
+        raise
+    diagonal = float(np.hypot(*views.size_wh))
+    if 2 * np.arctan(diagonal / 2 / found.intrinsics.focal_px) < _WIDE_RAD:
+        return found
+    advice = _fisheye_advice(board.points, found.views, found.fit.rms_px)
+    return replace(found, reasons=(*found.reasons, advice)) if advice else found
+
+
+def _calibrate(
+    board: Board, views: ViewSet, camera: str, projection: Projection
+) -> LensCalibration:
+    models = MODELS_OF[projection]
+    views = _without_bad_views(board, views, camera, models[1])
+    views, rule = _better_corners(board.points, views, (models[3], models[1]))
+    model, held_out, reasons = _choose_model(board.points, views, models)
+    fit = _fit(board.points, views, views.views, model)
     _refuse_implausible(fit, camera)
     return LensCalibration(fit, model, held_out, reasons, views, rule)
 
 
-def _without_bad_views(board: Board, views: ViewSet, camera: str) -> ViewSet:
+def _fit(
+    points: Floats, of: ViewSet, views: tuple[Corners, ...], model: LensModel, huber: float = np.inf
+) -> SingleCameraFit:
+    start = start_intrinsics(of.size_wh, points, views, model.projection)
+    return fit_lens(start, points, views, model, huber)
+
+
+def _fisheye_advice(points: Floats, views: ViewSet, pinhole_px: float) -> str:
+    """What to write if a fisheye fits views clearly better than to `pinhole_px`; else empty."""
+    diagonal = float(np.hypot(*views.size_wh))
+    try:
+        start = start_intrinsics(views.size_wh, points, views.views, "fisheye")
+        if diagonal / start.focal_px < _WIDE_RAD:
+            return ""
+        fit = fit_lens(start, points, views.views, MODELS_OF["fisheye"][2])
+    except CalibrationError:
+        return ""
+    if fit.rms_px > _CLEARLY_BETTER * pinhole_px:
+        return ""
+    wide_rad = diagonal / fit.intrinsics.focal_px
+    return (
+        f"the field of view is about {np.degrees(wide_rad):.0f} deg, and a fisheye fits the views "
+        f'to {fit.rms_px:.2f} px: say model = "fisheye" for this camera in capture.toml'
+    )
+
+
+def _without_bad_views(board: Board, views: ViewSet, camera: str, model: LensModel) -> ViewSet:
     """Leave out views whose corners do not fit the lens of the other views."""
     kept, left_out = list(views.views), dict(views.left_out)
     while True:
-        start = start_intrinsics(views.size_wh, board.points, tuple(kept))
-        fit = fit_lens(start, board.points, tuple(kept), LENS_MODELS[1], huber=1.0)
+        fit = _fit(board.points, views, tuple(kept), model, huber=1.0)
         rms = fit.view_rms_px()
         worst = int(np.argmax(rms))
         if rms[worst] <= _WORST_VIEW_RATIO * np.median(rms) + 0.1:
@@ -93,14 +147,16 @@ def _without_bad_views(board: Board, views: ViewSet, camera: str) -> ViewSet:
             )
 
 
-def _better_corners(points: Floats, views: ViewSet) -> tuple[ViewSet, CornerRule]:
+def _better_corners(
+    points: Floats, views: ViewSet, models: tuple[LensModel, ...]
+) -> tuple[ViewSet, CornerRule]:
     """The views with corners localised by whichever rule fits held-out views better."""
     candidates: dict[CornerRule, ViewSet] = {
         rule: replace(views, views=tuple(view.localised(rule) for view in views.views))
         for rule in get_args(CornerRule)
     }
     errors: dict[CornerRule, float] = {}
-    for model in (LENS_MODELS[3], LENS_MODELS[1]):
+    for model in models:
         try:
             errors = {r: _held_out_rms(points, v, model) for r, v in candidates.items()}
             break
@@ -113,13 +169,13 @@ def _better_corners(points: Floats, views: ViewSet) -> tuple[ViewSet, CornerRule
 
 
 def _choose_model(
-    points: Floats, views: ViewSet
+    points: Floats, views: ViewSet, models: tuple[LensModel, ...]
 ) -> tuple[LensModel, dict[str, float], tuple[str, ...]]:
     """The stiffest model that no freer one beats on held-out views."""
     held_out: dict[str, float] = {}
     reasons: list[str] = []
     best: LensModel | None = None
-    for model in LENS_MODELS:
+    for model in models:
         try:
             error = _held_out_rms(points, views, model)
         except CalibrationError as problem:
@@ -144,8 +200,7 @@ def _held_out_rms(points: Floats, views: ViewSet, model: LensModel) -> float:
     squares, count = 0.0, 0
     for fold in range(min(_FOLDS, len(views.views))):
         kept = tuple(v for i, v in enumerate(views.views) if i % _FOLDS != fold)
-        start = start_intrinsics(views.size_wh, points, kept)
-        lens = fit_lens(start, points, kept, model).intrinsics
+        lens = _fit(points, views, kept, model).intrinsics
         for view in views.views[fold::_FOLDS]:
             error = _view_residuals(lens, points, view)
             squares, count = squares + float(np.sum(error**2)), count + len(error)

@@ -8,27 +8,33 @@ import numpy as np
 
 from measure.arrays import Floats, Ints
 from measure.geometry import RigidTransform
-from measure.model import Camera, Intrinsics
+from measure.model import Camera, Intrinsics, Projection
 
-_NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+_NAMES: dict[Projection, str] = {
+    "pinhole": "fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6",
+    "fisheye": "fx fy cx cy k1 k2 k3 k4",
+}
 
 
 @dataclass(frozen=True)
 class LensModel:
-    """Which of fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6 are free; the rest stay as given.
+    """Which of fx fy cx cy and the distortion coefficients are free; the rest stay as given.
 
     Attributes:
         name: as reported and stored.
         free: indices of the free parameters.
+        projection: of which kind of lens.
     """
 
     name: str
     free: tuple[int, ...]
+    projection: Projection = "pinhole"
 
     @property
     def parameters(self) -> str:
         """Names of the free parameters."""
-        return " ".join(_NAMES[i] for i in self.free)
+        names = _NAMES[self.projection].split()
+        return " ".join(names[i] for i in self.free)
 
 
 LENS_MODELS: tuple[LensModel, ...] = (
@@ -39,6 +45,10 @@ LENS_MODELS: tuple[LensModel, ...] = (
     LensModel("brown", (0, 1, 2, 3, 4, 5, 6, 7, 8)),
 )
 """From the stiffest to the freest; each contains the one before."""
+MODELS_OF: dict[Projection, tuple[LensModel, ...]] = {
+    "pinhole": LENS_MODELS,
+    "fisheye": tuple(LensModel(f"fisheye{k}", tuple(range(4 + k)), "fisheye") for k in range(5)),
+}
 
 
 def intrinsics_vector(intrinsics: Intrinsics) -> Floats:

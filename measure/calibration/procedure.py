@@ -101,7 +101,7 @@ def calibrate_capture(
         else:
             assert capture.board is not None
             views = find_views(capture.board, camera.views(), camera.name, _limit(capture))
-            lenses[camera.name] = calibrate_lens(capture.board, views, camera.name)
+            lenses[camera.name] = calibrate_lens(capture.board, views, camera.name, camera.model)
             known[camera.name] = lenses[camera.name].intrinsics
     if capture.settings.common_views:
         return _relative(capture, lenses)

@@ -13,7 +13,12 @@ from measure.calibration.least_squares import Group, Huber, LeastSquaresSolution
 from measure.calibration.lens import LensModel, shifted, stack
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform, skew
-from measure.model import Intrinsics
+from measure.model import Intrinsics, Projection
+
+_FISHEYE_WIDTHS_RAD = (0.6, 0.9, 1.3, 1.8, 2.4, 3.1)
+"""Angles over the image's longer side that are tried to begin with."""
+_START_VIEWS = 8
+"""Most views that they are tried on."""
 
 
 def board_pose(intrinsics: Intrinsics, points: Floats, pixels: Floats) -> RigidTransform:
@@ -25,6 +30,8 @@ def board_pose(intrinsics: Intrinsics, points: Floats, pixels: Floats) -> RigidT
         CalibrationError: no pose puts the board in front of the camera.
     """
     bearings = intrinsics.unproject(pixels)
+    if not np.isfinite(bearings).all():
+        raise CalibrationError("the board's corners lie where the lens sees nothing")
     ideal = bearings[:, :2] / bearings[:, 2:]
     flat = np.allclose(points[:, 2], 0.0)
     count, rotations, shifts, _ = cv2.solvePnPGeneric(
@@ -51,9 +58,49 @@ def _rms(intrinsics: Intrinsics, pose: RigidTransform, points: Floats, pixels: F
 
 
 def start_intrinsics(
+    size_wh: tuple[int, int],
+    points: Floats,
+    views: tuple[Corners, ...],
+    projection: Projection = "pinhole",
+) -> Intrinsics:
+    """Centre of the image and the focal length that the views ask for.
+
+    Raises:
+        CalibrationError: no fisheye explains the views.
+    """
+    if projection == "pinhole":
+        return _start_pinhole(size_wh, points, views)
+    tried = [
+        Intrinsics(size_wh, _plain_matrix(size_wh, max(size_wh) / width), model="fisheye")
+        for width in _FISHEYE_WIDTHS_RAD
+    ]
+    few = views[:: -(-len(views) // _START_VIEWS)]
+    errors = [_typical_rms(lens, points, few) for lens in tried]
+    if not np.isfinite(min(errors)):
+        raise CalibrationError("no fisheye lens explains the board's corners")
+    return tried[int(np.argmin(errors))]
+
+
+def _typical_rms(lens: Intrinsics, points: Floats, views: tuple[Corners, ...]) -> float:
+    """Median over views of the RMS in px with the best pose; infinite if one has none."""
+    try:
+        poses = [board_pose(lens, points[view.ids], view.pixels) for view in views]
+    except CalibrationError:
+        return np.inf
+    pairs = zip(poses, views, strict=True)
+    return float(np.median([_rms(lens, pose, points[v.ids], v.pixels) for pose, v in pairs]))
+
+
+def _plain_matrix(size_wh: tuple[int, int], focal: float) -> Floats:
+    """The camera matrix of square pixels and a principal point in the image's centre."""
+    x, y = (np.asarray(size_wh, dtype=np.float64) - 1) / 2
+    return np.array([[focal, 0, x], [0, focal, y], [0, 0, 1.0]])
+
+
+def _start_pinhole(
     size_wh: tuple[int, int], points: Floats, views: tuple[Corners, ...]
 ) -> Intrinsics:
-    """Centre of the image and the focal length that the views' homographies ask for.
+    """By the views' homographies.
 
     Zhang 2000, equation 3, for square pixels and a known principal point: every homography gives
     two equations linear in 1 / f^2.
@@ -72,9 +119,7 @@ def start_intrinsics(
             top, bottom = top + float(left * left), bottom + float(left * right)
     focal = float(np.sqrt(top / bottom)) if bottom > 0 else 1.2 * max(size_wh)
     focal = float(np.clip(focal, 0.3 * max(size_wh), 10 * max(size_wh)))
-    return Intrinsics(
-        size_wh, np.array([[focal, 0, centre[0]], [0, focal, centre[1]], [0, 0, 1.0]])
-    )
+    return Intrinsics(size_wh, _plain_matrix(size_wh, focal))
 
 
 @dataclass(frozen=True, eq=False)

@@ -73,11 +73,12 @@ def fold_radius(coefficients: Floats) -> float:
     numerator A B + 2 s (A' B - A B') or the denominator B vanishes.
     """
     k1, k2, _, _, k3, k4, k5, k6 = coefficients
-    above, below = np.poly1d([k3, k2, k1, 1.0]), np.poly1d([k6, k5, k4, 1.0])
-    twice_s = np.poly1d([2.0, 0.0])
-    slope = above * below + twice_s * (above.deriv() * below - above * below.deriv())
+    above, below = np.array([1.0, k1, k2, k3]), np.array([1.0, k4, k5, k6])
+    rising, falling = (np.arange(1.0, 4.0) * p[1:] for p in (above, below))
+    slope = np.convolve(above, below)
+    slope[1:] += 2 * (np.convolve(rising, below) - np.convolve(above, falling))
     # Both are 1 at s = 0. In t = 1 / s they start with 1 and stay tame if coefficients vanish.
-    roots = np.concatenate([np.roots(p.coeffs[::-1]) for p in (slope, below)])
+    roots = np.concatenate([np.roots(p) for p in (slope, below)])
     real = roots.real[(np.abs(roots.imag) < 1e-9 * np.abs(roots)) & (roots.real > 0)]
     return float(1 / np.sqrt(real.max())) if real.size else float("inf")
 

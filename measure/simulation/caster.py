@@ -37,6 +37,7 @@ class Stage:
         longest_delay_s: largest difference between the exposure of a row and the middle row.
         backdrop: standing shapes that are drawn apart; glossy shapes mirror them.
         part: (index, count) of the stages that are averaged over an exposure.
+        fisheye: whether the camera has such a lens.
     """
 
     shapes: tuple[Shape, ...]
@@ -46,6 +47,7 @@ class Stage:
     longest_delay_s: float = 0.0
     backdrop: tuple[Shape, ...] = ()
     part: tuple[int, int] = (0, 1)
+    fisheye: bool = False
 
     def colours(self, ideal: Floats, near: Bools, delays_s: Floats) -> tuple[Floats, Ints]:
         """Radiance that rays see.
@@ -74,8 +76,9 @@ class Stage:
         """Distances (n,) in px of rays (n, 2) from the silhouette of shape k; negative inside."""
         directions = np.column_stack([ideal, np.ones(len(ideal))])
         length2 = np.einsum("ij,ij->i", directions, directions)
-        # One radian is f px on the axis and at most f / cos^2 off it.
-        return self.shapes[k].clearance(directions) * self.focal_px * length2
+        # One radian is f px on the axis, and off it at most f / cos^2, or about f of a fisheye.
+        scale = self.focal_px if self.fisheye else self.focal_px * length2
+        return self.shapes[k].clearance(directions) * scale
 
     def silhouettes(self, ideal: Floats, near: Bools) -> Bools:
         """Whether the outline of a round shape crosses the pixel of each ray (n, 2)."""

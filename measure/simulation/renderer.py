@@ -43,6 +43,7 @@ class Renderer:
         self._index = [c.name for c in scene.cameras].index(camera)
         self._lighting = scene.lighting.seen_from(self.camera.camera_from_world)
         self._focal_px = self.camera.intrinsics.focal_px
+        self._fisheye = self.camera.intrinsics.model == "fisheye"
 
     def with_fixed(self, fixed: tuple[Shape, ...]) -> Renderer:
         """A renderer of the same scene with other fixed shapes; it shares the backdrop."""
@@ -92,6 +93,7 @@ class Renderer:
             rows / 2,
             self._walls,
             (step, steps),
+            self._fisheye,
         )
         samples = max(self.samples // steps, _FEWEST_SAMPLES)
         return self._canvas.draw(stage, len(moving), samples, self._backdrop, self._still_picture)
@@ -125,7 +127,8 @@ class Renderer:
     def _backdrop(self) -> Linear:
         """The picture of walls, floor and posters alone, drawn coarsely and enlarged."""
         lens = reduced(self.camera.intrinsics, self.scene.backdrop_px)
-        coarse, stage = Canvas(lens), Stage(self._walls, self._lighting, lens.focal_px)
+        coarse = Canvas(lens)
+        stage = Stage(self._walls, self._lighting, lens.focal_px, fisheye=self._fisheye)
         nothing = coarse.empty()
         drawn = coarse.draw(stage, len(self._walls), _BACKDROP_SAMPLES, nothing, nothing)
         size = self.camera.intrinsics.size_wh
@@ -136,7 +139,13 @@ class Renderer:
         """The picture of all shapes that do not move."""
         if not self._fixed:
             return self._backdrop
-        stage = Stage(self._fixed, self._lighting, self._focal_px, backdrop=self._walls)
+        stage = Stage(
+            self._fixed,
+            self._lighting,
+            self._focal_px,
+            backdrop=self._walls,
+            fisheye=self._fisheye,
+        )
         return self._canvas.draw(
             stage, len(self._fixed), self.samples, self._backdrop, self._backdrop
         )

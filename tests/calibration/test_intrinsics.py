@@ -6,10 +6,12 @@ import cv2
 import numpy as np
 import pytest
 
-from measure.calibration import Corners, calibrate_lens, choose_views
+from measure.calibration import Chessboard, Corners, calibrate_lens, choose_views
 from measure.calibration.lens import LENS_MODELS, intrinsics_vector
 from measure.calibration.single_camera import fit_lens, start_intrinsics
+from measure.calibration.views import ViewSet
 from measure.errors import CalibrationError
+from measure.geometry import RigidTransform
 from measure.model import Intrinsics
 from tests.calibration.rigs import BOARD, SIZE, board_views, lens
 
@@ -97,3 +99,49 @@ def test_blurred_views_are_left_out() -> None:
     chosen = choose_views(BOARD, views, SIZE, "cam0")
     assert "blurred" in chosen.left_out["view3.jpg"]
     assert chosen.coverage().sum() == 54 * 11
+
+
+FISHEYE = Intrinsics(
+    SIZE,
+    np.array([[700.0, 0, 648], [0, 701, 352], [0, 0, 1]]),
+    np.array([-0.03, 0.006, 0, 0]),
+    model="fisheye",
+)
+"""105 degrees wide, 120 from corner to corner."""
+SMALL_BOARD = Chessboard((6, 5), 25.0)
+
+
+def wide_views(lens: Intrinsics) -> ViewSet:
+    """A small board all over the picture, up to 60 degrees off the axis."""
+    rng, views = np.random.default_rng(4), []
+    for u, v in [(u, v) for u in (110, 640, 1170) for v in (100, 360, 620)]:
+        (ray,) = lens.unproject([[u, v]])
+        facing = RigidTransform.from_rotvec(np.arccos(ray[2]) * np.array([-ray[1], ray[0], 0]))
+        tilt = RigidTransform.from_rotvec(rng.uniform(-0.6, 0.6, 3))
+        turn = (facing @ tilt).rotation
+        place = RigidTransform(turn, 210 * ray - turn @ SMALL_BOARD.points.mean(axis=0))
+        pixels = lens.project(place.apply(SMALL_BOARD.points))
+        pixels += rng.normal(0, 0.05, pixels.shape)
+        views.append(Corners(np.arange(len(pixels)), pixels, 0.4, f"view{len(views)}.jpg"))
+    return choose_views(SMALL_BOARD, views, SIZE, "cam0")
+
+
+def test_a_fisheye_is_found_where_it_is_asked_for_and_advised_where_not() -> None:
+    views = wide_views(FISHEYE)
+    found = calibrate_lens(SMALL_BOARD, views, "cam0", "fisheye")
+    lens, P = found.intrinsics, found.intrinsics.covariance
+    assert lens.model == "fisheye"
+    assert "fx fy cx cy k1 k2" in found.model.parameters
+    assert found.fit.rms_px < 0.08
+    free = list(found.model.free)
+    off = (intrinsics_vector(lens) - intrinsics_vector(FISHEYE))[free]
+    assert off @ np.linalg.solve(P[np.ix_(free, free)], off) < 26.1  # chi-squared of 8, 99.9 %
+    advice = 'a fisheye fits the views to 0.07 px: say model = "fisheye"'
+    with pytest.raises(CalibrationError, match=advice):
+        calibrate_lens(SMALL_BOARD, views, "cam0")
+
+
+def test_no_fisheye_is_advised_for_a_wide_pinhole() -> None:
+    wide = Intrinsics(SIZE, np.array([[640.0, 0, 648], [0, 641, 352], [0, 0, 1]]))
+    found = calibrate_lens(SMALL_BOARD, wide_views(wide), "cam0")
+    assert not any("fisheye" in reason for reason in found.reasons)

@@ -210,6 +210,7 @@ def _write_texts(scene: CaptureScene, folder: Path) -> None:
             "",
             "[[cameras]]",
             f'name = "{camera.name}"',
+            f'model = "{camera.intrinsics.model}"',
             f'intrinsics = "intrinsic/{camera.name}/*.{kind}"',
             f'board_image = "extrinsic/{camera.name}_board.{kind}"',
             f'marker_image = "extrinsic/{camera.name}_markers.{kind}"',
