@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import lru_cache
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from measure_plugins._acquisition.color_table import MAX_COLORS, classify, color
 from measure_plugins._acquisition.pale import brighter_than_the_rest, is_pale
 from measure_plugins._acquisition.patches import majority
 from measure_plugins._acquisition.shade import much_in_shade, with_shade
+from measure_plugins._acquisition.vivid import more_vivid_than_the_rest
 
 _REDUCED_WIDTH = 320
 
@@ -35,9 +37,24 @@ class AcquisitionSettings(Settings):
     max_candidates: int = setting(10, "Most candidates per ball and picture.", ge=1)
 
 
+class FoundCircles(NamedTuple):
+    """Circles of each colour in one picture.
+
+    Attributes:
+        of_color: for each colour up to `max_candidates` circles (k, 6), best first, to a pixel or
+            two: centre x, y and radius in px, share of the circle seen, share of its inside that
+            has the colour, and the number of the bit in `table` that has found it.
+        table: (64, 64, 64) bits of the colours, with their shade, and then of those that were
+            searched once more.
+    """
+
+    of_color: list[Floats]
+    table: Bytes
+
+
 def find_circles(
     pixels: Bytes, colors: Sequence[BallColor], config: AcquisitionSettings
-) -> list[Floats]:
+) -> FoundCircles:
     """Search one whole picture for balls of some colours.
 
     Which candidates are balls, and which ball, is decided by geometry later.
@@ -46,26 +63,24 @@ def find_circles(
         pixels: BGR (h, w, 3), contiguous.
         colors: of the balls.
         config: settings.
-
-    Returns:
-        For each colour up to `max_candidates` circles (k, 5), best first, to a pixel or two: centre
-        x, y and radius in px, share of the circle seen, share of its inside that has the colour.
     """
-    step = max(1, round(pixels.shape[1] / _REDUCED_WIDTH))
+    step, count = max(1, round(pixels.shape[1] / _REDUCED_WIDTH)), len(colors)
     table, with_dark, pale = _tables(tuple(colors))
-    for more, i in enumerate(pale, len(colors)):
-        table = table | brighter_than_the_rest(colors[i], 1 << more, pixels)
-    bits, shaded = _bits_of(pixels, table, with_dark, step, len(colors))
-    found = _circles(bits, range(len(colors) + len(pale)), step, pixels.shape[0], config)
-    for i, others in zip(pale, found[len(colors) :], strict=True):
-        found[i] = distinct(np.concatenate([found[i], others]))[: config.max_candidates]
+    again = [(i, brighter_than_the_rest(colors[i], 1, pixels)) for i in pale]
+    again += more_vivid_than_the_rest(pixels, table, step, count)
+    again = again[: MAX_COLORS - count]
+    for bit, (_, some) in enumerate(again, count):
+        table, with_dark = table | some << np.uint8(bit), with_dark | some << np.uint8(bit)
+    bits, shaded = _bits_of(pixels, table, with_dark, step, count)
     dark = np.nonzero(shaded)[0].tolist()
+    found = _circles(bits, range(count + len(again)), step, pixels.shape[0], config)
+    more = list(zip([i for i, _ in again], found[count:], strict=True))
     if dark:
         bits, _ = _bits_of(pixels, with_dark, with_dark, step, 0)
-        more_of = _circles(bits, dark, step, pixels.shape[0], config)
-        for i, others in zip(dark, more_of, strict=True):
-            found[i] = distinct(np.concatenate([found[i], others]))[: config.max_candidates]
-    return found[: len(colors)]
+        more += zip(dark, _circles(bits, dark, step, pixels.shape[0], config), strict=True)
+    for i, others in more:
+        found[i] = distinct(np.concatenate([found[i], others]))[: config.max_candidates]
+    return FoundCircles(found[:count], with_dark)
 
 
 @compiled
@@ -96,7 +111,7 @@ def _bits_of(
 def _tables(colors: tuple[BallColor, ...]) -> tuple[Bytes, Bytes, tuple[int, ...]]:
     """The table of colours, the one that includes shade, and which of them are pale."""
     pale = [i for i, color in enumerate(colors) if is_pale(color)]
-    return color_table(colors), with_shade(colors), tuple(pale[: MAX_COLORS - len(colors)])
+    return color_table(colors), with_shade(colors), tuple(pale)
 
 
 def warm_up() -> None:
@@ -110,7 +125,7 @@ def warm_up() -> None:
 def _circles(
     bits: Bytes, of: Sequence[int], step: int, height: int, config: AcquisitionSettings
 ) -> list[Floats]:
-    """Circles (k, 5) of some colours, best first: centre x, y, radius in px, share seen, filled."""
+    """Circles (k, 6) of some colours, best first, see `FoundCircles`."""
     radii = (config.min_radius_px / step, config.max_radius_share * height / step)
     circles, ends = circles_of_each(
         bits,
@@ -122,4 +137,8 @@ def _circles(
     )
     circles[:, :3] *= step
     circles[:, :2] += (step - 1) / 2
-    return [circles[start:end] for start, end in pairwise([0, *ends.tolist()])]
+    spans = pairwise([0, *ends.tolist()])
+    return [
+        np.column_stack([circles[start:end], np.full(end - start, bit)])
+        for bit, (start, end) in zip(of, spans, strict=True)
+    ]

@@ -46,13 +46,13 @@ def moved_to_circles(
 
     Args:
         lost: balls expected somewhere in wide windows.
-        circles: (k, 5) by name of the ball, see `find_circles`.
+        circles: (k, 6) by name of the ball, see `FoundCircles`.
         camera: the camera.
     """
     pairs = [
         (likelihood, i, (x, y))
         for i, e in enumerate(lost)
-        for x, y, radius, seen, filled in circles[e.ball].tolist()
+        for x, y, radius, seen, filled, *_ in circles[e.ball].tolist()
         if (likelihood := seen * filled * _nearness(e, x, y, radius)) > 0
     ]
     places: dict[int, tuple[float, float]] = {}

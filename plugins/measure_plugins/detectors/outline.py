@@ -31,11 +31,15 @@ from measure_plugins.detectors._wide_windows import (
 )
 
 if TYPE_CHECKING:
+    from measure_plugins._acquisition import FoundCircles
     from measure_plugins._outline.appearance.model import Appearance
     from measure_plugins._outline.fitting.batch import Measured
     from measure_plugins._outline.fitting.scan import CameraImage
     from measure_plugins._outline.self_calibration.schedule import BackgroundEstimation
 
+_WHOLE_MATCH = 0.75
+"""Share of a ball's inside with its colour below which its score is lower: balls of two colours are
+not supported, and half-hidden ones are less sure."""
 _APPROACH_RAYS = 3
 """Divisor of the number of rays while an outline is approached."""
 
@@ -135,7 +139,8 @@ class OutlineDetector(SelfCalibratingDetector):
         for ball in self.body.balls:
             if ball.name not in known:
                 alike[ball.color].append(ball.name)
-        kinds = [(alike[color], some) for color, some in self._circles(view).items()]
+        circles = self._circles(view)
+        kinds = list(zip(alike.values(), circles.of_color, strict=True))
         names = [names for names, some in kinds if names for _ in range(len(some))]
         rough = np.concatenate([some for names, some in kinds if names])
         found = measure_circles(
@@ -146,7 +151,7 @@ class OutlineDetector(SelfCalibratingDetector):
             c.min_contrast,
             c.margin_px,
             (c.min_agreement, GIVE_UP_SHARE * c.min_agreement),
-            self._table,
+            circles.table,
         )
         numbers, sizes = found.numbers.tolist(), rough[:, 2].tolist()
         each = (
@@ -156,12 +161,11 @@ class OutlineDetector(SelfCalibratingDetector):
         )
         return [detection for detection in each if detection is not None]
 
-    def _circles(self, view: CameraImage) -> dict[BallColor, Floats]:
-        """Circles (k, 5) of each of the body's colours in a whole picture, see `find_circles`."""
+    def _circles(self, view: CameraImage) -> FoundCircles:
+        """Circles of each of the body's colours in a whole picture."""
         from measure_plugins._acquisition import find_circles
 
-        circles = find_circles(view.pixels, self._colors, self._acquisition)
-        return dict(zip(self._colors, circles, strict=True))
+        return find_circles(view.pixels, self._colors, self._acquisition)
 
     def _recalibrated(
         self, image: Image, expected: Sequence[Expectation], found: Sequence[Detection]
@@ -214,7 +218,7 @@ class OutlineDetector(SelfCalibratingDetector):
         """Expectations with `lost` balls moved to circles in their windows; none if none was."""
         if not lost:
             return []
-        circles = self._circles(view)
+        circles = dict(zip(self._colors, self._circles(view).of_color, strict=True))
         shown = {e.ball: circles[self.body.balls[self.body.index(e.ball)].color] for e in lost}
         moved = {e.ball: e for e in moved_to_circles(lost, shown, self.camera)}
         return [moved.get(e.ball, e) for e in expected] if moved else []
@@ -276,7 +280,7 @@ class OutlineDetector(SelfCalibratingDetector):
             found.centers_px[i],
             radius_px,
             found.covariances_px[i],
-            score=min(1.0, agreement),
+            score=min(1.0, agreement) * min(1.0, match / _WHOLE_MATCH),
             color_match=match,
             outline_px=found.points_px[i, :count],
             outline_sd_px=found.sd_px[i, :count],

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from measure.model import Image
+from measure.model import BallColor, Image
 from measure_plugins._acquisition import AcquisitionSettings, find_circles
 from tests.scenes import FOUR, RAVEN
 
@@ -31,9 +31,9 @@ def picture(discs, background=(28, 28, 28), noise=3.0, seed=0, gain=1.0):
 
 
 def search(image, body=RAVEN, **settings):
-    """Circles x, y, radius, share seen, share filled (k, 5) of each ball's colour."""
+    """Circles (k, 6) of each ball's colour, see `FoundCircles`."""
     colors = [ball.color for ball in body.balls]
-    found = find_circles(image.pixels, colors, AcquisitionSettings(**settings))
+    found = find_circles(image.pixels, colors, AcquisitionSettings(**settings)).of_color
     return dict(zip(body.names, found, strict=True))
 
 
@@ -76,6 +76,19 @@ def test_a_highlight_and_a_rod_in_front_do_not_split_a_ball():
     rod = [((40, 40, 42), 500 + 3 * i, 200 + 8 * i, 5) for i in range(40)]
     found = search(picture([("green", 570, 360, 60), ((250, 250, 250), 555, 340, 9), *rod]))
     assert_at(found["green"][0], 570, 360, 60, 3.0)
+
+
+def test_an_orange_ball_in_front_of_cardboard_of_its_hue_is_found():
+    """Both are within the named range; the ball is more vivid."""
+    cardboard, orange = (40, 60, 90), BallColor.named("orange")
+    image = picture([((30, 70, 235), 600, 300, 40)], background=cardboard)
+    assert orange.matches([cardboard, (30, 70, 235)]).all()
+    found = find_circles(image.pixels, [orange], AcquisitionSettings())
+    (circle, *_) = found.of_color[0]
+    assert_at(circle, 600, 300, 40, 1.5)
+    assert int(circle[5]) == 1  # by the bit of vivid pixels
+    alone = picture([((30, 70, 235), 600, 300, 40)])
+    assert find_circles(alone.pixels, [orange], AcquisitionSettings()).of_color[0][0, 5] == 0
 
 
 def test_no_ball_no_candidate():

@@ -171,6 +171,18 @@ def test_whole_frame_is_searched_without_expectations(camera, detector):
     assert np.linalg.norm(found[0].center_px - true) < 0.05
 
 
+def test_a_small_ball_far_off_the_axis_of_a_wide_camera_is_kept():
+    """There a circle of some pixels is a narrower cone than in the middle, by a third."""
+    matrix = np.array([[400.0, 0, 319.5], [0, 400.0, 239.5], [0, 0, 1]])
+    wide = Camera("cam0", Intrinsics(SIZE, matrix), RigidTransform.identity())
+    center = at_angle(36.0, 8.0)
+    found = OutlineDetector(OutlineConfig(), RAVEN, wide).detect(
+        image_of(wide, picture(wide, center, background=(110, 100, 105))), []
+    )
+    (ball,) = (d for d in found if d.ball == "red")
+    assert np.linalg.norm(ball.center_px - wide.intrinsics.project(center[None])[0]) < 0.3
+
+
 def test_same_picture_same_bits(camera, detector):
     center = at_angle(5.0, 100.0)
     pixels = picture(camera, center)

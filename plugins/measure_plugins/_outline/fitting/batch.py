@@ -10,16 +10,23 @@ from measure.arrays import Bools, Bytes, Floats, Ints
 from measure.compiling import compiled
 from measure_plugins._outline.appearance.interreflection import balls_behind, balls_nearer
 from measure_plugins._outline.appearance.radial_basis import unpacked
+from measure_plugins._outline.fitting.color import color_share
 from measure_plugins._outline.fitting.measurement import (
     approach_outline,
     measure_known_size,
     measure_unknown_size,
+    search_about_circle,
     unoccluded_search,
 )
-from measure_plugins._outline.fitting.outline import Outline
+from measure_plugins._outline.fitting.outline import Outline, no_outline
 from measure_plugins._outline.fitting.scan import CameraImage, OutlineSearch
 from measure_plugins._outline.fitting.step_gain import measure_step_gain
 from measure_plugins._outline.sampling.rays import radius_px
+
+_BEYOND_DOUBT = 0.8
+"""Share of agreeing edges above which an outline is not compared with that of the colour."""
+_COMPLETE = 0.5
+"""Share of a circle seen times share of its inside filled that convinces by colour alone."""
 
 
 class Expected(NamedTuple):
@@ -107,7 +114,7 @@ def measure_balls(
         if expected.sized[i]:
             outline = measure_known_size(view, search, unpacked(expected.tables[i]))
         else:
-            outline = measure_unknown_size(view, search, give_up_share)
+            outline = measure_unknown_size(view, search, give_up_share, colors, 0)
         _store(view, outline, colors, expected.bits[i], i, found)
     return found
 
@@ -125,9 +132,13 @@ def measure_circles(
 ) -> Measured:
     """Measure the outlines near rough circles, of unknown size and behind no known ball.
 
+    Where too few edges agree, as on textured balls or in front of texture, the colour that has
+    found a circle, if much of it, decides where it ends.
+
     Args:
         view: the picture.
-        circles: (k, 5) of which the first are centre x, y and radius, px.
+        circles: (k, 6) centre x, y and radius, px, shares of the circle seen and of its inside
+            filled, and the number of the bit that has found it.
         bits: (k,) of their colours in the table of colours.
         rays: their number while an outline is approached, and while it is measured.
         min_contrast: see `OutlineSearch`.
@@ -142,12 +153,20 @@ def measure_circles(
         axis, half_angle = approach_outline(view, circles[i], rays[0], min_contrast, agreement[0])
         cones[i, :3], cones[i, 3] = axis, half_angle
     for i in range(len(circles)):
+        outline = no_outline()
         if cones[i, 3] > 0:
             search = unoccluded_search(
                 cones[i, :3], cones[i, 3], 0.0, rays[1], min_contrast, margin_px
             )
-            outline = measure_unknown_size(view, search, agreement[1])
-            _store(view, outline, colors, bits[i], i, found)
+            outline = measure_unknown_size(view, search, agreement[1], colors, 0)
+        complete = circles[i, 3] * circles[i, 4] >= _COMPLETE
+        if complete and outline.share < _BEYOND_DOUBT:
+            search = search_about_circle(view, circles[i], rays[1], min_contrast)
+            bit = 1 << int(circles[i, 5])
+            by_color = measure_unknown_size(view, search, agreement[1], colors, bit)
+            if by_color.share > outline.share:
+                outline = by_color
+        _store(view, outline, colors, bits[i], i, found)
     return found
 
 
@@ -208,35 +227,3 @@ def _store(
     found.numbers[i, 0], found.numbers[i, 1] = outline.radius_px, count
     found.numbers[i, 2] = outline.share
     found.numbers[i, 3] = color_share(view.pixels, colors, bit, center, points)
-
-
-_RINGS = (0.25, 0.5, 0.7, 0.85)
-"""Radii, as shares of the outline's, at which the colour is sampled."""
-_LEVELS = 256
-
-
-@compiled
-def color_share(pixels: Bytes, colors: Bytes, bit: int, center: Floats, points: Floats) -> float:
-    """Share of the samples between the centre and edge points that have a colour.
-
-    Args:
-        pixels: (h, w, 3) uint8.
-        colors: (k, k, k) bits by blue, green and red, each cut to as many levels, a
-            power of two.
-        bit: the colour's.
-        center: (2,) px.
-        points: (n, 2) px.
-    """
-    height, width = pixels.shape[:2]
-    seen, alike, cut = 0, 0, 0
-    while len(colors) << cut < _LEVELS:
-        cut += 1
-    for i in range(len(points)):
-        for share in _RINGS:
-            x = round(center[0] + share * (points[i, 0] - center[0]))
-            y = round(center[1] + share * (points[i, 1] - center[1]))
-            if 0 <= x < width and 0 <= y < height:
-                b, g, r = pixels[y, x]
-                seen += 1
-                alike += colors[b >> cut, g >> cut, r >> cut] & bit != 0
-    return alike / seen if seen else 0.0

@@ -1,0 +1,98 @@
+"""Where a ball's colour ends along rays, and how much of its inside has it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from measure.arrays import Bytes, Floats
+from measure.compiling import compiled
+from measure_plugins._outline.fitting.edges import Edges
+from measure_plugins._outline.fitting.scan import CameraImage, EdgeScan
+from measure_plugins._outline.sampling.rays import CLEAR, OUT_OF_IMAGE, cast_rays, frame_about
+
+_STEP_PX = 0.5
+_EDGE_SD_PX = 0.5
+"""Standard deviation of where a colour ends along a ray, seen in whole pixels."""
+_RINGS = (0.25, 0.5, 0.7, 0.85)
+"""Radii, as shares of the outline's, at which the colour inside is sampled."""
+_LEVELS = 256
+
+
+@compiled
+def scan_color(
+    view: CameraImage,
+    axis: Floats,
+    half_angle: float,
+    count: int,
+    reach_px: float,
+    colors: Bytes,
+    bit: int,
+) -> EdgeScan:
+    """Find where a colour ends on rays across an outline, nearest to it.
+
+    Holes, prints, and things behind the ball that differ from it in brightness alone do not count.
+
+    Args:
+        view: the picture.
+        axis: (3,) unit direction of the ball's centre in the camera frame.
+        half_angle: of its cone, rad.
+        count: of rays.
+        reach_px: how far to search.
+        colors: (k, k, k) bits by blue, green and red, each cut to as many levels, a power of two.
+        bit: the colour's.
+    """
+    frame = frame_about(axis)
+    rays, scale = cast_rays(frame, half_angle, count, view.lens)
+    height, width, cut = view.pixels.shape[0], view.pixels.shape[1], _cut(colors)
+    at, clear, use = np.full(count, np.nan), np.zeros(count), np.zeros(count)
+    for i in range(count):
+        colored, s = False, -reach_px - _STEP_PX
+        while s < reach_px:
+            s += _STEP_PX
+            x = round(rays.points[i, 0] + s * rays.normals[i, 0])
+            y = round(rays.points[i, 1] + s * rays.normals[i, 1])
+            if not (0 <= x < width and 0 <= y < height):
+                rays.status[i] = OUT_OF_IMAGE
+                break
+            b, g, r = view.pixels[y, x]
+            before, colored = colored, colors[b >> cut, g >> cut, r >> cut] & bit != 0
+            if before and not colored and not abs(at[i]) <= abs(s - _STEP_PX / 2):
+                at[i] = s - _STEP_PX / 2
+        clear[i] = rays.status[i] == CLEAR
+        use[i] = clear[i] * np.isfinite(at[i])
+    dark = np.zeros((3, count))
+    edges = Edges(at, np.full(count, _EDGE_SD_PX), np.ones(count), dark, dark)
+    return EdgeScan(frame, rays, scale, edges, clear, use)
+
+
+@compiled
+def color_share(pixels: Bytes, colors: Bytes, bit: int, center: Floats, points: Floats) -> float:
+    """Share of the samples between the centre and edge points that have a colour.
+
+    Args:
+        pixels: (h, w, 3) uint8.
+        colors: see `scan_color`.
+        bit: the colour's.
+        center: (2,) px.
+        points: (n, 2) px.
+    """
+    height, width = pixels.shape[:2]
+    seen, alike, cut = 0, 0, _cut(colors)
+    for i in range(len(points)):
+        for share in _RINGS:
+            x = round(center[0] + share * (points[i, 0] - center[0]))
+            y = round(center[1] + share * (points[i, 1] - center[1]))
+            if 0 <= x < width and 0 <= y < height:
+                b, g, r = pixels[y, x]
+                seen += 1
+                alike += colors[b >> cut, g >> cut, r >> cut] & bit != 0
+    return alike / seen if seen else 0.0
+
+
+@compiled
+def _cut(colors: Bytes) -> int:
+    """By how many bits picture values are cut for a table of colours."""
+    cut = 0
+    while len(colors) << cut < _LEVELS:
+        cut += 1
+    return cut
