@@ -13,9 +13,18 @@ from measure.errors import SessionError
 from measure.model import Image
 from measure.reading import missing_message
 from measure.session.files import matching_files
-from measure.session.pictures import JPEG_START, decode_picture, picture_bytes
+from measure.session.pictures import (
+    JPEG_START,
+    decode_picture,
+    held_bits,
+    picture_bytes,
+    picture_form,
+)
 from measure.session.streams import Stream
 from measure.session.timestamps import Stamps
+
+_PROBED = 8
+"""Pictures of 16 bits, spread over a recording, whose largest value tells the camera's bits."""
 
 
 class ImageStream(Stream):
@@ -29,11 +38,17 @@ class ImageStream(Stream):
         frames: Ints,
         times_s: Floats,
         notes: tuple[str, ...] = (),
+        bits: int | None = None,
     ) -> None:
-        first = decode_picture(picture_bytes(files[0], f"camera '{name}': "), str(files[0]))
-        super().__init__(
-            name, source, (first.shape[1], first.shape[0]), frames, times_s, files, notes
-        )
+        size_wh, largest = _form(name, files[0])
+        if largest is not None and bits is None:
+            some = files[:: -(-len(files) // _PROBED)]
+            largest = max(_form(name, file)[1] or 0 for file in some)
+            bits = held_bits(largest)
+            held = f"camera '{name}': its pictures of 16 bits hold {bits} (values up to {largest})"
+            notes = (*notes, f"{held}; if not, state bit_depth for it in session.toml")
+        self._bits = bits
+        super().__init__(name, source, size_wh, frames, times_s, files, notes)
 
     def read(self, index: int) -> Image:
         """The frame at position `index`: the file is read now, the pixels decode on first use."""
@@ -42,7 +57,7 @@ class ImageStream(Stream):
         data = self._content(index)
 
         def decode() -> Bytes:
-            pixels = decode_picture(data, f"{where}{self.files[index]}")
+            pixels = decode_picture(data, f"{where}{self.files[index]}", self._bits)
             if pixels.shape[1::-1] != self.size_wh:
                 raise SessionError(
                     f"{where}{self.files[index]} is {pixels.shape[1]}x{pixels.shape[0]} px, "
@@ -69,7 +84,13 @@ class ImageStream(Stream):
 
 
 def open_image_stream(
-    name: str, folder: Path, pattern: str, stamps: Stamps, stamps_path: Path, offset_s: float
+    name: str,
+    folder: Path,
+    pattern: str,
+    stamps: Stamps,
+    stamps_path: Path,
+    offset_s: float,
+    bits: int | None = None,
 ) -> ImageStream:
     """The files that fit `pattern` in `folder`, matched with their stamps.
 
@@ -90,7 +111,8 @@ def open_image_stream(
         if len(files) != len(stamps.frames):
             odd = next((f.name for f, n in zip(files, numbers, strict=True) if n is None), "")
             raise SessionError(_count_message(name, source, len(files), stamps_path, stamps, odd))
-        return ImageStream(name, source, files, stamps.frames, stamps.times_s + offset_s)
+        times_s = stamps.times_s + offset_s
+        return ImageStream(name, source, files, stamps.frames, times_s, bits=bits)
     by_number = dict(zip(numbers, files, strict=True))
     _refuse_unstamped(name, source, by_number, stamps_path, stamps)
     present = np.array([int(frame) in by_number for frame in stamps.frames])
@@ -99,7 +121,13 @@ def open_image_stream(
     notes = (f"{lost} (frame {_some(gone)})",) if len(gone) else ()
     frames = stamps.frames[present]
     ordered = [by_number[int(frame)] for frame in frames]
-    return ImageStream(name, source, ordered, frames, stamps.times_s[present] + offset_s, notes)
+    times_s = stamps.times_s[present] + offset_s
+    return ImageStream(name, source, ordered, frames, times_s, notes, bits)
+
+
+def _form(name: str, file: Path) -> tuple[tuple[int, int], int | None]:
+    where = f"camera '{name}': "
+    return picture_form(picture_bytes(file, where), f"{where}{file}")
 
 
 def _find(name: str, folder: Path, pattern: str) -> list[Path]:

@@ -165,7 +165,13 @@ def _open_stream(table: CameraTable, folder: Path) -> Stream:
         assert stamps is not None
         assert stamps_path is not None
         stream = open_image_stream(
-            table.name, folder, table.images, stamps, stamps_path, table.time_offset_s
+            table.name,
+            folder,
+            table.images,
+            stamps,
+            stamps_path,
+            table.time_offset_s,
+            table.bit_depth,
         )
     return stream
 

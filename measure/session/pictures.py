@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from PIL.BmpImagePlugin import BmpImageFile
 from PIL.Jpeg2KImagePlugin import Jpeg2KImageFile
 from PIL.PngImagePlugin import PngImageFile
@@ -154,13 +156,53 @@ def is_complete_jpeg(data: bytes | bytearray) -> bool:
     return data.endswith(JPEG_END) or data.rfind(JPEG_END) > data.rfind(JPEG_SCAN)
 
 
-def decode_picture(data: bytes, where: str) -> Bytes:
+def decode_picture(data: bytes, where: str, bits: int | None = None) -> Bytes:
     """BGR pixels (h, w, 3) of an encoded picture.
 
+    Args:
+        data: the file's content.
+        where: begin of messages.
+        bits: how many a picture of 16 bits really holds; found from its largest value if omitted.
+
     Raises:
-        SessionError: truncated, not a picture, or larger than `refuse_huge` lets pass; the message
-            starts with `where`.
+        SessionError: truncated, not a picture, of larger values than `bits` hold, or larger than
+            `refuse_huge` lets pass.
     """
+    pixels = _decoded(data, where, cv2.IMREAD_COLOR)
+    if pixels.dtype == np.uint8:
+        return np.asarray(pixels, dtype=np.uint8)
+    largest = int(pixels.max(initial=0))
+    bits = bits or held_bits(largest)
+    if largest >> bits:
+        raise SessionError(
+            f"{where}: values up to {largest} are more than the {bits} bits of this camera's other "
+            f"pictures: say bit_depth = {held_bits(largest)} for it in session.toml"
+        )
+    return np.asarray(pixels >> (bits - 8), dtype=np.uint8)
+
+
+def picture_form(data: bytes, where: str) -> tuple[tuple[int, int], int | None]:
+    """Width and height of a picture in px; the largest value if it has 16 bits, None for 8.
+
+    Raises:
+        SessionError: as `decode_picture`, or of one channel: balls are told apart by colour.
+    """
+    pixels = _decoded(data, where, cv2.IMREAD_UNCHANGED)
+    if pixels.ndim == 2:
+        raise SessionError(
+            f"{where}: the picture has one channel, but balls are told apart by colour: have the "
+            "camera give colour; what a colour sensor gives raw (Bayer) must be demosaiced first"
+        )
+    largest = None if pixels.dtype == np.uint8 else int(pixels.max(initial=0))
+    return (pixels.shape[1], pixels.shape[0]), largest
+
+
+def held_bits(largest: int) -> int:
+    """How many bits a sensor has by the largest value of its pictures, at least 8."""
+    return next(bits for bits in (8, 10, 12, 14, 16) if largest >> bits == 0)
+
+
+def _decoded(data: bytes, where: str, mode: int) -> NDArray[Any]:
     # OpenCV fills the rest of a truncated JPEG with grey and says nothing.
     if data.startswith(JPEG_START) and not is_complete_jpeg(data):
         raise SessionError(
@@ -171,9 +213,8 @@ def decode_picture(data: bytes, where: str) -> Bytes:
     pixels = None
     if size_wh is not None:
         refuse_huge(size_wh, where)
-        pixels = cv2.imdecode(
-            np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
-        )
-    if pixels is None:
+        flags = mode if mode < 0 else mode | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
+        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    if pixels is None or pixels.dtype not in (np.uint8, np.uint16):
         raise SessionError(f"{where}: not a picture that can be decoded ({len(data)} bytes)")
-    return np.asarray(pixels, dtype=np.uint8)
+    return pixels

@@ -31,6 +31,7 @@ class CameraTable(FileModel):
     video: Name | None = None
     timestamps: Name | None = None
     time_offset_s: Annotated[FiniteFloat, Field(ge=-LATEST_S, le=LATEST_S)] = 0.0
+    bit_depth: Annotated[int, Field(ge=8, le=16)] | None = None
 
     @model_validator(mode="after")
     def _one_source(self) -> CameraTable:

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from measure.errors import SessionError
-from measure.session import decode_picture, open_video_stream
+from measure.session import decode_picture, open_session, open_video_stream
 from measure.session.pictures import picture_size_wh
-from tests.session.conftest import jpeg
+from tests.session.conftest import SIZE_WH, jpeg, write_recording
 from tests.session.videos import write_video
 
 KINDS = (".jpg", ".png", ".tiff", ".bmp", ".webp", ".ppm", ".pgm", ".jp2")
@@ -46,10 +46,52 @@ def test_every_kind_states_its_size_and_decodes(kind: str) -> None:
     assert decode_picture(data, "x").shape == (48, 64, 3)
 
 
-def test_16_bits_decode() -> None:
-    done, data = cv2.imencode(".png", np.full((48, 64), 30000, np.uint16))
-    assert done
-    assert decode_picture(bytes(data), "x").shape == (48, 64, 3)
+def deep_recording(path: Path, levels: list[int], channels: int = 3) -> None:
+    """The small recording with PNG of 16 bits in cam1; picture k has the value `levels[k]`."""
+    write_recording(path, frames=len(levels))
+    session = path / "session.toml"
+    session.write_text(session.read_text().replace("cam1/*.jpg", "cam1/*.png"))
+    for k, level in enumerate(levels):
+        shape = (*SIZE_WH[::-1], channels)
+        assert cv2.imwrite(str(path / f"cam1/{k:06d}.png"), np.full(shape, level, np.uint16))
+
+
+@pytest.mark.parametrize("bits", [8, 10, 12, 14, 16])
+def test_pictures_of_16_bits_are_as_bright_as_the_sensors_bits_allow(tmp_path, bits) -> None:
+    """12 bits in 16 are black if they are taken for 16; a dark first picture tells nothing."""
+    full = (1 << bits) - 1
+    deep_recording(tmp_path, [3, full // 2, full, full // 4])
+    with open_session(tmp_path) as session:
+        seen = [int(session.streams["cam1"].read(k).pixels.max()) for k in range(1, 4)]
+        (note,) = session.notes
+    assert seen == [127, 255, 63]
+    assert f"camera 'cam1': its pictures of 16 bits hold {bits} (values up to {full})" in note
+
+
+def test_a_stated_bit_depth_holds(tmp_path) -> None:
+    deep_recording(tmp_path, [400, 3000] + [100] * 20)
+    file = tmp_path / "session.toml"
+    table = file.read_text()
+    file.write_text(table.replace('images = "cam1', 'bit_depth = 12\nimages = "cam1'))
+    with open_session(tmp_path) as session:
+        assert not session.notes
+        assert session.streams["cam1"].read(1).pixels.max() == 3000 >> 4
+    file.write_text(table)  # every third picture is looked at, and 3000 is not among them
+    with open_session(tmp_path) as session:
+        assert session.streams["cam1"].read(0).pixels.max() == 400 >> 2
+        with pytest.raises(SessionError, match=r"frame 1: .*3000 are more than the .* = 12"):
+            _ = session.streams["cam1"].read(1).pixels
+
+
+@pytest.mark.parametrize("depth", [np.uint8, np.uint16])
+def test_pictures_of_one_channel_are_named_with_the_cure(tmp_path, depth) -> None:
+    write_recording(tmp_path)
+    for file in (tmp_path / "cam2").glob("*.jpg"):
+        assert cv2.imwrite(str(file.with_suffix(".png")), np.full(SIZE_WH[::-1], 90, depth))
+    session = tmp_path / "session.toml"
+    session.write_text(session.read_text().replace("cam2/*.jpg", "cam2/*.png"))
+    with pytest.raises(SessionError, match=r"'cam2': .*one channel, .* must be demosaiced first"):
+        open_session(tmp_path)
 
 
 def test_a_huge_picture_is_refused_unless_the_limit_is_raised(
