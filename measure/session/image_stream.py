@@ -17,10 +17,11 @@ from measure.session.pictures import (
     JPEG_START,
     decode_picture,
     held_bits,
+    is_turned,
     picture_bytes,
     picture_form,
 )
-from measure.session.streams import Stream
+from measure.session.streams import Stream, turned_notes
 from measure.session.timestamps import Stamps
 
 _PROBED = 8
@@ -41,6 +42,7 @@ class ImageStream(Stream):
         bits: int | None = None,
     ) -> None:
         size_wh, largest = _form(name, files[0])
+        notes = (*notes, *turned_notes(name, is_turned(picture_bytes(files[0]))))
         if largest is not None and bits is None:
             some = files[:: -(-len(files) // _PROBED)]
             largest = max(_form(name, file)[1] or 0 for file in some)

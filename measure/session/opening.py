@@ -179,9 +179,10 @@ def _open_stream(table: CameraTable, folder: Path) -> Stream:
 def _check_size(stream: Stream, camera: Camera, calibrated: Path) -> None:
     have, want = stream.size_wh, camera.intrinsics.size_wh
     if have != tuple(want):
+        hint = " (turned pictures are measured as stored)" if have[::-1] == tuple(want) else ""
         raise CalibrationError(
-            f"camera '{camera.name}': the images ({stream.source}) are {have[0]}x{have[1]} px, "
-            f"but {calibrated} calibrates {want[0]}x{want[1]} px: record or calibrate at one size"
+            f"camera '{camera.name}': the images ({stream.source}) are {have[0]}x{have[1]} px, but "
+            f"{calibrated} calibrates {want[0]}x{want[1]} px: record or calibrate at one size{hint}"
         )
 
 

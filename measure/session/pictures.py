@@ -11,7 +11,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from PIL.BmpImagePlugin import BmpImageFile
+from PIL.ImageFile import ImageFile
 from PIL.Jpeg2KImagePlugin import Jpeg2KImageFile
+from PIL.JpegImagePlugin import JpegImageFile
 from PIL.PngImagePlugin import PngImageFile
 from PIL.PpmImagePlugin import PpmImageFile
 from PIL.TiffImagePlugin import TiffImageFile
@@ -33,6 +35,7 @@ _ALONE = frozenset({0x01, *range(0xD0, 0xD9)})
 """Markers that nothing belongs to."""
 _SCAN = 0xDA
 _READERS = (
+    (JPEG_START, JpegImageFile),
     (b"\x89PNG", PngImageFile),
     (b"BM", BmpImageFile),
     (b"II", TiffImageFile),
@@ -45,6 +48,8 @@ _READERS = (
 """What reads a header, by the bytes that a file begins with."""
 _TILE_WIDTH, _TILE_LENGTH = 322, 323
 """Tags of TIFF 6.0."""
+_ORIENTATION, _UPRIGHT = 0x0112, (0, 1)
+"""Tag of Exif, and its values for pictures that are stored as they are shown."""
 
 
 def read_picture(path: Path | str) -> Bytes:
@@ -115,16 +120,25 @@ def picture_size_wh(data: bytes) -> tuple[int, int] | None:
     """
     if data.startswith(JPEG_START):
         return jpeg_size_wh(data)
-    reader = next((kind for start, kind in _READERS if data.startswith(start)), None)
-    if reader is None:
-        return None
-    try:
-        header = reader(BytesIO(data))
-    except Exception:  # Pillow's readers raise many kinds; all mean the header
+    if (header := _header(data)) is None:
         return None
     tags = getattr(header, "tag_v2", {})
     tile = (int(tags.get(_TILE_WIDTH, 0)), int(tags.get(_TILE_LENGTH, 0)))
     return max(header.size, tile, key=lambda size: size[0] * size[1])
+
+
+def is_turned(data: bytes) -> bool:
+    """Whether a tag asks viewers to turn or mirror a picture."""
+    header = _header(data)
+    return header is not None and header.getexif().get(_ORIENTATION, 1) not in _UPRIGHT
+
+
+def _header(data: bytes) -> ImageFile | None:
+    reader = next((kind for start, kind in _READERS if data.startswith(start)), None)
+    try:
+        return None if reader is None else reader(BytesIO(data))
+    except Exception:  # Pillow's readers raise many kinds; all mean the header
+        return None
 
 
 def jpeg_size_wh(data: bytes) -> tuple[int, int] | None:

@@ -84,3 +84,12 @@ class Stream(ABC):
                 f"camera '{self.name}': there is no frame at position {index}; "
                 f"{self.source} has {len(self)}"
             )
+
+
+def turned_notes(name: str, turned: bool) -> tuple[str, ...]:
+    """What to say of a camera whose pictures bear a tag that asks to turn them, if they do."""
+    text = (
+        f"camera '{name}': an orientation tag asks to turn its pictures; they are measured as "
+        "stored: calibrate stored ones (measure calibrate does; OpenCV turns what it reads)"
+    )
+    return (text,) if turned else ()

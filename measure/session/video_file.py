@@ -7,6 +7,7 @@ from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +26,11 @@ _CONTAINERS = (
     "h264,hevc,m4v,mjpeg,mpegvideo,rawvideo"
 )
 """What is opened. None of these names further files to be opened, as playlists do."""
+_TIME_OF_DAY_S = 1e8
+"""A container that begins later than this counts from 1970, as recorders of streams may do."""
 _PATIENCE_S = 8.0
 """Longest search for the next packet: damaged files may promise terabytes."""
-_RAW_CONTAINERS = ("h264", "hevc", "m4v", "mjpeg", "mpeg", "rawvideo")
+_RAW_CONTAINERS = ("h264", "hevc", "m4v", "mjpeg", "mpegvideo", "rawvideo")
 """Bare streams without any time; a reader that gives some invents them."""
 
 
@@ -42,6 +45,7 @@ class VideoIndex:
         size_wh: width and height in px.
         motion_jpeg: every packet is a JPEG.
         counted: the container gives no presentation times; stamps belong to frames by order.
+        turned: a tag asks players to turn the pictures.
     """
 
     stamps: list[int]
@@ -50,11 +54,22 @@ class VideoIndex:
     size_wh: tuple[int, int]
     motion_jpeg: bool
     counted: bool
+    turned: bool
+
+    @property
+    def start_s(self) -> float:
+        """What the container calls the time of the first frame."""
+        return float(self.stamps[0] * self.time_base)
 
     @property
     def times_s(self) -> Floats:
-        """Presentation times (n,) in seconds, exact to the time base."""
-        return np.array([float(stamp * self.time_base) for stamp in self.stamps])
+        """Presentation times (n,) in seconds after the first frame, exact to the time base.
+
+        Containers begin at any time, for the order of decoding and by habit, so that the same
+        frames would differ by up to seconds; only a time of day is kept.
+        """
+        first = 0 if self.start_s > _TIME_OF_DAY_S else self.stamps[0]
+        return np.array([float((stamp - first) * self.time_base) for stamp in self.stamps])
 
 
 def index_video(path: Path, where: str) -> VideoIndex:
@@ -89,7 +104,8 @@ def index_video(path: Path, where: str) -> VideoIndex:
         size = (int(context.width), int(context.height))
         refuse_huge(size, f"{where}{path}")
         motion_jpeg = context.name == "mjpeg"
-        return VideoIndex(stamps, keys, stream.time_base, size, motion_jpeg, counted)
+        turned = _is_turned(path, where)
+        return VideoIndex(stamps, keys, stream.time_base, size, motion_jpeg, counted, turned)
 
 
 class VideoReader:
@@ -135,22 +151,34 @@ class VideoReader:
         with self._lock:
             if self._frames is None or not self._reachable(position):
                 self._seek(position, where, packets)
-            assert self._frames is not None
-            target = self.index.stamps[position]
             try:
-                for count, (stamp, item) in enumerate(self._frames, start=self._next):
-                    if count == position if self.index.counted else stamp == target:
-                        self._next = position + 1
-                        return item
-                    if not self.index.counted and stamp > target:
-                        break
+                item = self._found(position)
+                if item is None and not self.index.counted:  # some containers seek beyond it
+                    self._seek(0, where, packets)
+                    item = self._found(position)
             except Exception as problem:
                 self._close()
                 raise SessionError(
                     f"{where}{self.path}: the frame cannot be decoded ({_reason(problem)})"
                 ) from None
-            self._close()
-            raise SessionError(f"{where}{self.path}: the frame cannot be decoded (data missing)")
+            if item is None:
+                self._close()
+                raise SessionError(
+                    f"{where}{self.path}: the frame cannot be decoded (data missing)"
+                )
+            return item
+
+    def _found(self, position: int) -> Any:
+        """The frame or packet at a position, if it comes next or later; else None."""
+        assert self._frames is not None
+        target = self.index.stamps[position]
+        for count, (stamp, item) in enumerate(self._frames, start=self._next):
+            if count == position if self.index.counted else stamp == target:
+                self._next = position + 1
+                return item
+            if not self.index.counted and stamp > target:
+                break
+        return None
 
     def _reachable(self, position: int) -> bool:
         """Whether decoding on is right: ahead of us, with no later frame to jump to."""
@@ -208,6 +236,15 @@ def _open(path: Path, where: str) -> Any:
             f"{where}{path}: not a video that can be read, or its recording was cut off "
             f"({_reason(problem)}): copy it again from where it was recorded, or record it anew"
         ) from None
+
+
+def _is_turned(path: Path, where: str) -> bool:
+    """Whether the first frame bears a rotation; False where it does not decode."""
+    try:
+        with _open(path, where) as container:
+            return any(frame.rotation for frame in islice(container.decode(video=0), 1))
+    except Exception:  # reading that frame will say so
+        return False
 
 
 def _reason(problem: BaseException) -> str:

@@ -10,7 +10,7 @@ from measure.arrays import Bytes
 from measure.errors import SessionError
 from measure.model import Image
 from measure.session.pictures import decode_picture
-from measure.session.streams import Stream
+from measure.session.streams import Stream, turned_notes
 from measure.session.timestamps import Stamps
 from measure.session.video_file import VideoIndex, VideoReader, index_video
 
@@ -23,9 +23,8 @@ class VideoStream(Stream):
     def __init__(
         self, name: str, path: Path, index: VideoIndex, stamps: Stamps, offset_s: float
     ) -> None:
-        super().__init__(
-            name, str(path), index.size_wh, stamps.frames, stamps.times_s + offset_s, [path]
-        )
+        times_s, notes = stamps.times_s + offset_s, turned_notes(name, index.turned)
+        super().__init__(name, str(path), index.size_wh, stamps.frames, times_s, [path], notes)
         self._reader = VideoReader(path, index)
         self._motion_jpeg = index.motion_jpeg
 
@@ -59,7 +58,7 @@ def open_video_stream(
     Args:
         name: the camera's name.
         path: the file.
-        stamps: times of the frames in order; the container's own if omitted.
+        stamps: times of the frames in order; if omitted the container's own, after the first frame.
         stamps_path: the file they come from, for messages.
         offset_s: is added to every time.
 

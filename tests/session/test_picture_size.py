@@ -83,6 +83,19 @@ def test_a_stated_bit_depth_holds(tmp_path) -> None:
             _ = session.streams["cam1"].read(1).pixels
 
 
+@pytest.mark.parametrize(("tag", "named"), [(1, False), (3, True), (6, True)])
+def test_an_orientation_tag_is_named(tmp_path, tag, named) -> None:
+    write_recording(tmp_path)
+    exif = b"MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0%c\0\0\0\0\0\0" % tag
+    head = b"\xff\xd8\xff\xe1" + struct.pack(">H", len(exif) + 8) + b"Exif\0\0" + exif
+    for file in (tmp_path / "cam2").glob("*.jpg"):
+        file.write_bytes(head + file.read_bytes()[2:])
+    with open_session(tmp_path) as session:
+        assert session.streams["cam2"].read(0).pixels.shape == (*SIZE_WH[::-1], 3)
+        said = [note.startswith("camera 'cam2': an orientation tag") for note in session.notes]
+    assert said == [True] * named
+
+
 @pytest.mark.parametrize("depth", [np.uint8, np.uint16])
 def test_pictures_of_one_channel_are_named_with_the_cure(tmp_path, depth) -> None:
     write_recording(tmp_path)

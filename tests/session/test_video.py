@@ -51,6 +51,56 @@ def test_mkv_times_are_those_of_its_milliseconds(tmp_path: Path) -> None:
     assert np.abs(1000 * stream.times_s - np.rint(1000 * stream.times_s)).max() < 1e-9
 
 
+MPEG2 = ("mpeg2video", {"bf": "2", "g": "12", "qmin": "1", "qmax": "2"})
+FRAGMENTED = {"movflags": "frag_keyframe+empty_moov"}
+
+
+@pytest.mark.parametrize(
+    ("name", "codec", "container", "tick_s"),
+    [
+        ("edit_list.mp4", H264, {}, 1e-9),
+        ("no_edit_list.mp4", H264, {"use_editlist": "0"}, 1e-9),
+        ("fragmented.mp4", H264, FRAGMENTED, 1e-9),
+        ("cam.flv", H264, {}, 1e-3),
+        ("cam.mkv", H264, {}, 1e-3),
+        ("cam.ts", H264, {}, 1e-9),
+        ("cam.mpg", MPEG2, {}, 1e-9),
+        ("cam.vob", MPEG2, {}, 1e-9),
+        ("cam.avi", H264, {}, 1e-9),
+    ],
+)
+def test_the_same_frames_have_the_same_times_in_every_container(
+    tmp_path: Path, name: str, codec, container: dict[str, str], tick_s: float
+) -> None:
+    """With frames out of order these begin at 0, 0.067, 0.53 or 1.4 s: that is no clock."""
+    write_video(tmp_path / name, codec[0], options=codec[1], container=container)
+    stream = open_video_stream("cam", tmp_path / name)
+    assert stream.times_s[0] == 0
+    assert np.abs(stream.times_s - np.arange(24) / 30).max() <= tick_s
+    order = [*range(24), 13, 2, 20, 21, 5, 23, 0, 12, 11]
+    assert np.allclose(_levels(stream, order), [level(k) for k in order], atol=4.9)
+
+
+def test_a_time_of_day_is_kept(tmp_path: Path) -> None:
+    """Recorders that stamp packets by the wall clock: one for all cameras."""
+    start = 1_700_000_000 * 90000
+    write_video(
+        tmp_path / "cam.mkv", "mjpeg", [start + t for t in TICKS], container={"copyts": "1"}
+    )
+    times = open_video_stream("cam", tmp_path / "cam.mkv").times_s
+    assert np.abs(times - 1.7e9 - np.array(TICKS) / 90000).max() < 1.1e-3
+
+
+@pytest.mark.parametrize("rotation", [0, 90, 180])
+def test_an_orientation_tag_is_named(tmp_path: Path, rotation: int) -> None:
+    write_video(tmp_path / "cam.mp4", "libx264", frames=3, rotation=rotation)
+    stream = open_video_stream("cam", tmp_path / "cam.mp4")
+    assert stream.size_wh == (64, 48)
+    assert [n.startswith("camera 'cam': an orientation tag") for n in stream.notes] == [True] * (
+        rotation != 0
+    )
+
+
 def test_motion_jpeg_keeps_the_recorded_bytes(tmp_path: Path) -> None:
     write_video(tmp_path / "cam.avi", "mjpeg")
     stream = open_video_stream("cam", tmp_path / "cam.avi")

@@ -24,8 +24,9 @@ def write_video(
     options: dict[str, str] | None = None,
     container: dict[str, str] | None = None,
     shows: list[int] | None = None,
+    rotation: float | None = None,
 ) -> None:
-    """Frame k has the grey `level(k)`, or `level(shows[k])`.
+    """Frame k has the grey `level(k)`, or `level(shows[k])`; a tag may ask to turn it, deg.
 
     `ticks` are its times in 1/90000 s, else 30 a second.
     """
@@ -35,6 +36,8 @@ def write_video(
         stream = out.add_stream(codec, rate=30, options=options or {})
         stream.width, stream.height = SIZE_WH
         stream.pix_fmt = "yuvj420p" if codec == "mjpeg" else "yuv420p"
+        if rotation is not None:
+            stream.set_display_rotation(rotation)
         if ticks is not None:
             stream.time_base = stream.codec_context.time_base = TIME_BASE
         for k in range(count):
