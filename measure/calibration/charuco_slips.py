@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import fields, replace
 from itertools import product
 
 import cv2
 import numpy as np
 
-from measure.arrays import Bytes, Ints
+from measure.arrays import Bytes
 from measure.calibration.boards import Board, Charuco, MirroredBoardError
 
 _FAMILIES = (
@@ -30,9 +30,9 @@ def charuco_slip(board: Board, grays: Sequence[Bytes]) -> str:
     if not isinstance(board, Charuco):
         return ""
     own = next(name for name in _FAMILIES if _is_of(board.dictionary, name))
-    seen = _families_seen(grays, [(own, board.inverted)]) or _families_seen(
-        grays, product(_FAMILIES, (board.inverted, not board.inverted))
-    )
+    seen = _families_seen(grays, [own], board.inverted)
+    for inverted in () if seen else (board.inverted, not board.inverted):
+        seen += _families_seen(grays, _FAMILIES, inverted)
     if not seen:
         return ""
     count, family, inverted, highest = max(seen)
@@ -60,24 +60,23 @@ def _is_of(dictionary: str, family: str) -> bool:
 
 
 def _families_seen(
-    grays: Sequence[Bytes], families: Iterable[tuple[str, bool]]
+    grays: Sequence[Bytes], families: Sequence[str], inverted: bool
 ) -> list[tuple[int, str, bool, int]]:
     """How many markers of which family, printed inverted or not, are seen, up to which number."""
+    kinds = [cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)) for name in families]
+    detector = cv2.aruco.ArucoDetector(kinds)
+    ids: list[list[int]] = [[] for _ in families]
+    for gray in grays:
+        shown = np.asarray(255 - gray if inverted else gray, np.uint8)
+        _, numbers, _, kind_of = detector.detectMarkersMultiDict(shown)
+        some = () if numbers is None else zip(np.ravel(numbers), np.ravel(kind_of), strict=True)
+        for number, kind in some:
+            ids[int(kind)].append(int(number))
     return [
-        (len(ids), name, inverted, int(ids.max()))
-        for name, inverted in families
-        if len(ids := _marker_ids(grays, name, inverted)) >= _LEAST_MARKERS
+        (len(found), name, inverted, max(found))
+        for found, name in zip(ids, families, strict=True)
+        if len(found) >= _LEAST_MARKERS
     ]
-
-
-def _marker_ids(grays: Sequence[Bytes], dictionary: str, inverted: bool) -> Ints:
-    detector = cv2.aruco.ArucoDetector(
-        cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
-    )
-    shown = (np.asarray(255 - gray if inverted else gray, np.uint8) for gray in grays)
-    found = [detector.detectMarkers(gray)[1] for gray in shown]
-    numbers = [np.ravel(ids) for ids in found if ids is not None]
-    return np.concatenate([np.zeros(0), *numbers]).astype(np.int64)
 
 
 def _fits(board: Charuco) -> bool:

@@ -18,18 +18,11 @@ from measure.session.calibration_file import (
     read_own_calibration,
     write_own_calibration,
 )
-from measure.session.interchange_opencv import write_opencv
-from measure.session.interchange_tables import read_tables
-from measure.session.interchange_toml import (
-    Unit,
-    is_foreign_toml,
-    read_foreign_toml,
-    write_anipose,
-    write_caliscope,
-)
+from measure.session.interchange_tables import is_foreign_toml, read_tables
+from measure.session.interchange_writing import write_anipose, write_caliscope, write_opencv
 from measure.session.interchange_xml import read_xml
 from measure.session.plain_values import plain_values
-from measure.session.stated_rig import Sizes, StatedRig
+from measure.session.stated_rig import Sizes, StatedRig, Unit
 
 _log = logging.getLogger(__name__)
 
@@ -63,31 +56,35 @@ def read_calibration(
     """
     path = Path(path)
     text = read_text(path, CalibrationError)
-    values = _toml(text)
-    if values is not None and is_foreign_toml(values):
-        calibration = read_foreign_toml(path, text, values, unit)
-    elif values is not None or path.suffix.lower() == ".toml":
+    stated = _foreign(path, text)
+    if stated is None:
         calibration = read_own_calibration(path)
     else:
-        calibration = _foreign(path, text).calibration(path, unit, pictures or {})
+        calibration = stated.calibration(path, unit, pictures or {})
     check_calibration(calibration, str(path))
     return calibration
 
 
 def read_intrinsics(path: Path | str) -> dict[str, Intrinsics]:
-    """The lenses alone, by camera name; files that are no TOML need no poses for that.
+    """The lenses alone, by camera name; files of other programs need no poses for that.
 
     Raises:
         CalibrationError: the file cannot be used.
     """
     path = Path(path)
-    text = read_text(path, CalibrationError)
-    if _toml(text) is None and path.suffix.lower() != ".toml":
-        return _foreign(path, text).lenses(path)
+    stated = _foreign(path, read_text(path, CalibrationError))
+    if stated is not None:
+        return stated.lenses(path)
     return {camera.name: camera.intrinsics for camera in read_calibration(path).cameras}
 
 
-def _foreign(path: Path, text: str) -> StatedRig:
+def _foreign(path: Path, text: str) -> StatedRig | None:
+    """The rig in a file of another program; None if it is ours."""
+    values = _toml(text)
+    if values is not None and is_foreign_toml(values):
+        return read_tables(path, values)
+    if values is not None or path.suffix.lower() == ".toml":
+        return None
     if text.lstrip().startswith("<") and "<opencv_storage" not in text:
         return read_xml(path, text)
     return read_tables(path, plain_values(path, text))

@@ -1,4 +1,4 @@
-"""Rigs in tables: OpenCV's own, stereo pairs, EasyMocap, MC-Calib, multical, Kalibr and ROS."""
+"""Rigs in tables: of aniposelib, Kalibr, MC-Calib, multical, EasyMocap, OpenCV and ROS."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from measure.session.stated_rig import StatedCamera, StatedRig, stated_model
 
 Table = Mapping[str, Any]
 
-_MATRIX = ("camera_matrix", "cameramatrix", "k", "mtx")
+_MATRIX = ("camera_matrix", "cameramatrix", "matrix", "k", "mtx")
 _DISTORTION = (
     *("distortion_coefficients", "distortion_coeffs", "distortion_vector", "distcoeffs"),
-    *("dist_coeffs", "dist_coeff", "distortion", "dist", "d"),
+    *("dist_coeffs", "dist_coeff", "distortions", "distortion", "dist", "d"),
 )
 _MODEL = (
     *("distortion_model", "camera_model", "lens_model", "model"),
@@ -29,14 +29,14 @@ _MODEL = (
 _ROTATION, _TRANSLATION = ("rotation", "r", "rvec"), ("translation", "t", "tvec")
 _WIDTHS, _HEIGHTS = ("image_width", "img_width", "width"), ("image_height", "img_height", "height")
 _SIZES = ("image_size", "imagesize", "resolution", "size")
-_RMS = ("avg_reprojection_error",)
+_RMS = ("avg_reprojection_error", "error")
 _SIDES = (("1", "2"), ("_1", "_2"), ("_left", "_right"), ("_l", "_r"), ("l", "r"))
 """What ends the names of the two cameras of a stereo pair."""
 _STEREO_MATRIX = ("m", *_MATRIX)
 
 
 def read_tables(path: Path, values: object) -> StatedRig:
-    """The cameras of a file that is no TOML.
+    """The cameras of a file of another program.
 
     Args:
         path: of the file; one that holds lenses alone or poses alone is read with its companion,
@@ -47,13 +47,40 @@ def read_tables(path: Path, values: object) -> StatedRig:
         CalibrationError: it is none of these, or a camera in it is broken or of another lens model.
     """
     if isinstance(values, Mapping):
-        for read in (_kalibr, _mc_calib, _multical, _easymocap, _stereo, _opencv):
+        for read in (_anipose, _kalibr, _mc_calib, _multical, _easymocap, _stereo, _opencv):
             rig = read(path, {str(key): value for key, value in values.items()})
             if rig is not None:
                 return rig
         known = ", ".join(map(str, values)) or "nothing"
         raise CalibrationError(f"{path}: no camera_matrix in it; it holds {known[:120]}; {READ}")
     raise CalibrationError(f"{path}: not a calibration that is read; {READ}")
+
+
+def is_foreign_toml(values: Table) -> bool:
+    """Whether parsed TOML is aniposelib's or caliscope's rather than ours."""
+    return not isinstance(values.get("cameras"), list) and bool(_matrix_tables(values))
+
+
+def _matrix_tables(values: Table) -> dict[str, Table]:
+    nested = values.get("cameras")
+    tables = nested if isinstance(nested, Mapping) else values
+    kept = {key: table for key, table in tables.items() if isinstance(table, Mapping)}
+    return {key: table for key, table in kept.items() if "matrix" in table}
+
+
+def _anipose(path: Path, values: Table) -> StatedRig | None:
+    """Aniposelib's tables, and caliscope's under `cameras`, which knows but metres."""
+    cameras = []
+    for key, table in _matrix_tables(values).items():
+        number = table.get("cam_id", table.get("port"))
+        name = str(table.get("name") or (key if number is None else f"cam_{number}"))
+        if not table.get("ignore"):
+            cameras.append(_camera(name, f"{path}: camera '{name}'", table, {}))
+    if isinstance(values.get("cameras"), Mapping):
+        return StatedRig("caliscope", tuple(cameras), "m") if cameras else None
+    metadata = values.get("metadata")
+    unit = metadata.get("unit") if isinstance(metadata, Mapping) else None
+    return StatedRig("aniposelib", tuple(cameras), unit) if cameras else None
 
 
 def _kalibr(path: Path, values: Table) -> StatedRig | None:

@@ -8,7 +8,7 @@ from pydantic import Field, FiniteFloat, model_validator
 
 from measure.session.body_file import BodyModel
 from measure.session.files import FileModel, Name
-from measure.session.interchange_toml import Unit
+from measure.session.stated_rig import Unit
 from measure.session.timestamps import LATEST_S
 
 

@@ -5,14 +5,21 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
+
+import numpy as np
 
 from measure.arrays import Floats
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
 from measure.model import Camera, Intrinsics, Projection
+from measure.model.camera import check_coefficients
 from measure.session.calibration_file import NO_CAMERA_MATRIX, Calibration, is_camera_matrix
-from measure.session.interchange_toml import Unit, distortion8, mm_per, rotation_matrix
 
+Unit = Literal["mm", "cm", "m"]
+MM_PER: dict[str, float] = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
+_MAX_ROTATION_RAD = 100.0
+"""Of a component of a rotation vector: a few turns."""
 _MODELS: dict[str, Projection] = {
     **dict.fromkeys(
         ("fisheye", "equidistant", "equi", "kannala_brandt", "kb4", "1", "true"), "fisheye"
@@ -61,7 +68,7 @@ class StatedCamera:
                 f"{place}: has no picture size: write image_width and image_height into it"
             )
         try:
-            coefficients = distortion8(self.distortion, self.model)
+            coefficients = _distortion(self.distortion, self.model)
         except CalibrationError as problem:
             raise CalibrationError(f"{place}: {problem}") from None
         return Intrinsics(self.size_wh, self.matrix, coefficients, model=self.model)
@@ -95,7 +102,7 @@ class StatedRig:
         Raises:
             CalibrationError: a camera cannot be used, or has no pose.
         """
-        scale = mm_per(path, self.unit, unit)
+        scale = _mm_per(path, self.unit, unit)
         cameras = []
         named = self._named(pictures)
         for stated in named:
@@ -107,7 +114,7 @@ class StatedRig:
                 )
             rotation, translation = stated.pose
             try:
-                pose = RigidTransform(rotation_matrix(rotation), scale * translation)
+                pose = RigidTransform(_rotation_matrix(rotation), scale * translation)
             except CalibrationError as problem:
                 raise CalibrationError(f"{place}: {problem}") from None
             lens = stated.lens(place)
@@ -153,3 +160,61 @@ def stated_model(place: str, said: Mapping[str, object]) -> Projection:
             )
         models.add(_MODELS[name])
     return "fisheye" if "fisheye" in models else "pinhole"
+
+
+def _mm_per(path: Path, stated: object, given: Unit | None) -> float:
+    """Millimetres in the unit of a file's translations.
+
+    Args:
+        path: for messages.
+        stated: the file's own word for it, None or "" where there is none: mm.
+        given: goes before it.
+
+    Raises:
+        CalibrationError: the file's word is no unit that we know.
+    """
+    unit = given or stated or "mm"
+    if not isinstance(unit, str) or unit not in MM_PER:
+        raise CalibrationError(
+            f"{path}: unit {unit!r}: it may be mm, cm or m; calibration_unit in [session] goes "
+            "before it"
+        )
+    return MM_PER[unit]
+
+
+def _rotation_matrix(rotation: Floats) -> Floats:
+    """A rotation vector (3,) or matrix (3, 3), as a matrix.
+
+    Raises:
+        CalibrationError: the matrix is no rotation.
+    """
+    if rotation.size == 3:
+        if np.max(np.abs(rotation)) > _MAX_ROTATION_RAD:
+            raise CalibrationError(
+                f"its rotation vector of {np.max(np.abs(rotation)):.3g} is none: is it in rad?"
+            )
+        return RigidTransform.from_rotvec(rotation.reshape(3)).rotation
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
+        raise CalibrationError(
+            f"not a rotation: determinant {np.linalg.det(rotation):.3f}, R R^T differs from 1 by "
+            f"{np.abs(rotation @ rotation.T - np.eye(3)).max():.2g}"
+        )
+    u, _, vt = np.linalg.svd(rotation)
+    return u @ vt
+
+
+def _distortion(values: Floats, model: Projection) -> Floats:
+    """OpenCV coefficients without the thin-prism and tilt terms, which must be zero.
+
+    Raises:
+        CalibrationError: they are not, or their number is none of the lens model's.
+    """
+    given = np.asarray(values, dtype=np.float64).reshape(-1)
+    longest = 4 if model == "fisheye" else 8
+    if given.size > longest and not given[longest:].any():
+        given = given[:longest]
+    try:
+        check_coefficients(given, model)
+    except ValueError as problem:
+        raise CalibrationError(str(problem)) from None
+    return given

@@ -1,0 +1,89 @@
+"""Writing calibrations for other programs: aniposelib, caliscope and OpenCV."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from measure.arrays import Floats
+from measure.errors import CalibrationError
+from measure.model import Camera
+from measure.session.calibration_file import Calibration
+from measure.session.stated_rig import MM_PER, Unit
+from measure.session.toml_text import dump_toml
+
+
+def write_anipose(path: Path, calibration: Calibration) -> None:
+    """Write aniposelib's TOML, in mm."""
+    tables: dict[str, Any] = {
+        f"cam_{i}": {"name": camera.name, **_foreign_values(camera, "mm")}
+        for i, camera in enumerate(calibration.cameras)
+    }
+    tables["metadata"] = {"adjusted": False, "error": _worst_rms(calibration), "unit": "mm"}
+    path.write_text(dump_toml(tables), encoding="utf-8")
+
+
+def write_caliscope(path: Path, calibration: Calibration) -> None:
+    """Write caliscope's `camera_array.toml`, in metres."""
+    tables = {
+        str(i): {
+            "cam_id": i,
+            "name": camera.name,
+            "rotation_count": 0,
+            "error": camera.reprojection_rms_px,
+            **_foreign_values(camera, "m"),
+        }
+        for i, camera in enumerate(calibration.cameras)
+    }
+    path.write_text(dump_toml({"cameras": tables}), encoding="utf-8")
+
+
+def write_opencv(path: Path, calibration: Calibration) -> None:
+    """Write OpenCV YAML, XML or JSON, as the name ends; poses are camera_from_world in mm."""
+    out = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    if not out.isOpened():
+        raise CalibrationError(f"{path}: cannot be written as OpenCV YAML, XML or JSON")
+    out.write("unit", "mm")
+    out.startWriteStruct("cameras", cv2.FILE_NODE_SEQ)
+    for camera in calibration.cameras:
+        out.startWriteStruct("", cv2.FILE_NODE_MAP)
+        out.write("camera_name", camera.name)
+        out.write("image_width", int(camera.intrinsics.size_wh[0]))
+        out.write("image_height", int(camera.intrinsics.size_wh[1]))
+        if camera.intrinsics.model == "fisheye":
+            out.write("camera_model", "fisheye")
+        out.write("camera_matrix", camera.intrinsics.matrix)
+        out.write("distortion_coefficients", _opencv_distortion(camera).reshape(-1, 1))
+        out.write("R", camera.camera_from_world.rotation)
+        out.write("T", camera.camera_from_world.translation.reshape(3, 1))
+        if camera.reprojection_rms_px is not None:
+            out.write("avg_reprojection_error", camera.reprojection_rms_px)
+        out.endWriteStruct()
+    out.endWriteStruct()
+    out.release()
+
+
+def _opencv_distortion(camera: Camera) -> Floats:
+    """The shortest OpenCV vector (5 or 8; 4 of a fisheye) that holds a camera's distortion."""
+    distortion = camera.intrinsics.coefficients
+    return distortion if distortion[5:].any() else distortion[:5]
+
+
+def _foreign_values(camera: Camera, unit: Unit) -> dict[str, Any]:
+    rotation, _ = cv2.Rodrigues(camera.camera_from_world.rotation)
+    return {
+        "size": list(camera.intrinsics.size_wh),
+        "matrix": camera.intrinsics.matrix,
+        "distortions": _opencv_distortion(camera),
+        "fisheye": camera.intrinsics.model == "fisheye",
+        "rotation": np.asarray(rotation).reshape(3),
+        "translation": camera.camera_from_world.translation / MM_PER[unit],
+    }
+
+
+def _worst_rms(calibration: Calibration) -> float:
+    known = [c.reprojection_rms_px for c in calibration.cameras if c.reprojection_rms_px]
+    return max(known, default=0.0)
