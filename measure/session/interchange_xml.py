@@ -37,7 +37,9 @@ def read_xml(path: Path, text: str) -> StatedRig:
         calibrated = [camera for camera in vicon if camera.find(".//KeyFrame") is not None]
         return StatedRig("vicon", tuple(_vicon(path, camera) for camera in calibrated))
     if qualisys:
-        return StatedRig("qualisys", tuple(_qualisys(path, camera) for camera in qualisys))
+        # Pose2Sim, which writes no version, states the distortion in 1/64 too.
+        unit = _SUBPIXELS if root.get("qtm-version") == "none" else 1.0
+        return StatedRig("qualisys", tuple(_qualisys(path, camera, unit) for camera in qualisys))
     raise CalibrationError(f"{path}: <{root.tag}> holds no cameras that are read; {READ}")
 
 
@@ -87,7 +89,7 @@ def _bending(straightening: Floats, reach: float) -> Floats:
     return np.array([k[0], k[1], 0, 0, *k[2:]])
 
 
-def _qualisys(path: Path, camera: ET.Element) -> StatedCamera:
+def _qualisys(path: Path, camera: ET.Element, unit: float) -> StatedCamera:
     """A center, and rows of camera_from_world in axes with y up and z to the back; 1/64 px."""
     name = camera.get("serial") or ""
     place = f"{path}: camera '{name}'"
@@ -108,7 +110,7 @@ def _qualisys(path: Path, camera: ET.Element) -> StatedCamera:
     return StatedCamera(
         name,
         np.array([[fx, skew, u - left], [0, fy, v - top], [0, 0, 1]]),
-        np.array([*radial[:2], *sideways, radial[2]]),
+        np.array([*radial[:2], *sideways, radial[2]]) / unit,
         size_wh=(int(right - left) + 1, int(bottom - top) + 1),
         pose=(rotation, -rotation @ _each(pose, ("x", "y", "z"), place)),
     )

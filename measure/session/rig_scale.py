@@ -14,8 +14,6 @@ _FARTHEST_BASES = 20.0
 _LEAST_PX = 3.0
 """No body appears smaller than this from the middle of the distances at which cameras meet."""
 _SIGHTS, _STEPS = np.array([0.25, 0.5, 0.75]), 40
-_METRES_RATIO = 10.0
-"""Of a body that is less too large the translations may be centimetres too."""
 
 
 def check_unit(calibration: Calibration, body: Body, source: str, cure: str = "") -> None:
@@ -40,11 +38,10 @@ def check_unit(calibration: Calibration, body: Body, source: str, cure: str = ""
     pictures = np.array([max(camera.intrinsics.size_wh) for camera in calibration.cameras])
     width = float(np.max(distance) * np.max(pictures / focal))
     if size > width:
-        sure = size > _METRES_RATIO * width
         raise CalibrationError(
-            f"{source}: the translations look like {'m' if sure else 'm or cm'}, not mm: two "
-            f"cameras share a view of {width:.2g} mm at most, and body '{body.name}' measures "
-            f"{size:.3g} mm; {cure or _cure(calibration, sure)}"
+            f"{source}: the translations look like m (or cm), not mm: two cameras share a view of "
+            f"{width:.2g} mm at most, and body '{body.name}' measures {size:.3g} mm; "
+            f"{cure or _cure(calibration)}"
         )
     appears = size * float(np.max(focal) / np.median(distance))
     if appears < _LEAST_PX:
@@ -55,11 +52,10 @@ def check_unit(calibration: Calibration, body: Body, source: str, cure: str = ""
         )
 
 
-def _cure(calibration: Calibration, sure: bool) -> str:
+def _cure(calibration: Calibration) -> str:
     if "format" in calibration.provenance:
-        unit = '"m"' if sure else '"m" (or "cm")'
-        return f"say calibration_unit = {unit} in [session], or unit = {unit} in the file"
-    return f"multiply each translation_mm by {'1000' if sure else '1000 (or 10)'}"
+        return 'say calibration_unit = "m" (or "cm") in [session], or unit = "m" in the file'
+    return "multiply each translation_mm by 1000 (or 10)"
 
 
 def _common_distances(cameras: tuple[Camera, ...]) -> Floats:

@@ -120,11 +120,11 @@ def stereo_calib_in_two_files(folder: Path) -> Path:
     return _opencv(folder / "intrinsics.yml", dict(kept))
 
 
-def qualisys(folder: Path) -> Path:
-    text = '<?xml version="1.0"?>\n<calibration qtm-version="2023.1"><cameras>'
+def qualisys(folder: Path, version: str = "2023.1", scale: float = 1) -> Path:
+    text = f'<?xml version="1.0"?>\n<calibration qtm-version="{version}"><cameras>'
     for camera in cameras():
         lens, center = camera.intrinsics, camera.center
-        k1, k2, p1, p2, k3 = lens.distortion[:5]
+        k1, k2, p1, p2, k3 = scale * lens.distortion[:5]
         axes = camera.world_from_camera.rotation @ np.diag([1, -1, -1])  # y up, z to the back
         turn = " ".join(f'r{j + 1}{i + 1}="{axes[i, j]}"' for i in range(3) for j in range(3))
         u, v = 64 * (lens.matrix[:2, 2] + [10, 20])
@@ -141,9 +141,13 @@ def qualisys(folder: Path) -> Path:
     return folder / "rig.qca.txt"
 
 
+def qualisys_by_pose2sim(folder: Path) -> Path:
+    return qualisys(folder, "none", 64)
+
+
 WRITERS = [
     *(mc_calib, easymocap, easymocap_by_its_lenses, multical, stereo_calib),
-    *(stereo_calib_in_two_files, qualisys),
+    *(stereo_calib_in_two_files, qualisys, qualisys_by_pose2sim),
 ]
 
 

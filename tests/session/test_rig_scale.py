@@ -50,7 +50,7 @@ RIGS = {
 def test_metres_are_told_from_millimetres_by_the_body(name: str) -> None:
     rig, size = RIGS[name]
     check_unit(_scaled(rig, 1.0), _body(size), "c.toml")
-    with pytest.raises(CalibrationError, match=r"c\.toml: .* look like m.* not mm: .* by 1000"):
+    with pytest.raises(CalibrationError, match=r"c\.toml: .* look like m.* not mm: .* by 1000 "):
         check_unit(_scaled(rig, 1e-3), _body(size), "c.toml")
     with pytest.raises(CalibrationError, match=r"c\.toml: .* would appear 0\.\d* px wide"):
         check_unit(_scaled(rig, 1e3), _body(size), "c.toml")
