@@ -147,7 +147,7 @@ def _easymocap(path: Path, values: Table) -> StatedRig | None:
         own = {key: values.get(f"{key}_{name}") for key in ("K", "dist", "T")}
         own["R"] = values.get(f"Rot_{name}", values.get(f"R_{name}"))
         own["width"], own["height"] = values.get(f"W_{name}"), values.get(f"H_{name}")
-        cameras.append(_camera(name, f"{path}: camera '{name}'", own, {}))
+        cameras.append(_camera(name, f"{path}: camera '{name}'", own, values))
     return StatedRig("easymocap", tuple(cameras), values.get("unit", "m"))
 
 
@@ -161,7 +161,10 @@ def _stereo(path: Path, values: Table) -> StatedRig | None:
             continue
         if not rectified and _first(lower, _ROTATION) is None:
             lower = _lower(_with_companion(path, values, "R"))
-        one, two = (_stereo_lens(lower, side) for side in sides)
+        one, two = (
+            {"k": lens, "d": _first(lower, _DISTORTION, side)}
+            for lens, side in zip(lenses, sides, strict=True)
+        )
         placed = {key: lower.get(key) for key in (*_ROTATION, *_TRANSLATION)}
         seen = any(value is not None for value in placed.values())
         start = (np.eye(3), np.zeros(3)) if seen else None
@@ -171,12 +174,6 @@ def _stereo(path: Path, values: Table) -> StatedRig | None:
         )
         return StatedRig("opencv stereo", cameras, lower.get("unit"), True)
     return None
-
-
-def _stereo_lens(values: Table, side: str) -> dict[str, Any]:
-    size = {key: values.get(key) for key in (*_WIDTHS, *_HEIGHTS, *_SIZES)}
-    matrix, distortion = _first(values, _STEREO_MATRIX, side), _first(values, _DISTORTION, side)
-    return {"k": matrix, "d": distortion, **size}
 
 
 def _opencv(path: Path, values: Table) -> StatedRig | None:
@@ -198,9 +195,9 @@ def _opencv(path: Path, values: Table) -> StatedRig | None:
 def _camera(
     name: str, place: str, table: Table, shared: Table, pose: tuple[Floats, Floats] | None = None
 ) -> StatedCamera:
-    """A camera from its table; the lens model may be stated by what all share."""
-    own = _lower(table)
-    said = [{key: t.get(key) for key in _MODEL} for t in (_lower(shared), own)]
+    """A camera from its table; lens model and picture size may be stated for all."""
+    own, common = _lower(table), _lower(shared)
+    said = [{key: t.get(key) for key in _MODEL} for t in (common, own)]
     models = [stated_model(place, words) for words in said]
     matrix = _numbers(_first(own, _MATRIX), place, "camera_matrix", 9)
     distortion = _numbers(_first(own, _DISTORTION), place, "distortion coefficients")
@@ -217,7 +214,7 @@ def _camera(
         matrix.reshape(3, 3),
         distortion,
         "fisheye" if "fisheye" in models else "pinhole",
-        _size(own, place),
+        _size(own, place) or _size(common, place),
         pose,
         None if rms is None else float(_numbers(rms, place, _RMS[0], 1)[0]),
     )

@@ -166,6 +166,8 @@ def test_known_points_appear_where_they_do(tmp_path: Path, write: Callable[[Path
         assert np.linalg.norm(found.cameras[1].center - _relative(cameras()[1]).translation) > 100
         with pytest.raises(CalibrationError, match="camera '1': has no picture size"):
             read_intrinsics(path)
+        path.write_text(path.read_text() + "image_width: 1280\nimage_height: 720\n")
+        assert [lens.size_wh for lens in read_intrinsics(path).values()] == [SIZE, SIZE]
 
 
 def vicon(folder: Path, terms: str = "-4e-8 1.5e-14 0") -> Path:
