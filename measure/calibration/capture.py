@@ -102,9 +102,9 @@ class CameraCapture:
         known: its lens, if that is given.
         board_image: picture of the board of known pose.
         world_from_board: that pose.
-        board_origin_px: where about its origin appears, if that is given.
         marker_image: picture of the markers.
         marks: hand marks, by marker name (2,) px.
+        board_origin_px: where about the board's origin appears, if that is given.
         model: the kind of lens to be calibrated, if that is stated.
     """
 
@@ -114,9 +114,9 @@ class CameraCapture:
     known: Intrinsics | None
     board_image: Path | None
     world_from_board: RigidTransform | None
-    board_origin_px: tuple[float, float] | None
     marker_image: Path | None
     marks: dict[str, Floats] = field(default_factory=dict)
+    board_origin_px: tuple[float, float] | None = None
     model: Projection | None = None
 
     def views(self) -> Iterator[tuple[str, Bytes]]:
@@ -243,9 +243,9 @@ def _camera(folder: Path, table: CaptureCameraTable, marks: dict[str, Floats]) -
         known,
         None if table.board_image is None else folder / table.board_image,
         pose,
-        table.board_origin_px,
         None if table.marker_image is None else folder / table.marker_image,
         marks,
+        table.board_origin_px,
     )
 
 

@@ -90,7 +90,7 @@ def test_a_board_of_known_pose_lies_where_the_marks_agree(corners: tuple[int, in
     pose = RigidTransform(facing.rotation, facing.apply([-80.0, -60.0, 300.0]))
     field = MarkerField(tuple(f"m{i}" for i in range(16)), markers())
     marks = dict(zip(field.names[:4], true.project(field.points[:4]), strict=True))
-    with_marks = CameraCapture("cam0", Path(), None, None, None, pose, None, None, marks)
+    with_marks = CameraCapture("cam0", Path(), None, None, None, pose, None, marks)
     capture = Capture(Path(), CaptureTable(name="bench"), board, field, ())
     origin = true.project(pose.apply(board.points[:1]))[0]
     without = replace(with_marks, marks={})
