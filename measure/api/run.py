@@ -163,7 +163,7 @@ def _of_session(session: Session, profile: Profile, registry: Registry) -> Prove
         session=str(session.path.resolve()),
         session_digest=session.digest(),
         session_name=session.name,
-        notes=(*session.notes, *session.clock_notes()),
+        notes=(*session.notes, *session.stamp_notes(), *session.clock_notes()),
     )
 
 

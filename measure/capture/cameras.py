@@ -243,20 +243,21 @@ class Cameras:
                 self._note(name, refused=self._counts[name].refused + 1)
                 self._watch.fail(name, "its pictures are torn or out of order")
                 continue
+            own_clock = clock.runs or source.keeps_time
+            sd_s = 0.0 if own_clock else _arrival_sd_s(steps, time_s - last_s)
             steps.append(time_s - last_s)
             last_s = time_s
-            own_clock = clock.runs or source.keeps_time
             if shot.jpeg is not None and shot.jpeg == last_jpeg:
                 self._watch.fail(name, "its picture does not change")
             else:
                 self._watch.came(name, time_s, own_clock)
             last_jpeg = shot.jpeg
-            self._deliver(name, shot, time_s)
+            self._deliver(name, shot, time_s, sd_s)
             self._note(name, uneven_s=_uneven_s(steps), own_clock=own_clock)
 
-    def _deliver(self, name: str, shot: Shot, time_s: float) -> None:
+    def _deliver(self, name: str, shot: Shot, time_s: float, time_sd_s: float) -> None:
         count = self._counts[name]
-        image = image_of(name, count.pictures, time_s, shot)
+        image = image_of(name, count.pictures, time_s, shot, time_sd_s)
         try:
             for sink in self._sinks:
                 sink(image)
@@ -290,6 +291,21 @@ class Cameras:
             f"{found}, and {wanted[0]}x{wanted[1]} px is what is calibrated: set the camera to "
             "that size, or calibrate it at this one"
         )
+
+
+def _arrival_sd_s(steps: Sequence[float], step_s: float) -> float:
+    """How far off the time of arrival of a picture may be: as they scatter, and as it is off.
+
+    Args:
+        steps: of those before it.
+        step_s: from the last to it; whole steps more are pictures that are missing.
+    """
+    usual_s = _uneven_s(steps)
+    if math.isnan(usual_s) or math.isnan(step_s):
+        return 0.0
+    period_s = float(np.nanmedian(steps))
+    off_s = abs(step_s - max(round(step_s / period_s), 1) * period_s)
+    return math.hypot(usual_s / math.sqrt(2), off_s if off_s > usual_s else 0.0)
 
 
 def _uneven_s(steps: Sequence[float]) -> float:

@@ -11,10 +11,10 @@ from measure.session import decode_picture, is_complete_jpeg
 from measure.session.pictures import jpeg_size_wh
 
 
-def image_of(camera: str, frame: int, time_s: float, shot: Shot) -> Image:
+def image_of(camera: str, frame: int, time_s: float, shot: Shot, time_sd_s: float = 0.0) -> Image:
     """A picture as the rest of the program takes it; decoded when its pixels are used."""
     where = f"camera '{camera}', frame {frame}"
-    return Image(camera, frame, time_s, lambda: _pixels(shot, where), shot.jpeg)
+    return Image(camera, frame, time_s, lambda: _pixels(shot, where), shot.jpeg, time_sd_s)
 
 
 def is_whole(shot: Shot) -> bool:

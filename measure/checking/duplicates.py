@@ -10,16 +10,13 @@ from measure.arrays import Floats, Ints
 from measure.checking.finding import Finding, Level
 from measure.measuring.duplicate_images import DuplicateImages
 from measure.model import FrameSet
+from measure.session.stamp_errors import StampErrors
 
 _NOTE_SHARE, _WEAK_SHARE = 0.02, 0.5
 """Largest shares of duplicates that are only noted, and that only weaken the results."""
 _DROPPED_STEPS = 1.5
 """A gap longer than this, in periods, has dropped frames."""
-_MAX_JITTER = 0.1
-"""Standard deviation of stamps, in periods."""
 _MAX_DROPPED_SHARE = 0.02
-_MAX_PERIOD_S = 10.0
-"""A longer period means stamps in milliseconds rather than images taken by hand."""
 _MAX_FRAMES_NAMED = 8
 
 
@@ -86,10 +83,8 @@ def stamp_findings(camera: str, times_s: Floats, frames: Ints) -> list[Finding]:
     period = float(np.median(steps))
     gaps = np.nonzero(steps > _DROPPED_STEPS * period)[0]
     lost = int(np.sum(np.rint(steps[gaps] / period) - 1))
-    out = []
-    if period > _MAX_PERIOD_S:
-        text = f"{camera}: {period:.1f} s from picture to picture: are the times milliseconds?"
-        out.append(Finding(Level.WEAK, "clock", f"{text} Write seconds"))
+    notes = StampErrors.of(times_s).notes
+    out = [Finding(Level.WEAK, "clock", f"{camera}: {note}") for note in notes]
     if lost:
         worst = int(gaps[np.argmax(steps[gaps])])
         share = lost / (len(times_s) + lost)
@@ -99,17 +94,6 @@ def stamp_findings(camera: str, times_s: Floats, frames: Ints) -> list[Finding]:
                 "frames",
                 f"{camera}: {lost} frames dropped ({100 * share:.1f} %), the longest gap "
                 f"{steps[worst]:.3f} s after frame {frames[worst]} at {times_s[worst]:.3f} s",
-            )
-        )
-    even = np.delete(steps, gaps)
-    jitter = float(np.std(even - np.median(even)))
-    if jitter > _MAX_JITTER * period:
-        out.append(
-            Finding(
-                Level.WEAK,
-                "clock",
-                f"{camera}: stamps {1e3 * jitter:.1f} ms uneven about {1e3 * period:.1f} ms: "
-                "are they the middles of the exposures, or arrival times?",
             )
         )
     return out

@@ -175,7 +175,8 @@ class Pipeline:
         views = tracker.judge(frame_set, self._detect(frame_set, expected, pool))
         time_s = self._instant(frame_set)
         prior = tracker.motion(time_s)
-        seen = FrameSetObservations.of(views, time_s, self.body, self._cameras)
+        time_sds_s = {n: i.time_sd_s for n, i in frame_set.images.items() if i.time_sd_s}
+        seen = FrameSetObservations.of(views, time_s, self.body, self._cameras, time_sds_s)
         positions = self._triangulate(seen, prior)
         pose = self._solve(seen, positions, prior)
         residuals_px = self._residuals(seen, pose, prior)
@@ -249,8 +250,10 @@ class Pipeline:
         pose = plugin_calls.pose(solver, positions, seen.detections, cameras, seen.time_s, prior)
         if pose is None or prior is None or not self.stages.per_image_timestamps:
             return pose
-        share = seen.motion_covariance(pose, prior)
-        return pose if share is None else replace(pose, covariance=pose.covariance + share)
+        for share in (seen.motion_covariance(pose, prior), seen.stamp_covariance(pose, prior)):
+            if share is not None:
+                pose = replace(pose, covariance=pose.covariance + share)
+        return pose
 
     def _smooth(self, surrounded: tuple[Sequence[Pose], Draft, Sequence[Pose]]) -> Draft:
         """Solve a pose again with the motion of a spline through the poses before and after it."""

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
 from measure.estimation.pose_fit import PoseObservations
-from measure.geometry import RigidTransform
+from measure.geometry import RigidTransform, skew
 from measure.geometry.linear_kernels import inverse_2x2, invert_scaled
 from measure.geometry.rotation_kernels import apply_matrix, turned
 from measure.model import BallView, Body, Camera, Detection, Motion, Pose
@@ -31,12 +31,14 @@ class FrameSetObservations:
         time_s: the common instant.
         times_s: their own times, each once.
         rows: the same as arrays; None if there are none.
+        time_sds_s: standard deviations of the images' stamps by camera, where they are known.
     """
 
     detections: tuple[Detection, ...]
     time_s: float
     times_s: tuple[float, ...]
     rows: PoseObservations | None
+    time_sds_s: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def simultaneous(self) -> bool:
@@ -50,12 +52,13 @@ class FrameSetObservations:
         time_s: float,
         body: Body,
         cameras: Mapping[str, Camera],
+        time_sds_s: Mapping[str, float] | None = None,
     ) -> FrameSetObservations:
         """The effective ones of `views`."""
         seen = tuple([v.detection for v in views if v.effective and v.detection is not None])
         times_s = tuple(dict.fromkeys([d.time_s for d in seen]))
         stacked = PoseObservations.of(seen, body, cameras, time_s) if seen else None
-        return cls(seen, time_s, times_s, stacked)
+        return cls(seen, time_s, times_s, stacked, time_sds_s or {})
 
     def at_instant(self, motion: Motion) -> list[Detection]:
         """The detections with their centres moved to the common instant by the predicted motion.
@@ -112,6 +115,27 @@ class FrameSetObservations:
             np.zeros((6, 6)) if square is None else np.ascontiguousarray(square),
             _SYSTEMATIC_PX,
         )
+
+    def stamp_covariance(self, pose: Pose, motion: Motion) -> Floats | None:
+        """Covariance (6, 6) that errors of the stamps add to a pose; None if none are known.
+
+        A late stamp displaces all balls of one image along their paths, and the pose by what that
+        image weighs in its least squares.
+        """
+        s = self.rows
+        if s is None or not any(self.time_sds_s.values()):
+            return None
+        arms = pose.world_from_body.rotate(s.points_body)
+        _, by_point = s.rig.project(arms + pose.world_from_body.translation)
+        by_pose = np.nan_to_num(np.concatenate([by_point, by_point @ -skew(arms)], axis=2))
+        weight = np.linalg.inv(s.noise + _SYSTEMATIC_PX**2 * np.eye(2))
+        square = np.einsum("nia,nij,njb->nab", by_pose, weight, by_pose)
+        by_late = np.linalg.pinv(square.sum(axis=0), hermitian=True) @ square @ motion.velocity
+        names, out = np.array(s.rig.names), np.zeros((6, 6))
+        for name, sd_s in self.time_sds_s.items():
+            displacement = by_late[names == name].sum(axis=0)
+            out += sd_s**2 * np.outer(displacement, displacement)
+        return out
 
     def _pixels(self, world_from_body: RigidTransform, moved: Floats) -> Floats:
         """Pixels (n, 2) of the balls if the body has moved by (n, 6) in each image."""

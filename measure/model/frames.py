@@ -23,6 +23,7 @@ class Image:
         decode: returns the pixels, BGR (h, w, 3) uint8; called at most once, maybe in another
             thread.
         encoded: the original JPEG bytes where there are any (for the viewer), else None.
+        time_sd_s: standard deviation of `time_s`, where its stamps show one.
     """
 
     camera: str
@@ -30,6 +31,7 @@ class Image:
     time_s: float
     decode: Callable[[], Bytes]
     encoded: bytes | None = None
+    time_sd_s: float = 0.0
     _turn: Lock = field(default_factory=Lock, init=False, repr=False)
     _decoded: list[Bytes] = field(default_factory=list, init=False, repr=False)
 

@@ -6,7 +6,7 @@ from measure.session.calibrations import read_calibration, read_intrinsics, writ
 from measure.session.clock_shifts import clock_values
 from measure.session.damage import damaged_frames, holds_jpeg
 from measure.session.files import FileModel, Length, Name, Position, load_toml, matching_files
-from measure.session.opening import open_session, session_truth
+from measure.session.opening import check_overlap, open_session, session_file, session_truth
 from measure.session.pairing import Pairing, pair_nearest
 from measure.session.pictures import decode_picture, is_complete_jpeg, read_picture
 from measure.session.rig_scale import check_unit
@@ -27,6 +27,7 @@ __all__ = [
     "Stream",
     "Trajectory",
     "VideoStream",
+    "check_overlap",
     "check_unit",
     "clock_values",
     "damaged_frames",
@@ -44,6 +45,7 @@ __all__ = [
     "read_intrinsics",
     "read_picture",
     "read_trajectory",
+    "session_file",
     "session_truth",
     "write_body",
     "write_calibration",

@@ -73,6 +73,7 @@ class ImageStream(Stream):
             float(self.times_s[index]),
             decode,
             data if data.startswith(JPEG_START) else None,
+            float(self.stamps.sd_s[index]),
         )
 
     def repeated(self) -> Ints | None:

@@ -17,16 +17,8 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import MeasureError, SessionError
 from measure.reading import read_text
+from measure.session.time_columns import TIME, TimeColumns, candidates, time_columns
 
-TIME = "time_s"
-"""The column that may be written in other ways."""
-_SECONDS_AND_NANOSECONDS = (
-    ("secs", "nsecs"),
-    ("sec", "nanosec"),
-    ("header.stamp.secs", "header.stamp.nsecs"),
-    ("header.stamp.sec", "header.stamp.nanosec"),
-)
-"""What ROS 1 and ROS 2 call the parts of a stamp."""
 _SEPARATORS = ",;\t"
 
 
@@ -53,10 +45,12 @@ def read_number_table(
     *,
     empty_is_nan: bool = False,
     words: tuple[str, ...] = (),
+    time_column: str | None = None,
 ) -> NumberTable:
     """Read the columns `needed` of a table with a header line; others are passed over.
 
-    Those called `words` hold text.
+    Those called `words` hold text. The time may stand under other headings than `time_s` (see
+    `time_columns`), or under `time_column`.
 
     Raises:
         error: a column is missing, a value is no number, or a row has more cells than the header;
@@ -67,12 +61,15 @@ def read_number_table(
     numbered = _numbered_rows(text, separator, f"{prefix}{path}", error)
     _, first = next(numbered, (1, []))
     header = [name.strip() for name in first]
-    stamp = _stamp_columns(header) if TIME in needed else None
+    stamp = time_columns(header, time_column) if TIME in needed else None
     found = [*header, TIME] if stamp is not None else header
     if missing := [name for name in (*words, *needed) if name not in found]:
+        if TIME in missing:
+            missing[missing.index(TIME)] = time_column or TIME
         raise error(
             f"{prefix}{path}:1: the header lacks {', '.join(missing)}; it must hold "
             f"{','.join((*words, *needed))}, it holds {','.join(header)[:80] or 'nothing'}"
+            + (_ambiguous(header) if time_column is None and TIME in missing else "")
         )
     reader = _RowReader(header, needed, separator, stamp, empty_is_nan)
     rows, lines = [], list[int]()
@@ -82,8 +79,8 @@ def read_number_table(
             try:
                 rows.append(reader.numbers(row))
             except _BadRowError as bad:
-                more = _alike(numbered, len(header)) if bad.too_long else ""
-                raise error(f"{prefix}{path}:{line}: {bad}{more}") from None
+                count = sum(_is_alike(bad, reader, later) for _, later in numbered)
+                raise error(f"{prefix}{path}:{line}: {bad}{more_rows(count)}{bad.cure}") from None
             lines.append(line)
             for name in words:
                 texts[name].append(_cell(row, header.index(name)))
@@ -99,21 +96,24 @@ def _separator(text: str) -> str:
     return max(_SEPARATORS, key=header.count)
 
 
-def _stamp_columns(header: list[str]) -> tuple[int, int] | None:
-    """Where ROS's seconds and nanoseconds stand, if the time is not there as one column."""
-    if TIME in header:
-        return None
-    for names in _SECONDS_AND_NANOSECONDS:
-        if all(name in header for name in names):
-            return header.index(names[0]), header.index(names[1])
-    return None
+def _ambiguous(header: list[str]) -> str:
+    """What to do where several columns may hold the time."""
+    names = candidates(header)
+    return f": which of {' and '.join(names)} holds it? Head it {TIME}" if names else ""
 
 
-def _alike(rest: Iterator[tuple[int, list[str]]], cells: int) -> str:
-    """What a row with too many cells means, and how many that follow are like it."""
-    count = sum(any(cell.strip() for cell in row[cells:]) for _, row in rest)
-    like = f" (and {count} rows more like it)" if count else ""
-    return f"{like}: are decimal commas among them? Write points, and a heading for every column"
+def more_rows(count: int) -> str:
+    """The words for `count` rows with the same fault as the one that is named."""
+    return f" (and {count} {'rows' if count > 1 else 'row'} more like it)" if count else ""
+
+
+def _is_alike(bad: _BadRowError, reader: _RowReader, row: list[str]) -> bool:
+    """Whether a later row has the same fault."""
+    try:
+        reader.numbers(row)
+    except _BadRowError as other:
+        return other.cure == bad.cure and any(cell.strip() for cell in row)
+    return False
 
 
 def _numbered_rows(
@@ -133,9 +133,9 @@ def _numbered_rows(
 class _BadRowError(ValueError):
     """A cell that is no number, or more cells than headings; the message says which."""
 
-    def __init__(self, message: str, *, too_long: bool = False) -> None:
+    def __init__(self, message: str, cure: str = "") -> None:
         super().__init__(message)
-        self.too_long = too_long
+        self.cure = cure
 
 
 @dataclass(frozen=True)
@@ -145,24 +145,25 @@ class _RowReader:
     header: list[str]
     needed: tuple[str, ...]
     separator: str
-    stamp: tuple[int, int] | None
+    stamp: TimeColumns | None
     empty_is_nan: bool
 
     def numbers(self, row: list[str]) -> list[float]:
         headings = len(self.header)
         if any(cell.strip() for cell in row[headings:]):
-            raise _BadRowError(f"{len(row)} cells under {headings} headings", too_long=True)
+            cure = ": are decimal commas among them? Write points, and a heading for every column"
+            raise _BadRowError(f"{len(row)} cells under {headings} headings", cure)
         return [self._value(row, name) for name in self.needed]
 
     def _value(self, row: list[str], name: str) -> float:
         if name == TIME and self.stamp is not None:
-            seconds, nanoseconds = (
-                self._number(_cell(row, index), self.header[index]) for index in self.stamp
+            return sum(
+                unit_s * self._number(_cell(row, column), self.header[column], unit_s == 1.0)
+                for column, unit_s in zip(self.stamp.columns, self.stamp.units_s, strict=True)
             )
-            return seconds + 1e-9 * nanoseconds
         return self._number(_cell(row, self.header.index(name)), name)
 
-    def _number(self, cell: str, name: str) -> float:
+    def _number(self, cell: str, name: str, may_be_date: bool = False) -> float:
         if self.empty_is_nan and not cell:
             return float("nan")
         text = cell
@@ -171,7 +172,7 @@ class _RowReader:
         try:
             return float(text)
         except ValueError:
-            if name == TIME and (time_s := _iso_seconds(cell)) is not None:
+            if may_be_date and (time_s := _iso_seconds(cell)) is not None:
                 return time_s
             raise _BadRowError(f"{name} is {cell!r}, not a number") from None
 

@@ -19,6 +19,7 @@ from measure.session.image_stream import open_image_stream
 from measure.session.rig_scale import check_unit
 from measure.session.session import Session
 from measure.session.settings import CameraTable, SessionModel
+from measure.session.stamp_errors import check_time_units
 from measure.session.streams import Stream
 from measure.session.timestamps import read_stamps
 from measure.session.video_stream import open_video_stream
@@ -30,6 +31,8 @@ def open_session(
     path: Path | str,
     calibration: Path | str | None = None,
     body: Path | str | None = None,
+    *,
+    clocks_apart: bool = False,
 ) -> Session:
     """Open a recording and check all that can be checked without decoding it.
 
@@ -37,13 +40,14 @@ def open_session(
         path: the session's folder, or its `session.toml`.
         calibration: a calibration file to use instead of the session's own.
         body: a body file to use instead of the session's own.
+        clocks_apart: open cameras without a time in common as well, to find their clocks.
 
     Raises:
         SessionError: a file is missing or cannot be used, a clock goes backwards, the cameras do
             not overlap in time.
         CalibrationError: a camera has no calibration, or one of another image size.
     """
-    file = _session_file(Path(path))
+    file = session_file(Path(path))
     given = load_toml(file, SessionModel)
     folder = file.parent
     measured = _body(given, file, body)
@@ -59,9 +63,11 @@ def open_session(
         for camera in cameras:
             _check_size(streams[camera.name], camera, calibration_path)
         check_unit(replace(calibration_read, cameras=cameras), measured, str(calibration_path))
+        check_time_units({name: stream.period_s for name, stream in streams.items()})
         digest = clock_digest(streams.values())
         shifts = shift_clocks(streams, digest, calibration_read.provenance, calibration_path)
-        _check_overlap(list(streams.values()))
+        if not clocks_apart:
+            check_overlap(list(streams.values()))
     except BaseException:
         for stream in streams.values():
             stream.close()
@@ -92,11 +98,16 @@ def session_truth(path: Path | str) -> Path | None:
     Raises:
         SessionError: no session, a broken one, or the file it names is missing.
     """
-    file = _session_file(Path(path))
+    file = session_file(Path(path))
     return _optional(file.parent, load_toml(file, SessionModel).session.truth, file)
 
 
-def _session_file(path: Path) -> Path:
+def session_file(path: Path) -> Path:
+    """The file that describes a session, given that or the folder.
+
+    Raises:
+        SessionError: there is none.
+    """
     if not path.exists():
         raise SessionError(missing_message(path))
     if path.is_file() and path.suffix != ".toml":
@@ -154,7 +165,7 @@ def _order_notes(calibration: Calibration, path: Path) -> list[str]:
 
 def _open_stream(table: CameraTable, folder: Path) -> Stream:
     stamps_path = folder / table.timestamps if table.timestamps else None
-    stamps = read_stamps(stamps_path, table.name) if stamps_path else None
+    stamps = read_stamps(stamps_path, table.name, table.time_column) if stamps_path else None
     stream: Stream
     if table.video is not None:
         stream = open_video_stream(
@@ -186,8 +197,12 @@ def _check_size(stream: Stream, camera: Camera, calibrated: Path) -> None:
         )
 
 
-def _check_overlap(streams: list[Stream]) -> None:
-    """Refuse cameras that fall into groups without a moment in common: they have two clocks."""
+def check_overlap(streams: list[Stream]) -> None:
+    """Refuse cameras that fall into groups without a moment in common: they have two clocks.
+
+    Raises:
+        SessionError: there are such groups.
+    """
     groups: list[list[Stream]] = []
     end = np.inf
     for stream in sorted(streams, key=lambda s: float(s.times_s[0])):

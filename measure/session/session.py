@@ -92,6 +92,11 @@ class Session:
         counts = [len(stream) for stream in self.streams.values()]
         return tuple(seldom_paired(list(self.streams), counts, self.pair()))
 
+    def stamp_notes(self) -> tuple[str, ...]:
+        """Cameras whose stamps show errors of their own, a line each."""
+        streams = self.streams.items()
+        return tuple(f"{name}: {note}" for name, s in streams for note in s.stamps.notes)
+
     def frame_sets(
         self,
         pairing: str = "nearest",

@@ -30,6 +30,7 @@ class CameraTable(FileModel):
     images: Name | None = None
     video: Name | None = None
     timestamps: Name | None = None
+    time_column: Name | None = None
     time_offset_s: Annotated[FiniteFloat, Field(ge=-LATEST_S, le=LATEST_S)] = 0.0
     bit_depth: Annotated[int, Field(ge=8, le=16)] | None = None
 

@@ -11,6 +11,7 @@ import numpy as np
 from measure.arrays import Floats, Ints
 from measure.errors import SessionError
 from measure.model import Image
+from measure.session.stamp_errors import StampErrors
 
 
 class Stream(ABC):
@@ -24,6 +25,7 @@ class Stream(ABC):
         times_s: (n,) middles of the exposures on the session's clock, increasing.
         serial: frames are best read in order (video); else any thread may read any frame.
         files: the files it is kept in.
+        stamps: how wrong the times are, as far as they show it.
         notes: what a user should know: missing frames and the like.
     """
 
@@ -45,6 +47,7 @@ class Stream(ABC):
         self.frames = frames
         self.times_s = times_s
         self.files = list(files)
+        self.stamps = StampErrors.of(times_s)
         self.notes = notes
 
     def __len__(self) -> int:

@@ -30,14 +30,16 @@ class Stamps:
     times_s: Floats
 
 
-def read_stamps(path: Path, camera: str) -> Stamps:
-    """Read a file of `frame,time_s`.
+def read_stamps(path: Path, camera: str, time_column: str | None = None) -> Stamps:
+    """Read a file of `frame,time_s`, or with another heading of the time (see `time_columns`).
 
     Raises:
         SessionError: with camera, file and line where a value is missing, is no number, is NaN, or
             goes backwards.
     """
-    table = read_number_table(path, ("frame", "time_s"), f"camera '{camera}': ")
+    table = read_number_table(
+        path, ("frame", "time_s"), f"camera '{camera}': ", time_column=time_column
+    )
     frames, times = table.columns["frame"], table.columns["time_s"]
     where = f"camera '{camera}': {path}"
     for i in np.flatnonzero(~np.isfinite(times) | ~np.isfinite(frames) | (frames % 1 != 0)):

@@ -141,7 +141,7 @@ CASES: dict[str, Case] = {
         ["session.toml:15: 'cameras[1].time_offset_s': input should be greater than or equal to"],
     ),
     "wrong header": (
-        replace("cam1.csv", "frame,time_s", "frame,time_ms"),
+        replace("cam1.csv", "frame,time_s", "frame,clock"),
         SessionError,
         ["camera 'cam1': ", "cam1.csv:1: the header lacks time_s"],
     ),
@@ -196,9 +196,9 @@ CASES: dict[str, Case] = {
         ["camera 'cam1': ", "cam1.mp4 has 6 frames but ", "cam1.csv has 5 rows"],
     ),
     "stamps without a heading for the time": (
-        _write("cam1.csv", b"frame;t\n0;0,0\n1;0,1\n"),
+        _write("cam1.csv", b"frame;x\n0;0,0\n1;0,1\n"),
         SessionError,
-        ["cam1.csv:1: the header lacks time_s", "it holds frame,t"],
+        ["cam1.csv:1: the header lacks time_s", "it holds frame,x"],
     ),
     "UTF-16 without its mark": (
         _write("session.toml", '[session]\nname = "sm\xe4ll"\n'.encode("utf-16-le")),

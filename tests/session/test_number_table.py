@@ -57,8 +57,39 @@ def test_times_of_ros_and_of_iso_8601(tmp_path, text):
 
 
 @pytest.mark.parametrize(
+    ("heading", "unit_s"),
+    [
+        ("timestamp", 1.0),
+        ("t", 1.0),
+        ("Time (s)", 1.0),
+        ("Time (Seconds)", 1.0),
+        ("time_ms", 1e-3),
+        ("Timestamp [us]", 1e-6),
+        ("sensor_timestamp_ns", 1e-9),
+        ("stamp", 1.0),
+        ("frame_time_usec", 1e-6),
+    ],
+)
+def test_the_heading_names_the_time_and_its_unit(tmp_path, heading, unit_s):
+    rows = [f"{k};{(t - TIMES_S[0]) / unit_s:.6f}" for k, t in enumerate(TIMES_S)]
+    (tmp_path / "cam0.csv").write_text("\n".join([f"frame;{heading}", *rows]) + "\n")
+    found = read_stamps(tmp_path / "cam0.csv", "cam0").times_s
+    np.testing.assert_allclose(found, np.array(TIMES_S) - TIMES_S[0], atol=1e-6)
+
+
+def test_the_session_says_which_column_is_the_time(tmp_path):
+    (tmp_path / "cam0.csv").write_text("frame,clock,exposed_ms,timestamp\n0,7,0,3\n1,8,40,4\n")
+    found = read_stamps(tmp_path / "cam0.csv", "cam0", "exposed_ms")
+    np.testing.assert_allclose(found.times_s, [0.0, 0.04])
+    with pytest.raises(SessionError, match="the header lacks exposed_s; it must hold frame,time_s"):
+        read_stamps(tmp_path / "cam0.csv", "cam0", "exposed_s")
+
+
+@pytest.mark.parametrize(
     ("text", "said"),
     [
+        ("frame,timestamp,time_ns\n0,0,5\n", "which of timestamp and time_ns holds it? Head it"),
+        ("frame,time_s\n0,0.1\n1,no\n2,no\n3,0.4\n", "3: time_s is 'no', not a number (and 1 row"),
         ("frame,time_s\n0,0,5\n1,0,6\n2,0,7\n", "2: 3 cells under 2 headings (and 2 rows more"),
         ("frame,time_s\n0,1.234,5\n", "2: 3 cells under 2 headings: are decimal commas"),
         ("frame;time_s\n0;1.234,5\n", "2: time_s is '1.234,5', not a number"),
