@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from itertools import count, islice
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,6 +13,7 @@ import numpy as np
 
 from measure.api.measuring import measure_session
 from measure.api.profiles import load_profile
+from measure.api.synchronising import find_offsets, shift_clocks
 from measure.api.warming_up import warm_pipeline
 from measure.arrays import Floats
 from measure.checking import (
@@ -40,18 +41,28 @@ from measure.checking.body_explanations import size_findings, twin_findings
 from measure.checking.camera_errors import CameraError
 from measure.checking.clocks import CameraClock
 from measure.checking.motion import MotionCheck, check_motion, motion_findings, scale_findings
-from measure.errors import ConfigError
+from measure.errors import ConfigError, SessionError
 from measure.geometry import RigidTransform
 from measure.host import Registry
 from measure.measuring import Measurement, Profile
 from measure.processes import Progress
-from measure.session import Session, damaged_frames, holds_jpeg, open_session
+from measure.session import Session, check_overlap, damaged_frames, holds_jpeg, open_session
 
 if TYPE_CHECKING:
     from measure.model import Body, Detection, FrameSet
 
 _REACH_MM = 40.0
 _LEAST_NOISE_PX = 0.1
+_LARGEST_OFFSET_S = 2.0
+_LOOKED_AT_S = 6.0
+"""How much of each camera is searched for clocks' offsets."""
+_UNCERTAIN_CLOCK_S = 0.02
+_MANY = 0.3
+"""Share of flagged poses beyond which cameras may contradict each other."""
+_NEAR_S = 0.04
+"""A clock that is right by the cameras' own motion is right by the poses within this."""
+_FAR_S = 0.01
+"""A clock this far off is set right before it is estimated at last: images are paired anew."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,120 +133,27 @@ def check(
         raise ConfigError(
             f"{samples} samples, {clock_samples} clock samples: expected at least 1 and 0"
         )
-    profile = profile or load_profile()
-    with open_session(session_path, calibration, body) as session:
-        total = len(session.pair().times_s)
-        chosen = _spread_pairs(total, samples)
-        warm_pipeline(profile, registry, session.body, session.cameras)
-        searched, located, duplicates, colorless = [], [], DuplicateCount(), ColorlessCount()
-        overexposed = OverexposedCount()
+    with open_session(session_path, calibration, body, clocks_apart=clock_samples > 0) as session:
+        looking = _Looking(
+            session, registry, profile or load_profile(), samples, clock_samples, progress
+        )
+        look = looking.with_clocks_set() if clock_samples else looking.look()
+        pictures = list(look.pictures)
         jpeg = [stream for stream in session.streams.values() if holds_jpeg(stream)]
-        longest = max(map(len, jpeg), default=0)
-        step = _steps(progress, len(chosen) + min(clock_samples, total) + longest)
-        for frame_set, seen in _search(session, chosen, registry, profile):
-            searched.append(search_sample(seen, session.body, session.cameras, frame_set.time_s))
-            duplicates.add(frame_set)
-            colorless.add(frame_set)
-            overexposed.add(frame_set, searched[-1].agreeing)
-            located.append(locate_balls(seen, session.body, session.cameras))
-            step()
-        motion = _motion(session, searched, registry, profile, clock_samples, duplicates, step)
-        pictures = _stalls(session, duplicates) + colorless.findings() + overexposed.findings()
-        for name, frames in damaged_frames(jpeg, step).items():
+        for name, frames in damaged_frames(jpeg, looking.step).items():
             pictures += damage_findings(name, frames, len(session.streams[name]))
-        return _concluded(session, total, searched, located, motion, pictures)
+        return _concluded(session, look, pictures)
 
 
-def _steps(progress: Progress | None, total: int) -> Callable[[], None]:
-    """A function to call after every frame set."""
-    done = count(1)
-
-    def step() -> None:
-        if progress is not None:
-            progress(next(done), total)
-
-    return step
-
-
-def _spread_pairs(total: int, samples: int) -> list[int]:
-    """About `samples` of `total` indices, in pairs of neighbours, which tell speeds."""
-    firsts = np.linspace(0, max(total - 2, 0), max(1, samples // 2))
-    pairs = {round(float(first)) + k for first in firsts for k in (0, 1)}
-    return sorted(index for index in pairs if index < total)
-
-
-def _search(
-    session: Session, chosen: Sequence[int], registry: Registry, profile: Profile
-) -> Iterator[tuple[FrameSet, Mapping[str, Sequence[Detection]]]]:
-    """Search whole pictures of some frame sets, the cameras side by side."""
-    settings = profile.settings.get("detector", {})
-    detectors = {
-        c.name: registry.detector(profile.detector, settings, session.body, c)
-        for c in session.cameras
-    }
-    with ThreadPoolExecutor(len(detectors)) as pool:
-        for index in chosen:
-            frame_set = next(iter(session.frame_sets(start=index, prefetch=1)))
-            names = list(frame_set.images)
-            found = pool.map(lambda n, f=frame_set: detectors[n].detect(f.images[n], ()), names)
-            yield frame_set, dict(zip(names, found, strict=True))
-
-
-def _motion(
-    session: Session,
-    searched: Sequence[SearchSample],
-    registry: Registry,
-    profile: Profile,
-    samples: int,
-    duplicates: DuplicateCount,
-    step: Callable[[], None],
-) -> MotionCheck:
-    """Measure frame sets in a row, if the body can be followed at all."""
-    found = sum(sample.world_from_body is not None for sample in searched)
-    if not samples or found < len(searched) / 2:
-        return MotionCheck()
-    measured = list[Measurement]()
-    for frame_set, measurement in islice(measure_session(session, profile, registry), samples):
-        duplicates.add(frame_set)
-        step()
-        measured.append(measurement)
-    return check_motion(measured, session.body, session.cameras)
-
-
-def _stalls(session: Session, passed: DuplicateCount) -> list[Finding]:
-    """Pictures that come twice: in all files, or among those of a video that were decoded."""
-    out = []
-    for name, stream in session.streams.items():
-        positions, compared = stream.repeated(), len(stream) - 1
-        if positions is None:
-            again = sorted(passed.repeated.get(name, ()))
-            positions = np.nonzero(np.isin(stream.frames, again))[0]
-            compared = len(passed.compared.get(name, ()))
-        out += duplicate_findings(name, positions, compared, stream.times_s, stream.frames)
-    return out
-
-
-def _concluded(
-    session: Session,
-    total: int,
-    searched: Sequence[SearchSample],
-    located: Sequence[LocatedBalls],
-    motion: MotionCheck,
-    pictures: list[Finding],
-) -> SessionCheck:
+def _concluded(session: Session, look: _Look, pictures: list[Finding]) -> SessionCheck:
     findings = pictures + [Finding(Level.NOTE, "frames", note) for note in session.notes]
     findings += [Finding(Level.WRONG, "clock", text) for text in session.clock_notes()]
     for stream in session.streams.values():
         findings += stamp_findings(stream.name, stream.times_s, stream.frames)
-    # A late camera sees a moving body elsewhere than the others do: it does not stand elsewhere.
-    misfits = tuple(
-        misfit
-        for misfit in camera_misfits(with_velocities(searched), session.body, session.cameras)
-        if misfit.since_s is not None or misfit.camera not in motion.late
-    )
-    misplaced = misfit_findings(misfits)
-    by_motion = motion_findings(motion, {misfit.camera for misfit in misfits})
-    shape = check_body(located, session.body)
+    motion, searched, misfits = look.motion, look.searched, look.misfits
+    misplaced = misfit_findings(misfits, look.tried_s)
+    by_motion = motion_findings(motion, {misfit.camera for misfit in misfits}, look.instead)
+    shape = check_body(look.located, session.body)
     cameras_agree = all(f.topic != "calibration" for f in (*misplaced, *by_motion))
     findings += (
         _body_findings(shape, cameras_agree)
@@ -247,7 +165,7 @@ def _concluded(
     findings += weak + misplaced + by_motion
     return SessionCheck(
         session.name,
-        total,
+        look.frame_sets,
         len(searched),
         worst_first(findings),
         coverage,
@@ -287,3 +205,198 @@ def _accuracy(session: Session, searched: Sequence[SearchSample]) -> Floats | No
     return expected_accuracy(
         RigidTransform(turn, place), _REACH_MM, session.body, session.cameras, noise_px
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Look:
+    """What one look at a recording has shown.
+
+    Attributes:
+        frame_sets: how many it has.
+        searched: frame sets spread over it.
+        located: balls in them.
+        motion: of frame sets measured in a row; empty if they were not.
+        pictures: findings on single pictures.
+        misfits: cameras that do not stand where the calibration says.
+        ahead_s: by camera, what was added to its stamps before; `motion.clocks` include it.
+        tried_s: clocks that did not make the cameras agree.
+        instead: misfits that there were no more when clocks were set right.
+    """
+
+    frame_sets: int
+    searched: Sequence[SearchSample]
+    located: Sequence[LocatedBalls]
+    motion: MotionCheck
+    pictures: Sequence[Finding]
+    misfits: tuple[CameraMisfit, ...]
+    ahead_s: Mapping[str, float] = field(default_factory=dict)
+    tried_s: Mapping[str, float] = field(default_factory=dict)
+    instead: tuple[CameraMisfit, ...] = ()
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether cameras disagree by so much that a clock may be far off."""
+        found = sum(sample.world_from_body is not None for sample in self.searched)
+        flagged = sum(count for _, count in self.motion.flags)
+        known = [clock.offset_sd_s < _UNCERTAIN_CLOCK_S for clock in self.motion.clocks]
+        return (
+            bool(self.misfits)
+            or 0 < found < len(self.searched) / 2
+            or flagged > _MANY * self.motion.measured
+            or 0 < sum(known) < len(known)
+        )
+
+
+@dataclass(eq=False)
+class _Looking:
+    """How a recording is looked at; the arguments of `measure.api.check`."""
+
+    session: Session
+    registry: Registry
+    profile: Profile
+    samples: int
+    clock_samples: int
+    progress: Progress | None
+
+    def __post_init__(self) -> None:
+        warm_pipeline(self.profile, self.registry, self.session.body, self.session.cameras)
+        self._begin()
+
+    def with_clocks_set(self) -> _Look:
+        """Look, and where clocks are far off again with them set right.
+
+        Where cameras disagree by much, their own motion is asked for their clocks. Its answer is
+        kept if the cameras then agree; else the stamps stay as they are.
+
+        Raises:
+            SessionError: the stamps are of two clocks, and the motion does not tell which.
+        """
+        apart = _apart(self.session)
+        look = None if apart else self.look()
+        if look is None or look.doubtful:
+            given = self.session, self.registry, self.profile
+            offsets = find_offsets(*given, _LARGEST_OFFSET_S, _LOOKED_AT_S, self.progress)
+            late = {name: offset_s for name, offset_s in offsets.items() if abs(offset_s) > _NEAR_S}
+            again = self._look_again(late, look)
+            if apart and again is None:
+                raise apart
+            look = again or replace(look, tried_s=late) if look else again
+        assert look is not None
+        clocks = [c for c in look.motion.clocks if c.offset_visible]
+        rest = {c.camera: c.offset_s - look.ahead_s.get(c.camera, 0.0) for c in clocks}
+        far = {name: offset_s for name, offset_s in rest.items() if abs(offset_s) > _FAR_S}
+        return self._look_again(far, look) or look
+
+    def _look_again(self, late_s: Mapping[str, float], before: _Look | None) -> _Look | None:
+        """A look with clocks set right; None, and undone, if cameras do not agree better then."""
+        if not late_s:
+            return None
+        shift_clocks(self.session, late_s)
+        self._begin()
+        look = self.look()
+        clocks = {c.camera: c for c in look.motion.clocks if c.offset_sd_s < np.inf}
+        near = {name for name, clock in clocks.items() if abs(clock.offset_s) < _NEAR_S}
+        off, earlier = {m.camera for m in look.misfits}, before.ahead_s if before else {}
+        if late_s.keys() <= near - off and (not before or len(off) <= len(before.misfits)):
+            ahead_s = {n: earlier.get(n, 0.0) + late_s.get(n, 0.0) for n in {*earlier, *late_s}}
+            instead = (*before.misfits, *before.instead) if before else ()
+            return replace(
+                look,
+                motion=look.motion.with_clocks_ahead(ahead_s),
+                ahead_s=ahead_s,
+                instead=tuple(m for m in instead if m.camera in ahead_s),
+            )
+        shift_clocks(self.session, {name: -late for name, late in late_s.items()})
+        return None
+
+    def look(self) -> _Look:
+        """Search some frame sets, and measure the first."""
+        session = self.session
+        searched, located, duplicates, colorless = [], [], DuplicateCount(), ColorlessCount()
+        overexposed = OverexposedCount()
+        for frame_set, seen in self._search():
+            searched.append(search_sample(seen, session.body, session.cameras, frame_set.time_s))
+            duplicates.add(frame_set)
+            colorless.add(frame_set)
+            overexposed.add(frame_set, searched[-1].agreeing)
+            located.append(locate_balls(seen, session.body, session.cameras))
+            self.step()
+        motion = self._motion(searched, duplicates)
+        # A late camera sees a moving body elsewhere than the others do: it does not stand there.
+        misfits = tuple(
+            misfit
+            for misfit in camera_misfits(with_velocities(searched), session.body, session.cameras)
+            if misfit.since_s is not None or misfit.camera not in motion.late
+        )
+        pictures = self._stalls(duplicates) + colorless.findings() + overexposed.findings()
+        return _Look(self._total, searched, located, motion, pictures, misfits)
+
+    def step(self) -> None:
+        """Count what is done: a frame set, or one damaged picture looked for in all cameras."""
+        if self.progress is not None:
+            self.progress(next(self._done), self._steps)
+
+    def _begin(self) -> None:
+        self._total = len(self.session.pair().times_s)
+        self._chosen = _spread_pairs(self._total, self.samples)
+        jpeg = [len(stream) for stream in self.session.streams.values() if holds_jpeg(stream)]
+        measured = min(self.clock_samples, self._total)
+        self._steps = len(self._chosen) + measured + max(jpeg, default=0)
+        self._done = count(1)
+
+    def _search(self) -> Iterator[tuple[FrameSet, Mapping[str, Sequence[Detection]]]]:
+        """Search whole pictures of some frame sets, the cameras side by side."""
+        profile, session = self.profile, self.session
+        settings = profile.settings.get("detector", {})
+        detectors = {
+            c.name: self.registry.detector(profile.detector, settings, session.body, c)
+            for c in session.cameras
+        }
+        with ThreadPoolExecutor(len(detectors)) as pool:
+            for index in self._chosen:
+                frame_set = next(iter(session.frame_sets(start=index, prefetch=1)))
+                names = list(frame_set.images)
+                found = pool.map(lambda n, f=frame_set: detectors[n].detect(f.images[n], ()), names)
+                yield frame_set, dict(zip(names, found, strict=True))
+
+    def _motion(self, searched: Sequence[SearchSample], duplicates: DuplicateCount) -> MotionCheck:
+        """Measure frame sets in a row, if the body can be followed at all."""
+        session = self.session
+        found = sum(sample.world_from_body is not None for sample in searched)
+        if not self.clock_samples or found < len(searched) / 2:
+            return MotionCheck()
+        measured = list[Measurement]()
+        frame_sets = measure_session(session, self.profile, self.registry)
+        for frame_set, measurement in islice(frame_sets, self.clock_samples):
+            duplicates.add(frame_set)
+            self.step()
+            measured.append(measurement)
+        return check_motion(measured, session.body, session.cameras)
+
+    def _stalls(self, passed: DuplicateCount) -> list[Finding]:
+        """Pictures that come twice: in all files, or among those of a video that were decoded."""
+        out = []
+        for name, stream in self.session.streams.items():
+            positions, compared = stream.repeated(), len(stream) - 1
+            if positions is None:
+                again = sorted(passed.repeated.get(name, ()))
+                positions = np.nonzero(np.isin(stream.frames, again))[0]
+                compared = len(passed.compared.get(name, ()))
+            out += duplicate_findings(name, positions, compared, stream.times_s, stream.frames)
+        return out
+
+
+def _apart(session: Session) -> SessionError | None:
+    """What contradicts that all stamps are of one clock, if anything does."""
+    try:
+        check_overlap(list(session.streams.values()))
+    except SessionError as error:
+        return error
+    return None
+
+
+def _spread_pairs(total: int, samples: int) -> list[int]:
+    """About `samples` of `total` indices, in pairs of neighbours, which tell speeds."""
+    firsts = np.linspace(0, max(total - 2, 0), max(1, samples // 2))
+    pairs = {round(float(first)) + k for first in firsts for k in (0, 1)}
+    return sorted(index for index in pairs if index < total)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from measure.checking.camera_errors import (
 )
 from measure.checking.clocks import CameraClock, estimate_clocks, measured_instants
 from measure.checking.finding import Finding, Level
+from measure.checking.moved_cameras import CameraMisfit
 from measure.measuring.ball_radii import OutlineGrowth, outline_growth, seen_balls
 from measure.measuring.body_scale import relative_scale
 from measure.measuring.measurement import Measurement, Status
@@ -56,6 +57,11 @@ class MotionCheck:
         """Names of cameras whose disagreement a clock explains best."""
         return {error.camera for error in self.errors if error.kind is Kind.CLOCK}
 
+    def with_clocks_ahead(self, ahead_s: Mapping[str, float]) -> MotionCheck:
+        """The same, of stamps to which so much had been added."""
+        clocks = [replace(c, offset_s=c.offset_s + ahead_s.get(c.camera, 0.0)) for c in self.clocks]
+        return replace(self, clocks=tuple(clocks))
+
 
 def check_motion(
     measurements: Sequence[Measurement], body: Body, cameras: Sequence[Camera]
@@ -84,17 +90,24 @@ def _scale(posed: Sequence[Measurement], body: Body) -> tuple[float, float]:
     return float(1 + off), float(np.sqrt(variance))
 
 
-def motion_findings(motion: MotionCheck, misplaced: Collection[str]) -> list[Finding]:
+def motion_findings(
+    motion: MotionCheck, misplaced: Collection[str], instead: Collection[CameraMisfit]
+) -> list[Finding]:
     """One line for every clock, camera and scale that is off.
 
     Args:
         motion: what was found.
         misplaced: names of cameras already known to stand elsewhere.
+        instead: cameras that seemed to stand elsewhere until their clocks were set right.
     """
     errors = [error for error in motion.errors if error.camera not in misplaced]
     findings = error_findings(errors)
     blamed = {*misplaced, *(e.camera for e in errors if e.kind is not Kind.CLOCK)}
     late = {e.camera: rivals_text(e) for e in errors if e.kind is Kind.CLOCK}
+    late |= {
+        m.camera: f" (else the camera seems to be {m.shift_px:.1f} px off its place)"
+        for m in instead
+    }
     # Where a camera stands elsewhere, clocks seem to differ: only what is left then counts.
     clocks = [c for c in motion.clocks if not blamed or c.camera in late.keys() - blamed]
     return findings + _clock_findings(clocks, late) + _flag_findings(motion)

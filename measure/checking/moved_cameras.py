@@ -6,7 +6,7 @@ means a wrong calibration, a step means that the camera was moved.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -90,8 +90,10 @@ def camera_misfits(
     return tuple(found)
 
 
-def misfit_findings(misfits: Collection[CameraMisfit]) -> list[Finding]:
-    """One line for each."""
+def misfit_findings(
+    misfits: Collection[CameraMisfit], tried_s: Mapping[str, float]
+) -> list[Finding]:
+    """One line for each, and whether its clock was tried as well, off by so much."""
     out = []
     for m in misfits:
         amount = f"{m.shift_px:.1f} px ({m.turn_deg:.2f} deg)"
@@ -102,6 +104,8 @@ def misfit_findings(misfits: Collection[CameraMisfit]) -> list[Finding]:
                 f"{m.camera} was moved by {amount} at about {m.since_s:.2f} s: "
                 "measure up to there, or calibrate it again for the rest"
             )
+        if m.camera in tried_s:
+            text += f" (a clock {1e3 * tried_s[m.camera]:+.0f} ms off explains less)"
         out.append(Finding(Level.WRONG, "calibration", text))
     return out
 

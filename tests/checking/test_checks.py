@@ -66,7 +66,7 @@ def test_a_knocked_camera_is_named_with_amount_and_time(name):
     assert misfit.since_s == pytest.approx(8 / 30)
     assert misfit.turn_deg == pytest.approx(np.degrees(np.sqrt(29e-6)), rel=0.25)
     assert 3 < misfit.shift_px < 9
-    (finding,) = misfit_findings([misfit])
+    (finding,) = misfit_findings([misfit], {})
     assert finding.level is Level.WRONG
     assert f"{name} was moved by" in finding.text
 
@@ -77,7 +77,7 @@ def test_a_camera_wrong_from_the_start_is_named():
     )
     assert misfit.camera == "cam2"
     assert misfit.since_s is None
-    assert "calibrate it" in misfit_findings([misfit])[0].text
+    assert "calibrate it" in misfit_findings([misfit], {})[0].text
 
 
 def test_a_pose_that_every_witness_contradicts_is_undetermined():
