@@ -47,9 +47,9 @@ def rigs() -> dict[str, tuple[Camera, ...]]:
     }
 
 
-def measured(cameras: tuple[Camera, ...], frames: int, folder: Path) -> str:
+def measured(cameras: tuple[Camera, ...], frames: int, seed: int, folder: Path) -> str:
     """Calibrate and measure with a rig; a line of figures."""
-    write_capture(CaptureScene(cameras=cameras), folder / "capture")
+    write_capture(CaptureScene(cameras=cameras, seed=seed), folder / "capture")
     result = calibrate(folder / "capture")
     write_calibration(folder / "calibration.toml", result.calibration)
     write_session(replace(plain_scene(), cameras=cameras), np.arange(frames) / 30, folder / "rec")
@@ -70,10 +70,13 @@ def main() -> None:
     """Print a line for each rig."""
     parser = argparse.ArgumentParser(prog="benchmarks.fisheye", description=__doc__)
     parser.add_argument("--frames", type=int, default=8, help="frame sets measured by each rig")
+    parser.add_argument("--seed", type=int, default=0, help="of the calibrations' pictures")
     given = parser.parse_args()
     for name, cameras in rigs().items():
         with TemporaryDirectory() as folder:
-            print(f"{name:14}{measured(cameras, given.frames, Path(folder))}", flush=True)
+            print(
+                f"{name:14}{measured(cameras, given.frames, given.seed, Path(folder))}", flush=True
+            )
 
 
 if __name__ == "__main__":
