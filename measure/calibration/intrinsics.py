@@ -82,9 +82,6 @@ def calibrate_lens(
         if advice := _fisheye_advice(board.points, views, MAX_RMS_PX):
             raise CalibrationError(f"{problem}; {advice}") from None
         raise
-    diagonal = float(np.hypot(*views.size_wh))
-    if 2 * np.arctan(diagonal / 2 / found.intrinsics.focal_px) < _WIDE_RAD:
-        return found
     advice = _fisheye_advice(board.points, found.views, found.fit.rms_px)
     return replace(found, reasons=(*found.reasons, advice)) if advice else found
 
