@@ -31,6 +31,7 @@ from measure.api.recording import (
 from measure.api.refining import RefineResult, refine
 from measure.api.results import evaluate, export, report
 from measure.api.run import RunOptions, parse_images, run
+from measure.api.sampling import check_new_body, parse_click, write_sampled_body
 from measure.api.training import SweepOptions, TrainOptions, ablate, parse_settings, sweep, train
 from measure.api.watch import robot_recording, spawn_viewer
 from measure.capture import parse_cameras
@@ -57,6 +58,7 @@ __all__ = [
     "calibrate",
     "camera_names",
     "check",
+    "check_new_body",
     "choose",
     "correct_simulated_robot",
     "demo",
@@ -72,6 +74,7 @@ __all__ = [
     "make_dataset",
     "measure_session",
     "parse_cameras",
+    "parse_click",
     "parse_expectation",
     "parse_images",
     "parse_receiver",
@@ -93,4 +96,5 @@ __all__ = [
     "spawn_viewer",
     "sweep",
     "train",
+    "write_sampled_body",
 ]

@@ -63,14 +63,24 @@ def parse_expectation(text: str) -> tuple[str, tuple[float, float, float]]:
     Raises:
         ConfigError: anything else.
     """
-    ball, _, numbers = text.rpartition("=")
-    try:
-        u, v, radius = (float(number) for number in numbers.split(","))
-    except ValueError:
-        u = v = radius = np.nan
-    if not ball or not np.isfinite([u, v, radius]).all() or radius <= 0:
-        raise ConfigError(f"--expect {text}: expected BALL=U,V,R, such as red=640,360,45 (in px)")
+    ball, (u, v, radius) = numbers_of(
+        text, "--expect", "BALL=U,V,R, such as red=640,360,45 (in px)", 3
+    )
+    if radius <= 0:
+        raise ConfigError(f"--expect {text}: the radius R is a number of px above 0")
     return ball, (u, v, radius)
+
+
+def numbers_of(text: str, option: str, form: str, count: int) -> tuple[str, list[float]]:
+    """Read a ball's name and so many numbers from an option's value of a `form`."""
+    ball, _, given = text.rpartition("=")
+    try:
+        numbers = [float(number) for number in given.split(",")]
+    except ValueError:
+        numbers = []
+    if not ball or len(numbers) != count or not np.isfinite(numbers).all():
+        raise ConfigError(f"{option} {text}: expected {form}")
+    return ball, numbers
 
 
 def detect(

@@ -27,6 +27,8 @@ def detect(
     detector: str | None = None,
     set_: SettingTexts = (),
     out: Annotated[Path | None, Parameter(name=("--out", "-o"))] = None,
+    sample: tuple[str, ...] = (),
+    write_body: Path | None = None,
     json: JsonFlag = False,
     registry: InjectedRegistry,
 ) -> None:
@@ -46,6 +48,9 @@ def detect(
         detector: a detector plugin to use instead of the profile's.
         set_: a setting as detector.NAME=VALUE; may be repeated.
         out: folder for copies of the pictures with the balls drawn in.
+        sample: BALL=U,V: a pixel on the ball, from which its colour is taken; may be repeated.
+        write_body: a new body file, with the colours that the balls have in the picture: those of
+            `--sample`, else of `--expect`, inside their outlines.
     """
     from measure import api
     from measure.errors import ConfigError
@@ -53,24 +58,38 @@ def detect(
 
     if not pictures:
         raise ConfigError("no picture is given: measure detect PICTURE... --body BODY.toml")
+    clicks, asked = dict(map(api.parse_click, sample)), [api.parse_expectation(t) for t in expect]
+    if write_body is not None:
+        api.check_new_body(write_body)
+    alone = write_body is not None and (len(pictures) > 1 or not (clicks or asked))
+    if alone or (clicks and write_body is None):
+        raise ConfigError(
+            "--write-body takes one picture and --sample or --expect; --sample needs it"
+        )
+    known = read_body(body)
     chosen = api.choose(api.load_profile(profile), {"detector": detector}, set_)
     with console.progress("looking", "pictures") as report:
         seen = api.detect(
             pictures,
             registry,
             chosen,
-            read_body(body),
+            known,
             api.Lens(calibration, camera, focal_px),
-            [api.parse_expectation(text) for text in expect],
+            asked,
             out,
             report,
         )
+    if write_body is not None:
+        outlined = [ball for ball, _ in asked if ball not in clicks]
+        api.write_sampled_body(write_body, known, seen[0], clicks, outlined)
     if json:
         console.print_json({"pictures": [_values(one) for one in seen]})
         return
     _print(seen)
     if out is not None:
         console.print_text(f"drawn in {out}")
+    if write_body is not None:
+        console.print_text(f"body with the colours of {seen[0].picture.name}: {write_body}")
 
 
 def _values(one: SeenPicture) -> dict[str, object]:

@@ -157,14 +157,16 @@ def _hsv(hue: tuple[int, int], saturation: int, value: int) -> ColorRange:
 NAMED_RANGES: dict[str, tuple[ColorRange, ...]] = {
     "red": (_hsv((168, 8), 90, 30),),
     "orange": (_hsv((2, 19), 110, 40),),
-    "yellow": (_hsv((17, 36), 80, 40),),
-    "green": (_hsv((38, 88), 60, 25),),
+    "yellow": (_hsv((17, 38), 80, 40),),
+    "green": (_hsv((38, 94), 60, 25),),
     "cyan": (_hsv((80, 100), 70, 40),),
     "blue": (_hsv((98, 130), 70, 30),),
-    "purple": (_hsv((128, 158), 50, 30),),
+    "purple": (_hsv((124, 163), 50, 30),),
     "magenta": (_hsv((145, 172), 60, 35),),
-    "pink": (_hsv((150, 176), 40, 60),),
+    "pink": (_hsv((147, 179), 40, 60),),
     "white": (ColorRange("hsv", (0, 0, 120), (179, 60, 255)),),
+    "grey": (ColorRange("hsv", (0, 0, 30), (179, 80, 225)),),
     "black": (ColorRange("hsv", (0, 0, 0), (179, 255, 45)),),
 }
-"""Ranges wide enough for ordinary light; samples from the recording are always better."""
+"""Ranges wide enough for ordinary light and white balance a sixth off; neighbours overlap.
+Samples from the recording are always better."""

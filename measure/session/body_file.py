@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -11,7 +12,7 @@ import cv2
 import numpy as np
 from pydantic import Field, FiniteFloat, ValidationInfo, field_validator, model_validator
 
-from measure.arrays import Floats
+from measure.arrays import Bytes, Floats
 from measure.errors import DegenerateGeometryError, SessionError
 from measure.model import Ball, BallColor, Body, ColorRange
 from measure.model.body import USUAL_RADIUS_TOLERANCE_MM
@@ -176,12 +177,21 @@ def read_body(path: Path | str) -> Body:
     return load_toml(path, BodyModel).body(Path(path))
 
 
-def write_body(path: Path | str, body: Body) -> None:
-    """Write a body file that `read_body` reads back; learnt colours become their ranges."""
+def write_body(
+    path: Path | str, body: Body, samples_bgr: Mapping[str, Bytes] | None = None
+) -> None:
+    """Write a body file that `read_body` reads back; learnt colours become their ranges.
+
+    Args:
+        path: the file.
+        body: what to write.
+        samples_bgr: (n, 3) of balls whose colours are written as these samples.
+    """
+    sampled = {ball: {"samples_bgr": some.tolist()} for ball, some in (samples_bgr or {}).items()}
     balls = [
         {
             "name": ball.name,
-            "color": _color_values(ball.color),
+            "color": sampled.get(ball.name) or _color_values(ball.color),
             "center_mm": ball.center_mm,
             "radius_mm": float(ball.radius_mm),
         }

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from measure.cli import main
-from measure.session import open_session, read_trajectory
+from measure.session import open_session, read_body, read_trajectory
 from tests.cli.test_bad_input import complaint
 
 
@@ -65,9 +65,36 @@ def test_without_a_calibration_and_with_an_expectation(still, picture, capsys):
     assert seen(capsys, *words, "--expect", "yellow=60,60,63") == []
 
 
+@pytest.mark.parametrize("where", ["--sample", "--expect"])
+def test_a_body_is_written_with_the_colours_of_a_picture(still, picture, tmp_path, capsys, where):
+    """Of a click, or inside an outline; what the file holds else stays, and nothing is lost."""
+    (u, v), radius = truth_px(still)["yellow"]
+    new, size = tmp_path / "sampled.toml", f",{radius:.1f}" if where == "--expect" else ""
+    words = ("--focal-px", "1420", where, f"yellow={u:.1f},{v:.1f}{size}", "--write-body", new)
+    seen(capsys, picture, "--body", still / "body.toml", *words)
+    before, after = read_body(still / "body.toml"), read_body(new)
+    assert "samples_bgr" in new.read_text(encoding="utf-8")
+    assert np.array_equal(after.centers, before.centers)
+    for old, ball in zip(before.balls, after.balls, strict=True):
+        assert (ball.color == old.color) == (ball.name != "yellow")
+    found = seen(capsys, picture, "--body", new, "--focal-px", "1420")
+    near = [d for d in found if np.linalg.norm(np.array(d["center_px"]) - (u, v)) < 2]
+    assert any(d["ball"] == "yellow" for d in near)
+    text = new.read_bytes()
+    line = complaint(capsys, "detect", picture, "--body", still / "body.toml", *words)
+    assert "is there already, and is not written over" in line
+    assert new.read_bytes() == text
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
+        (("--sample", "red=1,2"), "--write-body takes one picture and --sample or --expect"),
+        (("--write-body", "new"), "--write-body takes one picture and --sample or --expect"),
+        (("--sample", "red=1", "--write-body", "new"), "--sample red=1: expected BALL=U,V"),
+        (("--sample", "red=1,9e3", "--write-body", "new"), "lies outside the picture of"),
+        (("--sample", "blue=1,2", "--write-body", "new"), "--sample blue: the body has no such"),
+        (("--expect", "red=60,60,63", "--write-body", "new"), "red is not seen: give --sample"),
         (("--expect", "blue=1,2,3"), "--expect blue: the body has no such ball, but green, yellow"),
         (("--expect", "red=1,2"), "--expect red=1,2: expected BALL=U,V,R"),
         (("--focal-px", "-3"), "--focal-px -3.0: expected a length in px above 0"),
@@ -75,10 +102,12 @@ def test_without_a_calibration_and_with_an_expectation(still, picture, capsys):
         (("--calibration", "calibration.toml"), "which camera took the pictures? give --camera"),
     ],
 )
-def test_what_does_not_fit_is_said_in_one_line(still, picture, capsys, words, said):
+def test_what_does_not_fit_is_said_in_one_line(still, picture, tmp_path, capsys, words, said):
     given = [still / word if str(word).endswith(".toml") else word for word in words]
+    given = [tmp_path / word if word == "new" else word for word in given]
     line = complaint(capsys, "detect", picture, "--body", still / "body.toml", *given)
     assert said in line
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_picture_of_another_size_is_refused(still, tmp_path, capsys):
