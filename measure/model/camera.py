@@ -15,6 +15,7 @@ from measure.geometry import Cone, Rays, RigidTransform, UncertainTransform, ske
 from measure.model import distortion, fisheye
 
 Projection = Literal["pinhole", "fisheye"]
+"""Lens models: a pinhole with distortion, or an equidistant fisheye, both as OpenCV has them."""
 _MODELS = {"pinhole": distortion, "fisheye": fisheye}
 MIN_DEPTH_MM = 1e-6
 """Points nearer to the camera's plane than this, or behind it, have no image."""
