@@ -11,7 +11,7 @@ from measure.session.calibration_file import Calibration
 
 _FARTHEST_BASES = 20.0
 """No rig is used at a distance beyond this multiple of that between its cameras."""
-_LEAST_PX = 3.0
+_LEAST_PX = 1.0
 """No body appears smaller than this from the middle of the distances at which cameras meet."""
 _SIGHTS, _STEPS = np.array([0.25, 0.5, 0.75]), 40
 
