@@ -40,8 +40,6 @@ if TYPE_CHECKING:
 _WHOLE_MATCH = 0.75
 """Share of a ball's inside with its colour below which its score is lower: balls of two colours are
 not supported, and half-hidden ones are less sure."""
-_APPROACH_RAYS = 3
-"""Divisor of the number of rays while an outline is approached."""
 
 
 class OutlineDetector(SelfCalibratingDetector):
@@ -147,10 +145,9 @@ class OutlineDetector(SelfCalibratingDetector):
             view,
             rough,
             np.array([self._bits[first] for first, *_ in names], np.int64),
-            (max(c.rays // _APPROACH_RAYS, MIN_RAYS), max(c.rays // FEWER_RAYS, MIN_RAYS)),
+            max(c.rays // FEWER_RAYS, MIN_RAYS),
             c.min_contrast,
-            c.margin_px,
-            (c.min_agreement, GIVE_UP_SHARE * c.min_agreement),
+            GIVE_UP_SHARE * c.min_agreement,
             circles.table,
         )
         numbers, sizes = found.numbers.tolist(), rough[:, 2].tolist()

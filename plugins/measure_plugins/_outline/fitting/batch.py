@@ -12,13 +12,12 @@ from measure_plugins._outline.appearance.interreflection import balls_behind, ba
 from measure_plugins._outline.appearance.radial_basis import unpacked
 from measure_plugins._outline.fitting.color import color_share
 from measure_plugins._outline.fitting.measurement import (
-    approach_outline,
+    FROM_OUTSIDE,
     measure_known_size,
     measure_unknown_size,
     search_about_circle,
-    unoccluded_search,
 )
-from measure_plugins._outline.fitting.outline import Outline, no_outline
+from measure_plugins._outline.fitting.outline import Outline
 from measure_plugins._outline.fitting.scan import CameraImage, OutlineSearch
 from measure_plugins._outline.fitting.step_gain import measure_step_gain
 from measure_plugins._outline.sampling.rays import radius_px
@@ -124,10 +123,9 @@ def measure_circles(
     view: CameraImage,
     circles: Floats,
     bits: Ints,
-    rays: tuple[int, int],
+    rays: int,
     min_contrast: float,
-    margin_px: float,
-    agreement: tuple[float, float],
+    give_up_share: float,
     colors: Bytes,
 ) -> Measured:
     """Measure the outlines near rough circles, of unknown size and behind no known ball.
@@ -140,30 +138,20 @@ def measure_circles(
         circles: (k, 6) centre x, y and radius, px, shares of the circle seen and of its inside
             filled, and the number of the bit that has found it.
         bits: (k,) of their colours in the table of colours.
-        rays: their number while an outline is approached, and while it is measured.
+        rays: cast across each outline.
         min_contrast: see `OutlineSearch`.
-        margin_px: see `OutlineSearch`.
-        agreement: least share of edges that agree in the end, see `approach_outline`; and the
-            `give_up_share` of `measure_unknown_size`.
+        give_up_share: see `measure_unknown_size`.
         colors: see `color_share`.
     """
-    found = _none_found(len(circles), rays[1])
-    cones = np.empty((len(circles), 4))
-    for i in range(len(circles)):  # apart from the next loop: either's code stays cached
-        axis, half_angle = approach_outline(view, circles[i], rays[0], min_contrast, agreement[0])
-        cones[i, :3], cones[i, 3] = axis, half_angle
+    found = _none_found(len(circles), rays)
     for i in range(len(circles)):
-        outline = no_outline()
-        if cones[i, 3] > 0:
-            search = unoccluded_search(
-                cones[i, :3], cones[i, 3], 0.0, rays[1], min_contrast, margin_px
-            )
-            outline = measure_unknown_size(view, search, agreement[1], colors, 0)
+        search = search_about_circle(view, circles[i], FROM_OUTSIDE, rays, min_contrast)
+        outline = measure_unknown_size(view, search, give_up_share, colors, 0)
         complete = circles[i, 3] * circles[i, 4] >= _COMPLETE
         if complete and outline.share < _BEYOND_DOUBT:
-            search = search_about_circle(view, circles[i], rays[1], min_contrast)
+            search = search_about_circle(view, circles[i], 1.0, rays, min_contrast)
             bit = 1 << int(circles[i, 5])
-            by_color = measure_unknown_size(view, search, agreement[1], colors, bit)
+            by_color = measure_unknown_size(view, search, give_up_share, colors, bit)
             if by_color.share > outline.share:
                 outline = by_color
         _store(view, outline, colors, bits[i], i, found)

@@ -51,13 +51,10 @@ _ANY_GROWTH = (0.0, 1e3)
 """The same prior where the size is not known."""
 _CIRCLE_REACH = 0.2
 """How far an outline may be from a circle found by colour, as a share of its radius."""
-_FROM_OUTSIDE = 1.12
+FROM_OUTSIDE = 1.12
 """Half angle from which an outline is approached, per that of the circle: reflections and the edge
 of the shade lie inside an outline, and keep scans from there. Of 1, 1.06, 1.12, and 1.2, this one
 finds most true outlines and fewest false ones on path-traced recordings."""
-_FAR_SHARE, _CONVERGED_SHARE = 0.67, 0.9
-"""Shares of the least agreement demanded in the end below which coarse scans are given up, before
-and when they have converged: they are less sharp, more so from further away."""
 _CHANCE_SHARE = np.sqrt(1 - np.sqrt(INLIER)) * MAX_RESIDUAL_PX / SEARCH_PX
 """Share of edges that lie anywhere, not on the ball's outline, that agree with it by chance."""
 _MIN_INFORMATIVE = 0.05
@@ -120,47 +117,13 @@ def _is_converged(fit: Fit, spread: Floats) -> bool:
 
 
 @compiled
-def approach_outline(
-    view: CameraImage, circle: Floats, rays: int, min_contrast: float, agreement: float
-) -> tuple[Floats, float]:
-    """Go from a rough circle to about where its outline is, by coarse scans.
-
-    Args:
-        view: the picture.
-        circle: of which the first are centre x, y and radius, px.
-        rays: across the outline.
-        min_contrast: see `OutlineSearch`.
-        agreement: least share of edges that agree in the end.
-
-    Returns:
-        Unit axis (3,) and half angle of the outline; half angle 0 if there is none.
-    """
-    search = search_about_circle(view, circle, rays, min_contrast)
-    axis, half_angle = search.axis, _FROM_OUTSIDE * search.half_angle
-    reach = reach_px(view, search)
-    for turn in range(_MAX_ITERATIONS):
-        scan = scan_half_level(view, search, axis, half_angle, reach, True)
-        fit = fit_scan(scan, _ANY_GROWTH, turn == 0)
-        converged = turn > 0 and axis_shift_px(fit) < _HALF_LEVEL_CONVERGED_PX
-        share = _CONVERGED_SHARE if converged else _FAR_SHARE
-        if not np.isfinite(fit.scale) or agreeing_share(scan, fit) < share * agreement:
-            break
-        axis = corrected_axis(scan, fit)
-        half_angle += fit.solution[2] / np.mean(scan.scale)
-        if converged:
-            return axis, half_angle
-        reach = SEARCH_PX
-    return axis, 0.0
-
-
-@compiled
 def search_about_circle(
-    view: CameraImage, circle: Floats, rays: int, min_contrast: float
+    view: CameraImage, circle: Floats, larger: float, rays: int, min_contrast: float
 ) -> OutlineSearch:
-    """The search for an outline near a circle found by colour, see `approach_outline`."""
+    """The search for an outline from a circle x, y, r found by colour, so much `larger`."""
     axis = bearing(circle[:2], view.lens)
     half_angle = 2 * circle[2] / (view.lens[0] + view.lens[3])
-    half_angle *= circle[2] / radius_px(axis, half_angle, view.lens)  # off the axis it is less
+    half_angle *= larger * circle[2] / radius_px(axis, half_angle, view.lens)
     far = _CIRCLE_REACH * circle[2]
     return unoccluded_search(axis, half_angle, far, rays, min_contrast, 0.0)
 
