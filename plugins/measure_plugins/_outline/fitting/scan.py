@@ -40,11 +40,8 @@ from measure_plugins._outline.sampling.rays import (
     sample_nearest,
 )
 
-_STEP_PX, _WHOLE_PX, _WIDE_PX = 0.5, 1.0, 2.0
-"""Distance of samples: of a narrow scan, of a wide or coarse one, and of one that is both. The
-latter two only start a better scan."""
-_FAR_PX = 3.0
-"""Reach beyond `SEARCH_PX` above which a coarse scan takes every other pixel."""
+_STEP_PX, _WHOLE_PX = 0.5, 1.0
+"""Distance of samples: of a narrow scan, and of a wide one, which only starts a better one."""
 _LIGHT_PER_VALUE = 0.3
 """Slope of tone curves in the shade, light per picture value, where contrast is scarce."""
 
@@ -126,24 +123,21 @@ def scan_half_level(
     axis: Floats,
     half_angle: float,
     reach_px: float,
-    coarse: bool = False,
 ) -> EdgeScan:
     """Find the half-level crossings, in light, within `reach_px` of the prediction.
 
-    Wide and coarse scans take the nearest pixels, without interpolation.
+    Wide scans take the nearest pixels, without interpolation.
     """
     wider = max(reach_px - SEARCH_PX, 0.0)
     inside = (INSIDE_PX[0] - wider, INSIDE_PX[1] - wider)
     outside = (OUTSIDE_PX[0] + wider, OUTSIDE_PX[1] + wider)
-    step = _WHOLE_PX if wider > 0 or coarse else _STEP_PX
-    if coarse and wider > _FAR_PX:
-        step = _WIDE_PX
+    step = _WHOLE_PX if wider > 0 else _STEP_PX
     steps = np.arange(inside[0], outside[1] + 1e-9, step)
     frame = frame_about(axis)
     rays, scale = cast_rays(frame, half_angle, search.rays, view.lens)
     reach = (inside[0], outside[1])
     mark_occluded(rays, scale, frame, half_angle, search.nearer, reach, search.margin_px)
-    if wider > 0 or coarse:
+    if wider > 0:
         profiles = sample_nearest(view.pixels, view.table, rays, steps)
     else:
         lit = np.ones(len(steps), np.bool_)
