@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.altered import ALTERATIONS, altered_copy
+from benchmarks.altered import ALTERATIONS, RESIZED, altered_copy
 from measure.simulation import Scene, write_session
 from tests.simulated.catalogue import relit_scenes, scene_catalogue
 from tests.simulated.unusual import unusual_scenes
@@ -49,7 +49,7 @@ def altered_recordings() -> dict[str, tuple[Path, str]]:
     return {
         f"{ALTERED}{name} {how}": (path, how)
         for name, path in recordings_beside().items()
-        for how in ALTERATIONS
+        for how in (*ALTERATIONS, *RESIZED)
     }
 
 

@@ -117,7 +117,9 @@ def measure_timed(
     steps: list[float] = []
     pipeline = calibrated(
         method.pipeline(session, registry),
-        lambda body: method.pipeline(replace(session, body=body), registry),
+        lambda body, cameras: method.pipeline(
+            replace(session, body=body, cameras=tuple(cameras)), registry
+        ),
         lambda: sets,
     )
     measured = list(pipeline.measure(_timed(sets, steps)))

@@ -15,7 +15,8 @@ from measure.errors import ConfigError
 from measure.geometry import RigidTransform
 from measure.host import Registry
 from measure.measuring import Profile, plugin_calls
-from measure.model import Body, Camera, Detection, Expectation, Image, Intrinsics
+from measure.measuring.lateral_color import with_lateral_color
+from measure.model import Body, Camera, Detection, Expectation, FrameSet, Image, Intrinsics
 from measure.processes import Progress
 from measure.session import read_calibration, read_picture
 
@@ -121,10 +122,11 @@ def detect(
     for index, path in enumerate(pictures):
         pixels = read_picture(path)
         camera = cameras.of(pixels.shape[1], pixels.shape[0], path)
+        image = Image(camera.name, index, 0.0, partial(np.asarray, pixels))
+        (camera,) = with_lateral_color([camera], [FrameSet(index, 0.0, {camera.name: image})])
         where = [_expectation(ball, at, body, camera) for ball, at in asked.items()]
         settings = profile.settings.get("detector", {})
         detector = registry.detector(profile.detector, settings, body, camera)
-        image = Image(camera.name, index, 0.0, partial(np.asarray, pixels))
         found = plugin_calls.detections(detector, image, where, body)
         kept = [d for d in found if not asked or d.ball in asked]
         seen.append(SeenPicture(path, tuple(sorted(kept, key=lambda d: -d.score))))

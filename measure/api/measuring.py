@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 
 from measure.api.warming_up import warm_pipeline
 from measure.host import Registry
@@ -78,7 +79,4 @@ def burnt_in(
     from measure.api.profiles import build_pipeline
     from measure.measuring.burn_in import calibrated
 
-    cameras = pipeline.cameras
-    return calibrated(
-        pipeline, lambda body: build_pipeline(profile, registry, body, cameras), frame_sets
-    )
+    return calibrated(pipeline, partial(build_pipeline, profile, registry), frame_sets)

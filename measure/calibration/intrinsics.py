@@ -52,11 +52,12 @@ class LensCalibration:
     reasons: tuple[str, ...]
     views: ViewSet
     corner_rule: CornerRule = "pattern"
+    lateral_color: tuple[float, float] | None = None
 
     @property
     def intrinsics(self) -> Intrinsics:
-        """The lens with its covariance."""
-        return self.fit.intrinsics
+        """The lens with its covariance and lateral colour."""
+        return replace(self.fit.intrinsics, lateral_color=self.lateral_color)
 
 
 def calibrate_lens(

@@ -36,10 +36,12 @@ from measure.calibration.turned_boards import oriented_board
 from measure.calibration.views import ALL_VIEWS, MAX_VIEWS, find_views
 from measure.checking import Finding
 from measure.errors import CalibrationError
+from measure.estimation.lateral_color import lateral_color
 from measure.model import Camera, Intrinsics
 from measure.processes import Progress
 
 Method = Literal["joint", "paper"]
+_COLOR_VIEWS = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,11 +103,20 @@ def calibrate_capture(
         else:
             assert capture.board is not None
             views = find_views(capture.board, camera.views(), camera.name, _limit(capture))
-            lenses[camera.name] = calibrate_lens(capture.board, views, camera.name, camera.model)
+            lens = calibrate_lens(capture.board, views, camera.name, camera.model)
+            lenses[camera.name] = replace(lens, lateral_color=_lateral_color(lens, camera))
             known[camera.name] = lenses[camera.name].intrinsics
     if capture.settings.common_views:
         return _relative(capture, lenses)
     return _locate_all(capture, method, lenses, known)
+
+
+def _lateral_color(lens: LensCalibration, camera: CameraCapture) -> tuple[float, float] | None:
+    """Of red and blue, by pictures of the board, which is grey."""
+    center = lens.fit.intrinsics.matrix[:2, 2]
+    used = {view.source for view in lens.views.views[:_COLOR_VIEWS]}
+    found = lateral_color((picture, center) for name, picture in camera.views() if name in used)
+    return None if found is None else (float(found.red_blue[0]), float(found.red_blue[1]))
 
 
 def _limit(capture: Capture) -> int:

@@ -227,7 +227,7 @@ def refine_point(
 def warm_up_point_fits() -> None:
     """Compile the fits, by fitting a point to pixels of two cameras in one place."""
     two, noise = np.zeros((2, 3)), np.zeros((2, 2, 2))
-    lenses = np.tile(np.eye(1, 14) + np.eye(1, 14, 3), (2, 1))
+    lenses = np.tile(np.eye(1, 16) + np.eye(1, 16, 3), (2, 1))
     turns = np.stack([np.eye(3), np.eye(3)])
     rig = RigRows(lenses, np.full(2, np.inf), turns, two, np.zeros((2, 18, 18)), 0.0)
     fit_point_rows(rig, two[:, :2].copy(), noise, two, 0.0)

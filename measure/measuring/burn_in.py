@@ -7,7 +7,7 @@ the standard response.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import replace
 from itertools import islice
@@ -22,9 +22,10 @@ from measure.measuring.ball_radii import (
     seen_balls,
     with_estimated_radii,
 )
+from measure.measuring.lateral_color import with_lateral_color
 from measure.measuring.measurement import Measurement
 from measure.measuring.pipeline import Pipeline
-from measure.model import Body, FrameSet
+from measure.model import Body, Camera, FrameSet
 
 _FRAME_SETS_WITH_BODY = 16
 """Frame sets with a pose after which every camera has seen enough balls, if it ever will."""
@@ -46,40 +47,49 @@ def _self_calibrating(detectors: Mapping[str, Detector]) -> list[SelfCalibrating
 
 
 def calibrated(
-    pipeline: Pipeline, build: Callable[[Body], Pipeline], frame_sets: FrameSets
+    pipeline: Pipeline,
+    build: Callable[[Body, Sequence[Camera]], Pipeline],
+    frame_sets: FrameSets,
 ) -> Pipeline:
     """A pipeline whose detectors have calibrated themselves, if any of them needs a burn-in.
 
-    Where the solver fits outlines, these are then compared with the balls' radii, and the result is
-    a pipeline for a body with what is known of them. See `ball_radii`.
+    Where the solver fits outlines, the lateral colour of the cameras is looked for before, and then
+    the outlines are compared with the balls' radii: the result is a pipeline for cameras and a body
+    with what is known of these. See `lateral_color` and `ball_radii`.
 
     Args:
         pipeline: of detectors as they were built.
-        build: a pipeline like it for a body; of parts of its own.
+        build: a pipeline like it for a body and cameras; of parts of its own.
         frame_sets: of the recording, from its start, at every call.
     """
     if not needed(pipeline.stages.detectors):
         return pipeline
-    given, detectors = pipeline.body, pipeline.stages.detectors
     if not pipeline.stages.solver.requires_outlines:
-        burn_in(_with(build(given), detectors), frame_sets())
+        burn_in(
+            _with(build(pipeline.body, pipeline.cameras), pipeline.stages.detectors), frame_sets()
+        )
         return pipeline
+    cameras = pipeline.cameras
+    with suppress(MeasureError):
+        cameras = with_lateral_color(cameras, frame_sets())
+    given, first = pipeline.body, build(pipeline.body, cameras).stages.detectors
+    detectors = first
 
     def growth(body: Body) -> OutlineGrowth:
         nonlocal detectors
-        fresh = build(body)
-        detectors = pipeline.stages.detectors if body is given else fresh.stages.detectors
+        fresh = build(body, cameras)
+        detectors = first if body is given else fresh.stages.detectors
         burn_in(_with(fresh, detectors), frame_sets())
         known = islice(frame_sets(), _FRAME_SETS_FOR_RADII)
-        measured = _measured(_with(build(body), detectors), known)
-        return outline_growth(seen_balls(measured), body, fresh.cameras)
+        measured = _measured(_with(build(body, cameras), detectors), known)
+        return outline_growth(seen_balls(measured), body, cameras)
 
     body = with_estimated_radii(given, growth)
     if np.any(body.radii != given.radii):
         growth(body)
     else:
-        detectors = pipeline.stages.detectors
-    return _with(build(body), detectors, pipeline.stages.smoothing)
+        detectors = first
+    return _with(build(body, cameras), detectors, pipeline.stages.smoothing)
 
 
 def _with(

@@ -33,6 +33,8 @@ class Intrinsics:
             shorter OpenCV vectors (0, 4 or 5) are filled with zeros.
         covariance: (12, 12) of fx fy cx cy and the eight coefficients, or None if unknown.
         model: the lens model.
+        lateral_color: how much larger about the principal point its red and blue pictures are than
+            the green one, less 1; None if unknown.
     """
 
     size_wh: tuple[int, int]
@@ -40,6 +42,7 @@ class Intrinsics:
     distortion: Floats = field(default_factory=lambda: np.zeros(8))
     covariance: Floats | None = None
     model: Projection = "pinhole"
+    lateral_color: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         given = np.asarray(self.distortion, dtype=np.float64).reshape(-1)
@@ -61,11 +64,11 @@ class Intrinsics:
 
     @cached_property
     def row(self) -> Floats:
-        """Matrix, distortion, widest angle of a fisheye: (14,) for compiled loops, see `lens`."""
+        """Matrix, distortion, widest angle of a fisheye, lateral colour: (16,), see `lens`."""
         k = self.matrix
         affine = k[0, 0], k[0, 1], k[0, 2], k[1, 1], k[1, 2]
         widest = np.arctan(self.reach) if self.model == "fisheye" else 0.0
-        return np.concatenate([affine, self.distortion, [widest]])
+        return np.concatenate([affine, self.distortion, [widest], self.lateral_color or (0.0, 0.0)])
 
     @cached_property
     def reach(self) -> float:

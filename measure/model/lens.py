@@ -1,8 +1,9 @@
 """The lens models of `distortion.py` and `fisheye.py` in compiled code: points, rays of pixels.
 
-A lens is a row of 14 numbers, `Intrinsics.row`: fx skew cx fy cy, the eight distortion coefficients
-(k1 k2 p1 p2 k3 k4 k5 k6 of a pinhole; k1 k2 k3 k4 of a fisheye, and zeros), and `FISHEYE`. Loops
-over many points choose the model before they begin, so that the compiler can vectorise them.
+A lens is a row of 16 numbers, `Intrinsics.row`: fx skew cx fy cy, the eight distortion coefficients
+(k1 k2 p1 p2 k3 k4 k5 k6 of a pinhole; k1 k2 k3 k4 of a fisheye, and zeros), `FISHEYE`, and the
+lateral colour of red and blue. Loops over many points choose the model before they begin, so that
+the compiler can vectorise them.
 """
 
 from __future__ import annotations
@@ -16,10 +17,12 @@ from measure.compiling import compiled, inlined
 
 FISHEYE = 13
 """Where a lens row holds the angle off the axis up to which a fisheye sees, rad; 0: a pinhole."""
+RED, BLUE = 14, 15
+"""Where it holds the magnification of red and of blue against green, less 1."""
 Numbers = tuple[
     float, float, float, float, float, float, float, float, float, float, float, float, float, float
 ]
-"""A lens row as a tuple, see `lens_numbers`: `distort_point` and `to_pixel` take either."""
+"""A lens row without its colours as a tuple: `distort_point` and `to_pixel` take either."""
 PixelOf = Callable[[float, float, float, Numbers], tuple[float, float]]
 Slopes = Callable[[float, float, Floats], tuple[float, float, float, float]]
 NEWTON_STEPS = 20
@@ -32,7 +35,7 @@ TINY = 1e-20
 
 @compiled
 def lens_numbers(lens: Floats) -> Numbers:
-    """A lens row (14,) as a tuple: the compiler keeps it in registers and vectorises the loop."""
+    """A lens row as a tuple: the compiler keeps it in registers and vectorises the loop."""
     return (
         lens[0], lens[1], lens[2], lens[3], lens[4], lens[5], lens[6], lens[7], lens[8], lens[9],
         lens[10], lens[11], lens[12], lens[13],

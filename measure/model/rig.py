@@ -19,7 +19,7 @@ class RigRows(NamedTuple):
     """The arrays of n cameras as compiled code takes them, see `Rig`.
 
     Attributes:
-        lenses: (n, 14) see `Intrinsics.row`.
+        lenses: (n, 16) see `Intrinsics.row`.
         reach: (n,) ideal radii beyond which the lens models see nothing.
         rotation: (n, 3, 3) of world_from_camera.
         centers: (n, 3) projection centres in the world, mm.
@@ -41,7 +41,7 @@ class Rig:
 
     Attributes:
         names: (n,) of the cameras.
-        lenses: (n, 14) see `Intrinsics.row`.
+        lenses: (n, 16) see `Intrinsics.row`.
         reach: (n,) ideal radii beyond which the lens models see nothing.
         rotation: (n, 3, 3) world_from_camera rotations.
         centers: (n, 3) projection centres in the world, mm.
@@ -121,7 +121,7 @@ def _stacked(cameras: tuple[Camera, ...]) -> Rig:
     lenses = [camera.intrinsics for camera in cameras]
     return Rig(
         tuple(camera.name for camera in cameras),
-        np.array([lens.row for lens in lenses]).reshape(-1, 14),
+        np.array([lens.row for lens in lenses]).reshape(-1, 16),
         np.array([lens.reach for lens in lenses], dtype=np.float64),
         np.array([c.world_from_camera.rotation for c in cameras]).reshape(-1, 3, 3),
         np.array([c.center for c in cameras]).reshape(-1, 3),

@@ -79,6 +79,9 @@ def _camera_matrix(value: tuple[Triple, Triple, Triple]) -> tuple[Triple, Triple
 CameraMatrix = Annotated[tuple[Triple, Triple, Triple], AfterValidator(_camera_matrix)]
 
 
+Magnification = Annotated[FiniteFloat, Field(ge=-0.01, le=0.01)]
+
+
 class CameraModel(FileModel):
     """One `[[cameras]]` table; the pose is world_from_camera."""
 
@@ -93,6 +96,7 @@ class CameraModel(FileModel):
     pose_covariance: list[Row] | None = None
     intrinsics_covariance: list[Row] | None = None
     pose_intrinsics_covariance: list[Row] | None = None
+    lateral_color: tuple[Magnification, Magnification] | None = None
     readout_s: Annotated[FiniteFloat, Field(ge=-LONGEST_READOUT_S, le=LONGEST_READOUT_S)] = 0.0
 
     @field_validator("distortion")
@@ -145,6 +149,7 @@ class CameraModel(FileModel):
             np.array(self.distortion),
             None if covariance is None else np.array(covariance),
             self.model,
+            self.lateral_color,
         )
         pose = RigidTransform.from_quat_wxyz(self.quat_wxyz, self.translation_mm)
         known = None if self.pose_covariance is None else np.array(self.pose_covariance)
@@ -199,6 +204,7 @@ def _camera_values(camera: Camera) -> dict[str, Any]:
         "pose_covariance": camera.pose_covariance,
         "intrinsics_covariance": camera.intrinsics.covariance,
         "pose_intrinsics_covariance": camera.pose_intrinsics_covariance,
+        "lateral_color": camera.intrinsics.lateral_color,
         "readout_s": camera.readout_s or None,
     }
 

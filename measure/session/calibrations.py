@@ -100,15 +100,20 @@ def write_calibration(
         calibration: what to write.
         file_format: "triball", "anipose" (mm), "caliscope" (m) or "opencv" (mm).
     """
-    rolling = [camera.name for camera in calibration.cameras if camera.readout_s]
-    if rolling and file_format != "triball":
-        _log.warning(
-            "%s: a file for %s cannot hold the rolling shutter (readout_s) of %s: measured with "
-            "it, moving balls will be off",
-            path,
-            file_format,
-            ", ".join(rolling),
-        )
+    cameras = calibration.cameras
+    lost = {
+        "rolling shutter (readout_s)": [c.name for c in cameras if c.readout_s],
+        "lateral colour": [c.name for c in cameras if any(c.intrinsics.lateral_color or ())],
+    }
+    for what, names in lost.items():
+        if names and file_format != "triball":
+            _log.warning(
+                "%s: a file for %s cannot hold the %s of %s: what is measured with it will be off",
+                path,
+                file_format,
+                what,
+                ", ".join(names),
+            )
     writers = {
         "triball": write_own_calibration,
         "anipose": write_anipose,

@@ -140,6 +140,8 @@ def test_the_rendered_capture_costs_the_body_next_to_nothing(shared: Path) -> No
         error = exact.world_from_camera.difference(camera.world_from_camera)
         assert camera.pose_covariance is not None
         assert error @ np.linalg.solve(camera.pose_covariance, error) / 6 < 4
+        corner_px = np.hypot(*camera.intrinsics.size_wh) / 2
+        assert np.all(np.abs(camera.intrinsics.lateral_color) * corner_px < 0.08), "it has none"
     assert result.verdict.trustworthy
 
 

@@ -98,7 +98,8 @@ def test_balls_misplaced_within_tolerance_are_not_flagged() -> None:
 
 
 def test_a_body_file_keeps_its_tolerance(tmp_path) -> None:
-    write_body(tmp_path / "body.toml", replace(RAVEN, tolerance_mm=0.125))
-    assert read_body(tmp_path / "body.toml").tolerance_mm == 0.125
+    write_body(tmp_path / "body.toml", replace(RAVEN, tolerance_mm=0.125, radius_tolerance_mm=0.2))
+    kept = read_body(tmp_path / "body.toml")
+    assert (kept.tolerance_mm, kept.radius_tolerance_mm) == (0.125, 0.2)
     write_body(tmp_path / "exact.toml", RAVEN)
-    assert "tolerance_mm" not in (tmp_path / "exact.toml").read_text()
+    assert "\ntolerance_mm" not in (tmp_path / "exact.toml").read_text()

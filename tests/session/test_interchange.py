@@ -139,11 +139,20 @@ def test_an_opencv_file_whose_cameras_are_numbers(tmp_path: Path) -> None:
 
 
 def test_a_rolling_shutter_that_a_format_cannot_hold_is_said(tmp_path: Path, caplog) -> None:
-    rolling = Calibration((replace(cameras()[0], readout_s=0.01), *cameras()[1:]))
+    colored = replace(cameras()[1].intrinsics, lateral_color=(7e-4, -5e-4))
+    changed = (
+        replace(cameras()[0], readout_s=0.01),
+        replace(cameras()[1], intrinsics=colored),
+        *cameras()[2:],
+    )
+    rolling = Calibration(changed)
     write_calibration(tmp_path / "own.toml", rolling)
     write_calibration(tmp_path / "other.toml", Calibration(cameras()), "caliscope")
     assert not caplog.text
+    kept = read_calibration(tmp_path / "own.toml").cameras
+    assert [c.intrinsics.lateral_color for c in kept[:2]] == [None, (7e-4, -5e-4)]
     write_calibration(tmp_path / "c.toml", rolling, "caliscope")
+    assert "cannot hold the lateral colour of cam1" in caplog.text
     assert "cannot hold the rolling shutter (readout_s) of cam0" in caplog.text
 
 

@@ -148,7 +148,7 @@ def pose_by_radius(
         fit: the pose fitted to them.
         ball_of: (k,) index of the ball.
         balls: how many there are.
-        lenses: (c, 13) lens rows.
+        lenses: (c, 16) lens rows.
     """
     out = np.zeros((6, balls))
     for k in range(len(outlines.view_of)):
@@ -209,7 +209,7 @@ def light_covariance(
         fit: the pose fitted to them.
         ball_of: (k,) index of the ball.
         balls: how many there are.
-        lenses: (c, 14) lens rows.
+        lenses: (c, 16) lens rows.
     """
     levers, mm_per_px = np.zeros((balls, 6, 3)), 0.0
     for k in range(len(outlines.view_of)):

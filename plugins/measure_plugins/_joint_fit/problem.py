@@ -67,7 +67,7 @@ class BallRows(NamedTuple):
 
 
 class ViewRows(NamedTuple):
-    """Lens rows (c, 14) of cameras, rotations (c, 3, 3) and translations (c, 3) into them."""
+    """Lens rows (c, 16) of cameras, rotations (c, 3, 3) and translations (c, 3) into them."""
 
     lenses: Floats
     rotations: Floats

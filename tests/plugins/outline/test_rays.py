@@ -30,11 +30,12 @@ def _all(steps):
     return np.ones(len(steps), np.bool_)
 
 
-def rays_at(points, normals, status=None):
+def rays_at(points, normals, status=None, color_shifts=None):
     points = np.asarray(points, dtype=np.float64)
     normals = np.ascontiguousarray(np.broadcast_to(normals, points.shape), dtype=np.float64)
     known = np.full(len(points), CLEAR, np.int8) if status is None else np.array(status, np.int8)
-    return RaySet(points, normals, normals, known)
+    shifts = np.empty((0, len(points), 2)) if color_shifts is None else color_shifts
+    return RaySet(points, normals, normals, known, shifts)
 
 
 def both(picture, points, normals, steps=STEPS, status=None):
@@ -130,3 +131,20 @@ def _frame(x, y):
     frame = frame_about(axis)
     np.testing.assert_array_equal(frame[2], axis)
     return frame
+
+
+def test_every_colour_is_sampled_where_the_lens_puts_it(picture):
+    points, shifts = np.array([(12.2, 9.4), (30.7, 21.1)]), np.zeros((3, 2, 2))
+    shifts[0], shifts[2] = (-0.7, -0.4), (0.6, 1.3)
+    light, values = sample(
+        picture, TABLE, rays_at(points, ACROSS, None, shifts), STEPS, _all(STEPS), 0
+    )
+    for color, shift in enumerate(shifts):
+        there = sample(picture, TABLE, rays_at(points + shift, ACROSS), STEPS, _all(STEPS), 0)
+        np.testing.assert_allclose(light[color], there[0][color], atol=1e-6)
+        np.testing.assert_allclose(values[color], there[1][color], atol=1e-6)
+    unshifted, _ = sample(picture, TABLE, rays_at(points, ACROSS), STEPS, _all(STEPS), 0)
+    assert not np.allclose(light[0], unshifted[0])
+    edge = rays_at([(WIDTH - 4.0, 15.0)], ACROSS, None, np.full((3, 1, 2), 1.4))
+    sample(picture, TABLE, edge, STEPS, _all(STEPS), 0)
+    assert edge.status.tolist() == [OUT_OF_IMAGE], "no colour is read beyond the border"

@@ -40,7 +40,7 @@ def test_brightness_is_blurred_as_much_as_sampling_blurs_a_grey_edge(tilt_deg):
     picture = np.repeat(np.rint(255 * _edge(beyond))[..., None], 3, axis=2).astype(np.uint8)
     along = np.linspace(-20, 20, 400)[:, None] * np.array([-normal[1], normal[0]])
     points, normals = 40 + along, np.tile(normal, (400, 1))
-    rays = RaySet(points, normals, normals, np.zeros(400, np.int8))
+    rays = RaySet(points, normals, normals, np.zeros(400, np.int8), np.empty((0, 400, 2)))
     everywhere = np.ones(len(STEPS), np.bool_)
     _, seen = sample(picture, np.linspace(0, 1, 256), rays, STEPS, everywhere, 0)
     alone = np.repeat(_edge(STEPS)[None, :, None], 3, axis=0)

@@ -12,7 +12,15 @@ from numpy.typing import NDArray
 
 from measure.arrays import Bools, Bytes, Floats, Ints, Singles
 from measure.compiling import compiled, inlined
-from measure.model.lens import FISHEYE, PixelOf, fisheye_pixel, lens_numbers, pinhole_pixel
+from measure.model.lens import (
+    BLUE,
+    FISHEYE,
+    RED,
+    PixelOf,
+    fisheye_pixel,
+    lens_numbers,
+    pinhole_pixel,
+)
 
 STEPS = np.arange(-16.5, 6.51, 1.0)
 """Samples along a ray, px along the outward normal: a pixel apart, as the picture's pixels are, and
@@ -34,12 +42,15 @@ class RaySet(NamedTuple):
         normals: (n, 2) its outward unit normals there.
         around: (n, 2) cosine and sine of their angles around the axis of the ball's cone.
         status: (n,) int8, CLEAR, OCCLUDED or OUT_OF_IMAGE each; sampling sets the last in place.
+        color_shifts: (3, n, 2) px from where green is to where blue, green and red of the same
+            light are (lateral colour); (0, n, 2) for a lens without.
     """
 
     points: Floats
     normals: Floats
     around: Floats
     status: Statuses
+    color_shifts: Floats
 
 
 @compiled
@@ -98,7 +109,21 @@ def cast_rays(
         points[i, 0], points[i, 1] = u, v
         normals[i, 0], normals[i, 1] = right / length, down / length
         scale[i] = length / _TILT
-    return RaySet(points, normals, around, np.zeros(count, np.int8)), scale
+    shifts = _color_shifts(points, lens)
+    return RaySet(points, normals, around, np.zeros(count, np.int8), shifts), scale
+
+
+@compiled
+def _color_shifts(points: Floats, lens: Floats) -> Floats:
+    """Shifts of the colours at pixels (n, 2), see `RaySet`."""
+    if lens[RED] == 0 and lens[BLUE] == 0:
+        return np.empty((0, len(points), 2))
+    out = np.zeros((3, len(points), 2))
+    for i in range(len(points)):
+        for axis in range(2):
+            away = points[i, axis] - lens[2 + 2 * axis]
+            out[0, i, axis], out[2, i, axis] = lens[BLUE] * away, lens[RED] * away
+    return out
 
 
 @compiled
@@ -233,18 +258,22 @@ def sample(
     values = np.zeros((3, len(steps) - values_from, n), np.float32)
     _mark_outside(image, rays, steps)
     flat, row, light_of = image.reshape(-1), 3 * image.shape[1], table.astype(np.float32)
+    shifted, at = len(rays.color_shifts) > 0, 0
+    upper_left = upper_right = lower_left = lower_right = np.float32(0)
     for i in range(n):  # ray by ray: a ray's pixels are near each other in memory
         if rays.status[i] != CLEAR:
             continue
         for j in range(len(steps)):
             u = rays.points[i, 0] + steps[j] * rays.normals[i, 0]
             v = rays.points[i, 1] + steps[j] * rays.normals[i, 1]
-            x, y = np.floor(u), np.floor(v)
-            a, b = u - x, v - y
-            upper_left, upper_right = np.float32((1 - a) * (1 - b)), np.float32(a * (1 - b))
-            lower_left, lower_right = np.float32((1 - a) * b), np.float32(a * b)
-            at = int(y) * row + 3 * int(x)
             for c in range(3):
+                if c == 0 or shifted:
+                    right_by, down_by = _shift(rays.color_shifts, c, i)
+                    x, y = np.floor(u + right_by), np.floor(v + down_by)
+                    a, b = u + right_by - x, v + down_by - y
+                    upper_left, upper_right = np.float32((1 - a) * (1 - b)), np.float32(a * (1 - b))
+                    lower_left, lower_right = np.float32((1 - a) * b), np.float32(a * b)
+                    at = int(y) * row + 3 * int(x)
                 # Unsigned indices: no check for negative ones.
                 p, q = flat[np.uint64(at + c)], flat[np.uint64(at + c + 3)]
                 r, s = flat[np.uint64(at + c + row)], flat[np.uint64(at + c + row + 3)]
@@ -256,6 +285,11 @@ def sample(
                     right = upper_right * np.float32(q) + lower_right * np.float32(s)
                     values[c, j - values_from, i] = (left + right) * _LEVEL
     return light, values
+
+
+@inlined
+def _shift(shifts: Floats, color: int, i: int) -> tuple[float, float]:
+    return (shifts[color, i, 0], shifts[color, i, 1]) if len(shifts) > 0 else (0.0, 0.0)
 
 
 @compiled
@@ -281,10 +315,12 @@ def _mark_outside(image: Bytes, rays: RaySet, steps: Floats) -> None:
     """Set the status of clear rays that leave the picture to OUT_OF_IMAGE."""
     points, normals = rays.points, rays.normals
     height, width = image.shape[:2]
+    margin = np.max(np.abs(rays.color_shifts)) if len(rays.color_shifts) > 0 else 0.0
     for i in range(len(points)):
         if rays.status[i] != CLEAR:
             continue
         for end in (steps[0], steps[len(steps) - 1]):
             u, v = points[i, 0] + end * normals[i, 0], points[i, 1] + end * normals[i, 1]
-            if not (u >= 0 and v >= 0 and u < width - 1 and v < height - 1):
+            right, down = width - 1 - margin, height - 1 - margin
+            if not (u >= margin and v >= margin and u < right and v < down):
                 rays.status[i] = OUT_OF_IMAGE
