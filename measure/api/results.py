@@ -18,6 +18,9 @@ def evaluate(
     truth: Path | str | None = None,
     calibration: Path | str | None = None,
     marks: Path | str | None = None,
+    *,
+    find_offset: bool = False,
+    truth_body: str | None = None,
 ) -> RunEvaluation:
     """Compare a run with the truth: Table I of the paper, and what it leaves out.
 
@@ -28,6 +31,8 @@ def evaluate(
             from errors of camera localisation.
         marks: ball centres marked by hand (camera,frame,ball,u_px,v_px); detection is compared with
             these.
+        find_offset: find the clock of a truth of another system by motion, and fit its frames.
+        truth_body: which rigid body of a tracker's file.
 
     Raises:
         RunError: no run, no truth, or a truth of another time or unit.
@@ -39,9 +44,10 @@ def evaluate(
     cameras = None if calibration is None else read_calibration(calibration).cameras
     return evaluate_run(
         opened,
-        read_trajectory(path, RunError),
+        read_trajectory(path, RunError, truth_body),
         cameras,
         None if marks is None else read_marks(marks, opened),
+        find_offset,
     )
 
 

@@ -16,6 +16,8 @@ def evaluate(
     truth: Path | None = None,
     calibration: Path | None = None,
     marks: Path | None = None,
+    find_offset: bool = False,
+    truth_body: str | None = None,
     json: JsonFlag = False,
 ) -> None:
     """Compare a run with the truth.
@@ -27,14 +29,20 @@ def evaluate(
 
     Args:
         run: the run's folder.
-        truth: poses over time (time_s,x_mm,...,qz; or TUM); those of the session if omitted.
+        truth: poses over time (time_s,x_mm,...,qz; TUM; an export of rigid bodies by Motive, Vicon,
+            Qualisys or NDI); those of the session if omitted.
         calibration: where the cameras really are, if known: tells errors of detection from errors
             of camera localisation.
         marks: ball centres marked by hand (camera,frame,ball,u_px,v_px) to compare detection with.
+        find_offset: find by motion what to add to the truth's times, and fit its frames to the run
+            if they are others; refused where the motion cannot tell.
+        truth_body: which rigid body of a tracker's file.
     """
     from measure import api
 
-    found = api.evaluate(run, truth, calibration, marks)
+    found = api.evaluate(
+        run, truth, calibration, marks, find_offset=find_offset, truth_body=truth_body
+    )
     if json:
         console.print_json({"run": str(run), **dataclasses.asdict(found)})
         return

@@ -28,6 +28,7 @@ from measure.results.statistics import (
     position_errors,
     rotation_errors,
 )
+from measure.results.truth_alignment import TruthOffset, align_truth
 from measure.session import Trajectory
 
 FAR_MM, FAR_DEG = 30.0, 20.0
@@ -74,6 +75,7 @@ class RunEvaluation:
         aligned: errors relative to the best rigid motion of the world.
         detection: errors of detection alone.
         localisation: errors of camera localisation alone; None if the true cameras are not given.
+        truth_offset: how the truth's clock was found, where that was asked for.
         notes: what to doubt about this comparison.
     """
 
@@ -94,6 +96,7 @@ class RunEvaluation:
     aligned: Aligned | None
     detection: SingleErrors | None
     localisation: SingleErrors | None
+    truth_offset: TruthOffset | None = None
     notes: tuple[str, ...] = ()
 
 
@@ -102,6 +105,7 @@ def evaluate(
     truth: Trajectory,
     true_cameras: Sequence[Camera] | None = None,
     marks: Marks | None = None,
+    find_offset: bool = False,
 ) -> RunEvaluation:
     """Compare a run with the truth; each pose at its own time, the truth interpolated.
 
@@ -111,10 +115,13 @@ def evaluate(
         true_cameras: where the cameras really are, if that is known better than by the run's own
             calibration; separates errors of detection from errors of localisation.
         marks: ball centres marked by hand (see `read_marks`): detection is compared with these.
+        find_offset: find the truth's clock by motion, and fit its frames if they are others.
 
     Raises:
-        RunError: the truth is of another time or in another unit, or the true cameras lack one.
+        RunError: the truth is of another time or in another unit, the motion does not tell its
+            clock, or the true cameras lack one.
     """
+    truth, offset = align_truth(run, truth) if find_offset else (truth, None)
     covered = _covered(run, truth)
     here = covered & run.has_pose
     measured, true = _pairs(run, truth, here)
@@ -146,7 +153,9 @@ def evaluate(
         if marks is not None
         else detection_errors_by_truth(run, truth, cameras or run.cameras),
         localisation=localisation_errors_by_truth(run, truth, cameras) if cameras else None,
+        truth_offset=offset,
         notes=(
+            *(() if offset is None else (offset.note(),)),
             *_notes(run, body, missing, marks, cameras is None),
             *_turned(errors[:, 3:]),
         ),
@@ -161,7 +170,8 @@ def _covered(run: Run, truth: Trajectory) -> Bools:
     if not covered.any():
         raise RunError(
             f"{truth.source} runs from {truth.times_s[0]:.3f} to {truth.times_s[-1]:.3f} s, at no "
-            f"time together with {run.path} ({_range(run.times_s)}): it is not its truth"
+            f"time together with {run.path} ({_range(run.times_s)}): it is not its truth, or on "
+            "another clock (--find-offset finds it by motion)"
         )
     return covered
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -16,6 +17,7 @@ from measure.errors import MeasureError, SessionError
 from measure.geometry import RigidTransform
 from measure.reading import read_text
 from measure.session.number_table import read_number_table
+from measure.session.tracker_files import TrackedBody, tracker_bodies
 
 COLUMNS = ("time_s", "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
 MAX_GAP_PERIODS = 5.0
@@ -113,25 +115,51 @@ class Trajectory:
         return out
 
 
-def read_trajectory(path: Path | str, error: type[MeasureError] = SessionError) -> Trajectory:
+def read_trajectory(
+    path: Path | str, error: type[MeasureError] = SessionError, body: str | None = None
+) -> Trajectory:
     """Read poses over time.
 
     Our CSV (`time_s,x_mm,y_mm,z_mm,qw,qx,qy,qz`: truth.csv, poses.csv; rows without a pose are
-    passed over) or TUM (`time_s x y z qx qy qz qw`, metres), told apart by content.
+    passed over), TUM (`time_s x y z qx qy qz qw`, metres), or a tracker's file (see
+    `tracker_files`), told apart by content.
+
+    Args:
+        path: the file.
+        error: what to raise.
+        body: which of the rigid bodies of a tracker's file.
 
     Raises:
         error: the file cannot be used; with file and line where a value is wrong or the time does
             not increase.
     """
     path = Path(path)
-    first = next((line for line in read_text(path, error).splitlines() if line.strip()), "")
-    if first.startswith("#") or ("," not in first and len(first.split()) == 8):
+    text = read_text(path, error)
+    bodies = tracker_bodies(path, text, error)
+    first = next((line for line in text.splitlines() if line.strip()), "")
+    if bodies is not None:
+        values, lines = _chosen(path, bodies, body, error).read(path, error)
+    elif body is not None:
+        raise error(f"{path}: holds one body without a name, and no '{body}'")
+    elif first.startswith("#") or ("," not in first and len(first.split()) == 8):
         values, lines = _read_tum(path, error)
     else:
         table = read_number_table(path, COLUMNS, "", error, empty_is_nan=True)
         values, lines = np.stack([table.columns[name] for name in COLUMNS], axis=1), table.lines
     here = np.flatnonzero(~np.isnan(values[:, 1:]).all(axis=1))
     return _checked(path, values[here], [lines[i] for i in here], error)
+
+
+def _chosen(
+    path: Path, bodies: Mapping[str, TrackedBody], name: str | None, error: type[MeasureError]
+) -> TrackedBody:
+    """The body called `name`, or the only one."""
+    if name is None and len(bodies) == 1:
+        return next(iter(bodies.values()))
+    if name is not None and name in bodies:
+        return bodies[name]
+    asked = f"none of them is called '{name}'" if name else "name one with --truth-body"
+    raise error(f"{path}: holds the rigid bodies {', '.join(bodies)}: {asked}")
 
 
 def _read_tum(path: Path, error: type[MeasureError]) -> tuple[Floats, list[int]]:

@@ -1,0 +1,231 @@
+"""Rigid bodies in the files of commercial trackers: Motive, Vicon, Qualisys and NDI.
+
+Each writes headings of its own, several bodies side by side, and numbers in its own units:
+
+- Motive (OptiTrack), CSV: names, properties and axes of the columns in rows of their own;
+  quaternions x y z w, or angles in deg about the body's own axes in the order of "Rotation Type".
+- Vicon Nexus and Tracker, CSV: RX RY RZ are a rotation vector ("helical"), with RW a quaternion
+  x y z w.
+- Qualisys Track Manager, 6D TSV: Rot[0] to Rot[8] hold the rotation matrix column by column.
+- NDI ToolBox and sample programs of its API, CSV: quaternions w x y z, mm, 60 frames a second.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from measure.arrays import Floats
+from measure.errors import MeasureError
+
+_LENGTHS_MM = {
+    "mm": 1.0,
+    "millimeters": 1.0,
+    "cm": 10.0,
+    "centimeters": 10.0,
+    "m": 1000.0,
+    "meters": 1000.0,
+    "in": 25.4,
+    "inches": 25.4,
+}
+_NDI_RATE_HZ = 60.0
+_NDI_CELLS = ["q0", "qx", "qy", "qz", "tx", "ty", "tz"]
+_NDI_LOST = ("missing", "disabled", "invalid", "unoccupied")
+_FARTHEST_MM = 1e6
+"""NDI writes -3.7e28 for what is not known."""
+
+
+@dataclass(frozen=True)
+class TrackedBody:
+    """Where a rigid body stands in a table.
+
+    Attributes:
+        rows: cells of the file; a row without cells is passed over.
+        after: the index of the last row of headings.
+        times: columns of the time, and
+        units_s: their units in s.
+        turns: columns of the rotation.
+        quat_wxyz: makes quaternions (n, 4) of them; of length 0 where they are no rotation.
+        places: first column of x y z.
+        unit_mm: of these.
+        begin_s: the time that counts as 0.
+    """
+
+    rows: Sequence[Sequence[str]]
+    after: int
+    times: list[int]
+    units_s: list[float]
+    turns: list[int]
+    quat_wxyz: Callable[[Floats], Floats]
+    places: list[int]
+    unit_mm: float = 1.0
+    begin_s: float = 0.0
+
+    def read(self, path: Path, error: type[MeasureError]) -> tuple[Floats, list[int]]:
+        """Rows (n, 8) of time in s, position in mm, quaternion w x y z; and their lines.
+
+        Rows in which a cell is empty, or that say so, are passed over: the body was not seen.
+
+        Raises:
+            error: a cell is no number.
+        """
+        out, lines = [], list[int]()
+        columns = [*self.times, *self.places, *self.turns]
+        for index, row in enumerate(self.rows[self.after + 1 :], start=self.after + 2):
+            cells = [row[c].strip() if c < len(row) else "" for c in columns]
+            if all(cells):
+                try:
+                    out.append([float(cell) for cell in cells])
+                except ValueError:
+                    raise error(f"{path}:{index}: not numbers: {','.join(cells)[:60]}") from None
+                lines.append(index)
+        values, t = np.array(out).reshape(-1, len(columns)), len(self.times)
+        # Qualisys and Vicon write zeros for a body that is lost.
+        seen = np.any(values[:, t:] != 0, axis=1)
+        seen &= np.all(np.abs(values[:, t:]) < _FARTHEST_MM, axis=1)
+        values, lines = values[seen], [line for line, s in zip(lines, seen, strict=True) if s]
+        times = (values[:, :t] @ self.units_s)[:, None] - self.begin_s
+        turned = self.quat_wxyz(values[:, t + 3 :]).reshape(-1, 4)
+        return np.concatenate([times, self.unit_mm * values[:, t : t + 3], turned], axis=1), lines
+
+
+def tracker_bodies(
+    path: Path, text: str, error: type[MeasureError]
+) -> dict[str, TrackedBody] | None:
+    """The rigid bodies of a tracker's file by name; None if it is no such file.
+
+    Raises:
+        error: it is one, but holds no rigid body, or in a way that is not known.
+    """
+    first = next((line for line in text.splitlines() if line.strip()), "")
+    separator = "\t" if "\t" in first else ","
+    cells = [cell.strip().lower() for cell in first.split(separator)]
+    kinds = {"format version": _motive, "no_of_frames": _qualisys}
+    kinds |= dict.fromkeys(("objects", "segments", "trajectories", "model outputs"), _vicon)
+    read = _ndi if set(_NDI_CELLS) <= set(cells) else kinds.get(cells[0])
+    if read is None:
+        return None
+    rows = [[c.strip() for c in row] for row in csv.reader(text.splitlines(), delimiter=separator)]
+    try:
+        found = read(rows)
+    except (KeyError, IndexError, ValueError) as problem:
+        raise error(
+            f"{path}: its headings are not those of a tracker's export: {problem}"
+        ) from None
+    if not found:
+        raise error(f"{path}: holds no rigid body: export rigid bodies (6 degrees of freedom)")
+    return found
+
+
+def _motive(rows: list[list[str]]) -> dict[str, TrackedBody]:
+    given = dict(zip(rows[0][::2], rows[0][1::2], strict=False))
+    head = _row_of_frames(rows)
+    kinds = next((row for row in rows[1:head] if "Rigid Body" in row), [])
+    names = rows[rows.index(kinds) + 1] if kinds else []
+    places: dict[str, dict[str, int]] = {}
+    for column, kind in enumerate(kinds):
+        if kind == "Rigid Body":
+            property_of = f"{rows[head - 1][column]} {rows[head][column]}"
+            places.setdefault(names[column], {})[property_of] = column
+    order = given.get("Rotation Type", "Quaternion")
+    out = {}
+    for name, at in places.items():
+        turns = [at[f"Rotation {axis}"] for axis in ("WXYZ" if "Rotation W" in at else order)]
+        where = [at[f"Position {axis}"] for axis in "XYZ"]
+        to_quat = _as_is if len(turns) == 4 else _of_angles(order)
+        unit = _unit_mm(given.get("Length Units", "Meters"))
+        out[name] = TrackedBody(rows, head, [1], [1.0], turns, to_quat, where, unit)
+    return out
+
+
+def _vicon(rows: list[list[str]]) -> dict[str, TrackedBody]:
+    head, rate = _row_of_frames(rows), float(rows[1][0])
+    headings, units, names = rows[head], rows[head + 1], rows[head - 1]
+    out = {}
+    for k, name in enumerate(names):
+        if not name or headings[k : k + 3] != ["RX", "RY", "RZ"]:
+            continue
+        quaternion = headings[k + 3] == "RW"
+        turns = [k + 3, k, k + 1, k + 2] if quaternion else [k, k + 1, k + 2]
+        start = headings.index("TX", k)
+        to_quat = _as_is if quaternion else _of_vectors(degrees=units[k].startswith("deg"))
+        given = rows, head + 1, [0], [1 / rate], turns, to_quat, [start, start + 1, start + 2]
+        # Frames count from 1.
+        body = TrackedBody(*given, _unit_mm(units[start]), begin_s=1 / rate)
+        out[name.removeprefix("Global Angle ")] = body
+    return out
+
+
+def _qualisys(rows: list[list[str]]) -> dict[str, TrackedBody]:
+    head = _row_of_frames(rows)
+    names = next((row[1:] for row in rows[:head] if row and row[0] == "BODY_NAMES"), [])
+    starts = [k for k, heading in enumerate(rows[head]) if heading == "X"]
+    out = {}
+    for name, k in zip(names, starts, strict=False):
+        matrix = rows[head].index("Rot[0]", k)
+        turns = list(range(matrix, matrix + 9))
+        out[name] = TrackedBody(rows, head, [1], [1.0], turns, _of_columns, [k, k + 1, k + 2])
+    return out
+
+
+def _ndi(rows: list[list[str]]) -> dict[str, TrackedBody]:
+    lower = [cell.lower().strip("#") for cell in rows[0]]
+    out: dict[str, TrackedBody] = {}
+    before = 0
+    for k in range(len(lower)):
+        if lower[k : k + 7] != _NDI_CELLS:
+            continue
+        own = {lower[i]: i for i in range(before, k)}
+        state = own.get("state", own.get("transformstatus"))
+        seen = [[] if _is_lost(row, state) else row for row in rows]
+        name = next((rows[0][i] for n, i in own.items() if n.startswith("port ")), "")
+        times, units = [own["frame"]], [1 / _NDI_RATE_HZ]
+        if "timespec_s" in own:
+            times, units = [own["timespec_s"], own["timespec_ns"]], [1.0, 1e-9]
+        turns, places = list(range(k, k + 4)), list(range(k + 4, k + 7))
+        name = name or f"tool {len(out) + 1}"
+        out[name] = TrackedBody(seen, 0, times, units, turns, _as_is, places)
+        before = k + 7
+    return out
+
+
+def _is_lost(row: list[str], state: int | None) -> bool:
+    return state is not None and (
+        state >= len(row) or any(word in row[state].lower() for word in _NDI_LOST)
+    )
+
+
+def _row_of_frames(rows: list[list[str]]) -> int:
+    """The row of headings: it begins with the frame."""
+    return next(k for k, row in [*enumerate(rows), (-1, ["Frame"])] if row[:1] == ["Frame"])
+
+
+def _unit_mm(name: str) -> float:
+    if name.lower() not in _LENGTHS_MM:
+        raise ValueError(f"lengths in '{name}', expected {', '.join(_LENGTHS_MM)}")
+    return _LENGTHS_MM[name.lower()]
+
+
+def _as_is(quat_wxyz: Floats) -> Floats:
+    return quat_wxyz
+
+
+def _of_angles(order: str) -> Callable[[Floats], Floats]:
+    return lambda deg: Rotation.from_euler(order, deg, degrees=True).as_quat(scalar_first=True)
+
+
+def _of_vectors(*, degrees: bool) -> Callable[[Floats], Floats]:
+    return lambda rotvec: Rotation.from_rotvec(rotvec, degrees=degrees).as_quat(scalar_first=True)
+
+
+def _of_columns(values: Floats) -> Floats:
+    rotations = np.swapaxes(values.reshape(-1, 3, 3), 1, 2)
+    off = np.abs(rotations @ np.swapaxes(rotations, 1, 2) - np.eye(3)).max(axis=(1, 2), initial=0)
+    good = (off < 1e-3) & (np.linalg.det(rotations) > 0)
+    rotations[~good] = np.eye(3)
+    return Rotation.from_matrix(rotations).as_quat(scalar_first=True) * good[:, None]
