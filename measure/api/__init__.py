@@ -32,6 +32,7 @@ from measure.api.refining import RefineResult, refine
 from measure.api.results import evaluate, export, report
 from measure.api.run import RunOptions, parse_images, run
 from measure.api.sampling import check_new_body, parse_click, write_sampled_body
+from measure.api.synchronising import SyncedClock, sync
 from measure.api.training import SweepOptions, TrainOptions, ablate, parse_settings, sweep, train
 from measure.api.watch import robot_recording, spawn_viewer
 from measure.capture import parse_cameras
@@ -52,6 +53,7 @@ __all__ = [
     "SeenPicture",
     "SessionCheck",
     "SweepOptions",
+    "SyncedClock",
     "TrainOptions",
     "ablate",
     "build_pipeline",
@@ -95,6 +97,7 @@ __all__ = [
     "simulate_recording",
     "spawn_viewer",
     "sweep",
+    "sync",
     "train",
     "write_sampled_body",
 ]

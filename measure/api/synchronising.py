@@ -1,23 +1,34 @@
-"""Clock offsets of any size, from what the cameras of a session see."""
+"""Clock offsets of any size, from what the cameras of a session see; `measure sync` writes them."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from itertools import count
+from functools import partial
+from itertools import count, islice
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
+from measure.api.measuring import burnt_in, measure_frame_sets
+from measure.api.outputs import check_writable
 from measure.api.warming_up import warm_pipeline
 from measure.arrays import Floats
+from measure.checking.clocks import CameraClock, estimate_clocks
 from measure.checking.synchronisation import BallTracks, synchronise
+from measure.errors import ConfigError, SessionError
 from measure.host import Registry
 from measure.measuring import Profile
 from measure.model import Camera
 from measure.processes import Progress
-from measure.session import Session
+from measure.session import Session, open_session, session_file
+from measure.session.time_offsets import add_time_offsets
 
-_STEP_S = 0.01
+_FINE_SETS, _FINE_PASSES = 120, 2
+"""Frame sets measured to compare the clocks, and how often: images are then paired anew."""
+_LONG_S, _COARSE_STEP_S, _FINE_STEP_S = 5.0, 0.02, 0.01
 _IMAGE_STEP_S = 1 / 40
 """Images closer in time than this are passed over: balls do not move in between."""
 
@@ -60,7 +71,8 @@ def find_offsets(
 
     with ThreadPoolExecutor(len(session.cameras)) as pool:
         seen = list(pool.map(tracks, session.cameras))
-    return synchronise(seen, largest_s, _STEP_S)
+    step_s = _COARSE_STEP_S if largest_s > _LONG_S else _FINE_STEP_S
+    return synchronise(seen, largest_s, step_s)
 
 
 def shift_clocks(session: Session, shifts_s: Mapping[str, float]) -> None:
@@ -77,3 +89,89 @@ def _spaced(times_s: Floats, seconds: float) -> list[int]:
         if not out or times_s[i] - times_s[out[-1]] > _IMAGE_STEP_S:
             out.append(int(i))
     return out
+
+
+class SyncedClock(NamedTuple):
+    """What was added to a camera's stamps, 0 for the first camera; and its standard deviation."""
+
+    offset_s: float
+    sd_s: float
+
+
+def sync(
+    session_path: Path,
+    registry: Registry,
+    profile: Profile,
+    output: Path | None = None,
+    overwrite: bool = False,
+    seconds: float = 120.0,
+    progress: Progress | None = None,
+) -> Mapping[str, SyncedClock]:
+    """Bring the clocks of cameras together that were started by hand; writes `time_offset_s`.
+
+    Args:
+        session_path: the session's folder.
+        registry: where the plugins come from.
+        profile: whose detector searches, and whose stages measure the motion.
+        output: a session file to write instead of the session's own.
+        overwrite: replace offsets, or an output, that are there.
+        seconds: how much of each recording is looked at, from its start.
+        progress: called with how many pictures are done, and of how many.
+
+    Raises:
+        SessionError: the motion does not tell the clock of some camera, or offsets are there.
+        ConfigError: `output` is there, or cannot be written; or no seconds.
+    """
+    if not seconds > 0:
+        raise ConfigError(f"{seconds:g} seconds: must be more than 0")
+    if output is not None and output.exists() and not overwrite:
+        raise ConfigError(f"{output} is there already: --overwrite replaces it, or give a new file")
+    file = session_file(session_path)
+    check_writable(output or file)
+    with open_session(file, clocks_apart=True) as session:
+        add_time_offsets(file, dict.fromkeys(session.streams, 0.0), overwrite)  # may it be done?
+        clocks = _synced(session, registry, profile, seconds, progress)
+    offsets_s = {name: clock.offset_s for name, clock in clocks.items()}
+    (output or file).write_text(add_time_offsets(file, offsets_s, overwrite), "utf-8")
+    return clocks
+
+
+def _synced(
+    session: Session,
+    registry: Registry,
+    profile: Profile,
+    seconds: float,
+    progress: Progress | None,
+) -> dict[str, SyncedClock]:
+    streams = session.streams.values()
+    span = max(s.times_s[-1] for s in streams) - min(s.times_s[0] for s in streams)
+    found = find_offsets(session, registry, profile, float(span), seconds, progress)
+    before = {name: stream.times_s[0] for name, stream in session.streams.items()}
+    shift_clocks(session, found)
+    sds_s = dict.fromkeys(found, 0.0)
+    for _ in range(_FINE_PASSES if len(found) == len(before) else 0):
+        clocks = _fine(session, registry, profile)
+        shift_clocks(session, {c.camera: c.offset_s for c in clocks})
+        sds_s = {c.camera: c.offset_sd_s for c in clocks}
+    if lacking := [name for name in before if not sds_s.get(name, np.inf) < np.inf]:
+        raise SessionError(
+            f"{session.path}: the motion does not tell the clock of {', '.join(lacking)}: it takes "
+            "some seconds in which two cameras see the balls move, without repeating itself; and "
+            "cameras that stand where the calibration says"
+        )
+    added = {name: float(s.times_s[0] - before[name]) for name, s in session.streams.items()}
+    first = next(iter(added))
+    sds_s = {n: math.hypot(sd, sds_s[first]) for n, sd in sds_s.items()} | {first: 0.0}
+    return {name: SyncedClock(added[name] - added[first], sds_s[name]) for name in added}
+
+
+def _fine(session: Session, registry: Registry, profile: Profile) -> tuple[CameraClock, ...]:
+    """The clocks by poses, where most cameras have pictures at a time."""
+    together = (session.pair().positions >= 0).sum(axis=1)
+    window = min(_FINE_SETS, len(together))
+    start = int(np.argmax(np.convolve(together, np.ones(window), mode="valid")))
+    pipeline = warm_pipeline(profile, registry, session.body, session.cameras)
+    frame_sets = partial(session.frame_sets, start=start)
+    pipeline = burnt_in(pipeline, profile, registry, frame_sets)
+    measured = islice(measure_frame_sets(pipeline, frame_sets()), window)
+    return estimate_clocks((m for _, m in measured), session.body, session.cameras)

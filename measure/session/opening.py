@@ -216,7 +216,7 @@ def check_overlap(streams: list[Stream]) -> None:
         raise SessionError(
             f"cameras without a time in common: {_spans(apart)}; and "
             f"{_spans([s for s in streams if s not in apart])}: are all stamps on one clock? "
-            "time_offset_s shifts a camera's"
+            "`measure sync` finds what to add (time_offset_s) where the balls move"
         )
 
 

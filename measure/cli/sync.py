@@ -1,0 +1,48 @@
+"""`measure sync`: the clocks of cameras that were started by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from measure.cli import console
+from measure.cli.console import JsonFlag
+from measure.cli.options import InjectedRegistry
+
+
+def sync(
+    session: Path,
+    /,
+    *,
+    output: Annotated[Path | None, Parameter(name=("--output", "-o"))] = None,
+    overwrite: bool = False,
+    seconds: float = 120.0,
+    profile: str = "precise",
+    json: JsonFlag = False,
+    registry: InjectedRegistry,
+) -> None:
+    """Bring recordings started by hand together, by the balls' motion.
+
+    Writes what to add to each camera's times as `time_offset_s` into the session file; the first
+    camera's clock is kept. Refused where the motion cannot tell.
+
+    Args:
+        session: the session's folder.
+        output: a new session file to write instead of the session's own, in the same folder.
+        overwrite: replace offsets, or an output, that are there.
+        seconds: how much of each recording is looked at, from its start.
+        profile: how to measure the session, by name or TOML file.
+    """
+    from measure import api
+
+    chosen = api.load_profile(profile)
+    with console.progress("looking", "pictures") as report:
+        clocks = api.sync(session, registry, chosen, output, overwrite, seconds, report)
+    if json:
+        console.print_json({name: clock._asdict() for name, clock in clocks.items()})
+        return
+    rows = [(name, clock.offset_s, 1e3 * clock.sd_s) for name, clock in clocks.items()]
+    console.print_table(("camera", "added_s", "sd_ms"), rows)
+    console.print_text(f"wrote {output or session}")
