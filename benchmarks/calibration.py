@@ -21,9 +21,9 @@ from tempfile import TemporaryDirectory
 import cv2
 import numpy as np
 
+from benchmarks.errors import body_cost
 from measure.calibration import (
     Capture,
-    body_cost,
     calibrate_capture,
     fit_rig_by_paper,
     open_capture,
@@ -84,7 +84,7 @@ def plain_opencv(rig: RigCalibration, observations: RigObservations) -> tuple[Ca
 
 def cost(found: tuple[Camera, ...], true: tuple[Camera, ...], at: Poses) -> float:
     """Body position error, 3-D RMS in mm."""
-    shifts, _ = body_cost(found, true, BODY, at)
+    shifts = body_cost(found, true, BODY, at)
     return float(np.sqrt(np.mean(np.sum(shifts**2, axis=1))))
 
 

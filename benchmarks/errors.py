@@ -8,9 +8,10 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.errors import SessionError
-from measure.geometry import chi_square_quantile
+from measure.estimation.pose_fit import PoseObservations, fit_pose
+from measure.geometry import RigidTransform, chi_square_quantile
 from measure.measuring import Measurement
-from measure.model import Pose
+from measure.model import Body, Camera, Pose, Rig
 from measure.session import Trajectory, read_trajectory, session_truth
 
 
@@ -43,3 +44,38 @@ def in_region(error: Floats, pose: Pose, count: int) -> bool:
 def rms(rows: Floats) -> float:
     """Root mean squared length of rows (n, k); NaN if there are none."""
     return float(np.sqrt(np.mean(np.sum(rows**2, axis=1)))) if len(rows) else float("nan")
+
+
+def body_cost(
+    estimated: tuple[Camera, ...],
+    true: tuple[Camera, ...],
+    body: Body,
+    poses: list[RigidTransform],
+) -> Floats:
+    """What wrong cameras cost: true ball centres through true cameras, located with estimated ones.
+
+    Args:
+        estimated: cameras to judge.
+        true: the same cameras as they are, in the same order.
+        body: the body.
+        poses: its true poses.
+
+    Returns:
+        Position errors (n, 3) of the body in mm.
+    """
+    count = len(body.balls)
+    rig = Rig.of([camera for camera in estimated for _ in range(count)])
+    rows = len(estimated) * count
+    shifts = []
+    for pose in poses:
+        seen = PoseObservations(
+            rig,
+            np.tile(body.centers, (len(estimated), 1)),
+            np.tile(np.arange(count), len(estimated)),
+            np.concatenate([camera.project(pose.apply(body.centers)) for camera in true]),
+            np.tile(np.eye(2), (rows, 1, 1)),
+            np.zeros(rows),
+        )
+        found = fit_pose(pose, seen, tukey=np.inf, tolerance=1e-10).world_from_body
+        shifts.append(found.difference(pose)[:3])
+    return np.stack(shifts)

@@ -23,10 +23,10 @@ import numpy as np
 
 from benchmarks.calibration import BODY, poses
 from benchmarks.command import run_command
-from benchmarks.errors import rms
+from benchmarks.errors import body_cost, rms
 from measure.api import refine
 from measure.arrays import Floats
-from measure.calibration import RefineSettings, body_cost, refine_rig
+from measure.calibration import RefineSettings, refine_rig
 from measure.calibration.refining import Recording, Refinement
 from measure.errors import MeasureError
 from measure.geometry import align_points
@@ -41,7 +41,7 @@ NAMES = ("camera mm", "deg", "aligned mm", "deg", "body mm", "aligned mm")
 
 def figures(found: tuple[Camera, ...], true: tuple[Camera, ...]) -> Floats:
     """The six figures called `NAMES`."""
-    shifts, _ = body_cost(found, true, BODY, AT)
+    shifts = body_cost(found, true, BODY, AT)
     places = np.stack([pose.translation for pose in AT])
     back = align_points(places, places + shifts)
     out = []

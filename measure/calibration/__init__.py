@@ -24,7 +24,7 @@ from measure.calibration.refining import (
 from measure.calibration.targets import MarkerField, read_board, read_markers
 from measure.calibration.verdict import Verdict, camera_rows, judge, judgement_lines, provenance
 from measure.calibration.views import choose_views, find_views
-from measure.calibration.workspace import Workspace, body_cost
+from measure.calibration.workspace import Workspace
 
 __all__ = [
     "Board",
@@ -46,7 +46,6 @@ __all__ = [
     "Tolerances",
     "Verdict",
     "Workspace",
-    "body_cost",
     "calibrate_capture",
     "calibrate_lens",
     "camera_rows",

@@ -10,8 +10,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from benchmarks.errors import body_cost
 from measure.arrays import Bytes, Floats
-from measure.calibration import body_cost
 from measure.geometry import RigidTransform
 from measure.model import paper_body
 from measure.session import read_calibration
@@ -137,5 +137,5 @@ def cost_mm(capture: AlteredCapture) -> float:
     middle: Floats = np.array([0.0, 0.0, 250.0])
     rng = np.random.default_rng(0)
     poses = [RigidTransform(np.eye(3), middle + rng.uniform(-40, 40, 3)) for _ in range(10)]
-    shifts, _ = body_cost(found, true, paper_body(), poses)
+    shifts = body_cost(found, true, paper_body(), poses)
     return float(np.sqrt(np.mean(np.sum(shifts**2, axis=1))))

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.errors import body_cost
 from measure.calibration import (
     Tolerances,
-    body_cost,
     fit_rig,
     fit_rig_by_paper,
 )
@@ -32,7 +32,7 @@ def poses() -> list[RigidTransform]:
 
 
 def cost_mm(estimated: tuple[Camera, ...], true: tuple[Camera, ...]) -> float:
-    shifts, _ = body_cost(estimated, true, paper_body(), poses())
+    shifts = body_cost(estimated, true, paper_body(), poses())
     return float(np.sqrt(np.mean(np.sum(shifts**2, axis=1))))
 
 
@@ -63,7 +63,7 @@ def test_true_errors_lie_within_the_reported_covariances() -> None:
             error = true.world_from_camera.difference(camera.world_from_camera)
             assert camera.pose_covariance is not None
             of_cameras.append(error @ np.linalg.solve(camera.pose_covariance, error) / 6)
-        shift, _ = body_cost(fit.cameras, noisy.true, paper_body(), poses())
+        shift = body_cost(fit.cameras, noisy.true, paper_body(), poses())
         sd, _ = body_pose_sd(fit.cameras, paper_body(), poses(), fit.covariance, fit.columns)
         of_body.append(np.mean(np.sum(shift**2, axis=1) / sd**2))
     assert 0.75 < np.mean(of_cameras) < 1.3
@@ -80,7 +80,7 @@ def test_true_errors_lie_within_the_papers_covariances() -> None:
             error = true.world_from_camera.difference(camera.world_from_camera)
             assert camera.pose_covariance is not None
             of_cameras.append(error @ np.linalg.solve(camera.pose_covariance, error) / 6)
-        shift, _ = body_cost(fit.cameras, noisy.true, paper_body(), poses()[:4])
+        shift = body_cost(fit.cameras, noisy.true, paper_body(), poses()[:4])
         sd, _ = body_pose_sd(fit.cameras, paper_body(), poses()[:4], fit.covariance, fit.columns)
         of_body.append(np.mean(np.sum(shift**2, axis=1) / sd**2))
     assert 0.75 < np.mean(of_cameras) < 1.3

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from measure.calibration import body_cost
+from benchmarks.errors import body_cost
 from measure.cli import main
 from measure.geometry import RigidTransform, align_points
 from measure.model import Camera
@@ -47,7 +47,7 @@ def relative_error_mm(
     found: tuple[Camera, ...], true: tuple[Camera, ...], poses: list[RigidTransform]
 ) -> float:
     """What wrong cameras do to a body's places (RMS), apart from what moves them all together."""
-    shifts, _ = body_cost(found, true, RAVEN, poses)
+    shifts = body_cost(found, true, RAVEN, poses)
     places = np.stack([pose.translation for pose in poses])
     left = align_points(places, places + shifts).apply(places + shifts) - places
     return float(np.sqrt(np.mean(np.sum(left**2, axis=1))))

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from benchmarks.errors import body_cost
 from measure.arrays import Floats
-from measure.calibration import body_cost
 from measure.calibration.refining import Recording, Track
 from measure.geometry import RigidTransform, align_points
 from measure.model import Camera, paper_body
@@ -78,7 +78,7 @@ def case(
 
 def errors(found: tuple[Camera, ...], given: Case) -> tuple[float, float]:
     """Body position error RMS in mm: in the world, and after aligning all poses rigidly."""
-    shifts, _ = body_cost(found, given.true, BODY, given.poses)
+    shifts = body_cost(found, given.true, BODY, given.poses)
     true = np.stack([pose.translation for pose in given.poses])
     relative = align_points(true, true + shifts).apply(true + shifts) - true
     return (
