@@ -6,18 +6,21 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
-from measure.arrays import Bools, Floats, Ints
+from measure.arrays import Bools, Floats
 from measure.errors import MeasureError, SessionError
 from measure.geometry import RigidTransform
 from measure.reading import read_text
 from measure.session.number_table import read_number_table
 from measure.session.tracker_files import TrackedBody, tracker_bodies
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicHermiteSpline
 
 COLUMNS = ("time_s", "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
 MAX_GAP_PERIODS = 5.0
@@ -44,10 +47,10 @@ class Trajectory:
     def covers(self, times_s: ArrayLike) -> Bools:
         """At which times (m,) there is a pose: between samples, and in no gap."""
         wanted = np.atleast_1d(np.asarray(times_s, dtype=np.float64))
-        left, fraction = self._interval(wanted)
-        inside = (wanted >= self.times_s[0]) & (wanted <= self.times_s[-1])
-        on_sample = (fraction == 0) | (fraction == 1)
-        return inside & (on_sample | ~self._gaps[np.minimum(left, max(len(self) - 2, 0))])
+        before = np.searchsorted(self.times_s, wanted, side="right") - 1
+        inside = (before >= 0) & (wanted <= self.times_s[-1])
+        across = np.append(self._gaps, False)[before]
+        return inside & (np.isin(wanted, self.times_s) | ~across)
 
     def at(self, times_s: ArrayLike) -> RigidTransform:
         """The poses at times (m,), as a batch of m; or the one pose at a time.
@@ -63,51 +66,37 @@ class Trajectory:
             first = wanted[~self.covers(wanted)][0]
             raise SessionError(
                 f"{self.source} has no pose at {first:.6f} s: it runs from {self.times_s[0]:.6f} "
-                f"to {self.times_s[-1]:.6f} s"
-                + (", with gaps" if np.any(self._gaps[: max(len(self) - 1, 0)]) else "")
+                f"to {self.times_s[-1]:.6f} s" + (", with gaps" if np.any(self._gaps) else "")
             )
-        left, fraction = self._interval(wanted)
-        right = np.minimum(left + 1, len(self) - 1)
-        poses = RigidTransform(
-            self._rotations(left, right, fraction), self._positions(left, right, fraction)
-        )
+        poses = self._interpolated(wanted)
         return poses if np.ndim(times_s) else poses[0]
-
-    def _interval(self, wanted: Floats) -> tuple[Ints, Floats]:
-        last = max(len(self) - 2, 0)
-        left = np.clip(np.searchsorted(self.times_s, wanted, side="right") - 1, 0, last)
-        right = np.minimum(left + 1, len(self) - 1)
-        span = self.times_s[right] - self.times_s[left]
-        fraction = (wanted - self.times_s[left]) / np.where(span > 0, span, 1.0)
-        return left.astype(np.int64), fraction
 
     @cached_property
     def _gaps(self) -> Bools:
+        """Which steps (n - 1,) are too long to interpolate."""
         steps = np.diff(self.times_s)
-        if not len(steps):
-            return np.zeros(1, bool)
-        return steps > MAX_GAP_PERIODS * np.median(steps)
+        return steps > MAX_GAP_PERIODS * np.median(steps) if len(steps) else np.zeros(0, bool)
 
-    def _rotations(self, left: Ints, right: Ints, fraction: Floats) -> Floats:
-        start = Rotation.from_matrix(self.world_from_body.rotation[left])
-        end = Rotation.from_matrix(self.world_from_body.rotation[right])
-        turn = (end * start.inv()).as_rotvec() * fraction[:, None]
-        return np.asarray((Rotation.from_rotvec(turn) * start).as_matrix())
+    def _interpolated(self, times_s: Floats) -> RigidTransform:
+        known = self.world_from_body
+        if len(self) == 1:
+            only = np.zeros(len(times_s), dtype=np.int64)
+            return RigidTransform(known.rotation[only], known.translation[only])
+        turn, place = self._interpolants
+        return RigidTransform(turn(times_s).as_matrix(), place(times_s))
 
-    def _positions(self, left: Ints, right: Ints, fraction: Floats) -> Floats:
-        # Cubic Hermite basis on each interval.
-        position, slope = self.world_from_body.translation, self._slopes
-        span = (self.times_s[right] - self.times_s[left])[:, None]
-        u = fraction[:, None]
-        start = (1 + 2 * u) * (1 - u) ** 2 * position[left] + u * (1 - u) ** 2 * span * slope[left]
-        end = u**2 * (3 - 2 * u) * position[right] + u**2 * (u - 1) * span * slope[right]
-        return start + end
+    @cached_property
+    def _interpolants(self) -> tuple[Slerp, CubicHermiteSpline]:
+        from scipy.interpolate import CubicHermiteSpline  # slow to load, and few know the truth
+
+        known = self.world_from_body
+        turn = Slerp(self.times_s, Rotation.from_matrix(known.rotation))
+        return turn, CubicHermiteSpline(self.times_s, known.translation, self._slopes)
 
     @cached_property
     def _slopes(self) -> Floats:
         out = np.zeros_like(self.world_from_body.translation)
-        breaks = np.flatnonzero(self._gaps) + 1 if len(self) > 1 else np.zeros(0, int)
-        for part in np.split(np.arange(len(self)), breaks):
+        for part in np.split(np.arange(len(self)), np.flatnonzero(self._gaps) + 1):
             if len(part) > 1:
                 position = self.world_from_body.translation[part]
                 edge: Literal[1, 2] = 2 if len(part) > 2 else 1
