@@ -33,7 +33,7 @@ class Perceptrons:
     @classmethod
     def from_values(cls, values: Mapping[str, Any]) -> Perceptrons:
         """What `values` gave."""
-        return cls(*(tuple(map(_floats, values[name])) for name in ("weights", "biases")))
+        return cls(*(tuple(map(array_of, values[name])) for name in ("weights", "biases")))
 
     def in_graph(self, graph: Graph, inputs: Value) -> Value:
         """(members, N, outputs)."""
@@ -67,7 +67,7 @@ class Grus:
     @classmethod
     def from_values(cls, values: Mapping[str, Any]) -> Grus:
         """What `values` gave."""
-        gates = {name: _floats(values[name]) for name in _GATES}
+        gates = {name: array_of(values[name]) for name in _GATES}
         return cls(**gates, head=Perceptrons.from_values(values["head"]))
 
     @property
@@ -105,21 +105,12 @@ class Grus:
 
 def stack_grus(nets: list[Grus]) -> Grus:
     """Several trained GRUs as one ensemble."""
-    layers = range(len(nets[0].head.weights))
-
-    def joined(name: str) -> Floats:
-        return np.concatenate([getattr(net, name) for net in nets])
-
-    return Grus(
-        from_input=joined("from_input"),
-        from_hidden=joined("from_hidden"),
-        input_bias=joined("input_bias"),
-        hidden_bias=joined("hidden_bias"),
-        head=Perceptrons(
-            tuple(np.concatenate([net.head.weights[i] for net in nets]) for i in layers),
-            tuple(np.concatenate([net.head.biases[i] for net in nets]) for i in layers),
-        ),
+    gates = {name: np.concatenate([getattr(net, name) for net in nets]) for name in _GATES}
+    weights, biases = (
+        tuple(map(np.concatenate, zip(*(getattr(net.head, name) for net in nets), strict=True)))
+        for name in ("weights", "biases")
     )
+    return Grus(**gates, head=Perceptrons(weights, biases))
 
 
 def _tensor(values: Floats) -> Any:
@@ -128,5 +119,6 @@ def _tensor(values: Floats) -> Any:
     return torch.from_numpy(values)
 
 
-def _floats(tensor: Any) -> Floats:
-    return np.asarray(tensor.numpy(), dtype=np.float64)
+def array_of(tensor: Any) -> Floats:
+    """The numbers of a torch tensor."""
+    return np.asarray(tensor.detach().numpy(), dtype=np.float64)

@@ -11,7 +11,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.errors import EstimatorError
-from measure_plugins.estimators._nets import STEP_GAIN, Grus, Perceptrons
+from measure_plugins.estimators._nets import STEP_GAIN, Grus, Perceptrons, array_of
 from measure_plugins.estimators._training_set import TrainingSet
 
 _BATCH_ROWS = 512  # of a step of the perceptrons
@@ -75,7 +75,7 @@ def train_perceptrons(
         with torch.no_grad():
             score = data.validate(lambda x: net(x.expand(members, -1, -1)).mean(dim=0))
         after_epoch(epoch, total / rounds, score)
-    return Perceptrons(tuple(map(_array, net.weights)), tuple(map(_array, net.biases)))
+    return Perceptrons(tuple(map(array_of, net.weights)), tuple(map(array_of, net.biases)))
 
 
 def train_gru(
@@ -113,7 +113,7 @@ def train_gru(
                 with torch.no_grad():
                     score = data.validate(lambda x: net(x[None])[0])
                 after_epoch(epoch, total / rounds, score)
-    return net.packed()
+    return pack_gru(net.gru, net.head)
 
 
 class _PerceptronStack:
@@ -148,8 +148,8 @@ class _RecurrentNet:
     ) -> None:
         self._torch, self._moving = torch, data.moving
         columns = data.inputs.shape[1]
-        self._gru = torch.nn.GRU(columns + len(data.moving), hidden, batch_first=True)
-        self._head = torch.nn.Sequential(
+        self.gru = torch.nn.GRU(columns + len(data.moving), hidden, batch_first=True)
+        self.head = torch.nn.Sequential(
             torch.nn.Linear(hidden + columns, 64), torch.nn.SiLU(), torch.nn.Linear(64, outputs)
         )
         self.drop = torch.nn.Dropout(dropout)
@@ -157,17 +157,13 @@ class _RecurrentNet:
     @property
     def parameters(self) -> list[Any]:
         """The trained tensors."""
-        return [*self._gru.parameters(), *self._head.parameters()]
+        return [*self.gru.parameters(), *self.head.parameters()]
 
     def __call__(self, x: Any) -> Any:
         torch, moving = self._torch, self._moving
         steps = torch.diff(x[..., moving], dim=1, prepend=x[:, :1, moving])
-        hidden = self._gru(torch.cat([x, STEP_GAIN * steps], -1))[0]
-        return self._head(torch.cat([self.drop(hidden), x], dim=-1))
-
-    def packed(self) -> Grus:
-        """As plain arrays, an ensemble of one."""
-        return pack_gru(self._gru, self._head)
+        hidden = self.gru(torch.cat([x, STEP_GAIN * steps], -1))[0]
+        return self.head(torch.cat([self.drop(hidden), x], dim=-1))
 
 
 class _Stepper:
@@ -229,12 +225,8 @@ def pack_gru(gru: Any, head: Any) -> Grus:
 
 
 def _weight(parameter: Any) -> Floats:
-    return _array(parameter).T[None]
+    return array_of(parameter).T[None]
 
 
 def _bias(parameter: Any) -> Floats:
-    return _array(parameter)[None, None]
-
-
-def _array(tensor: Any) -> Floats:
-    return np.asarray(tensor.detach().numpy(), dtype=np.float64)
+    return array_of(parameter)[None, None]

@@ -23,6 +23,7 @@ from measure.host import (
     setting,
 )
 from measure_plugins.estimators._checkpoint import Checkpoint
+from measure_plugins.estimators._nets import array_of
 from measure_plugins.estimators._training import torch_or_explain
 
 
@@ -210,18 +211,14 @@ def _fold(net: Any) -> list[tuple[Floats, Floats]]:
     for part in net:
         kind = type(part).__name__
         if kind == "Linear":
-            weight, bias = _array(part.weight).T, _array(part.bias)
+            weight, bias = array_of(part.weight).T, array_of(part.bias)
             if scale is not None:
                 weight, bias = weight * scale[:, None], bias + shift @ weight
             layers.append((weight, bias))
         elif kind == "BatchNorm1d":
-            scale = _array(part.weight) / np.sqrt(_array(part.running_var) + part.eps)
-            shift = _array(part.bias) - scale * _array(part.running_mean)
+            scale = array_of(part.weight) / np.sqrt(array_of(part.running_var) + part.eps)
+            shift = array_of(part.bias) - scale * array_of(part.running_mean)
     return layers
-
-
-def _array(tensor: Any) -> Floats:
-    return np.asarray(tensor.detach().numpy(), dtype=np.float64)
 
 
 @hookimpl
