@@ -71,7 +71,7 @@ def train_perceptrons(
             picked = order[:, index * batch : (index + 1) * batch]
             x = data.inputs[picked]
             x = x + how.noise * torch.randn(x.shape, generator=dice)
-            total += step(data.loss(picked, net(x), None), members)
+            total += step(data.loss(picked, net(x)), members)
         with torch.no_grad():
             score = data.validate(lambda x: net(x.expand(members, -1, -1)).mean(dim=0))
         after_epoch(epoch, total / rounds, score)

@@ -16,29 +16,6 @@ _SOFT_MM2 = 0.25  # of the pseudo-Huber loss: quadratic below half a millimetre,
 
 
 @dataclass(frozen=True, eq=False)
-class TrainingSet:
-    """Inputs and loss of the nets, as torch tensors.
-
-    Attributes:
-        inputs: (n, columns) scaled inputs, torch float32.
-        loss: from row indices (...) and net outputs (..., outputs) to a mean loss.
-        usable: (n,) rows with labels.
-        starts: (runs,) first row of each trajectory.
-        lengths: (runs,) rows of each trajectory.
-        moving: columns of `inputs` whose differences between steps the GRUs also see.
-        validate: from a function that maps inputs of one trajectory to outputs, to an RMS in mm.
-    """
-
-    inputs: Any
-    loss: Callable[[Any, Any, Any], Any]
-    usable: Any
-    moving: list[int]
-    starts: Ints
-    lengths: Ints
-    validate: Callable[[Callable[[Any], Any]], float]
-
-
-@dataclass(frozen=True, eq=False)
 class OutputUnits:
     """Units of a net's outputs.
 
@@ -52,40 +29,47 @@ class OutputUnits:
     middle_mm: Floats
 
 
-def make_training_set(
-    data: Dataset,
-    validation: Dataset,
-    inputs: Callable[[Dataset], Floats],
-    outputs: OutputUnits,
-    moving: list[int],
-) -> TrainingSet:
-    """Tensors of training and validation trajectories; `inputs` scales them (n, columns)."""
-    known, other = _Targets(data, outputs), _Targets(validation, outputs)
-    weights, usable = _tensor(data.weights()), _bools(data.usable)
-    inputs_other, usable_other = _tensor(inputs(validation)), _bools(validation.usable)
+class TrainingSet:
+    """Inputs and loss of the nets, as torch tensors.
 
-    def loss(rows: Any, out: Any, keep: Any) -> Any:
-        each = ((known.residuals(rows, out) ** 2).sum(dim=-1) + _SOFT_MM2).sqrt()
-        weight = weights[rows] if keep is None else weights[rows] * keep
+    Attributes:
+        inputs: (n, columns) scaled inputs, torch float32.
+        usable: (n,) rows with labels.
+        moving: columns of `inputs` whose differences between steps the GRUs also see.
+        starts: (runs,) first row of each trajectory.
+        lengths: (runs,) rows of each trajectory.
+    """
+
+    def __init__(
+        self,
+        data: Dataset,
+        validation: Dataset,
+        inputs: Callable[[Dataset], Floats],
+        outputs: OutputUnits,
+        moving: list[int],
+    ) -> None:
+        """Of training and validation trajectories; `inputs` scales them (n, columns)."""
+        self._known, self._other = _Targets(data, outputs), _Targets(validation, outputs)
+        self.inputs, self._inputs_other = _tensor(inputs(data)), _tensor(inputs(validation))
+        self._weights, self.moving = _tensor(data.weights()), moving
+        self.usable, self._validation = _tensor(data.usable, bool), validation
+        runs = [rows for _, rows in data.runs()]
+        self.starts: Ints = np.array([rows.start for rows in runs])
+        self.lengths: Ints = np.array([rows.stop - rows.start for rows in runs])
+
+    def loss(self, rows: Any, out: Any, keep: Any = None) -> Any:
+        """Mean loss of net outputs (..., outputs) for row indices (...), of which some are kept."""
+        each = ((self._known.residuals(rows, out) ** 2).sum(dim=-1) + _SOFT_MM2).sqrt()
+        weight = self._weights[rows] if keep is None else self._weights[rows] * keep
         return (weight * each).sum() / weight.sum()
 
-    def validate(forward: Any) -> float:
+    def validate(self, forward: Callable[[Any], Any]) -> float:
+        """RMS in mm of a function that maps inputs of one validation trajectory to outputs."""
         total = 0.0
-        for _, rows in validation.runs():
-            left = other.residuals(rows, forward(inputs_other[rows]))[usable_other[rows]]
-            total += float((left**2).sum())
-        return float(np.sqrt(total / validation.usable.sum()))
-
-    runs = [rows for _, rows in data.runs()]
-    return TrainingSet(
-        inputs=_tensor(inputs(data)),
-        loss=loss,
-        usable=usable,
-        moving=moving,
-        starts=np.array([rows.start for rows in runs]),
-        lengths=np.array([rows.stop - rows.start for rows in runs]),
-        validate=validate,
-    )
+        for _, rows in self._validation.runs():
+            left = self._other.residuals(rows, forward(self._inputs_other[rows]))
+            total += float((left[self._validation.usable[rows]] ** 2).sum())
+        return float(np.sqrt(total / self._validation.usable.sum()))
 
 
 class _Targets:
@@ -107,13 +91,7 @@ class _Targets:
         return moved + scaled[..., -3:] - self._labels[rows]
 
 
-def _tensor(values: Floats) -> Any:
+def _tensor(values: Any, kind: type = np.float32) -> Any:
     import torch
 
-    return torch.tensor(np.nan_to_num(values), dtype=torch.float32)
-
-
-def _bools(values: Any) -> Any:
-    import torch
-
-    return torch.tensor(values)
+    return torch.from_numpy(np.nan_to_num(values).astype(kind))

@@ -34,7 +34,7 @@ from measure_plugins.estimators._training import (
     train_gru,
     train_perceptrons,
 )
-from measure_plugins.estimators._training_set import OutputUnits, TrainingSet, make_training_set
+from measure_plugins.estimators._training_set import OutputUnits, TrainingSet
 
 N = TypeVar("N", _nets.Perceptrons, _nets.Grus)
 
@@ -92,9 +92,7 @@ class StreamEstimator(WithinTrajectoryEstimator):
         used = data.usable
         middle = np.average(data.errors_mm[used], axis=0, weights=data.weights()[used])
         self._outputs = OutputUnits(self._output_scale(), middle)
-        training_set = make_training_set(
-            data, validation, self._inputs, self._outputs, self._moving
-        )
+        training_set = TrainingSet(data, validation, self._inputs, self._outputs, self._moving)
         log = _Log(_PERCEPTRON_SHARE * c.perceptrons * c.perceptron_epochs + c.grus * c.gru_epochs)
         self._perceptrons = self._fit_perceptrons(training_set, seed, log, report)
         self._grus = self._fit_grus(training_set, seed, log, report)
