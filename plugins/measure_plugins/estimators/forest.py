@@ -87,38 +87,27 @@ class ForestEstimator(WithinTrajectoryEstimator):
 
 def _flatten(forest: Any) -> dict[str, Any]:
     """scikit-learn's trees as the attributes of the operator."""
-    nodes: dict[str, list[Any]] = {
-        f"nodes_{key}": []
-        for key in (
-            "treeids",
-            "nodeids",
-            "featureids",
-            "values",
-            "modes",
-            "truenodeids",
-            "falsenodeids",
-        )
+    trees = [_attributes(number, grown.tree_) for number, grown in enumerate(forest.estimators_)]
+    return {key: np.concatenate([tree[key] for tree in trees]).tolist() for key in trees[0]}
+
+
+def _attributes(number: int, tree: Any) -> dict[str, Any]:
+    """Of one tree: nodes (n,), and three targets of each leaf."""
+    inner = tree.children_left >= 0
+    leaves = np.flatnonzero(~inner)
+    return {
+        "nodes_treeids": np.full(tree.node_count, number),
+        "nodes_nodeids": np.arange(tree.node_count),
+        "nodes_featureids": np.where(inner, tree.feature, 0),
+        "nodes_values": np.where(inner, _below(tree.threshold), 0.0),
+        "nodes_modes": np.where(inner, "BRANCH_LEQ", "LEAF"),
+        "nodes_truenodeids": np.where(inner, tree.children_left, 0),
+        "nodes_falsenodeids": np.where(inner, tree.children_right, 0),
+        "target_treeids": np.full(3 * len(leaves), number),
+        "target_nodeids": np.repeat(leaves, 3),
+        "target_ids": np.tile(np.arange(3), len(leaves)),
+        "target_weights": tree.value[leaves, :, 0].ravel(),
     }
-    leaves: dict[str, list[Any]] = {
-        f"target_{key}": [] for key in ("treeids", "nodeids", "ids", "weights")
-    }
-    for number, grown in enumerate(forest.estimators_):
-        tree = grown.tree_
-        inner = tree.children_left >= 0
-        count = tree.node_count
-        nodes["nodes_treeids"] += [number] * count
-        nodes["nodes_nodeids"] += list(range(count))
-        nodes["nodes_featureids"] += np.where(inner, tree.feature, 0).tolist()
-        nodes["nodes_values"] += np.where(inner, _below(tree.threshold), 0.0).tolist()
-        nodes["nodes_modes"] += np.where(inner, "BRANCH_LEQ", "LEAF").tolist()
-        nodes["nodes_truenodeids"] += np.where(inner, tree.children_left, 0).tolist()
-        nodes["nodes_falsenodeids"] += np.where(inner, tree.children_right, 0).tolist()
-        for leaf in np.flatnonzero(~inner):
-            leaves["target_treeids"] += [number] * 3
-            leaves["target_nodeids"] += [int(leaf)] * 3
-            leaves["target_ids"] += [0, 1, 2]
-            leaves["target_weights"] += tree.value[leaf, :, 0].tolist()
-    return nodes | leaves
 
 
 def _below(thresholds: Floats) -> Floats:
