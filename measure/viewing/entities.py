@@ -10,17 +10,16 @@ TRAIL = "world/trail"
 UNCERTAINTY = "world/uncertainty_x100"
 UNCERTAINTY_SCALE = 100.0
 STATUS = "status"
-SUMMARY = "summary"
 TIMELINE_FRAME = "frame"
 TIMELINE_TIME = "time"
 
-ERROR_AXES = ("x", "y", "z", "3d")
 ERROR_COLORS = {
     "x": (229, 83, 83),
     "y": (96, 180, 90),
     "z": (80, 130, 235),
     "3d": (240, 200, 60),
 }
+ERROR_AXES = tuple(ERROR_COLORS)
 EFFECTIVE_COLOR = (80, 220, 120)
 REASON_COLORS = {
     Reason.JUMPED: (255, 140, 0),
@@ -50,77 +49,35 @@ _LINES = (
     (201, 79, 109), (43, 163, 163), (138, 122, 61), (122, 134, 217),
 )  # fmt: skip
 
-
-def camera(name: str) -> str:
-    """A camera's pinhole and pose."""
-    return f"world/cameras/{name}"
-
-
-def image(name: str) -> str:
-    """A camera's picture."""
-    return f"world/cameras/{name}/image"
-
-
-def centers(name: str) -> str:
-    """Detected centres in a camera's picture."""
-    return f"world/cameras/{name}/image/centers"
-
-
-def outlines(name: str) -> str:
-    """Detected circles in a camera's picture, in the colour of their state."""
-    return f"world/cameras/{name}/image/outlines"
-
-
-def edges(name: str) -> str:
-    """Outline points the detector measured in a camera's picture."""
-    return f"world/cameras/{name}/image/edges"
-
-
-def suspended(name: str) -> str:
-    """Balls that are not used in a camera's picture, with the reason."""
-    return f"world/cameras/{name}/image/suspended"
-
-
-def ball(name: str) -> str:
-    """A ball's position."""
-    return f"world/balls/{name}"
-
-
-def rays(name: str) -> str:
-    """The rays of a ball's effective detections."""
-    return f"world/rays/{name}"
-
-
-def residual(name: str) -> str:
-    """RMS reprojection residual of a camera."""
-    return f"plots/residual_px/{name}"
-
-
-def distance(first: str, second: str) -> str:
-    """Measured minus nominal distance of two balls."""
-    return f"plots/distance_mm/{first}-{second}"
-
-
-def error(axis: str) -> str:
-    """Position error against truth: x, y, z or 3d."""
-    return f"plots/error_mm/{axis}"
-
-
-def robot(kind: str) -> str:
-    """The tip's way as reported by the robot, measured, or corrected."""
-    return f"robot/{kind}"
-
-
-def robot_position(axis: str, kind: str) -> str:
-    """One coordinate of it."""
-    return f"plots/robot_mm/{axis}/{kind}"
-
-
-def robot_error(kind: str) -> str:
-    """Distance of the reported or corrected position from the measured one."""
-    return f"plots/robot_error_mm/{kind}"
-
-
+# Of the names below, each is a function that puts in what it is called by.
+camera = "world/cameras/{}".format
+"""A camera's pinhole and pose."""
+image = "world/cameras/{}/image".format
+"""A camera's picture."""
+centers = "world/cameras/{}/image/centers".format
+"""Detected centres in a camera's picture."""
+outlines = "world/cameras/{}/image/outlines".format
+"""Detected circles in a camera's picture, in the colour of their state."""
+edges = "world/cameras/{}/image/edges".format
+"""Outline points the detector measured in a camera's picture."""
+suspended = "world/cameras/{}/image/suspended".format
+"""Balls that are not used in a camera's picture, with the reason."""
+ball = "world/balls/{}".format
+"""A ball's position."""
+rays = "world/rays/{}".format
+"""The rays of a ball's effective detections."""
+residual = "plots/residual_px/{}".format
+"""RMS reprojection residual of a camera."""
+distance = "plots/distance_mm/{}-{}".format
+"""Measured minus nominal distance of two balls, the first and the second."""
+error = "plots/error_mm/{}".format
+"""Position error against truth: x, y, z or 3d."""
+robot = "robot/{}".format
+"""The tip's way as reported by the robot, measured, or corrected."""
+robot_position = "plots/robot_mm/{}/{}".format
+"""One coordinate of it: by axis and kind."""
+robot_error = "plots/robot_error_mm/{}".format
+"""Distance of the reported or corrected position from the measured one."""
 CORRECTED_SD = "plots/correction/sd_mm"
 UNFAMILIAR = "plots/correction/unfamiliar"
 ROTATION_ERROR = "plots/error_deg/rotation"
