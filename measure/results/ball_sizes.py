@@ -11,7 +11,8 @@ import pyarrow.compute as pc
 from measure.geometry import RigidTransform
 from measure.measuring.ball_radii import OutlineGrowth, outline_growth
 from measure.model import Body, Camera, Detection
-from measure.results.stored import PLACE
+from measure.results.columns import numbers
+from measure.results.tables import PLACE
 
 _MOST_VIEWS = 1500
 """Ball-views, evenly spread: their errors are alike, so that more say no more."""
@@ -30,7 +31,7 @@ def _seen(detections: pa.Table, poses: pa.Table) -> Iterator[tuple[RigidTransfor
     chosen = np.unique(
         np.linspace(0, used.num_rows - 1, min(used.num_rows, _MOST_VIEWS), dtype=int)
     )
-    place = np.column_stack([poses[name].to_numpy() for name in PLACE])
+    place = numbers(poses, *PLACE)
     order = poses["index"].to_numpy()
     for seen in used.take(chosen).to_pylist():
         at = place[np.searchsorted(order, seen["index"])]

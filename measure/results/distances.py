@@ -19,6 +19,7 @@ from measure.checking.body_explanations import (
 from measure.checking.finding import Level
 from measure.measuring.ball_radii import OutlineGrowth
 from measure.model import Body
+from measure.results.columns import matrices, numbers
 
 MIN_FRAME_SETS = 5
 """Of fewer frame sets the scatter is not known well enough."""
@@ -72,8 +73,8 @@ def ball_distances(body: Body, balls: pa.Table, poses: pa.Table) -> list[BallDis
     spread = {name: np.full((poses.num_rows, 3, 3), np.nan) for name in body.names}
     names = balls["ball"].to_numpy()
     rows = np.searchsorted(poses["index"].to_numpy(), balls["index"].to_numpy())
-    place = np.column_stack([balls[name].to_numpy() for name in ("x_mm", "y_mm", "z_mm")])
-    covariances = balls["covariance_mm2"].combine_chunks().flatten().to_numpy().reshape(-1, 3, 3)
+    place = numbers(balls, "x_mm", "y_mm", "z_mm")
+    covariances = matrices(balls, "covariance_mm2", 3)
     for name in body.names:
         its = names == name
         at[name][rows[its]], spread[name][rows[its]] = place[its], covariances[its]

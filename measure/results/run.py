@@ -15,10 +15,12 @@ from measure.errors import RunError
 from measure.geometry import RigidTransform
 from measure.model import Body, Camera
 from measure.results.ball_sizes import outline_sizes
+from measure.results.columns import matrices, numbers
 from measure.results.distances import BallDistance, ball_distances, body_notes, contradictions
 from measure.results.provenance import read_provenance
-from measure.results.stored import PLACE, read_tables
+from measure.results.stored import read_tables
 from measure.results.summary import Summary, summarise
+from measure.results.tables import PLACE
 from measure.session import read_body, read_calibration
 
 
@@ -73,25 +75,23 @@ class Run:
     @property
     def times_s(self) -> Floats:
         """Instants (n,) of the frame sets."""
-        return np.asarray(self.poses["time_s"].to_numpy(), dtype=np.float64)
+        return numbers(self.poses, "time_s")
 
     @cached_property
     def has_pose(self) -> Bools:
         """Which frame sets (n,) have a pose."""
-        return np.asarray(np.isfinite(self.poses["x_mm"].to_numpy()))
+        return np.isfinite(numbers(self.poses, "x_mm"))
 
     @cached_property
     def world_from_body(self) -> RigidTransform:
         """The poses of the frame sets that have one, in order."""
-        columns = [self.poses[name].to_numpy()[self.has_pose] for name in PLACE]
-        place = np.stack(columns, axis=1) if columns else np.zeros((0, 7))
+        place = numbers(self.poses, *PLACE)[self.has_pose]
         return RigidTransform.from_quat_wxyz(place[:, 3:], place[:, :3])
 
     @cached_property
     def covariances(self) -> Floats:
         """Covariances (m, 6, 6) of the poses there are."""
-        rows = self.poses["covariance"].filter(pa.array(self.has_pose)).to_pylist()
-        return np.asarray(rows, dtype=np.float64).reshape(-1, 6, 6)
+        return matrices(self.poses, "covariance", 6)[self.has_pose]
 
 
 def read_run(folder: Path) -> Run:

@@ -13,12 +13,11 @@ from measure.errors import RunError
 from measure.measuring import Status
 from measure.model import Body, Camera
 from measure.model.observations import Reason, State
+from measure.results.columns import numbers
 from measure.results.files import MEND
 from measure.results.journal import is_missing, read_table
-from measure.results.tables import SCHEMAS
+from measure.results.tables import PLACE, SCHEMAS
 
-PLACE = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
-"""The columns of a pose."""
 _Known = tuple[str, Sequence[str]]
 """Words, and what they are: `in body.toml`."""
 _ANY: _Known = ("a text", ())
@@ -95,7 +94,7 @@ def _wrong_words(table: pa.Table, words: Mapping[str, _Known]) -> str:
 
 
 def _wrong_balls(balls: pa.Table) -> str:
-    place = np.stack([balls[name].to_numpy() for name in ("time_s", *PLACE[:3])], axis=1)
+    place = numbers(balls, "time_s", *PLACE[:3])
     if not np.isfinite(place).all():
         return "a ball has no time or place"
     return "" if _all_numbers(balls["covariance_mm2"]) else "a ball has no covariance"
@@ -109,7 +108,7 @@ def _all_numbers(column: pa.ChunkedArray) -> bool:
 def _wrong_poses(poses: pa.Table) -> str:
     if not np.array_equal(poses["index"].to_numpy(), np.arange(len(poses))):
         return "frame sets are missing or out of order"
-    place = np.stack([poses[name].to_numpy() for name in ("time_s", *PLACE)], axis=1)
+    place = numbers(poses, "time_s", *PLACE)
     there = np.isfinite(place[:, 1])
     bad = ~np.isfinite(place[:, 0]) | (there & ~np.isfinite(place).all(axis=1))
     length = np.linalg.norm(np.where(bad[:, None], 1.0, place)[there, 4:], axis=1)

@@ -18,6 +18,11 @@ _FRAME = pa.int64()
 """Pictures may be numbered by the microseconds since 1970."""
 _WORDS = pa.list_(pa.string())
 
+PLACE = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
+"""The columns of a pose; the first three are those of any place."""
+QUALITY = ("position_sd_mm", "rotation_sd_deg", "residual_mm", "rms_px")
+"""Those that say how good it is."""
+
 SCHEMAS = {
     "detections": pa.schema(
         [
@@ -38,7 +43,7 @@ SCHEMAS = {
             ("index", _I),
             ("ball", _S),
             ("time_s", _F),
-            *((name, _F) for name in ("x_mm", "y_mm", "z_mm")),
+            *((name, _F) for name in PLACE[:3]),
             ("covariance_mm2", pa.list_(_F, 9)),
             ("rms_mm", _F),
             ("cameras", _WORDS),
@@ -49,12 +54,9 @@ SCHEMAS = {
         [
             ("index", _I),
             ("time_s", _F),
-            *((name, _F) for name in ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")),
+            *((name, _F) for name in PLACE),
             ("covariance", pa.list_(_F, 36)),
-            ("position_sd_mm", _F),
-            ("rotation_sd_deg", _F),
-            ("residual_mm", _F),
-            ("rms_px", _F),
+            *((name, _F) for name in QUALITY),
             ("cameras", _WORDS),
             ("balls", _WORDS),
             ("flags", _WORDS),
@@ -66,24 +68,11 @@ SCHEMAS = {
 """By table. `covariance` is the 6x6 of docs/conventions.md, row by row: mm^2, mm rad, rad^2."""
 
 CSV_COLUMNS = (
-    "frame",
-    "time_s",
-    "x_mm",
-    "y_mm",
-    "z_mm",
-    "qw",
-    "qx",
-    "qy",
-    "qz",
-    "position_sd_mm",
-    "rotation_sd_deg",
-    "rms_px",
-    "cameras",
-    "status",
-    "reason",
+    *("frame", "time_s", *PLACE, "position_sd_mm", "rotation_sd_deg", "rms_px"),
+    *("cameras", "status", "reason"),
 )
 _UNKNOWN = np.full(2, np.nan)
-_NINE_DECIMALS = {"time_s", "qw", "qx", "qy", "qz"}
+_NINE_DECIMALS = {"time_s", *PLACE[3:]}
 
 
 def rows_of(measured: Measurement) -> dict[str, list[dict[str, Any]]]:
@@ -139,7 +128,7 @@ def _ball_rows(measured: Measurement) -> Iterator[dict[str, Any]]:
             "index": measured.index,
             "ball": position.ball,
             "time_s": position.time_s,
-            **dict(zip(("x_mm", "y_mm", "z_mm"), map(float, position.center), strict=True)),
+            **dict(zip(PLACE[:3], map(float, position.center), strict=True)),
             "covariance_mm2": position.covariance.ravel(),
             "rms_mm": position.rms_mm,
             "cameras": position.cameras,
@@ -149,7 +138,6 @@ def _ball_rows(measured: Measurement) -> Iterator[dict[str, Any]]:
 
 def pose_row(measured: Measurement) -> dict[str, Any]:
     """Its row of the table of poses."""
-    names = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
     row: dict[str, Any] = {
         "index": measured.index,
         "time_s": measured.time_s,
@@ -161,12 +149,11 @@ def pose_row(measured: Measurement) -> dict[str, Any]:
     }
     pose = measured.pose
     if pose is None:
-        numbers = (*names, "position_sd_mm", "rotation_sd_deg", "residual_mm", "rms_px")
-        return row | dict.fromkeys(numbers, float("nan"))
+        return row | dict.fromkeys((*PLACE, *QUALITY), float("nan"))
     place = (*pose.world_from_body.translation, *pose.world_from_body.quat_wxyz)
     doubts = "; ".join(dict.fromkeys(part for part in (measured.reason, *pose.flags) if part))
     return row | {
-        **dict(zip(names, map(float, place), strict=True)),
+        **dict(zip(PLACE, map(float, place), strict=True)),
         "covariance": pose.covariance.ravel(),
         "position_sd_mm": pose.position_sd_mm,
         "rotation_sd_deg": pose.rotation_sd_deg,

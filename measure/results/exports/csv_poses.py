@@ -9,11 +9,10 @@ import numpy as np
 
 from measure.results.columns import matrices, numbers
 from measure.results.run import Run
+from measure.results.tables import PLACE, QUALITY
 
 _WORDS = ("cameras", "balls", "flags")
-_NUMBERS = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
-_QUALITY = ("position_sd_mm", "rotation_sd_deg", "residual_mm", "rms_px")
-_AXES = ("x_mm", "y_mm", "z_mm", "rx_rad", "ry_rad", "rz_rad")
+_AXES = (*PLACE[:3], "rx_rad", "ry_rad", "rz_rad")
 
 
 def write(run: Run, path: Path) -> None:
@@ -21,13 +20,13 @@ def write(run: Run, path: Path) -> None:
     upper = np.triu_indices(6)
     pairs = [f"cov_{_AXES[i]}_{_AXES[j]}" for i, j in zip(*upper, strict=True)]
     table = run.poses
-    values = numbers(table, *_NUMBERS, *_QUALITY)
+    values = numbers(table, *PLACE, *QUALITY)
     covariances = matrices(table, "covariance", 6)[:, upper[0], upper[1]]
     words = {name: table[name].to_pylist() for name in (*_WORDS, "status", "reason")}
     indices = table["index"].to_pylist()
     with path.open("w", newline="", encoding="utf-8") as file:
         out = csv.writer(file, lineterminator="\n")
-        out.writerow(["frame", "time_s", *_NUMBERS, *_QUALITY, *_WORDS, "status", "reason", *pairs])
+        out.writerow(["frame", "time_s", *PLACE, *QUALITY, *_WORDS, "status", "reason", *pairs])
         for row, index in enumerate(indices):
             out.writerow(
                 [
