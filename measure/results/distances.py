@@ -1,13 +1,14 @@
-"""The body measured with itself: its balls' distances against the body file."""
+"""The body measured with itself: its balls' distances and radii against the body file."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from measure.arrays import Floats
 from measure.checking.body_explanations import (
@@ -17,12 +18,16 @@ from measure.checking.body_explanations import (
     twin_findings,
 )
 from measure.checking.finding import Level
-from measure.measuring.ball_radii import OutlineGrowth
-from measure.model import Body
+from measure.geometry import RigidTransform
+from measure.measuring.ball_radii import outline_growth
+from measure.model import Body, Camera, Detection
 from measure.results.columns import matrices, numbers
+from measure.results.tables import PLACE
 
 MIN_FRAME_SETS = 5
 """Of fewer frame sets the scatter is not known well enough."""
+_MOST_VIEWS = 1500
+"""Ball-views, evenly spread: their errors are alike, so that more say no more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +78,7 @@ def ball_distances(body: Body, balls: pa.Table, poses: pa.Table) -> list[BallDis
     spread = {name: np.full((poses.num_rows, 3, 3), np.nan) for name in body.names}
     names = balls["ball"].to_numpy()
     rows = np.searchsorted(poses["index"].to_numpy(), balls["index"].to_numpy())
-    place = numbers(balls, "x_mm", "y_mm", "z_mm")
+    place = numbers(balls, *PLACE[:3])
     covariances = matrices(balls, "covariance_mm2", 3)
     for name in body.names:
         its = names == name
@@ -92,11 +97,49 @@ def _lengths(apart: Floats, covariances: Floats) -> tuple[Floats, Floats]:
 
 
 def body_notes(
-    body: Body, distances: Sequence[BallDistance], sizes: OutlineGrowth
+    body: Body,
+    cameras: Sequence[Camera],
+    distances: Sequence[BallDistance],
+    detections: pa.Table,
+    poses: pa.Table,
 ) -> tuple[str, ...]:
-    """What is wrong or weak about the body file, a line each, with its level."""
+    """What is wrong or weak about the body file, a line each, with its level.
+
+    Args:
+        body: by the file.
+        cameras: of the run.
+        distances: of its balls, over the run.
+        detections: a row per frame set, camera and ball.
+        poses: a row per frame set.
+    """
+    sizes = outline_growth(_seen(detections, poses), body, cameras)
     weak = (*size_findings(body, sizes), *twin_findings(body))
     return (*contradictions(body, distances), *map(str, weak))
+
+
+def _seen(detections: pa.Table, poses: pa.Table) -> Iterator[tuple[RigidTransform, Detection]]:
+    """Effective detections, evenly spread, with the poses of their frame sets."""
+    used = detections.filter(pc.equal(detections["state"], "effective"))
+    chosen = np.unique(
+        np.linspace(0, used.num_rows - 1, min(used.num_rows, _MOST_VIEWS), dtype=int)
+    )
+    place = numbers(poses, *PLACE)
+    order = poses["index"].to_numpy()
+    for seen in used.take(chosen).to_pylist():
+        at = place[np.searchsorted(order, seen["index"])]
+        if np.isfinite(at).all():
+            uu, uv, vv = (seen[f"var_{which}_px2"] for which in ("uu", "uv", "vv"))
+            yield (
+                RigidTransform.from_quat_wxyz(at[3:], at[:3]),
+                Detection(
+                    seen["ball"],
+                    seen["camera"],
+                    seen["time_s"],
+                    np.array([seen["u_px"], seen["v_px"]]),
+                    seen["radius_px"],
+                    np.array([[uu, uv], [uv, vv]]),
+                ),
+            )
 
 
 def contradictions(body: Body, distances: Sequence[BallDistance]) -> tuple[str, ...]:

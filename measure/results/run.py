@@ -14,7 +14,6 @@ from measure.arrays import Bools, Floats
 from measure.errors import RunError
 from measure.geometry import RigidTransform
 from measure.model import Body, Camera
-from measure.results.ball_sizes import outline_sizes
 from measure.results.columns import matrices, numbers
 from measure.results.distances import BallDistance, ball_distances, body_notes, contradictions
 from measure.results.provenance import read_provenance
@@ -52,9 +51,8 @@ class Run:
     def summary(self) -> Summary:
         """The run in a few numbers."""
         notes = self.provenance.get("session", {}).get("notes", ())
-        sizes = outline_sizes(self.body, self.cameras, self.detections, self.poses)
-        against = body_notes(self.body, self.distances, sizes)
-        return summarise(self.detections, self.poses, notes, against)
+        known = (self.body, self.cameras, self.distances, self.detections, self.poses)
+        return summarise(self.detections, self.poses, notes, body_notes(*known))
 
     @cached_property
     def distances(self) -> list[BallDistance]:

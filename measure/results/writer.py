@@ -15,7 +15,6 @@ import pyarrow as pa
 from measure.errors import RunError
 from measure.measuring import Measurement
 from measure.model import Body, Camera
-from measure.results.ball_sizes import outline_sizes
 from measure.results.distances import ball_distances, body_notes
 from measure.results.files import GrowingFile, replacing, unfinished, writing
 from measure.results.folder import clear, own_files, refuse_folder
@@ -162,10 +161,9 @@ class RunWriter:
             tables = {name: read_table(self._folder, name, s) for name, s in SCHEMAS.items()}
             self._mend_csv(tables["poses"])
             distances = ball_distances(self._body, tables["balls"], tables["poses"])
-            known = (self._body, self._cameras, tables["detections"], tables["poses"])
-            against = body_notes(self._body, distances, outline_sizes(*known))
-            notes = self._provenance.notes
-            summary = summarise(tables["detections"], tables["poses"], notes, against)
+            measured = (tables["detections"], tables["poses"])
+            against = body_notes(self._body, self._cameras, distances, *measured)
+            summary = summarise(*measured, self._provenance.notes, against)
             text = json.dumps(summary.values(), indent=2, allow_nan=False, ensure_ascii=False)
             # From here on the run counts as complete.
             with replacing(self._folder / "summary.json") as file:
