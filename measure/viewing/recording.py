@@ -64,8 +64,8 @@ class RunRecording:
         self._sets: list[Measurement] = []
         self._pictured: list[bool] = []
         log_rig(stream, body, cameras)
-        for video in self._videos.values():
-            video.log(stream)
+        for name, video in self._videos.items():
+            stream.log(entities.image(name), video.asset, static=True)
 
     def __enter__(self) -> Self:
         return self
@@ -135,12 +135,12 @@ class RunRecording:
     def _log_images(self, measured: Measurement, frame_set: FrameSet) -> None:
         self._set_time(measured)
         for name, image in frame_set.images.items():
+            shown: rr.AsComponents
             if name in self._videos:
-                shown = rr.VideoFrameReference(nanoseconds=self._videos[name].time_ns(image.frame))
-                self._stream.log(entities.image(name), shown)
+                time_ns = self._videos[name].times_ns[image.frame]
+                shown = rr.VideoFrameReference(nanoseconds=time_ns)
             elif image.encoded is not None:
-                picture = rr.EncodedImage(contents=image.encoded, media_type="image/jpeg")
-                self._stream.log(entities.image(name), picture)
+                shown = rr.EncodedImage(contents=image.encoded, media_type="image/jpeg")
             else:
-                raw = rr.Image(image.pixels, color_model="BGR")
-                self._stream.log(entities.image(name), raw.compress(jpeg_quality=90))
+                shown = rr.Image(image.pixels, color_model="BGR").compress(jpeg_quality=90)
+            self._stream.log(entities.image(name), shown)

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import av
 import rerun as rr
 
-from measure.arrays import Ints
 from measure.session import Session, Stream
-from measure.viewing import entities
 
 _CODECS = {"h264", "hevc", "av1", "vp9"}
 """What the viewer shows in an mp4. Of other videos the frames go in as pictures."""
@@ -18,30 +17,17 @@ LARGEST_BYTES = 500_000_000
 """Larger videos go in as pictures: one message to the viewer holds the whole file."""
 
 
+@dataclass(frozen=True, eq=False)
 class PassedVideo:
     """One camera's video file.
 
-    Args:
-        camera: its name.
+    Attributes:
         asset: the file.
-        frames: (n,) frame numbers in the order of the file.
-        times_ns: (n,) their presentation times in the file.
+        times_ns: by frame number, when a frame is presented.
     """
 
-    def __init__(
-        self, camera: str, asset: rr.AssetVideo, frames: Sequence[int], times_ns: Ints
-    ) -> None:
-        self._camera = camera
-        self._asset = asset
-        self._times_ns = dict(zip(frames, map(int, times_ns), strict=True))
-
-    def log(self, stream: rr.RecordingStream) -> None:
-        """Put the file into a recording."""
-        stream.log(entities.image(self._camera), self._asset, static=True)
-
-    def time_ns(self, frame: int) -> int:
-        """When a frame of this number is presented."""
-        return self._times_ns[frame]
+    asset: rr.AssetVideo
+    times_ns: Mapping[int, int]
 
 
 def passed_videos(session: Session) -> Mapping[str, PassedVideo]:
@@ -63,7 +49,7 @@ def _open(stream: Stream) -> PassedVideo | None:
         return None
     if len(times_ns) != len(stream.frames):
         return None
-    return PassedVideo(stream.name, asset, stream.frames.tolist(), times_ns)
+    return PassedVideo(asset, dict(zip(stream.frames.tolist(), map(int, times_ns), strict=True)))
 
 
 def _codec(path: Path) -> str:
