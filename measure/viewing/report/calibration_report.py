@@ -8,7 +8,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from measure.arrays import Floats
-from measure.calibration import RigCalibration, Verdict, camera_rows
+from measure.calibration import RigCalibration, Verdict
 from measure.calibration.findings import SUB_MM_SD_MM
 from measure.checking import Level
 from measure.viewing.report import figures, places, style
@@ -32,7 +32,8 @@ def calibration_report(name: str, rig: RigCalibration, verdict: Verdict) -> str:
         columns = ("", "camera", "what, and what to do")
         rows = [(f.level.value, f.camera or "all", f.text) for f in verdict.findings]
         page.table("Findings", "", columns, rows)
-    _add_cameras(page, rig)
+    words = "The cameras as they come out. Apart: how far board and markers disagree."
+    places.add_cameras(page, words, rig.cameras, rig.disagreement_mm)
     _add_workspace(page, rig, verdict)
     _add_marks(page, rig)
     _add_lenses(page, rig, verdict)
@@ -77,23 +78,6 @@ def _facts(rig: RigCalibration, verdict: Verdict) -> list[tuple[str, str]]:
 
 def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))
-
-
-def _add_cameras(page: Page, rig: RigCalibration) -> None:
-    apart = rig.disagreement_mm
-    page.table(
-        "Calibration",
-        "The cameras as they come out. Apart: how far board and markers disagree.",
-        ("camera", "x mm", "y mm", "z mm", "position SD mm", "rotation SD deg", "focal px",
-         "reprojection RMS px", "apart mm"),
-        (
-            (name, *map(float, camera.center), position, turn, focal, "–" if rms is None else rms,
-             apart.get(name, float("nan")))
-            for camera, (name, focal, position, turn, rms) in zip(
-                rig.cameras, camera_rows(rig.cameras), strict=True
-            )
-        ),
-    )  # fmt: skip
 
 
 def _add_workspace(page: Page, rig: RigCalibration, verdict: Verdict) -> None:
@@ -164,8 +148,7 @@ def _add_lenses(page: Page, rig: RigCalibration, verdict: Verdict) -> None:
 
 def _coverage(counts: Floats, size_wh: tuple[int, int], name: str) -> go.Figure:
     rows, columns = counts.shape
-    title = {"text": name, "font": {"size": 13}, "x": 0.02, "y": 0.98, "yref": "container"}
-    figure = style.figure(280, title=title, showlegend=False)
+    figure = style.image(280, name, size_wh)
     figure.add_trace(
         go.Heatmap(
             x=(np.arange(columns) + 0.5) * size_wh[0] / columns,
@@ -177,6 +160,4 @@ def _coverage(counts: Floats, size_wh: tuple[int, int], name: str) -> go.Figure:
             showscale=False,
         )
     )
-    figure.update_xaxes(range=[0, size_wh[0]], title="u [px]", constrain="domain")
-    figure.update_yaxes(range=[size_wh[1], 0], title="v [px]", scaleanchor="x", constrain="domain")
     return figure

@@ -92,8 +92,7 @@ def residual_map(
     keep = thinned(len(centers_px), np.linalg.norm(residuals_px, axis=1))
     start, arrows = centers_px[keep], residuals_px[keep] * ARROW_SCALE
     gaps = np.full(len(start), np.nan)
-    title = {"text": name, "font": {"size": 13}, "x": 0.02, "y": 0.98, "yref": "container"}
-    figure = style.figure(330, title=title, showlegend=False)
+    figure = style.image(330, name, size_wh)
     figure.add_trace(
         go.Scatter(
             x=np.column_stack([start[:, 0], start[:, 0] + arrows[:, 0], gaps]).ravel(),
@@ -116,8 +115,6 @@ def residual_map(
     figure.add_trace(
         go.Scatter(x=start[:, 0], y=start[:, 1], mode="markers", marker=marker, text=size)
     )
-    figure.update_xaxes(range=[0, size_wh[0]], title="u [px]", constrain="domain")
-    figure.update_yaxes(range=[size_wh[1], 0], title="v [px]", scaleanchor="x", constrain="domain")
     return figure
 
 

@@ -1,17 +1,37 @@
-"""Figures of places in the world: the trajectory, its plans, and how well positions are known."""
+"""Places in the world: cameras, the trajectory, its plans, and how well positions are known."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import plotly.graph_objects as go
 
 from measure.arrays import Floats
+from measure.calibration import camera_rows
+from measure.model import Camera
 from measure.viewing.report import style
 from measure.viewing.report.figures import thinned
+from measure.viewing.report.page import Page
 
 _LINES = "#808a96"
 _BELOW = {"orientation": "h", "y": -0.02, "yanchor": "top", "thickness": 10, "len": 0.8}
+
+
+def add_cameras(
+    page: Page, words: str, cameras: Sequence[Camera], apart_mm: Mapping[str, float] | None = None
+) -> None:
+    """Add the table of a calibration's cameras, perhaps with how far board and markers disagree."""
+    columns = (
+        *("camera", "x mm", "y mm", "z mm", "position SD mm", "rotation SD deg"),
+        *("focal px", "reprojection RMS px", *([] if apart_mm is None else ["apart mm"])),
+    )
+    rows: list[tuple[object, ...]] = []
+    for camera, row in zip(cameras, camera_rows(cameras), strict=True):
+        name, focal, position, turn, rms = row
+        apart = () if apart_mm is None else (apart_mm.get(name, float("nan")),)
+        known = (position, turn, focal, "–" if rms is None else rms)
+        rows.append((name, *map(float, camera.center), *known, *apart))
+    page.table("Calibration", words, columns, rows)
 
 
 def trajectory(

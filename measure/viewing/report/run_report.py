@@ -12,7 +12,6 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from measure.arrays import Floats, Ints
-from measure.calibration import camera_rows
 from measure.results import Run, Summary
 from measure.results.accuracy import accuracy_map
 from measure.session import dump_toml
@@ -222,26 +221,8 @@ def _add_distances(page: Page, run: Run) -> None:
 
 
 def _add_provenance(page: Page, run: Run) -> None:
-    page.table(
-        "Calibration",
-        "The cameras as used. Standard deviations are those that the calibration file states.",
-        (
-            "camera",
-            "x mm",
-            "y mm",
-            "z mm",
-            "position SD mm",
-            "rotation SD deg",
-            "focal px",
-            "reprojection RMS px",
-        ),
-        (
-            (name, *map(float, camera.center), position, turn, focal, "–" if rms is None else rms)
-            for camera, (name, focal, position, turn, rms) in zip(
-                run.cameras, camera_rows(run.cameras), strict=True
-            )
-        ),
-    )
+    words = "The cameras as used. Standard deviations are those that the calibration file states."
+    places.add_cameras(page, words, run.cameras)
     session = run.provenance.get("session", {}).get("path", "SESSION")
     calibration = run.provenance.get("calibration", {}).get("path", "CALIBRATION")
     own = run.path.resolve()

@@ -30,3 +30,12 @@ def figure(height: int = 340, **layout: Any) -> go.Figure:
     }
     settings.update(layout)
     return go.Figure(layout=settings)
+
+
+def image(height: int, name: str, size_wh: tuple[int, int]) -> go.Figure:
+    """An empty figure of a camera's image, with its name and its pixels as axes."""
+    title = {"text": name, "font": {"size": 13}, "x": 0.02, "y": 0.98, "yref": "container"}
+    made = figure(height, title=title, showlegend=False)
+    made.update_xaxes(range=[0, size_wh[0]], title="u [px]", constrain="domain")
+    made.update_yaxes(range=[size_wh[1], 0], title="v [px]", scaleanchor="x", constrain="domain")
+    return made
