@@ -92,15 +92,16 @@ def _parse_setting(text: str) -> tuple[Stage, str, Any]:
         raise ConfigError(f"--set {text}: expected STAGE.NAME=VALUE, such as detector.rays=128")
     for candidate in known:
         if candidate == stage:
-            return candidate, name, _parse_value(value.strip())
+            return candidate, name, parse_value(value)
     raise ConfigError(f"--set {text}: no stage is called '{stage}'; there is {', '.join(known)}")
 
 
-def _parse_value(text: str) -> Any:
+def parse_value(text: str) -> Any:
+    """A setting's value as it is typed: TOML, or else a bare word."""
     try:
-        return parse_toml(f"value = {text}")["value"]
+        return parse_toml(f"value = {text.strip()}")["value"]
     except tomllib.TOMLDecodeError:
-        return text
+        return text.strip()
 
 
 def find_tracker(name: str) -> type[Any]:

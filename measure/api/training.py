@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from measure.api.outputs import check_writable, is_one_of
+from measure.api.profiles import parse_value
 from measure.errors import ConfigError, EstimatorError
-from measure.reading import parse_toml
 
 if TYPE_CHECKING:
     from measure.host import Registry, Report
@@ -58,12 +58,13 @@ def train(
     import json
 
     from measure import learning
-    from measure.viewing.report.estimator_report import write_estimator_report
+    from measure.viewing.report.estimator_report import estimator_report
 
     check_seeds(split_seed=options.split_seed, seed=options.seed)
     check_writable(out, folder_is_made=True)
     card_path = out.with_suffix(".card.json")
-    for beside in (card_path, out.with_suffix(".card.md"), out.with_suffix(".report.html")):
+    page = out.with_suffix(".report.html")
+    for beside in (card_path, out.with_suffix(".card.md"), page):
         check_writable(beside, folder_is_made=True)
     read = [*data, *([options.validation] if options.validation else [])]
     if is_one_of(card_path, [path.with_suffix(".card.json") for path in read if path.name]):
@@ -80,8 +81,7 @@ def train(
         resume=options.resume,
         notes=options.notes,
     )
-    card = json.loads(card_path.read_text())
-    write_estimator_report(trained, card, out.with_suffix(".report.html"))
+    page.write_text(estimator_report(trained, json.loads(card_path.read_text())), encoding="utf-8")
     return trained
 
 
@@ -108,17 +108,12 @@ def parse_settings(texts: Sequence[str]) -> dict[str, Any]:
     Raises:
         ConfigError: there is no "=".
     """
-    import tomllib
-
     out: dict[str, Any] = {}
     for text in texts:
         name, equals, value = text.partition("=")
         if not equals:
             raise ConfigError(f"--set {text}: expected NAME=VALUE")
-        try:
-            out[name.strip()] = parse_toml(f"value = {value}")["value"]
-        except tomllib.TOMLDecodeError:
-            out[name.strip()] = value
+        out[name.strip()] = parse_value(value)
     return out
 
 

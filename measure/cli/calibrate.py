@@ -41,7 +41,7 @@ def calibrate(
     from measure.api.outputs import check_apart, check_page_writable, check_replaceable
     from measure.calibration import camera_rows, judgement_lines
     from measure.session import read_calibration, write_calibration
-    from measure.viewing.report.calibration_report import write_calibration_report
+    from measure.viewing.report.calibration_report import calibration_report
 
     page = output.with_suffix(".html") if report is None else report
     check_replaceable(output, read_calibration, "calibration")
@@ -50,7 +50,8 @@ def calibrate(
     with console.progress("calibrating", "cameras") as progress:
         result = run(capture, method, body, progress)
     write_calibration(output, result.calibration, file_format)
-    write_calibration_report(capture.name or str(capture), result.rig, result.verdict, page)
+    made = calibration_report(capture.name or str(capture), result.rig, result.verdict)
+    page.write_text(made, encoding="utf-8")
     code = 0 if result.verdict.trustworthy else console.UNBELIEVABLE
     if json:
         console.print_json({"output": output, **result.calibration.provenance})

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import plotly.graph_objects as go
 
@@ -38,11 +36,6 @@ def calibration_report(name: str, rig: RigCalibration, verdict: Verdict) -> str:
     _add_marks(page, rig)
     _add_lenses(page, rig, verdict)
     return page.render("Made by measure calibrate. Everything on this page is inside this file.")
-
-
-def write_calibration_report(name: str, rig: RigCalibration, verdict: Verdict, path: Path) -> None:
-    """Write the report to a file."""
-    path.write_text(calibration_report(name, rig, verdict), encoding="utf-8")
 
 
 def _verdict(verdict: Verdict) -> tuple[str, str]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -131,11 +130,6 @@ def _add_provenance(page: Page, card: Mapping[str, Any]) -> None:
     made_from = {key: card[key] for key in _MADE_FROM if card.get(key) is not None}
     page.text("How to repeat it", "", str(card.get("command", "")))
     page.text("Settings, data and versions", "", json.dumps(made_from, indent=2))
-
-
-def write_estimator_report(trained: Trained, card: Mapping[str, Any], path: Path) -> None:
-    """Write the report to a file."""
-    path.write_text(estimator_report(trained, card), encoding="utf-8")
 
 
 def _bars(before: Score, after: Score, kind: str) -> go.Figure:
