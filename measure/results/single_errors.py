@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -26,17 +26,22 @@ class BallObservations:
         index: (n,) of the frame set.
         ball: (n,) name.
         camera: (n,) name.
+        frame: (n,) number of the camera's picture.
+        time_s: (n,) of the picture.
         pixels: (n, 2).
     """
 
     index: Ints
     ball: Texts
     camera: Texts
+    frame: Ints
+    time_s: Floats
     pixels: Floats
 
-    def with_pixels(self, pixels: Floats) -> BallObservations:
-        """The same balls seen elsewhere."""
-        return BallObservations(self.index, self.ball, self.camera, pixels)
+    def rows(self, rows: Bools) -> BallObservations:
+        """Some rows (n,) only."""
+        some = {field.name: getattr(self, field.name)[rows] for field in fields(self)}
+        return BallObservations(**some)
 
 
 @dataclass(frozen=True)
@@ -54,24 +59,19 @@ class SingleErrors:
     body: PositionErrors | None
 
 
-def effective_detections(run: Run) -> tuple[BallObservations, Floats]:
-    """The detections a run used, and when (n,) each was seen."""
-    table, used = run.detections, _effective(run)
-    return (
-        BallObservations(
-            integers(table, "index")[used],
-            texts(table, "ball")[used],
-            texts(table, "camera")[used],
-            numbers(table, "u_px", "v_px")[used],
-        ),
-        numbers(table, "time_s")[used],
+def effective_detections(run: Run) -> BallObservations:
+    """The detections a run used."""
+    table = run.detections
+    pixels = numbers(table, "u_px", "v_px")
+    seen = BallObservations(
+        integers(table, "index"),
+        texts(table, "ball"),
+        texts(table, "camera"),
+        integers(table, "frame"),
+        numbers(table, "time_s"),
+        pixels,
     )
-
-
-def _effective(run: Run) -> Bools:
-    """Which rows of the detections (n,) a run used."""
-    places = numbers(run.detections, "u_px", "v_px")
-    return (texts(run.detections, "state") == "effective") & np.isfinite(places).all(axis=1)
+    return seen.rows((texts(table, "state") == "effective") & np.isfinite(pixels).all(axis=1))
 
 
 def detection_errors_by_truth(
@@ -84,16 +84,14 @@ def detection_errors_by_truth(
         truth: true poses.
         cameras: the true cameras.
     """
-    seen, times_s = effective_detections(run)
-    instants = run.times_s[seen.index]
-    known = truth.covers(times_s) & truth.covers(instants)
-    seen, times_s, instants = _select(seen, known), times_s[known], instants[known]
+    seen = effective_detections(run)
+    seen = seen.rows(truth.covers(seen.time_s) & truth.covers(run.times_s[seen.index]))
     if not len(seen.index):
         return SingleErrors(None, None, None)
-    errors = seen.pixels - _project(seen, _centers(run.body, seen, truth, times_s), cameras)
+    errors = seen.pixels - _project(seen, run, truth, seen.time_s, cameras)
     # Each image was taken at its own time: move its error, not its picture, to the instant.
-    there = _project(seen, _centers(run.body, seen, truth, instants), cameras)
-    located = triangulate(seen.with_pixels(there + errors), cameras)
+    there = _project(seen, run, truth, run.times_s[seen.index], cameras)
+    located = triangulate(replace(seen, pixels=there + errors), cameras)
     ball, body = _against_truth(located, run, truth)
     return SingleErrors(pixel_errors(errors), ball, body)
 
@@ -108,14 +106,12 @@ def localisation_errors_by_truth(
         truth: true poses.
         cameras: the true cameras.
     """
-    seen, _ = effective_detections(run)
-    instants = run.times_s[seen.index]
-    known = truth.covers(instants)
-    seen, instants = _select(seen, known), instants[known]
+    seen = effective_detections(run)
+    seen = seen.rows(truth.covers(run.times_s[seen.index]))
     if not len(seen.index):
         return SingleErrors(None, None, None)
-    exact = _project(seen, _centers(run.body, seen, truth, instants), cameras)
-    ball, body = _against_truth(triangulate(seen.with_pixels(exact), run.cameras), run, truth)
+    exact = _project(seen, run, truth, run.times_s[seen.index], cameras)
+    ball, body = _against_truth(triangulate(replace(seen, pixels=exact), run.cameras), run, truth)
     return SingleErrors(None, ball, body)
 
 
@@ -128,17 +124,15 @@ def detection_errors_by_marks(run: Run, marks: Marks) -> SingleErrors:
         run: whose detections.
         marks: (2,) px by camera, camera's frame number and ball.
     """
-    frames = integers(run.detections, "frame")[_effective(run)]
-    seen, _ = effective_detections(run)
-    keys = zip(seen.camera.tolist(), frames.tolist(), seen.ball.tolist(), strict=True)
+    seen = effective_detections(run)
+    keys = zip(seen.camera.tolist(), seen.frame.tolist(), seen.ball.tolist(), strict=True)
     found = [marks.get(key) for key in keys]
-    marked = np.array([mark is not None for mark in found], dtype=bool)
-    seen = _select(seen, marked)
+    seen = seen.rows(np.array([mark is not None for mark in found], dtype=bool))
     if not len(seen.index):
         return SingleErrors(None, None, None)
     pixels = np.stack([mark for mark in found if mark is not None])
     detected = triangulate(seen, run.cameras)
-    by_hand = triangulate(seen.with_pixels(pixels), run.cameras)
+    by_hand = triangulate(replace(seen, pixels=pixels), run.cameras)
     both = [key for key in detected if key in by_hand]
     balls = np.array([detected[key] - by_hand[key] for key in both]).reshape(-1, 3)
     bodies, bodies_by_hand = fit_bodies(detected, run.body), fit_bodies(by_hand, run.body)
@@ -159,13 +153,15 @@ def triangulate(seen: BallObservations, cameras: Sequence[Camera]) -> dict[tuple
         mine = seen.camera == camera.name
         rays = camera.rays(seen.pixels[mine])
         origins[mine], directions[mine] = rays.origins, rays.directions
+    groups: dict[tuple[int, str], list[int]] = {}
+    for row in np.flatnonzero(np.isfinite(directions).all(axis=1)).tolist():
+        groups.setdefault((int(seen.index[row]), str(seen.ball[row])), []).append(row)
     out = {}
-    for key, rows in _groups(seen).items():
-        good = rows[np.isfinite(directions[rows]).all(axis=1)]
-        if len(good) < 2:
+    for key, rows in groups.items():
+        if len(rows) < 2:
             continue
         try:
-            out[key] = nearest_point(Rays(origins[good], directions[good]))
+            out[key] = nearest_point(Rays(origins[rows], directions[rows]))
         except DegenerateGeometryError:
             continue
     return out
@@ -205,26 +201,13 @@ def _against_truth(
     return position_errors(ball), position_errors(np.array(list(origins.values())) - true_origins)
 
 
-def _centers(body: Body, seen: BallObservations, truth: Trajectory, times_s: Floats) -> Floats:
-    """True centres (n, 3) of the balls seen, at the times (n,)."""
-    places = body.centers[[body.index(name) for name in seen.ball]]
-    return truth.at(times_s).apply(places)
-
-
-def _project(seen: BallObservations, centers: Floats, cameras: Sequence[Camera]) -> Floats:
+def _project(
+    seen: BallObservations, run: Run, truth: Trajectory, times_s: Floats, cameras: Sequence[Camera]
+) -> Floats:
+    """Where the centres (n, 2) of the balls seen truly were in the images, at the times (n,)."""
+    centers = truth.at(times_s).apply(run.body.centers[[run.body.index(n) for n in seen.ball]])
     out = np.full((len(centers), 2), np.nan)
     for camera in cameras:
         mine = seen.camera == camera.name
         out[mine] = camera.project(centers[mine])
     return out
-
-
-def _select(seen: BallObservations, rows: Bools) -> BallObservations:
-    return BallObservations(seen.index[rows], seen.ball[rows], seen.camera[rows], seen.pixels[rows])
-
-
-def _groups(seen: BallObservations) -> dict[tuple[int, str], Ints]:
-    groups: dict[tuple[int, str], list[int]] = {}
-    for row, key in enumerate(zip(seen.index.tolist(), seen.ball.tolist(), strict=True)):
-        groups.setdefault(key, []).append(row)
-    return {key: np.array(rows) for key, rows in groups.items()}
