@@ -1,35 +1,32 @@
-"""A run in other programs' formats; one file a format.
-
-Each module holds `write(run, path)`. Libraries a format needs are imported when it is written.
-"""
+"""A run in other programs' formats; the libraries one needs are imported when it is written."""
 
 from __future__ import annotations
 
 import difflib
-import importlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from measure.errors import ConfigError, RunError
+from measure.results.exports import markers, mcap, poses
 from measure.results.folder import own_files
 from measure.results.run import Run
 
 
 @dataclass(frozen=True)
 class Format:
-    """A format: the module that writes it, what it holds, and the extra that must be installed."""
+    """A format: the function that writes it, and the extra that must be installed."""
 
-    module: str
-    holds: str
+    write: Callable[[Run, Path], None]
     extra: str = ""
 
 
 FORMATS = {
-    "csv": Format("csv_poses", "poses with covariances, one row a frame set"),
-    "tum": Format("tum", "poses for evo: metres, frame sets with a pose only"),
-    "trc": Format("trc", "ball centres and the body's origin as markers, for OpenSim"),
-    "c3d": Format("c3d", "ball centres and the body's origin as points", extra="c3d"),
-    "mcap": Format("mcap", "ROS 2 poses with covariance, transforms and ball centres", extra="ros"),
+    "csv": Format(poses.write_csv),
+    "tum": Format(poses.write_tum),
+    "trc": Format(markers.write_trc),
+    "c3d": Format(markers.write_c3d, extra="c3d"),
+    "mcap": Format(mcap.write, extra="ros"),
 }
 
 
@@ -64,7 +61,7 @@ def export_run(run: Run, file_format: str, path: Path, overwrite: bool = False) 
         raise RunError(f"{run.path} holds no pose: there is nothing to export")
     chosen = FORMATS[file_format]
     try:
-        importlib.import_module(f"{__name__}.{chosen.module}").write(run, path)
+        chosen.write(run, path)
     except ModuleNotFoundError as problem:
         raise ConfigError(
             f"writing {file_format} needs {problem.name}: install it with "

@@ -1,8 +1,15 @@
-"""What marker formats show: the located balls and the body's origin at every frame set."""
+"""Marker formats: the located balls and the body's origin at every frame set.
+
+TRC (Track Row Column) is the format of OpenSim, in millimetres and real times; C3D the binary one
+of motion laboratories, written by ezc3d.
+"""
 
 from __future__ import annotations
 
+import shutil
+import tempfile
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -11,6 +18,11 @@ from measure.results.columns import integers, numbers, texts
 from measure.results.run import Run
 
 ORIGIN = "body_origin"
+_HEADINGS = (
+    *("DataRate", "CameraRate", "NumFrames", "NumMarkers", "Units"),
+    *("OrigDataRate", "OrigDataStartFrame", "OrigNumFrames"),
+)
+CHANNELS = ("time_s", "frame")
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,3 +54,61 @@ def markers_of(run: Run) -> Markers:
     steps = np.diff(run.times_s)
     rate = 1 / float(np.median(steps)) if len(steps) else 1.0
     return Markers(names, run.times_s, points, rate)
+
+
+def write_trc(run: Run, path: Path) -> None:
+    """Write every frame set; a marker that was not located is left empty."""
+    markers = markers_of(run)
+    count, rate = len(markers.times_s), f"{markers.rate_hz:.6f}"
+    coordinates = [f"{axis}{k}" for k in range(1, len(markers.names) + 1) for axis in "XYZ"]
+    lines = [
+        f"PathFileType\t4\t(X/Y/Z)\t{path.name}",
+        "\t".join(_HEADINGS),
+        f"{rate}\t{rate}\t{count}\t{len(markers.names)}\tmm\t{rate}\t1\t{count}",
+        "Frame#\tTime\t" + "\t\t\t".join(markers.names) + "\t\t",
+        "\t\t" + "\t".join(coordinates),
+        "",
+    ]
+    for k in range(count):
+        cells = "\t".join(_cells(markers.points_mm[k]))
+        lines.append(f"{k + 1}\t{markers.times_s[k]:.9f}\t{cells}")
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _cells(points: Floats) -> list[str]:
+    return [f"{v:.6f}" if np.isfinite(v) else "" for v in points.reshape(-1)]
+
+
+def write_c3d(run: Run, path: Path) -> None:
+    """Write every frame set; a marker that was not located is invalid there.
+
+    C3D knows a rate, but no times: those since the first frame set stand in the analog channel
+    `time_s`, the frame set's number in `frame`.
+    """
+    import ezc3d
+
+    markers = markers_of(run)
+    count = len(markers.times_s)
+    file = ezc3d.c3d()
+    points = file["parameters"]["POINT"]
+    points["RATE"]["value"] = [markers.rate_hz]
+    points["LABELS"]["value"] = list(markers.names)
+    points["UNITS"]["value"] = ["mm"]
+    homogeneous = np.ones((4, len(markers.names), count))
+    homogeneous[:3] = markers.points_mm.transpose(2, 1, 0)
+    file["data"]["points"] = homogeneous
+    analog = file["parameters"]["ANALOG"]
+    analog["RATE"]["value"] = [markers.rate_hz]
+    analog["LABELS"]["value"] = list(CHANNELS)
+    analog["UNITS"]["value"] = ["s", ""]
+    channels = np.stack([markers.times_s - markers.times_s[0], np.arange(count)])
+    file["data"]["analogs"] = channels[None]
+    # ezc3d says nothing of a file that it could not write, and knows UTF-8 names only: it writes
+    # where it can, and what it wrote is copied.
+    with tempfile.TemporaryDirectory() as scratch:
+        whole = Path(scratch) / "run.c3d"
+        file.write(str(whole))
+        least = 4 * (homogeneous.size + channels.size)
+        if not whole.exists() or whole.stat().st_size < least:
+            raise OSError(f"{scratch} did not take its {least} bytes: is the disk full?")
+        shutil.copyfile(whole, path)

@@ -1,4 +1,4 @@
-"""CSV: every pose with its covariance, a row for every frame set."""
+"""Formats of poses alone: CSV with covariances, and TUM as `evo` reads it."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ _WORDS = ("cameras", "balls", "flags")
 _AXES = (*PLACE[:3], "rx_rad", "ry_rad", "rz_rad")
 
 
-def write(run: Run, path: Path) -> None:
-    """Write `frame, time_s`, the pose, its quality, and the 21 entries of its covariance."""
+def write_csv(run: Run, path: Path) -> None:
+    """Write a row a frame set: `frame, time_s`, the pose, its quality, 21 entries of covariance."""
     upper = np.triu_indices(6)
     pairs = [f"cov_{_AXES[i]}_{_AXES[j]}" for i, j in zip(*upper, strict=True)]
     table = run.poses
@@ -39,6 +39,18 @@ def write(run: Run, path: Path) -> None:
                     *map(_cell, covariances[row]),
                 ]
             )
+
+
+def write_tum(run: Run, path: Path) -> None:
+    """Write a line for every pose, in metres; the format cannot say that one is missing."""
+    poses = run.world_from_body
+    quat = poses.quat_wxyz
+    rows = np.column_stack(
+        [run.times_s[run.has_pose], poses.translation / 1000, quat[:, 1:], quat[:, :1]]
+    )
+    lines = ["# time_s x_m y_m z_m qx qy qz qw (world_from_body)"]
+    lines += [f"{row[0]:.9f} " + " ".join(f"{v:.12f}" for v in row[1:]) for row in rows]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def _cell(value: float) -> str:
