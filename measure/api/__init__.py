@@ -14,8 +14,7 @@ from measure.api.correcting import (
 )
 from measure.api.demo import Demo, demo, render_demo
 from measure.api.detecting import Lens, SeenPicture, detect, parse_expectation
-from measure.api.live import LiveEnd, LiveState, live
-from measure.api.live_outputs import LiveOptions
+from measure.api.live import LiveEnd, LiveOptions, LiveState, live
 from measure.api.many import Outcome, run_many
 from measure.api.measuring import measure_session
 from measure.api.pairing import make_dataset, simulate_dataset, simulate_recording

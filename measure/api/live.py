@@ -13,10 +13,10 @@ from threading import Event
 
 import numpy as np
 
-from measure.api.live_outputs import LiveOptions, LiveOutputs
 from measure.api.measuring import burnt_in, measure_frame_sets
 from measure.api.profiles import RUN_FILE
 from measure.api.recording import (
+    CaptureRequest,
     calibrated_cameras,
     check_apart,
     check_seconds,
@@ -26,20 +26,39 @@ from measure.api.recording import (
     until_stopped,
 )
 from measure.api.run import provenance
-from measure.api.run_log import check_viewer
+from measure.api.run_log import LogOptions, RunLog
 from measure.api.warming_up import warm_pipeline
 from measure.capture import CameraAddress, CameraCount, Cameras, Gathering, Outage, check_new
 from measure.errors import ConfigError, RunError
 from measure.host import Registry
 from measure.measuring import Measurement, Profile
 from measure.measuring.burn_in import enter_realtime
-from measure.model import Body, FrameSet
+from measure.model import Body, Camera, FrameSet
 from measure.processes import share_heaps
-from measure.results import Provenance, Summary, refuse_other_writer
+from measure.results import PoseSender, Provenance, RunWriter, Summary, refuse_other_writer
 from measure.session import Calibration, check_unit, read_body
 
 _RECENT = 30
 """Frame sets over which the rate and the age of poses are taken."""
+
+
+@dataclass(frozen=True)
+class LiveOptions(LogOptions):
+    """How cameras are measured live, beside the run's recording.
+
+    Attributes:
+        record: a session folder to record the pictures into as well.
+        send: host and port that every pose is sent to by UDP.
+        seconds: how long; until interrupted if None.
+        request: what cameras of this machine are set to.
+        overwrite: throw an earlier run away.
+    """
+
+    record: Path | None = None
+    send: tuple[str, int] | None = None
+    seconds: float | None = None
+    request: CaptureRequest | None = None
+    overwrite: bool = False
 
 
 @dataclass(frozen=True)
@@ -127,8 +146,7 @@ def live(
     refuse_other_writer(out)
     if (out / RUN_FILE).exists() and not options.overwrite:
         raise RunError(f"{out} holds a run already: --overwrite throws it away")
-    if options.viewer:
-        check_viewer(options.viewer)
+    options.check_viewer()
     pipeline = warm_pipeline(profile, registry, measured, calibrated)
     made_from = _provenance(options.record, calibration, measured, profile, registry)
     rig = Cameras(sources, sizes_of(calibrated), on_outage)
@@ -140,7 +158,7 @@ def live(
         if options.record is not None:
             kept = recorder(options.record, sources, measured, calibrated)
             sinks.append(stack.enter_context(kept).add)
-        outputs = LiveOutputs(stack, out, made_from, measured, calibrated, options)
+        outputs = _LiveOutputs(stack, out, made_from, measured, calibrated, options)
         rig.begin(sinks)
         frame_sets = _FrameSets(gathering, rig, stop, options.seconds)
         pipeline = burnt_in(pipeline, profile, registry, frame_sets)
@@ -180,6 +198,43 @@ class _FrameSets:
         if self._stop.is_set() or time.monotonic() >= self._ends:
             self._rig.stop()
         return self._rig.over
+
+
+class _LiveOutputs:
+    """The run's folder, its recording, and the receiver of poses; all end with `stack`."""
+
+    def __init__(
+        self,
+        stack: ExitStack,
+        out: Path,
+        made_from: Provenance,
+        body: Body,
+        cameras: Sequence[Camera],
+        options: LiveOptions,
+    ) -> None:
+        self._sender = self._log = None
+        if options.send is not None:
+            self._sender = stack.enter_context(PoseSender(options.send))
+        self._writer = stack.enter_context(
+            RunWriter(out, made_from, body, cameras, overwrite=options.overwrite)
+        )
+        self._writer.begin()
+        if options.recording or options.viewer:
+            self._log = stack.enter_context(RunLog(out.resolve().name, body, cameras, out, options))
+
+    def add(self, frame_set: FrameSet, measured: Measurement) -> None:
+        """Hand a measurement on, to the receiver first."""
+        if self._sender is not None:
+            self._sender.send(measured)
+        self._writer.append(measured)
+        if self._log is not None:
+            self._log.add(measured, frame_set)
+
+    def finish(self) -> Summary:
+        """Finish the run's folder."""
+        if self._log is not None:
+            self._log.close()
+        return self._writer.finish()
 
 
 class _PaceMeter:

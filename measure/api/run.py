@@ -11,7 +11,7 @@ from typing import Any, get_args
 
 from measure.api.measuring import measure_session
 from measure.api.profiles import find_tracker
-from measure.api.run_log import LogOptions, RunLog, check_viewer
+from measure.api.run_log import LogOptions, RunLog
 from measure.errors import ConfigError, MeasureError
 from measure.host import Registry
 from measure.host.settings import read_settings
@@ -86,8 +86,7 @@ def run(
     with ExitStack() as stack:
         session = stack.enter_context(open_session(session_path, options.calibration, options.body))
         total = len(session.pair().times_s)
-        if options.viewer:
-            check_viewer(options.viewer)
+        options.check_viewer()
         made_from = _of_session(session, profile, registry)
         resume, overwrite = options.resume, options.overwrite
         writer = stack.enter_context(
@@ -96,7 +95,10 @@ def run(
         if writer.is_complete(total):
             return writer.finish()
         if writer.kept and on_note is not None:
-            on_note(_cost_of_resuming(writer.kept, total))
+            on_note(
+                f"measuring {min(writer.kept, total)} kept of {total} frame sets again, so that "
+                "the rest comes out as if never interrupted"
+            )
         measured = measure_session(session, profile, registry)
         # Stages that do not fit together or fail at the very first picture are met here: before a
         # folder is made, or an earlier run lost.
@@ -116,13 +118,6 @@ def run(
         if log is not None:
             log.close()
         return writer.finish()
-
-
-def _cost_of_resuming(kept: int, total: int) -> str:
-    return (
-        f"measuring {min(kept, total)} kept of {total} frame sets again, so that the rest comes "
-        "out as if never interrupted"
-    )
 
 
 def provenance(

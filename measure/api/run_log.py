@@ -22,17 +22,6 @@ RESERVED_BYTES = 32_000_000
 """Least free space on the disk to go on: more than the recording buffers at a time."""
 
 
-def check_viewer(address: str) -> None:
-    """Refuse an address where no viewer listens, before anything is measured.
-
-    Raises:
-        ConfigError: none does.
-    """
-    from measure.viewing.stream import check_listening
-
-    check_listening(address)
-
-
 @dataclass(frozen=True)
 class LogOptions:
     """What goes into a run's recording.
@@ -46,6 +35,17 @@ class LogOptions:
     image_every: int = 0
     recording: bool = True
     viewer: str | None = None
+
+    def check_viewer(self) -> None:
+        """Refuse an address where no viewer listens, before anything is measured.
+
+        Raises:
+            ConfigError: none does.
+        """
+        if self.viewer:
+            from measure.viewing.stream import check_listening
+
+            check_listening(self.viewer)
 
 
 class RunLog:
