@@ -239,14 +239,8 @@ class _Novelty:
         return cls(middle, reach, scaling, whitener, limit)
 
     def in_graph(self, graph: Graph, features: Value) -> Value:
-        outside = graph.op(
-            "Abs",
-            graph.op(
-                "Mul",
-                graph.op("Sub", features, self.middle),
-                1.0 / (_RANGE_MARGIN * self.half_range),
-            ),
-        )
+        off = graph.op("Sub", features, self.middle)
+        outside = graph.op("Abs", graph.op("Mul", off, 1.0 / (_RANGE_MARGIN * self.half_range)))
         farthest = graph.op("ReduceMax", outside, axes=[1], keepdims=1)
         white = graph.op("MatMul", self.scaling.in_graph(graph, features), self.whitener)
         squared = graph.op("ReduceMean", graph.op("Mul", white, white), axes=[1], keepdims=1)

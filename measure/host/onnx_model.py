@@ -157,29 +157,17 @@ class OnnxModel:
             raise EstimatorError(
                 f"{self.where}: a state has {len(self.features)} features, got {row[0].shape}"
             )
-        error, covariance, strangeness, self._memory = self._session.run(
-            _OUTPUTS, {"features": row, "memory": self._memory, "tick": _TICKS[due]}
-        )
-        return Correction(
-            error[0].astype(np.float64),
-            covariance.reshape(3, 3).astype(np.float64),
-            not bool(strangeness[0, 0] <= 1.0),  # NaN is unfamiliar too
-        )
+        found, self._memory = self.step(row, self._memory, _TICKS[due])
+        familiar = bool(found.strangeness[0] <= 1.0)  # NaN is unfamiliar too
+        return Correction(found.errors_mm[0], found.covariances[0], not familiar)
 
     def step(self, states: Any, memory: Any, tick: Any) -> tuple[Estimates, Any]:
         """One step of N independent trajectories."""
         error, covariance, strangeness, after = self._session.run(
-            _OUTPUTS,
-            {"features": states, "memory": memory, "tick": tick},
+            _OUTPUTS, {"features": states, "memory": memory, "tick": tick}
         )
-        return (
-            Estimates(
-                error.astype(np.float64),
-                covariance.astype(np.float64).reshape(-1, 3, 3),
-                strangeness[:, 0].astype(np.float64),
-            ),
-            after,
-        )
+        numbers = (error, covariance.reshape(-1, 3, 3), strangeness[:, 0])
+        return Estimates(*(one.astype(np.float64) for one in numbers)), after
 
     def predict(self, data: Dataset) -> Estimates:
         """Corrections of all rows, every trajectory from a fresh start, as `update` gives them."""
@@ -188,16 +176,20 @@ class OnnxModel:
         out = Estimates(np.empty((count, 3)), np.empty((count, 3, 3)), np.empty(count))
         if self.facts["memoryless"]:
             for start in range(0, count, 4096):
-                self._fill(out, data, np.arange(start, min(start + 4096, count)))
+                rows = np.arange(start, min(start + 4096, count))
+                memory = np.zeros((len(rows), self.memory_size), dtype=np.float32)
+                self._fill(out, data, rows, memory, np.ones(len(rows), dtype=bool))
         else:
             self._predict_runs(out, data)
         return out
 
-    def _fill(self, out: Estimates, data: Dataset, rows: Any) -> None:
-        memory = np.zeros((len(rows), self.memory_size), dtype=np.float32)
+    def _fill(self, out: Estimates, data: Dataset, rows: Any, memory: Any, tick: Any) -> Any:
+        """Fill in the corrections of rows, each of another trajectory; returns their memory."""
         states = data.states[rows].astype(np.float32)
-        part, _ = self.step(states, memory, np.ones((len(rows), 1), dtype=np.float32))
-        _store(out, rows, part)
+        part, memory = self.step(states, memory, tick[:, None].astype(np.float32))
+        out.errors_mm[rows], out.covariances[rows] = part.errors_mm, part.covariances
+        out.strangeness[rows] = part.strangeness
+        return memory
 
     def _predict_runs(self, out: Estimates, data: Dataset) -> None:
         """All trajectories side by side, the longest first, dropping each at its end."""
@@ -212,14 +204,4 @@ class OnnxModel:
             times = data.times_s[rows]
             due = ~(times - ticked[:alive] < 0.75 * self.period_s)
             ticked[:alive] = np.where(due, times, ticked[:alive])
-            part, memory = self.step(
-                data.states[rows].astype(np.float32),
-                memory[:alive],
-                due[:, None].astype(np.float32),
-            )
-            _store(out, rows, part)
-
-
-def _store(out: Estimates, rows: Any, part: Estimates) -> None:
-    out.errors_mm[rows], out.covariances[rows] = part.errors_mm, part.covariances
-    out.strangeness[rows] = part.strangeness
+            memory = self._fill(out, data, rows, memory[:alive], due)
