@@ -125,7 +125,6 @@ def evaluate(
     covered = _covered(run, truth)
     here = covered & run.has_pose
     measured, true = _pairs(run, truth, here)
-    _refuse_other_unit(run, truth, measured.translation, true.translation)
     errors = measured.difference(true)
     covariances = run.covariances[here[run.has_pose]]
     missing = int((covered & ~run.has_pose).sum())
@@ -168,10 +167,10 @@ def _covered(run: Run, truth: Trajectory) -> Bools:
         raise RunError(f"{run.path} holds no frame set yet: there is nothing to compare")
     covered = truth.covers(run.times_s)
     if not covered.any():
+        theirs, ours = (f"{t[0]:.3f} to {t[-1]:.3f} s" for t in (truth.times_s, run.times_s))
         raise RunError(
-            f"{truth.source} runs from {truth.times_s[0]:.3f} to {truth.times_s[-1]:.3f} s, at no "
-            f"time together with {run.path} ({_range(run.times_s)}): it is not its truth, or on "
-            "another clock (--find-offset finds it by motion)"
+            f"{truth.source} runs from {theirs}, at no time together with {run.path} ({ours}): it "
+            "is not its truth, or on another clock (--find-offset finds it by motion)"
         )
     return covered
 
@@ -188,33 +187,29 @@ def pose_errors(run: Run, truth: Trajectory) -> Floats:
     errors = np.full((len(here), 6), np.nan)
     if here.any():
         measured, true = _pairs(run, truth, here)
-        _refuse_other_unit(run, truth, measured.translation, true.translation)
         errors[here] = measured.difference(true)
     return errors
 
 
 def _pairs(run: Run, truth: Trajectory, here: Bools) -> tuple[RigidTransform, RigidTransform]:
-    """Measured and true poses of the frame sets `here`, which have both."""
-    which = here[run.has_pose]
-    poses = run.world_from_body
+    """Measured and true poses of the frame sets `here`, which have both; refused in another unit.
+
+    Positions a hundred times as large, or less than a hundredth, are in another unit.
+    """
+    which, poses = here[run.has_pose], run.world_from_body
     measured = RigidTransform(poses.rotation[which], poses.translation[which])
-    return measured, truth.at(run.times_s[here])
-
-
-def _range(times_s: Floats) -> str:
-    return f"{times_s[0]:.3f} to {times_s[-1]:.3f} s" if len(times_s) else "no frame set"
-
-
-def _refuse_other_unit(run: Run, truth: Trajectory, measured: Floats, true: Floats) -> None:
-    """Positions a hundred times as large, or less than a hundredth, are in another unit."""
-    if not len(measured):
-        return
-    ours, theirs = (float(np.median(np.linalg.norm(p, axis=1))) for p in (measured, true))
+    true = truth.at(run.times_s[here])
+    if not here.any():
+        return measured, true
+    ours, theirs = (
+        float(np.median(np.linalg.norm(one.translation, axis=1))) for one in (measured, true)
+    )
     if max(ours, theirs) > 1.0 and not 0.01 < (ours + 1e-3) / (theirs + 1e-3) < 100:
         raise RunError(
             f"{truth.source} has positions of about {theirs:.3g}, {run.path} of {ours:.3g} mm: "
             "the truth must be in mm (x_mm, y_mm, z_mm)"
         )
+    return measured, true
 
 
 def _ball_errors(run: Run, truth: Trajectory) -> tuple[np.ndarray, Floats, Floats]:

@@ -22,8 +22,8 @@ class TextTable:
 
 def evaluation_tables(found: RunEvaluation) -> list[TextTable]:
     """The paper's Table I first, then what it leaves out."""
-    tables = [_table_one(found), _completeness(found), _rotation(found), _single_errors(found)]
-    tables.append(_consistency(found))
+    kinds = (_table_one, _completeness, _rotation, _single_errors, _consistency)
+    tables = [kind(found) for kind in kinds]
     return [table for table in tables if table.rows]
 
 
@@ -51,19 +51,17 @@ def _completeness(found: RunEvaluation) -> TextTable:
     if found.body is not None:
         rows.append(("body 95 % within, mm", found.body.p95_3d_mm))
         rows.append(("body at most, mm", found.body.max_3d_mm))
-    if found.body_ok is not None and found.body is not None:
+    if found.body_ok is not None:
         rows.append(("body RMS of unflagged poses, mm", found.body_ok.rms_3d_mm))
     return TextTable("Completeness", ("what", "value"), rows)
 
 
 def _rotation(found: RunEvaluation) -> TextTable:
     rows: list[tuple[Cell, ...]] = []
-    if found.rotation is not None:
-        turn = found.rotation
-        rows.append(("absolute", turn.rms_3d_deg, turn.sd_3d_deg, turn.max_3d_deg))
-    if found.aligned is not None:
-        turn = found.aligned.rotation
-        rows.append(("world aligned", turn.rms_3d_deg, turn.sd_3d_deg, turn.max_3d_deg))
+    aligned = None if found.aligned is None else found.aligned.rotation
+    for name, turn in (("absolute", found.rotation), ("world aligned", aligned)):
+        if turn is not None:
+            rows.append((name, turn.rms_3d_deg, turn.sd_3d_deg, turn.max_3d_deg))
     return TextTable("Rotation", ("rotation", "RMS deg", "SD deg", "max deg"), rows)
 
 
