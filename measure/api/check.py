@@ -37,7 +37,7 @@ from measure.checking import (
     worst_first,
 )
 from measure.checking.body import BodyCheck, LocatedBalls, check_body, locate_balls
-from measure.checking.body_explanations import size_findings, twin_findings
+from measure.checking.body_explanations import body_finding, size_findings, twin_findings
 from measure.checking.camera_errors import CameraError
 from measure.checking.clocks import CameraClock
 from measure.checking.motion import MotionCheck, check_motion, motion_findings, scale_findings
@@ -49,7 +49,7 @@ from measure.processes import Progress
 from measure.session import Session, check_overlap, damaged_frames, holds_jpeg, open_session
 
 if TYPE_CHECKING:
-    from measure.model import Body, Detection, FrameSet
+    from measure.model import Detection, FrameSet
 
 _REACH_MM = 40.0
 _LEAST_NOISE_PX = 0.1
@@ -156,9 +156,10 @@ def _concluded(session: Session, look: _Look, pictures: list[Finding]) -> Sessio
     shape = check_body(look.located, session.body)
     cameras_agree = all(f.topic != "calibration" for f in (*misplaced, *by_motion))
     findings += (
-        _body_findings(shape, cameras_agree)
+        [body_finding(text, Level.WRONG, cameras_agree) for text in shape.findings]
         or scale_findings(motion, cameras_agree)
-        or _size_findings(session.body, motion, cameras_agree)
+        # Balls that are larger or smaller than in the file, if cameras can tell.
+        or (size_findings(session.body, motion.sizes) if motion.sizes and cameras_agree else [])
     )
     findings += twin_findings(session.body)
     coverage, weak = coverage_findings(searched, session.body, session.cameras, misfits)
@@ -177,21 +178,6 @@ def _concluded(session: Session, look: _Look, pictures: list[Finding]) -> Sessio
         motion.scale_sd,
         _accuracy(session, searched),
     )
-
-
-def _body_findings(shape: BodyCheck, cameras_agree: bool) -> list[Finding]:
-    """What is wrong with the body; only weak where cameras do not stand as they should."""
-    if cameras_agree:
-        return [Finding(Level.WRONG, "body", text) for text in shape.findings]
-    doubt = "measured with cameras that do not agree: calibrate them first"
-    return [Finding(Level.WEAK, "body", f"{text} ({doubt})") for text in shape.findings]
-
-
-def _size_findings(body: Body, motion: MotionCheck, cameras_agree: bool) -> list[Finding]:
-    """Balls that are larger or smaller than in the file, if cameras can tell."""
-    if motion.sizes is None or not cameras_agree:
-        return []
-    return size_findings(body, motion.sizes)
 
 
 def _accuracy(session: Session, searched: Sequence[SearchSample]) -> Floats | None:

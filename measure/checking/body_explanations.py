@@ -138,6 +138,14 @@ def _shared_size(radii: Sequence[Compared]) -> list[str]:
     return [f"the balls are {factor:.2f} times as large as the body file says ({radii_text})"]
 
 
+def body_finding(text: str, level: Level, cameras_agree: bool) -> Finding:
+    """A line on the body; only weak where cameras do not stand as they should."""
+    if cameras_agree:
+        return Finding(level, "body", text)
+    doubt = "measured with cameras that do not agree: calibrate them first"
+    return Finding(Level.WEAK, "body", f"{text} ({doubt})")
+
+
 def size_findings(body: Body, seen: OutlineGrowth) -> list[Finding]:
     """A line with the balls' sizes and their uncertainty where outlines contradict the file."""
     if not seen.contradicts(body):

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from measure.checking.body_explanations import body_finding
 from measure.checking.camera_errors import (
     CameraError,
     Kind,
@@ -123,11 +124,8 @@ def scale_findings(motion: MotionCheck, cameras_agree: bool) -> list[Finding]:
         "file says: the body file or the scale of the calibration is off, and poses with it; "
         "callipers on two balls tell which"
     )
-    if cameras_agree:
-        level = Level.WRONG if off > _SCALE_WRONG_SIGMAS else Level.WEAK
-        return [Finding(level, "body", text)]
-    doubt = "measured with cameras that do not agree: calibrate them first"
-    return [Finding(Level.WEAK, "body", f"{text} ({doubt})")]
+    level = Level.WRONG if off > _SCALE_WRONG_SIGMAS else Level.WEAK
+    return [body_finding(text, level, cameras_agree)]
 
 
 def _flag_findings(motion: MotionCheck) -> list[Finding]:
