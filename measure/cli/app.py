@@ -157,7 +157,11 @@ def _dispatch(tokens: list[str]) -> int:
             disable: Leave out a plugin or a distribution, without importing it; may be repeated.
         """
         command, bound, ignored = app.parse_args(words, exit_on_error=False, print_error=False)
-        injected = _injected(ignored, disable)
+        injected = {}
+        if "registry" in ignored:  # an argument that is not typed
+            from measure.host import Registry
+
+            injected["registry"] = Registry.discover(disable)
         result = command(*bound.args, **bound.kwargs, **injected)
         return result if isinstance(result, int) else DONE
 
@@ -168,15 +172,6 @@ def _dispatch(tokens: list[str]) -> int:
         )
     except CycloptsError as error:
         return _mistake(_explain(error, tokens))
-
-
-def _injected(wanted: dict[str, Any], disabled: Sequence[str]) -> dict[str, Any]:
-    """Arguments of a command that are not typed."""
-    if "registry" not in wanted:
-        return {}
-    from measure.host import Registry
-
-    return {"registry": Registry.discover(disabled)}
 
 
 def _explain(error: CycloptsError, tokens: Sequence[str]) -> str:

@@ -51,8 +51,7 @@ def demo(
             ("position, mm", found.body.rms_3d_mm, found.body.max_3d_mm),
             ("rotation, deg", found.rotation.rms_3d_deg, found.rotation.max_3d_deg),
         ]
-    title = f"{found.compared} of {found.frame_sets} poses against the exact truth"
-    console.print_text(title)
+    console.print_text(f"{found.compared} of {found.frame_sets} poses against the exact truth")
     console.print_table(("error", "RMS", "largest"), rows)
     _print_correction(made.correction)
     console.print_text(f"session  {made.session}")
@@ -64,14 +63,12 @@ def demo(
 
 def _print_correction(found: EstimatorEvaluation) -> None:
     """Print the accuracy of the shipped network on a simulated robot."""
-    before, after = found.before, found.after
-    title = (
+    console.print_text(
         "a simulated cable-driven robot, freshly switched on: where it believes its tip to be, and "
         "corrected by the shipped network, against the exact truth"
     )
-    console.print_text(title)
     rows = [
-        ("reported position, mm", before.rms_mm, before.p95_mm),
-        ("corrected position, mm", after.rms_mm, after.p95_mm),
+        (f"{name} position, mm", score.rms_mm, score.p95_mm)
+        for name, score in (("reported", found.before), ("corrected", found.after))
     ]
     console.print_table(("error", "RMS", "95 % below"), rows)

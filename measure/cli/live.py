@@ -113,15 +113,8 @@ def _pace(state: LiveState) -> str:
 
 
 def _numbers(end: LiveEnd) -> dict[str, object]:
-    if end.state is None:
-        return {}
-    return {
-        "rate_hz": end.state.rate_hz,
-        "age_s": end.state.age_s,
-        "overtaken": end.state.overtaken,
-        "unreadable": end.state.unreadable,
-        "cameras": end.state.cameras,
-    }
+    names = ("rate_hz", "age_s", "overtaken", "unreadable", "cameras")
+    return {} if end.state is None else {name: getattr(end.state, name) for name in names}
 
 
 def _print(end: LiveEnd, out: Path) -> None:

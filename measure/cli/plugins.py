@@ -65,18 +65,16 @@ def _print(item: Loaded | Broken) -> None:
 
 
 def _listing(registry: Registry) -> dict[str, Any]:
-    return {
-        "plugins": [_describe(item) for item in _sorted(registry)],
-        "broken": [_describe(item) for item in registry.broken],
-        "clashes": [
-            {
-                "kind": clash[0].kind,
-                "name": clash[0].name,
-                "distributions": [item.distribution for item in clash],
-            }
-            for clash in registry.clashes()
-        ],
-    }
+    clashes = [
+        {
+            "kind": clash[0].kind,
+            "name": clash[0].name,
+            "distributions": [item.distribution for item in clash],
+        }
+        for clash in registry.clashes()
+    ]
+    usable, broken = map(_describe, _sorted(registry)), map(_describe, registry.broken)
+    return {"plugins": list(usable), "broken": list(broken), "clashes": clashes}
 
 
 def _describe(item: Loaded | Broken) -> dict[str, Any]:

@@ -146,14 +146,6 @@ def _print_outcomes(outcomes: Sequence[Outcome], out: Path, json: bool) -> int:
 def _row(outcome: Outcome) -> tuple[object, ...]:
     s = outcome.summary
     if s is None:
-        return (outcome.session.name, None, None, None, None, None, None, outcome.error)
-    return (
-        outcome.session.name,
-        s.frame_sets,
-        s.ok,
-        s.flagged,
-        s.lost,
-        s.skipped,
-        s.position_sd_mm,
-        None,
-    )
+        return (outcome.session.name, *[None] * 6, outcome.error)
+    counts = (s.frame_sets, s.ok, s.flagged, s.lost, s.skipped)
+    return (outcome.session.name, *counts, s.position_sd_mm, None)
