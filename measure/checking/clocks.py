@@ -9,7 +9,7 @@ cameras are observable: the median of the offsets is set to 0.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,7 +22,7 @@ from measure.checking.clock_system import (
     solve_clocks,
 )
 from measure.estimation.pose_fit import PoseObservations
-from measure.geometry import RigidTransform, chi_square_quantile
+from measure.geometry import chi_square_quantile
 from measure.measuring.measurement import Measurement
 from measure.measuring.pose_spline import REACH, motion_at
 from measure.model import Body, Camera, Pose
@@ -31,6 +31,8 @@ _ITERATIONS = 4
 _SIGNIFICANT_SIGMAS = 4.0
 _MIN_INSTANTS = 5
 _MOTION_CONFIDENCE = 0.9999
+_EXTRA_PX = 0.3
+"""Usual systematic error of a detection."""
 _MAX_READOUT_SD_S = 0.008
 """A less certain readout time cannot be separated from the offset and is not estimated."""
 
@@ -70,7 +72,7 @@ def estimate_clocks(
     body: Body,
     cameras: Sequence[Camera],
     readout: bool = True,
-    extra_px: float = 0.3,
+    extra_px: float = _EXTRA_PX,
 ) -> tuple[CameraClock, ...]:
     """Estimate every camera's clock offset and readout time.
 
@@ -85,14 +87,13 @@ def estimate_clocks(
         One clock per camera, in order. A camera that saw too little, or a body that stood still,
         gives infinite standard deviations.
     """
-    usable = [m for m in measurements if m.pose is not None and _count_cameras(m) >= 2]
-    unknown = tuple(CameraClock(c.name, 0.0, np.inf, np.nan, np.inf) for c in cameras)
-    if len(usable) < _MIN_INSTANTS:
-        return unknown
+    seen, poses = _sightings(measurements, body, cameras, extra_px)
+    if len(seen) < _MIN_INSTANTS:
+        return tuple(CameraClock(c.name, 0.0, np.inf, np.nan, np.inf) for c in cameras)
     with_readout = np.full(len(cameras), readout)
-    clocks, sd = _estimate(usable, body, cameras, with_readout, extra_px)
+    clocks, sd = _estimate(seen, poses, cameras, with_readout, extra_px)
     if np.any(uncertain := with_readout & (sd[:, 1] > _MAX_READOUT_SD_S)):
-        clocks, sd = _estimate(usable, body, cameras, with_readout & ~uncertain, extra_px)
+        clocks, sd = _estimate(seen, poses, cameras, with_readout & ~uncertain, extra_px)
     return tuple(
         CameraClock(
             camera.name,
@@ -106,16 +107,13 @@ def estimate_clocks(
 
 
 def _estimate(
-    usable: Sequence[Measurement],
-    body: Body,
+    seen: Sequence[PoseObservations],
+    poses: Sequence[Pose],
     cameras: Sequence[Camera],
     readout: Bools,
     extra_px: float,
 ) -> tuple[Floats, Floats]:
     """Offsets and readout times (c, 2), and their standard deviations (c, 2)."""
-    by_name = {camera.name: camera for camera in cameras}
-    seen = [_sightings(m, body, by_name, extra_px) for m in usable]
-    poses = [m.pose for m in usable if m.pose is not None]
     clocks = np.zeros((len(cameras), 2))
     sd = np.full((len(cameras), 2), np.inf)
     for _ in range(_ITERATIONS):
@@ -132,10 +130,7 @@ def _estimate(
 
 
 def measured_instants(
-    measurements: Iterable[Measurement],
-    body: Body,
-    cameras: Sequence[Camera],
-    extra_px: float = 0.3,
+    measurements: Iterable[Measurement], body: Body, cameras: Sequence[Camera]
 ) -> list[Instant]:
     """The observations of all instants with a pose, and the motion around them.
 
@@ -143,12 +138,22 @@ def measured_instants(
         measurements: of one recording, in order of time.
         body: the body.
         cameras: its cameras.
-        extra_px: systematic error of a detection, in its weight.
     """
-    usable = [m for m in measurements if m.pose is not None and _count_cameras(m) >= 2]
+    return _instants(*_sightings(measurements, body, cameras, _EXTRA_PX), cameras)
+
+
+def _sightings(
+    measurements: Iterable[Measurement], body: Body, cameras: Sequence[Camera], extra_px: float
+) -> tuple[list[PoseObservations], list[Pose]]:
+    """What was seen of every pose that two cameras or more see, and these poses."""
     by_name = {camera.name: camera for camera in cameras}
-    seen = [_sightings(m, body, by_name, extra_px) for m in usable]
-    return _instants(seen, [m.pose for m in usable if m.pose is not None], cameras)
+    sightings, poses = [], []
+    for m in measurements:
+        seen = [v.detection for v in m.views if v.effective and v.detection is not None]
+        if m.pose is not None and len({detection.camera for detection in seen}) >= 2:
+            poses.append(m.pose)
+            sightings.append(PoseObservations.of(seen, body, by_name, m.pose.time_s, extra_px))
+    return sightings, poses
 
 
 def _instants(
@@ -156,35 +161,12 @@ def _instants(
 ) -> list[Instant]:
     names = {camera.name: i for i, camera in enumerate(cameras)}
     heights = np.array([camera.intrinsics.size_wh[1] for camera in cameras])
-    return [
-        _instant(s, names, heights, pose.world_from_body, v, a)
-        for s, pose, (v, a) in zip(seen, poses, _derivatives(poses), strict=True)
-    ]
-
-
-def _count_cameras(measurement: Measurement) -> int:
-    return len({view.camera for view in measurement.views if view.effective})
-
-
-def _sightings(
-    measurement: Measurement, body: Body, cameras: Mapping[str, Camera], extra_px: float
-) -> PoseObservations:
-    assert measurement.pose is not None
-    seen = [v.detection for v in measurement.views if v.effective and v.detection is not None]
-    return PoseObservations.of(seen, body, cameras, measurement.pose.time_s, extra_px)
-
-
-def _instant(
-    sightings: PoseObservations,
-    names: Mapping[str, int],
-    heights: Floats,
-    pose: RigidTransform,
-    velocity: Floats,
-    acceleration: Floats,
-) -> Instant:
-    index = np.array([names[name] for name in sightings.rig.names])
-    rows = (sightings.pixels[:, 1] - (heights[index] - 1) / 2) / heights[index]
-    return Instant(sightings, index, rows, pose, velocity, acceleration)
+    out = []
+    for s, pose, motion in zip(seen, poses, _derivatives(poses), strict=True):
+        index = np.array([names[name] for name in s.rig.names])
+        rows = (s.pixels[:, 1] - (heights[index] - 1) / 2) / heights[index]
+        out.append(Instant(s, index, rows, pose.world_from_body, *motion))
+    return out
 
 
 def _derivatives(poses: Sequence[Pose]) -> list[tuple[Floats, Floats]]:

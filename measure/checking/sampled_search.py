@@ -14,6 +14,8 @@ from measure.measuring.tracking.predictive.pose_checks import disagreeing_camera
 from measure.model import Body, Camera, Detection
 
 _RADIUS_RATIO = 1.25
+_REACH_PX = 80.0
+"""Largest distance of a candidate from where the ball should be."""
 _MAX_STEP_S = 0.12
 """Longest time between two samples that give a velocity."""
 
@@ -28,7 +30,6 @@ class SearchSample:
         agreeing: the detections it rests on.
         nearest: per camera and ball, the candidate of about the right size nearest to where the
             ball should be, however far off.
-        in_view: per camera, how many balls should lie in its image.
         reason: why there is no pose.
         flags: of the pose.
         disagreeing_cameras: those that see balls, but none where the body should appear.
@@ -39,7 +40,6 @@ class SearchSample:
     world_from_body: RigidTransform | None
     agreeing: tuple[Detection, ...]
     nearest: tuple[Detection, ...]
-    in_view: Mapping[str, int]
     reason: str
     flags: tuple[str, ...] = ()
     disagreeing_cameras: tuple[str, ...] = ()
@@ -72,7 +72,6 @@ def search_sample(
     body: Body,
     cameras: Sequence[Camera],
     time_s: float,
-    reach_px: float = 80.0,
 ) -> SearchSample:
     """Find the body among candidates, and each camera's candidates nearest to it.
 
@@ -81,17 +80,14 @@ def search_sample(
         body: the body.
         cameras: the cameras.
         time_s: of the frame set.
-        reach_px: largest distance of a candidate from where the ball should be.
     """
     found = associate(body, cameras, detections)
     if found.world_from_body is None:
-        return SearchSample(time_s, None, (), (), {}, found.reason)
+        return SearchSample(time_s, None, (), (), found.reason)
     centers = found.world_from_body.apply(body.centers)
     nearest: list[Detection] = []
-    in_view = {}
     for camera in cameras:
         pixels = camera.project(centers)
-        in_view[camera.name] = int(np.sum(camera.intrinsics.contains(pixels)))
         distances = np.linalg.norm(centers - camera.center, axis=1)
         for k, ball in enumerate(body.balls):
             radius = camera.intrinsics.focal_px * ball.radius_mm / distances[k]
@@ -101,14 +97,13 @@ def search_sample(
                 if d.ball == ball.name and 1 / _RADIUS_RATIO < d.radius_px / radius < _RADIUS_RATIO
             ]
             best = min(near, key=lambda item: item[0], default=None)
-            if best is not None and best[0] < reach_px:
+            if best is not None and best[0] < _REACH_PX:
                 nearest.append(best[1])
     return SearchSample(
         time_s,
         found.world_from_body,
         found.detections,
         tuple(nearest),
-        in_view,
         "",
         found.flags,
         disagreeing_cameras(found, body, cameras, detections),
