@@ -73,6 +73,7 @@ def demo(
         MeasureError: what `run` raises.
     """
     from measure.simulation.catalogue import webcam_scene
+    from measure.viewing.drawings import write_mosaic
 
     _refuse_what_is_no_demo(folder, frames)
     scene = webcam_scene()
@@ -94,7 +95,8 @@ def demo(
 
     summary = run(session, folder / "run", profile, registry, options, measured)
     picture = folder / "demo.png"
-    _draw(session, folder / "run", frames // 2, picture)
+    with open_session(session) as opened:
+        write_mosaic(opened, read_run(folder / "run"), frames // 2, picture)
     correction = correct_simulated_robot(ROBOT_S)
     return Demo(session, folder / "run", picture, summary, evaluate(folder / "run"), correction)
 
@@ -123,10 +125,3 @@ def _refuse_what_is_no_demo(folder: Path, frames: int) -> None:
         raise ConfigError(
             f"{folder} is there and holds no demonstration: name another folder with -o"
         )
-
-
-def _draw(session: Path, run_folder: Path, index: int, picture: Path) -> None:
-    from measure.viewing.mosaic import write_mosaic
-
-    with open_session(session) as opened:
-        write_mosaic(opened, read_run(run_folder), index, picture)

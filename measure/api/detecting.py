@@ -131,7 +131,7 @@ def detect(
         kept = [d for d in found if not asked or d.ball in asked]
         seen.append(SeenPicture(path, tuple(sorted(kept, key=lambda d: -d.score))))
         if out is not None:
-            from measure.viewing.outlines import write_outlines
+            from measure.viewing.drawings import write_outlines
 
             write_outlines(pixels, seen[-1].detections, drawn[index])
         if progress is not None:

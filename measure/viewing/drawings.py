@@ -1,24 +1,26 @@
-"""One instant of a run as a picture: every camera's view with what was found in it."""
+"""Pictures with what was found drawn in: a single one, or one instant of a run by all cameras."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 from measure.arrays import Bytes, Floats
-from measure.errors import DegenerateGeometryError, RunError
+from measure.errors import ConfigError, DegenerateGeometryError, RunError
 from measure.geometry import RigidTransform, tangent_cone
-from measure.model import Body, Camera
+from measure.model import Body, Camera, Detection
 from measure.results import Run
 from measure.session import Session
 
 TILE_WH = (640, 360)
 _AXIS_MM = 60.0
 _FRACTION_BITS = 4
+"""Bits of a pixel's fraction in OpenCV's drawing."""
 _AXIS_COLOURS = ((80, 80, 255), (90, 220, 90), (255, 150, 80))
-_FOUND, _NOT_FOUND = (255, 255, 255), (150, 150, 150)
+_FOUND, _NOT_FOUND, _DARK = (255, 255, 255), (150, 150, 150), (0, 0, 0)
 
 
 def draw_mosaic(session: Session, run: Run, index: int) -> Bytes:
@@ -60,12 +62,33 @@ def draw_mosaic(session: Session, run: Run, index: int) -> Bytes:
 
 def write_mosaic(session: Session, run: Run, index: int, path: Path) -> None:
     """`draw_mosaic` into a PNG file, smoothed a little and in 64 levels: noise would swell it."""
-    mosaic = cv2.bilateralFilter(draw_mosaic(session, run, index), 9, 18, 5)
-    mosaic = np.asarray(mosaic // 4 * 4 + 2, dtype=np.uint8)
-    ok, data = cv2.imencode(".png", mosaic, [cv2.IMWRITE_PNG_COMPRESSION, 9])
-    if not ok:
-        raise RuntimeError(f"OpenCV could not encode a {mosaic.shape} picture")
-    path.write_bytes(bytes(data))
+    smooth = cv2.bilateralFilter(draw_mosaic(session, run, index), 9, 18, 5)
+    mosaic = np.asarray(smooth // 4 * 4 + 2, dtype=np.uint8)
+    _write(mosaic, path, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+
+
+def write_outlines(pixels: Bytes, detections: Sequence[Detection], path: Path) -> None:
+    """Write a picture with the circle, centre, name and score of every detection.
+
+    Args:
+        pixels: BGR (h, w, 3).
+        detections: of that picture.
+        path: a file that cv2 can write; PNG keeps the pixels as they are.
+
+    Raises:
+        ConfigError: it cannot be written.
+    """
+    picture = pixels.copy()
+    for detection in reversed(detections):  # the best on top
+        _draw_outline(picture, detection)
+    _write(picture, path)
+
+
+def _write(picture: Bytes, path: Path, options: Sequence[int] = ()) -> None:
+    done, encoded = cv2.imencode(path.suffix, picture, options)
+    if not done:
+        raise ConfigError(f"{path}: cannot be written as a picture")
+    path.write_bytes(encoded.tobytes())
 
 
 def _picture(session: Session, camera: Camera, frame: int | None) -> Bytes:
@@ -109,3 +132,20 @@ def _lines(picture: Bytes, points: Floats, colour: tuple[int, int, int], thickne
         return
     fixed = np.rint(points * (1 << _FRACTION_BITS)).astype(np.int32).reshape(-1, 1, 2)
     cv2.polylines(picture, [fixed], False, colour, thickness, cv2.LINE_AA, _FRACTION_BITS)
+
+
+def _draw_outline(picture: Bytes, detection: Detection) -> None:
+    u, v = detection.center_px.tolist()
+    at = round(u * 2**_FRACTION_BITS), round(v * 2**_FRACTION_BITS)
+    radius = round(detection.radius_px * 2**_FRACTION_BITS)
+    size = max(picture.shape[0] / 720, 0.4)
+    for color, width in ((_DARK, 3), (_FOUND, 1)):
+        cv2.circle(picture, at, radius, color, width, cv2.LINE_AA, _FRACTION_BITS)
+        cv2.drawMarker(
+            picture, (round(u), round(v)), color, cv2.MARKER_CROSS, round(8 * size), width
+        )
+        text = f"{detection.ball} {detection.score:.2f}"
+        corner = round(u + 0.75 * detection.radius_px), round(v - 0.75 * detection.radius_px)
+        cv2.putText(
+            picture, text, corner, cv2.FONT_HERSHEY_SIMPLEX, 0.6 * size, color, width, cv2.LINE_AA
+        )
