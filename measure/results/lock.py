@@ -63,7 +63,10 @@ class FolderLock:
             descriptor = os.open(self._path, os.O_RDWR | os.O_CREAT | _NO_LINK, 0o666)
             try:
                 if not lock_descriptor(descriptor, blocking=False):
-                    raise RunError(self._refusal())
+                    raise RunError(
+                        f"{self._path.parent} is being written by {_holder(self._path)}: wait for "
+                        "its end, or choose another folder with --out"
+                    )
                 if self._is_there(descriptor):
                     return descriptor
             except OSError as error:
@@ -86,12 +89,6 @@ class FolderLock:
             return os.path.samestat(os.fstat(descriptor), self._path.stat())
         except FileNotFoundError:
             return False
-
-    def _refusal(self) -> str:
-        return (
-            f"{self._path.parent} is being written by {_holder(self._path)}: wait for its end, or "
-            "choose another folder with --out"
-        )
 
 
 def refuse_other_writer(folder: Path) -> None:
