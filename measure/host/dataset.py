@@ -13,6 +13,8 @@ from measure.arrays import Bools, Floats, Ints, floats
 from measure.errors import EstimatorError
 from measure.robots import StateSchema
 
+_BY_ROW = ("states", "times_s", "trajectory", "errors_mm", "covariances", "usable")
+
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
@@ -65,14 +67,8 @@ class Dataset:
     def digest(self) -> str:
         """A short fingerprint: changes when a state, time, label, weight or trajectory does."""
         sha = hashlib.sha256(repr((self.schema.names, self.names)).encode())
-        for array in (
-            self.states.astype(np.float32),  # as files hold them
-            self.times_s,
-            self.trajectory,
-            self.errors_mm,
-            self.covariances,
-            self.usable,
-        ):
+        # States as files hold them.
+        for array in (self.states.astype(np.float32), *(getattr(self, n) for n in _BY_ROW[1:])):
             sha.update(np.ascontiguousarray(array).tobytes())
         return sha.hexdigest()[:16]
 
@@ -88,15 +84,7 @@ class Dataset:
 
     def rows(self, keep: Bools) -> Dataset:
         """The data set of some rows only."""
-        return replace(
-            self,
-            states=self.states[keep],
-            times_s=self.times_s[keep],
-            trajectory=self.trajectory[keep],
-            errors_mm=self.errors_mm[keep],
-            covariances=self.covariances[keep],
-            usable=self.usable[keep],
-        )
+        return replace(self, **{name: getattr(self, name)[keep] for name in _BY_ROW})
 
     def select(self, names: Sequence[str]) -> Dataset:
         """The data set of some trajectories only.
