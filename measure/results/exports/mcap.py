@@ -70,10 +70,9 @@ def _write_poses(run: Run, out: _Topics) -> None:
     quats, covariances = poses.quat_wxyz, run.covariances * np.outer(_METRES, _METRES)
     for k, time_s in enumerate(run.times_s[run.has_pose].tolist()):
         position, quat = poses.translation[k] / 1000, quats[k]
-        turn = _rotation(out, quat)
-        pose = out.message(
-            "geometry_msgs/msg/Pose", position=_point(out, position), orientation=turn
-        )
+        turn = _parts(out, "Quaternion", "wxyz", quat)
+        point = _parts(out, "Point", "xyz", position)
+        pose = out.message("geometry_msgs/msg/Pose", position=point, orientation=turn)
         uncertain = out.message(
             "geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariances[k].reshape(36)
         )
@@ -88,14 +87,13 @@ def _write_balls(run: Run, out: _Topics) -> None:
     times, names = numbers(table, "time_s"), texts(table, "ball")
     topics = _topics(run.body.names)
     for time_s, name, center in zip(times.tolist(), names.tolist(), centers, strict=True):
-        point = out.message(_POINT, header=out.header(time_s), point=_point(out, center))
-        out.send(topics[name], _POINT, time_s, point)
+        point = _parts(out, "Point", "xyz", center)
+        stamped = out.message(_POINT, header=out.header(time_s), point=point)
+        out.send(topics[name], _POINT, time_s, stamped)
 
 
 def _transform(out: _Topics, time_s: float, position: Floats, turn: Any) -> Any:
-    shift = out.message(
-        "geometry_msgs/msg/Vector3", **dict(zip("xyz", position.tolist(), strict=True))
-    )
+    shift = _parts(out, "Vector3", "xyz", position)
     transform = out.message("geometry_msgs/msg/Transform", translation=shift, rotation=turn)
     stamped = out.message(
         "geometry_msgs/msg/TransformStamped",
@@ -106,15 +104,11 @@ def _transform(out: _Topics, time_s: float, position: Floats, turn: Any) -> Any:
     return out.message(_TF, transforms=[stamped])
 
 
-def _point(out: _Topics, position: Floats) -> Any:
+def _parts(out: _Topics, kind: str, names: str, values: Floats) -> Any:
+    """A message of numbers that are called by single letters."""
     return out.message(
-        "geometry_msgs/msg/Point", **dict(zip("xyz", position.tolist(), strict=True))
+        f"geometry_msgs/msg/{kind}", **dict(zip(names, values.tolist(), strict=True))
     )
-
-
-def _rotation(out: _Topics, quat_wxyz: Floats) -> Any:
-    parts = dict(zip("wxyz", quat_wxyz.tolist(), strict=True))
-    return out.message("geometry_msgs/msg/Quaternion", **parts)
 
 
 def _topics(balls: Sequence[str]) -> dict[str, str]:
