@@ -80,7 +80,9 @@ def locate_balls(
         variances[ball.name] = float(points.sd_mm[0] ** 2)
         near = _sizes(candidates.detections, points.points[0], cameras)
         if near:
-            radii[ball.name] = _mean_radius(near)
+            # The deviation is that of one view, as the bias of edges is common to all.
+            radius, sd = np.median(near, axis=0).tolist()
+            radii[ball.name] = (radius, sd)
     return LocatedBalls(centers, variances, radii)
 
 
@@ -121,11 +123,6 @@ def _sizes(
         sd_px = np.hypot(_EDGE_BIAS_PX, np.sqrt(d.variance_px2))
         out.append((float(radius), float(radius * sd_px / d.radius_px)))
     return out
-
-
-def _mean_radius(sizes: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """Median radius; its deviation is that of one view, as the bias of edges is common to all."""
-    return float(np.median([r for r, _ in sizes])), float(np.median([sd for _, sd in sizes]))
 
 
 def _distance(frames: Sequence[LocatedBalls], body: Body, a: str, b: str) -> Compared | None:
