@@ -18,7 +18,7 @@ from measure.api.live import LiveEnd, LiveOptions, LiveState, live
 from measure.api.many import Outcome, run_many
 from measure.api.measuring import measure_session
 from measure.api.pairing import make_dataset, simulate_dataset, simulate_recording
-from measure.api.profiles import build_pipeline, choose, load_profile, profile_names
+from measure.api.profiles import build_pipeline, choose, load_profile
 from measure.api.recording import (
     CaptureRequest,
     RecordedSession,
@@ -81,7 +81,6 @@ __all__ = [
     "parse_receiver",
     "parse_settings",
     "parse_size",
-    "profile_names",
     "record",
     "refine",
     "render_demo",

@@ -160,7 +160,7 @@ def live(
             sinks.append(stack.enter_context(kept).add)
         outputs = _LiveOutputs(stack, out, made_from, measured, calibrated, options)
         rig.begin(sinks)
-        frame_sets = _FrameSets(gathering, rig, stop, options.seconds)
+        frame_sets = _frame_sets(gathering, rig, stop, options.seconds)
         pipeline = burnt_in(pipeline, profile, registry, frame_sets)
         enter_realtime(pipeline.stages.detectors)
         state, watch = None, _PaceMeter(gathering, rig)
@@ -182,22 +182,18 @@ def _with_away(measured: Measurement, away: Sequence[str]) -> Measurement:
     return replace(measured, reason="; ".join(filter(None, (measured.reason, *missing))))
 
 
-class _FrameSets:
+def _frame_sets(
+    gathering: Gathering, rig: Cameras, stop: Event, seconds: float | None
+) -> Callable[[], Iterator[FrameSet]]:
     """Frame sets as they come; each call begins with those that come then."""
+    ends = math.inf if seconds is None else time.monotonic() + seconds
 
-    def __init__(
-        self, gathering: Gathering, rig: Cameras, stop: Event, seconds: float | None
-    ) -> None:
-        self._gathering, self._rig, self._stop = gathering, rig, stop
-        self._ends = math.inf if seconds is None else time.monotonic() + seconds
+    def over() -> bool:
+        if stop.is_set() or time.monotonic() >= ends:
+            rig.stop()
+        return rig.over
 
-    def __call__(self) -> Iterator[FrameSet]:
-        return self._gathering.frame_sets(self._over, self._rig.check)
-
-    def _over(self) -> bool:
-        if self._stop.is_set() or time.monotonic() >= self._ends:
-            self._rig.stop()
-        return self._rig.over
+    return lambda: gathering.frame_sets(over, rig.check)
 
 
 class _LiveOutputs:

@@ -50,8 +50,10 @@ def measure_frame_sets(
         yield waiting.popleft(), measured
 
 
-def calibrated_pipeline(session: Session, profile: Profile, registry: Registry) -> Pipeline:
-    """A warm pipeline whose detectors have calibrated themselves on the start of the recording.
+def calibrated_pipeline(
+    session: Session, profile: Profile, registry: Registry, start: int = 0
+) -> Pipeline:
+    """A warm pipeline whose detectors have calibrated themselves on the frame sets from `start`.
 
     Raises:
         PluginError: a plugin that is unknown, broken or ambiguous, or refuses the body.
@@ -59,7 +61,7 @@ def calibrated_pipeline(session: Session, profile: Profile, registry: Registry) 
         SessionError: no two cameras have images close enough in time.
     """
     pipeline = warm_pipeline(profile, registry, session.body, session.cameras)
-    return burnt_in(pipeline, profile, registry, session.frame_sets)
+    return burnt_in(pipeline, profile, registry, partial(session.frame_sets, start=start))
 
 
 def burnt_in(

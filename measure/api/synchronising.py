@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from itertools import count, islice
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from measure.api.measuring import burnt_in, measure_frame_sets
+from measure.api.measuring import calibrated_pipeline, measure_frame_sets
 from measure.api.outputs import check_writable
 from measure.api.warming_up import warm_pipeline
 from measure.arrays import Floats
@@ -170,8 +169,6 @@ def _fine(session: Session, registry: Registry, profile: Profile) -> tuple[Camer
     together = (session.pair().positions >= 0).sum(axis=1)
     window = min(_FINE_SETS, len(together))
     start = int(np.argmax(np.convolve(together, np.ones(window), mode="valid")))
-    pipeline = warm_pipeline(profile, registry, session.body, session.cameras)
-    frame_sets = partial(session.frame_sets, start=start)
-    pipeline = burnt_in(pipeline, profile, registry, frame_sets)
-    measured = islice(measure_frame_sets(pipeline, frame_sets()), window)
+    pipeline = calibrated_pipeline(session, profile, registry, start)
+    measured = islice(measure_frame_sets(pipeline, session.frame_sets(start=start)), window)
     return estimate_clocks((m for _, m in measured), session.body, session.cameras)
