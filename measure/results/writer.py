@@ -15,14 +15,14 @@ import pyarrow as pa
 from measure.errors import RunError
 from measure.measuring import Measurement
 from measure.model import Body, Camera
-from measure.results.distances import ball_distances, body_notes
 from measure.results.files import GrowingFile, replacing, unfinished, writing
 from measure.results.folder import clear, own_files, refuse_folder
 from measure.results.journal import Journal, finish, read_table
 from measure.results.kept import NOTHING, csv_rows, read_kept, refuse_other_run
 from measure.results.lock import FolderLock, refuse_other_writer
 from measure.results.provenance import Provenance
-from measure.results.summary import Summary, summarise
+from measure.results.run import Run
+from measure.results.summary import Summary
 from measure.results.tables import CSV_COLUMNS, SCHEMAS, csv_line, rows_of
 from measure.session import Calibration, dump_toml, write_body, write_calibration
 
@@ -160,10 +160,9 @@ class RunWriter:
             self._begun = False
             tables = {name: read_table(self._folder, name, s) for name, s in SCHEMAS.items()}
             self._mend_csv(tables["poses"])
-            distances = ball_distances(self._body, tables["balls"], tables["poses"])
-            measured = (tables["detections"], tables["poses"])
-            against = body_notes(self._body, self._cameras, distances, *measured)
-            summary = summarise(*measured, self._provenance.notes, against)
+            made_from = self._provenance.values()
+            run = Run(self._folder, made_from, self._body, self._cameras, **tables, finished=True)
+            summary = run.summary
             text = json.dumps(summary.values(), indent=2, allow_nan=False, ensure_ascii=False)
             # From here on the run counts as complete.
             with replacing(self._folder / "summary.json") as file:
