@@ -155,8 +155,7 @@ def evaluate(
         truth_offset=offset,
         notes=(
             *(() if offset is None else (offset.note(),)),
-            *_notes(run, body, missing, marks, cameras is None),
-            *_turned(errors[:, 3:]),
+            *_notes(run, errors, missing, marks, cameras is None),
         ),
     )
 
@@ -256,33 +255,23 @@ def _checked_cameras(run: Run, cameras: Sequence[Camera] | None) -> Sequence[Cam
     return cameras
 
 
-def _turned(rotvecs: Floats) -> tuple[str, ...]:
-    """A line if half of the rotations (n, 3) in rad are far off."""
-    angle = float(np.rad2deg(np.median(np.linalg.norm(rotvecs, axis=1)))) if len(rotvecs) else 0.0
-    if angle <= FAR_DEG:
-        return ()
-    doubt = (
-        "does the truth give world_from_body, and its quaternions in the order of their headings?"
-    )
-    return (f"half of the rotations are more than {angle:.0f} deg off: {doubt}",)
-
-
 def _notes(
-    run: Run,
-    body: PositionErrors | None,
-    missing: int,
-    marks: Marks | None,
-    cameras_unknown: bool,
+    run: Run, errors: Floats, missing: int, marks: Marks | None, cameras_unknown: bool
 ) -> tuple[str, ...]:
+    """What to doubt, where the poses compared have these errors (n, 6)."""
+    far_mm, far_rad = (
+        float(np.median(np.linalg.norm(part, axis=1))) if len(part) else 0.0
+        for part in (errors[:, :3], errors[:, 3:])
+    )
     notes = []
     if missing:
         notes.append(
             f"{missing} frame sets have no pose: the RMS over the others says nothing about them"
         )
-    if body is not None and body.median_3d_mm > FAR_MM:
+    if far_mm > FAR_MM:
         notes.append(
-            f"half of the poses are more than {body.median_3d_mm:.0f} mm off: is this the truth of "
-            "this session?"
+            f"half of the poses are more than {far_mm:.0f} mm off: is this the truth of this "
+            "session?"
         )
     if marks is not None and (over := passed_over(run, marks)):
         notes.append(
@@ -298,4 +287,9 @@ def _notes(
     first = integers(run.poses, "index")
     if len(first) and first[0] != 0:
         notes.append(f"the run begins at frame set {first[0]}")
+    if np.rad2deg(far_rad) > FAR_DEG:
+        notes.append(
+            f"half of the rotations are more than {np.rad2deg(far_rad):.0f} deg off: does the "
+            "truth give world_from_body, and its quaternions in the order of their headings?"
+        )
     return tuple(notes)
