@@ -130,7 +130,8 @@ def build_app() -> App:
     for title, commands in GROUPS.items():
         group = Group.create_ordered(title)
         for command in commands:
-            app.command(command.import_path, name=command.name, help=command.summary, group=group)
+            path = f"measure.cli.{command.name}:{command.name}"
+            app.command(path, name=command.name, help=command.summary, group=group)
     app["--help"].group = app["--version"].group = Group.create_ordered("Options")
     app.meta.group_parameters = Group.create_ordered("Options")
     app.meta.suppress_keyboard_interrupt = False

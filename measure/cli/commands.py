@@ -17,11 +17,6 @@ class Command:
     name: str
     summary: str
 
-    @property
-    def import_path(self) -> str:
-        """Import path of the command's function."""
-        return f"measure.cli.{self.name}:{self.name}"
-
 
 GROUPS: dict[str, tuple[Command, ...]] = {
     "First steps": (
