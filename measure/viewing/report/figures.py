@@ -53,10 +53,10 @@ def histograms(
     figure = style.figure(barmode="overlay")
     for column, name in zip(values.T, names, strict=True):
         finite = column[np.isfinite(column)]
+        # Few values in narrow bins look like a comb.
+        bins = int(np.clip(2 * np.sqrt(len(finite)), 8, 40))
         counts, edges = (
-            np.histogram(finite, bins=_bins(len(finite)))
-            if len(finite)
-            else (np.zeros(1), np.arange(2))
+            np.histogram(finite, bins=bins) if len(finite) else (np.zeros(1), np.arange(2))
         )
         figure.add_trace(
             go.Bar(
@@ -71,11 +71,6 @@ def histograms(
     figure.update_xaxes(title=label)
     figure.update_yaxes(title=counted)
     return figure
-
-
-def _bins(count: int) -> int:
-    """Few values in narrow bins look like a comb."""
-    return int(np.clip(2 * np.sqrt(count), 8, 40))
 
 
 def residual_map(
