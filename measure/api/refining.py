@@ -78,7 +78,9 @@ def refine(
 
     chosen = _lenient(load_profile(profile))
     with open_session(session, calibration=calibration) as opened:
-        joint = _joint_covariance(opened.calibration_path)
+        # The covariance of all cameras together, where the first calibration holds it.
+        known = read_calibration(opened.calibration_path).provenance.get("joint_covariance")
+        joint = None if known is None else np.asarray(known, dtype=np.float64)
         given = (opened.cameras, opened.body)
         measured, sized = _measure(opened, chosen, registry, progress)
         rough = rough_cameras(*given, measured, settings, joint)
@@ -124,12 +126,6 @@ def _with_centers(sized: Body, centers: Floats) -> Body:
     """The body to write: what is known of its radii becomes their tolerance."""
     sd_mm = float(np.sqrt(np.mean(np.diag(sized.radius_covariance))))
     return replace(sized.with_centers(centers), radius_tolerance_mm=sd_mm)
-
-
-def _joint_covariance(path: Path) -> Floats | None:
-    """The covariance of all cameras together, where the first calibration holds it."""
-    values = read_calibration(path).provenance.get("joint_covariance")
-    return None if values is None else np.asarray(values, dtype=np.float64)
 
 
 def _shifts(rig: RefinedRig, before: Mapping[str, float]) -> dict[str, float]:
