@@ -16,8 +16,7 @@ from measure.viewing import entities
 from measure.viewing.columns import FrameSetBatch, set_time
 from measure.viewing.pictures import send_views
 from measure.viewing.rig import log_rig
-from measure.viewing.scene import send_balls, send_poses
-from measure.viewing.traces import send_errors, send_traces
+from measure.viewing.scene import send_balls, send_errors, send_poses, send_traces
 from measure.viewing.videos import PassedVideo
 
 HELD_SETS = 120
