@@ -94,9 +94,9 @@ def summarise(
         body_notes: what is wrong or weak about the body file, each with its level.
     """
     statuses = Counter(poses["status"].to_pylist())
-    doubts = Counter(
-        kind for text in poses["reason"].to_pylist() if text for kind in sorted(_kinds(text))
-    )
+    # A row's reasons count without their numbers, each once.
+    given = [text.split("; ") for text in poses["reason"].to_pylist() if text]
+    doubts = Counter(kind for row in given for kind in sorted({_NUMBER.sub("…", r) for r in row}))
     seen = detections.group_by(["ball", "camera", "state"], use_threads=False)
     used = [
         row
@@ -139,11 +139,6 @@ def _idle(suspended: pa.Table, used: set[str]) -> tuple[str, ...]:
         for name, counts in reasons.items()
         if used and name not in used
     )
-
-
-def _kinds(reasons: str) -> set[str]:
-    """A row's reasons without their numbers, so that they can be counted."""
-    return {_NUMBER.sub("…", reason) for reason in reasons.split("; ")}
 
 
 def _median(column: pa.ChunkedArray) -> float:
