@@ -76,8 +76,7 @@ def _number(value: float, unit: str) -> str:
 
 
 def _add_errors(page: Page, run: Run, errors: Floats) -> None:
-    curves = dict(zip(("x", "y", "z"), errors[:, :3].T, strict=True))
-    curves["3d"] = np.linalg.norm(errors[:, :3], axis=1)
+    curves = _by_axis(errors[:, :3]) | {"3d": np.linalg.norm(errors[:, :3], axis=1)}
     turn = np.degrees(np.linalg.norm(errors[:, 3:], axis=1))
     page.figures(
         "Error against truth",
@@ -103,7 +102,7 @@ def _add_poses(page: Page, run: Run) -> None:
     )
     axes = np.full((len(has), 3), np.nan)
     axes[has] = np.sqrt(np.diagonal(run.covariances, axis1=1, axis2=2)[:, :3])
-    curves = dict(zip(("x", "y", "z"), axes.T, strict=True)) | {"3d": sd}
+    curves = _by_axis(axes) | {"3d": sd}
     turn = run.poses["rotation_sd_deg"].to_numpy()
     page.figures(
         "Uncertainty",
@@ -116,14 +115,13 @@ def _add_poses(page: Page, run: Run) -> None:
     page.figures(
         "Position",
         "In world axes.",
-        figures.over_time(
-            run.times_s,
-            dict(zip(("x", "y", "z"), xyz.T, strict=True)),
-            "position [mm]",
-            style.AXIS_COLORS,
-        ),
+        figures.over_time(run.times_s, _by_axis(xyz), "position [mm]", style.AXIS_COLORS),
         figures.histograms(xyz - np.nanmean(xyz, axis=0), ("x", "y", "z"), "about the mean [mm]"),
     )
+
+
+def _by_axis(values: Floats) -> dict[str, Floats]:
+    return dict(zip("xyz", values.T, strict=True))
 
 
 def _add_accuracy(page: Page, run: Run) -> None:
