@@ -46,17 +46,9 @@ def check(
     """
     from measure import api
 
+    how, replaced = api.load_profile(profile), (calibration, body)
     with console.progress("looking") as report:
-        found = api.check(
-            session,
-            registry,
-            api.load_profile(profile),
-            calibration,
-            body,
-            samples,
-            clock_samples,
-            report,
-        )
+        found = api.check(session, registry, how, *replaced, samples, clock_samples, report)
     if json:
         console.print_json(found)
     else:

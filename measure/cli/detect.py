@@ -69,16 +69,8 @@ def detect(
     known = read_body(body)
     chosen = api.choose(api.load_profile(profile), {"detector": detector}, set_)
     with console.progress("looking", "pictures") as report:
-        seen = api.detect(
-            pictures,
-            registry,
-            chosen,
-            known,
-            api.Lens(calibration, camera, focal_px),
-            asked,
-            out,
-            report,
-        )
+        lens = api.Lens(calibration, camera, focal_px)
+        seen = api.detect(pictures, registry, chosen, known, lens, asked, out, report)
     if write_body is not None:
         outlined = [ball for ball, _ in asked if ball not in clicks]
         api.write_sampled_body(write_body, known, seen[0], clicks, outlined)
