@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -208,9 +206,3 @@ class DriftMonitor:
                 "the cables have changed, train again"
             )
         return f"drift: none, residuals are {size:.2f} times as large as promised"
-
-
-def runs_of(labels: Sequence[object]) -> list[slice]:
-    """Slices of equal neighbours."""
-    edges = [i for i in range(1, len(labels)) if labels[i] != labels[i - 1]]
-    return [slice(a, b) for a, b in itertools.pairwise([0, *edges, len(labels)])]

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+from pyarrow import csv, parquet
 
 from measure.arrays import Bools, Floats
 from measure.errors import EstimatorError
 from measure.host import Correction, Dataset, OnnxModel
-from measure.learning.guard import DriftMonitor, GuardedModel, runs_of
+from measure.learning.guard import DriftMonitor, GuardedModel
 from measure.learning.zeroing import Zeroing, fit_zeroing
 from measure.robots import Feature, Reading, StateSchema, check_robot, log_pieces
-from measure.robots.pieces import TableFile, TableWriter
+from measure.robots.pieces import TableFile
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,16 +114,14 @@ class Corrector:
         count = len(table.states)
         errors, covariances = np.full((count, 3), np.nan), np.full((count, 3, 3), np.nan)
         unfamiliar = np.zeros(count, dtype=bool)
-        labels = table.run.tolist()
-        for rows in runs_of(labels):
-            if rows.start or labels[0] != self._run:
+        for row, label in enumerate(table.run.tolist()):
+            if label != self._run:
                 self._guarded.reset()
-            for row in range(rows.start, rows.stop):
-                answer = self._guarded.update(table.states[row], float(table.times_s[row]))
-                if isinstance(answer, Correction):
-                    errors[row], covariances[row] = answer.error_mm, answer.covariance
-                    unfamiliar[row] = answer.unfamiliar
-        self._run = labels[-1]
+                self._run = label
+            answer = self._guarded.update(table.states[row], float(table.times_s[row]))
+            if isinstance(answer, Correction):
+                errors[row], covariances[row] = answer.error_mm, answer.covariance
+                unfamiliar[row] = answer.unfamiliar
         sd = np.sqrt(np.trace(covariances, axis1=1, axis2=2))
         return Corrected(errors, sd, unfamiliar, self.counts)
 
@@ -157,9 +158,14 @@ def correct_file(
     fresh = out.with_name(f"{out.name}.new")
     fresh.unlink(missing_ok=True)
     try:
-        with TableWriter(fresh, comma_separated=out.suffix == ".csv") as writer:
+        with ExitStack() as opened:
+            writer: Any = None
             for table in read_states(states, model):
-                writer.add(_columns(table, corrector.correct(table)))
+                rows = pa.table(_columns(table, corrector.correct(table)))
+                if writer is None:
+                    kind = csv.CSVWriter if out.suffix == ".csv" else parquet.ParquetWriter
+                    writer = opened.enter_context(kind(fresh, rows.schema))
+                writer.write_table(rows)
         fresh.replace(out)
     finally:
         fresh.unlink(missing_ok=True)

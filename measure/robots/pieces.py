@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import pyarrow as pa
 from pyarrow import csv, parquet
@@ -18,7 +18,6 @@ PIECE_ROWS = 1 << 16
 """Rows in memory at a time."""
 _BUFFER_BYTES = 1 << 20
 _BLOCK_BYTES = 16 << 20
-_GROUP_ROWS = 1 << 20
 
 
 class TableFile(Columns):
@@ -118,39 +117,3 @@ def _csv_batches(
 
 def _blocks() -> csv.ReadOptions:
     return csv.ReadOptions(block_size=_BLOCK_BYTES)
-
-
-class TableWriter:
-    """Writes a Parquet or CSV file in pieces, as it would be written in one."""
-
-    def __init__(self, path: Path, *, comma_separated: bool) -> None:
-        self._path, self._comma_separated = path, comma_separated
-        self._waiting: list[pa.Table] = []
-        self._schema: pa.Schema | None = None
-        self._out: Any = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if kind is None:
-            self._write()
-        if self._out is not None:
-            self._out.close()
-
-    def add(self, columns: Mapping[str, Any]) -> None:
-        """Add rows: arrays (n,) by name, of the types of the first ones."""
-        table = pa.table(dict(columns), schema=self._schema)
-        self._schema = table.schema
-        self._waiting.append(table)
-        if sum(map(len, self._waiting)) >= _GROUP_ROWS:
-            self._write()
-
-    def _write(self) -> None:
-        if not self._waiting:
-            return
-        table, self._waiting = pa.concat_tables(self._waiting).combine_chunks(), []
-        if self._out is None:
-            kind = csv.CSVWriter if self._comma_separated else parquet.ParquetWriter
-            self._out = kind(self._path, table.schema)
-        self._out.write_table(table)

@@ -23,10 +23,13 @@ from measure.learning import (
     Split,
     StatePacket,
     correct,
+    correct_file,
     read_states,
 )
 from measure.learning.offline import schema_of
 from measure.learning.server import SILENT_S
+from measure.robots import pieces
+from measure.robots.tables import Table
 
 pytest.importorskip("onnx", reason="fitting needs the extra 'train'")
 
@@ -293,7 +296,9 @@ def test_a_hundred_hertz_lose_nothing(server: EstimateServer, split: Split) -> N
     assert server.counters.lost == 0
 
 
-def test_offline_is_online(model_path: Path, split: Split, tmp_path: Path) -> None:
+def test_offline_is_online(
+    model_path: Path, split: Split, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     import pyarrow as pa
     from pyarrow import parquet
 
@@ -312,6 +317,12 @@ def test_offline_is_online(model_path: Path, split: Split, tmp_path: Path) -> No
     np.testing.assert_array_equal(times, data.times_s)
     np.testing.assert_allclose(corrected.errors_mm, estimates.errors_mm, atol=1e-4)
     assert corrected.counts["corrected"] == len(data)
+    monkeypatch.setattr(pieces, "PIECE_ROWS", len(data) // 3)
+    for name in ("errors.parquet", "errors.csv"):
+        assert correct_file(path, model, tmp_path / name) == corrected.counts
+        written = Table.read(tmp_path / name)
+        assert written.labels("run") == labels["run"].tolist()
+        np.testing.assert_array_equal(written.numbers("ex", "ey", "ez"), corrected.errors_mm)
     columns.pop("tau_0")
     parquet.write_table(pa.table(labels | columns), path)
     with pytest.raises(EstimatorError, match="lacks 1 of 118 columns: tau_0"):

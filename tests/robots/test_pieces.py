@@ -5,14 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 import pytest
-from pyarrow import csv, parquet
 
 from measure.errors import EstimatorError
 from measure.robots import LogFile, RobotLog, log_pieces, psm_schema, read_log, write_log
 from measure.robots import pieces as module
-from measure.robots.pieces import TableFile, TableWriter
+from measure.robots.pieces import TableFile
 
 SCHEMA = psm_schema()
 
@@ -99,14 +97,3 @@ def test_text_among_numbers_is_named_by_its_row(tmp_path: Path) -> None:
     path.write_text("a,b\n" + "1,2\n" * 500 + "1,N/A\n" * 2 + "1,two\n")
     with pytest.raises(EstimatorError, match="column 'b' holds text, 'two' in row 503, where"):
         list(TableFile.open(path).pieces(("a", "b")))
-
-
-@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
-def test_a_table_written_in_pieces_is_the_one_written_at_once(tmp_path: Path, suffix: str) -> None:
-    columns = {"run": np.array(["a", "b"] * 20), "x": np.linspace(0, 1, 40), "y": np.arange(40) > 3}
-    with TableWriter(tmp_path / "pieces", comma_separated=suffix == ".csv") as out:
-        for start in range(0, 40, 9):
-            out.add({name: values[start : start + 9] for name, values in columns.items()})
-    write = csv.write_csv if suffix == ".csv" else parquet.write_table
-    write(pa.table(columns), tmp_path / "whole")
-    assert (tmp_path / "pieces").read_bytes() == (tmp_path / "whole").read_bytes()
