@@ -6,42 +6,23 @@ and what the robot reports can be subtracted.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from measure.arrays import Floats
 from measure.geometry import RigidTransform
 from measure.model import paper_body
 from measure.processes import Progress
 from measure.robots import RobotLog, raven_chain, raven_schema, write_log
 from measure.robots.simulator import Cables, SimulatedRun, Teleoperation, simulate
+from measure.session import Trajectory
 from measure.simulation import Lighting, Material, Scene, write_session
 from measure.simulation.files import write_truth
 from measure.simulation.presets import WORKSPACE_MM, lamps, paper_rig, stems
 
 _STYLE = Teleoperation(wrist_deg=(25.0, 20.0, 20.0))  # the balls stay in view of most cameras
 _HOME = np.array([np.deg2rad(40.0), np.deg2rad(90.0), 350.0, 0.0, 0.0, 0.0])
-
-
-@dataclass(frozen=True, eq=False)
-class _InterpolatedTrajectory:
-    """The true motion in the rig's frame, between the simulator's steps."""
-
-    times_s: Floats
-    rig_from_tip: RigidTransform
-
-    def at(self, times_s: ArrayLike) -> RigidTransform:
-        """rig_from_tip at times (...)."""
-        from scipy.spatial.transform import Rotation, Slerp
-
-        times = np.clip(np.asarray(times_s, dtype=np.float64), self.times_s[0], self.times_s[-1])
-        turn = Slerp(self.times_s, Rotation.from_matrix(self.rig_from_tip.rotation))
-        place = [np.interp(times, self.times_s, p) for p in self.rig_from_tip.translation.T]
-        flat = turn(times.ravel()).as_matrix().reshape(*times.shape, 3, 3)
-        return RigidTransform(flat, np.stack(place, axis=-1))
 
 
 def render_recording(
@@ -88,7 +69,7 @@ def _scene(run: SimulatedRun, seed: int) -> Scene:
         "raven-simulated",
         body,
         cameras,
-        _InterpolatedTrajectory(run.times_s, rig_from_tip),
+        Trajectory(run.times_s, rig_from_tip),
         Lighting(lamps(seed), (0.15, 0.15, 0.15), (0.12, 0.12, 0.12), shadows=True),
         finish=Material((1.0, 1.0, 1.0), 0.03, 0.08),
         attached=stems(body),
