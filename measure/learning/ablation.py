@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from measure.arrays import Floats
 from measure.host import Dataset, Estimator, OnnxModel, Report
 from measure.host.estimator import quiet
 from measure.learning.fitting import fit
@@ -83,19 +84,20 @@ def field_groups(data: Dataset) -> dict[str, Sequence[str]]:
 
 
 def _shuffled(data: Dataset, columns: Sequence[int], seed: int) -> Dataset:
+    order = np.random.default_rng(seed).permutation(len(data))
+    return _with(data, columns, data.states[order][:, columns])
+
+
+def _with(data: Dataset, columns: Sequence[int], values: Floats) -> Dataset:
     states = data.states.copy()
-    order = np.random.default_rng(seed).permutation(len(states))
-    states[:, columns] = states[order][:, columns]
+    states[:, columns] = values
     return replace(data, states=states)
 
 
 def _removed(estimator: Estimator, split: Split, columns: Sequence[int], seed: int) -> float:
     middle = split.train.states[:, columns].mean(axis=0)
-
-    def without(data: Dataset) -> Dataset:
-        states = data.states.copy()
-        states[:, columns] = middle
-        return replace(data, states=states)
-
-    fit(estimator, without(split.train), without(split.validation), seed=seed, report=quiet)
-    return corrected_rms_mm(estimator.model, without(split.test))  # type: ignore[attr-defined]
+    train, validation, test = (
+        _with(part, columns, middle) for part in (split.train, split.validation, split.test)
+    )
+    fit(estimator, train, validation, seed=seed, report=quiet)
+    return corrected_rms_mm(estimator.model, test)  # type: ignore[attr-defined]
