@@ -3,19 +3,12 @@
 from measure.learning import files, sweeping
 from measure.learning.ablation import Importance, ablate, field_groups, single_fields
 from measure.learning.assemble import AssemblySettings, PoseTrack, TrajectoryFacts, assemble
-from measure.learning.clock import ClockOffset, estimate_offset
+from measure.learning.clock import estimate_offset
 from measure.learning.guard import Counters, DriftMonitor, GuardedModel, Refusal
-from measure.learning.offline import (
-    Corrected,
-    StateTable,
-    correct,
-    correct_file,
-    read_states,
-    rezero,
-)
+from measure.learning.offline import correct, correct_file, read_states, rezero
 from measure.learning.packets import AnswerPacket, StatePacket
 from measure.learning.scores import EstimatorEvaluation, Score, evaluate
-from measure.learning.server import DEFAULT_ADDRESS, EstimateClient, EstimateServer
+from measure.learning.server import EstimateClient, EstimateServer
 from measure.learning.simulated import PAPER_MINUTES, PAPER_PAIRS, simulated_dataset
 from measure.learning.splits import (
     Split,
@@ -30,13 +23,10 @@ from measure.learning.training import Trained, train
 from measure.learning.zeroing import Zeroing, fit_zeroing
 
 __all__ = [
-    "DEFAULT_ADDRESS",
     "PAPER_MINUTES",
     "PAPER_PAIRS",
     "AnswerPacket",
     "AssemblySettings",
-    "ClockOffset",
-    "Corrected",
     "Counters",
     "DriftMonitor",
     "EstimateClient",
@@ -49,7 +39,6 @@ __all__ = [
     "Score",
     "Split",
     "StatePacket",
-    "StateTable",
     "SweepState",
     "Trained",
     "TrajectoryFacts",
