@@ -47,6 +47,10 @@ class Stream(io.RawIOBase):
         """It is."""
         return True
 
+    def makefile(self, *_: object) -> io.BufferedReader:
+        """All that `http.client` asks of a socket to read an answer from."""
+        return io.BufferedReader(self)
+
     def readinto(self, buffer: Any) -> int:
         """Receive some bytes.
 
@@ -65,16 +69,6 @@ class Stream(io.RawIOBase):
         if left_s > PATIENCE_S:
             raise TimeoutError(f"silent for {PATIENCE_S:g} s")
         raise TimeoutError(f"{self._what} did not come to its end in {self._seconds:g} s")
-
-
-class _Socket:
-    """As much of a socket as `http.client` reads an answer from."""
-
-    def __init__(self, stream: Stream) -> None:
-        self._stream = stream
-
-    def makefile(self, *_: object) -> io.BufferedReader:
-        return io.BufferedReader(self._stream)
 
 
 @contextmanager
@@ -133,7 +127,7 @@ def _asked(
     lines = [f"GET {place.target} HTTP/1.1", f"Host: {place.place}", "Accept: */*"]
     lines += ["Connection: close", *[f"Authorization: {login}"] * bool(login)]
     connection.sendall("\r\n".join([*lines, "", ""]).encode("ascii"))
-    answer = HTTPResponse(cast("socket.socket", _Socket(stream)), method="GET")
+    answer = HTTPResponse(cast("socket.socket", stream), method="GET")
     answer.begin()
     return answer
 
