@@ -34,13 +34,11 @@ class Cross:
         center_px: (2,).
         reach_px: from the centre to the nearer ends of the arms.
         angles: (2,) directions of the bars, rad.
-        misfit: robust spread of the residuals as a share of its contrast; NaN before the fit.
     """
 
     center_px: Floats
     reach_px: float
     angles: Floats
-    misfit: float
 
 
 def cross_candidates(light: Floats) -> list[Cross]:
@@ -68,7 +66,7 @@ def cross_candidates(light: Floats) -> list[Cross]:
                 cross = _as_cross(inside * np.abs(excess[y : y + height, x : x + width]))
                 if cross is not None:
                     moved = cross.center_px + np.array([x, y])
-                    found.append(Cross(moved, cross.reach_px, cross.angles, np.nan))
+                    found.append(Cross(moved, cross.reach_px, cross.angles))
     return found
 
 
@@ -94,7 +92,7 @@ def _as_cross(weights: Floats) -> Cross | None:
         reach = min(reach, float(places.max()), float(-places.min()))
     if not reach > 0.5 * _MIN_EXTENT_PX - 1:
         return None
-    return Cross(center, reach, turns[[first, second]], np.nan)
+    return Cross(center, reach, turns[[first, second]])
 
 
 def refine_cross(light: Floats, cross: Cross) -> Cross | None:
@@ -122,7 +120,7 @@ def refine_cross(light: Floats, cross: Cross) -> Cross | None:
         return None
     if fit.unexplained > _MAX_UNEXPLAINED_SHARE:
         return None
-    return Cross(unknowns[:2] + np.array([u, v]), cross.reach_px, angles, fit.misfit)
+    return Cross(unknowns[:2] + np.array([u, v]), cross.reach_px, angles)
 
 
 def _basis(unknowns: Floats, places: Floats, half: int) -> Floats:

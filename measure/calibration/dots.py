@@ -21,6 +21,8 @@ from measure.geometry.covariance import MAD_TO_SD
 from measure.model import Intrinsics
 
 _NOISE_FLOOR = 0.1
+_RADII_PX = (1.5, 25.0)
+"""Smallest and largest radius of what may be a dot."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,22 +32,19 @@ class Dot:
     Attributes:
         center_px: (2,).
         radius_px: of its disc.
-        misfit: robust spread of the residuals as a share of its brightness.
     """
 
     center_px: Floats
     radius_px: float
-    misfit: float
 
 
-def dot_candidates(light: Floats, radius_px: tuple[float, float] = (1.5, 25.0)) -> list[Dot]:
+def dot_candidates(light: Floats) -> list[Dot]:
     """Bright round spots that stand out from their surroundings.
 
     Args:
         light: (h, w) linear luminance.
-        radius_px: smallest and largest radius accepted.
     """
-    reach = 2 * int(2 * radius_px[1]) + 1
+    reach = 2 * int(2 * _RADII_PX[1]) + 1
     background = cv2.blur(light, (reach, reach))
     excess = light - background
     spread = float(np.median(np.abs(excess))) * MAD_TO_SD
@@ -58,11 +57,11 @@ def dot_candidates(light: Floats, radius_px: tuple[float, float] = (1.5, 25.0)) 
         patch = np.where(labels[y : y + height, x : x + width] == label, 1, 0)
         peak = float((light[y : y + height, x : x + width] * patch).max())
         strong = patch * (light[y : y + height, x : x + width] > 0.25 * peak)
-        if not radius_px[0] <= radius <= radius_px[1] or max(width, height) > 3.2 * radius + 2:
+        if not _RADII_PX[0] <= radius <= _RADII_PX[1] or max(width, height) > 3.2 * radius + 2:
             continue
         v, u = np.nonzero(strong)
         place = np.array([x + u.mean(), y + v.mean()])
-        found.append(Dot(place, float(np.sqrt(strong.sum() / np.pi)), np.nan))
+        found.append(Dot(place, float(np.sqrt(strong.sum() / np.pi))))
     return found
 
 
@@ -79,13 +78,13 @@ def outline_shape(intrinsics: Intrinsics, pixel: Floats) -> Floats:
     return np.asarray(across / np.sqrt(abs(np.linalg.det(across))), dtype=np.float64)
 
 
-def refine_dot(light: Floats, dot: Dot, shape: Floats | None = None) -> Dot | None:
+def refine_dot(light: Floats, dot: Dot, shape: Floats) -> Dot | None:
     """Fit the picture of a shaded ball; None where that fails or runs away.
 
     Args:
         light: (h, w) linear luminance.
         dot: roughly.
-        shape: (2, 2) of its outline (see `outline_shape`); a circle if omitted.
+        shape: (2, 2) of its outline (see `outline_shape`).
     """
     half = int(np.ceil(dot.radius_px + 4))
     u, v = (int(c) for c in np.rint(dot.center_px))
@@ -96,17 +95,16 @@ def refine_dot(light: Floats, dot: Dot, shape: Floats | None = None) -> Dot | No
     offsets = np.arange(-half, half + 1)
     near = np.hypot(*np.meshgrid(offsets, offsets)).ravel() < dot.radius_px + 3.5
     root = near / np.sqrt(np.maximum(values, 0) + _NOISE_FLOOR)
-    shape = np.eye(2) if shape is None else shape
     start = np.array([*(dot.center_px - [u, v]), dot.radius_px])
     side = 2 * half + 1
-    fit = fit_pattern(
-        values, root, start, lambda here: _basis(here, side, shape), np.array([-half, -half, 0.7])
-    )
-    unknowns = fit.unknowns
+    least = np.array([-half, -half, 0.7])
+    unknowns = fit_pattern(
+        values, root, start, lambda here: _basis(here, side, shape), least
+    ).unknowns
     moved = float(np.linalg.norm(unknowns[:2] - start[:2]))
     if moved > 1.5 * dot.radius_px + 1 or not 0.4 < unknowns[2] / dot.radius_px < 2.5:
         return None
-    return Dot(unknowns[:2] + np.array([u, v]), float(unknowns[2]), fit.misfit)
+    return Dot(unknowns[:2] + np.array([u, v]), float(unknowns[2]))
 
 
 def _basis(unknowns: Floats, side: int, shape: Floats) -> Floats:

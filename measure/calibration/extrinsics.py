@@ -36,7 +36,6 @@ class RigFit:
         state: cameras with their covariances, and where markers and boards came out.
         covariance: of all cameras' poses and free lens parameters together, camera after camera.
         columns: by camera name, which rows of `covariance` are its pose (6) and lens parameters.
-        corner_residuals: by camera name (n, 2) px.
         mark_residuals: by camera name (n, 2) px.
         corner_sd_px: as estimated from the residuals.
         mark_sd_px: as estimated from the residuals.
@@ -46,7 +45,6 @@ class RigFit:
     state: RigState
     covariance: Floats
     columns: dict[str, Ints]
-    corner_residuals: dict[str, Floats]
     mark_residuals: dict[str, Floats]
     corner_sd_px: float
     mark_sd_px: float
@@ -129,7 +127,6 @@ def _answer(solution: LeastSquaresSolution[RigState], problem: RigProblem) -> Ri
         replace(solution.state, cameras=tuple(cameras)),
         solution.covariance[:used, :used],
         {c.name: columns for c, columns in zip(cameras, layout.cameras, strict=True)},
-        residuals[CORNERS],
         residuals[MARKS],
         float(sds[CORNERS]),
         float(sds[MARKS]),

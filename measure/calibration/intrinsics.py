@@ -12,7 +12,6 @@ from measure.calibration.boards import Board, CornerRule, Corners
 from measure.calibration.lens import MODELS_OF, LensModel
 from measure.calibration.single_camera import (
     SingleCameraFit,
-    board_pose,
     fit_lens,
     start_intrinsics,
 )
@@ -239,6 +238,3 @@ def _refuse_implausible(fit: SingleCameraFit, camera: str) -> None:
             "squares square, "
             "and were the pictures resized?"
         )
-
-
-__all__ = ["LensCalibration", "board_pose", "board_rms", "calibrate_lens"]

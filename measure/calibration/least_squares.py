@@ -128,14 +128,12 @@ class LeastSquaresSolution(Generic[State]):
         covariance: (n_shared, n_shared) of the shared parameters, for whitened residuals of
             standard deviation 1.
         cost: sum of losses and squared priors.
-        iterations: steps taken.
     """
 
     state: State
     linearised: Linearised
     covariance: Floats
     cost: float
-    iterations: int
 
     @property
     def variance_factor(self) -> float:
@@ -186,9 +184,7 @@ def solve(
         else:
             damping *= 10
             done = done or damping > _MAX_DAMPING
-    return LeastSquaresSolution(
-        state, here, _normal_equations(here, loss).covariance(), cost, taken
-    )
+    return LeastSquaresSolution(state, here, _normal_equations(here, loss).covariance(), cost)
 
 
 def _cost(lin: Linearised, loss: Huber) -> float:

@@ -36,12 +36,10 @@ class FoundMarkers:
     Attributes:
         marks: by name (2,) px.
         doubtful: left out, with the reason, by name.
-        radius_px: of each found dot, by name.
     """
 
     marks: dict[str, Floats]
     doubtful: dict[str, str]
-    radius_px: dict[str, float]
 
 
 def find_markers(
@@ -127,8 +125,7 @@ def _refined(
     doubtful: dict[str, str] = {}
     for name, rough in chosen.items():
         if isinstance(rough, Dot):
-            shape = outline_shape(camera.intrinsics, rough.center_px)
-            dot = refine_dot(light, rough, shape)
+            dot = refine_dot(light, rough, outline_shape(camera.intrinsics, rough.center_px))
             if dot is not None:
                 places[name], radii[name] = dot.center_px, dot.radius_px
         else:
@@ -143,7 +140,7 @@ def _refined(
     for number, name in enumerate(markers.names):
         if visible[number] and name not in marks and name not in doubtful:
             doubtful[name] = f"no {_SINGULARS[kind]} near its place"
-    return FoundMarkers(marks, doubtful, {n: r for n, r in radii.items() if n in marks})
+    return FoundMarkers(marks, doubtful)
 
 
 def _wrong_sizes(
