@@ -80,6 +80,11 @@ def changed(camera: Camera, increment: Floats, free: tuple[int, ...] | Ints) -> 
     )
 
 
+def lens_change(first: Camera, now: Camera) -> Floats:
+    """Lens parameters (12,) of `now` less those of `first`."""
+    return intrinsics_vector(now.intrinsics) - intrinsics_vector(first.intrinsics)
+
+
 def free_parameters(camera: Camera) -> Ints:
     """Indices of the lens parameters that have a variance: those that are not known exactly."""
     P = camera.intrinsics.covariance

@@ -9,7 +9,7 @@ import numpy as np
 
 from measure.arrays import Floats, Ints
 from measure.calibration.least_squares import Group, Linearised, root_information
-from measure.calibration.lens import changed, free_parameters, intrinsics_vector
+from measure.calibration.lens import changed, free_parameters, lens_change
 from measure.calibration.observations import BoardObservation, MarkerObservation, RigObservations
 from measure.geometry import RigidTransform, skew
 from measure.model import Camera
@@ -146,21 +146,21 @@ class RigProblem:
         points = pose.apply(board.points)
         own = self.layout.boards.get(name)
         extra: list[tuple[Ints, Floats]] = []
-        seen = self._predicted(here, number, points)
+        seen = here.cameras[number].project_with_jacobians(points)
         if own is not None:
             shift = np.broadcast_to(np.eye(3), (len(points), 3, 3))
             turn = -skew(points - pose.translation)
-            extra.append((own, seen.by_point @ np.concatenate([shift, turn], axis=2)))
+            extra.append((own, seen[1] @ np.concatenate([shift, turn], axis=2)))
         return self._group(seen, board.pixels, number, extra, CORNERS)
 
     def _marks(self, here: RigState, number: int, marks: MarkerObservation) -> Group:
         name = here.cameras[number].name
-        seen = self._predicted(here, number, here.markers[marks.ids])
+        seen = here.cameras[number].project_with_jacobians(here.markers[marks.ids])
         extra: list[tuple[Ints, Floats]] = []
         if self.layout.markers is not None:
             by_markers = np.zeros((len(marks.ids), 2, len(self.layout.markers)))
             for row, marker in enumerate(marks.ids):
-                by_markers[row, :, 3 * marker : 3 * marker + 3] = seen.by_point[row]
+                by_markers[row, :, 3 * marker : 3 * marker + 3] = seen[1][row]
             extra.append((self.layout.markers, by_markers))
         pixels = marks.pixels
         if name in self.layout.offsets:
@@ -169,22 +169,21 @@ class RigProblem:
             extra.append((self.layout.offsets[name], shift))
         return self._group(seen, pixels, number, extra, MARKS)
 
-    def _predicted(self, here: RigState, number: int, points: Floats) -> _Projection:
-        return _Projection(*here.cameras[number].project_with_jacobians(points))
-
     def _group(
         self,
-        seen: _Projection,
+        seen: tuple[Floats, Floats, Floats, Floats],
         pixels: Floats,
         number: int,
         extra: list[tuple[Ints, Floats]],
         kind: int,
     ) -> Group:
+        """Of pixels predicted with their derivatives by point, pose and lens."""
+        predicted, _, by_pose, by_lens = seen
         free, sd = self.layout.lens_free[number], self.sds[kind]
         columns = [self.layout.cameras[number], *(c for c, _ in extra)]
-        parts = [seen.by_pose, seen.by_lens[:, :, free], *(part for _, part in extra)]
+        parts = [by_pose, by_lens[:, :, free], *(part for _, part in extra)]
         return Group(
-            (pixels - seen.pixels) / sd,
+            (pixels - predicted) / sd,
             np.concatenate(columns),
             np.concatenate(parts, axis=2) / sd,
             np.zeros(0, dtype=np.int64),
@@ -200,7 +199,7 @@ class RigProblem:
             if len(free):
                 assert first.intrinsics.covariance is not None
                 root = root_information(first.intrinsics.covariance[np.ix_(free, free)])
-                yield self._prior(_lens_difference(first, now, free), root, columns[6:])
+                yield self._prior(lens_change(now, first)[free], root, columns[6:])
         if layout.markers is not None:
             root = np.eye(len(layout.markers)) / observations.tolerances.marker_mm
             yield self._prior(
@@ -219,18 +218,3 @@ class RigProblem:
         row = np.zeros((len(root), self.layout.size))
         row[:, columns] = root
         return root @ residual, row
-
-
-@dataclass(frozen=True, eq=False)
-class _Projection:
-    """Predicted pixels (n, 2) and their derivatives by world point, camera pose and lens."""
-
-    pixels: Floats
-    by_point: Floats
-    by_pose: Floats
-    by_lens: Floats
-
-
-def _lens_difference(first: Camera, now: Camera, free: Ints) -> Floats:
-    """Free lens parameters of `first` less those of `now`."""
-    return (intrinsics_vector(first.intrinsics) - intrinsics_vector(now.intrinsics))[free]

@@ -14,7 +14,7 @@ import numpy as np
 
 from measure.arrays import Floats, Ints
 from measure.calibration.least_squares import root_information
-from measure.calibration.lens import intrinsics_vector
+from measure.calibration.lens import lens_change
 from measure.calibration.refining.noise_model import NoiseModel, shrunken_variance
 from measure.model import Camera
 
@@ -43,8 +43,7 @@ class CameraPrior(ABC):
         parts = []
         for first, now, own in zip(self.first, cameras, free, strict=True):
             parts.append(now.world_from_camera.difference(first.world_from_camera))
-            lens = intrinsics_vector(now.intrinsics) - intrinsics_vector(first.intrinsics)
-            parts.append(lens[own])
+            parts.append(lens_change(first, now)[own])
         return np.concatenate(parts)
 
 
