@@ -20,7 +20,7 @@ import numpy as np
 
 from measure.arrays import Floats, Ints, rms_length
 from measure.calibration.extrinsics import START_MARK_SD_PX
-from measure.calibration.lens import free_parameters
+from measure.calibration.lens import free_parameters, with_covariance
 from measure.calibration.observations import RigObservations
 from measure.errors import CalibrationError
 from measure.geometry import skew
@@ -114,17 +114,11 @@ def _solve_equation_3(start: Camera, points: Floats, pixels: Floats) -> Camera:
     return replace(start, world_from_camera=start.world_from_camera.perturb(found.x))
 
 
-@dataclass(frozen=True, eq=False)
-class _Sensitivity:
-    """How a camera's pose follows marks (6, 2n), lens (6, 12) and its markers (6, 3n)."""
+def _sensitivity(camera: Camera, points: Floats, pixels: Floats) -> tuple[Floats, Floats, Floats]:
+    """How a camera's pose follows marks (6, 2n), lens (6, 12) and its markers (6, 3n).
 
-    by_marks: Floats
-    by_lens: Floats
-    by_markers: Floats
-
-
-def _sensitivity(camera: Camera, points: Floats, pixels: Floats) -> _Sensitivity:
-    """Of the optimum of r = c2m / |c2m| - R b: dx = -(J^T J)^-1 J^T (dr of all else)."""
+    Of the optimum of r = c2m / |c2m| - R b: dx = -(J^T J)^-1 J^T (dr of all else).
+    """
     turn = camera.world_from_camera.rotation
     bearings = camera.intrinsics.unproject(pixels)
     _, by_bearing, pixel_by_lens = camera.intrinsics.project_with_jacobians(bearings)
@@ -135,7 +129,7 @@ def _sensitivity(camera: Camera, points: Floats, pixels: Floats) -> _Sensitivity
     by_marker = (np.eye(3) - unit @ np.swapaxes(unit, 1, 2)) / length
     J = np.concatenate([-by_marker, skew(bearings @ turn.T)], axis=2).reshape(-1, 6)
     gain = -np.linalg.pinv(J).reshape(6, len(points), 3)
-    return _Sensitivity(
+    return (
         -np.einsum("ink,nkj->inj", gain, by_pixel).reshape(6, -1),
         np.einsum("ink,nkj,njl->il", gain, by_pixel, pixel_by_lens),
         np.einsum("ink,nkj->inj", gain, by_marker).reshape(6, -1),
@@ -151,18 +145,20 @@ def _with_covariances(
     common: list[Floats] = []
     for camera in cameras:
         marks = observations.marks[camera.name]
-        by = _sensitivity(camera, observations.markers[marks.ids], marks.pixels)
+        by_marks, by_lens, by_markers = _sensitivity(
+            camera, observations.markers[marks.ids], marks.pixels
+        )
         C = camera.intrinsics.covariance
         C = np.zeros((12, 12)) if C is None else C
         free = free_parameters(camera)
         # Rows: pose, then the lens parameters themselves, which the poses follow.
-        gain = np.concatenate([by.by_lens, np.eye(12)[free]])
+        gain = np.concatenate([by_lens, np.eye(12)[free]])
         block = gain @ C @ gain.T
-        block[:6, :6] += sd_px**2 * by.by_marks @ by.by_marks.T
+        block[:6, :6] += sd_px**2 * by_marks @ by_marks.T
         own.append(block)
         shift = np.zeros((len(block), observations.markers.size))
         of_marker = (3 * marks.ids[:, None] + np.arange(3)).reshape(-1)
-        shift[:6, of_marker] = by.by_markers * observations.tolerances.marker_mm
+        shift[:6, of_marker] = by_markers * observations.tolerances.marker_mm
         common.append(shift)
         first = sum(len(part) for part in own[:-1])
         columns[camera.name] = np.arange(first, first + len(block))
@@ -170,14 +166,9 @@ def _with_covariances(
     covariance = shifts @ shifts.T
     for camera, block in zip(cameras, own, strict=True):
         covariance[np.ix_(columns[camera.name], columns[camera.name])] += block
-    located = tuple(_with_its_part(c, covariance, columns[c.name]) for c in cameras)
-    return PaperFit(located, covariance, columns, sd_px)
-
-
-def _with_its_part(camera: Camera, covariance: Floats, columns: Ints) -> Camera:
-    """The camera with its part of the joint covariance."""
-    P = covariance[np.ix_(columns, columns)]
-    lens, cross = camera.intrinsics.covariance, np.zeros((6, 12))
-    if lens is not None:
-        cross[:, np.diag(lens) > 0] = P[:6, 6:]
-    return replace(camera, pose_covariance=P[:6, :6], pose_intrinsics_covariance=cross)
+    located = []
+    for camera in cameras:
+        P = covariance[np.ix_(columns[camera.name], columns[camera.name])]
+        rms_px = camera.reprojection_rms_px
+        located.append(with_covariance(camera, P, free_parameters(camera), rms_px))
+    return PaperFit(tuple(located), covariance, columns, sd_px)

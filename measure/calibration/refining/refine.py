@@ -256,7 +256,10 @@ def _answer(
     state, P, layout = solution.state, solution.covariance, problem.layout
     shifted = problem.residuals_px(replace(state, shifts_px=np.zeros_like(state.shifts_px)))
     after = _rms(shifted)
-    cameras = _with_covariances(state.cameras, layout, P, after)
+    cameras = tuple(
+        with_covariance(camera, P[np.ix_(columns, columns)], free, after[camera.name])
+        for camera, columns, free in zip(state.cameras, layout.cameras, layout.free, strict=True)
+    )
     sds = np.zeros_like(state.centers)
     if len(layout.centers):
         sds = np.sqrt(np.diag(P)[layout.centers]).reshape(-1, 3)
@@ -276,16 +279,3 @@ def _answer(
         len(problem.recording.times_s),
         isinstance(prior, JointPrior),
     )
-
-
-def _with_covariances(
-    cameras: tuple[Camera, ...], layout: RefineLayout, P: Floats, rms_px: dict[str, float]
-) -> tuple[Camera, ...]:
-    out = []
-    for camera, columns, free in zip(cameras, layout.cameras, layout.free, strict=True):
-        known = with_covariance(camera, P[np.ix_(columns, columns)], free, rms_px[camera.name])
-        if not len(free):
-            lens = replace(known.intrinsics, covariance=None)
-            known = replace(known, intrinsics=lens, pose_intrinsics_covariance=None)
-        out.append(known)
-    return tuple(out)
