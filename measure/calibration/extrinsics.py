@@ -16,7 +16,7 @@ import numpy as np
 from measure.arrays import Floats, Ints, rms_length
 from measure.calibration.least_squares import Huber, LeastSquaresSolution, solve
 from measure.calibration.lens import with_covariance
-from measure.calibration.observations import RigObservations
+from measure.calibration.observations import MarkerObservation, RigObservations, Tolerances
 from measure.calibration.rig_problem import CORNERS, MARKS, RigProblem, RigState, lay_out
 from measure.model import Camera
 
@@ -89,6 +89,14 @@ def fit_rig(
             break
         sds = np.where(fixed, sds, estimated)
     return _answer(solution, problem)
+
+
+def located_by_marks(camera: Camera, points: Floats, marks: MarkerObservation) -> Camera:
+    """The camera with its pose fitted robustly to marks of exact points (k, 3), its lens held."""
+    held = replace(camera, intrinsics=replace(camera.intrinsics, covariance=None))
+    seen = RigObservations(points, marks={camera.name: marks}, tolerances=Tolerances(0.0))
+    fitted = fit_rig((held,), seen).cameras[0]
+    return replace(camera, world_from_camera=fitted.world_from_camera)
 
 
 def _standard_deviations(solution: LeastSquaresSolution[RigState], problem: RigProblem) -> Floats:

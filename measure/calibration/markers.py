@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -11,8 +11,8 @@ import numpy as np
 from measure.arrays import Bytes, Floats, Ints
 from measure.calibration.crosses import Cross, cross_candidates, refine_cross
 from measure.calibration.dots import Dot, dot_candidates, outline_shape, refine_dot
-from measure.calibration.extrinsics import fit_rig
-from measure.calibration.observations import MarkerObservation, RigObservations, Tolerances
+from measure.calibration.extrinsics import located_by_marks
+from measure.calibration.observations import MarkerObservation
 from measure.calibration.pattern_fit import linear_light
 from measure.calibration.targets import MarkerField
 from measure.errors import CalibrationError
@@ -76,7 +76,7 @@ def find_markers(
                 "where the board's pose puts the markers; are board and markers in the same "
                 "world, is the picture mirrored? (or mark them by hand in marks.csv)"
             )
-        camera = _located(camera, markers, ids, rough[numbers])
+        camera = located_by_marks(camera, markers.points, MarkerObservation(ids, rough[numbers]))
     chosen = {markers.names[i]: candidates[n] for i, n in zip(ids, numbers, strict=True)}
     return _refined(light, camera, markers, chosen, kind)
 
@@ -99,18 +99,6 @@ def assign(predicted: Floats, found: Floats, reach_px: float) -> tuple[Ints, Int
     rows, columns = linear_sum_assignment(squared)
     near = squared[rows, columns] < reach_px**2
     return rows[near], columns[near]
-
-
-def _located(camera: Camera, markers: MarkerField, ids: Ints, pixels: Floats) -> Camera:
-    """The camera with its pose fitted robustly to marks, its lens held."""
-    held = replace(camera, intrinsics=replace(camera.intrinsics, covariance=None))
-    observations = RigObservations(
-        markers.points,
-        marks={camera.name: MarkerObservation(ids, pixels)},
-        tolerances=Tolerances(0.0),
-    )
-    fitted = fit_rig((held,), observations).cameras[0]
-    return replace(camera, world_from_camera=fitted.world_from_camera)
 
 
 def _refined(

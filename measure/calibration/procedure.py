@@ -25,11 +25,7 @@ from measure.calibration.observations import (
     Tolerances,
 )
 from measure.calibration.paper import PaperFit, fit_rig_by_paper
-from measure.calibration.starts import (
-    DetectedBoard,
-    board_observation,
-    start_from_board,
-)
+from measure.calibration.starts import DetectedBoard, start_from_board
 from measure.calibration.targets import MarkerField
 from measure.calibration.tolerance import DEFAULT_COMMON_PX, fit_rig_with_boards, held_within
 from measure.calibration.turned_boards import oriented_board
@@ -95,6 +91,8 @@ def calibrate_capture(
     """
     lenses: dict[str, LensCalibration] = {}
     known: dict[str, Intrinsics] = {}
+    # All common views are kept, similar ones too: the other camera may need them.
+    limit = ALL_VIEWS if capture.settings.common_views else MAX_VIEWS
     for done, camera in enumerate(capture.cameras):
         if progress is not None:
             progress(done, len(capture.cameras))
@@ -102,7 +100,7 @@ def calibrate_capture(
             known[camera.name] = camera.known
         else:
             assert capture.board is not None
-            views = find_views(capture.board, camera.views(), camera.name, _limit(capture))
+            views = find_views(capture.board, camera.views(), camera.name, limit)
             lens = calibrate_lens(capture.board, views, camera.name, camera.model)
             lenses[camera.name] = replace(lens, lateral_color=_lateral_color(lens, camera))
             known[camera.name] = lenses[camera.name].intrinsics
@@ -117,11 +115,6 @@ def _lateral_color(lens: LensCalibration, camera: CameraCapture) -> tuple[float,
     used = {view.source for view in lens.views.views[:_COLOR_VIEWS]}
     found = lateral_color((picture, center) for name, picture in camera.views() if name in used)
     return None if found is None else (float(found.red_blue[0]), float(found.red_blue[1]))
-
-
-def _limit(capture: Capture) -> int:
-    """Keep all common views, similar ones too: the other camera may need them."""
-    return ALL_VIEWS if capture.settings.common_views else MAX_VIEWS
 
 
 def _relative(capture: Capture, lenses: dict[str, LensCalibration]) -> RigCalibration:
@@ -171,7 +164,12 @@ def _locate_all(
             marks[camera.name] = observed
     board_observations = {}
     if board is not None:
-        board_observations = {name: board_observation(board, s) for name, s in seen.items()}
+        board_observations = {
+            name: BoardObservation(
+                board.points[s.corners.ids], s.corners.pixels, s.world_from_board
+            )
+            for name, s in seen.items()
+        }
     disagreement = _disagreement(board, starts, seen, markers, marks)
     tolerances = _stated_tolerances(capture, board_observations)
     observations = RigObservations(markers.points, board_observations, marks, tolerances)
@@ -188,7 +186,10 @@ def _locate_all(
         tolerances=tolerances,
         around=_corners(board_observations),
     )
-    return _by_paper(base, capture) if method == "paper" else _joint(base, capture)
+    if method == "joint":
+        return _joint(base, capture)
+    paper = fit_rig_by_paper(base.cameras, observations, capture.settings.mark_sd_px)
+    return replace(base, cameras=paper.cameras, paper=paper)
 
 
 def _corners(boards: dict[str, BoardObservation]) -> Floats:
@@ -228,11 +229,6 @@ def _boards_of(
             found = _see_board(camera, lens, board, rule)
             seen[camera.name] = oriented_board(camera, lens, board, found, capture)
     return seen
-
-
-def _by_paper(base: RigCalibration, capture: Capture) -> RigCalibration:
-    paper = fit_rig_by_paper(base.cameras, base.observations, capture.settings.mark_sd_px)
-    return replace(base, cameras=paper.cameras, paper=paper)
 
 
 def _joint(base: RigCalibration, capture: Capture) -> RigCalibration:

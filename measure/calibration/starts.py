@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from measure.arrays import Floats, rms_length
 from measure.calibration.boards import Board, Corners
-from measure.calibration.extrinsics import fit_rig
+from measure.calibration.extrinsics import located_by_marks
 from measure.calibration.intrinsics import board_rms
-from measure.calibration.observations import (
-    BoardObservation,
-    MarkerObservation,
-    RigObservations,
-    Tolerances,
-)
+from measure.calibration.observations import MarkerObservation
 from measure.calibration.single_camera import board_pose
 from measure.calibration.targets import MarkerField
 from measure.errors import CalibrationError
@@ -82,11 +77,7 @@ def start_from_marks(
         camera = Camera(name, lens, board_pose(lens, points, marks.pixels).inverse())
     except CalibrationError:
         raise CalibrationError(_NO_POSE.format(name=name)) from None
-    held = replace(camera, intrinsics=replace(lens, covariance=None))
-    observations = RigObservations(markers.points, marks={name: marks}, tolerances=Tolerances(0.0))
-    camera = replace(
-        camera, world_from_camera=fit_rig((held,), observations).cameras[0].world_from_camera
-    )
+    camera = located_by_marks(camera, markers.points, marks)
     rms = mark_rms(camera, markers.points, marks)
     if rms > 3 * CONTRADICTION_PX:
         raise CalibrationError(f"{_NO_POSE.format(name=name)} (RMS {rms:.0f} px)")
@@ -104,10 +95,3 @@ def mm_per_px(camera: Camera, points: Floats) -> float:
     """What a pixel is worth at points (n, 3): their median distance over the focal length."""
     distance = float(np.median(np.linalg.norm(points - camera.center, axis=1)))
     return distance / camera.intrinsics.focal_px
-
-
-def board_observation(board: Board, seen: DetectedBoard) -> BoardObservation:
-    """A seen board as an observation for the joint fit."""
-    return BoardObservation(
-        board.points[seen.corners.ids], seen.corners.pixels, seen.world_from_board
-    )
