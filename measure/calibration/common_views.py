@@ -69,7 +69,7 @@ def fit_common_views(
     solution = solve(problem.linearise, problem.step, start, Huber(_HUBER_REACH))
     poses = solution.state.world_from_board
     corners = np.einsum("fij,nj->fni", poses.rotation, points) + poses.translation[:, None]
-    found = _answer(solution, sds, free)
+    found = _answer(solution, problem)
     _check_instants(found, lenses)
     return found, corners.reshape(-1, 3)
 
@@ -243,20 +243,17 @@ def _columns(cameras: tuple[Camera, ...], free: Mapping[str, Ints]) -> dict[str,
 
 
 def _answer(
-    solution: LeastSquaresSolution[_CommonViewsState],
-    sds: Mapping[str, float],
-    free: Mapping[str, Ints],
+    solution: LeastSquaresSolution[_CommonViewsState], problem: _CommonViewsProblem
 ) -> tuple[Camera, ...]:
-    columns = _columns(solution.state.cameras, free)
     factor = max(solution.variance_factor, 1.0)
     out = []
     for number, (camera, group) in enumerate(
         zip(solution.state.cameras, solution.linearised.groups, strict=True)
     ):
-        own, lens = columns[camera.name], free[camera.name]
+        own, lens = problem.columns[camera.name], problem.free[camera.name]
         P = np.zeros((6 + len(lens), 6 + len(lens)))
         known = slice(6, None) if number == 0 else slice(None)
         P[known, known] = solution.covariance[np.ix_(own, own)] * factor
-        rms = rms_length(group.residuals * sds[camera.name])
+        rms = rms_length(group.residuals * problem.sds[camera.name])
         out.append(with_covariance(camera, P, lens, rms))
     return tuple(out)

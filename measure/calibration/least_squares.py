@@ -22,6 +22,11 @@ State = TypeVar("State")
 
 _MAX_DAMPING = 1e12
 _MIN_DAMPING = 1e-15
+_UNSEEN = "a view or frame has too few observations to fix its own pose"
+_UNDETERMINED = (
+    "the observations leave calibration parameters undetermined: add views from other angles, or "
+    "fix more of the lens"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,17 +213,20 @@ class _NormalEquations:
         V = self.V.copy()
         diagonal = np.einsum("fii->fi", V)
         diagonal += damping * _scale(diagonal)
-        solved = _solve_blocks(V, np.concatenate([self.W, self.h[:, :, None]], axis=2))
+        both = np.concatenate([self.W, self.h[:, :, None]], axis=2)
+        solved = _solve_scaled(V, both, _UNSEEN)
         flat = self.W.reshape(self.h.size, len(self.g)).T
         together = flat @ solved.reshape(flat.shape[1], solved.shape[2])
         reduced, right = U - together[:, :-1], self.g - together[:, -1]
-        shared = _solve_scaled(reduced, right) if len(right) else right
+        shared = right
+        if len(right):
+            shared = _solve_scaled(reduced[None], right[None, :, None], _UNDETERMINED)[0, :, 0]
         blocks = solved[:, :, -1] - solved[:, :, :-1] @ shared
         return shared, blocks, float(self.g @ shared + np.sum(self.h * blocks))
 
     def covariance(self) -> Floats:
         """Inverse of the Schur complement (p, p)."""
-        solved = _solve_blocks(self.V, self.W)
+        solved = _solve_scaled(self.V, self.W, _UNSEEN)
         flat = self.W.reshape(self.h.size, len(self.g)).T
         reduced = self.U - flat @ solved.reshape(flat.shape[1], solved.shape[2])
         scale = 1 / np.sqrt(_scale(np.diag(reduced)))
@@ -268,7 +276,8 @@ def _scale(diagonal: Floats) -> Floats:
     return np.where(diagonal > 0, diagonal, 1.0)
 
 
-def _solve_blocks(V: Floats, right: Floats) -> Floats:
+def _solve_scaled(V: Floats, right: Floats, singular: str) -> Floats:
+    """Solve f systems (f, b, b) for (f, b, p); `singular` is the message if one is."""
     if not len(V):
         return right
     scale = 1 / np.sqrt(_scale(np.einsum("fii->fi", V)))
@@ -276,17 +285,4 @@ def _solve_blocks(V: Floats, right: Floats) -> Floats:
     try:
         return np.linalg.solve(scaled, right * scale[:, :, None]) * scale[:, :, None]
     except np.linalg.LinAlgError:
-        raise CalibrationError(
-            "a view or frame has too few observations to fix its own pose"
-        ) from None
-
-
-def _solve_scaled(matrix: Floats, right: Floats) -> Floats:
-    scale = 1 / np.sqrt(_scale(np.diag(matrix)))
-    try:
-        return np.linalg.solve(matrix * scale[:, None] * scale, right * scale) * scale
-    except np.linalg.LinAlgError:
-        raise CalibrationError(
-            "the observations leave calibration parameters undetermined: "
-            "add views from other angles, or fix more of the lens"
-        ) from None
+        raise CalibrationError(singular) from None
