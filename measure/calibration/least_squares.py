@@ -262,6 +262,24 @@ def _normal_equations(lin: Linearised, loss: Huber) -> _NormalEquations:
     return _NormalEquations(U, V, W, g, h)
 
 
+class Columns:
+    """Numbers the shared parameters, kind after kind."""
+
+    size = 0
+
+    def __call__(self, count: int) -> Ints:
+        """The columns of the next `count` parameters."""
+        self.size += count
+        return np.arange(self.size - count, self.size)
+
+
+def prior_rows(off: Floats, root: Floats, columns: Ints, size: int) -> tuple[Floats, Floats]:
+    """Whitened residual and derivative rows (m, size) of a prior with R^T R its information."""
+    rows = np.zeros((len(root), size))
+    rows[:, columns] = root
+    return root @ off, rows
+
+
 def root_information(covariance: Floats, jitter: float = 0.0) -> Floats:
     """R with R^T R the inverse of a covariance; `jitter` is added to the correlations' diagonal."""
     scale = 1 / np.sqrt(np.diag(covariance))

@@ -8,7 +8,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from measure.arrays import Floats, Ints
-from measure.calibration.least_squares import Group, Linearised, root_information
+from measure.calibration.least_squares import (
+    Columns,
+    Group,
+    Linearised,
+    prior_rows,
+    root_information,
+)
 from measure.calibration.lens import changed, free_parameters, lens_change
 from measure.calibration.observations import BoardObservation, MarkerObservation, RigObservations
 from measure.geometry import RigidTransform, skew
@@ -51,13 +57,7 @@ class RigLayout:
 
 def lay_out(cameras: tuple[Camera, ...], observations: RigObservations) -> RigLayout:
     """Number the unknowns: cameras first, then markers, boards and offsets as far as unknown."""
-    size = 0
-
-    def take(count: int) -> Ints:
-        nonlocal size
-        size += count
-        return np.arange(size - count, size)
-
+    take = Columns()
     tolerances = observations.tolerances
     free = tuple(free_parameters(camera) for camera in cameras)
     of_cameras = tuple(take(6 + len(lens)) for lens in free)
@@ -69,7 +69,7 @@ def lay_out(cameras: tuple[Camera, ...], observations: RigObservations) -> RigLa
         boards = {name: take(6) for name in observations.boards}
     if tolerances.common_px > 0:
         offsets = {n: take(2) for n, marks in observations.marks.items() if marks.searched}
-    return RigLayout(free, of_cameras, markers, boards, offsets, size)
+    return RigLayout(free, of_cameras, markers, boards, offsets, take.size)
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,22 +199,17 @@ class RigProblem:
             if len(free):
                 assert first.intrinsics.covariance is not None
                 root = root_information(first.intrinsics.covariance[np.ix_(free, free)])
-                yield self._prior(lens_change(now, first)[free], root, columns[6:])
+                yield prior_rows(lens_change(now, first)[free], root, columns[6:], layout.size)
         if layout.markers is not None:
             root = np.eye(len(layout.markers)) / observations.tolerances.marker_mm
-            yield self._prior(
-                (observations.markers - here.markers).reshape(-1), root, layout.markers
-            )
+            off = (observations.markers - here.markers).reshape(-1)
+            yield prior_rows(off, root, layout.markers, layout.size)
         for name, columns in layout.offsets.items():
             root = np.eye(2) / observations.tolerances.common_px
-            yield self._prior(-here.offsets[name], root, columns)
+            yield prior_rows(-here.offsets[name], root, columns, layout.size)
         board_sd = [observations.tolerances.board_mm, np.deg2rad(observations.tolerances.board_deg)]
         root = np.diag(1 / np.maximum(np.repeat(board_sd, 3), 1e-9))
         for name, columns in layout.boards.items():
             stated = observations.boards[name].world_from_board
-            yield self._prior(-here.boards[name].difference(stated), root, columns)
-
-    def _prior(self, residual: Floats, root: Floats, columns: Ints) -> tuple[Floats, Floats]:
-        row = np.zeros((len(root), self.layout.size))
-        row[:, columns] = root
-        return root @ residual, row
+            off = -here.boards[name].difference(stated)
+            yield prior_rows(off, root, columns, layout.size)

@@ -14,11 +14,13 @@ import numpy as np
 
 from measure.arrays import Floats, Ints
 from measure.calibration.least_squares import (
+    Columns,
     Group,
     Huber,
     LeastSquaresSolution,
     Linearised,
     StoppingRule,
+    prior_rows,
     solve,
 )
 from measure.calibration.lens import changed, free_parameters
@@ -83,18 +85,13 @@ class RefineLayout:
         clocks_are_exact: bool = True,
     ) -> RefineLayout:
         """Lay out: cameras, then centres, then shifts, then clocks."""
-        free, columns, size = [], [], 0
-        for camera in cameras:
-            free.append(free_parameters(camera))
-            columns.append(np.arange(size, size + 6 + len(free[-1])))
-            size = int(columns[-1][-1]) + 1
-        centers = np.arange(size, size if body_is_exact else size + 3 * balls)
-        size += len(centers)
-        count = 2 * balls * len(cameras)
-        shifts = np.arange(size, size + count).reshape(len(cameras), -1)
-        size += count
-        clocks = np.arange(size, size if clocks_are_exact else size + len(cameras) - 1)
-        return cls(tuple(free), tuple(columns), centers, shifts, clocks, size + len(clocks))
+        take = Columns()
+        free = tuple(free_parameters(camera) for camera in cameras)
+        own = tuple(take(6 + len(lens)) for lens in free)
+        centers = take(0 if body_is_exact else 3 * balls)
+        shifts = take(2 * balls * len(cameras)).reshape(len(cameras), -1)
+        clocks = take(0 if clocks_are_exact else len(cameras) - 1)
+        return cls(free, own, centers, shifts, clocks, take.size)
 
 
 class RefineProblem:
@@ -240,27 +237,15 @@ class RefineProblem:
     ) -> tuple[Floats, Floats]:
         layout = self.layout
         root = prior.root(noise)
-        residuals = [-root @ prior.change(state.cameras, layout.free)]
-        rows = [_spread(root, np.concatenate(layout.cameras), layout.size)]
+        change, own = prior.change(state.cameras, layout.free), np.concatenate(layout.cameras)
+        priors = [prior_rows(-change, root, own, layout.size)]
+        parts: list[tuple[Floats, float, Ints]] = []
         if len(layout.centers):
-            residuals.append(
-                (self.body.centers - state.centers).reshape(-1) / self._body_tolerance_mm
-            )
-            own = np.eye(len(layout.centers)) / self._body_tolerance_mm
-            rows.append(_spread(own, layout.centers, layout.size))
-        shifts = state.shifts_px.reshape(-1)
-        residuals.append(-shifts / noise.constant_px)
-        own = np.eye(len(shifts)) / noise.constant_px
-        rows.append(_spread(own, layout.shifts.reshape(-1), layout.size))
+            off = (self.body.centers - state.centers).reshape(-1)
+            parts.append((off, self._body_tolerance_mm, layout.centers))
+        parts.append((-state.shifts_px.reshape(-1), noise.constant_px, layout.shifts.reshape(-1)))
         if len(layout.clocks):
-            residuals.append(-state.clocks_s[1:] / _CLOCK_SD_S)
-            rows.append(
-                _spread(np.eye(len(layout.clocks)) / _CLOCK_SD_S, layout.clocks, layout.size)
-            )
+            parts.append((-state.clocks_s[1:], _CLOCK_SD_S, layout.clocks))
+        priors += [prior_rows(off, np.eye(len(off)) / sd, at, layout.size) for off, sd, at in parts]
+        residuals, rows = zip(*priors, strict=True)
         return np.concatenate(residuals), np.concatenate(rows)
-
-
-def _spread(root: Floats, columns: Ints, size: int) -> Floats:
-    row = np.zeros((len(root), size))
-    row[:, columns] = root
-    return row

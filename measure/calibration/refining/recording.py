@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -65,13 +65,8 @@ class Recording:
         tracks = {}
         for name, track in self.tracks.items():
             keep = (track.frame >= start) & (track.frame < stop)
-            tracks[name] = Track(
-                track.frame[keep] - start,
-                track.ball[keep],
-                track.pixels[keep],
-                track.covariance[keep],
-                track.lead_s[keep],
-            )
+            own = {field.name: getattr(track, field.name)[keep] for field in fields(track)}
+            tracks[name] = Track(**own | {"frame": own["frame"] - start})
         return Recording(self.times_s[start:stop], self.world_from_body[start:stop], tracks)
 
 
