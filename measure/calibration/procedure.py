@@ -25,7 +25,7 @@ from measure.calibration.observations import (
     Tolerances,
 )
 from measure.calibration.paper import PaperFit, fit_rig_by_paper
-from measure.calibration.starts import DetectedBoard, start_from_board
+from measure.calibration.starts import DetectedBoard, board_observation, start_from_board
 from measure.calibration.targets import MarkerField
 from measure.calibration.tolerance import DEFAULT_COMMON_PX, fit_rig_with_boards, held_within
 from measure.calibration.turned_boards import oriented_board
@@ -55,7 +55,6 @@ class RigCalibration:
         cameras_before: at their rough poses, lenses as calibrated by themselves.
         found: markers found automatically, by camera name.
         disagreement_mm: between board and markers at the markers, by camera name.
-        tolerances: as used; the board's estimated where the capture does not state it.
         findings: what the procedure noticed.
         around: (n, 3) mm, board corners in view, where there are no markers.
     """
@@ -70,9 +69,13 @@ class RigCalibration:
     cameras_before: tuple[Camera, ...] = ()
     found: dict[str, FoundMarkers] = field(default_factory=dict)
     disagreement_mm: dict[str, float] = field(default_factory=dict)
-    tolerances: Tolerances = field(default_factory=Tolerances)
     findings: tuple[Finding, ...] = ()
     around: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+
+    @property
+    def tolerances(self) -> Tolerances:
+        """As used; the board's estimated where the capture does not state it."""
+        return self.observations.tolerances
 
 
 def calibrate_capture(
@@ -164,12 +167,7 @@ def _locate_all(
             marks[camera.name] = observed
     board_observations = {}
     if board is not None:
-        board_observations = {
-            name: BoardObservation(
-                board.points[s.corners.ids], s.corners.pixels, s.world_from_board
-            )
-            for name, s in seen.items()
-        }
+        board_observations = {name: board_observation(board, s) for name, s in seen.items()}
     disagreement = _disagreement(board, starts, seen, markers, marks)
     tolerances = _stated_tolerances(capture, board_observations)
     observations = RigObservations(markers.points, board_observations, marks, tolerances)
@@ -183,7 +181,6 @@ def _locate_all(
         cameras_before=tuple(starts),
         found=found,
         disagreement_mm=disagreement,
-        tolerances=tolerances,
         around=_corners(board_observations),
     )
     if method == "joint":
@@ -238,9 +235,7 @@ def _joint(base: RigCalibration, capture: Capture) -> RigCalibration:
         base.cameras, base.observations, settings.mark_sd_px, stated
     )
     observations = replace(base.observations, tolerances=tolerances)
-    return replace(
-        base, cameras=fit.cameras, fit=fit, tolerances=tolerances, observations=observations
-    )
+    return replace(base, cameras=fit.cameras, fit=fit, observations=observations)
 
 
 def _stated_tolerances(capture: Capture, boards: dict[str, BoardObservation]) -> Tolerances:

@@ -10,7 +10,7 @@ from measure.arrays import Floats, rms_length
 from measure.calibration.boards import Board, Corners
 from measure.calibration.extrinsics import located_by_marks
 from measure.calibration.intrinsics import board_rms
-from measure.calibration.observations import MarkerObservation
+from measure.calibration.observations import BoardObservation, MarkerObservation
 from measure.calibration.single_camera import board_pose
 from measure.calibration.targets import MarkerField
 from measure.errors import CalibrationError
@@ -89,6 +89,13 @@ def mark_rms(camera: Camera, points: Floats, marks: MarkerObservation) -> float:
     error = marks.pixels - camera.project(points[marks.ids])
     value = rms_length(error)
     return value if np.isfinite(value) else np.inf
+
+
+def board_observation(board: Board, seen: DetectedBoard) -> BoardObservation:
+    """A seen board as an observation for the joint fit."""
+    return BoardObservation(
+        board.points[seen.corners.ids], seen.corners.pixels, seen.world_from_board
+    )
 
 
 def mm_per_px(camera: Camera, points: Floats) -> float:
