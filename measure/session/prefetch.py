@@ -20,7 +20,6 @@ def stream_frame_sets(
     pairing: Pairing,
     prefetch: int = DEFAULT_PREFETCH,
     start: int = 0,
-    threads: int | None = None,
 ) -> Iterator[FrameSet]:
     """Yield frame sets in order; at most `prefetch` + 1 sets are held here at any time.
 
@@ -31,16 +30,13 @@ def stream_frame_sets(
         pairing: which images form a set.
         prefetch: sets decoded ahead; 0 decodes nothing ahead and leaves pixels lazy.
         start: the first set to yield.
-        threads: of the pool all cameras share; as many as there are processors, at most 8, if
-            omitted.
     """
     if prefetch <= 0:
         for index in range(start, len(pairing.times_s)):
             images = {s.name: s.read(p) for s, p in _members(streams, pairing, index)}
             yield FrameSet(index, float(pairing.times_s[index]), images)
         return
-    count = threads or min(usable_cores(), 8)
-    pool = ThreadPoolExecutor(count, thread_name_prefix="decode")
+    pool = ThreadPoolExecutor(min(usable_cores(), 8), thread_name_prefix="decode")
     ahead: deque[tuple[int, dict[str, Future[Image]]]] = deque()
     last: dict[str, Future[Image]] = {}
     due = start

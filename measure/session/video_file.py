@@ -57,18 +57,13 @@ class VideoIndex:
     turned: bool
 
     @property
-    def start_s(self) -> float:
-        """What the container calls the time of the first frame."""
-        return float(self.stamps[0] * self.time_base)
-
-    @property
     def times_s(self) -> Floats:
         """Presentation times (n,) in seconds after the first frame, exact to the time base.
 
         Containers begin at any time, for the order of decoding and by habit, so that the same
         frames would differ by up to seconds; only a time of day is kept.
         """
-        first = 0 if self.start_s > _TIME_OF_DAY_S else self.stamps[0]
+        first = 0 if self.stamps[0] * self.time_base > _TIME_OF_DAY_S else self.stamps[0]
         return np.array([float((stamp - first) * self.time_base) for stamp in self.stamps])
 
 
