@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
@@ -130,7 +129,7 @@ class CameraCapture:
         if Path(self.pictures).suffix.lower() in _VIDEO_ENDINGS:
             yield from self._video(self.folder / self.pictures)
             return
-        files = sorted(matching_files(self.folder, self.pictures, CalibrationError), key=_natural)
+        files = matching_files(self.folder, self.pictures, CalibrationError)
         if not files:
             raise CalibrationError(
                 f"camera {self.name}: no picture matches {self.folder / self.pictures}"
@@ -209,10 +208,7 @@ def open_capture(path: Path | str) -> Capture:
                 f"there is {', '.join(names)}"
             )
     cameras = tuple(
-        replace(
-            _camera(folder, table, marks.get(table.name, {})), model=table.model or settings.model
-        )
-        for table in given.cameras
+        _camera(folder, table, marks.get(table.name, {}), settings.model) for table in given.cameras
     )
     if board is None and any(c.pictures or c.board_image for c in cameras):
         raise CalibrationError(
@@ -221,7 +217,9 @@ def open_capture(path: Path | str) -> Capture:
     return Capture(file, settings, board, markers, cameras)
 
 
-def _camera(folder: Path, table: CaptureCameraTable, marks: dict[str, Floats]) -> CameraCapture:
+def _camera(
+    folder: Path, table: CaptureCameraTable, marks: dict[str, Floats], model: Projection | None
+) -> CameraCapture:
     known = None
     if table.calibration is not None:
         lenses = read_intrinsics(folder / table.calibration)
@@ -246,9 +244,5 @@ def _camera(folder: Path, table: CaptureCameraTable, marks: dict[str, Floats]) -
         None if table.marker_image is None else folder / table.marker_image,
         marks,
         table.board_origin_px,
+        table.model or model,
     )
-
-
-def _natural(path: Path) -> list[tuple[int, str]]:
-    """Order of file names in which 2 comes before 10."""
-    return [(int(p), "") if p.isdigit() else (-1, p) for p in re.split(r"(\d+)", path.name)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import glob
+import re
 import tomllib
 import unicodedata
 from pathlib import Path
@@ -62,7 +63,7 @@ def load_toml(path: Path | str, model: type[M], error: type[MeasureError] = Sess
 
 
 def matching_files(folder: Path, pattern: str, error: type[MeasureError]) -> list[Path]:
-    """Ordinary files that fit a shell's pattern, from `folder` on if it is relative.
+    """Ordinary files that fit a shell's pattern, from `folder` on if it is relative; 2 before 10.
 
     None that is hidden; `**` stands for folders at any depth, links to folders not followed.
 
@@ -92,4 +93,9 @@ def matching_files(folder: Path, pattern: str, error: type[MeasureError]) -> lis
         for path in set(found) - set(files):
             if path.exists() and not path.is_dir():
                 check_ordinary(path, error)
-    return files
+    return sorted(files, key=_in_order)
+
+
+def _in_order(file: Path) -> list[str | int]:
+    """What to sort by, so that 2 comes before 10."""
+    return [int(part) if part.isdecimal() else part for part in re.split(r"([0-9]+)", str(file))]

@@ -134,7 +134,7 @@ def _form(name: str, file: Path) -> tuple[tuple[int, int], int | None]:
 
 
 def _find(name: str, folder: Path, pattern: str) -> list[Path]:
-    files = sorted(matching_files(folder, pattern, SessionError), key=_in_order)
+    files = matching_files(folder, pattern, SessionError)
     if files:
         return files
     place = (folder / pattern).parent
@@ -153,11 +153,6 @@ def _find(name: str, folder: Path, pattern: str) -> list[Path]:
     raise SessionError(
         f"camera '{name}': no image fits {folder / pattern}; the folder has {len(here)} files{hint}"
     )
-
-
-def _in_order(file: Path) -> list[str | int]:
-    """What to sort by, so that 2 comes before 10."""
-    return [int(part) if part.isdecimal() else part for part in re.split(r"([0-9]+)", str(file))]
 
 
 def _numbers(files: Sequence[Path], stamps: Stamps) -> list[int | None]:
