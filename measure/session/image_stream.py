@@ -67,14 +67,7 @@ class ImageStream(Stream):
                 )
             return pixels
 
-        return Image(
-            self.name,
-            int(self.frames[index]),
-            float(self.times_s[index]),
-            decode,
-            data if data.startswith(JPEG_START) else None,
-            float(self.stamps.sd_s[index]),
-        )
+        return self._image(index, decode, data if data.startswith(JPEG_START) else None)
 
     def repeated(self) -> Ints | None:
         """Positions of files with the content of the one before; most differ in size already."""

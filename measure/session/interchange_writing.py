@@ -22,7 +22,9 @@ def write_anipose(path: Path, calibration: Calibration) -> None:
         f"cam_{i}": {"name": camera.name, **_foreign_values(camera, "mm")}
         for i, camera in enumerate(calibration.cameras)
     }
-    tables["metadata"] = {"adjusted": False, "error": _worst_rms(calibration), "unit": "mm"}
+    known = [c.reprojection_rms_px for c in calibration.cameras if c.reprojection_rms_px]
+    worst = max(known, default=0.0)
+    tables["metadata"] = {"adjusted": False, "error": worst, "unit": "mm"}
     path.write_text(dump_toml(tables), encoding="utf-8")
 
 
@@ -82,8 +84,3 @@ def _foreign_values(camera: Camera, unit: Unit) -> dict[str, Any]:
         "rotation": np.asarray(rotation).reshape(3),
         "translation": camera.camera_from_world.translation / MM_PER[unit],
     }
-
-
-def _worst_rms(calibration: Calibration) -> float:
-    known = [c.reprojection_rms_px for c in calibration.cameras if c.reprojection_rms_px]
-    return max(known, default=0.0)

@@ -67,11 +67,15 @@ class StatedCamera:
             raise CalibrationError(
                 f"{place}: has no picture size: write image_width and image_height into it"
             )
+        # OpenCV's thin-prism and tilt terms are none of ours, and must be zero.
+        given, longest = self.distortion, 4 if self.model == "fisheye" else 8
+        if not given[longest:].any():
+            given = given[:longest]
         try:
-            coefficients = _distortion(self.distortion, self.model)
-        except CalibrationError as problem:
+            check_coefficients(given, self.model)
+        except ValueError as problem:
             raise CalibrationError(f"{place}: {problem}") from None
-        return Intrinsics(self.size_wh, self.matrix, coefficients, model=self.model)
+        return Intrinsics(self.size_wh, self.matrix, given, model=self.model)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,10 +117,7 @@ class StatedRig:
                     "file in a capture and locate the camera with measure calibrate"
                 )
             rotation, translation = stated.pose
-            try:
-                pose = RigidTransform(_rotation_matrix(rotation), scale * translation)
-            except CalibrationError as problem:
-                raise CalibrationError(f"{place}: {problem}") from None
+            pose = RigidTransform(_rotation_matrix(place, rotation), scale * translation)
             lens = stated.lens(place)
             cameras.append(Camera(stated.name, lens, pose.inverse(), None, stated.rms_px))
         facts: dict[str, object] = {"format": self.program, "mm_per_unit": scale}
@@ -182,7 +183,7 @@ def _mm_per(path: Path, stated: object, given: Unit | None) -> float:
     return MM_PER[unit]
 
 
-def _rotation_matrix(rotation: Floats) -> Floats:
+def _rotation_matrix(place: str, rotation: Floats) -> Floats:
     """A rotation vector (3,) or matrix (3, 3), as a matrix.
 
     Raises:
@@ -191,30 +192,14 @@ def _rotation_matrix(rotation: Floats) -> Floats:
     if rotation.size == 3:
         if np.max(np.abs(rotation)) > _MAX_ROTATION_RAD:
             raise CalibrationError(
-                f"its rotation vector of {np.max(np.abs(rotation)):.3g} is none: is it in rad?"
+                f"{place}: its rotation vector of {np.max(np.abs(rotation)):.3g} is none: is it in "
+                "rad?"
             )
         return RigidTransform.from_rotvec(rotation.reshape(3)).rotation
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
         raise CalibrationError(
-            f"not a rotation: determinant {np.linalg.det(rotation):.3f}, R R^T differs from 1 by "
-            f"{np.abs(rotation @ rotation.T - np.eye(3)).max():.2g}"
+            f"{place}: not a rotation: determinant {np.linalg.det(rotation):.3f}, R R^T differs "
+            f"from 1 by {np.abs(rotation @ rotation.T - np.eye(3)).max():.2g}"
         )
     u, _, vt = np.linalg.svd(rotation)
     return u @ vt
-
-
-def _distortion(values: Floats, model: Projection) -> Floats:
-    """OpenCV coefficients without the thin-prism and tilt terms, which must be zero.
-
-    Raises:
-        CalibrationError: they are not, or their number is none of the lens model's.
-    """
-    given = np.asarray(values, dtype=np.float64).reshape(-1)
-    longest = 4 if model == "fisheye" else 8
-    if given.size > longest and not given[longest:].any():
-        given = given[:longest]
-    try:
-        check_coefficients(given, model)
-    except ValueError as problem:
-        raise CalibrationError(str(problem)) from None
-    return given

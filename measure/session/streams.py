@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from measure.arrays import Floats, Ints
+from measure.arrays import Bytes, Floats, Ints
 from measure.errors import SessionError
 from measure.model import Image
 from measure.session.stamp_errors import StampErrors
@@ -75,6 +75,10 @@ class Stream(ABC):
 
     def close(self) -> None:  # noqa: B027 -- most streams hold nothing open
         """Let go of open files."""
+
+    def _image(self, index: int, decode: Callable[[], Bytes], encoded: bytes | None) -> Image:
+        frame, time_s = int(self.frames[index]), float(self.times_s[index])
+        return Image(self.name, frame, time_s, decode, encoded, float(self.stamps.sd_s[index]))
 
     def place(self, index: int) -> str:
         """Camera and frame, for messages."""

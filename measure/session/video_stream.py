@@ -39,14 +39,7 @@ class VideoStream(Stream):
                 return self._reader.picture(index, where)
             return decode_picture(data, f"{where}{self.source}")
 
-        return Image(
-            self.name,
-            int(self.frames[index]),
-            float(self.times_s[index]),
-            decode,
-            data,
-            float(self.stamps.sd_s[index]),
-        )
+        return self._image(index, decode, data)
 
     def close(self) -> None:
         """Close the file; reading again opens it again."""
