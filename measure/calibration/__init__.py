@@ -3,8 +3,8 @@
 from measure.calibration.boards import Board, Charuco, Chessboard, Corners
 from measure.calibration.capture import Capture, open_capture
 from measure.calibration.drawing import Sheet, write_sheet
-from measure.calibration.extrinsics import RigFit, fit_rig
-from measure.calibration.intrinsics import LensCalibration, calibrate_lens
+from measure.calibration.extrinsics import fit_rig
+from measure.calibration.intrinsics import calibrate_lens
 from measure.calibration.markers import find_markers
 from measure.calibration.observations import RigObservations, Tolerances
 from measure.calibration.paper import fit_rig_by_paper
@@ -12,19 +12,15 @@ from measure.calibration.printing import target_sheet
 from measure.calibration.procedure import Method, RigCalibration, calibrate_capture
 from measure.calibration.refining import (
     RefinedRig,
-    Refinement,
     RefineSettings,
-    RefineVerdict,
     judge_refinement,
-    recording_of,
     refine_measured,
     refine_rig,
     rough_cameras,
 )
-from measure.calibration.targets import MarkerField, read_board, read_markers
+from measure.calibration.targets import MarkerField, read_board
 from measure.calibration.verdict import Verdict, camera_rows, judge, judgement_lines, provenance
 from measure.calibration.views import choose_views, find_views
-from measure.calibration.workspace import Workspace
 
 __all__ = [
     "Board",
@@ -32,20 +28,15 @@ __all__ = [
     "Charuco",
     "Chessboard",
     "Corners",
-    "LensCalibration",
     "MarkerField",
     "Method",
     "RefineSettings",
-    "RefineVerdict",
     "RefinedRig",
-    "Refinement",
     "RigCalibration",
-    "RigFit",
     "RigObservations",
     "Sheet",
     "Tolerances",
     "Verdict",
-    "Workspace",
     "calibrate_capture",
     "calibrate_lens",
     "camera_rows",
@@ -60,8 +51,6 @@ __all__ = [
     "open_capture",
     "provenance",
     "read_board",
-    "read_markers",
-    "recording_of",
     "refine_measured",
     "refine_rig",
     "rough_cameras",

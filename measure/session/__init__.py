@@ -7,26 +7,24 @@ from measure.session.clock_shifts import clock_values
 from measure.session.damage import damaged_frames, holds_jpeg
 from measure.session.files import FileModel, Length, Name, Position, load_toml, matching_files
 from measure.session.opening import check_overlap, open_session, session_file, session_truth
-from measure.session.pairing import Pairing, pair_nearest
+from measure.session.pairing import pair_nearest
 from measure.session.pictures import decode_picture, is_complete_jpeg, read_picture
 from measure.session.rig_scale import check_unit
 from measure.session.session import Session
 from measure.session.streams import Stream
 from measure.session.toml_text import dump_toml
 from measure.session.trajectory import Trajectory, read_trajectory
-from measure.session.video_stream import VideoStream, open_video_stream
+from measure.session.video_stream import open_video_stream
 
 __all__ = [
     "Calibration",
     "FileModel",
     "Length",
     "Name",
-    "Pairing",
     "Position",
     "Session",
     "Stream",
     "Trajectory",
-    "VideoStream",
     "check_overlap",
     "check_unit",
     "clock_values",
