@@ -142,27 +142,21 @@ class CameraModel(FileModel):
 
     def camera(self) -> Camera:
         """As the model's camera."""
-        covariance = self.intrinsics_covariance
+        of_lens, of_pose, of_both = (
+            None if rows is None else np.array(rows)
+            for rows in (
+                self.intrinsics_covariance,
+                self.pose_covariance,
+                self.pose_intrinsics_covariance,
+            )
+        )
+        matrix, distortion = np.array(self.matrix), np.array(self.distortion)
         intrinsics = Intrinsics(
-            self.size_wh,
-            np.array(self.matrix),
-            np.array(self.distortion),
-            None if covariance is None else np.array(covariance),
-            self.model,
-            self.lateral_color,
+            self.size_wh, matrix, distortion, of_lens, self.model, self.lateral_color
         )
         pose = RigidTransform.from_quat_wxyz(self.quat_wxyz, self.translation_mm)
-        known = None if self.pose_covariance is None else np.array(self.pose_covariance)
-        cross = self.pose_intrinsics_covariance
-        return Camera(
-            self.name,
-            intrinsics,
-            pose,
-            known,
-            self.reprojection_rms_px,
-            None if cross is None else np.array(cross),
-            self.readout_s,
-        )
+        rms_px = self.reprojection_rms_px
+        return Camera(self.name, intrinsics, pose, of_pose, rms_px, of_both, self.readout_s)
 
 
 class CalibrationModel(FileModel):

@@ -80,7 +80,10 @@ def read_number_table(
                 rows.append(reader.numbers(row))
             except _BadRowError as bad:
                 count = sum(_is_alike(bad, reader, later) for _, later in numbered)
-                raise error(f"{prefix}{path}:{line}: {bad}{more_rows(count)}{bad.cure}") from None
+                more = (
+                    f" (and {count} {'rows' if count > 1 else 'row'} more like it)" if count else ""
+                )
+                raise error(f"{prefix}{path}:{line}: {bad}{more}{bad.cure}") from None
             lines.append(line)
             for name in words:
                 texts[name].append(_cell(row, header.index(name)))
@@ -100,11 +103,6 @@ def _ambiguous(header: list[str]) -> str:
     """What to do where several columns may hold the time."""
     names = candidates(header)
     return f": which of {' and '.join(names)} holds it? Head it {TIME}" if names else ""
-
-
-def more_rows(count: int) -> str:
-    """The words for `count` rows with the same fault as the one that is named."""
-    return f" (and {count} {'rows' if count > 1 else 'row'} more like it)" if count else ""
 
 
 def _is_alike(bad: _BadRowError, reader: _RowReader, row: list[str]) -> bool:
@@ -159,7 +157,7 @@ class _RowReader:
         if name == TIME and self.stamp is not None:
             return sum(
                 unit_s * self._number(_cell(row, column), self.header[column], unit_s == 1.0)
-                for column, unit_s in zip(self.stamp.columns, self.stamp.units_s, strict=True)
+                for column, unit_s in self.stamp
             )
         return self._number(_cell(row, self.header.index(name)), name)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 TIME = "time_s"
 """Our own heading."""
@@ -30,17 +29,8 @@ _HEADING = re.compile(
 )
 
 
-@dataclass(frozen=True)
-class TimeColumns:
-    """Where the time stands: the sum of some columns, each in its unit.
-
-    Attributes:
-        columns: their positions.
-        units_s: the unit of each, in s.
-    """
-
-    columns: tuple[int, ...]
-    units_s: tuple[float, ...]
+TimeColumns = tuple[tuple[int, float], ...]
+"""Where the time stands: the sum of columns, each with its position and its unit in s."""
 
 
 def time_columns(header: Sequence[str], named: str | None = None) -> TimeColumns | None:
@@ -52,12 +42,12 @@ def time_columns(header: Sequence[str], named: str | None = None) -> TimeColumns
     """
     if named is not None or TIME in header:
         name = TIME if named is None else named
-        return TimeColumns((header.index(name),), (_unit_s(name),)) if name in header else None
+        return ((header.index(name), _unit_s(name)),) if name in header else None
     for pair in _SECONDS_AND_NANOSECONDS:
         if all(name in header for name in pair):
-            return TimeColumns((header.index(pair[0]), header.index(pair[1])), (1.0, 1e-9))
+            return (header.index(pair[0]), 1.0), (header.index(pair[1]), 1e-9)
     found = candidates(header)
-    return TimeColumns((header.index(found[0]),), (_unit_s(found[0]),)) if len(found) == 1 else None
+    return ((header.index(found[0]), _unit_s(found[0])),) if len(found) == 1 else None
 
 
 def candidates(header: Sequence[str]) -> list[str]:
