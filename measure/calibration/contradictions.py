@@ -91,8 +91,9 @@ class _Contradiction:
             yield self._misfit(theirs.corners, pose), text
         mirrored = _mirrored(self.board, mine, self.start.intrinsics)
         yield self._misfit(mirrored, pose), "its board picture is mirrored"
+        half_turned = replace(mine, ids=len(self.board.points) - 1 - mine.ids)
         text = "the board fits after half a turn: its origin is at the other end"
-        yield self._misfit(_half_turned(self.board, mine), pose), text
+        yield self._misfit(half_turned, pose), text
         for scale in np.geomspace(0.5, 2.0, 113):
             if abs(scale - 1) > 0.01:
                 text = f"it fits squares of about {scale:.2f} times the stated size"
@@ -119,11 +120,6 @@ class _Contradiction:
         pose = board_pose(self.start.intrinsics, points, corners.pixels)
         camera = replace(self.start, world_from_camera=world_from_board @ pose.inverse())
         return mark_rms(camera, self.markers.points, self.marks)
-
-
-def _half_turned(board: Board, corners: Corners) -> Corners:
-    """The view with the board's numbering turned by half a turn (chessboards)."""
-    return replace(corners, ids=len(board.points) - 1 - corners.ids)
 
 
 def _mirrored(board: Board, corners: Corners, lens: Intrinsics) -> Corners:

@@ -44,12 +44,12 @@ class Disc:
 
 @dataclass(frozen=True)
 class Segment:
-    """A line in mm."""
+    """A line in mm: where it begins, and how far it goes."""
 
-    x1: float
-    y1: float
-    x2: float
-    y2: float
+    x: float
+    y: float
+    dx: float
+    dy: float
     width: float = 0.2
 
 
@@ -107,8 +107,8 @@ def lay_out(
             break
     left = (page[0] - size_mm[0]) / 2
     top = MARGIN_MM + (page[1] - wanted[1]) / 2
-    moved = [_moved(shape, left, top) for shape in shapes]
-    footer = scale_bar(MARGIN_MM, page[1] - FOOTER_MM / 2)
+    moved = [replace(shape, x=shape.x + left, y=shape.y + top) for shape in shapes]
+    footer = _scale_bar(MARGIN_MM, page[1] - FOOTER_MM / 2)
     hint = f"Print at 100 %: the bar must measure {BAR_MM:.0f} mm; measure the drawing too."
     at, line = MARGIN_MM + BAR_MM + 6, page[1] - FOOTER_MM / 2
     footer += [_fitted(Label(at, line - 2, text, 2.6), page[0] - MARGIN_MM)]
@@ -125,23 +125,13 @@ def _fitted(label: Label, right: float) -> Label:
     return replace(label, height=label.height * min(1.0, (right - label.x) / max(width, 1e-9)))
 
 
-def scale_bar(x: float, y: float) -> list[Shape]:
+def _scale_bar(x: float, y: float) -> list[Shape]:
     """A bar of 100 mm with a tick every 10 mm."""
     ticks = range(0, int(BAR_MM) + 1, 10)
     return [
-        Segment(x, y, x + BAR_MM, y),
-        *(Segment(x + t, y - (2.5 if t % 50 == 0 else 1.5), x + t, y) for t in ticks),
+        Segment(x, y, BAR_MM, 0),
+        *(Segment(x + t, y, 0, -2.5 if t % 50 == 0 else -1.5) for t in ticks),
     ]
-
-
-def _moved(shape: Shape, x: float, y: float) -> Shape:
-    if isinstance(shape, Segment):
-        return Segment(shape.x1 + x, shape.y1 + y, shape.x2 + x, shape.y2 + y, shape.width)
-    if isinstance(shape, Rectangle):
-        return Rectangle(shape.x + x, shape.y + y, shape.width, shape.height, shape.black)
-    if isinstance(shape, Disc):
-        return Disc(shape.x + x, shape.y + y, shape.radius, shape.filled)
-    return Label(shape.x + x, shape.y + y, shape.text, shape.height)
 
 
 def write_sheet(sheet: Sheet, path: Path) -> None:
@@ -181,8 +171,8 @@ def _svg_shape(shape: Shape) -> str:
         return f'<circle cx="{shape.x:.4f}" cy="{shape.y:.4f}" r="{shape.radius:.4f}" {style}/>'
     if isinstance(shape, Segment):
         return (
-            f'<line x1="{shape.x1:.4f}" y1="{shape.y1:.4f}" x2="{shape.x2:.4f}" '
-            f'y2="{shape.y2:.4f}" stroke="black" stroke-width="{shape.width:g}"/>'
+            f'<line x1="{shape.x:.4f}" y1="{shape.y:.4f}" x2="{shape.x + shape.dx:.4f}" '
+            f'y2="{shape.y + shape.dy:.4f}" stroke="black" stroke-width="{shape.width:g}"/>'
         )
     return (
         f'<text x="{shape.x:.3f}" y="{shape.y:.3f}" font-family="{_FONT},Arial,sans-serif" '
@@ -211,7 +201,8 @@ def _write_pdf(sheet: Sheet, path: Path) -> None:
             )
         elif isinstance(shape, Segment):
             canvas.setLineWidth(shape.width)
-            canvas.line(shape.x1, height - shape.y1, shape.x2, height - shape.y2)
+            bottom = height - shape.y
+            canvas.line(shape.x, bottom, shape.x + shape.dx, bottom - shape.dy)
         else:
             canvas.setFillGray(0.0)
             text = shape.text.encode("cp1252", "replace").decode("cp1252")  # what the font holds

@@ -57,18 +57,13 @@ def intrinsics_vector(intrinsics: Intrinsics) -> Floats:
     return np.concatenate([[m[0, 0], m[1, 1], m[0, 2], m[1, 2]], intrinsics.distortion])
 
 
-def with_vector(intrinsics: Intrinsics, vector: Floats) -> Intrinsics:
-    """The intrinsics with fx fy cx cy and the distortion replaced by a vector (12,)."""
-    matrix = intrinsics.matrix.copy()
-    matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2] = vector[:4]
-    return replace(intrinsics, matrix=matrix, distortion=vector[4:])
-
-
 def shifted(intrinsics: Intrinsics, free: tuple[int, ...] | Ints, increment: Floats) -> Intrinsics:
     """The intrinsics with `increment` (len(free),) added to the free parameters."""
     vector = intrinsics_vector(intrinsics)
     vector[list(free)] += increment
-    return with_vector(intrinsics, vector)
+    matrix = intrinsics.matrix.copy()
+    matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2] = vector[:4]
+    return replace(intrinsics, matrix=matrix, distortion=vector[4:])
 
 
 def changed(camera: Camera, increment: Floats, free: tuple[int, ...] | Ints) -> Camera:

@@ -171,7 +171,7 @@ def body_sheet(body: Body) -> Sheet:
 
 
 def _cross(x: float, y: float, reach: float) -> list[Shape]:
-    return [Segment(x - reach, y, x + reach, y), Segment(x, y - reach, x, y + reach)]
+    return [Segment(x - reach, y, 2 * reach, 0), Segment(x, y - reach, 0, 2 * reach)]
 
 
 _SHEETS: dict[str, Callable[[Any, str], Sheet]] = {

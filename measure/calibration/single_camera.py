@@ -134,14 +134,12 @@ class SingleCameraFit:
 
     Attributes:
         intrinsics: with covariance.
-        camera_from_board: batch of poses, one a view.
         residuals: (n, 2) px, observed minus predicted.
         view_of: (n,) which view each residual belongs to.
         sd_px: standard deviation of a corner coordinate, from the residuals.
     """
 
     intrinsics: Intrinsics
-    camera_from_board: RigidTransform
     residuals: Floats
     view_of: Ints
     sd_px: float
@@ -210,7 +208,6 @@ def _answer(
     covariance[np.ix_(free, free)] = solution.covariance * sd**2
     return SingleCameraFit(
         replace(solution.state.intrinsics, covariance=covariance),
-        solution.state.camera_from_board,
         solution.linearised.groups[0].residuals,
         view_of,
         sd,

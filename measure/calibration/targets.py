@@ -91,14 +91,7 @@ class CharucoFile(FileModel):
 
     def board(self) -> Board:
         """The board described."""
-        return Charuco(
-            self.inner_corners,
-            self.square_mm,
-            self.marker_mm,
-            self.dictionary,
-            self.inverted,
-            self.legacy,
-        )
+        return Charuco(**self.model_dump(exclude={"kind", "name"}))
 
 
 class AprilGridFile(FileModel):
