@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from measure.arrays import Bytes, Floats, Ints, rms_length
-from measure.calibration.boards import Corners, refine_by_gradient, sharpness
+from measure.calibration.boards import Board, Corners, refine_by_gradient, sharpness
 
 DICTIONARY = "DICT_APRILTAG_36h11"
 BORDER_BITS = 2
@@ -22,7 +22,7 @@ _AROUND = np.array([0, 1, 3, 2])
 
 
 @dataclass(frozen=True)
-class AprilGrid:
+class AprilGrid(Board):
     """A grid of tags of the family 36h11, number 0 at the bottom left, counted along the rows.
 
     Origin at the outer corner of the tag at the top left, x to the right, y down.
@@ -45,11 +45,6 @@ class AprilGrid:
         first = np.column_stack([column, rows - 1 - row]) * (1 + self.tag_spacing)
         flat = (first[:, None] + _CORNERS).reshape(-1, 2) * self.tag_mm
         return np.column_stack([flat, np.zeros(len(flat))])
-
-    @property
-    def turns(self) -> tuple[Ints, ...]:
-        """None but none at all: the tags carry numbers."""
-        return (np.arange(len(self.points)),)
 
     def find(self, gray: Bytes, source: str = "") -> Corners | None:
         """The corners in a grey picture (h, w), or None where there are fewer than four tags."""

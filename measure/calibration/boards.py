@@ -69,8 +69,10 @@ class Board(Protocol):
     def turns(self) -> tuple[Ints, ...]:
         """Renumberings (n,) of the corners by turns that leave the pattern as it was.
 
-        The first is none at all. Where there are more a picture cannot tell which corner is which.
+        The first is none at all. Where there are more a picture cannot tell which corner is which;
+        a pattern that carries numbers has no other.
         """
+        return (np.arange(len(self.points)),)
 
     def find(self, gray: Bytes, source: str = "") -> Corners | None:
         """The corners in a grey picture (h, w), or None where there is no board."""
@@ -155,7 +157,7 @@ def _outer_level(grid: Floats, gray: Bytes) -> float:
 
 
 @dataclass(frozen=True)
-class Charuco:
+class Charuco(Board):
     """A chessboard with ArUco markers in its white squares: partial views count, ends are known.
 
     Attributes:
@@ -196,11 +198,6 @@ class Charuco:
     def points(self) -> Floats:
         """All corners (n, 3) in mm, in the order of OpenCV's corner numbers."""
         return np.asarray(self.pattern.getChessboardCorners(), dtype=np.float64).reshape(-1, 3)
-
-    @property
-    def turns(self) -> tuple[Ints, ...]:
-        """None but none at all: the markers carry numbers."""
-        return (np.arange(len(self.points)),)
 
     def find(self, gray: Bytes, source: str = "") -> Corners | None:
         """The corners in a grey picture (h, w), or None where there is no board."""
