@@ -129,8 +129,6 @@ def _nearest(times: Floats, instants: Floats, tolerance_s: float) -> Ints:
 
 
 def _mean_times(times_s: Sequence[Floats], positions: Ints) -> Floats:
-    stacked = np.full(positions.shape, np.nan)
-    for camera, times in enumerate(times_s):
-        used = positions[:, camera] >= 0
-        stacked[used, camera] = times[positions[used, camera]]
-    return np.nanmean(stacked, axis=1) if len(stacked) else np.zeros(0)
+    pairs = zip(times_s, positions.T, strict=True)
+    stacked = [np.where(at >= 0, times[at], np.nan) for times, at in pairs]
+    return np.nanmean(stacked, axis=0) if len(positions) else np.zeros(0)

@@ -38,10 +38,13 @@ def check_unit(calibration: Calibration, body: Body, source: str, cure: str = ""
     pictures = np.array([max(camera.intrinsics.size_wh) for camera in calibration.cameras])
     width = float(np.max(distance) * np.max(pictures / focal))
     if size > width:
+        usual = "multiply each translation_mm by 1000 (or 10)"
+        if "format" in calibration.provenance:
+            usual = 'say calibration_unit = "m" (or "cm") in [session], or unit = "m" in the file'
         raise CalibrationError(
             f"{source}: the translations look like m (or cm), not mm: two cameras share a view of "
             f"{width:.2g} mm at most, and body '{body.name}' measures {size:.3g} mm; "
-            f"{cure or _cure(calibration)}"
+            f"{cure or usual}"
         )
     appears = size * float(np.max(focal) / np.median(distance))
     if appears < _LEAST_PX:
@@ -50,12 +53,6 @@ def check_unit(calibration: Calibration, body: Body, source: str, cure: str = ""
             f"it measures {size:.3g} mm and would appear {appears:.1g} px wide; "
             + (cure or 'of another program\'s file calibration_unit = "mm" in [session] says so')
         )
-
-
-def _cure(calibration: Calibration) -> str:
-    if "format" in calibration.provenance:
-        return 'say calibration_unit = "m" (or "cm") in [session], or unit = "m" in the file'
-    return "multiply each translation_mm by 1000 (or 10)"
 
 
 def _common_distances(cameras: tuple[Camera, ...]) -> Floats:
