@@ -101,16 +101,10 @@ class _Contradiction:
                 yield left, f"{text}: check square_mm"
         for k, marker in enumerate(self.marks.ids):
             text = f"only {self.markers.names[marker]} does: its place or its mark is wrong"
-            yield self._misfit_without(k), text
-
-    def _misfit_without(self, k: int) -> float:
-        """RMS px of the camera's marks but the k-th; infinite if too few are left."""
-        ids, pixels = np.delete(self.marks.ids, k), np.delete(self.marks.pixels, k, 0)
-        if len(ids) < _MIN_OTHER_MARKS:
-            return np.inf
-        return mark_rms(
-            self.start, self.markers.points, replace(self.marks, ids=ids, pixels=pixels)
-        )
+            ids, pixels = np.delete(self.marks.ids, k), np.delete(self.marks.pixels, k, 0)
+            others = replace(self.marks, ids=ids, pixels=pixels)
+            if len(ids) >= _MIN_OTHER_MARKS:
+                yield mark_rms(self.start, self.markers.points, others), text
 
     def _misfit(
         self, corners: Corners, world_from_board: RigidTransform, scale: float = 1.0

@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from measure.arrays import Floats
-from measure.calibration.boards import Board, Corners, same_after
+from measure.calibration.boards import Board, same_after
 from measure.calibration.capture import CameraCapture, Capture
 from measure.calibration.marking import marks_of
 from measure.calibration.starts import CONTRADICTION_PX, DetectedBoard, mark_rms, start_from_board
@@ -36,7 +35,7 @@ def oriented_board(
     ]
     if len(turned) == 1:
         return seen
-    origins = np.stack([_origin(one.corners) for one in turned])
+    origins = np.stack([one.corners.pixels[np.argmin(one.corners.ids)] for one in turned])
     if camera.board_origin_px is not None:
         apart = np.linalg.norm(origins - camera.board_origin_px, axis=1)
         return turned[int(np.argmin(apart))]
@@ -50,10 +49,6 @@ def oriented_board(
         f"origin in {seen.corners.source}: write board_origin_px = {places} for this camera, or "
         "take a board with an odd and an even number of inner corners, or a ChArUco board"
     )
-
-
-def _origin(corners: Corners) -> Floats:
-    return corners.pixels[int(np.argmin(corners.ids))]
 
 
 def _misfit_px(

@@ -146,10 +146,8 @@ def _lead(
     """What to add to a detection's time: its camera's offset, its row's if the shutter rolls."""
     by_name = {clock.camera: clock for clock in clocks}
     rolling = {
-        camera.name: replace(camera, readout_s=by_name[camera.name].readout_s)
-        if by_name[camera.name].rolling
-        else replace(camera, readout_s=0.0)
-        for camera in cameras
+        camera.name: replace(camera, readout_s=clock.readout_s if clock.rolling else 0.0)
+        for camera, clock in zip(cameras, clocks, strict=True)
     }
 
     def lead(detection: Detection) -> float:

@@ -184,16 +184,7 @@ def _tracks(
             rows.setdefault(d.camera, []).append(
                 (number, body.index(d.ball), d.center_px, d.covariance_px, lead)
             )
-    return {
-        name: Track(
-            np.array([r[0] for r in seen], dtype=np.int64),
-            np.array([r[1] for r in seen], dtype=np.int64),
-            np.stack([r[2] for r in seen]),
-            np.stack([r[3] for r in seen]),
-            np.array([r[4] for r in seen]),
-        )
-        for name, seen in rows.items()
-    }
+    return {n: Track(*map(np.array, zip(*seen, strict=True))) for n, seen in rows.items()}
 
 
 class BallMotion:
