@@ -112,16 +112,6 @@ class StoppingRule:
     must_settle: bool = True
     damping: float = 1e-4
 
-    def reached(self, taken: int) -> bool:
-        """Whether that many steps are enough.
-
-        Raises:
-            CalibrationError: they are, but should not be.
-        """
-        if taken >= self.steps and self.must_settle:
-            raise CalibrationError(f"the calibration did not settle in {self.steps} steps")
-        return taken >= self.steps
-
 
 @dataclass(frozen=True, eq=False)
 class LeastSquaresSolution(Generic[State]):
@@ -185,7 +175,10 @@ def solve(
         if np.isfinite(gain) and gain >= 0:
             state, here, cost, taken = candidate, there, cost - gain, taken + 1
             damping = max(damping / 10, _MIN_DAMPING)
-            done = done or gain <= limits.tolerance * cost or limits.reached(taken)
+            done = done or gain <= limits.tolerance * cost
+            if not done and taken >= limits.steps and limits.must_settle:
+                raise CalibrationError(f"the calibration did not settle in {taken} steps")
+            done = done or taken >= limits.steps
         else:
             damping *= 10
             done = done or damping > _MAX_DAMPING
