@@ -17,6 +17,7 @@ _PAPERS_MM = {
 _POINTS_PER_MM = 72 / 25.4
 _FONT = "Helvetica"
 BAR_MM = 100.0
+"""Length of the scale bar, which has a tick every 10 mm."""
 MARGIN_MM = 8.0
 FOOTER_MM = 16.0
 
@@ -108,9 +109,11 @@ def lay_out(
     left = (page[0] - size_mm[0]) / 2
     top = MARGIN_MM + (page[1] - wanted[1]) / 2
     moved = [replace(shape, x=shape.x + left, y=shape.y + top) for shape in shapes]
-    footer = _scale_bar(MARGIN_MM, page[1] - FOOTER_MM / 2)
     hint = f"Print at 100 %: the bar must measure {BAR_MM:.0f} mm; measure the drawing too."
     at, line = MARGIN_MM + BAR_MM + 6, page[1] - FOOTER_MM / 2
+    footer: list[Shape] = [Segment(MARGIN_MM, line, BAR_MM, 0)]
+    for tick in range(0, int(BAR_MM) + 1, 10):
+        footer += [Segment(MARGIN_MM + tick, line, 0, -2.5 if tick % 50 == 0 else -1.5)]
     footer += [_fitted(Label(at, line - 2, text, 2.6), page[0] - MARGIN_MM)]
     footer += [_fitted(Label(at, line + 2, hint, 2.6), page[0] - MARGIN_MM)]
     origin = (origin_mm[0] + left, origin_mm[1] + top)
@@ -123,15 +126,6 @@ def _fitted(label: Label, right: float) -> Label:
 
     width = stringWidth(label.text, _FONT, label.height)
     return replace(label, height=label.height * min(1.0, (right - label.x) / max(width, 1e-9)))
-
-
-def _scale_bar(x: float, y: float) -> list[Shape]:
-    """A bar of 100 mm with a tick every 10 mm."""
-    ticks = range(0, int(BAR_MM) + 1, 10)
-    return [
-        Segment(x, y, BAR_MM, 0),
-        *(Segment(x + t, y, 0, -2.5 if t % 50 == 0 else -1.5) for t in ticks),
-    ]
 
 
 def write_sheet(sheet: Sheet, path: Path) -> None:
