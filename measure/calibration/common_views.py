@@ -11,7 +11,14 @@ import numpy as np
 from measure.arrays import Floats, Ints, rms_length
 from measure.calibration.boards import Board, Corners, same_after
 from measure.calibration.intrinsics import LensCalibration
-from measure.calibration.least_squares import Group, Huber, LeastSquaresSolution, Linearised, solve
+from measure.calibration.least_squares import (
+    Columns,
+    Group,
+    Huber,
+    LeastSquaresSolution,
+    Linearised,
+    solve,
+)
 from measure.calibration.lens import changed, stack, with_covariance
 from measure.calibration.single_camera import board_pose
 from measure.errors import CalibrationError
@@ -234,12 +241,9 @@ class _CommonViewsProblem:
 
 
 def _columns(cameras: tuple[Camera, ...], free: Mapping[str, Ints]) -> dict[str, Ints]:
-    columns, size = {}, 0
-    for number, camera in enumerate(cameras):
-        length = len(free[camera.name]) + (0 if number == 0 else 6)
-        columns[camera.name] = np.arange(size, size + length)
-        size += length
-    return columns
+    take = Columns()
+    poses = [0, *[6] * (len(cameras) - 1)]  # the first camera is the world
+    return {c.name: take(pose + len(free[c.name])) for c, pose in zip(cameras, poses, strict=True)}
 
 
 def _answer(

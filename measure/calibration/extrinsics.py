@@ -23,7 +23,7 @@ from measure.model import Camera
 _HUBER = Huber(3.0)
 _MAX_WEIGHT_ROUNDS = 6
 _MIN_CORNER_SD_PX = 0.01
-_MIN_MARK_SD_PX = 0.02
+MIN_MARK_SD_PX = 0.02
 START_CORNER_SD_PX = 0.1
 START_MARK_SD_PX = 0.5
 
@@ -114,7 +114,7 @@ def _standard_deviations(solution: LeastSquaresSolution[RigState], problem: RigP
         squares[kind] += float(np.sum(weights * lengths**2))
         redundancy[kind] += float(np.sum(2 - leverage))
     factor = np.where(redundancy > 1, squares / np.maximum(redundancy, 1), 1.0)
-    return np.maximum(problem.sds * np.sqrt(factor), [_MIN_CORNER_SD_PX, _MIN_MARK_SD_PX])
+    return np.maximum(problem.sds * np.sqrt(factor), [_MIN_CORNER_SD_PX, MIN_MARK_SD_PX])
 
 
 def _answer(solution: LeastSquaresSolution[RigState], problem: RigProblem) -> RigFit:

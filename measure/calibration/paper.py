@@ -19,14 +19,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from measure.arrays import Floats, Ints, rms_length
-from measure.calibration.extrinsics import START_MARK_SD_PX
+from measure.calibration.extrinsics import MIN_MARK_SD_PX, START_MARK_SD_PX
+from measure.calibration.least_squares import Columns
 from measure.calibration.lens import free_parameters, with_covariance
 from measure.calibration.observations import RigObservations
 from measure.errors import CalibrationError
 from measure.geometry import skew
 from measure.model import Camera
-
-_MIN_MARK_SD_PX = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +72,7 @@ def fit_rig_by_paper(
         freedom += residuals.size - 6
     sd = mark_sd_px or START_MARK_SD_PX
     if mark_sd_px is None and freedom > 0:
-        sd = max(float(np.sqrt(squares / freedom)), _MIN_MARK_SD_PX)
+        sd = max(float(np.sqrt(squares / freedom)), MIN_MARK_SD_PX)
     return _with_covariances(tuple(cameras), observations, sd)
 
 
@@ -140,7 +139,7 @@ def _with_covariances(
     cameras: tuple[Camera, ...], observations: RigObservations, sd_px: float
 ) -> PaperFit:
     """Marks and lenses are each camera's own; the places of the markers are common to all."""
-    columns: dict[str, Ints] = {}
+    columns, take = dict[str, Ints](), Columns()
     own: list[Floats] = []
     common: list[Floats] = []
     for camera in cameras:
@@ -160,8 +159,7 @@ def _with_covariances(
         of_marker = (3 * marks.ids[:, None] + np.arange(3)).reshape(-1)
         shift[:6, of_marker] = by_markers * observations.tolerances.marker_mm
         common.append(shift)
-        first = sum(len(part) for part in own[:-1])
-        columns[camera.name] = np.arange(first, first + len(block))
+        columns[camera.name] = take(len(block))
     shifts = np.concatenate(common)
     covariance = shifts @ shifts.T
     for camera, block in zip(cameras, own, strict=True):
