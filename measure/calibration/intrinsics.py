@@ -7,7 +7,7 @@ from typing import get_args
 
 import numpy as np
 
-from measure.arrays import Floats, rms_length
+from measure.arrays import Floats
 from measure.calibration.boards import Board, CornerRule, Corners
 from measure.calibration.lens import MODELS_OF, LensModel
 from measure.calibration.single_camera import (
@@ -199,19 +199,14 @@ def _held_out_rms(points: Floats, views: ViewSet, model: LensModel) -> float:
         kept = tuple(v for i, v in enumerate(views.views) if i % _FOLDS != fold)
         lens = _fit(points, views, kept, model).intrinsics
         for view in views.views[fold::_FOLDS]:
-            error = _view_residuals(lens, points, view)
+            error = fit_pose_only(lens, points, view).residuals
             squares, count = squares + float(np.sum(error**2)), count + len(error)
     return float(np.sqrt(squares / count))
 
 
-def _view_residuals(lens: Intrinsics, points: Floats, view: Corners) -> Floats:
-    pose_only = LensModel("fixed", ())
-    return fit_lens(lens, points, (view,), pose_only).residuals
-
-
-def board_rms(lens: Intrinsics, points: Floats, view: Corners) -> float:
-    """RMS in px of a view under a known lens, its board pose fitted."""
-    return rms_length(_view_residuals(lens, points, view))
+def fit_pose_only(lens: Intrinsics, points: Floats, view: Corners) -> SingleCameraFit:
+    """The fit of a view's board pose under a known lens."""
+    return fit_lens(lens, points, (view,), LensModel("fixed", ()))
 
 
 def _refuse_implausible(fit: SingleCameraFit, camera: str) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from measure.arrays import Floats, rms_length
 from measure.calibration.boards import Board, Corners
 from measure.calibration.extrinsics import located_by_marks
-from measure.calibration.intrinsics import board_rms
+from measure.calibration.intrinsics import fit_pose_only
 from measure.calibration.observations import BoardObservation, MarkerObservation
 from measure.calibration.single_camera import board_pose
 from measure.calibration.targets import MarkerField
@@ -42,7 +42,7 @@ def start_from_board(name: str, lens: Intrinsics, board: Board, seen: DetectedBo
         CalibrationError: the corners do not fit the board under this lens.
     """
     points = board.points[seen.corners.ids]
-    rms = board_rms(lens, board.points, seen.corners)
+    rms = fit_pose_only(lens, board.points, seen.corners).rms_px
     if rms > _MAX_BOARD_RMS_PX:
         raise CalibrationError(
             f"camera {name}: in {seen.corners.source} the board's corners miss by {rms:.1f} "

@@ -2,7 +2,7 @@
 
 from measure.calibration.refining.judgement import RefineVerdict, judge_refinement
 from measure.calibration.refining.procedure import RefinedRig, refine_measured, rough_cameras
-from measure.calibration.refining.recording import Recording, Track, recording_of
+from measure.calibration.refining.recording import Recording, Track
 from measure.calibration.refining.refine import Refinement, RefineSettings, refine_rig
 
 __all__ = [
@@ -13,7 +13,6 @@ __all__ = [
     "Refinement",
     "Track",
     "judge_refinement",
-    "recording_of",
     "refine_measured",
     "refine_rig",
     "rough_cameras",
