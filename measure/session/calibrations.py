@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import tomllib
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -80,7 +81,9 @@ def read_intrinsics(path: Path | str) -> dict[str, Intrinsics]:
 
 def _foreign(path: Path, text: str) -> StatedRig | None:
     """The rig in a file of another program; None if it is ours."""
-    values = _toml(text)
+    values: dict[str, object] | None = None
+    with suppress(tomllib.TOMLDecodeError):
+        values = parse_toml(text)
     if values is not None and is_foreign_toml(values):
         return read_tables(path, values)
     if values is not None or path.suffix.lower() == ".toml":
@@ -175,10 +178,3 @@ def _is_a_lens(lens: Intrinsics) -> bool:
         )
         bent = np.maximum(seen / ideal, ideal / seen)
     return bool(np.all(moved < _SAME_PX) and np.all(bent < _MAX_DISTORTION_RATIO))
-
-
-def _toml(text: str) -> dict[str, object] | None:
-    try:
-        return parse_toml(text)
-    except tomllib.TOMLDecodeError:
-        return None

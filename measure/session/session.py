@@ -65,7 +65,8 @@ class Session:
 
     def digest(self) -> str:
         """A fingerprint: changes when the body, the clocks, or any picture's name or size does."""
-        fingerprint = hashlib.sha256(repr(_body_values(self.body)).encode())
+        balls = [(b.name, b.color, b.center_mm.tolist(), b.radius_mm) for b in self.body.balls]
+        fingerprint = hashlib.sha256(repr(balls).encode())
         for stream in self.streams.values():
             sizes = [(file.name, file.stat().st_size) for file in stream.files]
             fingerprint.update(repr((stream.name, stream.size_wh, sizes)).encode())
@@ -130,7 +131,3 @@ class Session:
                 "each other; raise the tolerance or check the clocks"
             )
         return stream_frame_sets(list(self.streams.values()), paired, prefetch, start)
-
-
-def _body_values(body: Body) -> list[object]:
-    return [(b.name, b.color, b.center_mm.tolist(), b.radius_mm) for b in body.balls]
