@@ -106,13 +106,5 @@ def read_run(folder: Path) -> Run:
     body = read_body(folder / "body.toml")
     cameras = read_calibration(folder / "calibration.toml").cameras
     tables = read_tables(folder, body, cameras)
-    return Run(
-        path=folder,
-        provenance=provenance,
-        body=body,
-        cameras=cameras,
-        detections=tables["detections"],
-        balls=tables["balls"],
-        poses=tables["poses"],
-        finished=not (folder / "poses.arrows").exists(),
-    )
+    finished = not (folder / "poses.arrows").exists()
+    return Run(folder, provenance, body, cameras, **tables, finished=finished)

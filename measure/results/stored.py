@@ -48,17 +48,12 @@ def read_tables(
     }
     words = _words(body, cameras)
     for what, table in tables.items():
-        wrong = _wrong_numbers(what, table) or _wrong_order(table)
-        if wrong := wrong or _wrong_words(table, words[what]):
+        wrong = _wrong_poses(table) if what == "poses" else ""
+        wrong = _wrong_balls(table) if what == "balls" else wrong
+        if wrong := wrong or _wrong_order(table) or _wrong_words(table, words[what]):
             raise RunError(f"{folder}: the {what} are damaged: {wrong}: {MEND}")
     complete = tables["poses"].num_rows
     return {name: t.filter(pc.less(t["index"], complete)) for name, t in tables.items()}
-
-
-def _wrong_numbers(what: str, table: pa.Table) -> str:
-    if what == "poses":
-        return _wrong_poses(table)
-    return _wrong_balls(table) if what == "balls" else ""
 
 
 def _wrong_order(table: pa.Table) -> str:
