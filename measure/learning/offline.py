@@ -201,8 +201,7 @@ def rezero(
     residuals = (stretch.errors_mm - estimates.errors_mm)[used]
     zeroing = fit_zeroing(stretch.schema, stretch.states[used], residuals)
     monitor = monitor or DriftMonitor()
-    stated = estimates.covariances[used] + stretch.covariances[used]
-    stated = stated + zeroing.covariance
+    stated = estimates.covariances[used] + stretch.covariances[used] + zeroing.covariance
     left = residuals - zeroing.offset_mm(stretch.states[used])
     for residual, covariance in zip(left, stated, strict=True):
         monitor.add(residual, covariance)

@@ -22,6 +22,7 @@ from measure.simulation.files import write_truth
 from measure.simulation.presets import WORKSPACE_MM, lamps, paper_rig, stems
 
 _STYLE = Teleoperation(wrist_deg=(25.0, 20.0, 20.0))  # the balls stay in view of most cameras
+_LOG_HZ = 500.0
 _HOME = np.array([np.deg2rad(40.0), np.deg2rad(90.0), 350.0, 0.0, 0.0, 0.0])
 
 
@@ -31,11 +32,10 @@ def render_recording(
     seconds: float,
     frame_hz: float = 15.0,
     seed: int = 1,
-    log_hz: float = 500.0,
     clock_offset_s: float = 1.5,
     cables: Cables | None = None,
     progress: Progress | None = None,
-) -> SimulatedRun:
+) -> None:
     """Write a session folder with the robot's log `robot.parquet` in it.
 
     Args:
@@ -43,21 +43,16 @@ def render_recording(
         seconds: length of the recording.
         frame_hz: frame sets per second.
         seed: of motion, restart and pictures.
-        log_hz: states per second in the log.
         clock_offset_s: how far the robot's clock is ahead of the cameras'.
         cables: the robot's mechanics.
         progress: called with pictures done and in all.
-
-    Returns:
-        What the simulated robot did.
     """
-    run = simulate(seconds, seed, log_hz=log_hz, cables=cables, style=_STYLE)
+    run = simulate(seconds, seed, log_hz=_LOG_HZ, cables=cables, style=_STYLE)
     times = np.arange(0.1, seconds - 0.1, 1.0 / frame_hz)
     write_session(_scene(run, seed), times, folder, progress=progress)
     write_truth(folder / "truth.csv", run.times_s, run.world_from_tip)
     log = RobotLog(raven_schema(), run.times_s + clock_offset_s, run.states)
     write_log(folder / "robot.parquet", log)
-    return run
 
 
 def _scene(run: SimulatedRun, seed: int) -> Scene:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from measure.arrays import Bools, Floats
+from measure.arrays import Floats
 from measure.host import Dataset, Estimates, OnnxModel
 
 SPEED_EDGES_MM_S = (0.0, 5.0, 15.0, 30.0, 60.0, np.inf)
@@ -85,15 +85,14 @@ class EstimatorEvaluation:
         return asdict(self)
 
 
-def evaluate(data: Dataset, estimates: Estimates, used: Bools | None = None) -> EstimatorEvaluation:
+def evaluate(data: Dataset, estimates: Estimates) -> EstimatorEvaluation:
     """Score corrections on the usable rows of a data set.
 
     Args:
         data: with labels.
         estimates: of all its rows.
-        used: (n,) further restricts the rows.
     """
-    keep = data.usable if used is None else data.usable & used
+    keep = data.usable
     residuals = data.errors_mm - estimates.errors_mm
     before, after = Score.of(data.errors_mm[keep]), Score.of(residuals[keep])
     covariance = (estimates.covariances + data.covariances)[keep]

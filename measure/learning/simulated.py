@@ -13,6 +13,7 @@ from measure.robots.simulator import Cables, SimulatedRun, simulate
 PAPER_MINUTES = 140.0
 PAPER_PAIRS = 49_407
 _LOG_HZ = 50.0
+_NOISE_MM = 0.1  # SD per axis of a measured position
 _CUT = AssemblySettings(cut_s=210.0)  # ten trajectories in each of four sessions
 
 
@@ -22,7 +23,6 @@ def recording(
     seed: int,
     *,
     frame_hz: float,
-    noise_mm: float = 0.1,
     clock_offset_s: float = 1.5,
     pairs: int | None = None,
 ) -> tuple[PoseTrack, RobotLog]:
@@ -33,7 +33,6 @@ def recording(
         name: of the recording.
         seed: of the measurement noise.
         frame_hz: poses per second.
-        noise_mm: SD per axis of a measured position.
         clock_offset_s: how far the robot's clock is ahead of the cameras'.
         pairs: exact number of poses; else as many as fit.
     """
@@ -44,10 +43,9 @@ def recording(
         [np.interp(times, run.times_s, run.world_from_tip.translation[:, i]) for i in range(3)],
         axis=1,
     )
-    noise = rng.normal(0.0, noise_mm, truth.shape)
-    track = PoseTrack(
-        name, times, truth + noise, np.tile(noise_mm**2 * np.eye(3), (len(times), 1, 1))
-    )
+    noise = rng.normal(0.0, _NOISE_MM, truth.shape)
+    covariances = np.tile(_NOISE_MM**2 * np.eye(3), (len(times), 1, 1))
+    track = PoseTrack(name, times, truth + noise, covariances)
     return track, RobotLog(raven_schema(), run.times_s + clock_offset_s, run.states)
 
 
