@@ -140,6 +140,7 @@ class _MlpTraining:
             pct_start=0.1,
             cycle_momentum=False,  # the paper's betas
         )
+        self._parts = {"net": self._net, "optimiser": self._optimiser, "plan": self._plan}
         self.curve: list[Epoch] = []
         self.best: tuple[float, int, Any] = (np.inf, 0, None)
 
@@ -184,10 +185,7 @@ class _MlpTraining:
 
     def state(self) -> dict[str, Any]:
         """All that `restore` needs."""
-        return {
-            "net": self._net.state_dict(),
-            "optimiser": self._optimiser.state_dict(),
-            "plan": self._plan.state_dict(),
+        return {name: part.state_dict() for name, part in self._parts.items()} | {
             "dice": self._dice.get_state(),
             "best": self.best,
             "curve": [(line.epoch, line.train_mm, line.validation_mm) for line in self.curve],
@@ -195,9 +193,8 @@ class _MlpTraining:
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a stored state."""
-        self._net.load_state_dict(state["net"])
-        self._optimiser.load_state_dict(state["optimiser"])
-        self._plan.load_state_dict(state["plan"])
+        for name, part in self._parts.items():
+            part.load_state_dict(state[name])
         self._dice.set_state(state["dice"])
         self.best = state["best"]
         self.curve = [Epoch(*line) for line in state["curve"]]
