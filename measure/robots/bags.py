@@ -77,7 +77,7 @@ def bag_pieces(
         EstimatorError: no or several topics of `raven_state`, fields missing, a schema that is not
             a RAVEN-II's, or a file that cannot be read.
     """
-    arm = _arm(schema)
+    arm = {raven_schema("left").robot: 0, raven_schema("right").robot: 1}.get(schema.robot)
     if arm is None:
         raise EstimatorError(f"{path}: bags hold RAVEN-II states, not those of {schema.robot}")
     if not path.is_dir():
@@ -104,11 +104,6 @@ def _bag_states(path: Path, arm: int, topic: str | None) -> Iterator[tuple[float
         raise EstimatorError(f"{path}: cannot be read as a bag: {error}") from None
     if not count:
         raise EstimatorError(f"{path}: holds no message of the topic {connection.topic}")
-
-
-def _arm(schema: StateSchema) -> int | None:
-    names = {raven_schema("left").robot: 0, raven_schema("right").robot: 1}
-    return names.get(schema.robot)
 
 
 def _choose(path: Path, connections: list[Any], topic: str | None) -> Any:
