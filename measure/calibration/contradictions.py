@@ -55,8 +55,7 @@ def check_board_against_marks(
     worth = mm_per_px(start, markers.points[marks.ids])
     if not (rms > CONTRADICTION_PX and rms * worth > CONTRADICTION_MM):
         return rms * worth
-    contradiction = _Contradiction(start, board, seen, markers, marks)
-    cause = contradiction.cause(rms)
+    cause = _Contradiction(start, board, seen, markers, marks).cause(rms)
     shown = f"{rms * worth:.1f} mm ({rms:.0f} px)" if np.isfinite(rms) else "beyond measure"
     raise CalibrationError(f"camera {start.name}: board and markers disagree by {shown}: {cause}")
 

@@ -116,9 +116,8 @@ def refine_cross(light: Floats, cross: Cross) -> Cross | None:
     apart = np.abs((angles[0] - angles[1] + np.pi / 2) % np.pi - np.pi / 2)
     moved = float(np.linalg.norm(unknowns[:2] - start[:2]))
     crossing = apart > np.deg2rad(_MIN_ANGLE_DEG) / 2
-    if moved > 0.5 * half + 1 or not crossing or fit.misfit > _MAX_MISFIT:
-        return None
-    if fit.unexplained > _MAX_UNEXPLAINED_SHARE:
+    explained = fit.misfit <= _MAX_MISFIT and fit.unexplained <= _MAX_UNEXPLAINED_SHARE
+    if moved > 0.5 * half + 1 or not crossing or not explained:
         return None
     return Cross(unknowns[:2] + np.array([u, v]), cross.reach_px, angles)
 

@@ -28,16 +28,17 @@ def mark_findings(rig: RigCalibration) -> list[Finding]:
     """Marks that miss, and markers that were left out."""
     findings: list[Finding] = []
     for camera in rig.cameras:
-        marks = rig.observations.marks.get(camera.name)
+        marks, found = rig.observations.marks.get(camera.name), rig.found.get(camera.name)
+        names: list[str] = []
         if marks is not None:
             residuals = _mark_residuals(rig, camera, marks)
             worth = mm_per_px(camera, rig.observations.markers[marks.ids])
             names = [rig.markers.names[i] for i in marks.ids]
             findings += residual_findings(camera.name, residuals, worth, names)
-        for name, reason in sorted(_doubtful(rig, camera.name).items()):
-            findings.append(
-                Finding(Level.NOTE, "marks", f"marker {name} left out: {reason}", camera.name)
-            )
+        for name, reason in sorted(found.doubtful.items()) if found else ():
+            if name not in names:
+                text = f"marker {name} left out: {reason}"
+                findings.append(Finding(Level.NOTE, "marks", text, camera.name))
     return findings
 
 
@@ -71,14 +72,6 @@ def _mark_residuals(rig: RigCalibration, camera: Camera, marks: MarkerObservatio
     if rig.fit is not None and camera.name in rig.fit.mark_residuals:
         return rig.fit.mark_residuals[camera.name]
     return marks.pixels - camera.project(rig.observations.markers[marks.ids])
-
-
-def _doubtful(rig: RigCalibration, camera: str) -> dict[str, str]:
-    found = rig.found.get(camera)
-    if found is None:
-        return {}
-    marked = {rig.markers.names[i] for i in rig.observations.marks[camera].ids}
-    return {name: reason for name, reason in found.doubtful.items() if name not in marked}
 
 
 def lens_findings(rig: RigCalibration) -> list[Finding]:

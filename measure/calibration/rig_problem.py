@@ -94,9 +94,8 @@ class RigProblem:
         for camera in self.start:
             if camera.name in self.observations.boards:
                 labels.append((camera.name, CORNERS))
-            if camera.name in self.observations.marks and len(
-                self.observations.marks[camera.name].ids
-            ):
+            marks = self.observations.marks.get(camera.name)
+            if marks is not None and len(marks.ids):
                 labels.append((camera.name, MARKS))
         return labels
 
