@@ -74,8 +74,10 @@ def outline_growth(
     for world_from_body, detection in seen:
         k = body.index(detection.ball)
         ball = body.balls[k]
-        center = world_from_body.apply(ball.center_mm)
-        outline = by_name[detection.camera].outline(center, ball.radius_mm)
+        center, camera = world_from_body.apply(ball.center_mm), by_name[detection.camera]
+        if np.linalg.norm(center - camera.center) <= ball.radius_mm:
+            continue  # a pose that cannot be: it tells no size
+        outline = camera.outline(center, ball.radius_mm)
         expected_px = np.mean(np.linalg.norm(outline - outline.mean(axis=0), axis=1))
         if np.isfinite(expected_px):
             mm_per_px = ball.radius_mm / float(expected_px)

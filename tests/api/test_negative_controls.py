@@ -19,6 +19,7 @@ from measure.cli.app import main
 from measure.host import Registry
 from measure.measuring import Measurement, Status
 from measure.model import BallColor, Body
+from measure.results import read_run
 from measure.session import open_session, read_trajectory, write_body, write_calibration
 from measure.session.calibration_file import Calibration
 from measure.simulation import write_session
@@ -156,14 +157,18 @@ def test_check_tells_another_radius(scene, rendered, tmp_path, capsys):
     assert wrong(found).count("has a radius of") == 3
 
 
-@pytest.mark.parametrize("share", [0.95, 1.05])
-def test_wrong_radii_are_flagged(scene, rendered, share, tmp_path):
+@pytest.mark.parametrize(("share", "look"), [(0.95, "larger"), (1.05, "smaller")])
+def test_wrong_radii_are_told_and_measured_with_right_ones(rendered, scene, share, look, tmp_path):
     balls = tuple(replace(b, radius_mm=share * b.radius_mm) for b in scene.body.balls)
     shutil.copytree(rendered, tmp_path / "s")
     write_body(tmp_path / "s" / "body.toml", Body("wrong", balls))
-    flags = [m.pose.flags for m in measured(tmp_path / "s") if m.pose is not None]
-    said = [any("the radii in the body file" in flag for flag in some) for some in flags]
-    assert np.mean(said) > 0.7
+    profile, options = load_profile("precise"), RunOptions(recording=False)
+    told = run(tmp_path / "s", tmp_path / "run", profile, Registry.discover(), options)
+    assert any(f"all balls look {look} than the body file says" in note for note in told.notes)
+    assert told.ok == told.frame_sets
+    found, truth = read_run(tmp_path / "run"), read_trajectory(rendered / "truth.csv")
+    off = truth.at(found.times_s).translation - found.world_from_body.translation
+    assert np.max(np.linalg.norm(off, axis=1)) < 0.15
 
 
 @pytest.mark.parametrize(("share", "told"), [(0.994, True)])

@@ -83,7 +83,7 @@ def measurement(
     for camera in CAMERAS:
         centers = camera.project(exact.apply(BODY.centers)) + pixel_error
         for ball, center in zip(BODY.balls, centers, strict=True):
-            outline = camera.outline(exact.apply(ball.center_mm), ball.radius_mm)
+            outline = camera.outline(exact.apply(ball.center_mm), ball.radius_mm, 12)
             radius = size * float(np.mean(np.linalg.norm(outline - outline.mean(axis=0), axis=1)))
             seen = Detection(ball.name, camera.name, time_s, center, radius, np.eye(2) * 0.01)
             views.append(BallView(ball.name, camera.name, State.EFFECTIVE, Reason.NONE, seen))
