@@ -56,12 +56,13 @@ _LEAST_NOISE_PX = 0.1
 _LARGEST_OFFSET_S = 2.0
 _LOOKED_AT_S = 6.0
 """How much of each camera is searched for clocks' offsets."""
-_UNCERTAIN_CLOCK_S = 0.02
-_MANY = 0.3
-"""Share of flagged poses beyond which cameras may contradict each other."""
+_UNCERTAIN_CLOCK_S, _MANY = 0.02, 0.3
+"""And share of flagged poses, beyond which cameras may contradict each other."""
 _NEAR_S = 0.04
 """A clock that is right by the cameras' own motion is right by the poses within this."""
-_FAR_S = 0.01
+_BY_MOTION_S = 0.06
+"""Smaller offsets are left to the poses, which tell them from a turned camera."""
+_FEW, _FAR_S = 0.1, 0.01
 """A clock this far off is set right before it is estimated at last: images are paired anew."""
 
 
@@ -223,14 +224,25 @@ class _Look:
     def doubtful(self) -> bool:
         """Whether cameras disagree by so much that a clock may be far off."""
         found = sum(sample.world_from_body is not None for sample in self.searched)
-        flagged = sum(count for _, count in self.motion.flags)
         known = [clock.offset_sd_s < _UNCERTAIN_CLOCK_S for clock in self.motion.clocks]
         return (
             bool(self.misfits)
             or 0 < found < len(self.searched) / 2
-            or flagged > _MANY * self.motion.measured
+            or self._flagged_share > _MANY
             or 0 < sum(known) < len(known)
         )
+
+    def agrees_better(self, before: _Look) -> bool:
+        """Whether no more cameras misfit than before, and few poses, or half as many, are flagged.
+
+        A clock takes some of the misfit of a camera that is turned: that alone is no reason.
+        """
+        fewer = self._flagged_share <= max(_FEW, 0.5 * before._flagged_share)
+        return fewer and len(self.misfits) <= len(before.misfits)
+
+    @property
+    def _flagged_share(self) -> float:
+        return sum(n for _, n in self.motion.flags) / max(self.motion.measured, 1)
 
 
 @dataclass(eq=False)
@@ -262,7 +274,7 @@ class _Looking:
         if look is None or look.doubtful:
             given = self.session, self.registry, self.profile
             offsets = find_offsets(*given, _LARGEST_OFFSET_S, _LOOKED_AT_S, self.progress)
-            late = {name: offset_s for name, offset_s in offsets.items() if abs(offset_s) > _NEAR_S}
+            late = {name: off_s for name, off_s in offsets.items() if abs(off_s) > _BY_MOTION_S}
             again = self._look_again(late, look)
             if apart and again is None:
                 raise apart
@@ -270,7 +282,7 @@ class _Looking:
         assert look is not None
         clocks = [c for c in look.motion.clocks if c.offset_visible]
         rest = {c.camera: c.offset_s - look.ahead_s.get(c.camera, 0.0) for c in clocks}
-        far = {name: offset_s for name, offset_s in rest.items() if abs(offset_s) > _FAR_S}
+        far = {n: s for n, s in rest.items() if abs(s) > _FAR_S and n in look.motion.late}
         return self._look_again(far, look) or look
 
     def _look_again(self, late_s: Mapping[str, float], before: _Look | None) -> _Look | None:
@@ -283,7 +295,7 @@ class _Looking:
         clocks = {c.camera: c for c in look.motion.clocks if c.offset_sd_s < np.inf}
         near = {name for name, clock in clocks.items() if abs(clock.offset_s) < _NEAR_S}
         off, earlier = {m.camera for m in look.misfits}, before.ahead_s if before else {}
-        if late_s.keys() <= near - off and (not before or len(off) <= len(before.misfits)):
+        if late_s.keys() <= near - off and (not before or look.agrees_better(before)):
             ahead_s = {n: earlier.get(n, 0.0) + late_s.get(n, 0.0) for n in {*earlier, *late_s}}
             instead = (*before.misfits, *before.instead) if before else ()
             return replace(

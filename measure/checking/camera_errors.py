@@ -26,9 +26,9 @@ _BIAS_PX = 0.15
 """Standard deviation of what a ball-view errs by in all frame sets alike (light on its edge)."""
 _WEAK, _WRONG = 1 - 6.3e-5, 1 - 2e-9
 """Shares of a normal variable within four and within six standard deviations."""
-_RIVAL_SHARE, _ALIKE_SHARE = 0.7, 0.9
-"""Of the best explanation's gain: what explains as much is an explanation as well, and the simpler
-one is named first."""
+_RIVAL_SHARE, _ALIKE_PROBABILITY = 0.7, 0.99
+"""Of the best explanation's gain: what explains as much is an explanation as well; and the simpler
+one is named first if the other's greater gain may be chance."""
 _BLOCKS = 8
 _MIN_INSTANTS = 5
 
@@ -159,7 +159,8 @@ class _System:
         most = max(fit.gain for fit in fits)
         alike = [fit for fit in fits if fit.gain > _RIVAL_SHARE * most]
         camera = max(alike, key=lambda fit: fit.gain).camera
-        own = [fit for fit in alike if fit.camera == camera and fit.gain > _ALIKE_SHARE * most]
+        chance = self.scale * chi_square_quantile(_ALIKE_PROBABILITY, 1)
+        own = [fit for fit in alike if fit.camera == camera and fit.gain > most - chance]
         first = min(own, key=lambda fit: (fit.size, -fit.gain))
         return first, [fit for fit in alike if fit is not first]
 

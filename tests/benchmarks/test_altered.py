@@ -6,9 +6,17 @@ import cv2
 import numpy as np
 import pytest
 
-from benchmarks.altered import ALTERATIONS, altered_copy, contrast, defocused, dim, overexposed
+from benchmarks.altered import (
+    ALTERATIONS,
+    RESIZED,
+    altered_copy,
+    contrast,
+    defocused,
+    dim,
+    overexposed,
+)
 from benchmarks.recordings import ALTERED, altered_recordings, recordings_beside
-from measure.session import open_session
+from measure.session import open_session, read_body
 from tests.simulated.sessions import part_of
 
 
@@ -31,6 +39,15 @@ def test_only_pictures_change(recording, tmp_path, how):
         assert (tmp_path / how / name).read_bytes() == (recording / name).read_bytes()
     with open_session(tmp_path / how) as session:
         assert sum(1 for _ in session.frame_sets()) == 2
+
+
+@pytest.mark.parametrize("how", RESIZED)
+def test_only_the_radii_that_the_body_file_says_change(recording, tmp_path, how):
+    altered_copy(recording, tmp_path / how, how)
+    stated, true = read_body(tmp_path / how / "body.toml"), read_body(recording / "body.toml")
+    np.testing.assert_allclose(stated.radii / true.radii, RESIZED[how])
+    np.testing.assert_array_equal(stated.centers, true.centers)
+    assert np.array_equal(_first(tmp_path / how), _first(recording))
 
 
 def test_a_copy_that_is_there_is_kept_and_a_half_made_one_is_not(recording, tmp_path):
@@ -60,5 +77,6 @@ def test_what_alterations_do_to_light():
 
 
 def test_every_recording_beside_is_altered_in_every_way():
-    names = {f"{ALTERED}{name} {how}" for name in recordings_beside() for how in ALTERATIONS}
+    ways = (*ALTERATIONS, *RESIZED)
+    names = {f"{ALTERED}{name} {how}" for name in recordings_beside() for how in ways}
     assert set(altered_recordings()) == names

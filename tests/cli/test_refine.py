@@ -68,7 +68,7 @@ def session(tmp_path: Path) -> Path:
 def seen(monkeypatch: pytest.MonkeyPatch, path: object, count: int) -> None:
     """Every measuring of a session gives the body on this path."""
     measured = list(recorded(path, count=count))
-    monkeypatch.setattr("measure.api.refining._measure", lambda *_: measured)
+    monkeypatch.setattr("measure.api.refining._measure", lambda opened, *_: (measured, opened.body))
 
 
 def test_it_writes_what_it_found_and_says_so(session, tmp_path, monkeypatch, capsys) -> None:
