@@ -64,13 +64,8 @@ def read_number_table(
     stamp = time_columns(header, time_column) if TIME in needed else None
     found = [*header, TIME] if stamp is not None else header
     if missing := [name for name in (*words, *needed) if name not in found]:
-        if TIME in missing:
-            missing[missing.index(TIME)] = time_column or TIME
-        raise error(
-            f"{prefix}{path}:1: the header lacks {', '.join(missing)}; it must hold "
-            f"{','.join((*words, *needed))}, it holds {','.join(header)[:80] or 'nothing'}"
-            + (_ambiguous(header) if time_column is None and TIME in missing else "")
-        )
+        lacks = _lacks(missing, (*words, *needed), header, time_column)
+        raise error(f"{prefix}{path}:1: {lacks}")
     reader = _RowReader(header, needed, separator, stamp, empty_is_nan)
     rows, lines = [], list[int]()
     texts: dict[str, list[str]] = {name: [] for name in words}
@@ -91,6 +86,18 @@ def read_number_table(
         raise error(f"{prefix}{path}: has a header but no rows")
     values = np.array(rows, dtype=np.float64)
     return NumberTable({name: values[:, i] for i, name in enumerate(needed)}, lines, texts)
+
+
+def _lacks(
+    missing: list[str], needed: tuple[str, ...], header: list[str], time_column: str | None
+) -> str:
+    """What a header does not hold, must hold, and holds; in words."""
+    names = [time_column or TIME if name == TIME else name for name in missing]
+    return (
+        f"the header lacks {', '.join(names)}; it must hold {','.join(needed)}, it holds "
+        f"{','.join(header)[:80] or 'nothing'}"
+        + (_ambiguous(header) if time_column is None and TIME in missing else "")
+    )
 
 
 def _separator(text: str) -> str:

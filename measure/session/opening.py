@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -56,13 +57,8 @@ def open_session(
     try:
         for table in given.cameras:
             streams[table.name] = _open_stream(table, folder)
-        pictures = {name: stream.size_wh for name, stream in streams.items()}
-        unit = given.session.calibration_unit
-        calibration_read = read_calibration(calibration_path, unit, pictures)
-        cameras = _cameras(given, calibration_read, calibration_path, file)
-        for camera in cameras:
-            _check_size(streams[camera.name], camera, calibration_path)
-        check_unit(replace(calibration_read, cameras=cameras), measured, str(calibration_path))
+        calibration_read = _calibration(given, streams, calibration_path, file)
+        check_unit(calibration_read, measured, str(calibration_path))
         check_time_units({name: stream.period_s for name, stream in streams.items()})
         digest = clock_digest(streams.values())
         shifts = shift_clocks(streams, digest, calibration_read.provenance, calibration_path)
@@ -76,7 +72,7 @@ def open_session(
         name=given.session.name or folder.resolve().name,
         path=file,
         body=measured,
-        cameras=cameras,
+        cameras=calibration_read.cameras,
         streams=streams,
         calibration_path=calibration_path,
         truth_path=_optional(folder, given.session.truth, file),
@@ -141,6 +137,18 @@ def _calibration_path(given: SessionModel, file: Path, override: Path | str | No
             '"calibration.toml" to [session]'
         )
     return file.parent / given.session.calibration
+
+
+def _calibration(
+    given: SessionModel, streams: Mapping[str, Stream], path: Path, file: Path
+) -> Calibration:
+    """The calibration of the session's cameras, in their order."""
+    pictures = {name: stream.size_wh for name, stream in streams.items()}
+    calibration = read_calibration(path, given.session.calibration_unit, pictures)
+    cameras = _cameras(given, calibration, path, file)
+    for camera in cameras:
+        _check_size(streams[camera.name], camera, path)
+    return replace(calibration, cameras=cameras)
 
 
 def _cameras(
