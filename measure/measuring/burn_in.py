@@ -72,23 +72,22 @@ def calibrated(
     cameras = pipeline.cameras
     with suppress(MeasureError):
         cameras = with_lateral_color(cameras, frame_sets())
-    given, first = pipeline.body, build(pipeline.body, cameras).stages.detectors
-    detectors = first
+    given, known = pipeline.body, dict[Body, Mapping[str, Detector]]()
+
+    def detectors_for(body: Body) -> Mapping[str, Detector]:
+        fresh = build(body, cameras)
+        burn_in(_with(fresh, fresh.stages.detectors), frame_sets())
+        return fresh.stages.detectors
 
     def growth(body: Body) -> OutlineGrowth:
-        nonlocal detectors
-        fresh = build(body, cameras)
-        detectors = first if body is given else fresh.stages.detectors
-        burn_in(_with(fresh, detectors), frame_sets())
-        known = islice(frame_sets(), _FRAME_SETS_FOR_RADII)
-        measured = _measured(_with(build(body, cameras), detectors), known)
+        known[body] = detectors_for(body)
+        again = islice(frame_sets(), _FRAME_SETS_FOR_RADII)
+        measured = _measured(_with(build(body, cameras), known[body]), again)
         return outline_growth(seen_balls(measured), body, cameras)
 
     body = with_estimated_radii(given, growth)
-    if np.any(body.radii != given.radii):
-        growth(body)
-    else:
-        detectors = first
+    same = np.array_equal(body.radii, given.radii)
+    detectors = known[given] if same else detectors_for(body)
     return _with(build(body, cameras), detectors, pipeline.stages.smoothing)
 
 

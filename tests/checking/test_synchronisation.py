@@ -8,24 +8,14 @@ import numpy as np
 import pytest
 
 from measure.checking.synchronisation import BallTracks, synchronise
-from measure.geometry import RigidTransform
-from tests.scenes import RAVEN, TARGET, moved, ring, see
+from tests.checking.test_clocks import moving, still
+from tests.scenes import RAVEN, moved, ring, see
 
 CAMERAS = ring()
 
 
-def wandering(time_s):
-    shift = 30 * np.array([np.sin(2.1 * time_s), np.cos(1.6 * time_s), 0.8 * np.sin(1.3 * time_s)])
-    turn = 0.4 * np.array([np.sin(1.2 * time_s), np.cos(0.9 * time_s), np.sin(1.7 * time_s)])
-    return RigidTransform.from_rotvec(turn, TARGET + shift)
-
-
-def still(time_s):
-    return wandering(0.3)
-
-
 def to_and_fro(time_s):
-    return wandering(0.2 * np.sin(2 * np.pi * time_s))
+    return moving(0.2 * np.sin(2 * np.pi * time_s))
 
 
 def tracks(path, offsets_s, times_s=None, seen_by=CAMERAS, sd_px=0.3):
@@ -48,7 +38,7 @@ def late(camera, offset_s):
 
 @pytest.mark.parametrize("offset_s", [-1.5, -0.08, 0.5])
 def test_one_late_clock_is_the_only_one_that_is_off(offset_s):
-    found = synchronise(tracks(wandering, late("cam1", offset_s)), 2.0, 0.02)
+    found = synchronise(tracks(moving, late("cam1", offset_s)), 2.0, 0.02)
     assert found == pytest.approx(late("cam1", offset_s), abs=0.021)
 
 
@@ -57,7 +47,7 @@ def test_recordings_of_other_rates_that_began_by_hand_are_brought_together():
     rates = {"cam0": 30, "cam1": 25, "cam2": 12, "cam3": 24}
     times = {name: begun[name] + np.arange(0, 3.0, 1 / rates[name]) for name in CAMERAS}
     clocks = {"cam0": 0.0, "cam1": 12.4, "cam2": -7.7, "cam3": 0.2}
-    found = synchronise(tracks(wandering, clocks, times), 25.0, 0.04)
+    found = synchronise(tracks(moving, clocks, times), 25.0, 0.04)
     for name, clock in clocks.items():
         assert found[name] - found["cam0"] == pytest.approx(clock, abs=0.041)
 
@@ -73,6 +63,6 @@ def test_a_camera_that_was_turned_is_not_late():
     pose = CAMERAS["cam2"].world_from_camera
     turned = moved(CAMERAS["cam2"], pose.perturb([0, 0, 0, 0.02, 0.02, 0.0]))
     found = synchronise(
-        tracks(wandering, late("cam1", 0.0), seen_by=CAMERAS | {"cam2": turned}), 2.0, 0.04
+        tracks(moving, late("cam1", 0.0), seen_by=CAMERAS | {"cam2": turned}), 2.0, 0.04
     )
     assert found == pytest.approx(dict.fromkeys(found, 0.0), abs=0.041)

@@ -135,6 +135,14 @@ def calibration_covariance(outlines: PackedOutlines, fit: OutlineFit, rig: RigRo
 
 
 @compiled
+def _center_in_camera(outlines: PackedOutlines, fit: OutlineFit, k: int) -> Floats:
+    """Where ball-view k's ball is (3,) in its camera's frame, mm."""
+    view = outlines.view_of[k]
+    place = apply_matrix(fit.rotation, outlines.centers_body[k]) + fit.translation
+    return apply_matrix(outlines.rotations[view], place) + outlines.translations[view]
+
+
+@compiled
 def pose_by_radius(
     outlines: PackedOutlines, fit: OutlineFit, ball_of: Ints, balls: int, lenses: Floats
 ) -> Floats:
@@ -152,9 +160,7 @@ def pose_by_radius(
     """
     out = np.zeros((6, balls))
     for k in range(len(outlines.view_of)):
-        view = outlines.view_of[k]
-        place = apply_matrix(fit.rotation, outlines.centers_body[k]) + fit.translation
-        center = apply_matrix(outlines.rotations[view], place) + outlines.translations[view]
+        view, center = outlines.view_of[k], _center_in_camera(outlines, fit, k)
         square = np.sum(center * center) - outlines.radii[k] ** 2
         focal = (lenses[view, 0] + lenses[view, 3]) / 2
         out[:, ball_of[k]] += fit.by_effect[k, :, 2] * focal / np.sqrt(square)
@@ -166,9 +172,7 @@ def _outline_by_lens(
     outlines: PackedOutlines, fit: OutlineFit, k: int, lens: Floats, by_intrinsics: Floats
 ) -> None:
     """Fill the derivatives (3, 12) of ball-view k's outline (x, y, radius) by the intrinsics."""
-    view, radius = outlines.view_of[k], outlines.radii[k]
-    place = apply_matrix(fit.rotation, outlines.centers_body[k]) + fit.translation
-    center = apply_matrix(outlines.rotations[view], place) + outlines.translations[view]
+    radius, center = outlines.radii[k], _center_in_camera(outlines, fit, k)
     moved, middle = _pixel_by_lens(center, lens)
     by_intrinsics[:2], by_intrinsics[2] = moved, 0.0
     for axis in range(2):
@@ -213,10 +217,8 @@ def light_covariance(
     """
     levers, mm_per_px = np.zeros((balls, 6, 3)), 0.0
     for k in range(len(outlines.view_of)):
-        view = outlines.view_of[k]
+        view, center = outlines.view_of[k], _center_in_camera(outlines, fit, k)
         levers[ball_of[k]] += fit.by_ball[k]
-        place = apply_matrix(fit.rotation, outlines.centers_body[k]) + fit.translation
-        center = apply_matrix(outlines.rotations[view], place) + outlines.translations[view]
         focal = (lenses[view, 0] + lenses[view, 3]) / 2
         mm_per_px += np.sqrt(np.sum(center * center)) / focal / len(outlines.view_of)
     out, together = np.zeros((6, 6)), np.zeros((6, 3))

@@ -316,11 +316,11 @@ def _mark_outside(image: Bytes, rays: RaySet, steps: Floats) -> None:
     points, normals = rays.points, rays.normals
     height, width = image.shape[:2]
     margin = np.max(np.abs(rays.color_shifts)) if len(rays.color_shifts) > 0 else 0.0
+    right, down = width - 1 - margin, height - 1 - margin
     for i in range(len(points)):
         if rays.status[i] != CLEAR:
             continue
         for end in (steps[0], steps[len(steps) - 1]):
             u, v = points[i, 0] + end * normals[i, 0], points[i, 1] + end * normals[i, 1]
-            right, down = width - 1 - margin, height - 1 - margin
             if not (u >= margin and v >= margin and u < right and v < down):
                 rays.status[i] = OUT_OF_IMAGE

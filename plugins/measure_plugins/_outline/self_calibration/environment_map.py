@@ -89,7 +89,7 @@ def background_of(pixels: Bytes, lens: Floats, balls: Floats) -> BackgroundAccum
 
     Args:
         pixels: (h, w, 3) the picture.
-        lens: (14,) lens row.
+        lens: (16,) lens row.
         balls: (k, 4) unit axes and half angles of the outlines of all balls.
     """
     low, high = _visible_plane(pixels.shape[1], pixels.shape[0], lens)

@@ -60,7 +60,7 @@ class SelfCalibration:
     def __init__(
         self, lens: Floats, world_from_camera: Floats, rays: int, margin_px: float
     ) -> None:
-        """For a camera with this lens row (14,) and rotation (3, 3)."""
+        """For a camera with this lens row (16,) and rotation (3, 3)."""
         self._lens, self._world_from_camera = lens, world_from_camera
         self._rays, self._margin_px = rays, margin_px
         self._count, self._kept, self._due = 0, 1, _FIRST_ESTIMATE
