@@ -22,12 +22,7 @@ import cv2
 import numpy as np
 
 from benchmarks.errors import body_cost
-from measure.calibration import (
-    Capture,
-    calibrate_capture,
-    fit_rig_by_paper,
-    open_capture,
-)
+from measure.calibration import Capture, calibrate_capture, fit_rig_by_paper, open_capture
 from measure.calibration.lens import intrinsics_vector
 from measure.calibration.observations import MarkerObservation, RigObservations, Tolerances
 from measure.calibration.procedure import RigCalibration

@@ -47,10 +47,7 @@ def rms(rows: Floats) -> float:
 
 
 def body_cost(
-    estimated: tuple[Camera, ...],
-    true: tuple[Camera, ...],
-    body: Body,
-    poses: list[RigidTransform],
+    estimated: tuple[Camera, ...], true: tuple[Camera, ...], body: Body, poses: list[RigidTransform]
 ) -> Floats:
     """What wrong cameras cost: true ball centres through true cameras, located with estimated ones.
 

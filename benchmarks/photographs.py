@@ -171,10 +171,7 @@ def photograph_rows(balls: Sequence[MarkedBall]) -> Iterator[tuple[str, ...]]:
 
 
 def _cells(
-    make: MakeDetector,
-    balls: Sequence[MarkedBall],
-    *,
-    states_covariance: bool,
+    make: MakeDetector, balls: Sequence[MarkedBall], *, states_covariance: bool
 ) -> Iterator[str]:
     for size in (None, 1.0):
         seen = [look(make, ball, size) for ball in balls]

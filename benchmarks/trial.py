@@ -164,11 +164,7 @@ def _timed(sets: Iterable[FrameSet], steps: list[float]) -> Iterator[FrameSet]:
 
 
 def _score(
-    session: Session,
-    truth: Trajectory,
-    measured: list[Measurement],
-    steps: Floats,
-    bounds: Floats,
+    session: Session, truth: Trajectory, measured: list[Measurement], steps: Floats, bounds: Floats
 ) -> Trial:
     errors, inside, wrong = [], [], 0
     for one in measured:

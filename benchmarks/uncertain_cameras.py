@@ -25,12 +25,7 @@ from measure.arrays import Floats
 from measure.host import Registry
 from measure.measuring import Measurement, Status
 from measure.model import Camera
-from measure.session import (
-    Calibration,
-    Trajectory,
-    open_session,
-    write_calibration,
-)
+from measure.session import Calibration, Trajectory, open_session, write_calibration
 
 LEVELS = ((0.02, 0.003), (0.05, 0.006), (0.1, 0.012), (0.2, 0.03))
 """In mm and degrees."""

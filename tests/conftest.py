@@ -67,8 +67,7 @@ def paper_body() -> Body:
     """The paper's three balls: 20 mm in radius, 38 mm from the end effector."""
     balls = (("green", (38, 0, 0)), ("yellow", (0, 38, 0)), ("red", (-38, 0, 0)))
     return Body(
-        "paper",
-        tuple(Ball(name, BallColor.named(name), np.array(c), 20.0) for name, c in balls),
+        "paper", tuple(Ball(name, BallColor.named(name), np.array(c), 20.0) for name, c in balls)
     )
 
 

@@ -9,10 +9,7 @@ from measure.measuring import Pipeline, Stages
 from measure.measuring.tracking.predictive import PredictiveConfig, PredictiveTracker
 from measure.model import FrameSet, Image
 from measure_plugins.pose_solvers.kabsch import KabschConfig, KabschSolver
-from measure_plugins.triangulators.reprojection import (
-    ReprojectionConfig,
-    ReprojectionTriangulator,
-)
+from measure_plugins.triangulators.reprojection import ReprojectionConfig, ReprojectionTriangulator
 from tests.scenes import see
 
 

@@ -40,12 +40,7 @@ def calibrate(
         SessionError: a picture, video or body file that cannot be read.
         ConfigError: an unknown method.
     """
-    from measure.calibration import (
-        calibrate_capture,
-        judge,
-        open_capture,
-        provenance,
-    )
+    from measure.calibration import calibrate_capture, judge, open_capture, provenance
     from measure.model import paper_body
 
     if method not in ("joint", "paper"):

@@ -10,12 +10,7 @@ from measure.api.outputs import check_writable, is_one_of
 from measure.errors import ConfigError, EstimatorError
 
 if TYPE_CHECKING:
-    from measure.learning import (
-        DriftMonitor,
-        EstimateServer,
-        EstimatorEvaluation,
-        Zeroing,
-    )
+    from measure.learning import DriftMonitor, EstimateServer, EstimatorEvaluation, Zeroing
 
 
 def rezero(model_path: Path, stretch: Path) -> tuple[Zeroing, DriftMonitor]:

@@ -106,10 +106,7 @@ def _lenient(profile: Profile) -> Profile:
 
 
 def _measure(
-    opened: Session,
-    profile: Profile,
-    registry: Registry,
-    progress: Progress | None,
+    opened: Session, profile: Profile, registry: Registry, progress: Progress | None
 ) -> tuple[list[Measurement], Body]:
     """Every frame set measured, and the body with the radii that its outlines show."""
     from measure.api.measuring import calibrated_pipeline

@@ -95,10 +95,7 @@ def _split(data: Sequence[Path], options: TrainOptions) -> Split:
         return learning.Split(whole, other, other)
     cut = learning.split_by_rows if options.split_rows else learning.split_by_trajectory
     return cut(
-        whole,
-        test=options.test_share,
-        validation=options.validation_share,
-        seed=options.split_seed,
+        whole, test=options.test_share, validation=options.validation_share, seed=options.split_seed
     )
 
 

@@ -100,9 +100,7 @@ def _instant(source: str) -> int:
 
 
 def _start(
-    board: Board,
-    lenses: Mapping[str, LensCalibration],
-    views: Mapping[str, dict[int, Corners]],
+    board: Board, lenses: Mapping[str, LensCalibration], views: Mapping[str, dict[int, Corners]]
 ) -> tuple[tuple[Camera, ...], dict[int, RigidTransform]]:
     """Camera after camera, by the board poses it shares with those placed before.
 

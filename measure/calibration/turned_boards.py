@@ -52,11 +52,7 @@ def oriented_board(
 
 
 def _misfit_px(
-    camera: CameraCapture,
-    lens: Intrinsics,
-    board: Board,
-    seen: DetectedBoard,
-    capture: Capture,
+    camera: CameraCapture, lens: Intrinsics, board: Board, seen: DetectedBoard, capture: Capture
 ) -> float:
     """By how much a camera's marks miss if its board lies so; 0 without marks.
 

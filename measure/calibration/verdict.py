@@ -258,9 +258,7 @@ def _finite(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def camera_rows(
-    cameras: Sequence[Camera],
-) -> list[tuple[str, float, float, float, float | None]]:
+def camera_rows(cameras: Sequence[Camera]) -> list[tuple[str, float, float, float, float | None]]:
     """Per camera: name, focal length px, position sd mm, rotation sd deg, reprojection RMS px.
 
     The standard deviations are in 3-D, NaN where the calibration states none.

@@ -1,10 +1,6 @@
 """Checks of a whole recording: errors and weaknesses that it shows by itself; no files."""
 
-from measure.checking.coverage import (
-    Coverage,
-    coverage_findings,
-    expected_accuracy,
-)
+from measure.checking.coverage import Coverage, coverage_findings, expected_accuracy
 from measure.checking.duplicates import (
     DuplicateCount,
     damage_findings,

@@ -15,12 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from measure.arrays import Bools, Floats
-from measure.checking.clock_system import (
-    Instant,
-    bias_deviations,
-    reduce_instant,
-    solve_clocks,
-)
+from measure.checking.clock_system import Instant, bias_deviations, reduce_instant, solve_clocks
 from measure.estimation.pose_fit import PoseObservations
 from measure.geometry import chi_square_quantile
 from measure.measuring.measurement import Measurement

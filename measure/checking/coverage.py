@@ -101,11 +101,7 @@ def _second_body(samples: Sequence[SearchSample]) -> list[Finding]:
 
 
 def expected_accuracy(
-    middle: RigidTransform,
-    reach_mm: float,
-    body: Body,
-    cameras: Sequence[Camera],
-    noise_px: float,
+    middle: RigidTransform, reach_mm: float, body: Body, cameras: Sequence[Camera], noise_px: float
 ) -> Floats:
     """Standard deviations to expect of the pose around a place, with every ball in sight.
 

@@ -44,11 +44,7 @@ class ProfileOptions:
 
         return api.choose(
             api.load_profile(self.profile),
-            {
-                "detector": self.detector,
-                "triangulator": self.triangulator,
-                "solver": self.solver,
-            },
+            {"detector": self.detector, "triangulator": self.triangulator, "solver": self.solver},
             self.set_,
         )
 

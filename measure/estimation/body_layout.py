@@ -103,11 +103,7 @@ def pair_distances(points_body: Floats, centers: Floats, covariances: Floats) ->
 
 @compiled
 def distances_from_body(
-    rotation: Floats,
-    translation: Floats,
-    points_body: Floats,
-    centers: Floats,
-    covariances: Floats,
+    rotation: Floats, translation: Floats, points_body: Floats, centers: Floats, covariances: Floats
 ) -> Floats:
     """Distances of n measured balls from where a pose puts them.
 

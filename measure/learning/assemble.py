@@ -213,11 +213,7 @@ def _clock(track: PoseTrack, log: _Complete, settings: AssemblySettings) -> Cloc
 
 
 def _check_common(
-    track: PoseTrack,
-    log: _Complete,
-    offset_s: float,
-    measured_mm: Floats,
-    reported_mm: Floats,
+    track: PoseTrack, log: _Complete, offset_s: float, measured_mm: Floats, reported_mm: Floats
 ) -> None:
     """Refuse positions (n, 3) of the same instants if there are none, or not in one unit."""
     if not len(measured_mm):

@@ -47,9 +47,7 @@ def _self_calibrating(detectors: Mapping[str, Detector]) -> list[SelfCalibrating
 
 
 def calibrated(
-    pipeline: Pipeline,
-    build: Callable[[Body, Sequence[Camera]], Pipeline],
-    frame_sets: FrameSets,
+    pipeline: Pipeline, build: Callable[[Body, Sequence[Camera]], Pipeline], frame_sets: FrameSets
 ) -> Pipeline:
     """A pipeline whose detectors have calibrated themselves, if any of them needs a burn-in.
 

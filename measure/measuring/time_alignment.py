@@ -171,11 +171,7 @@ _SINGULAR = 1e-9
 
 @compiled
 def moved_pixels(
-    rig: RigRows,
-    points_body: Floats,
-    rotation: Floats,
-    translation: Floats,
-    moved: Floats,
+    rig: RigRows, points_body: Floats, rotation: Floats, translation: Floats, moved: Floats
 ) -> Floats:
     """Pixels (n, 2) of n points of a body; NaN for points without an image.
 

@@ -35,9 +35,7 @@ def distort_with_jacobians(points: Floats, coefficients: Floats) -> tuple[Floats
     radial = (1 + coefficients[0] * r2 + coefficients[1] * r4 + coefficients[4] * r6) / below
     by_coefficient = np.empty((len(x), 2, 8))
     for column, factor in zip(
-        (0, 1, 4, 5, 6, 7),
-        (r2, r4, r6, -radial * r2, -radial * r4, -radial * r6),
-        strict=True,
+        (0, 1, 4, 5, 6, 7), (r2, r4, r6, -radial * r2, -radial * r4, -radial * r6), strict=True
     ):
         by_coefficient[:, :, column] = points * (factor / below)[:, None]
     by_coefficient[:, 0, 2], by_coefficient[:, 1, 2] = 2 * x * y, r2 + 2 * y * y

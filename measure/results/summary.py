@@ -80,10 +80,7 @@ class Summary:
 
 
 def summarise(
-    detections: pa.Table,
-    poses: pa.Table,
-    notes: Sequence[str] = (),
-    body_notes: Sequence[str] = (),
+    detections: pa.Table, poses: pa.Table, notes: Sequence[str] = (), body_notes: Sequence[str] = ()
 ) -> Summary:
     """Count and average the tables of a run.
 
@@ -120,11 +117,7 @@ def summarise(
         effective=dict(sorted(effective.items())),
         suspended=dict(Counter(suspended["reason"].to_pylist()).most_common()),
         reasons=dict(doubts.most_common()),
-        notes=(
-            *notes,
-            *_idle(suspended, {row["camera"] for row in used}),
-            *body_notes,
-        ),
+        notes=(*notes, *_idle(suspended, {row["camera"] for row in used}), *body_notes),
     )
 
 

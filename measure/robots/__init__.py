@@ -2,14 +2,7 @@
 
 from measure.robots.chain import Joint, SerialChain, dh_link
 from measure.robots.log_file import LogFile
-from measure.robots.logs import (
-    ROBOT_KEY,
-    check_robot,
-    find_schema,
-    log_pieces,
-    read_log,
-    write_log,
-)
+from measure.robots.logs import ROBOT_KEY, check_robot, find_schema, log_pieces, read_log, write_log
 from measure.robots.psm import psm_schema
 from measure.robots.raven import raven_chain, raven_schema
 from measure.robots.schema import Feature, Reading, RobotLog, StateLog, StateSchema

@@ -16,10 +16,7 @@ DEFAULT_PREFETCH = 3
 
 
 def stream_frame_sets(
-    streams: Sequence[Stream],
-    pairing: Pairing,
-    prefetch: int = DEFAULT_PREFETCH,
-    start: int = 0,
+    streams: Sequence[Stream], pairing: Pairing, prefetch: int = DEFAULT_PREFETCH, start: int = 0
 ) -> Iterator[FrameSet]:
     """Yield frame sets in order; at most `prefetch` + 1 sets are held here at any time.
 

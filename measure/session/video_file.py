@@ -221,11 +221,7 @@ def _open(path: Path, where: str) -> Any:
     import av
 
     try:
-        return av.open(
-            str(path),
-            options={"format_whitelist": _CONTAINERS},
-            timeout=_PATIENCE_S,
-        )
+        return av.open(str(path), options={"format_whitelist": _CONTAINERS}, timeout=_PATIENCE_S)
     except (av.error.FFmpegError, OSError) as problem:
         raise SessionError(
             f"{where}{path}: not a video that can be read, or its recording was cut off "

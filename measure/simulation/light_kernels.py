@@ -164,13 +164,7 @@ def _reflect(points: Points, i: int, shapes: Floats, lights: Lights, out: Floats
 
 @inlined
 def _lamp(
-    points: Points,
-    i: int,
-    mirrors: float,
-    shapes: Floats,
-    lamps: Floats,
-    j: int,
-    blockers: Ints,
+    points: Points, i: int, mirrors: float, shapes: Floats, lamps: Floats, j: int, blockers: Ints
 ) -> tuple[float, float]:
     """Shares of one lamp's light that a point sends to its viewer, diffuse and mirrored."""
     k, p, n = points.shape[i], points.place, points.normal

@@ -19,8 +19,7 @@ MATT = Material((1.0, 1.0, 1.0), 0.0)
 def body(name: str, balls: dict[str, tuple[float, float, float]], radius_mm: float) -> Body:
     """A body of balls named by their colour, at the given places in mm."""
     return Body(
-        name,
-        tuple(Ball(c, BallColor.named(c), np.array(p), radius_mm) for c, p in balls.items()),
+        name, tuple(Ball(c, BallColor.named(c), np.array(p), radius_mm) for c, p in balls.items())
     )
 
 

@@ -140,11 +140,7 @@ class Renderer:
         if not self._fixed:
             return self._backdrop
         stage = Stage(
-            self._fixed,
-            self._lighting,
-            self._focal_px,
-            backdrop=self._walls,
-            fisheye=self._fisheye,
+            self._fixed, self._lighting, self._focal_px, backdrop=self._walls, fisheye=self._fisheye
         )
         return self._canvas.draw(
             stage, len(self._fixed), self.samples, self._backdrop, self._backdrop

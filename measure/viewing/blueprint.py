@@ -32,10 +32,7 @@ def run_blueprint(cameras: Sequence[Camera]) -> rrb.Blueprint:
         overrides={entities.TRAIL: up_to_cursor()},
         eye_controls=_eye(cameras),
     )
-    pictures = rrb.Grid(
-        *map(_picture, cameras),
-        name="Cameras",
-    )
+    pictures = rrb.Grid(*map(_picture, cameras), name="Cameras")
     traces = rrb.Horizontal(
         plot("Error [mm]", "plots/error_mm"),
         plot("Position SD [mm]", "plots/position_sd_mm"),

@@ -13,12 +13,7 @@ STATUS = "status"
 TIMELINE_FRAME = "frame"
 TIMELINE_TIME = "time"
 
-ERROR_COLORS = {
-    "x": (229, 83, 83),
-    "y": (96, 180, 90),
-    "z": (80, 130, 235),
-    "3d": (240, 200, 60),
-}
+ERROR_COLORS = {"x": (229, 83, 83), "y": (96, 180, 90), "z": (80, 130, 235), "3d": (240, 200, 60)}
 ERROR_AXES = tuple(ERROR_COLORS)
 EFFECTIVE_COLOR = (80, 220, 120)
 REASON_COLORS = {

@@ -31,10 +31,7 @@ def write_robot_recording(path: Path, name: str, frames: Floats, traces: RobotTr
     stream.set_sinks(rr.FileSink(path), default_blueprint=robot_blueprint())
     stream.send_recording_name(name)
     _log_styles(stream)
-    index = [
-        rr.TimeColumn(entities.TIMELINE_FRAME, sequence=frames),
-        time_column(traces.times_s),
-    ]
+    index = [rr.TimeColumn(entities.TIMELINE_FRAME, sequence=frames), time_column(traces.times_s)]
     for kind in KINDS:
         places: Floats = getattr(traces, f"{kind}_mm")
         seen = np.isfinite(places).all(axis=1)

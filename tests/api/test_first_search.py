@@ -16,8 +16,7 @@ _MOST_CANDIDATES = 40
 
 
 @pytest.mark.parametrize(
-    ("name", "least"),
-    [("still", 0.7), ("occluded", 0.5), ("clutter", 0.7), ("async", 0.7)],
+    ("name", "least"), [("still", 0.7), ("occluded", 0.5), ("clutter", 0.7), ("async", 0.7)]
 )
 def test_every_first_frame_set_shows_the_body(shared, name, least):
     """By far more sightings than a pose needs, and nowhere near a wrong place.

@@ -120,9 +120,7 @@ def test_a_second_process_that_hangs_is_given_up():
     assert compiler.process.returncode not in (None, 0)
 
 
-def test_one_core_or_unpicklable_stages_start_no_second_process(
-    monkeypatch,
-):
+def test_one_core_or_unpicklable_stages_start_no_second_process(monkeypatch):
     assert _begun_when_compiling((lambda: None,)).process is None
     monkeypatch.setattr(second_compiler, "usable_cores", lambda: 1)
     alone = _begun_when_compiling(_work())

@@ -50,8 +50,7 @@ def written(capture: AlteredCapture, *more: str) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(
-    ("form", "name"),
-    [("anipose", "c.toml"), ("caliscope", "c.toml"), ("opencv", "c.yml")],
+    ("form", "name"), [("anipose", "c.toml"), ("caliscope", "c.toml"), ("opencv", "c.yml")]
 )
 def test_foreign_files_are_written_and_known_lenses_read(altered, form: str, name: str) -> None:
     capture = altered("cam0", "cam2")

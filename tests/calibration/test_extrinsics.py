@@ -6,11 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.errors import body_cost
-from measure.calibration import (
-    Tolerances,
-    fit_rig,
-    fit_rig_by_paper,
-)
+from measure.calibration import Tolerances, fit_rig, fit_rig_by_paper
 from measure.calibration.extrinsics import START_MARK_SD_PX
 from measure.calibration.observations import MarkerObservation
 from measure.calibration.tolerance import fit_rig_with_boards

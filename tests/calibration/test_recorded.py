@@ -61,9 +61,7 @@ def seed_rig(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> SeedRig:
     return SeedRig(folder, values, lens)
 
 
-def test_paper_marks_are_flagged_and_give_least_squares_balls(
-    seed_rig: SeedRig,
-) -> None:
+def test_paper_marks_are_flagged_and_give_least_squares_balls(seed_rig: SeedRig) -> None:
     result = calibrate(seed_rig.folder)
     rms = [camera.reprojection_rms_px for camera in result.calibration.cameras]
     np.testing.assert_allclose(rms, [3.6, 1.8, 3.5, 1.9], atol=0.1)

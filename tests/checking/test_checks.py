@@ -84,11 +84,7 @@ def test_a_pose_that_every_witness_contradicts_is_undetermined():
     seen = see(CAMERAS, RAVEN, path, 0.0, np.random.default_rng(0), np.zeros(4))
     rng = np.random.default_rng(1)
     scattered = [
-        replace(
-            d,
-            center_px=d.center_px + rng.normal(0, 60, 2),
-            covariance_px=np.eye(2) * 1e-6,
-        )
+        replace(d, center_px=d.center_px + rng.normal(0, 60, 2), covariance_px=np.eye(2) * 1e-6)
         for d in seen
     ]
     sightings = PoseObservations.of(scattered, RAVEN, CAMERAS, 0.0)

@@ -265,10 +265,7 @@ def rows(count: int, seed: int) -> list[tuple[str, str]]:
     out += [
         ("exit code", str(watcher.process.returncode)),
         ("poses", ", ".join(f"{n} {s}" for s, n in statuses.items())),
-        (
-            f"believed poses off by more than {WRONG_MM:g} mm and {WRONG_SD:g} SD",
-            _accuracy(off),
-        ),
+        (f"believed poses off by more than {WRONG_MM:g} mm and {WRONG_SD:g} SD", _accuracy(off)),
         (
             "outages told after the third missing picture",
             f"{len(told)}, after {np.median(told):.2f} s, at most {max(told):.2f} s"

@@ -126,11 +126,7 @@ SUBJECTS = (
         for words in (_LOG, _ESTIMATE)
     ),
     Subject("poses", "poses.csv", _LOG.replace("FILE", "log.parquet")),
-    Subject(
-        "robot.toml",
-        "robot.toml",
-        _LOG.replace("FILE", "own.csv") + " --robot {}/robot.toml",
-    ),
+    Subject("robot.toml", "robot.toml", _LOG.replace("FILE", "own.csv") + " --robot {}/robot.toml"),
     Subject(
         "estimator",
         "model.onnx",

@@ -76,10 +76,7 @@ BROKEN = {
         detector_source().replace("measure_detectors", "measure_triangulators"),
         "is not a Triangulator class",
     ),
-    "missing method": (
-        detector_source().replace("def detect(", "def find("),
-        "Blob lacks detect",
-    ),
+    "missing method": (detector_source().replace("def detect(", "def find("), "Blob lacks detect"),
     "no name": (detector_source().replace('name = "blob"', "pass"), "Blob has no name"),
     "name is no text": (detector_source().replace('"blob"', "7"), "Blob has no name"),
     "name of two words": (

@@ -40,10 +40,7 @@ def test_text_from_a_command_line_is_understood():
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        (
-            {"ray": 3},
-            "detector 'x': unknown setting 'ray'; it has rays, reach_px, curve, refine",
-        ),
+        ({"ray": 3}, "detector 'x': unknown setting 'ray'; it has rays, reach_px, curve, refine"),
         ({"rays": 3}, "detector 'x': 'rays': input should be greater than or equal to 8, got 3"),
         ({"rays": "many"}, "'rays': input should be a valid integer"),
         ({"rays": 8.5}, "'rays': input should be a valid integer"),

@@ -6,13 +6,7 @@ import pytest
 
 from measure.cli import main
 from measure.host import Dataset
-from measure.learning import (
-    AssemblySettings,
-    Split,
-    files,
-    simulated_dataset,
-    split_by_trajectory,
-)
+from measure.learning import AssemblySettings, Split, files, simulated_dataset, split_by_trajectory
 from measure.robots import RobotLog, raven_schema, write_log
 from measure.robots.simulator import simulate
 

@@ -97,9 +97,7 @@ def test_motion_that_repeats_itself_tells_no_offset() -> None:
     assert found.offset_s == pytest.approx(0.5, abs=1e-3)
 
 
-def test_states_that_are_no_numbers_count_as_not_recorded(
-    pair: tuple[PoseTrack, RobotLog],
-) -> None:
+def test_states_that_are_no_numbers_count_as_not_recorded(pair: tuple[PoseTrack, RobotLog]) -> None:
     """One NaN used to make a data set that could not be learnt from."""
     track, log = pair
     states = log.states.copy()

@@ -16,10 +16,7 @@ from measure.measuring import Pipeline, Stages, burn_in
 from measure.measuring.tracking.predictive import PredictiveConfig, PredictiveTracker
 from measure.session import open_session
 from measure_plugins.pose_solvers.kabsch import KabschConfig, KabschSolver
-from measure_plugins.triangulators.reprojection import (
-    ReprojectionConfig,
-    ReprojectionTriangulator,
-)
+from measure_plugins.triangulators.reprojection import ReprojectionConfig, ReprojectionTriangulator
 from tests.session.conftest import write_recording
 from tests.tracking_rig import Oracle, frame_sets
 

@@ -12,10 +12,7 @@ from measure.errors import PluginError
 from measure.geometry import RigidTransform
 from measure.measuring import Pipeline, Stages
 from measure_plugins.pose_solvers.kabsch import KabschConfig, KabschSolver
-from measure_plugins.triangulators.reprojection import (
-    ReprojectionConfig,
-    ReprojectionTriangulator,
-)
+from measure_plugins.triangulators.reprojection import ReprojectionConfig, ReprojectionTriangulator
 from tests.tracking_rig import Oracle, run
 
 NAN = np.array([np.nan, 0.0, 0.0])

@@ -10,12 +10,7 @@ from hypothesis import strategies as st
 
 from measure.errors import DegenerateGeometryError
 from measure.robots import SerialChain, psm_schema, raven_chain
-from measure.robots.raven import (
-    LIMITS,
-    drives_from_motors,
-    joints_from_drives,
-    motors_from_drives,
-)
+from measure.robots.raven import LIMITS, drives_from_motors, joints_from_drives, motors_from_drives
 
 CHAINS = {"left": raven_chain("left"), "right": raven_chain("right"), "psm": psm_schema().chain}
 

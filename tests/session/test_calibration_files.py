@@ -169,11 +169,7 @@ def test_caliscope_is_in_metres(tmp_path: Path) -> None:
     [
         ("fisheye = false", "fisheye = true", "'cam_1': distortion of a fisheye: expected"),
         ("translation = [ 0.0, 0.0, 1.5 ]\n", "", "'cam_1' has intrinsics but no pose"),
-        (
-            "size = [ 1920, 1080 ]\nmatrix",
-            "size = [ 0, 1080 ]\nmatrix",
-            "picture size is no two",
-        ),
+        ("size = [ 1920, 1080 ]\nmatrix", "size = [ 0, 1080 ]\nmatrix", "picture size is no two"),
         ("[ 1.0, 0.0, 0.0 ], [ 0.0, 1.0, 0.0 ]", "[ 0, 1.0, 0 ], [ 1.0, 0, 0 ]", "not a rotation"),
     ],
 )

@@ -14,10 +14,7 @@ def _clock(start: float, count: int = 30, period: float = PERIOD) -> np.ndarray:
     return start + period * np.arange(count)
 
 
-@given(
-    phases=st.lists(st.floats(0.0, 0.0299), min_size=2, max_size=6),
-    seed=st.integers(0, 1000),
-)
+@given(phases=st.lists(st.floats(0.0, 0.0299), min_size=2, max_size=6), seed=st.integers(0, 1000))
 def test_free_running_cameras(phases: list[float], seed: int) -> None:
     """Random phases: every image is used at most once, near its instant, in the order of time."""
     rng = np.random.default_rng(seed)

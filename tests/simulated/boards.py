@@ -109,10 +109,7 @@ def charuco(
 
 
 def _plate(
-    world_from_board: RigidTransform,
-    outline: Floats,
-    margin_mm: float,
-    reflectance: object,
+    world_from_board: RigidTransform, outline: Floats, margin_mm: float, reflectance: object
 ) -> Cuboid:
     """A box whose face towards the viewer (z = 0 of the board frame) carries the pattern."""
     middle = outline.mean(axis=0) + np.array([0.0, 0.0, _THICK_MM / 2])

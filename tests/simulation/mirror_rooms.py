@@ -5,13 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from measure.geometry import RigidTransform
-from measure.simulation import (
-    Cuboid,
-    Lighting,
-    Material,
-    Renderer,
-    Scene,
-)
+from measure.simulation import Cuboid, Lighting, Material, Renderer, Scene
 from tests.simulation.test_renderer import white_scene
 
 EVEN = Lighting((), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0), below=1.0)

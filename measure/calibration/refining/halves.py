@@ -13,12 +13,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.calibration.refining.recording import MIN_FRAMES, Recording
-from measure.calibration.refining.refine import (
-    Refinement,
-    RefineSettings,
-    misfits_px,
-    refine_rig,
-)
+from measure.calibration.refining.refine import Refinement, RefineSettings, misfits_px, refine_rig
 from measure.errors import CalibrationError
 from measure.model import Body, Camera
 

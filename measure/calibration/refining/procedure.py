@@ -20,11 +20,7 @@ from measure.calibration.refining.judgement import (
     refuse_misfit,
     worst_misfit,
 )
-from measure.calibration.refining.recording import (
-    Recording,
-    calibration_disagrees,
-    recording_of,
-)
+from measure.calibration.refining.recording import Recording, calibration_disagrees, recording_of
 from measure.calibration.refining.refine import Refinement, RefineSettings, refine_rig
 from measure.checking.clocks import CameraClock, estimate_clocks
 from measure.measuring import Measurement

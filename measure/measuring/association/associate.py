@@ -19,12 +19,7 @@ from measure.errors import DegenerateGeometryError
 from measure.estimation.pose_fit import PoseObservations, fit_pose
 from measure.geometry import RigidTransform
 from measure.host.settings import Settings, setting
-from measure.measuring.association.candidates import (
-    BallPoints,
-    Candidates,
-    by_ball,
-    intersect_rays,
-)
+from measure.measuring.association.candidates import BallPoints, Candidates, by_ball, intersect_rays
 from measure.measuring.association.hypotheses import (
     PoseScores,
     lie_on_body,

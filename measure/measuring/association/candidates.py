@@ -98,9 +98,7 @@ def intersect_rays(
 
 
 def by_ball(
-    detections: Mapping[str, Sequence[Detection]],
-    balls: Sequence[Ball],
-    cameras: Sequence[Camera],
+    detections: Mapping[str, Sequence[Detection]], balls: Sequence[Ball], cameras: Sequence[Camera]
 ) -> list[Candidates]:
     """The candidates of every ball, from detections by camera name."""
     seen = [(i, d) for i, c in enumerate(cameras) for d in detections.get(c.name, ())]

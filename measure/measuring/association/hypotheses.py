@@ -13,11 +13,7 @@ from measure.arrays import Bools, Floats, Ints
 from measure.compiling import compiled
 from measure.geometry import RigidTransform
 from measure.measuring.association.candidates import BallPoints, Candidates
-from measure.measuring.association.scoring import (
-    CandidateRows,
-    agreement,
-    lie_on_balls,
-)
+from measure.measuring.association.scoring import CandidateRows, agreement, lie_on_balls
 from measure.model import Body, Camera, Rig
 
 _MAX_TRIPLES = 400

@@ -91,12 +91,7 @@ def agreement(
 
 @compiled
 def lie_on_balls(
-    centers: Floats,
-    radii: Floats,
-    rig: RigRows,
-    cameras: Ints,
-    pixels: Floats,
-    share: float,
+    centers: Floats, radii: Floats, rig: RigRows, cameras: Ints, pixels: Floats, share: float
 ) -> Bools:
     """Whether each of n candidates (n,) lies on some ball.
 

@@ -143,12 +143,7 @@ def _move_links(
 
 @compiled
 def _move_motors(
-    dac: Floats,
-    tension: Floats,
-    mechanics: _Mechanics,
-    speed: Floats,
-    angle: Floats,
-    dt: float,
+    dac: Floats, tension: Floats, mechanics: _Mechanics, speed: Floats, angle: Floats, dt: float
 ) -> None:
     """Motors with Coulomb friction that can hold them still."""
     motor, _, _, ratio = mechanics

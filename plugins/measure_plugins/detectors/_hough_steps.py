@@ -39,9 +39,7 @@ def enlarge(channel: Bytes, sigma_px: float, level: float) -> Bytes:
     # A wide blur needs no fine grid: halve it while sigma stays above 1.5 px.
     shrink = 4 if sigma_px >= 6 else 2 if sigma_px >= 3 else 1
     small = cv2.resize(
-        channel,
-        (-(-width // shrink), -(-height // shrink)),
-        interpolation=cv2.INTER_AREA,
+        channel, (-(-width // shrink), -(-height // shrink)), interpolation=cv2.INTER_AREA
     )
     # As float32: OpenCV's exact 8-bit Gaussian is eight times slower.
     blurred = cv2.GaussianBlur(small.astype(np.float32), (0, 0), sigma_px / shrink)

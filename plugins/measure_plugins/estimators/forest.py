@@ -9,17 +9,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.geometry import align_points
-from measure.host import (
-    Core,
-    Dataset,
-    Estimator,
-    Graph,
-    Report,
-    Settings,
-    Value,
-    hookimpl,
-    setting,
-)
+from measure.host import Core, Dataset, Estimator, Graph, Report, Settings, Value, hookimpl, setting
 from measure_plugins.estimators._inputs import WithinTrajectoryEstimator, informative_features
 
 

@@ -4,16 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from measure.host import (
-    Core,
-    Dataset,
-    Estimator,
-    Graph,
-    Report,
-    Settings,
-    Value,
-    hookimpl,
-)
+from measure.host import Core, Dataset, Estimator, Graph, Report, Settings, Value, hookimpl
 from measure_plugins.estimators._inputs import WithinTrajectoryEstimator
 
 

@@ -15,17 +15,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.errors import EstimatorError
-from measure.host import (
-    Core,
-    Dataset,
-    Estimator,
-    Graph,
-    Report,
-    Settings,
-    Value,
-    hookimpl,
-    setting,
-)
+from measure.host import Core, Dataset, Estimator, Graph, Report, Settings, Value, hookimpl, setting
 from measure_plugins.estimators._inputs import WithinTrajectoryEstimator
 from measure_plugins.estimators._kinematics import tip_change
 from measure_plugins.estimators._play import PlayBank

@@ -96,11 +96,7 @@ def _rays(rig: Rig, pixels: Floats) -> tuple[Rays, Floats]:
 
 
 def _covariance(
-    cameras: Sequence[Camera],
-    seen: Sequence[Detection],
-    rays: Rays,
-    moved: Floats,
-    pairs: Ints,
+    cameras: Sequence[Camera], seen: Sequence[Detection], rays: Rays, moved: Floats, pairs: Ints
 ) -> Floats:
     """(3, 3) in mm^2, to first order, by central differences of the mean of midpoints."""
     by_pixel = _differences(rays, rays.origins[:, None].repeat(4, axis=1), moved, pairs)

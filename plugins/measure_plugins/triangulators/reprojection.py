@@ -105,11 +105,7 @@ class ReprojectionTriangulator(Triangulator):
         rig, used = seen.rig, [detections[row] for row in seen.rows.tolist()]
         pixels, noise = stacked_detections(tuple(detections))
         fits = fit_points(
-            seen.starts,
-            rig.rows,
-            pixels[seen.rows],
-            noise[seen.rows],
-            self.config.tolerance_px,
+            seen.starts, rig.rows, pixels[seen.rows], noise[seen.rows], self.config.tolerance_px
         )
         fitted, apart = fits.fitted.tolist(), fits.disagreements.tolist()
         chi_squares, out = fits.chi_squares.tolist(), list[BallPosition | None]()

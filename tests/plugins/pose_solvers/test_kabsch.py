@@ -8,10 +8,7 @@ import pytest
 from measure.geometry import RigidTransform, squared_mahalanobis
 from measure.model import Body, Motion
 from measure_plugins.pose_solvers.kabsch import KabschConfig, KabschSolver
-from measure_plugins.triangulators.reprojection import (
-    ReprojectionConfig,
-    ReprojectionTriangulator,
-)
+from measure_plugins.triangulators.reprojection import ReprojectionConfig, ReprojectionTriangulator
 from tests.scenes import FOUR, RAVEN, a_pose, moved, of_ball, ring, see
 
 TRIANGULATOR = ReprojectionTriangulator(ReprojectionConfig())

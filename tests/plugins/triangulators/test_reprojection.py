@@ -8,10 +8,7 @@ import pytest
 from measure.geometry import RigidTransform, squared_mahalanobis
 from measure.host import Settings
 from measure_plugins.triangulators.dlt import DltTriangulator
-from measure_plugins.triangulators.reprojection import (
-    ReprojectionConfig,
-    ReprojectionTriangulator,
-)
+from measure_plugins.triangulators.reprojection import ReprojectionConfig, ReprojectionTriangulator
 from tests.scenes import RAVEN, a_pose, moved, of_ball, ring, see
 
 POSE_COVARIANCE = np.diag([0.3, 0.3, 0.3, 5e-4, 5e-4, 5e-4]) ** 2

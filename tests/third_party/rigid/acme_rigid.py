@@ -92,9 +92,7 @@ def _covariance(arms: Floats, weights: Floats, covariances: Floats) -> Floats:
 
 
 def _rms_px(
-    centers: Mapping[str, Floats],
-    detections: Sequence[Detection],
-    cameras: Mapping[str, Camera],
+    centers: Mapping[str, Floats], detections: Sequence[Detection], cameras: Mapping[str, Camera]
 ) -> float:
     """RMS distance in px of the detections from the projected centres; NaN if there are none."""
     errors = [

@@ -312,10 +312,7 @@ class FrameUpdate:
         return Evidence(found=True, color_ok=self._good(detection), moved_too_far=moved > allowed)
 
     def _with_consistency(
-        self,
-        ball: Ball,
-        found: Mapping[str, Detection | None],
-        evidence: Mapping[str, Evidence],
+        self, ball: Ball, found: Mapping[str, Detection | None], evidence: Mapping[str, Evidence]
     ) -> dict[str, Evidence]:
         """Fill in whether each circle agrees with the 3-D centre from effective circles."""
         good = [d for name, d in found.items() if d is not None and evidence[name].color_ok]

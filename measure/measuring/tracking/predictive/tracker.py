@@ -19,12 +19,7 @@ from measure.estimation.body_layout import distances_from_body, layout_flags
 from measure.geometry import RigidTransform, chi_square_quantile
 from measure.host.settings import Settings, setting
 from measure.measuring import association
-from measure.measuring.association import (
-    Association,
-    AssociationSettings,
-    associate,
-    second_body,
-)
+from measure.measuring.association import Association, AssociationSettings, associate, second_body
 from measure.measuring.tracking.predictive.camera_bias import CameraBiasMonitor
 from measure.measuring.tracking.predictive.consistency import consistency_flags, single_view_balls
 from measure.measuring.tracking.predictive.gating import (

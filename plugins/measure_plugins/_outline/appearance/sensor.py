@@ -104,11 +104,7 @@ def read_off(values: Reals, taps: Floats) -> Reals:
     beyond = m + CHROMA_REACH
     grey, out = np.empty(m * n, values.dtype), np.empty((3, m - CHROMA_REACH, n), values.dtype)
     bluer, redder = np.empty(beyond * n, values.dtype), np.empty(beyond * n, values.dtype)
-    blue, green, red = (
-        values[0].reshape(-1),
-        values[1].reshape(-1),
-        values[2].reshape(-1),
-    )
+    blue, green, red = (values[0].reshape(-1), values[1].reshape(-1), values[2].reshape(-1))
     _to_chroma(blue, green, red, grey, bluer, redder)
     for j in range(m, beyond):
         for i in range(n):

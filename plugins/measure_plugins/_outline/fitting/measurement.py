@@ -130,12 +130,7 @@ def search_about_circle(
 
 @compiled
 def unoccluded_search(
-    axis: Floats,
-    half_angle: float,
-    far: float,
-    rays: int,
-    min_contrast: float,
-    margin_px: float,
+    axis: Floats, half_angle: float, far: float, rays: int, min_contrast: float, margin_px: float
 ) -> OutlineSearch:
     """The search for an outline of unknown size in front of which no ball is known."""
     none, unit = np.empty((0, 4)), np.eye(2)

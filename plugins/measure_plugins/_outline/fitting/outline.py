@@ -127,12 +127,7 @@ def no_outline() -> Outline:
 
 @compiled
 def outline_of(
-    view: CameraImage,
-    scan: EdgeScan,
-    fit: Fit,
-    share: float,
-    spread: Floats,
-    wider: float,
+    view: CameraImage, scan: EdgeScan, fit: Fit, share: float, spread: Floats, wider: float
 ) -> Outline:
     """The outline that a scan's fit gives.
 

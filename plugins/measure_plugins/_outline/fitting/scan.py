@@ -118,11 +118,7 @@ class EdgeScan(NamedTuple):
 
 @compiled
 def scan_half_level(
-    view: CameraImage,
-    search: OutlineSearch,
-    axis: Floats,
-    half_angle: float,
-    reach_px: float,
+    view: CameraImage, search: OutlineSearch, axis: Floats, half_angle: float, reach_px: float
 ) -> EdgeScan:
     """Find the half-level crossings, in light, within `reach_px` of the prediction.
 

@@ -87,12 +87,7 @@ def angles_around(count: int) -> Floats:
 
 
 @compiled
-def cast_rays(
-    frame: Floats,
-    half_angle: float,
-    count: int,
-    lens: Floats,
-) -> tuple[RaySet, Floats]:
+def cast_rays(frame: Floats, half_angle: float, count: int, lens: Floats) -> tuple[RaySet, Floats]:
     """Evenly spaced rays across the outline of the cone `half_angle` about `frame[2]`, all clear.
 
     Returns:
@@ -232,12 +227,7 @@ def _near(frame: Floats, half_angle: float, nearer: Floats, reach: float) -> Int
 
 @compiled
 def sample(
-    image: Bytes,
-    table: Floats,
-    rays: RaySet,
-    steps: Floats,
-    light_wanted: Bools,
-    values_from: int,
+    image: Bytes, table: Floats, rays: RaySet, steps: Floats, light_wanted: Bools, values_from: int
 ) -> tuple[Singles, Singles]:
     """Light and picture values along the rays, both by bilinear interpolation.
 
