@@ -30,8 +30,6 @@ def calibrate(
     """Calibrate the cameras of a capture folder and judge the result.
 
     Args:
-        capture: the folder, or its capture.toml.
-        method: "joint" or "paper".
         body: body file to judge with; the paper's three-ball body if omitted.
         progress: called with how many cameras are done, and of how many.
 

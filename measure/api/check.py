@@ -71,17 +71,12 @@ class SessionCheck:
     """What was found in a recording.
 
     Attributes:
-        session: its name.
-        frame_sets: how many it has.
         looked_at: how many of them were searched.
-        findings: the worst first.
-        coverage: who saw which ball how often.
         misfits: cameras that do not stand where the calibration says.
         body: the balls' distances and radii against the body file.
         clocks: of all cameras; empty if the motion was not measured.
         camera_errors: cameras whose clock, direction or focal length is off.
         scale: how many times as far apart as in the body file the balls are; NaN if unknown.
-        scale_sd: its standard deviation.
         accuracy: (27, 5) expected standard deviations round the place where the body was (see
             `expected_accuracy`), or None if it was never found.
     """
@@ -118,8 +113,6 @@ def check(
     """Find what is wrong or weak in a recording.
 
     Args:
-        session_path: the session's folder, which is only read.
-        registry: where the plugins come from.
         profile: whose detector searches the pictures, and whose stages measure the motion.
         calibration: a calibration file to use instead of the session's own.
         body: a body file to use instead of the session's own.
@@ -199,11 +192,7 @@ class _Look:
     """What one look at a recording has shown.
 
     Attributes:
-        frame_sets: how many it has.
-        searched: frame sets spread over it.
-        located: balls in them.
         motion: of frame sets measured in a row; empty if they were not.
-        pictures: findings on single pictures.
         misfits: cameras that do not stand where the calibration says.
         ahead_s: by camera, what was added to its stamps before; `motion.clocks` include it.
         tried_s: clocks that did not make the cameras agree.

@@ -32,11 +32,7 @@ def estimate_file(
     """Correct recorded states of any number; write `run, i, t_s, ex, ey, ez, sd_mm, unfamiliar`.
 
     Args:
-        model_path: the model.
-        states: the recording.
         out: `.parquet` or `.csv`.
-        zeroing: what a restart left.
-        stretch: the data set that was found from.
 
     Returns:
         How many were corrected, how many refused and why.
@@ -101,7 +97,6 @@ def correct_simulated_robot(seconds: float = 60.0, seed: int = 7) -> EstimatorEv
     """What the shipped network does for a restart of the simulated robot it has not seen.
 
     Args:
-        seconds: of teleoperation.
         seed: of motion and restart; the network was trained on seed 1.
     """
     from measure import learning

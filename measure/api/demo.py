@@ -34,11 +34,7 @@ class Demo:
     """What the demonstration made and found.
 
     Attributes:
-        session: the rendered session.
-        run: the run folder.
         picture: the views of one frame set with what was found in them.
-        summary: of the run.
-        evaluation: of the run against the exact truth.
         correction: the shipped network on a minute of the simulated robot it has not seen.
     """
 
@@ -63,9 +59,6 @@ def demo(
 
     Args:
         folder: where the session and the run are written; an earlier demonstration is replaced.
-        profile: how to measure.
-        registry: where the plugins come from.
-        frames: frame sets to render.
         progress: called with how many pictures and frame sets are done.
 
     Raises:

@@ -50,7 +50,6 @@ class SeenPicture:
     """The balls seen in one picture.
 
     Attributes:
-        picture: its file.
         detections: the best first.
     """
 
@@ -97,11 +96,6 @@ def detect(
     """Find a body's balls in single pictures.
 
     Args:
-        pictures: files of one camera.
-        registry: where the plugins come from.
-        profile: whose detector looks, with its settings.
-        body: colours and radii of the balls.
-        lens: of the camera.
         expected: balls, where their centres are and their radii in px; without any the whole
             picture is searched for all balls.
         out: a folder for copies of the pictures with the outlines drawn in.

@@ -31,8 +31,6 @@ class Outcome:
     """How one recording ended.
 
     Attributes:
-        session: its folder.
-        run: the run's folder.
         summary: what was measured; None if it failed.
         error: why it failed, in one line; empty if it did not.
         defect: the traceback, if the failure is ours and not the user's to mend.
@@ -74,10 +72,7 @@ def run_many(
 
     Args:
         sessions: their folders; the last part of each path names its run.
-        out: where the runs' folders are made.
-        profile: the stages and their settings.
         registry: where the plugins come from; a cluster's workers need them installed.
-        options: how the runs are written.
         workers: how many processes on this machine; as many as it has cores if omitted.
         cluster: address of a dask scheduler ("tcp://host:8786"), whose workers see the same paths.
         progress: called with how many recordings are finished, and of how many.

@@ -29,7 +29,6 @@ def check_writable(out: Path, *, folder_is_made: bool = False) -> None:
     """Refuse a file that cannot be written, before long work is done for it.
 
     Args:
-        out: the file.
         folder_is_made: whether its folder will be made if it is not there.
 
     Raises:
@@ -55,9 +54,7 @@ def check_replaceable(out: Path, read: Callable[[Path], object], what: str) -> N
     """Refuse a file as `check_writable` does, or one that is there and holds something else.
 
     Args:
-        out: the file.
         read: reads files of its kind, and refuses others.
-        what: the kind's name.
 
     Raises:
         ConfigError: as said.

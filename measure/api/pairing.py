@@ -34,7 +34,6 @@ def make_dataset(
         logs: robot logs, one for each run or one for all; none for labelled tables.
         robot: name of a state schema, or a robot.toml.
         out: the Parquet file; its data card goes beside it.
-        settings: how poses and states are brought together.
         topic: of the state messages, if a log is a bag.
 
     Raises:

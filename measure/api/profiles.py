@@ -69,7 +69,6 @@ def choose(
     """Apply a user's choices.
 
     Args:
-        profile: to start from.
         stages: plugin names by stage; None keeps the profile's.
         settings: "STAGE.NAME=VALUE" each, VALUE in TOML's notation or bare text.
 

@@ -40,12 +40,7 @@ class CaptureRequest:
 
 @dataclass(frozen=True)
 class RecordedSession:
-    """A recording that has ended.
-
-    Attributes:
-        session: its folder.
-        cameras: what came of each.
-    """
+    """A recording that has ended."""
 
     session: Path
     cameras: Mapping[str, CameraCount]
@@ -65,7 +60,6 @@ def record(
     """Record cameras into a session folder for a time, or until the process is interrupted.
 
     Args:
-        cameras: where their pictures come from.
         out: the session's folder, new or empty.
         calibration: copied into it; pictures of other sizes are refused. May be added later.
         body: likewise copied; may be added later.

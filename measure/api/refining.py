@@ -38,10 +38,7 @@ class RefineResult:
     """A refined calibration and how it came about.
 
     Attributes:
-        calibration: the refined cameras.
-        rig: residuals, clocks, ball centres, verdict.
         body: with its balls where the recording puts them, within the tolerance, and as large.
-        notes: reasons to doubt it, in words.
     """
 
     calibration: Calibration
@@ -61,8 +58,6 @@ def refine(
     """Measure a session and refine its cameras by bundle adjustment over it.
 
     Args:
-        session: the session folder.
-        registry: where the plugins come from.
         profile: how to measure, by name or TOML file.
         settings: what may change, and how far.
         calibration: first calibration, if not the session's own.

@@ -25,7 +25,6 @@ def evaluate(
     """Compare a run with the truth: Table I of the paper, and what it leaves out.
 
     Args:
-        run: the run's folder, finished or not.
         truth: poses over time; those of the run's session if omitted.
         calibration: where the cameras really are, if that is known; separates errors of detection
             from errors of camera localisation.
@@ -55,7 +54,6 @@ def report(run_path: Path, out: Path | None = None, truth: Path | None = None) -
     """Write the report of a run as one self-contained HTML file.
 
     Args:
-        run_path: the run's folder.
         out: the file; `report.html` in the run's folder if omitted.
         truth: poses over time; those of the run's session if omitted and there are any.
 
@@ -83,10 +81,8 @@ def export(
     """Write a run in another program's format.
 
     Args:
-        run: the run's folder, finished or not.
         file_format: "csv", "tum", "trc", "c3d" or "mcap".
         out: the file to write; `export.FORMAT` in the run's folder if omitted.
-        overwrite: replace a file that is there.
 
     Returns:
         The file written.

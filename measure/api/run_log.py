@@ -52,14 +52,9 @@ class RunLog:
     """The recording of a run, with the error against truth where there is one.
 
     Args:
-        name: shown in the viewer.
-        body: what is measured.
-        cameras: calibrated.
         out: the run's folder, with its `run.toml`.
-        options: what goes in.
         kept: how many frame sets are kept of an interrupted run: its recording is replaced by this
             one as soon as this one holds as much.
-        truth: the true poses, where they are known.
         videos: by camera, recorded videos that go in as they are.
     """
 

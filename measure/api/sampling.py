@@ -54,8 +54,6 @@ def write_sampled_body(
     """Write a body with the colours that balls have in a picture, as `samples_bgr`.
 
     Args:
-        to: the new file.
-        body: to take all else from.
         seen: what was seen in the picture.
         clicks: pixels on balls: what is connected to them and of their colour is sampled.
         outlined: other balls that are sampled inside their outlines.

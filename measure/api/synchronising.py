@@ -44,9 +44,6 @@ def find_offsets(
 
     Args:
         session: opened; `clocks_apart` if its cameras have no time in common.
-        registry: where the plugins come from.
-        profile: whose detector searches.
-        largest_s: the largest difference of two clocks.
         seconds: how much of each camera's recording is looked at, from its start.
         progress: called with how many pictures are done, and of how many.
 
@@ -109,8 +106,6 @@ def sync(
     """Bring the clocks of cameras together that were started by hand; writes `time_offset_s`.
 
     Args:
-        session_path: the session's folder.
-        registry: where the plugins come from.
         profile: whose detector searches, and whose stages measure the motion.
         output: a session file to write instead of the session's own.
         overwrite: replace offsets, or an output, that are there.

@@ -21,17 +21,11 @@ class TrainOptions:
     """What is trained, and on what.
 
     Attributes:
-        estimator: name of the plugin.
-        settings: its settings.
         validation: a data set of its own that chooses, stops and scores; otherwise trajectories
             are split off for that.
         test_share: of the rows, in whole trajectories.
-        validation_share: likewise.
-        split_seed: of the choice of trajectories.
-        seed: of everything random in training.
         resume: go on with an interrupted training of the same file.
         split_rows: split by random rows: wrong, and only there to show how wrong.
-        notes: lines for the model card.
     """
 
     estimator: str = "stream"
@@ -119,10 +113,6 @@ class SweepOptions:
     """What a sweep searches.
 
     Attributes:
-        estimator: name of the plugin.
-        settings: those that all trials share.
-        trials: finished trials wanted in all.
-        split_seed: of the trajectories that validate.
         scheduler: address of a dask scheduler whose workers run the trials.
     """
 
@@ -175,12 +165,9 @@ def ablate(
 
     Args:
         data: all that the model was trained on.
-        model_path: the model.
         single: every feature on its own instead of the robot's groups.
         remove: also fit without each.
         split_seed: split the data anew instead of as in training.
-        registry: of the estimators.
-        report: progress.
 
     Raises:
         EstimatorError: the data are another robot's, or not those the model was trained on.

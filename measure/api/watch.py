@@ -33,7 +33,6 @@ def robot_recording(
     """Write a robot's reported, measured and corrected positions into the run's `robot.rrd`.
 
     Args:
-        run: the run's folder.
         robot: name of a state schema, or a robot.toml.
         log: the robot's log; the session's own if omitted.
         model: an estimator (.onnx) that corrects the reported positions.

@@ -101,7 +101,6 @@ class Chessboard:
 
     Attributes:
         inner_corners: along x and along y.
-        square_mm: side of a square.
     """
 
     inner_corners: tuple[int, int]
@@ -162,8 +161,6 @@ class Charuco(Board):
 
     Attributes:
         inner_corners: along x and along y.
-        square_mm: side of a square.
-        marker_mm: side of a marker.
         dictionary: OpenCV's name, such as "DICT_4X4_1000".
         inverted: printed white on black.
         legacy: OpenCV's pattern before 4.6 (differs for an even number of rows of squares).

@@ -96,12 +96,10 @@ class CameraCapture:
     """What one camera contributes.
 
     Attributes:
-        name: of the camera.
         pictures: name and reader of each board view for the lens (a video: one for all frames).
         known: its lens, if that is given.
         board_image: picture of the board of known pose.
         world_from_board: that pose.
-        marker_image: picture of the markers.
         marks: hand marks, by marker name (2,) px.
         board_origin_px: where about the board's origin appears, if that is given.
         model: the kind of lens to be calibrated, if that is stated.
@@ -168,7 +166,6 @@ class Capture:
     """A capture folder, opened.
 
     Attributes:
-        path: of its capture.toml.
         settings: the `[capture]` table.
         board: the board, if there is one.
         markers: the marker field, maybe empty.

@@ -50,10 +50,6 @@ def fit_common_views(
 
     Pictures of one instant carry the same number in their names, or are frames of that number.
 
-    Args:
-        board: whose views these are.
-        lenses: each camera's lens and views.
-
     Returns:
         The cameras, and the board's corners in the world at all instants (n, 3) mm.
 
@@ -137,16 +133,7 @@ def _start(
 def _agreed_pose(
     board: Board, pairs: list[tuple[RigidTransform, RigidTransform]], name: str
 ) -> tuple[RigidTransform, Ints]:
-    """The pose of a camera on which most of its views agree, and each view's number of turns.
-
-    Args:
-        board: seen at several instants.
-        pairs: of each instant, world_from_board as known and camera_from_board as seen here.
-        name: of the camera.
-
-    Raises:
-        CalibrationError: they agree on none, or on another pose as well.
-    """
+    """The pose of a camera on which most of its views agree, and each view's number of turns."""
     turns = [_turned(board.points, turn) for turn in board.turns]
     guesses = stack([known @ t @ seen.inverse() for known, seen in pairs for t in turns])
     here = np.stack([seen.apply(board.points) for _, seen in pairs])

@@ -39,10 +39,6 @@ def check_board_against_marks(
 
     Args:
         start: the camera as located by its board.
-        board: the board.
-        seen: the boards of all cameras.
-        markers: the field.
-        marks: of this camera.
 
     Returns:
         Disagreement in mm at the markers.

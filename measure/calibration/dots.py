@@ -31,7 +31,6 @@ class Dot:
 
     Attributes:
         center_px: (2,).
-        radius_px: of its disc.
     """
 
     center_px: Floats
@@ -83,7 +82,6 @@ def refine_dot(light: Floats, dot: Dot, shape: Floats) -> Dot | None:
 
     Args:
         light: (h, w) linear luminance.
-        dot: roughly.
         shape: (2, 2) of its outline (see `outline_shape`).
     """
     half = int(np.ceil(dot.radius_px + 4))

@@ -72,10 +72,8 @@ class Sheet:
     """A page: size in mm, origin at the top left, y downwards; later shapes lie on earlier ones.
 
     Attributes:
-        size_mm: width and height.
         paper: its name, "A4" and so on, or "" if none fits.
         origin_mm: where the target's own origin came to lie.
-        shapes: what is drawn.
         note: what to know before it is used, or "".
     """
 
@@ -93,9 +91,7 @@ def lay_out(
 
     Args:
         shapes: in the drawing's own mm, from its top left corner.
-        size_mm: of the drawing.
         origin_mm: the target's origin in the drawing.
-        text: the title.
     """
     wanted = (size_mm[0] + 2 * MARGIN_MM, size_mm[1] + MARGIN_MM + FOOTER_MM)
     paper, page = "", wanted

@@ -67,7 +67,6 @@ def fit_rig(
     Args:
         start: cameras with rough poses; a lens with a covariance is refined within it, one without
             stays as it is.
-        observations: boards and marks.
         corner_sd_px: known standard deviation of a corner coordinate; estimated if omitted.
         mark_sd_px: known standard deviation of a mark coordinate; estimated if omitted.
 

@@ -33,8 +33,6 @@ class LensCalibration:
     """A calibrated lens and why it is what it is.
 
     Attributes:
-        fit: the fit to all kept views.
-        model: the chosen model.
         held_out_px: RMS on views kept out of the fit, by model name, as far as they were tried.
         reasons: why freer models were refused, in words.
         views: the views used, with coverage and those left out.
@@ -61,9 +59,6 @@ def calibrate_lens(
     """Calibrate a lens.
 
     Args:
-        board: shown.
-        views: of it.
-        camera: its name.
         projection: the kind of lens. If omitted a pinhole, with advice where a fisheye fits better.
 
     Raises:

@@ -53,9 +53,6 @@ class Linearised:
     """A problem linearised at a state.
 
     Attributes:
-        groups: the observations.
-        n_shared: number of shared parameters.
-        n_blocks: number of blocks.
         prior_residuals: (m,) whitened residuals of the priors.
         prior_by_shared: (m, n_shared) derivative of the whitened prior predictions.
     """
@@ -102,7 +99,6 @@ class StoppingRule:
     Attributes:
         steps: most steps to take; those that are tried in vain do not count.
         tolerance: settled once a step lowers the cost by less than this share.
-        must_settle: whether reaching the limit is an error.
         damping: to start with, as a share of the diagonal. Parameters that only a weak prior holds
             hardly move before it has fallen below the prior's share.
     """
@@ -118,8 +114,6 @@ class LeastSquaresSolution(Generic[State]):
     """Where Levenberg-Marquardt ended.
 
     Attributes:
-        state: the optimum.
-        linearised: the problem there.
         covariance: (n_shared, n_shared) of the shared parameters, for whitened residuals of
             standard deviation 1.
         cost: sum of losses and squared priors.
@@ -152,9 +146,7 @@ def solve(
     Args:
         linearise: residuals and derivatives at a state.
         step: the state after shared (n_shared,) and block (n_blocks, b) increments.
-        start: where to begin.
         loss: robust loss on the length of each residual; squares if omitted.
-        limits: when to stop.
 
     Raises:
         CalibrationError: the start has no finite cost, the data leave parameters undetermined, or

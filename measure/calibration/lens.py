@@ -18,13 +18,7 @@ _NAMES: dict[Projection, str] = {
 
 @dataclass(frozen=True)
 class LensModel:
-    """Which of fx fy cx cy and the distortion coefficients are free; the rest stay as given.
-
-    Attributes:
-        name: as reported and stored.
-        free: indices of the free parameters.
-        projection: of which kind of lens.
-    """
+    """Which of fx fy cx cy and the distortion coefficients are free; the rest stay as given."""
 
     name: str
     free: tuple[int, ...]

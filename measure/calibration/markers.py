@@ -53,7 +53,6 @@ def find_markers(
     Args:
         bgr: the picture (h, w, 3).
         camera: with a rough pose.
-        markers: the field.
         kind: dots (or small balls), or crosses.
 
     Raises:
@@ -86,7 +85,6 @@ def assign(predicted: Floats, found: Floats, reach_px: float) -> tuple[Ints, Int
 
     Args:
         predicted: NaN where a marker cannot be seen.
-        found: places in the picture.
         reach_px: pairs farther apart are none.
 
     Returns:

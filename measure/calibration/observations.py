@@ -18,7 +18,6 @@ class BoardObservation:
     Attributes:
         points: (n, 3) its seen corners in the board frame, mm.
         pixels: (n, 2) where they appear.
-        world_from_board: its stated pose.
     """
 
     points: Floats
@@ -65,9 +64,6 @@ class RigObservations:
 
     Attributes:
         markers: (k, 3) stated positions of the markers in the world, mm.
-        boards: by camera name.
-        marks: by camera name.
-        tolerances: of markers and boards.
     """
 
     markers: Floats = field(default_factory=lambda: np.zeros((0, 3)))

@@ -53,7 +53,6 @@ def fit_pattern(
         values: (pixels,) the patch.
         root: (pixels,) square roots of the weights; 0 leaves a pixel out.
         start: (k,) unknowns, all of them worth about a pixel of change.
-        basis: the pattern's layers.
         least: (k,) lower bounds of the unknowns.
     """
     unknowns, robust = start, np.ones_like(values)

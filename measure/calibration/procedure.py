@@ -45,17 +45,11 @@ class RigCalibration:
     """A calibrated rig and intermediate results.
 
     Attributes:
-        cameras: with covariances.
-        method: "joint" or "paper".
         lenses: by camera name, where the lens was calibrated here.
         fit: the joint fit, if there was one.
         paper: the fit by equation 3, if that was the method.
-        observations: boards and marks used.
-        markers: the marker field.
         cameras_before: at their rough poses, lenses as calibrated by themselves.
-        found: markers found automatically, by camera name.
         disagreement_mm: between board and markers at the markers, by camera name.
-        findings: what the procedure noticed.
         around: (n, 3) mm, board corners in view, where there are no markers.
     """
 
@@ -84,7 +78,6 @@ def calibrate_capture(
     """Calibrate all cameras of a capture.
 
     Args:
-        capture: an open capture folder.
         method: "joint" (all cameras, boards and markers at once) or "paper" (equation 3).
         progress: called with how many cameras are done, and of how many.
 

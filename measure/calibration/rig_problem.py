@@ -44,7 +44,6 @@ class RigLayout:
         markers: columns of all markers, or None where they are exact.
         boards: columns of the boards that are not exact, by camera name.
         offsets: columns of the offsets of marks, by camera name.
-        size: number of columns.
     """
 
     lens_free: tuple[Ints, ...]
@@ -78,8 +77,6 @@ class RigProblem:
 
     Attributes:
         start: cameras as they are known beforehand.
-        observations: what they see.
-        layout: the unknowns.
         sds: (2,) standard deviations in px of corners and marks.
     """
 

@@ -133,7 +133,6 @@ class SingleCameraFit:
     """A lens fitted to board views.
 
     Attributes:
-        intrinsics: with covariance.
         residuals: (n, 2) px, observed minus predicted.
         view_of: (n,) which view each residual belongs to.
         sd_px: standard deviation of a corner coordinate, from the residuals.
@@ -167,8 +166,6 @@ def fit_lens(
     Args:
         start: where to begin; parameters that are not free keep its values.
         points: (k, 3) the board's corners, mm.
-        views: corners of each view.
-        model: which parameters are free.
         huber: reach of the robust loss in px; squares if infinite.
     """
     poses = stack([board_pose(start, points[v.ids], v.pixels) for v in views])

@@ -146,7 +146,6 @@ class MarkerField:
     """Markers of known place.
 
     Attributes:
-        names: of the markers.
         points: (k, 3) in the world, mm.
         tolerance_mm: standard deviation of each coordinate.
     """

@@ -36,7 +36,6 @@ class Verdict:
     """How good a calibration is.
 
     Attributes:
-        workspace: the box it was judged over.
         position_sd_mm: (27,) expected error of the body's position across the box, 3-D, one
             standard deviation, from the calibration alone.
         rotation_sd_deg: (27,) the same for its rotation.

@@ -32,7 +32,6 @@ class ViewSet:
 
     Attributes:
         size_wh: of the images, px.
-        views: the chosen ones.
         left_out: reasons, by name of picture.
         mirrored: how many pictures showed the board mirrored, or its back: they serve the lens, but
             a camera in mirror mode must not be located.
@@ -67,10 +66,7 @@ def find_views(
     """Find the board in pictures and choose views.
 
     Args:
-        board: to be found.
         pictures: name and BGR pixels, in order.
-        camera: its name, for messages.
-        limit: most views to keep.
 
     Raises:
         CalibrationError: pictures of different sizes, no board in any, or too few different views.

@@ -21,7 +21,6 @@ class CameraAddress:
     """Where a camera's pictures come from.
 
     Attributes:
-        name: the camera's, as in the calibration.
         address: http://... or https://... of a motion-JPEG stream, rtsp://..., the number or path
             of a camera of this machine, or a video file.
     """
@@ -69,7 +68,6 @@ def parse_cameras(words: Iterable[str], names: Sequence[str] = ()) -> list[Camer
     """Read cameras as NAME=ADDRESS, or as addresses alone.
 
     Args:
-        words: one a camera.
         names: those of a calibration, which addresses alone get in this order; cam0, cam1, ...
             without.
 

@@ -42,7 +42,6 @@ class CameraCount:
         uneven_s: how much the steps from picture to picture vary, of late (a standard deviation by
             their median distance from the median); NaN where unknown.
         refused: pictures that could not be used: out of order, or no pictures.
-        outages: when it was away, and why.
         ended: whether it delivers no more: a file that is over.
     """
 
@@ -80,7 +79,6 @@ class Cameras:
         """Make one; nothing is opened yet.
 
         Args:
-            sources: by the cameras' names.
             sizes_wh: what their pictures must measure; what the first does, where not given.
             on_outage: called, from a thread of its own, when a camera is away, and when it is back.
         """
@@ -209,11 +207,7 @@ class Cameras:
                     self._on_outage(outage)
 
     def _broke_off(self, name: str, problem: CaptureError) -> None:
-        """Go on after a while, unless it never worked.
-
-        Raises:
-            CaptureError: it never worked.
-        """
+        """Go on after a while, unless it never worked."""
         if not self._ready[name].is_set():
             raise CaptureError(f"camera '{name}': {problem}") from None
         self._watch.fail(name, str(problem))
@@ -273,11 +267,7 @@ class Cameras:
         self._counts[name] = replace(self._counts[name], **changed)  # type: ignore[arg-type]
 
     def _check_size(self, name: str, shot: Shot) -> None:
-        """Refuse pictures that are not of the calibrated size, or the first one's.
-
-        Raises:
-            CaptureError: they are not.
-        """
+        """Refuse pictures that are not of the calibrated size, or the first one's."""
         size, wanted = size_wh(shot), self._sizes.get(name)
         if size is None or size == wanted:
             return
@@ -294,12 +284,7 @@ class Cameras:
 
 
 def _arrival_sd_s(steps: Sequence[float], step_s: float) -> float:
-    """How far off the time of arrival of a picture may be: as they scatter, and as it is off.
-
-    Args:
-        steps: of those before it.
-        step_s: from the last to it; whole steps more are pictures that are missing.
-    """
+    """How far off the time of arrival of a picture may be: as they scatter, and as it is off."""
     usual_s = _uneven_s(steps)
     if math.isnan(usual_s) or math.isnan(step_s):
         return 0.0

@@ -40,7 +40,6 @@ class Gathering:
 
     Attributes:
         overtaken: how many pictures of the camera that lost most were left out for newer ones.
-        unreadable: how many pictures could not be decoded.
     """
 
     def __init__(
@@ -52,7 +51,6 @@ class Gathering:
         """Make one.
 
         Args:
-            names: of the cameras.
             clock: tells, in s, how long pictures wait.
             on_read: called with a camera's name, and whether its picture could be decoded.
         """

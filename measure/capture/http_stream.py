@@ -36,7 +36,6 @@ class Stream(io.RawIOBase):
         """Let the next of it take so long, and be so many bytes.
 
         Args:
-            what: it is, for messages.
             seconds: all of it may take; silence of `PATIENCE_S` is an error in any case.
             size: in bytes, but for what is read ahead.
         """
@@ -76,9 +75,6 @@ def open_stream(address: str) -> Iterator[tuple[HTTPResponse, Stream]]:
     """Ask for a stream, and follow redirections.
 
     Login and password go to the address that they were given for, and nowhere else.
-
-    Args:
-        address: as the user gave it.
 
     Yields:
         The answer, of which the head is read, and what sets the limits of the rest.
@@ -140,11 +136,7 @@ def _redirected(place: WebAddress, answer: HTTPResponse, where: str) -> WebAddre
 
 
 def _check_status(status: int, first: WebAddress, place: WebAddress, where: str) -> None:
-    """Refuse an answer that is none.
-
-    Raises:
-        CaptureError: it is another than 200.
-    """
+    """Refuse an answer that is none."""
     if status == HTTPStatus.OK:
         return
     phrase = HTTPStatus(status).phrase if status in set(HTTPStatus) else "an unknown status"

@@ -53,11 +53,7 @@ class HttpSource(Source):
 
 
 def _paced(shots: Iterator[Shot], address: str) -> Iterator[Shot]:
-    """The same, as long as they are no flood that would leave no time for other cameras.
-
-    Raises:
-        CaptureError: they are.
-    """
+    """The same, as long as they are no flood that would leave no time for other cameras."""
     second, count = 0, 0
     for shot in shots:
         now = int(shot.arrived_s)
@@ -68,11 +64,7 @@ def _paced(shots: Iterator[Shot], address: str) -> Iterator[Shot]:
 
 
 def _stream_of(answer: HTTPResponse, address: str) -> BufferedIOBase:
-    """The body of an answer that is a stream of parts.
-
-    Raises:
-        CaptureError: it is something else.
-    """
+    """The body of an answer that is a stream of parts."""
     kind = answer.headers.get_content_type()
     if not kind.startswith("multipart/"):
         known = kind if len(kind) < _MAX_KIND and kind.isprintable() else "something"
@@ -92,7 +84,6 @@ def parts_of(
 
     Args:
         stream: from the answer's first byte on.
-        address: for messages.
         begin_part: called where a part begins, or what comes before it: each has its own limits.
 
     Raises:

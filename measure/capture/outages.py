@@ -30,10 +30,8 @@ class Outage:
     """A time in which a camera delivered no new picture.
 
     Attributes:
-        camera: its name.
         since_s: time of the last picture before, in seconds since 1970.
         until_s: time of the first picture after; NaN while it lasts.
-        reason: why, as far as that is known.
     """
 
     camera: str
@@ -112,8 +110,6 @@ class OutageWatch:
         """A new picture of a camera came.
 
         Args:
-            name: the camera's.
-            time_s: of the picture.
             exact: whether that is of the camera's own clock. Then a step of several periods means
                 that pictures are missing, otherwise that they may have been held up.
         """

@@ -40,7 +40,6 @@ class Recorder:
 
         Args:
             folder: new, or empty.
-            addresses: where the pictures come from, by camera.
             body: what is measured, if it is known already.
             cameras: calibrated, if they are already.
 

@@ -24,9 +24,6 @@ _REQUESTS = ("OPTIONS", "DESCRIBE")
 def refuse_redirection(address: str) -> None:
     """Refuse a camera that redirects, if its address holds a password.
 
-    Args:
-        address: as the user gave it.
-
     Raises:
         CaptureError: it redirects, or cannot be reached.
     """

@@ -34,7 +34,6 @@ class AvSource(Source):
         """Make one; nothing is opened yet.
 
         Args:
-            address: for messages.
             opened: as the library takes it.
             options: of the library; the first that it can open the address with.
             form: what kind of address it is, where the library cannot detect it.

@@ -69,7 +69,6 @@ def locate_balls(
     Args:
         detections: candidates by camera name, from a search of the whole frame.
         body: its colours and, roughly, its radii.
-        cameras: all cameras.
     """
     centers, variances, radii = {}, {}, {}
     for ball, candidates in zip(body.balls, by_ball(detections, body.balls, cameras), strict=True):

@@ -31,9 +31,7 @@ class Compared:
     Attributes:
         what: the ball whose radius it is, or the two whose distance.
         measured_mm: over all frames.
-        sd_mm: its standard deviation.
         file_mm: what the body file says.
-        frames: in how many it was measured.
         tolerance_mm: a difference that does not matter, beyond the uncertainty.
     """
 
@@ -201,12 +199,7 @@ def twin_findings(body: Body) -> list[Finding]:
 
 
 def blind_to(body: Body, located: Collection[str]) -> tuple[str, ...]:
-    """Mistakes in the file that leave all distances between the located balls unchanged.
-
-    Args:
-        body: as its file says.
-        located: names of the located balls.
-    """
+    """Mistakes in the file that leave all distances between the located balls unchanged."""
     names = [name for name in body.names if name in located]
     centers = body.centers[[body.index(name) for name in names]].reshape(-1, 3)
     out = [

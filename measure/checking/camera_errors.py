@@ -54,8 +54,6 @@ class CameraError:
     """The likeliest error of a camera.
 
     Attributes:
-        camera: its name.
-        kind: what is wrong.
         amount: of a clock in s, to be added to its stamps; of a turn in deg; of a focal length the
             share by which it is longer than calibrated.
         sd: its standard deviation, with a constant bias of each ball-view.
@@ -78,7 +76,6 @@ def camera_errors(
 
     Args:
         instants: measured, of a recording in which the body moves.
-        body: the body.
         cameras: as calibrated; three at least, since of two either may be wrong.
     """
     if len(cameras) < 3 or len(instants) < _MIN_INSTANTS:

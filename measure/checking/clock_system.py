@@ -45,7 +45,6 @@ def linearise(instant: Instant, clocks: Floats) -> tuple[Floats, Floats, Floats,
     """The observations of an instant as functions of its pose and the clocks.
 
     Args:
-        instant: the observations.
         clocks: (c, 2) offsets and readout times in s.
 
     Returns:

@@ -37,7 +37,6 @@ class CameraClock:
     """One camera's clock.
 
     Attributes:
-        camera: its name.
         offset_s: add this to the camera's time stamps to bring them in line with the others.
         offset_sd_s: its standard deviation; infinite if the motion does not determine it.
         readout_s: time from the first row's exposure to the last row's; negative if from the
@@ -73,8 +72,6 @@ def estimate_clocks(
 
     Args:
         measurements: of one recording in which the body moves, in order of time.
-        body: the body.
-        cameras: its cameras.
         readout: whether to estimate rolling-shutter times as well.
         extra_px: systematic error of a detection, in its weight and in the uncertainty.
 
@@ -131,8 +128,6 @@ def measured_instants(
 
     Args:
         measurements: of one recording, in order of time.
-        body: the body.
-        cameras: its cameras.
     """
     return _instants(*_sightings(measurements, body, cameras, _EXTRA_PX), cameras)
 

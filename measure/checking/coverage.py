@@ -42,9 +42,6 @@ def coverage_findings(
     """The coverage of every camera and ball, and what is weak about it.
 
     Args:
-        samples: searched frame sets.
-        body: the body.
-        cameras: all of them.
         misfits: cameras known to be off; with some, disagreeing cameras are not reported.
     """
     with_pose = [s for s in samples if s.world_from_body is not None]
@@ -108,8 +105,6 @@ def expected_accuracy(
     Args:
         middle: a pose in the middle of the workspace.
         reach_mm: half the side of the cube.
-        body: the body.
-        cameras: the cameras.
         noise_px: standard deviation of a ball's centre in a picture.
 
     Returns:

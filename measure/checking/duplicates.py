@@ -47,7 +47,6 @@ def duplicate_findings(
     """One line if images are the same as the one before.
 
     Args:
-        camera: its name.
         repeated: (k,) positions of the duplicates, increasing.
         compared: number of images compared with the one before.
         times_s: (n,) stamps of all images.
@@ -73,7 +72,6 @@ def stamp_findings(camera: str, times_s: Floats, frames: Ints) -> list[Finding]:
     """Dropped frames, uneven stamps and wrong units of one camera.
 
     Args:
-        camera: its name.
         times_s: (n,) stamps, increasing.
         frames: (n,) frame numbers.
     """
@@ -103,7 +101,6 @@ def damage_findings(camera: str, frames: Sequence[int], count: int) -> list[Find
     """One line if images are damaged.
 
     Args:
-        camera: its name.
         frames: numbers of the damaged ones.
         count: number of images examined.
     """

@@ -39,7 +39,6 @@ class MotionCheck:
         clocks: of all cameras; empty if the motion was not measured.
         errors: of cameras, the most important first.
         scale: how many times as far apart as in the body file the balls are; NaN if unknown.
-        scale_sd: its standard deviation.
         measured: how many frame sets have a pose.
         flags: how many of these are flagged, by the most frequent reasons.
         sizes: how much larger than expected the balls' outlines are; None if too few were measured.
@@ -97,7 +96,6 @@ def motion_findings(
     """One line for every clock, camera and scale that is off.
 
     Args:
-        motion: what was found.
         misplaced: names of cameras already known to stand elsewhere.
         instead: cameras that seemed to stand elsewhere until their clocks were set right.
     """
@@ -140,12 +138,7 @@ def _flag_findings(motion: MotionCheck) -> list[Finding]:
 
 
 def _clock_findings(clocks: Sequence[CameraClock], rivals: Mapping[str, str]) -> list[Finding]:
-    """A line for every clock that is off and every shutter that rolls.
-
-    Args:
-        clocks: of cameras that stand where they should.
-        rivals: by camera, what ends the line if something else explains as much.
-    """
+    """A line for every clock that is off and every shutter that rolls."""
     out = []
     for clock in clocks:
         sd = 1e3 * clock.offset_sd_s

@@ -35,7 +35,6 @@ class CameraMisfit:
     """The difference of one camera from what the others predict.
 
     Attributes:
-        camera: its name.
         shift_px: mean length of the difference.
         turn_deg: the least rotation of the camera that explains it.
         since_s: when it began; None if it was there from the start.

@@ -30,8 +30,6 @@ class SearchSample:
         agreeing: the detections it rests on.
         nearest: per camera and ball, the candidate of about the right size nearest to where the
             ball should be, however far off.
-        reason: why there is no pose.
-        flags: of the pose.
         disagreeing_cameras: those that see balls, but none where the body should appear.
         velocity: (6,) in the pose's `perturb` chart, per second; zero if unknown.
     """
@@ -77,9 +75,6 @@ def search_sample(
 
     Args:
         detections: candidates by camera name, from a search of whole images.
-        body: the body.
-        cameras: the cameras.
-        time_s: of the frame set.
     """
     found = associate(body, cameras, detections)
     if found.world_from_body is None:

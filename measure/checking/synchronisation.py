@@ -36,7 +36,6 @@ class BallTracks:
     """Where one camera saw the balls.
 
     Attributes:
-        camera: the camera.
         times_s: (n,) of its images, increasing.
         pixels: (n, b, 2) centres; NaN where a ball was not seen.
     """
@@ -88,9 +87,7 @@ def synchronise(tracks: Sequence[BallTracks], largest_s: float, step_s: float) -
     most, against all before it. Only differences are observable: the median of the offsets is 0.
 
     Args:
-        tracks: one per camera.
         largest_s: of any two clocks, the largest difference.
-        step_s: of the search.
     """
     usable = [track for track in tracks if len(track.times_s) >= _MIN_IMAGES]
     pairs = [(_search(b, {a: 0.0}, largest_s, step_s), a) for a, b in combinations(usable, 2)]

@@ -21,7 +21,6 @@ class Importance:
 
     Attributes:
         name: of a feature or a group of features.
-        features: how many.
         permuted_mm: RMS with the columns shuffled among rows; history is shuffled with them.
         removed_mm: RMS after fitting without them; None if not tried.
         permutation_mm: `permuted_mm` minus the RMS with all inputs.
@@ -50,11 +49,8 @@ def ablate(
     Args:
         model: fitted with all features.
         split: the one it was fitted with; only its test part is scored.
-        groups: features by name.
         refit: makes an unfitted estimator; given, every group is also removed and refitted. A
             removed feature is held at its mean, so that files and schemas stay alike.
-        seed: of shuffling and fitting.
-        report: progress.
 
     Returns:
         The RMS with all inputs, in mm, and the importances, the largest first.

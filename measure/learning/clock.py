@@ -34,7 +34,6 @@ class ClockOffset:
     """`robot time = camera time + offset_s`.
 
     Attributes:
-        offset_s: the offset.
         sd_s: its standard deviation, from the curvature of the fit and the autocorrelation of its
             residuals.
         correlation: of the two velocities at that offset, rotated into one frame; at most 1.

@@ -44,9 +44,7 @@ class Counters:
         corrected: states that got a correction.
         unfamiliar: of these, flagged as unlike training.
         lost: sequence numbers that never came.
-        unsent: answers that could not be sent.
         unanswered: refusals that were not sent, for strangers sent too much.
-        refused: by reason.
     """
 
     corrected: int = 0
@@ -96,7 +94,6 @@ class GuardedModel:
         """Correct a state, re-zero included, or return why it is refused.
 
         Args:
-            state: the features.
             time_s: its stamp, which must grow; NaN where stamps are not recorded. Two that follow
                 each other, but not the last one, begin a new trajectory: a clock was set.
             sequence: its number, which must grow by one; jumps count as losses. Zero begins a

@@ -189,7 +189,6 @@ def rezero(
     """The offsets after a restart, from a measured stretch, and drift from its residuals.
 
     Args:
-        model: a trained one.
         stretch: measured after the restart.
         monitor: one that goes on; a new one if absent.
 

@@ -40,11 +40,8 @@ def render_recording(
 
     Args:
         folder: made if missing.
-        seconds: length of the recording.
-        frame_hz: frame sets per second.
         seed: of motion, restart and pictures.
         clock_offset_s: how far the robot's clock is ahead of the cameras'.
-        cables: the robot's mechanics.
         progress: called with pictures done and in all.
     """
     run = simulate(seconds, seed, log_hz=_LOG_HZ, cables=cables, style=_STYLE)

@@ -19,7 +19,6 @@ class Score:
     """Residuals of some rows, in mm.
 
     Attributes:
-        rows: how many.
         rms_mm: root mean square of the 3-D residual.
         sd_mm: root of the trace of the residuals' covariance.
         p95_mm: 95th percentile of its norm.
@@ -89,7 +88,6 @@ def evaluate(data: Dataset, estimates: Estimates) -> EstimatorEvaluation:
     """Score corrections on the usable rows of a data set.
 
     Args:
-        data: with labels.
         estimates: of all its rows.
     """
     keep = data.usable

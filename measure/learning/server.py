@@ -55,7 +55,6 @@ class EstimateServer:
         """Listen.
 
         Args:
-            model: what corrects.
             address: host and port; port 0 takes a free one.
             zeroing: what a restart left.
             clock: tells, in s, how long senders are silent.
@@ -85,9 +84,7 @@ class EstimateServer:
         """Answer until `seconds` are over, or for ever.
 
         Args:
-            seconds: how long.
             on_interval: called every `interval_s`, to show the counters.
-            interval_s: in seconds.
         """
         gc.collect()
         gc.freeze()  # what is loaded by now stays: collecting it would only cost milliseconds

@@ -30,9 +30,7 @@ def recording(
 
     Args:
         run: the robot's true motion and its log.
-        name: of the recording.
         seed: of the measurement noise.
-        frame_hz: poses per second.
         clock_offset_s: how far the robot's clock is ahead of the cameras'.
         pairs: exact number of poses; else as many as fit.
     """
@@ -64,13 +62,9 @@ def simulated_dataset(
     As in the paper, there are few sessions, and each is cut into trajectories.
 
     Args:
-        minutes: of motion in all.
         pairs: of state and pose in all.
         restarts: sessions.
         seed: of motions, homing errors and measurement noise.
-        cables: the robot's mechanics.
-        settings: how poses and states are brought together.
-        report: progress.
     """
     seconds = 60.0 * minutes / restarts
     counts = np.diff(np.round(np.linspace(0, pairs, restarts + 1)).astype(int))

@@ -36,10 +36,8 @@ class SweepJob:
 
     Attributes:
         data: the data set's file, reachable from every worker.
-        estimator: its name.
         settings: fixed for all trials.
         seed: of split and fit.
-        digest: of the data.
     """
 
     data: str
@@ -92,12 +90,9 @@ def sweep(
     ten times the longest trial so far, and ten minutes at least.
 
     Args:
-        job: what a trial does.
-        space: what is searched.
         journal: the sweep's file; started if absent.
         trials: finished trials wanted in all, by all workers.
         scheduler: address of a dask scheduler whose workers run the trials; None runs them here.
-        report: progress.
 
     Raises:
         EstimatorError: an extra is missing, the journal is damaged or of another sweep, or as many

@@ -30,7 +30,6 @@ class Trained:
         path: the ONNX file; the model card stands beside it.
         evaluation: on the test trajectories.
         curve: the learning curve, if it was iterative.
-        test: the test trajectories.
         estimates: of all their rows.
     """
 
@@ -57,8 +56,6 @@ def train(
         estimator: not yet fitted.
         split: training, validation (chooses and stops) and test trajectories (judged only here).
         out: the ONNX file to write; `OUT.card.md` and `OUT.card.json` go beside it.
-        seed: of everything random.
-        report: progress.
         resume: go on from where an interrupted fit to the same `out` got to.
         notes: further lines of the card.
 

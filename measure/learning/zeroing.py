@@ -61,7 +61,6 @@ def fit_zeroing(schema: StateSchema, states: Floats, residuals_mm: Floats) -> Ze
     the prior has zero mean.
 
     Args:
-        schema: of the states.
         states: (n, features).
         residuals_mm: (n, 3) measured minus corrected position.
 

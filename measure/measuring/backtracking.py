@@ -22,8 +22,6 @@ class ProcessedFrameSet(NamedTuple):
     """Images and what was measured in them.
 
     Attributes:
-        frame_set: the images.
-        draft: the measurement.
         flag: a flag for every pose from these images; empty if there is none.
     """
 

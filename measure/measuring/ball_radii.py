@@ -97,7 +97,6 @@ def with_estimated_radii(body: Body, measure: Callable[[Body], OutlineGrowth]) -
     The radii of the file stay unless the outlines contradict them; their covariance shrinks.
 
     Args:
-        body: as in its file.
         measure: how much larger the outlines of a body are than expected; called a second time
             where they may contradict the file.
     """

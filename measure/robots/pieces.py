@@ -44,7 +44,6 @@ class TableFile(Columns):
         """The rows of some columns, in order.
 
         Args:
-            numbers: columns that are numbers.
             labels: columns that name something; of one type in all pieces.
 
         Raises:
@@ -90,11 +89,7 @@ class TableFile(Columns):
         return kinds.is_integer(kind) or kinds.is_floating(kind) or kinds.is_null(kind)
 
     def _refuse_text(self, names: Sequence[str]) -> None:
-        """Name the first cell that is no number.
-
-        Raises:
-            EstimatorError: there is one.
-        """
+        """Name the first cell that is no number."""
         row = 0
         with reading(self.path):
             texts = dict.fromkeys(names, pa.string())

@@ -23,7 +23,6 @@ class Columns:
     """What a table's columns are called.
 
     Attributes:
-        path: the file.
         schema: names, types and metadata.
     """
 
@@ -58,7 +57,6 @@ class Table(Columns):
     """A Parquet or CSV file in memory, or a piece of one.
 
     Attributes:
-        content: what it holds.
         first_row: rows of the file before it.
     """
 

@@ -183,8 +183,6 @@ def write_body(
     """Write a body file that `read_body` reads back; learnt colours become their ranges.
 
     Args:
-        path: the file.
-        body: what to write.
         samples_bgr: (n, 3) of balls whose colours are written as these samples.
     """
     sampled = {ball: {"samples_bgr": some.tolist()} for ball, some in (samples_bgr or {}).items()}

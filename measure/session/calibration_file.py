@@ -38,7 +38,6 @@ class Calibration:
     """Calibrated cameras.
 
     Attributes:
-        cameras: in the order of the file.
         provenance: where it comes from: program, version, date, capture, judgement; free.
     """
 

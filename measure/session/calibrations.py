@@ -46,7 +46,6 @@ def read_calibration(
     """Read a calibration: ours or another program's, told apart by content.
 
     Args:
-        path: the file.
         unit: of the translations in a file of another program that states none; ours are mm.
         pictures: names of the cameras that are wanted, with the sizes of their pictures, for files
             of other programs that number their cameras or state no sizes.
@@ -100,7 +99,6 @@ def write_calibration(
 
     Args:
         path: the file; for "opencv" its ending chooses YAML, XML or JSON.
-        calibration: what to write.
         file_format: "triball", "anipose" (mm), "caliscope" (m) or "opencv" (mm).
     """
     cameras = calibration.cameras

@@ -35,9 +35,6 @@ def shift_clocks(
 
     Args:
         streams: by camera; their times are changed.
-        digest: of their stamps.
-        provenance: of the calibration.
-        path: of the calibration, for messages.
 
     Returns:
         What was added, by camera; empty if the calibration is not from these stamps.

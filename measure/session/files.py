@@ -42,11 +42,6 @@ class FileModel(BaseModel):
 def load_toml(path: Path | str, model: type[M], error: type[MeasureError] = SessionError) -> M:
     """Read and validate a TOML file.
 
-    Args:
-        path: the file.
-        model: the pydantic model it must fit.
-        error: what to raise.
-
     Raises:
         error: the file is missing (the message says which similar ones there are) or unreadable,
             is not TOML (file and line), or does not fit the model (file, line and key).

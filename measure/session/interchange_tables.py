@@ -41,7 +41,6 @@ def read_tables(path: Path, values: object) -> StatedRig:
     Args:
         path: of the file; one that holds lenses alone or poses alone is read with its companion,
             such as `extri.yml` beside `intri.yml`.
-        values: its content.
 
     Raises:
         CalibrationError: it is none of these, or a camera in it is broken or of another lens model.

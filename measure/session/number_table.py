@@ -29,7 +29,6 @@ class NumberTable:
     Attributes:
         columns: of numbers by name, each (n,).
         lines: of the file on which each row stands.
-        words: columns of text by name.
     """
 
     columns: dict[str, Floats]

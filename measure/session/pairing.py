@@ -67,11 +67,6 @@ def seldom_paired(names: Sequence[str], counts: Sequence[int], pairing: Pairing)
     """A line for every camera of which most pictures are left over while most sets lack one.
 
     A fast camera leaves pictures over and a slow one lacks them; both at once mean another clock.
-
-    Args:
-        names: of the cameras.
-        counts: how many pictures each has.
-        pairing: of them.
     """
     sets = len(pairing.times_s)
     used = (pairing.positions >= 0).sum(axis=0).tolist()

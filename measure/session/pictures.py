@@ -82,7 +82,6 @@ def refuse_huge(size_wh: tuple[int, int], where: str) -> None:
 
     Args:
         size_wh: width and height in px that the header states.
-        where: begin of the message.
 
     Raises:
         SessionError: more megapixels than the environment's MEASURE_MAX_MEGAPIXELS, else 100.
@@ -174,8 +173,6 @@ def decode_picture(data: bytes, where: str, bits: int | None = None) -> Bytes:
     """BGR pixels (h, w, 3) of an encoded picture.
 
     Args:
-        data: the file's content.
-        where: begin of messages.
         bits: how many a picture of 16 bits really holds; found from its largest value if omitted.
 
     Raises:

@@ -24,9 +24,7 @@ def stream_frame_sets(
 
     Args:
         streams: in the order of the pairing's columns.
-        pairing: which images form a set.
         prefetch: sets decoded ahead; 0 decodes nothing ahead and leaves pixels lazy.
-        start: the first set to yield.
     """
     if prefetch <= 0:
         for index in range(start, len(pairing.times_s)):

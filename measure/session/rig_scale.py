@@ -20,8 +20,6 @@ def check_unit(calibration: Calibration, body: Body, source: str, cure: str = ""
     """Refuse translations of the cameras that cannot be in the unit of the body's lengths.
 
     Args:
-        calibration: of the cameras.
-        body: that they see.
         source: where the calibration comes from, for the message.
         cure: what to do, for the message; what to write into the file if omitted.
 

@@ -23,10 +23,7 @@ class Session:
 
     Attributes:
         name: as the file says, else the folder's name.
-        path: the file that describes it.
-        body: what is measured.
         cameras: calibrated, in the order of the session.
-        streams: by camera name, in the same order.
         calibration_path: the file the cameras come from.
         truth_path: the known poses, if there are any; only evaluation reads them.
         robot_log: the robot's log, if there is one.
@@ -113,7 +110,6 @@ class Session:
             tolerance_s: largest distance of an image from the instant; half the reference camera's
                 median period if omitted.
             prefetch: sets decoded ahead.
-            start: index of the first set to yield.
             reference: the camera whose clock sets the instants, to overrule the choice.
 
         Raises:

@@ -37,10 +37,8 @@ class StatedCamera:
     """One camera.
 
     Attributes:
-        name: of the camera.
         matrix: (3, 3) px.
         distortion: OpenCV's coefficients of the model.
-        model: of the lens.
         size_wh: of its pictures in px; None where the file does not say.
         pose: rotation (vector or matrix) and translation, camera_from_world; None if not there.
         rms_px: of its calibration, or None.
@@ -83,8 +81,6 @@ class StatedRig:
     """The cameras of one file.
 
     Attributes:
-        program: that wrote it.
-        cameras: in the file's order.
         unit: of the translations, as the file or the program has it.
         numbered: whether its cameras have no names but numbers.
     """
@@ -98,7 +94,6 @@ class StatedRig:
         """As our calibration.
 
         Args:
-            path: for messages.
             unit: goes before the file's.
             pictures: by camera name, size of the pictures that will be measured: where the file
                 has no sizes, and names for numbered cameras, in order.
@@ -164,16 +159,7 @@ def stated_model(place: str, said: Mapping[str, object]) -> Projection:
 
 
 def _mm_per(path: Path, stated: object, given: Unit | None) -> float:
-    """Millimetres in the unit of a file's translations.
-
-    Args:
-        path: for messages.
-        stated: the file's own word for it, None or "" where there is none: mm.
-        given: goes before it.
-
-    Raises:
-        CalibrationError: the file's word is no unit that we know.
-    """
+    """Millimetres in the unit of a file's translations."""
     unit = given or stated or "mm"
     if not isinstance(unit, str) or unit not in MM_PER:
         raise CalibrationError(
@@ -184,11 +170,7 @@ def _mm_per(path: Path, stated: object, given: Unit | None) -> float:
 
 
 def _rotation_matrix(place: str, rotation: Floats) -> Floats:
-    """A rotation vector (3,) or matrix (3, 3), as a matrix.
-
-    Raises:
-        CalibrationError: the matrix is no rotation.
-    """
+    """A rotation vector (3,) or matrix (3, 3), as a matrix."""
     if rotation.size == 3:
         if np.max(np.abs(rotation)) > _MAX_ROTATION_RAD:
             raise CalibrationError(

@@ -18,13 +18,11 @@ class Stream(ABC):
     """The frames of one camera, in the order of their times.
 
     Attributes:
-        name: the camera's name.
         source: the folder, glob or video file, for messages.
         size_wh: width and height of its images in px.
         frames: (n,) frame numbers.
         times_s: (n,) middles of the exposures on the session's clock, increasing.
         serial: frames are best read in order (video); else any thread may read any frame.
-        files: the files it is kept in.
         stamps: how wrong the times are, as far as they show it.
         notes: what a user should know: missing frames and the like.
     """

@@ -37,7 +37,6 @@ def time_columns(header: Sequence[str], named: str | None = None) -> TimeColumns
     """Find the time by the headings; None if none of them, or several, may be it.
 
     Args:
-        header: all headings.
         named: the one that holds the time, if that is known.
     """
     if named is not None or TIME in header:

@@ -18,8 +18,6 @@ def add_time_offsets(path: Path, offsets_s: Mapping[str, float], overwrite: bool
     """The text of a session file in which so much more is added to its cameras' times.
 
     Args:
-        path: the session file.
-        offsets_s: by camera, s.
         overwrite: replace offsets that are there by their sum with these.
 
     Raises:

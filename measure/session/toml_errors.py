@@ -32,11 +32,7 @@ def validation_message(
     """The most telling problem of a pydantic error in one line, with file, line and key.
 
     Args:
-        path: the file.
         text: its content, to find the line.
-        problem: pydantic's.
-        model: the model that was not met.
-        values: what was validated.
         within: keys of the table that was validated, if it was not the whole file.
     """
     first = max(problem.errors(include_url=False), key=_telling)

@@ -34,7 +34,6 @@ class Trajectory:
     Attributes:
         times_s: (n,).
         world_from_body: a batch of n.
-        source: the file, for messages.
     """
 
     times_s: Floats
@@ -114,8 +113,6 @@ def read_trajectory(
     `tracker_files`), told apart by content.
 
     Args:
-        path: the file.
-        error: what to raise.
         body: which of the rigid bodies of a tracker's file.
 
     Raises:

@@ -21,11 +21,8 @@ def refuse_truncated(
 
     Args:
         container: open, of PyAV.
-        stream: its video stream.
         packets: presentation time, decoding time, and more, of each packet read.
         counted: the container has no presentation times.
-        path: the file.
-        where: beginning of the message.
 
     Raises:
         SessionError: as said.

@@ -56,8 +56,6 @@ def open_video_stream(
     """Open a video (mp4, mkv, avi, ...; H.264, motion JPEG, ...).
 
     Args:
-        name: the camera's name.
-        path: the file.
         stamps: times of the frames in order; if omitted the container's own, after the first frame.
         stamps_path: the file they come from, for messages.
         offset_s: is added to every time.

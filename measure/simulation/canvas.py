@@ -48,7 +48,6 @@ class Canvas:
         """Draw the pixels in which the first `redraw` shapes of a stage can be visible.
 
         Args:
-            stage: all shapes that can be met there.
             redraw: number of shapes that are not in `before` already.
             samples: rays through a pixel that an edge crosses.
             backdrop: (h, w, 3) radiance of rays that meet no shape.

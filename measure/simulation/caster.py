@@ -37,7 +37,6 @@ class Stage:
         longest_delay_s: largest difference between the exposure of a row and the middle row.
         backdrop: standing shapes that are drawn apart; glossy shapes mirror them.
         part: (index, count) of the stages that are averaged over an exposure.
-        fisheye: whether the camera has such a lens.
     """
 
     shapes: tuple[Shape, ...]

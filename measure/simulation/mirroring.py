@@ -25,7 +25,6 @@ class Mirror:
 
     Args:
         shapes: (k, ROW).
-        lights: lamps and surroundings.
         albedo_of: reflectance (m, 3), B G R, of shapes (m,) at places (m, 3) after delays (m,).
         part: (index, count) of the stages that are averaged; each traces its share of the facets.
     """

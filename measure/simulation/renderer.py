@@ -30,8 +30,6 @@ class Renderer:
     """Renders one camera of a scene; the parts that do not move are rendered once.
 
     Args:
-        scene: the scene.
-        camera: name of one of its cameras.
         samples: rays through a pixel that an edge crosses.
     """
 
@@ -151,7 +149,6 @@ def render(scene: Scene, camera: Camera | str, time_s: float, frame: int = 0) ->
     """One picture (h, w, 3), B G R. For several of one camera, keep a `Renderer`: it is faster.
 
     Args:
-        scene: the scene.
         camera: one of the scene's cameras, or its name.
         time_s: middle of the exposure.
         frame: number of the picture; chooses the noise.

@@ -48,22 +48,17 @@ class Scene:
         name: of the scene, and of the session written from it.
         body: the measured body; its balls are drawn.
         cameras: with their true calibration.
-        trajectory: world_from_body at any time.
-        lighting: lamps and ambient light.
         finish: material of the balls; its albedo is replaced by the colour of each ball.
         attached: stems and shafts that move with the body, in its frame.
-        actors: other moving shapes.
         fixed: shapes that do not move; they occlude and are occluded.
         backdrop: walls, floor and posters, behind all other shapes.
         backdrop_px: the backdrop is computed at every n-th pixel and interpolated between.
         sensor: from radiance to image file, for all cameras.
         sensors: by camera name, the sensors that differ from `sensor`.
         phases_s: by camera name, delay of its exposures in s.
-        seed: of the image noise.
         shown: names of the balls that are drawn; None for all.
         stated_cameras: cameras written to the calibration file, if not the true ones.
         stated_body: body written to the body file, if not the true one.
-        description: one line for the session file.
     """
 
     name: str

@@ -45,7 +45,6 @@ class CameraSensor:
         sharpen: gain of the unsharp mask.
         sharpen_px: its sigma.
         level_noise: sigma of noise added to the encoded 8-bit levels.
-        encoding: "jpg" or "png".
         quality: JPEG quality, 1 to 100.
         chroma: JPEG chroma subsampling, "444", "422" or "420".
     """

@@ -56,7 +56,6 @@ class Lighting:
     """The light of a scene.
 
     Attributes:
-        lights: the lamps.
         ambient_rgb: diffuse light from all sides, from above; less comes from below.
         surround_rgb: radiance from straight above that glossy shapes mirror where no shape is; it
             falls gradually to 0 at the horizon.

@@ -19,11 +19,7 @@ _EYE_BESIDE = np.array([0.55, -1.6, 0.95])
 
 
 def run_blueprint(cameras: Sequence[Camera]) -> rrb.Blueprint:
-    """3-D scene and pictures above, traces below.
-
-    Args:
-        cameras: the calibrated cameras.
-    """
+    """3-D scene and pictures above, traces below."""
     names = [camera.name for camera in cameras]
     scene = rrb.Spatial3DView(
         origin=entities.WORLD,

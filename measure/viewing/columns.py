@@ -18,12 +18,7 @@ _SINCE_1970_S = 1e9
 
 
 class FrameSetBatch:
-    """One batch on both timelines.
-
-    Args:
-        stream: the recording.
-        sets: the frame sets, a row each.
-    """
+    """One batch on both timelines."""
 
     def __init__(self, stream: rr.RecordingStream, sets: Sequence[Measurement]) -> None:
         self._stream = stream

@@ -29,11 +29,6 @@ def draw_mosaic(session: Session, run: Run, index: int) -> Bytes:
     White: the outline of each ball that was used, as the measured pose puts it; grey and dashed:
     a ball that was not used in that view. The axes are the body's, x red, y green, z blue.
 
-    Args:
-        session: the recording.
-        run: what was measured in it.
-        index: which frame set.
-
     Raises:
         RunError: the run has no such frame set.
         SessionError: a picture that cannot be read.
@@ -72,7 +67,6 @@ def write_outlines(pixels: Bytes, detections: Sequence[Detection], path: Path) -
 
     Args:
         pixels: BGR (h, w, 3).
-        detections: of that picture.
         path: a file that cv2 can write; PNG keeps the pixels as they are.
 
     Raises:

@@ -30,11 +30,7 @@ def send_views(
     """Centres of what was found, and where a ball is not used; outlines where there are pictures.
 
     Args:
-        columns: where to send it.
-        sets: the frame sets.
         pictured: (n,) which of them have pictures.
-        body: the body.
-        cameras: the calibrated cameras.
     """
     for camera in cameras:
         mine = [[view for view in one.views if view.camera == camera.name] for one in sets]

@@ -33,11 +33,8 @@ class RunRecording:
 
     Args:
         stream: an open recording (see `open_recording`).
-        body: the body.
-        cameras: the calibrated cameras.
         image_every: log the pictures of every n-th frame set; 0 logs none.
         videos: by camera name, recorded videos that go into the recording as they are.
-        truth: the true world_from_body, where it is known.
         live: whether somebody watches.
     """
 
@@ -86,7 +83,6 @@ class RunRecording:
         """Log one measurement.
 
         Args:
-            measured: the measurement.
             frame_set: its images, where they shall be logged.
         """
         pictured = bool(frame_set and self._image_every and not measured.index % self._image_every)

@@ -22,10 +22,7 @@ def write_robot_recording(path: Path, name: str, frames: Floats, traces: RobotTr
     """Write the traces to an .rrd file.
 
     Args:
-        path: the file, overwritten.
-        name: shown in the viewer.
         frames: (n,) index of each row's frame set.
-        traces: the positions.
     """
     stream = rr.RecordingStream("triball robot")
     stream.set_sinks(rr.FileSink(path), default_blueprint=robot_blueprint())

@@ -28,7 +28,6 @@ def open_recording(
     """A recording that is written as it goes: to a file, to a viewer that runs, or to both.
 
     Args:
-        name: shown in the viewer.
         cameras: for the layout that travels inside.
         path: the .rrd file, overwritten; no viewer is needed for it.
         address: of a viewer, as `rerun+http://127.0.0.1:9876/proxy`.

@@ -22,7 +22,6 @@ class PassedVideo:
     """One camera's video file.
 
     Attributes:
-        asset: the file.
         times_ns: by frame number, when a frame is presented.
     """
 

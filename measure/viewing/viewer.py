@@ -89,11 +89,7 @@ def viewer_program() -> str:
 
 
 def _free_ports(bind: str, count: int) -> list[int]:
-    """Ports that nothing listens on; held together so that they differ.
-
-    Raises:
-        ConfigError: `bind` is no address of this machine.
-    """
+    """Ports that nothing listens on; held together so that they differ."""
     try:
         # The viewer takes no names, and we look for ports of IPv4.
         IPv4Address(bind)

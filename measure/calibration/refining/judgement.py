@@ -44,7 +44,6 @@ class RefineVerdict:
             there are too few.
         surprise: the size of the cameras' change against what the first calibration allows: about
             one where it is right; NaN where the recording determines nothing.
-        notes: reasons to doubt it, in words.
     """
 
     camera_sd_mm: tuple[float, float]
@@ -62,13 +61,6 @@ def judge_refinement(
     halves: Halves,
 ) -> RefineVerdict:
     """Judge a refinement.
-
-    Args:
-        first: the cameras as calibrated.
-        body: nominal body.
-        recording: what they saw.
-        refinement: what came of it.
-        halves: how the recording's two halves compare.
 
     Raises:
         CalibrationError: the recording contradicts the first calibration, or frame sets that played

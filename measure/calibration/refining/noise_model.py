@@ -65,9 +65,7 @@ def with_view_noise(
     """The scatter of single views, and its correlation in time, from residuals.
 
     Args:
-        noise: the rest of it.
         residuals: by camera (n, 2) px.
-        tracks: by camera.
         freedom: share of the residuals that is not taken up by unknowns.
         least_px: lower bound of a view's standard deviation.
         variance_factor: multiplies the correlation (see `halves`).

@@ -127,7 +127,6 @@ class EstimatedPrior(CameraPrior):
         """The noise model with the variances of the cameras' errors, from their change.
 
         Args:
-            noise: the current estimate.
             change: (p,) of the cameras.
             posterior: (p, p) their covariance.
             image_px: usual standard deviation.

@@ -42,7 +42,6 @@ class RefinedState:
     """The unknowns.
 
     Attributes:
-        cameras: poses and lenses.
         centers: (k, 3) ball centres in the body, mm.
         shifts_px: (c, k, 2) constant shift of each ball in each camera.
         clocks_s: (c,) what each camera's time stamps lack.
@@ -66,7 +65,6 @@ class RefineLayout:
         centers: of the ball centres; empty if the body is exact.
         shifts: (c, 2 k) of the constant shifts, by camera.
         clocks: of the clocks of all cameras but the first; empty if the stamps are exact.
-        size: how many there are.
     """
 
     free: tuple[Ints, ...]

@@ -36,11 +36,8 @@ class RefinedRig:
     """A refined rig and the verdict on it.
 
     Attributes:
-        recording: what it rests on.
-        refinement: cameras, ball centres, residuals.
         clocks: one a camera, in order; empty if the frame sets are too far apart.
         clocks_applied: whether their offsets were beyond doubt, and were used.
-        verdict: how good it is.
     """
 
     recording: Recording
@@ -60,10 +57,6 @@ def refine_measured(
     """Refine cameras over a measured session.
 
     Args:
-        cameras: as calibrated.
-        body: nominal body.
-        measurements: of all frame sets, in order.
-        settings: what may change.
         joint_covariance: of all cameras together, if the first calibration states it.
 
     Raises:

@@ -53,7 +53,6 @@ class Recording:
     Attributes:
         times_s: (f,) of the frame sets, increasing.
         world_from_body: batch of (f,) measured poses.
-        tracks: by camera name.
     """
 
     times_s: Floats
@@ -94,7 +93,6 @@ def recording_of(
 
     Args:
         measurements: of one session; those without a pose are passed over.
-        body: the body.
         lead_s: what to add to the time of a detection, if the clocks are known to be off.
         limit: most frame sets to keep: the first ones, because motion needs neighbours.
         doubtful_too: take flagged poses and inconsistent views too, for a first rough refinement

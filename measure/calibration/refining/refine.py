@@ -63,18 +63,15 @@ class Refinement:
     """A refined rig.
 
     Attributes:
-        cameras: with covariances.
         centers: (k, 3) ball centres in the body, mm.
         center_sds: (k, 3) their standard deviations.
         rms_px: of the ball centres' residuals, before and after, by camera.
         misfit_px: median length of the residuals after, by camera.
         shifts_px: (c, k, 2) by which each ball sits off in each camera all the time.
-        noise: standard deviations of all errors.
         change: (p,) of all cameras' poses and free lens parameters.
         covariance: (p, p) of those after the recording.
         prior: (p, p) before it.
         columns: by camera name, its rows in `covariance`.
-        frames: how many frame sets were used.
         world_held: whether the first calibration holds the joint covariance of all cameras.
     """
 
@@ -105,10 +102,6 @@ def refine_rig(
     """Refine cameras by bundle adjustment.
 
     Args:
-        cameras: as calibrated.
-        body: nominal body.
-        recording: what they saw.
-        settings: what may change.
         joint_covariance: of all cameras' poses and free lens parameters together, camera after
             camera: the prior. Without it, the variances of the cameras are estimated.
         variance_factor: variance of the views' errors over that estimated from residuals (see

@@ -92,7 +92,6 @@ class Association:
         detections: the chosen candidates, at most one per ball and camera.
         rms_px: RMS distance of the chosen candidates from the pose.
         reason: why there is no pose, in words; empty if there is one.
-        flags: of the pose, in words.
     """
 
     world_from_body: RigidTransform | None
@@ -135,9 +134,7 @@ def associate(
 
     Args:
         body: what to look for; colours may repeat.
-        cameras: all cameras.
         detections: candidates by camera name; several per ball, wrong ones among them.
-        settings: tolerances.
     """
     settings = settings or AssociationSettings()
     candidates = by_ball(detections, body.balls, cameras)
@@ -166,10 +163,7 @@ def second_body(
 
     Args:
         world_from_body: the pose of the one that is tracked.
-        body: the body.
         cameras: those whose whole images were searched.
-        detections: candidates by camera name.
-        settings: tolerances.
     """
     settings = settings or AssociationSettings()
     candidates = by_ball(detections, body.balls, cameras)

@@ -46,10 +46,6 @@ def second_body_flags(
     whose sizes give their distances.
 
     Args:
-        world_from_body: the pose found.
-        body: the body.
-        cameras: all cameras.
-        candidates: of every ball.
         sigmas: distances fit within this many standard deviations.
     """
     left = _unexplained(world_from_body, body, cameras, candidates)

@@ -62,10 +62,8 @@ class Tracker(Protocol):
         """Update the state with the result, and accept, flag or refuse the pose.
 
         Args:
-            frame_set: the images.
             views: as returned by `judge`.
             positions: from the effective views.
-            pose: of the solver.
             residuals_px: by (ball, camera), detected minus predicted centre (2,) of every effective
                 view; empty without a pose.
         """

@@ -16,13 +16,7 @@ _PLANES = ((0, 1), (0, 2))
 
 
 def calibration_report(name: str, rig: RigCalibration, verdict: Verdict) -> str:
-    """The report as HTML.
-
-    Args:
-        name: of what was calibrated.
-        rig: the calibration.
-        verdict: how good it is.
-    """
+    """The report as HTML."""
     tone, sentence = _verdict(verdict)
     page = Page(f"Calibration of {name}", sentence, tone)
     page.facts(_facts(rig, verdict))

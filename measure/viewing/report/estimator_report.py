@@ -26,12 +26,7 @@ _SHOWN_S = 60.0
 
 
 def estimator_report(trained: Trained, card: Mapping[str, Any]) -> str:
-    """The report as HTML.
-
-    Args:
-        trained: a fitted estimator with its test trajectories.
-        card: the model card's values.
-    """
+    """The report as HTML."""
     result = trained.evaluation
     judged = judged_on(card["data"])
     tone, sentence = verdict(result, judged)

@@ -81,8 +81,6 @@ def residual_map(
     Args:
         centers_px: (n, 2) detected centres.
         residuals_px: (n, 2) detected minus predicted.
-        size_wh: of the image.
-        name: of the camera.
     """
     keep = thinned(len(centers_px), np.linalg.norm(residuals_px, axis=1))
     start, arrows = centers_px[keep], residuals_px[keep] * ARROW_SCALE

@@ -74,8 +74,6 @@ class Page:
     """Gathers sections, then renders.
 
     Attributes:
-        title: of the page.
-        verdict: one sentence that says it all.
         tone: "good", "doubtful" or "bad".
     """
 

@@ -23,7 +23,6 @@ def verdict(run: Run, errors: Floats | None) -> tuple[str, str]:
     """Tone ("good", "doubtful" or "bad") and sentence.
 
     Args:
-        run: finished or not.
         errors: (n, 6) against truth, NaN where unknown.
     """
     summary, unflagged = run.summary, _unflagged(run)

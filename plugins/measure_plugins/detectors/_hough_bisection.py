@@ -26,7 +26,6 @@ class Tuned:
 
     Attributes:
         circles: (n, 3) x, y, radius in px; n is at most the number expected.
-        threshold: the accumulator threshold they were found with.
         jumped: whether one vote less gives too many circles and this threshold too few.
         sigma_px: blur they were found with; NaN until `tune_blur` has set it.
     """
@@ -42,7 +41,6 @@ def tune_threshold(find: Find, expected: int, lowest: int, start: int) -> Tuned:
 
     Args:
         find: the Hough detection, with the threshold free.
-        expected: number of circles expected, k.
         lowest: lowest threshold that is tolerated, in votes.
         start: first threshold tried; high ones are cheap, so the search comes from above.
     """

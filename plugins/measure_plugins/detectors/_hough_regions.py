@@ -94,9 +94,6 @@ class HoughSearch:
     """Parameters of the search in a window.
 
     Attributes:
-        radius_px: smallest and largest radius.
-        min_distance_px: least distance between centres.
-        circles: number of circles expected.
         first_threshold: where the bisection starts, votes.
     """
 

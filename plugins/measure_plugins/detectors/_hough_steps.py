@@ -13,7 +13,6 @@ def gray_edges(bgr: Bytes, sigma_px: float, threshold: float) -> Bytes:
 
     Args:
         bgr: pixels (h, w, 3).
-        sigma_px: blur.
         threshold: Canny's upper threshold; the lower one is half of it.
 
     Returns:
@@ -69,8 +68,6 @@ def hough_circles(
     Args:
         edges: (h, w) of step 6.
         threshold: `param2`, votes a centre needs.
-        radius_px: smallest and largest radius.
-        min_distance_px: least distance between centres.
         dp: inverse resolution of the accumulator.
         param1: upper threshold of the Canny step inside OpenCV.
 

@@ -89,10 +89,8 @@ class KnownBalls:
         """With corrected edges where the distance, and so the size, is known; else without.
 
         Args:
-            view: the picture.
             expected: k >= 1 balls.
             cones: (k, 6) as from `cones`.
-            appearance: of the balls in this camera.
         """
         c, balls = self._config, self._packed(expected, cones, appearance)
         rays = c.rays if balls.tables.size else max(c.rays // FEWER_RAYS, MIN_RAYS)

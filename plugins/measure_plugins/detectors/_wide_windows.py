@@ -47,7 +47,6 @@ def moved_to_circles(
     Args:
         lost: balls expected somewhere in wide windows.
         circles: (k, 6) by name of the ball, see `FoundCircles`.
-        camera: the camera.
     """
     pairs = [
         (likelihood, i, (x, y))

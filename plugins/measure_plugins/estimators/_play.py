@@ -34,7 +34,6 @@ class PlayBank:
 
         Args:
             data: training trajectories; a robot without joints plays on its reported position.
-            count: operators per combination.
             narrowest: of the range.
             widest: of the range.
         """

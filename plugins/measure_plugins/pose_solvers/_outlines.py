@@ -29,8 +29,6 @@ class BallViewNames:
         seen_by: (c,) names of the cameras, sorted.
         cameras: (c,) the same.
         rig: (c,) the same, stacked.
-        rows: the balls as arrays.
-        views: the cameras as arrays.
     """
 
     balls: tuple[str, ...]
@@ -49,8 +47,6 @@ class NamedOutlines(NamedTuple):
     Attributes:
         packed: k ball-views in c views, of a body at rest.
         detections: (k,) they come from.
-        named: their balls and cameras.
-        instants: the times of the pictures.
     """
 
     packed: PackedOutlines

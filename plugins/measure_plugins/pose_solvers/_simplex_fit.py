@@ -62,10 +62,8 @@ def fit_simplex(
     Args:
         points_world: (n, 3) measured centres in mm.
         points_body: (n, 3) the same balls in the body frame.
-        guess: where to start.
         steps: size of the first simplex in mm and rad.
         tolerance: extent of the last simplex in mm and rad.
-        max_evaluations: most evaluations of the cost.
 
     Returns:
         world_from_body, and whether the search converged.

@@ -20,7 +20,6 @@ class Circle:
     """The state of one ball in one camera.
 
     Attributes:
-        state: effective or suspended.
         reason: why it is suspended; `Reason.NONE` if it is not.
         good_frames: for how many frames in a row a suspended circle has been good.
         center_px: (2,) where it was last accepted, None before the first time.
@@ -47,7 +46,6 @@ class Evidence:
 
     Attributes:
         found: Hough returned a circle, at the latest with the largest tolerable sigma.
-        color_ok: the colour check succeeded.
         moved_too_far: its centre moved more than the motion threshold since the last frame.
         consistent: whether it agrees with the 3-D centre from effective circles; None if fewer than
             two others are effective, so that there is no such centre.

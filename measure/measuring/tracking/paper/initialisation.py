@@ -31,7 +31,6 @@ class Hypothesis:
 
     Attributes:
         point: (3,) where the ball would be, mm.
-        members: the circle of each camera that agrees.
         misfit: the largest of theirs.
     """
 

@@ -20,8 +20,6 @@ class RayObservation:
     """A circle with its ray in the world.
 
     Attributes:
-        detection: the circle.
-        camera: the camera that saw it.
         origin: (3,) the camera's centre in mm.
         direction: (3,) unit vector through the circle's centre.
     """
@@ -118,8 +116,6 @@ def residual_flags(
     """Flags of a pose whose balls or rays have large residuals.
 
     Args:
-        positions: the located balls.
-        pose: fitted to them.
         flag_residual_mm: RMS misfit of the balls to the body from which it is flagged.
         flag_rays_mm: RMS distance of the rays from their balls from which it is flagged.
     """

@@ -48,7 +48,6 @@ class CameraBiasMonitor:
         """One flag for each of them.
 
         Args:
-            pose: the pose.
             views: with effective and suspended detections.
             residuals_px: (2,) of every effective ball-view, by (ball, camera).
             motion: returns the motion by which detections were moved to one instant; rarely called.

@@ -35,10 +35,7 @@ def consistency_flags(
     """Flags of a pose, a line each.
 
     Args:
-        pose: the pose.
         views: with effective and suspended detections.
-        positions: the balls' centres.
-        body: the body.
         view_bias_px: standard deviation of a ball-view's own bias besides its noise.
         confidence: probability of the gates.
     """

@@ -34,7 +34,6 @@ class IdentityDoubt:
         Args:
             second_body: flags of another body beside it.
             lost: the motion when it was last seen; None if it never was.
-            found: the motion now.
         """
         self._second_body, self._restart = second_body, (lost, found)
         self._reviewed_s, self._alone, self._raised = found.time_s, 0, bool(second_body)
@@ -45,7 +44,6 @@ class IdentityDoubt:
         """The doubts that hold.
 
         Args:
-            state: the motion by now.
             acceleration: (6,) standard deviations by the settings.
             observed: (6,) the same by what was observed since, where it is known.
         """

@@ -54,9 +54,6 @@ class MotionState:
     """Pose and motion at one instant.
 
     Attributes:
-        world_from_body: the pose.
-        kinematics: velocity and acceleration.
-        time_s: the instant.
         covariance: (12, 12) of the pose's chart and the velocity.
         accelerations: observed so far.
         measured: number of measured poses it rests on.
@@ -81,9 +78,7 @@ class MotionState:
         """A body just found.
 
         Args:
-            world_from_body: the pose.
             covariance: (6, 6) of the pose.
-            time_s: the instant.
             speed_sd: (6,) standard deviation of its velocity about zero, mm/s and rad/s.
             acceleration_sd: (6,) assumed until some are observed, mm/s^2 and rad/s^2; None for the
                 configured ones.
@@ -117,7 +112,6 @@ class MotionState:
         """The prediction for another instant.
 
         Args:
-            time_s: the instant.
             acceleration_sd: (6,) standard deviation of the acceleration, mm/s^2 and rad/s^2.
         """
         state = predicted(self.filter_state(), time_s - self.time_s, acceleration_sd**2)
@@ -192,9 +186,7 @@ def initial_state(
     """The motion of a body just found; faster than usual if it was lost shortly before.
 
     Args:
-        world_from_body: the pose.
         covariance: (6, 6) of the pose.
-        time_s: the instant.
         speed_sd: (6,) standard deviation of an unknown velocity, mm/s and rad/s.
         acceleration_sd: (6,) configured, mm/s^2 and rad/s^2.
         lost: the motion when the body was last measured; None if it never was.

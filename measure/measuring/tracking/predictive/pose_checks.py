@@ -38,11 +38,7 @@ def hard_flags(
     """Flags of a wrong pose: ball distances, reprojection errors, contradicting cameras.
 
     Args:
-        pose: the pose.
-        positions: the balls' centres.
         views: with effective and suspended detections.
-        body: the body.
-        cameras: all of them.
         tolerance_mm: error of a distance between balls that is never flagged.
         max_rms_px: reprojection error that is never flagged, besides the stated uncertainty of
             detections and calibration.
@@ -131,10 +127,6 @@ def unstable_initialisation(views: Sequence[BallView], times_s: Sequence[float])
 
     Its velocity is still unknown. Where two or more detections lie elsewhere than predicted, the
     others may have been moved to the common instant by a wrong velocity as well.
-
-    Args:
-        views: of one frame set.
-        times_s: of its images.
     """
     elsewhere = sum(v.reason in _ELSEWHERE and v.detection is not None for v in views)
     if elsewhere < _MIN_ELSEWHERE or len(set(times_s)) < 2:
@@ -149,7 +141,6 @@ def implausible_motion(
 
     Args:
         lost: the motion when the body was last seen; None if it never was.
-        found: the body found.
         acceleration_sd: (6,) as in `MotionState.at`.
     """
     if lost is None:
@@ -172,8 +163,6 @@ def unconfirmed_balls(
     Three balls alone fit a body whose fourth is elsewhere, and the mirror image, equally well.
 
     Args:
-        views: of one frame set.
-        body: the body.
         confirmed: names of balls that two cameras have seen; this function adds to them.
     """
     if len(body.balls) <= 3:

@@ -88,10 +88,8 @@ def predict_windows(
     """Predict every ball in every camera that has an image.
 
     Args:
-        state: the motion.
         times_s: of the images, by camera name.
         acceleration_sd: (6,) as in `MotionState.at`.
-        body: the body.
         cameras: all cameras; those without an image are left out.
     """
     present = tuple(camera for camera in cameras if camera.name in times_s)

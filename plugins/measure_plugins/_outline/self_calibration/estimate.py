@@ -58,7 +58,6 @@ class AppearanceEstimate:
     """One estimate from the patches of a camera.
 
     Attributes:
-        appearance: the estimate.
         bent: whether its tone curve is a bent one.
         residual_ratio: mean square residual with a bent curve, per that with a straight one.
         bends: (3,) of the bent curve, accepted or not, see `bent_table`.
@@ -93,8 +92,6 @@ def estimate_appearance(
     is decided with the shading of point lights: a freely fitted polynomial takes up part of a bend.
 
     Args:
-        patches: balls in the camera's pictures.
-        now: the present appearance.
         world_from_camera: (3, 3) rotation of the camera.
         assume_bent: whether the cameras together have shown that their common curve is bent.
         backgrounds: the pictures without the balls.

@@ -88,7 +88,6 @@ class SelfCalibration:
         """The appearance by the estimates of all cameras.
 
         Args:
-            now: the present appearance.
             estimates: the last of every camera, this one's own among them.
             bent: whether the cameras have shown together that their tone curve is bent.
         """
@@ -107,7 +106,6 @@ class SelfCalibration:
         """Whether a picture is one to keep or to estimate from; to be called for every picture.
 
         Args:
-            found: number of balls found in it.
             time_s: its time stamp; pictures no later than all before are not wanted.
         """
         if found == 0 or time_s <= self._latest_s:
@@ -127,7 +125,6 @@ class SelfCalibration:
             pixels: (h, w, 3) the picture.
             seen: outlines found in it; their half angles from known distances.
             others: outlines of balls that are there but were not found.
-            now: the present appearance.
         """
         self._kept = 2 * self._count
         self._backgrounds.append(self._background(pixels, (*seen, *others)))
