@@ -18,7 +18,7 @@ from measure.host import Detector
 from measure.host.settings import Settings
 from measure.model import Ball, BallColor, Body, Camera, Detection, Expectation, Image, Intrinsics
 from measure.session import read_picture
-from measure_plugins.detectors._outline_settings import OutlineConfig
+from measure_plugins.detectors._known_balls import OutlineConfig
 from measure_plugins.detectors.outline import OutlineDetector
 
 MakeDetector = Callable[[Body, Camera], Detector]

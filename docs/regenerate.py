@@ -18,7 +18,7 @@ from plugin_reference import attributes, plugin_page
 
 from measure.api.profiles import load_profile, profile_names
 from measure.cli import build_app, main
-from measure.cli.commands import GROUPS
+from measure.cli.app import GROUPS
 from measure.host import Loaded, Registry, Setting, describe_settings
 from measure.measuring import Profile
 from measure.measuring.tracking import TRACKERS

@@ -43,7 +43,7 @@ class LogOptions:
             ConfigError: none does.
         """
         if self.viewer:
-            from measure.viewing.stream import check_listening
+            from measure.viewing.recording import check_listening
 
             check_listening(self.viewer)
 
@@ -69,8 +69,7 @@ class RunLog:
         truth: Trajectory | None = None,
         videos: Mapping[str, PassedVideo] | None = None,
     ) -> None:
-        from measure.viewing.recording import RunRecording
-        from measure.viewing.stream import open_recording
+        from measure.viewing.recording import RunRecording, open_recording
 
         self._path = out / "run.rrd" if options.recording else None
         self._kept, self._closed, self._problem = kept, False, ""

@@ -23,7 +23,7 @@ from measure.measuring import Profile
 from measure.model import Camera
 from measure.processes import Progress
 from measure.session import Session, open_session, session_file
-from measure.session.time_offsets import add_time_offsets
+from measure.session.timestamps import add_time_offsets
 
 _FINE_SETS, _FINE_PASSES = 120, 2
 """Frame sets measured to compare the clocks, and how often: images are then paired anew."""

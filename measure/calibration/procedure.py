@@ -14,10 +14,14 @@ from measure.calibration.capture import CameraCapture, Capture
 from measure.calibration.charuco_slips import charuco_slip
 from measure.calibration.common_views import fit_common_views
 from measure.calibration.contradictions import check_board_against_marks
-from measure.calibration.extrinsics import RigFit
+from measure.calibration.extrinsics import (
+    DEFAULT_COMMON_PX,
+    RigFit,
+    fit_rig_with_boards,
+    held_within,
+)
 from measure.calibration.intrinsics import LensCalibration, calibrate_lens
 from measure.calibration.markers import FoundMarkers
-from measure.calibration.marking import marker_observation, marks_of
 from measure.calibration.observations import (
     BoardObservation,
     MarkerObservation,
@@ -25,10 +29,15 @@ from measure.calibration.observations import (
     Tolerances,
 )
 from measure.calibration.paper import PaperFit, fit_rig_by_paper
-from measure.calibration.starts import DetectedBoard, board_observation, start_from_board
+from measure.calibration.starts import (
+    DetectedBoard,
+    board_observation,
+    marker_observation,
+    marks_of,
+    oriented_board,
+    start_from_board,
+)
 from measure.calibration.targets import MarkerField
-from measure.calibration.tolerance import DEFAULT_COMMON_PX, fit_rig_with_boards, held_within
-from measure.calibration.turned_boards import oriented_board
 from measure.calibration.views import ALL_VIEWS, MAX_VIEWS, find_views
 from measure.checking import Finding
 from measure.errors import CalibrationError

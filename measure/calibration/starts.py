@@ -1,15 +1,17 @@
-"""Rough camera poses: from a board of known pose, or from markers alone."""
+"""Rough camera poses: from a board of known pose, or from markers alone; and its marks."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from measure.arrays import Floats, rms_length
-from measure.calibration.boards import Board, Corners
+from measure.calibration.boards import Board, Corners, same_after
+from measure.calibration.capture import CameraCapture, Capture
 from measure.calibration.extrinsics import located_by_marks
 from measure.calibration.intrinsics import fit_pose_only
+from measure.calibration.markers import FoundMarkers, find_markers
 from measure.calibration.observations import BoardObservation, MarkerObservation
 from measure.calibration.single_camera import board_pose
 from measure.calibration.targets import MarkerField
@@ -102,3 +104,120 @@ def mm_per_px(camera: Camera, points: Floats) -> float:
     """What a pixel is worth at points (n, 3): their median distance over the focal length."""
     distance = float(np.median(np.linalg.norm(points - camera.center, axis=1)))
     return distance / camera.intrinsics.focal_px
+
+
+_CLEAR_RATIO = 3.0
+"""How much worse the marks must fit any other turn."""
+
+
+def oriented_board(
+    camera: CameraCapture, lens: Intrinsics, board: Board, seen: DetectedBoard, capture: Capture
+) -> DetectedBoard:
+    """The board with its corners numbered as they are.
+
+    Of the turns after which the board looks the same it is the one whose origin the capture says
+    is near `board_origin_px`; or else the one that puts the camera where its marks agree, and
+    above the floor.
+
+    Raises:
+        CalibrationError: nothing tells which.
+    """
+    turned = [
+        replace(seen, corners=replace(seen.corners, ids=turn[seen.corners.ids]))
+        for turn in board.turns
+    ]
+    if len(turned) == 1:
+        return seen
+    origins = np.stack([one.corners.pixels[np.argmin(one.corners.ids)] for one in turned])
+    if camera.board_origin_px is not None:
+        apart = np.linalg.norm(origins - camera.board_origin_px, axis=1)
+        return turned[int(np.argmin(apart))]
+    misfit = [_misfit_px(camera, lens, board, one, capture) for one in turned]
+    best, second = np.sort(misfit)[:2]
+    if best < second and second > max(CONTRADICTION_PX, _CLEAR_RATIO * best):
+        return turned[int(np.argmin(misfit))]
+    places = " or ".join(f"[{u:.0f}, {v:.0f}]" for u, v in origins)
+    raise CalibrationError(
+        f"camera {camera.name}: {same_after(board)}, and no marks tell which of its corners is the "
+        f"origin in {seen.corners.source}: write board_origin_px = {places} for this camera, or "
+        "take a board with an odd and an even number of inner corners, or a ChArUco board"
+    )
+
+
+def _misfit_px(
+    camera: CameraCapture, lens: Intrinsics, board: Board, seen: DetectedBoard, capture: Capture
+) -> float:
+    """By how much a camera's marks miss if its board lies so; 0 without marks.
+
+    Infinite if the camera would stand under the floor, or no marks are found.
+    """
+    start = start_from_board(camera.name, lens, board, seen)
+    floor = capture.settings.floor_z_mm
+    if floor is not None and start.center[2] < floor:
+        return np.inf
+    try:
+        _, marks, _ = marks_of(camera, lens, start, capture.markers, capture)
+    except CalibrationError:
+        return np.inf
+    return 0.0 if marks is None else mark_rms(start, capture.markers.points, marks)
+
+
+def marks_of(
+    camera: CameraCapture,
+    lens: Intrinsics,
+    start: Camera | None,
+    markers: MarkerField,
+    capture: Capture,
+) -> tuple[Camera, MarkerObservation | None, FoundMarkers | None]:
+    """The rough camera, its marks by hand and by search (the hand wins), and the search's finds.
+
+    Raises:
+        CalibrationError: neither board nor marks locate the camera, or too few markers
+            are found and none is marked.
+        SessionError: a picture that cannot be read.
+    """
+    by_hand = marker_observation(camera.marks, markers)
+    if start is None:
+        if by_hand is None:
+            raise CalibrationError(
+                f"camera {camera.name}: nothing tells where it stands: give board_image with the "
+                f"board's pose, or mark at least six markers in marks.csv ({capture.path})"
+            )
+        start = start_from_marks(camera.name, lens, markers, by_hand)
+    if camera.marker_image is None or not markers.names:
+        return start, by_hand, None
+    visible = lens.contains(start.project(markers.points), 5.0)
+    names = [name for name, seen in zip(markers.names, visible, strict=True) if seen]
+    if all(name in camera.marks for name in names):
+        return start, by_hand, None
+    return _searched(camera, start, by_hand, markers, capture)
+
+
+def _searched(
+    camera: CameraCapture,
+    start: Camera,
+    by_hand: MarkerObservation | None,
+    markers: MarkerField,
+    capture: Capture,
+) -> tuple[Camera, MarkerObservation | None, FoundMarkers | None]:
+    assert camera.marker_image is not None
+    picture = camera.still(camera.marker_image, start.intrinsics)
+    try:
+        finds = find_markers(picture, start, markers, capture.settings.marker_kind)
+    except CalibrationError:
+        if by_hand is None:
+            raise
+        return start, by_hand, None
+    observed = marker_observation({**finds.marks, **camera.marks}, markers)
+    if observed is not None and 2 * len(camera.marks) < len(observed.ids):
+        observed = replace(observed, searched=True)
+    return start, observed, finds
+
+
+def marker_observation(marks: dict[str, Floats], markers: MarkerField) -> MarkerObservation | None:
+    """Marks by name as an observation; None if there are none."""
+    if not marks:
+        return None
+    names = [name for name in markers.names if name in marks]
+    ids = np.array([markers.index(name) for name in names], dtype=np.int64)
+    return MarkerObservation(ids, np.stack([marks[name] for name in names]))

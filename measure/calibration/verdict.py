@@ -11,15 +11,16 @@ import numpy as np
 from measure.arrays import Floats
 from measure.calibration.extrinsics import fit_rig
 from measure.calibration.findings import (
+    Workspace,
     accuracy_findings,
     disagreement_findings,
     lens_findings,
     mark_findings,
     plausibility,
+    workspace_of,
 )
 from measure.calibration.observations import MarkerObservation, RigObservations
 from measure.calibration.procedure import RigCalibration
-from measure.calibration.workspace import Workspace, workspace_of
 from measure.checking import Finding, Level, worst_first
 from measure.errors import CalibrationError
 from measure.estimation.expected_accuracy import body_pose_sd

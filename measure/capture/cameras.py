@@ -14,8 +14,7 @@ import numpy as np
 
 from measure.capture.device_clock import DeviceClock
 from measure.capture.outages import Outage, OutageWatch
-from measure.capture.pictures import image_of, is_whole, size_wh
-from measure.capture.sources import PATIENCE_S, Shot, Source
+from measure.capture.sources import PATIENCE_S, Shot, Source, image_of, is_whole, size_wh
 from measure.errors import CaptureError
 from measure.model import Image
 

@@ -6,7 +6,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import numpy as np
+
 from measure.arrays import Bytes
+from measure.model import Image
+from measure.session import decode_picture, is_complete_jpeg
+from measure.session.pictures import jpeg_size_wh
 
 PATIENCE_S = 5.0
 """A camera that has said nothing for so long is taken to be gone."""
@@ -57,3 +62,29 @@ class Source(ABC):
         Raises:
             CaptureError: it cannot be reached, breaks off, or is silent for `PATIENCE_S`.
         """
+
+
+def image_of(camera: str, frame: int, time_s: float, shot: Shot, time_sd_s: float = 0.0) -> Image:
+    """A picture as the rest of the program takes it; decoded when its pixels are used."""
+    where = f"camera '{camera}', frame {frame}"
+    return Image(camera, frame, time_s, lambda: _pixels(shot, where), shot.jpeg, time_sd_s)
+
+
+def is_whole(shot: Shot) -> bool:
+    """Whether a picture is complete, by its end marker, and says how large it is."""
+    if shot.jpeg is None:
+        return True
+    return is_complete_jpeg(shot.jpeg) and size_wh(shot) is not None
+
+
+def size_wh(shot: Shot) -> tuple[int, int] | None:
+    """Width and height of a picture, px; None if its JPEG states none."""
+    if shot.pixels is not None:
+        return shot.pixels.shape[1], shot.pixels.shape[0]
+    return jpeg_size_wh(shot.jpeg or b"")
+
+
+def _pixels(shot: Shot, where: str) -> Bytes:
+    if shot.pixels is not None:
+        return np.ascontiguousarray(shot.pixels)
+    return decode_picture(shot.jpeg or b"", where)

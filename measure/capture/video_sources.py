@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import re
+import socket
+import ssl
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import SplitResult, urlsplit
 
 from measure.arrays import Bytes
-from measure.capture.rtsp import refuse_redirection
 from measure.capture.sources import PATIENCE_S, Shot, Source
 from measure.capture.web_address import shown
 from measure.errors import CaptureError, SessionError
@@ -152,3 +155,49 @@ def _pictures(
 
 def _seconds(of: Any) -> float | None:
     return None if of.pts is None else float(of.pts * of.time_base)
+
+
+_PORTS = {"rtsp": 554, "rtsps": 322}
+_REDIRECTION = re.compile(rb"RTSP/1\.\d 3\d\d")
+_REQUESTS = ("OPTIONS", "DESCRIBE")
+
+
+def refuse_redirection(address: str) -> None:
+    """Refuse a camera that redirects, if its address holds a password.
+
+    FFmpeg, which speaks RTSP for us, follows redirections by itself and takes the password along.
+    So such a camera is asked without it first.
+
+    Raises:
+        CaptureError: it redirects, or cannot be reached.
+    """
+    parts = urlsplit(address)
+    if parts.username is None:
+        return
+    try:
+        answers = [_answer(parts, request) for request in _REQUESTS]
+    except (OSError, ValueError) as problem:
+        text = getattr(problem, "strerror", None) or "no answer"
+        raise CaptureError(f"{shown(address)}: {text}") from None
+    if any(_REDIRECTION.match(answer) for answer in answers):
+        raise CaptureError(
+            f"{shown(address)}: redirects to another address, where its password shall not go: "
+            "give that address"
+        )
+
+
+def _answer(parts: SplitResult, request: str) -> bytes:
+    """The first bytes of an answer."""
+    place = (parts.hostname or "", parts.port or _PORTS[parts.scheme])
+    host = parts.netloc.rpartition("@")[2]
+    lines = [f"{request} {parts.scheme}://{host}{parts.path} RTSP/1.0", "CSeq: 1", "", ""]
+    with closing(socket.create_connection(place, PATIENCE_S)) as plain:
+        connection: socket.socket = plain
+        if parts.scheme == "rtsps":
+            context = ssl.create_default_context()
+            # As FFmpeg: cameras make their own certificates. Nothing secret is said here.
+            context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+            connection = context.wrap_socket(plain, server_hostname=parts.hostname)
+        with closing(connection):
+            connection.sendall("\r\n".join(lines).encode())
+            return connection.recv(64)

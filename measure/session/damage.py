@@ -1,4 +1,4 @@
-"""JPEG pictures that are damaged, which decoders fill with grey or shifted blocks."""
+"""Damaged JPEGs, which decoders fill with grey or shifted blocks, and videos that are cut short."""
 
 from __future__ import annotations
 
@@ -6,7 +6,10 @@ import re
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import repeat
+from pathlib import Path
+from typing import Any, BinaryIO
 
+from measure.errors import SessionError
 from measure.session.pictures import JPEG_END, JPEG_SCAN, is_complete_jpeg
 from measure.session.streams import Stream
 
@@ -67,3 +70,107 @@ def _decodes(jpeg: bytes, options: dict[str, str]) -> bool:
         return bool(decoder.decode(av.Packet(jpeg)) + decoder.decode(None))
     except av.error.FFmpegError:
         return False
+
+
+_REMEDY = "; to use the rest, copy it (ffmpeg -i OLD -c copy NEW) and keep as many timestamps"
+_AVI_LISTS = (b"AVI ", b"AVIX", b"movi", b"rec ")
+"""AVI lists whose chunks are counted; all others are skipped."""
+_AVI_PICTURES = (b"dc", b"db")
+_EBML_HEADER, _MATROSKA_SEGMENT = 0x1A45DFA3, 0x18538067
+
+
+def refuse_truncated(
+    container: Any, stream: Any, packets: list[Any], counted: bool, path: Path, where: str
+) -> None:
+    """Refuse a video that ends before the end its container states.
+
+    Args:
+        container: open, of PyAV.
+        packets: presentation time, decoding time, and more, of each packet read.
+        counted: the container has no presentation times.
+
+    Raises:
+        SessionError: as said.
+    """
+    source = f"{where}{path}"
+    promised, there = int(stream.frames or 0), len(packets)
+    if counted and promised > there:
+        there = _count_chunks(path, stream.index)
+    if promised > there > 0:
+        raise SessionError(
+            f"{source}: the video is cut off: {there} of {promised} frames are there{_REMEDY}"
+        )
+    if not promised and (missing := _missing_s(container, stream, packets)):
+        raise SessionError(
+            f"{source}: the video is cut off: its last {missing:.2f} s are missing{_REMEDY}"
+        )
+    # Frames are stored in the order in which they decode: the last ones need not be the latest.
+    if "matroska" in container.format.name and (short := _missing_bytes(path)):
+        raise SessionError(
+            f"{source}: the video is cut off: its last {short} bytes are missing{_REMEDY}"
+        )
+
+
+def _missing_s(container: Any, stream: Any, packets: list[Any]) -> float:
+    """Seconds missing of the duration, for containers that state no number of frames."""
+    stamps = [packet[0] for packet in packets if packet[0] is not None]
+    # With sound the duration may be the sound's.
+    if not container.duration or not stamps or len(container.streams) > 1:
+        return 0.0
+    start, end = (float(stamp * stream.time_base) for stamp in (min(stamps), max(stamps)))
+    step = (end - start) / (len(stamps) - 1) if len(stamps) > 1 else 0.1
+    missing = container.duration / 1e6 - end - step
+    return missing if missing > 0.75 * step + 0.002 else 0.0
+
+
+def _count_chunks(path: Path, stream: int) -> int:
+    """Number of whole chunks of an AVI video stream, the empty ones of dropped frames included.
+
+    Source: Microsoft, "AVI RIFF File Reference", and OpenDML AVI 1.02 for files of several RIFFs.
+    """
+    own = b"%02d" % stream
+    end, count = path.stat().st_size, 0
+    with path.open("rb") as file:
+        while len(head := file.read(8)) == 8:
+            kind, size = head[:4], int.from_bytes(head[4:], "little")
+            if kind in (b"RIFF", b"LIST"):
+                name = file.read(4)
+                if name in _AVI_LISTS:
+                    continue
+                size -= 4
+            begin = file.tell()
+            if kind[:2] == own and kind[2:] in _AVI_PICTURES and begin + size <= end:
+                count += 1
+            file.seek(max(size, 0) + size % 2, 1)
+    return count
+
+
+def _missing_bytes(path: Path) -> int:
+    """How many bytes a Matroska file is shorter than its segment states.
+
+    0 too where it states no size: a recorder that was stopped by force, or writes to a pipe, leaves
+    it open.
+
+    Source: RFC 8794 (EBML), sections 4 to 6; RFC 9559 (Matroska), section 5.
+    """
+    with path.open("rb") as file:
+        if _number(file, marked=True) != _EBML_HEADER or (size := _number(file)) is None:
+            return 0
+        file.seek(size, 1)
+        if _number(file, marked=True) != _MATROSKA_SEGMENT or (size := _number(file)) is None:
+            return 0
+        return max(file.tell() + size - path.stat().st_size, 0)
+
+
+def _number(file: BinaryIO, marked: bool = False) -> int | None:
+    """A variable-size integer, with its marker bit if it names an element; None if unknown."""
+    first = file.read(1)
+    length = 9 - first[0].bit_length() if first and first[0] else 0
+    rest = file.read(max(length - 1, 0))
+    if not length or len(rest) < length - 1:
+        return None
+    value = int.from_bytes(first + rest, "big")
+    if marked:
+        return value
+    value &= (1 << 7 * length) - 1
+    return None if value == (1 << 7 * length) - 1 else value

@@ -16,8 +16,8 @@ import numpy as np
 from measure.arrays import Bytes, Floats
 from measure.errors import SessionError
 from measure.reading import check_ordinary
+from measure.session.damage import refuse_truncated
 from measure.session.pictures import most_pixels, refuse_huge
-from measure.session.truncation import refuse_truncated
 
 _COUNTED_CONTAINERS = ("avi",)
 """These store no presentation time: the n-th picture shown gets the n-th time."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from functools import cache
 from pathlib import Path
 from typing import ClassVar
 
@@ -12,8 +13,17 @@ from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.host import Correction, Dataset, Estimator, OnnxModel
 from measure.host.estimator import quiet
-from measure.testing.robot import training_data
+from measure.learning import AssemblySettings, Split, simulated_dataset, split_by_trajectory
 from measure.testing.rules import PluginConformance, assert_covariance, assert_same
+
+
+@cache
+def training_data() -> Split:
+    """Two minutes of a cable-driven robot in six trajectories, split into three parts."""
+    data, _ = simulated_dataset(
+        minutes=2.0, pairs=720, restarts=2, seed=4, settings=AssemblySettings(cut_s=20.0)
+    )
+    return split_by_trajectory(data, seed=1)
 
 
 class EstimatorConformance(PluginConformance):

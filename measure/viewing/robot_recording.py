@@ -13,7 +13,7 @@ from measure.learning.traces import RobotTraces
 from measure.viewing import entities
 from measure.viewing.blueprint import LEGEND, framed, plot, up_to_cursor
 from measure.viewing.columns import time_column
-from measure.viewing.rig import log_lines
+from measure.viewing.scene import log_lines
 
 KINDS = {"reported": (207, 75, 75), "measured": (61, 139, 212), "corrected": (79, 163, 90)}
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from measure.api import calibrate
+from measure.calibration.extrinsics import held_within
 from measure.calibration.observations import BoardObservation
-from measure.calibration.tolerance import held_within
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
 from measure.session import read_calibration

@@ -9,10 +9,9 @@ import pytest
 
 from measure.calibration import Corners, MarkerField
 from measure.calibration.contradictions import check_board_against_marks
-from measure.calibration.findings import plausibility, residual_findings
+from measure.calibration.findings import Workspace, plausibility, residual_findings
 from measure.calibration.observations import MarkerObservation
 from measure.calibration.starts import DetectedBoard, start_from_board, start_from_marks
-from measure.calibration.workspace import Workspace
 from measure.checking import Level
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform

@@ -15,8 +15,7 @@ from measure.calibration.common_views import fit_common_views
 from measure.calibration.intrinsics import LensCalibration
 from measure.calibration.lens import LENS_MODELS
 from measure.calibration.single_camera import fit_lens
-from measure.calibration.starts import DetectedBoard
-from measure.calibration.turned_boards import oriented_board
+from measure.calibration.starts import DetectedBoard, oriented_board
 from measure.calibration.views import ViewSet
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform

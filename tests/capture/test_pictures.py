@@ -6,8 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from measure.capture.pictures import size_wh
-from measure.capture.sources import Shot
+from measure.capture.sources import Shot, size_wh
 
 SIZE = (64, 48)
 

@@ -15,7 +15,7 @@ import pytest
 from cyclopts import App
 
 from measure.cli import build_app, console, main
-from measure.cli.commands import GROUPS
+from measure.cli.app import GROUPS
 from measure.errors import SessionError
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from measure.cli import main
-from measure.cli.commands import GROUPS
+from measure.cli.app import GROUPS
 from tests.docs.pages import PAGES, ROOT, Block, blocks, name_of
 
 LANGUAGES = {"bash", "toml", "python", "pycon", "text"}

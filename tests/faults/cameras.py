@@ -20,8 +20,7 @@ import cv2
 import numpy as np
 
 from measure.capture import CameraAddress
-from measure.capture.pictures import image_of, is_whole, size_wh
-from measure.capture.sources import Shot
+from measure.capture.sources import Shot, image_of, is_whole, size_wh
 from measure.errors import CaptureError, SessionError
 from tests.faults.hostile_camera import (
     LOGIN,

@@ -7,7 +7,7 @@ import tomllib
 import pytest
 
 from measure.errors import SessionError
-from measure.session.time_offsets import add_time_offsets
+from measure.session.timestamps import add_time_offsets
 
 TEXT = """# by hand
 [session]

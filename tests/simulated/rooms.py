@@ -6,7 +6,7 @@ import numpy as np
 
 from measure.arrays import Bools, Floats
 from measure.compiling import compiled
-from measure.simulation.rooms import room
+from measure.simulation.catalogue import room
 from measure.simulation.scene import BALL_ALBEDO
 from measure.simulation.shading import Material, Rgb
 from measure.simulation.shapes import Shape

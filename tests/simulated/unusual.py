@@ -12,9 +12,8 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.model import Camera, Intrinsics
-from measure.simulation.catalogue import WEBCAM, motion, webcam_scene
+from measure.simulation.catalogue import WEBCAM, cloth_room, motion, webcam_scene
 from measure.simulation.presets import MATT, WORKSPACE_MM, body, lamps, ring, shaft, stems
-from measure.simulation.rooms import cloth_room
 from measure.simulation.scene import Scene
 from measure.simulation.shading import Lamp, Lighting, Rgb
 from measure.simulation.trajectory import MotionLimits

@@ -16,9 +16,8 @@ import pytest
 from measurements import BODY, CAMERAS, measurement
 
 from measure.results import Provenance, RunWriter, read_run
-from measure.viewing.recording import RunRecording
+from measure.viewing.recording import RunRecording, open_recording
 from measure.viewing.report.run_report import run_report
-from measure.viewing.stream import open_recording
 from tests.chromium import Chromium, find_chromium
 
 pytestmark = [

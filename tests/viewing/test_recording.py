@@ -12,9 +12,8 @@ from measure.errors import ConfigError
 from measure.geometry import RigidTransform
 from measure.model.observations import BallView, Reason, State
 from measure.session import Trajectory
-from measure.viewing import entities, recording, stream
-from measure.viewing.recording import RunRecording
-from measure.viewing.stream import open_recording
+from measure.viewing import entities, recording
+from measure.viewing.recording import RunRecording, open_recording
 from tests.viewing.reading import column, read_recording
 
 
@@ -138,7 +137,7 @@ def test_size_without_images(tmp_path, monkeypatch):
     ],
 )
 def test_viewer_that_does_not_listen_is_an_error(address, said, monkeypatch):
-    monkeypatch.setattr(stream, "CONNECT_WITHIN_S", 0.0)
+    monkeypatch.setattr(recording, "CONNECT_WITHIN_S", 0.0)
     with pytest.raises(ConfigError, match=said):
         open_recording("test", CAMERAS, address=address)
 

@@ -11,8 +11,7 @@ from measurements import BODY, CAMERAS, measurement
 from measure.model import FrameSet, Image
 from measure.session import Stream, open_video_stream
 from measure.viewing import entities, videos
-from measure.viewing.recording import RunRecording
-from measure.viewing.stream import open_recording
+from measure.viewing.recording import RunRecording, open_recording
 from measure.viewing.videos import passed_videos
 from tests.session.videos import SIZE_WH, write_video
 from tests.viewing.reading import column, read_recording

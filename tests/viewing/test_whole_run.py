@@ -20,8 +20,7 @@ from measure.host import Registry
 from measure.results import read_run
 from measure.session import open_session, read_trajectory
 from measure.viewing import entities
-from measure.viewing.recording import RunRecording
-from measure.viewing.stream import open_recording
+from measure.viewing.recording import RunRecording, open_recording
 from measure.viewing.viewer import viewer_program
 from tests.viewing.reading import column, read_recording
 

@@ -68,7 +68,7 @@ def with_view_noise(
         residuals: by camera (n, 2) px.
         freedom: share of the residuals that is not taken up by unknowns.
         least_px: lower bound of a view's standard deviation.
-        variance_factor: multiplies the correlation (see `halves`).
+        variance_factor: multiplies the correlation (see `compare_halves`).
     """
     names = list(residuals)
     left = np.concatenate([residuals[name] for name in names])

@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from measure.arrays import Floats
-from measure.calibration.refining.halves import compare_halves
 from measure.calibration.refining.judgement import (
     SUSPICIOUS_PX,
     RefineVerdict,
+    compare_halves,
     judge_refinement,
     refuse_misfit,
     worst_misfit,

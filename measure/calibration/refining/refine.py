@@ -105,7 +105,7 @@ def refine_rig(
         joint_covariance: of all cameras' poses and free lens parameters together, camera after
             camera: the prior. Without it, the variances of the cameras are estimated.
         variance_factor: variance of the views' errors over that estimated from residuals (see
-            `halves`).
+            `compare_halves`).
         clocks_are_exact: whether time stamps are exact; if not, clock offsets are refined too.
 
     Raises:

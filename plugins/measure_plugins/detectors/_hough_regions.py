@@ -10,8 +10,7 @@ import numpy as np
 
 from measure.arrays import Bytes, Floats, Ints
 from measure.model import ConvertedImage
-from measure_plugins.detectors._hough_bisection import Find
-from measure_plugins.detectors._hough_steps import hough_circles
+from measure_plugins.detectors._hough_steps import Find, hough_circles
 
 _STRIDE = 4
 """Stride of the pixels tested: segments are larger."""

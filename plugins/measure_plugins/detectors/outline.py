@@ -17,7 +17,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.host import Detector, SelfCalibratingDetector, Settings, hookimpl
 from measure.model import BallColor, Body, Camera, Detection, Expectation, Image
-from measure_plugins.detectors._outline_settings import (
+from measure_plugins.detectors._known_balls import (
     FEWER_RAYS,
     GIVE_UP_SHARE,
     MIN_RAYS,

@@ -18,8 +18,7 @@ from measure.host import (
     hookimpl,
     setting,
 )
-from measure_plugins.estimators._inputs import WithinTrajectoryEstimator
-from measure_plugins.estimators._window import StateWindow
+from measure_plugins.estimators._inputs import StateWindow, WithinTrajectoryEstimator
 
 
 class GpSettings(Settings):

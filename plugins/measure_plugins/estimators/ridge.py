@@ -19,9 +19,12 @@ from measure.host import (
     hookimpl,
     setting,
 )
-from measure_plugins.estimators._inputs import WithinTrajectoryEstimator, informative_features
+from measure_plugins.estimators._inputs import (
+    StateWindow,
+    WithinTrajectoryEstimator,
+    informative_features,
+)
 from measure_plugins.estimators._play import PlayBank
-from measure_plugins.estimators._window import StateWindow
 
 
 class RidgeSettings(Settings):

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from measure.simulation import Renderer
-from measure.simulation.catalogue import plain_scene
-from measure.simulation.rooms import room
+from measure.simulation.catalogue import plain_scene, room
 from measure_plugins._outline.appearance.model import GLOSSY, MATT, first_appearance
 from measure_plugins._outline.appearance.radial_basis import radial_tables
 from measure_plugins._outline.self_calibration import response_and_blur as appearance_fit
