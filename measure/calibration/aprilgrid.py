@@ -26,16 +26,11 @@ class AprilGrid(Board):
     """A grid of tags of the family 36h11, number 0 at the bottom left, counted along the rows.
 
     Origin at the outer corner of the tag at the top left, x to the right, y down.
-
-    Attributes:
-        tags: along x and along y.
-        tag_mm: side of a tag, with its black border.
-        tag_spacing: gap between tags, in sides of a tag.
     """
 
-    tags: tuple[int, int]
-    tag_mm: float
-    tag_spacing: float
+    tags: tuple[int, int]  # along x and along y
+    tag_mm: float  # side of a tag, with its black border
+    tag_spacing: float  # gap between tags, in sides of a tag
 
     @cached_property
     def points(self) -> Floats:

@@ -93,28 +93,20 @@ class CaptureFile(FileModel):
 
 @dataclass(frozen=True, eq=False)
 class CameraCapture:
-    """What one camera contributes.
-
-    Attributes:
-        pictures: name and reader of each board view for the lens (a video: one for all frames).
-        known: its lens, if that is given.
-        board_image: picture of the board of known pose.
-        world_from_board: that pose.
-        marks: hand marks, by marker name (2,) px.
-        board_origin_px: where about the board's origin appears, if that is given.
-        model: the kind of lens to be calibrated, if that is stated.
-    """
+    """What one camera contributes."""
 
     name: str
     folder: Path
+    # name and reader of each board view for the lens (a video: one for all frames).
     pictures: str | None
-    known: Intrinsics | None
-    board_image: Path | None
-    world_from_board: RigidTransform | None
+    known: Intrinsics | None  # its lens, if that is given
+    board_image: Path | None  # picture of the board of known pose
+    world_from_board: RigidTransform | None  # that pose
     marker_image: Path | None
-    marks: dict[str, Floats] = field(default_factory=dict)
+    marks: dict[str, Floats] = field(default_factory=dict)  # hand marks, by marker name (2,) px
+    # where about the board's origin appears, if that is given.
     board_origin_px: tuple[float, float] | None = None
-    model: Projection | None = None
+    model: Projection | None = None  # the kind of lens to be calibrated, if that is stated
 
     def views(self) -> Iterator[tuple[str, Bytes]]:
         """The pictures of the board for the lens: name and BGR pixels.

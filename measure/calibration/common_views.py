@@ -171,23 +171,14 @@ def _turned(points: Floats, turn: Ints) -> RigidTransform:
 
 @dataclass(frozen=True, eq=False)
 class _CommonViewsProblem:
-    """Boards seen by several cameras at the same instants; the first camera is the world.
+    """Boards seen by several cameras at the same instants; the first camera is the world."""
 
-    Attributes:
-        points: (n, 3) of the board.
-        views: by camera name and instant.
-        sds: of a corner, by camera name, px.
-        free: by camera name, which lens parameters are free.
-        columns: by camera name, its unknowns' columns.
-        order: number of each instant's board.
-    """
-
-    points: Floats
-    views: Mapping[str, Mapping[int, Corners]]
-    sds: Mapping[str, float]
-    free: Mapping[str, Ints]
-    columns: Mapping[str, Ints]
-    order: Mapping[int, int]
+    points: Floats  # (n, 3) of the board
+    views: Mapping[str, Mapping[int, Corners]]  # by camera name and instant
+    sds: Mapping[str, float]  # of a corner, by camera name, px
+    free: Mapping[str, Ints]  # by camera name, which lens parameters are free
+    columns: Mapping[str, Ints]  # by camera name, its unknowns' columns
+    order: Mapping[int, int]  # number of each instant's board
 
     def linearise(self, state: _CommonViewsState) -> Linearised:
         groups = tuple(self._group(n, state) for n in range(len(state.cameras)))

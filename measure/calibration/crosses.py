@@ -28,17 +28,11 @@ _ARM_SHARE = 0.75
 
 @dataclass(frozen=True, eq=False)
 class Cross:
-    """A cross found in a picture.
+    """A cross found in a picture."""
 
-    Attributes:
-        center_px: (2,).
-        reach_px: from the centre to the nearer ends of the arms.
-        angles: (2,) directions of the bars, rad.
-    """
-
-    center_px: Floats
-    reach_px: float
-    angles: Floats
+    center_px: Floats  # (2,)
+    reach_px: float  # from the centre to the nearer ends of the arms
+    angles: Floats  # (2,) directions of the bars, rad
 
 
 def cross_candidates(light: Floats) -> list[Cross]:

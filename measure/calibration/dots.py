@@ -27,13 +27,9 @@ _RADII_PX = (1.5, 25.0)
 
 @dataclass(frozen=True, eq=False)
 class Dot:
-    """A dot found in a picture.
+    """A dot found in a picture."""
 
-    Attributes:
-        center_px: (2,).
-    """
-
-    center_px: Floats
+    center_px: Floats  # (2,)
     radius_px: float
 
 

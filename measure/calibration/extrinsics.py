@@ -36,25 +36,17 @@ START_MARK_SD_PX = 0.5
 
 @dataclass(frozen=True, eq=False)
 class RigFit:
-    """Cameras fitted jointly.
+    """Cameras fitted jointly."""
 
-    Attributes:
-        state: cameras with their covariances, and where markers and boards came out.
-        covariance: of all cameras' poses and free lens parameters together, camera after camera.
-        columns: by camera name, which rows of `covariance` are its pose (6) and lens parameters.
-        mark_residuals: by camera name (n, 2) px.
-        corner_sd_px: as estimated from the residuals.
-        mark_sd_px: as estimated from the residuals.
-        log_likelihood: restricted, up to a constant; compares tolerances and weights.
-    """
-
-    state: RigState
+    state: RigState  # cameras with their covariances, and where markers and boards came out
+    # of all cameras' poses and free lens parameters together, camera after camera.
     covariance: Floats
+    # by camera name, which rows of `covariance` are its pose (6) and lens parameters.
     columns: dict[str, Ints]
-    mark_residuals: dict[str, Floats]
-    corner_sd_px: float
-    mark_sd_px: float
-    log_likelihood: float
+    mark_residuals: dict[str, Floats]  # by camera name (n, 2) px
+    corner_sd_px: float  # as estimated from the residuals
+    mark_sd_px: float  # as estimated from the residuals
+    log_likelihood: float  # restricted, up to a constant; compares tolerances and weights
 
     @property
     def cameras(self) -> tuple[Camera, ...]:

@@ -30,20 +30,15 @@ _CLEARLY_BETTER = 0.8
 
 @dataclass(frozen=True, eq=False)
 class LensCalibration:
-    """A calibrated lens and why it is what it is.
-
-    Attributes:
-        held_out_px: RMS on views kept out of the fit, by model name, as far as they were tried.
-        reasons: why freer models were refused, in words.
-        views: the views used, with coverage and those left out.
-        corner_rule: how corners are localised, whichever fits held-out views better.
-    """
+    """A calibrated lens and why it is what it is."""
 
     fit: SingleCameraFit
     model: LensModel
+    # RMS on views kept out of the fit, by model name, as far as they were tried.
     held_out_px: dict[str, float]
-    reasons: tuple[str, ...]
-    views: ViewSet
+    reasons: tuple[str, ...]  # why freer models were refused, in words
+    views: ViewSet  # the views used, with coverage and those left out
+    # how corners are localised, whichever fits held-out views better.
     corner_rule: CornerRule = "pattern"
     lateral_color: tuple[float, float] | None = None
 

@@ -31,37 +31,24 @@ _UNDETERMINED = (
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Whitened observations that depend on the same shared parameters (as a rule: one camera's).
+    """Whitened observations that depend on the same shared parameters (as a rule: one camera's)."""
 
-    Attributes:
-        residuals: (n, k) observed minus predicted, divided by their standard deviations.
-        columns: (p,) which shared parameters they depend on.
-        by_shared: (n, k, p) derivative of the whitened prediction by those.
-        block: (n,) which block each depends on; empty if there are no blocks.
-        by_block: (n, k, b) derivative of the whitened prediction by that block.
-    """
-
-    residuals: Floats
-    columns: Ints
-    by_shared: Floats
-    block: Ints
-    by_block: Floats
+    residuals: Floats  # (n, k) observed minus predicted, divided by their standard deviations
+    columns: Ints  # (p,) which shared parameters they depend on
+    by_shared: Floats  # (n, k, p) derivative of the whitened prediction by those
+    block: Ints  # (n,) which block each depends on; empty if there are no blocks
+    by_block: Floats  # (n, k, b) derivative of the whitened prediction by that block
 
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """A problem linearised at a state.
-
-    Attributes:
-        prior_residuals: (m,) whitened residuals of the priors.
-        prior_by_shared: (m, n_shared) derivative of the whitened prior predictions.
-    """
+    """A problem linearised at a state."""
 
     groups: tuple[Group, ...]
     n_shared: int
     n_blocks: int
-    prior_residuals: Floats
-    prior_by_shared: Floats
+    prior_residuals: Floats  # (m,) whitened residuals of the priors
+    prior_by_shared: Floats  # (m, n_shared) derivative of the whitened prior predictions
 
     @property
     def residuals(self) -> Floats:
@@ -94,35 +81,25 @@ class Huber:
 
 @dataclass(frozen=True)
 class StoppingRule:
-    """When Levenberg-Marquardt stops.
+    """When Levenberg-Marquardt stops."""
 
-    Attributes:
-        steps: most steps to take; those that are tried in vain do not count.
-        tolerance: settled once a step lowers the cost by less than this share.
-        damping: to start with, as a share of the diagonal. Parameters that only a weak prior holds
-            hardly move before it has fallen below the prior's share.
-    """
-
-    steps: int = 300
-    tolerance: float = 1e-10
+    steps: int = 300  # most steps to take; those that are tried in vain do not count
+    tolerance: float = 1e-10  # settled once a step lowers the cost by less than this share
     must_settle: bool = True
+    # to start with, as a share of the diagonal. Parameters that only a weak prior holds hardly move
+    # before it has fallen below the prior's share.
     damping: float = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
 class LeastSquaresSolution(Generic[State]):
-    """Where Levenberg-Marquardt ended.
-
-    Attributes:
-        covariance: (n_shared, n_shared) of the shared parameters, for whitened residuals of
-            standard deviation 1.
-        cost: sum of losses and squared priors.
-    """
+    """Where Levenberg-Marquardt ended."""
 
     state: State
     linearised: Linearised
+    # (n_shared, n_shared) of the shared parameters, for whitened residuals of standard deviation 1.
     covariance: Floats
-    cost: float
+    cost: float  # sum of losses and squared priors
 
     @property
     def variance_factor(self) -> float:

@@ -31,15 +31,10 @@ _MIN_MARKERS = 4
 
 @dataclass(frozen=True, eq=False)
 class FoundMarkers:
-    """Markers found in one picture.
+    """Markers found in one picture."""
 
-    Attributes:
-        marks: by name (2,) px.
-        doubtful: left out, with the reason, by name.
-    """
-
-    marks: dict[str, Floats]
-    doubtful: dict[str, str]
+    marks: dict[str, Floats]  # by name (2,) px
+    doubtful: dict[str, str]  # left out, with the reason, by name
 
 
 def find_markers(

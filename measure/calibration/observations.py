@@ -13,31 +13,21 @@ from measure.geometry import RigidTransform
 
 @dataclass(frozen=True, eq=False)
 class BoardObservation:
-    """A board of known pose, seen by one camera.
+    """A board of known pose, seen by one camera."""
 
-    Attributes:
-        points: (n, 3) its seen corners in the board frame, mm.
-        pixels: (n, 2) where they appear.
-    """
-
-    points: Floats
-    pixels: Floats
+    points: Floats  # (n, 3) its seen corners in the board frame, mm
+    pixels: Floats  # (n, 2) where they appear
     world_from_board: RigidTransform
 
 
 @dataclass(frozen=True, eq=False)
 class MarkerObservation:
-    """Markers seen by one camera.
+    """Markers seen by one camera."""
 
-    Attributes:
-        ids: (n,) their numbers in the field.
-        pixels: (n, 2) where they appear.
-        searched: whether most of them were found by search. The light draws found dots one way, so
-            that all marks of a picture may share an offset; a hand has no such habit.
-    """
-
-    ids: Ints
-    pixels: Floats
+    ids: Ints  # (n,) their numbers in the field
+    pixels: Floats  # (n, 2) where they appear
+    # whether most of them were found by search. The light draws found dots one way, so that all
+    # marks of a picture may share an offset; a hand has no such habit.
     searched: bool = False
 
 

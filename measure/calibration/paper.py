@@ -30,19 +30,14 @@ from measure.model import Camera
 
 @dataclass(frozen=True, eq=False)
 class PaperFit:
-    """Cameras located by equation 3.
+    """Cameras located by equation 3."""
 
-    Attributes:
-        cameras: with the covariances of their poses.
-        covariance: of all cameras' poses and free lens parameters together, camera after camera.
-        columns: by camera name, which rows of `covariance` are its pose (6) and lens parameters.
-        mark_sd_px: as stated, or estimated from the residuals.
-    """
-
-    cameras: tuple[Camera, ...]
+    cameras: tuple[Camera, ...]  # with the covariances of their poses
+    # of all cameras' poses and free lens parameters together, camera after camera.
     covariance: Floats
+    # by camera name, which rows of `covariance` are its pose (6) and lens parameters.
     columns: dict[str, Ints]
-    mark_sd_px: float
+    mark_sd_px: float  # as stated, or estimated from the residuals
 
 
 def fit_rig_by_paper(

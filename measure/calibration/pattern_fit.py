@@ -31,17 +31,11 @@ def linear_light(bgr: Bytes) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class PatternFit:
-    """A fitted pattern.
+    """A fitted pattern."""
 
-    Attributes:
-        unknowns: (k,).
-        misfit: robust spread of the weighted residuals.
-        unexplained: share of pixels whose weighted residual exceeds a quarter.
-    """
-
-    unknowns: Floats
-    misfit: float
-    unexplained: float
+    unknowns: Floats  # (k,)
+    misfit: float  # robust spread of the weighted residuals
+    unexplained: float  # share of pixels whose weighted residual exceeds a quarter
 
 
 def fit_pattern(

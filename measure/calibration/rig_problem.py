@@ -36,21 +36,13 @@ class RigState:
 
 @dataclass(frozen=True, eq=False)
 class RigLayout:
-    """Which shared parameter is which.
+    """Which shared parameter is which."""
 
-    Attributes:
-        lens_free: for each camera, which lens parameters are unknown.
-        cameras: for each camera, the columns of its pose and free lens parameters.
-        markers: columns of all markers, or None where they are exact.
-        boards: columns of the boards that are not exact, by camera name.
-        offsets: columns of the offsets of marks, by camera name.
-    """
-
-    lens_free: tuple[Ints, ...]
-    cameras: tuple[Ints, ...]
-    markers: Ints | None
-    boards: dict[str, Ints]
-    offsets: dict[str, Ints]
+    lens_free: tuple[Ints, ...]  # for each camera, which lens parameters are unknown
+    cameras: tuple[Ints, ...]  # for each camera, the columns of its pose and free lens parameters
+    markers: Ints | None  # columns of all markers, or None where they are exact
+    boards: dict[str, Ints]  # columns of the boards that are not exact, by camera name
+    offsets: dict[str, Ints]  # columns of the offsets of marks, by camera name
     size: int
 
 
@@ -73,17 +65,12 @@ def lay_out(cameras: tuple[Camera, ...], observations: RigObservations) -> RigLa
 
 @dataclass(frozen=True, eq=False)
 class RigProblem:
-    """All cameras at once.
+    """All cameras at once."""
 
-    Attributes:
-        start: cameras as they are known beforehand.
-        sds: (2,) standard deviations in px of corners and marks.
-    """
-
-    start: tuple[Camera, ...]
+    start: tuple[Camera, ...]  # cameras as they are known beforehand
     observations: RigObservations
     layout: RigLayout
-    sds: Floats
+    sds: Floats  # (2,) standard deviations in px of corners and marks
 
     def labels(self) -> list[tuple[str, int]]:
         """Camera name and kind of the observation groups, in their order."""

@@ -130,18 +130,12 @@ class _LensState:
 
 @dataclass(frozen=True, eq=False)
 class SingleCameraFit:
-    """A lens fitted to board views.
-
-    Attributes:
-        residuals: (n, 2) px, observed minus predicted.
-        view_of: (n,) which view each residual belongs to.
-        sd_px: standard deviation of a corner coordinate, from the residuals.
-    """
+    """A lens fitted to board views."""
 
     intrinsics: Intrinsics
-    residuals: Floats
-    view_of: Ints
-    sd_px: float
+    residuals: Floats  # (n, 2) px, observed minus predicted
+    view_of: Ints  # (n,) which view each residual belongs to
+    sd_px: float  # standard deviation of a corner coordinate, from the residuals
 
     @property
     def rms_px(self) -> float:

@@ -28,18 +28,13 @@ _COVERAGE_GRID = (8, 6)
 
 @dataclass(frozen=True, eq=False)
 class ViewSet:
-    """The views a lens is calibrated from.
+    """The views a lens is calibrated from."""
 
-    Attributes:
-        size_wh: of the images, px.
-        left_out: reasons, by name of picture.
-        mirrored: how many pictures showed the board mirrored, or its back: they serve the lens, but
-            a camera in mirror mode must not be located.
-    """
-
-    size_wh: tuple[int, int]
+    size_wh: tuple[int, int]  # of the images, px
     views: tuple[Corners, ...]
-    left_out: dict[str, str]
+    left_out: dict[str, str]  # reasons, by name of picture
+    # how many pictures showed the board mirrored, or its back: they serve the lens, but a camera in
+    # mirror mode must not be located.
     mirrored: int = 0
 
     def coverage(self) -> Floats:

@@ -19,19 +19,13 @@ PATIENCE_S = 5.0
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Shot:
-    """A picture as a camera delivered it: either as its JPEG or as its pixels.
+    """A picture as a camera delivered it: either as its JPEG or as its pixels."""
 
-    Attributes:
-        arrived_s: when its last byte had arrived, on the clock of `time.monotonic`.
-        device_s: its stamp on the camera's own clock, whatever that starts from; None without.
-        jpeg: its bytes, as the camera compressed it; None if it did not.
-        pixels: BGR (h, w, 3), of a picture that is no JPEG.
-    """
-
-    arrived_s: float
+    arrived_s: float  # when its last byte had arrived, on the clock of `time.monotonic`
+    # its stamp on the camera's own clock, whatever that starts from; None without.
     device_s: float | None
-    jpeg: bytes | None
-    pixels: Bytes | None = None
+    jpeg: bytes | None  # its bytes, as the camera compressed it; None if it did not
+    pixels: Bytes | None = None  # BGR (h, w, 3), of a picture that is no JPEG
 
 
 class Source(ABC):

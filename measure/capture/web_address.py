@@ -32,20 +32,13 @@ def shown(address: str) -> str:
 
 @dataclass(frozen=True)
 class WebAddress:
-    """Where to ask for a stream over HTTP.
+    """Where to ask for a stream over HTTP."""
 
-    Attributes:
-        scheme: `http` or `https`.
-        host: its name or number.
-        port: 80 or 443 unless another is given.
-        target: path and query, escaped.
-        login: what an `Authorization` header says; empty without a user name.
-    """
-
-    scheme: str
-    host: str
-    port: int
-    target: str = field(repr=False)
+    scheme: str  # `http` or `https`
+    host: str  # its name or number
+    port: int  # 80 or 443 unless another is given
+    target: str = field(repr=False)  # path and query, escaped
+    # what an `Authorization` header says; empty without a user name.
     login: str = field(default="", repr=False)
 
     @classmethod

@@ -31,34 +31,22 @@ _MAX_INDEPENDENT_FRAMES = 10
 
 @dataclass(frozen=True, eq=False)
 class LocatedBalls:
-    """Balls located in one frame set, independent of the body's shape.
+    """Balls located in one frame set, independent of the body's shape."""
 
-    Attributes:
-        centers: (3,) in the world by ball name, mm.
-        variances: mean variance of a coordinate by ball name, mm^2.
-        radii: (mm, standard deviation in mm) by ball name, from the outlines.
-    """
-
-    centers: Mapping[str, Floats]
-    variances: Mapping[str, float]
+    centers: Mapping[str, Floats]  # (3,) in the world by ball name, mm
+    variances: Mapping[str, float]  # mean variance of a coordinate by ball name, mm^2
+    # (mm, standard deviation in mm) by ball name, from the outlines.
     radii: Mapping[str, tuple[float, float]]
 
 
 @dataclass(frozen=True)
 class BodyCheck:
-    """The body as recorded, compared with its file.
+    """The body as recorded, compared with its file."""
 
-    Attributes:
-        distances: of every pair of balls that was located often enough.
-        radii: of every ball that was located often enough.
-        findings: what is wrong, a line each; empty if nothing is.
-        blind_to: mistakes that the located balls cannot show, a line each.
-    """
-
-    distances: tuple[Compared, ...]
-    radii: tuple[Compared, ...]
-    findings: tuple[str, ...]
-    blind_to: tuple[str, ...]
+    distances: tuple[Compared, ...]  # of every pair of balls that was located often enough
+    radii: tuple[Compared, ...]  # of every ball that was located often enough
+    findings: tuple[str, ...]  # what is wrong, a line each; empty if nothing is
+    blind_to: tuple[str, ...]  # mistakes that the located balls cannot show, a line each
 
 
 def locate_balls(

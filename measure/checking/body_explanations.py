@@ -26,21 +26,14 @@ _MAX_BALLS_PERMUTED = 6
 
 @dataclass(frozen=True)
 class Compared:
-    """One length of the body: as measured, and in the file.
+    """One length of the body: as measured, and in the file."""
 
-    Attributes:
-        what: the ball whose radius it is, or the two whose distance.
-        measured_mm: over all frames.
-        file_mm: what the body file says.
-        tolerance_mm: a difference that does not matter, beyond the uncertainty.
-    """
-
-    what: tuple[str, ...]
-    measured_mm: float
+    what: tuple[str, ...]  # the ball whose radius it is, or the two whose distance
+    measured_mm: float  # over all frames
     sd_mm: float
-    file_mm: float
+    file_mm: float  # what the body file says
     frames: int
-    tolerance_mm: float = 0.5
+    tolerance_mm: float = 0.5  # a difference that does not matter, beyond the uncertainty
 
     @property
     def agrees(self) -> bool:

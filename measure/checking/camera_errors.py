@@ -51,21 +51,16 @@ _SIZE = 4
 
 @dataclass(frozen=True)
 class CameraError:
-    """The likeliest error of a camera.
-
-    Attributes:
-        amount: of a clock in s, to be added to its stamps; of a turn in deg; of a focal length the
-            share by which it is longer than calibrated.
-        sd: its standard deviation, with a constant bias of each ball-view.
-        level: WRONG beyond six standard deviations, WEAK beyond four.
-        rivals: other errors that this motion cannot tell from it: camera and kind.
-    """
+    """The likeliest error of a camera."""
 
     camera: str
     kind: Kind
+    # of a clock in s, to be added to its stamps; of a turn in deg; of a focal length the share by
+    # which it is longer than calibrated.
     amount: float
-    sd: float
-    level: Level
+    sd: float  # its standard deviation, with a constant bias of each ball-view
+    level: Level  # WRONG beyond six standard deviations, WEAK beyond four
+    # other errors that this motion cannot tell from it: camera and kind.
     rivals: tuple[tuple[str, Kind], ...]
 
 
@@ -116,19 +111,13 @@ def _parameters(camera: int, kind: Kind) -> list[int]:
 
 @dataclass(frozen=True, eq=False)
 class _System:
-    """The normal equations of all cameras' errors, block by block of the recording.
+    """The normal equations of all cameras' errors, block by block of the recording."""
 
-    Attributes:
-        normal: (b, p, p).
-        right: (b, p).
-        by_bias: (v, p) what a bias of 1 px adds to the right side, for every ball, camera and axis.
-        scale: mean square of the residuals over their stated variance, 1 at least.
-    """
-
-    normal: Floats
-    right: Floats
+    normal: Floats  # (b, p, p)
+    right: Floats  # (b, p)
+    # (v, p) what a bias of 1 px adds to the right side, for every ball, camera and axis.
     by_bias: Floats
-    scale: float
+    scale: float  # mean square of the residuals over their stated variance, 1 at least
 
     @classmethod
     def of(cls, instants: Sequence[Instant], balls: int, cameras: Sequence[Camera]) -> _System:
@@ -207,21 +196,13 @@ def _amount(kind: Kind, values: Floats, covariance: Floats) -> tuple[float, floa
 
 
 class _Reduced(NamedTuple):
-    """One instant's part of the normal equations, its pose eliminated.
+    """One instant's part of the normal equations, its pose eliminated."""
 
-    Attributes:
-        normal: (p, p).
-        right: (p,).
-        by_residual: (n, 2, p) the right side's derivative by the residuals.
-        square: weighted sum of squared residuals.
-        degrees: of freedom.
-    """
-
-    normal: Floats
-    right: Floats
-    by_residual: Floats
-    square: float
-    degrees: int
+    normal: Floats  # (p, p)
+    right: Floats  # (p,)
+    by_residual: Floats  # (n, 2, p) the right side's derivative by the residuals
+    square: float  # weighted sum of squared residuals
+    degrees: int  # of freedom
 
 
 def _reduced(instant: Instant, cameras: Sequence[Camera]) -> _Reduced:

@@ -22,23 +22,14 @@ _PRIOR_SD_S = 10.0
 
 @dataclass(frozen=True, eq=False)
 class Instant:
-    """The observations of one instant, and the motion around it.
+    """The observations of one instant, and the motion around it."""
 
-    Attributes:
-        sightings: n ball-views.
-        cameras: (n,) index of the camera.
-        rows: (n,) the ball's image row, from -0.5 at the top to 0.5 at the bottom.
-        pose: at the instant.
-        velocity: (6,) and
-        acceleration: (6,) in the pose's `perturb` chart, per second and second squared.
-    """
-
-    sightings: PoseObservations
-    cameras: Ints
-    rows: Floats
-    pose: RigidTransform
-    velocity: Floats
-    acceleration: Floats
+    sightings: PoseObservations  # n ball-views
+    cameras: Ints  # (n,) index of the camera
+    rows: Floats  # (n,) the ball's image row, from -0.5 at the top to 0.5 at the bottom
+    pose: RigidTransform  # at the instant
+    velocity: Floats  # (6,) and
+    acceleration: Floats  # (6,) in the pose's `perturb` chart, per second and second squared
 
 
 def linearise(instant: Instant, clocks: Floats) -> tuple[Floats, Floats, Floats, Floats]:

@@ -34,21 +34,15 @@ _MAX_READOUT_SD_S = 0.008
 
 @dataclass(frozen=True)
 class CameraClock:
-    """One camera's clock.
-
-    Attributes:
-        offset_s: add this to the camera's time stamps to bring them in line with the others.
-        offset_sd_s: its standard deviation; infinite if the motion does not determine it.
-        readout_s: time from the first row's exposure to the last row's; negative if from the
-            bottom up; NaN if not estimated.
-        readout_sd_s: its standard deviation; infinite if the motion does not determine it.
-    """
+    """One camera's clock."""
 
     camera: str
-    offset_s: float
-    offset_sd_s: float
+    offset_s: float  # add this to the camera's time stamps to bring them in line with the others
+    offset_sd_s: float  # its standard deviation; infinite if the motion does not determine it
+    # time from the first row's exposure to the last row's; negative if from the bottom up; NaN if
+    # not estimated.
     readout_s: float
-    readout_sd_s: float
+    readout_sd_s: float  # its standard deviation; infinite if the motion does not determine it
 
     @property
     def offset_visible(self) -> bool:

@@ -33,23 +33,17 @@ _MAX_FLAGGED_SHARE = 0.2
 
 @dataclass(frozen=True)
 class MotionCheck:
-    """What the frame sets measured show.
+    """What the frame sets measured show."""
 
-    Attributes:
-        clocks: of all cameras; empty if the motion was not measured.
-        errors: of cameras, the most important first.
-        scale: how many times as far apart as in the body file the balls are; NaN if unknown.
-        measured: how many frame sets have a pose.
-        flags: how many of these are flagged, by the most frequent reasons.
-        sizes: how much larger than expected the balls' outlines are; None if too few were measured.
-    """
-
-    clocks: tuple[CameraClock, ...] = ()
-    errors: tuple[CameraError, ...] = ()
+    clocks: tuple[CameraClock, ...] = ()  # of all cameras; empty if the motion was not measured
+    errors: tuple[CameraError, ...] = ()  # of cameras, the most important first
+    # how many times as far apart as in the body file the balls are; NaN if unknown.
     scale: float = np.nan
     scale_sd: float = np.nan
-    measured: int = 0
+    measured: int = 0  # how many frame sets have a pose
+    # how many of these are flagged, by the most frequent reasons.
     flags: tuple[tuple[str, int], ...] = ()
+    # how much larger than expected the balls' outlines are; None if too few were measured.
     sizes: OutlineGrowth | None = None
 
     @property

@@ -49,22 +49,15 @@ class CameraMisfit:
 
 
 class _Difference(NamedTuple):
-    """One camera's difference from what the others predict in one frame set.
+    """One camera's difference from what the others predict in one frame set."""
 
-    Attributes:
-        time_s: the instant.
-        shift_px: (2,) median over its balls.
-        turn: (3,) least rotation vector of the camera that explains it, rad.
-        prediction_sd_px: standard deviation of the others' prediction: large for cameras that face
-            each other, which determine the depth badly.
-        others_deviation: mean deviation of the others from their common pose, in standard
-            deviations.
-    """
-
-    time_s: float
-    shift_px: Floats
-    turn: Floats
+    time_s: float  # the instant
+    shift_px: Floats  # (2,) median over its balls
+    turn: Floats  # (3,) least rotation vector of the camera that explains it, rad
+    # standard deviation of the others' prediction: large for cameras that face each other, which
+    # determine the depth badly.
     prediction_sd_px: float
+    # mean deviation of the others from their common pose, in standard deviations.
     others_deviation: float
 
 

@@ -33,16 +33,11 @@ _GAP_STEPS, _MEDIAN_IMAGES, _MIN_IMAGES = 2.5, 5, 4
 
 @dataclass(frozen=True, eq=False)
 class BallTracks:
-    """Where one camera saw the balls.
-
-    Attributes:
-        times_s: (n,) of its images, increasing.
-        pixels: (n, b, 2) centres; NaN where a ball was not seen.
-    """
+    """Where one camera saw the balls."""
 
     camera: Camera
-    times_s: Floats
-    pixels: Floats
+    times_s: Floats  # (n,) of its images, increasing
+    pixels: Floats  # (n, b, 2) centres; NaN where a ball was not seen
 
     @classmethod
     def of(cls, camera: Camera, body: Body, seen: Iterable[Sequence[Detection]]) -> BallTracks:

@@ -31,17 +31,13 @@ _SPARSE_POSES_S = 0.4  # poses farther apart in time miss most of the motion
 
 @dataclass(frozen=True)
 class ClockOffset:
-    """`robot time = camera time + offset_s`.
-
-    Attributes:
-        sd_s: its standard deviation, from the curvature of the fit and the autocorrelation of its
-            residuals.
-        correlation: of the two velocities at that offset, rotated into one frame; at most 1.
-    """
+    """`robot time = camera time + offset_s`."""
 
     offset_s: float
+    # its standard deviation, from the curvature of the fit and the autocorrelation of its
+    # residuals.
     sd_s: float
-    correlation: float
+    correlation: float  # of the two velocities at that offset, rotated into one frame; at most 1
 
 
 def estimate_offset(

@@ -23,19 +23,12 @@ from measure.robots.pieces import TableFile
 
 @dataclass(frozen=True, eq=False)
 class StateTable:
-    """Recorded states of one or more runs, or a piece of such a recording.
+    """Recorded states of one or more runs, or a piece of such a recording."""
 
-    Attributes:
-        run: (n,) labels; the model's history restarts where they change.
-        index: (n,) the rows' own numbers.
-        times_s: (n,) NaN where not recorded.
-        states: (n, features).
-    """
-
-    run: Any
-    index: Any
-    times_s: Floats
-    states: Floats
+    run: Any  # (n,) labels; the model's history restarts where they change
+    index: Any  # (n,) the rows' own numbers
+    times_s: Floats  # (n,) NaN where not recorded
+    states: Floats  # (n, features)
 
 
 @dataclass(frozen=True, eq=False)

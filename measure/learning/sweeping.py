@@ -32,18 +32,12 @@ from measure.learning.study import (
 
 @dataclass(frozen=True)
 class SweepJob:
-    """One trial's work, as plain values that travel to another process or machine.
+    """One trial's work, as plain values that travel to another process or machine."""
 
-    Attributes:
-        data: the data set's file, reachable from every worker.
-        settings: fixed for all trials.
-        seed: of split and fit.
-    """
-
-    data: str
+    data: str  # the data set's file, reachable from every worker
     estimator: str
-    settings: Mapping[str, Any]
-    seed: int
+    settings: Mapping[str, Any]  # fixed for all trials
+    seed: int  # of split and fit
     digest: str
 
     @property

@@ -16,26 +16,16 @@ from measure.robots import LogFile, StateSchema
 
 @dataclass(frozen=True, eq=False)
 class RobotTraces:
-    """Three positions of a robot's tip, in its base frame, at the instants of the poses.
+    """Three positions of a robot's tip, in its base frame, at the instants of the poses."""
 
-    Attributes:
-        times_s: (n,) on the cameras' clock.
-        measured_mm: (n, 3) by the cameras; NaN where not measured or unreliable.
-        reported_mm: (n, 3) by the robot.
-        corrected_mm: (n, 3) reported plus the estimated error; NaN without a model, or where it
-            refused.
-        corrected_sd_mm: (n,) of the correction, 3-D.
-        unfamiliar: (n,) where the state is unlike the training states.
-        clock_offset_s: robot minus camera time.
-    """
-
-    times_s: Floats
-    measured_mm: Floats
-    reported_mm: Floats
+    times_s: Floats  # (n,) on the cameras' clock
+    measured_mm: Floats  # (n, 3) by the cameras; NaN where not measured or unreliable
+    reported_mm: Floats  # (n, 3) by the robot
+    # (n, 3) reported plus the estimated error; NaN without a model, or where it refused.
     corrected_mm: Floats
-    corrected_sd_mm: Floats
-    unfamiliar: Bools
-    clock_offset_s: float
+    corrected_sd_mm: Floats  # (n,) of the correction, 3-D
+    unfamiliar: Bools  # (n,) where the state is unlike the training states
+    clock_offset_s: float  # robot minus camera time
 
 
 def robot_traces(

@@ -19,15 +19,11 @@ MAX_WAITING = 4
 
 
 class ProcessedFrameSet(NamedTuple):
-    """Images and what was measured in them.
-
-    Attributes:
-        flag: a flag for every pose from these images; empty if there is none.
-    """
+    """Images and what was measured in them."""
 
     frame_set: FrameSet
     draft: Draft
-    flag: str
+    flag: str  # a flag for every pose from these images; empty if there is none
 
     def or_better(self, again: Draft) -> Draft:
         """The draft, or `again` of the same images if it has a pose for none or an accepted one."""

@@ -36,15 +36,11 @@ _ITERATIONS = 20
 
 
 class OutlineGrowth(NamedTuple):
-    """How much larger than expected k balls' outlines are.
+    """How much larger than expected k balls' outlines are."""
 
-    Attributes:
-        growth_mm: (k,) of the radii, medians over ball-views; 0 for a ball that is hardly seen.
-        covariance_mm2: (k, k) that of a single view of each: views share their errors.
-    """
-
+    # (k,) of the radii, medians over ball-views; 0 for a ball that is hardly seen.
     growth_mm: Floats
-    covariance_mm2: Floats
+    covariance_mm2: Floats  # (k, k) that of a single view of each: views share their errors
 
     def misfit(self, body: Body) -> float:
         """Squared Mahalanobis distance from a body with its uncertain radii, for three balls."""

@@ -20,14 +20,10 @@ _SHOWN = 12
 
 
 class Columns:
-    """What a table's columns are called.
-
-    Attributes:
-        schema: names, types and metadata.
-    """
+    """What a table's columns are called."""
 
     path: Path
-    schema: pa.Schema
+    schema: pa.Schema  # names, types and metadata
 
     def __contains__(self, name: str) -> bool:
         return name in self.schema.names

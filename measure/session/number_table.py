@@ -24,15 +24,10 @@ _SEPARATORS = ",;\t"
 
 @dataclass(frozen=True, eq=False)
 class NumberTable:
-    """A CSV file's rows.
+    """A CSV file's rows."""
 
-    Attributes:
-        columns: of numbers by name, each (n,).
-        lines: of the file on which each row stands.
-    """
-
-    columns: dict[str, Floats]
-    lines: list[int]
+    columns: dict[str, Floats]  # of numbers by name, each (n,)
+    lines: list[int]  # of the file on which each row stands
     words: dict[str, list[str]]
 
 

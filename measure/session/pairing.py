@@ -15,19 +15,12 @@ GAP_PERIODS = 1.5
 
 @dataclass(frozen=True, eq=False)
 class Pairing:
-    """Frame sets as positions in the streams.
+    """Frame sets as positions in the streams."""
 
-    Attributes:
-        positions: (sets, cameras) position in each camera's stream, -1 for no image.
-        times_s: (sets,) mean time of each set's images, increasing.
-        reference: index of the camera whose clock set the instants.
-        tolerance_s: the largest accepted distance from an instant.
-    """
-
-    positions: Ints
-    times_s: Floats
-    reference: int
-    tolerance_s: float
+    positions: Ints  # (sets, cameras) position in each camera's stream, -1 for no image
+    times_s: Floats  # (sets,) mean time of each set's images, increasing
+    reference: int  # index of the camera whose clock set the instants
+    tolerance_s: float  # the largest accepted distance from an instant
 
 
 def pair_nearest(

@@ -23,15 +23,10 @@ _WORTH_A_LINE_S, _MAX_UNEVEN, _MAX_PERIOD_S = 1e-3, 0.1, 10.0
 
 @dataclass(frozen=True, eq=False)
 class StampErrors:
-    """What a camera's stamps show of their own errors.
+    """What a camera's stamps show of their own errors."""
 
-    Attributes:
-        sd_s: (n,) standard deviation of each.
-        notes: what a user should know, without the camera's name.
-    """
-
-    sd_s: Floats
-    notes: tuple[str, ...] = ()
+    sd_s: Floats  # (n,) standard deviation of each
+    notes: tuple[str, ...] = ()  # what a user should know, without the camera's name
 
     @classmethod
     def of(cls, times_s: Floats) -> StampErrors:

@@ -34,23 +34,17 @@ Sizes = Mapping[str, tuple[int, int]]
 
 @dataclass(frozen=True, eq=False)
 class StatedCamera:
-    """One camera.
-
-    Attributes:
-        matrix: (3, 3) px.
-        distortion: OpenCV's coefficients of the model.
-        size_wh: of its pictures in px; None where the file does not say.
-        pose: rotation (vector or matrix) and translation, camera_from_world; None if not there.
-        rms_px: of its calibration, or None.
-    """
+    """One camera."""
 
     name: str
-    matrix: Floats
-    distortion: Floats
+    matrix: Floats  # (3, 3) px
+    distortion: Floats  # OpenCV's coefficients of the model
     model: Projection = "pinhole"
+    # of its pictures in px; None where the file does not say.
     size_wh: tuple[int, int] | None = None
+    # rotation (vector or matrix) and translation, camera_from_world; None if not there.
     pose: tuple[Floats, Floats] | None = None
-    rms_px: float | None = None
+    rms_px: float | None = None  # of its calibration, or None
 
     def lens(self, place: str) -> Intrinsics:
         """Its lens.
@@ -78,17 +72,12 @@ class StatedCamera:
 
 @dataclass(frozen=True, eq=False)
 class StatedRig:
-    """The cameras of one file.
-
-    Attributes:
-        unit: of the translations, as the file or the program has it.
-        numbered: whether its cameras have no names but numbers.
-    """
+    """The cameras of one file."""
 
     program: str
     cameras: tuple[StatedCamera, ...]
-    unit: object = "mm"
-    numbered: bool = False
+    unit: object = "mm"  # of the translations, as the file or the program has it
+    numbered: bool = False  # whether its cameras have no names but numbers
 
     def calibration(self, path: Path, unit: Unit | None, pictures: Sizes) -> Calibration:
         """As our calibration.

@@ -23,15 +23,10 @@ _MAX_FRAME_NUMBER = 2.0**53
 
 @dataclass(frozen=True, eq=False)
 class Stamps:
-    """Times of a camera's frames.
+    """Times of a camera's frames."""
 
-    Attributes:
-        frames: (n,) frame numbers, increasing.
-        times_s: (n,) increasing.
-    """
-
-    frames: Ints
-    times_s: Floats
+    frames: Ints  # (n,) frame numbers, increasing
+    times_s: Floats  # (n,) increasing
 
 
 def read_stamps(path: Path, camera: str, time_column: str | None = None) -> Stamps:

@@ -42,29 +42,18 @@ _FARTHEST_MM = 1e6
 
 @dataclass(frozen=True)
 class TrackedBody:
-    """Where a rigid body stands in a table.
+    """Where a rigid body stands in a table."""
 
-    Attributes:
-        rows: cells of the file; a row without cells is passed over.
-        after: the index of the last row of headings.
-        times: columns of the time, and
-        units_s: their units in s.
-        turns: columns of the rotation.
-        quat_wxyz: makes quaternions (n, 4) of them; of length 0 where they are no rotation.
-        places: first column of x y z.
-        unit_mm: of these.
-        begin_s: the time that counts as 0.
-    """
-
-    rows: Sequence[Sequence[str]]
-    after: int
-    times: list[int]
-    units_s: list[float]
-    turns: list[int]
+    rows: Sequence[Sequence[str]]  # cells of the file; a row without cells is passed over
+    after: int  # the index of the last row of headings
+    times: list[int]  # columns of the time, and
+    units_s: list[float]  # their units in s
+    turns: list[int]  # columns of the rotation
+    # makes quaternions (n, 4) of them; of length 0 where they are no rotation.
     quat_wxyz: Callable[[Floats], Floats]
-    places: list[int]
-    unit_mm: float = 1.0
-    begin_s: float = 0.0
+    places: list[int]  # first column of x y z
+    unit_mm: float = 1.0  # of these
+    begin_s: float = 0.0  # the time that counts as 0
 
     def read(self, path: Path, error: type[MeasureError]) -> tuple[Floats, list[int]]:
         """Rows (n, 8) of time in s, position in mm, quaternion w x y z; and their lines.

@@ -36,25 +36,15 @@ _RAW_CONTAINERS = ("h264", "hevc", "m4v", "mjpeg", "mpegvideo", "rawvideo")
 
 @dataclass(frozen=True, eq=False)
 class VideoIndex:
-    """Times and form of a video, without decoding.
+    """Times and form of a video, without decoding."""
 
-    Attributes:
-        stamps: presentation times in units of the time base, increasing, one a frame.
-        key_stamps: those of the frames that decode by themselves, increasing.
-        time_base: seconds a unit.
-        size_wh: width and height in px.
-        motion_jpeg: every packet is a JPEG.
-        counted: the container gives no presentation times; stamps belong to frames by order.
-        turned: a tag asks players to turn the pictures.
-    """
-
-    stamps: list[int]
-    key_stamps: list[int]
-    time_base: Fraction
-    size_wh: tuple[int, int]
-    motion_jpeg: bool
-    counted: bool
-    turned: bool
+    stamps: list[int]  # presentation times in units of the time base, increasing, one a frame
+    key_stamps: list[int]  # those of the frames that decode by themselves, increasing
+    time_base: Fraction  # seconds a unit
+    size_wh: tuple[int, int]  # width and height in px
+    motion_jpeg: bool  # every packet is a JPEG
+    counted: bool  # the container gives no presentation times; stamps belong to frames by order
+    turned: bool  # a tag asks players to turn the pictures
 
     @property
     def times_s(self) -> Floats:

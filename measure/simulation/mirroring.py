@@ -38,13 +38,9 @@ _STRIPS, _STEP_MM = 24, 4.0
 
 
 class Grid(Protocol):
-    """A grid over one shape.
+    """A grid over one shape."""
 
-    Attributes:
-        shape: numbers of nodes along both coordinates.
-    """
-
-    shape: tuple[int, int]
+    shape: tuple[int, int]  # numbers of nodes along both coordinates
 
     def points(self, k: int) -> Points:
         """The grid's nodes as points of shape k, row by row."""

@@ -19,14 +19,10 @@ LARGEST_BYTES = 500_000_000
 
 @dataclass(frozen=True, eq=False)
 class PassedVideo:
-    """One camera's video file.
-
-    Attributes:
-        times_ns: by frame number, when a frame is presented.
-    """
+    """One camera's video file."""
 
     asset: rr.AssetVideo
-    times_ns: Mapping[int, int]
+    times_ns: Mapping[int, int]  # by frame number, when a frame is presented
 
 
 def passed_videos(session: Session) -> Mapping[str, PassedVideo]:

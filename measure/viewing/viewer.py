@@ -20,17 +20,11 @@ _MAGIC = b"RRF"
 
 @dataclass(frozen=True)
 class Viewer:
-    """A viewer that runs.
+    """A viewer that runs."""
 
-    Attributes:
-        process: the viewer itself, no wrapper: ending it ends the viewer.
-        address: where a browser finds it; None for the native window.
-        listens: where a running measurement can send to.
-    """
-
-    process: subprocess.Popen[bytes]
-    address: str | None
-    listens: str
+    process: subprocess.Popen[bytes]  # the viewer itself, no wrapper: ending it ends the viewer
+    address: str | None  # where a browser finds it; None for the native window
+    listens: str  # where a running measurement can send to
 
 
 def recording_of(run: Path) -> Path:

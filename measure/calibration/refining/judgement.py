@@ -31,16 +31,12 @@ _MIN_EIGENVALUE_RATIO = 1e-3
 
 @dataclass(frozen=True)
 class Halves:
-    """Result of the comparison.
+    """Result of the comparison."""
 
-    Attributes:
-        variance_factor: variance of the views' errors over that estimated from
-            residuals.
-        held_out_px: median residual of each half's views, with the first cameras and with
-            those refined on the other half; NaN if they could not be compared.
-    """
-
+    # variance of the views' errors over that estimated from residuals.
     variance_factor: float = _UNTRIED_VARIANCE_FACTOR
+    # median residual of each half's views, with the first cameras and with those refined on the
+    # other half; NaN if they could not be compared.
     held_out_px: tuple[float, float] = (float("nan"), float("nan"))
 
 

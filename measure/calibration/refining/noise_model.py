@@ -21,21 +21,13 @@ _MEDIAN_OF_RAYLEIGH = 1.1774
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """Standard deviations of the errors, and the correlation of neighbouring frame sets.
+    """Standard deviations of the errors, and the correlation of neighbouring frame sets."""
 
-    Attributes:
-        view_px: of a ball's centre in one picture, beyond what the detector states.
-        constant_px: of what stays of that all through a recording, by ball and camera.
-        correlation: number of neighbouring frame sets that are worth one independent one.
-        image_px: by how much the first calibration misses in the workspace.
-        position_mm: by how much its cameras stand elsewhere, by axis.
-    """
-
-    view_px: float = 0.1
-    constant_px: float = 0.1
-    correlation: float = 1.0
-    image_px: float = 1.0
-    position_mm: float = 1.0
+    view_px: float = 0.1  # of a ball's centre in one picture, beyond what the detector states
+    constant_px: float = 0.1  # of what stays of that all through a recording, by ball and camera
+    correlation: float = 1.0  # number of neighbouring frame sets that are worth one independent one
+    image_px: float = 1.0  # by how much the first calibration misses in the workspace
+    position_mm: float = 1.0  # by how much its cameras stand elsewhere, by axis
 
     def differs(self, other: NoiseModel) -> bool:
         """Whether anything differs by more than five per cent."""

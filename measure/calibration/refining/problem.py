@@ -39,39 +39,24 @@ _CLOCK_SD_S = 0.02
 
 @dataclass(frozen=True, eq=False)
 class RefinedState:
-    """The unknowns.
-
-    Attributes:
-        centers: (k, 3) ball centres in the body, mm.
-        shifts_px: (c, k, 2) constant shift of each ball in each camera.
-        clocks_s: (c,) what each camera's time stamps lack.
-        world_from_body: batch of (f,).
-    """
+    """The unknowns."""
 
     cameras: tuple[Camera, ...]
-    centers: Floats
-    shifts_px: Floats
-    clocks_s: Floats
-    world_from_body: RigidTransform
+    centers: Floats  # (k, 3) ball centres in the body, mm
+    shifts_px: Floats  # (c, k, 2) constant shift of each ball in each camera
+    clocks_s: Floats  # (c,) what each camera's time stamps lack
+    world_from_body: RigidTransform  # batch of (f,)
 
 
 @dataclass(frozen=True, eq=False)
 class RefineLayout:
-    """Which shared unknown stands in which column.
+    """Which shared unknown stands in which column."""
 
-    Attributes:
-        free: by camera, which lens parameters are free.
-        cameras: by camera, its pose's and then its free lens parameters' columns.
-        centers: of the ball centres; empty if the body is exact.
-        shifts: (c, 2 k) of the constant shifts, by camera.
-        clocks: of the clocks of all cameras but the first; empty if the stamps are exact.
-    """
-
-    free: tuple[Ints, ...]
-    cameras: tuple[Ints, ...]
-    centers: Ints
-    shifts: Ints
-    clocks: Ints
+    free: tuple[Ints, ...]  # by camera, which lens parameters are free
+    cameras: tuple[Ints, ...]  # by camera, its pose's and then its free lens parameters' columns
+    centers: Ints  # of the ball centres; empty if the body is exact
+    shifts: Ints  # (c, 2 k) of the constant shifts, by camera
+    clocks: Ints  # of the clocks of all cameras but the first; empty if the stamps are exact
     size: int
 
     @classmethod

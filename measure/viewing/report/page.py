@@ -71,15 +71,11 @@ _LONG = 40
 
 @dataclass
 class Page:
-    """Gathers sections, then renders.
-
-    Attributes:
-        tone: "good", "doubtful" or "bad".
-    """
+    """Gathers sections, then renders."""
 
     title: str
     verdict: str
-    tone: str
+    tone: str  # "good", "doubtful" or "bad"
     _parts: list[str] = field(default_factory=list)
     _figures: int = 0
 

@@ -18,16 +18,11 @@ _STRIDE = 4
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """A part of a picture.
+    """A part of a picture."""
 
-    Attributes:
-        origin: where it starts (x, y).
-        image: its pixels, with their conversions to colour spaces.
-        edges: the edges (h, w) found in it, by blur in px.
-    """
-
-    origin: tuple[int, int]
-    image: ConvertedImage
+    origin: tuple[int, int]  # where it starts (x, y)
+    image: ConvertedImage  # its pixels, with their conversions to colour spaces
+    # the edges (h, w) found in it, by blur in px.
     edges: dict[float, Bytes] = field(default_factory=dict)
 
 
@@ -90,16 +85,12 @@ def _merged(boxes: Ints) -> Ints:
 
 @dataclass(frozen=True)
 class HoughSearch:
-    """Parameters of the search in a window.
-
-    Attributes:
-        first_threshold: where the bisection starts, votes.
-    """
+    """Parameters of the search in a window."""
 
     radius_px: tuple[float, float]
     min_distance_px: float
     circles: int
-    first_threshold: int
+    first_threshold: int  # where the bisection starts, votes
 
 
 def finder(

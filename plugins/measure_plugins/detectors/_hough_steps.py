@@ -118,18 +118,12 @@ _DESCENT = 0.7
 
 @dataclass(frozen=True, eq=False)
 class Tuned:
-    """The circles at the tuned threshold.
+    """The circles at the tuned threshold."""
 
-    Attributes:
-        circles: (n, 3) x, y, radius in px; n is at most the number expected.
-        jumped: whether one vote less gives too many circles and this threshold too few.
-        sigma_px: blur they were found with; NaN until `tune_blur` has set it.
-    """
-
-    circles: Floats
+    circles: Floats  # (n, 3) x, y, radius in px; n is at most the number expected
     threshold: int
-    jumped: bool
-    sigma_px: float = float("nan")
+    jumped: bool  # whether one vote less gives too many circles and this threshold too few
+    sigma_px: float = float("nan")  # blur they were found with; NaN until `tune_blur` has set it
 
 
 def tune_threshold(find: Find, expected: int, lowest: int, start: int) -> Tuned:

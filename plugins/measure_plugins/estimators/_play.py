@@ -18,15 +18,10 @@ from measure.robots import StateSchema
 
 @dataclass(frozen=True, eq=False)
 class PlayBank:
-    """Play operators over combinations of joints.
+    """Play operators over combinations of joints."""
 
-    Attributes:
-        mixing: (features, combinations): combinations of joints, from the raw state.
-        widths: (combinations, widths) half-widths.
-    """
-
-    mixing: Floats
-    widths: Floats
+    mixing: Floats  # (features, combinations): combinations of joints, from the raw state
+    widths: Floats  # (combinations, widths) half-widths
 
     @classmethod
     def of(cls, data: Dataset, count: int, narrowest: float, widest: float) -> PlayBank:

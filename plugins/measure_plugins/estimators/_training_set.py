@@ -17,16 +17,12 @@ _SOFT_MM2 = 0.25  # of the pseudo-Huber loss: quadratic below half a millimetre,
 
 @dataclass(frozen=True, eq=False)
 class OutputUnits:
-    """Units of a net's outputs.
+    """Units of a net's outputs."""
 
-    Attributes:
-        scale: (outputs,) error in rad or mm of an output of one: joint errors where the chain is
-            known, and a direct tip error (3).
-        middle_mm: (3,) mean error, which is added to the net's output.
-    """
-
+    # (outputs,) error in rad or mm of an output of one: joint errors where the chain is known, and
+    # a direct tip error (3).
     scale: Floats
-    middle_mm: Floats
+    middle_mm: Floats  # (3,) mean error, which is added to the net's output
 
 
 class TrainingSet:

@@ -20,37 +20,23 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class BallViewNames:
-    """Which balls in which cameras k ball-views show; the same from frame set to frame set.
+    """Which balls in which cameras k ball-views show; the same from frame set to frame set."""
 
-    Attributes:
-        balls: (k,) names.
-        ball_of: (k,) the balls' places in the body.
-        shown: the balls' names, each once, in the order of the body.
-        seen_by: (c,) names of the cameras, sorted.
-        cameras: (c,) the same.
-        rig: (c,) the same, stacked.
-    """
-
-    balls: tuple[str, ...]
-    ball_of: Ints
-    shown: tuple[str, ...]
-    seen_by: tuple[str, ...]
-    cameras: tuple[Camera, ...]
-    rig: Rig
+    balls: tuple[str, ...]  # (k,) names
+    ball_of: Ints  # (k,) the balls' places in the body
+    shown: tuple[str, ...]  # the balls' names, each once, in the order of the body
+    seen_by: tuple[str, ...]  # (c,) names of the cameras, sorted
+    cameras: tuple[Camera, ...]  # (c,) the same
+    rig: Rig  # (c,) the same, stacked
     rows: BallRows
     views: ViewRows
 
 
 class NamedOutlines(NamedTuple):
-    """The outlines of one frame set with the names of their balls and cameras.
+    """The outlines of one frame set with the names of their balls and cameras."""
 
-    Attributes:
-        packed: k ball-views in c views, of a body at rest.
-        detections: (k,) they come from.
-    """
-
-    packed: PackedOutlines
-    detections: tuple[Detection, ...]
+    packed: PackedOutlines  # k ball-views in c views, of a body at rest
+    detections: tuple[Detection, ...]  # (k,) they come from
     named: BallViewNames
     instants: set[float]
 

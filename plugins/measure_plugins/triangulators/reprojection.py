@@ -157,19 +157,12 @@ class ReprojectionTriangulator(Triangulator):
 
 @dataclass(frozen=True, eq=False)
 class _Grouped:
-    """Which of some detections show the same ball: balls in the order in which they first come.
+    """Which of some detections show the same ball: balls in the order in which they first come."""
 
-    Attributes:
-        rows: (n,) the detections of balls that two or more show, ball by ball.
-        groups: (k,) first and last but one of each ball's, in `rows`.
-        starts: (k + 1,) the same.
-        rig: (n,) the detections' cameras.
-    """
-
-    rows: Ints
-    groups: tuple[tuple[int, int], ...]
-    starts: Ints
-    rig: Rig
+    rows: Ints  # (n,) the detections of balls that two or more show, ball by ball
+    groups: tuple[tuple[int, int], ...]  # (k,) first and last but one of each ball's, in `rows`
+    starts: Ints  # (k + 1,) the same
+    rig: Rig  # (n,) the detections' cameras
 
 
 @lru_cache(maxsize=64)

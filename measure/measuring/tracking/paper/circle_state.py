@@ -17,22 +17,14 @@ _RADIUS_MEMORY = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Circle:
-    """The state of one ball in one camera.
-
-    Attributes:
-        reason: why it is suspended; `Reason.NONE` if it is not.
-        good_frames: for how many frames in a row a suspended circle has been good.
-        center_px: (2,) where it was last accepted, None before the first time.
-        radius_px: its radius then, smoothed.
-        time_s: when that was.
-    """
+    """The state of one ball in one camera."""
 
     state: State = State.EFFECTIVE
-    reason: Reason = Reason.NONE
-    good_frames: int = 0
-    center_px: Floats | None = None
-    radius_px: float | None = None
-    time_s: float | None = None
+    reason: Reason = Reason.NONE  # why it is suspended; `Reason.NONE` if it is not
+    good_frames: int = 0  # for how many frames in a row a suspended circle has been good
+    center_px: Floats | None = None  # (2,) where it was last accepted, None before the first time
+    radius_px: float | None = None  # its radius then, smoothed
+    time_s: float | None = None  # when that was
 
     @property
     def effective(self) -> bool:
@@ -42,18 +34,14 @@ class Circle:
 
 @dataclass(frozen=True)
 class Evidence:
-    """The checks of one circle in one frame.
+    """The checks of one circle in one frame."""
 
-    Attributes:
-        found: Hough returned a circle, at the latest with the largest tolerable sigma.
-        moved_too_far: its centre moved more than the motion threshold since the last frame.
-        consistent: whether it agrees with the 3-D centre from effective circles; None if fewer than
-            two others are effective, so that there is no such centre.
-    """
-
-    found: bool
+    found: bool  # Hough returned a circle, at the latest with the largest tolerable sigma
     color_ok: bool = True
+    # its centre moved more than the motion threshold since the last frame.
     moved_too_far: bool = False
+    # whether it agrees with the 3-D centre from effective circles; None if fewer than two others
+    # are effective, so that there is no such centre.
     consistent: bool | None = None
 
 

@@ -27,16 +27,11 @@ _MAX_HYPOTHESES_PER_BALL = 5
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """Circles that may be one ball.
+    """Circles that may be one ball."""
 
-    Attributes:
-        point: (3,) where the ball would be, mm.
-        misfit: the largest of theirs.
-    """
-
-    point: Floats
+    point: Floats  # (3,) where the ball would be, mm
     members: Mapping[str, Detection]
-    misfit: float
+    misfit: float  # the largest of theirs
 
     @property
     def quality(self) -> tuple[int, float]:

@@ -17,17 +17,12 @@ _MIN_ANGLE_RAD = np.radians(5.0)
 
 @dataclass(frozen=True, eq=False)
 class RayObservation:
-    """A circle with its ray in the world.
-
-    Attributes:
-        origin: (3,) the camera's centre in mm.
-        direction: (3,) unit vector through the circle's centre.
-    """
+    """A circle with its ray in the world."""
 
     detection: Detection
     camera: Camera
-    origin: Floats
-    direction: Floats
+    origin: Floats  # (3,) the camera's centre in mm
+    direction: Floats  # (3,) unit vector through the circle's centre
 
 
 def ray_observations(
@@ -47,15 +42,10 @@ def ray_observations(
 
 @dataclass(frozen=True)
 class AgreementLimits:
-    """How well circles of one ball must agree.
+    """How well circles of one ball must agree."""
 
-    Attributes:
-        distance_mm: largest distance of a ray from the ball's centre.
-        radius_share: largest relative error of the circle's radius, given where the ball is.
-    """
-
-    distance_mm: float
-    radius_share: float
+    distance_mm: float  # largest distance of a ray from the ball's centre
+    radius_share: float  # largest relative error of the circle's radius, given where the ball is
 
 
 def locate(seen: Sequence[RayObservation]) -> Floats | None:

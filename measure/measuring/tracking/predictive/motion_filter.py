@@ -51,20 +51,14 @@ def per_axis(millimetres: float, radians: float) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class MotionState:
-    """Pose and motion at one instant.
-
-    Attributes:
-        covariance: (12, 12) of the pose's chart and the velocity.
-        accelerations: observed so far.
-        measured: number of measured poses it rests on.
-    """
+    """Pose and motion at one instant."""
 
     world_from_body: RigidTransform
     kinematics: Kinematics
     time_s: float
-    covariance: Floats
-    accelerations: AccelerationMoments = field(default_factory=_none_observed)
-    measured: int = 0
+    covariance: Floats  # (12, 12) of the pose's chart and the velocity
+    accelerations: AccelerationMoments = field(default_factory=_none_observed)  # observed so far
+    measured: int = 0  # number of measured poses it rests on
 
     @classmethod
     def begin(

@@ -30,17 +30,11 @@ sums, which depend on their order, would decide.
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SearchWindows:
-    """Predictions of n ball-views.
+    """Predictions of n ball-views."""
 
-    Attributes:
-        keys: (camera, ball) of each.
-        balls: the predictions, in the same order.
-        systematic_px2: (n, 2, 2) covariances by the calibration and by the body's tolerance.
-    """
-
-    keys: tuple[tuple[str, str], ...]
-    balls: PredictedBalls
-    systematic_px2: Floats
+    keys: tuple[tuple[str, str], ...]  # (camera, ball) of each
+    balls: PredictedBalls  # the predictions, in the same order
+    systematic_px2: Floats  # (n, 2, 2) covariances by the calibration and by the body's tolerance
 
     def expectations(
         self, sigmas: float, floor_px: float, radius_slack: float

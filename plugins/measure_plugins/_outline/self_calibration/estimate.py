@@ -55,24 +55,15 @@ _BENT_BELOW_TOGETHER = 1.0
 
 @dataclass(frozen=True, eq=False)
 class AppearanceEstimate:
-    """One estimate from the patches of a camera.
-
-    Attributes:
-        bent: whether its tone curve is a bent one.
-        residual_ratio: mean square residual with a bent curve, per that with a straight one.
-        bends: (3,) of the bent curve, accepted or not, see `bent_table`.
-        light: equations of the point lights, by the straight curve.
-        light_if_bent: the same by the bent one; None where that was not tried.
-        agreement: of predicted and observed separations of edge pairs.
-    """
+    """One estimate from the patches of a camera."""
 
     appearance: Appearance
-    bent: bool
-    residual_ratio: float
-    bends: Floats
-    light: LightEquations
-    light_if_bent: LightEquations | None
-    agreement: PredictionAgreement
+    bent: bool  # whether its tone curve is a bent one
+    residual_ratio: float  # mean square residual with a bent curve, per that with a straight one
+    bends: Floats  # (3,) of the bent curve, accepted or not, see `bent_table`
+    light: LightEquations  # equations of the point lights, by the straight curve
+    light_if_bent: LightEquations | None  # the same by the bent one; None where that was not tried
+    agreement: PredictionAgreement  # of predicted and observed separations of edge pairs
 
     def light_by(self, bent: bool) -> LightEquations | None:
         """Equations of the point lights by the bent curve, or by the straight one."""

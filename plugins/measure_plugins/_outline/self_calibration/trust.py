@@ -33,15 +33,10 @@ _TINY = 1e-9
 
 
 class PredictionAgreement(NamedTuple):
-    """Regression of observed on predicted separations of edge pairs: sums over rays.
+    """Regression of observed on predicted separations of edge pairs: sums over rays."""
 
-    Attributes:
-        both_px2: of observed times predicted ones.
-        predicted_px2: of squared predicted ones.
-    """
-
-    both_px2: float
-    predicted_px2: float
+    both_px2: float  # of observed times predicted ones
+    predicted_px2: float  # of squared predicted ones
 
 
 def correction_weight_of(agreements: Iterable[PredictionAgreement]) -> float:
