@@ -17,6 +17,7 @@ from measure.api.detecting import Lens, SeenPicture, detect, parse_expectation
 from measure.api.live import LiveEnd, LiveOptions, LiveState, live
 from measure.api.many import Outcome, run_many
 from measure.api.measuring import measure_session
+from measure.api.metrology import TipResult, pivot, rests
 from measure.api.pairing import make_dataset, simulate_dataset, simulate_recording
 from measure.api.profiles import build_pipeline, choose, load_profile
 from measure.api.recording import (
@@ -53,6 +54,7 @@ __all__ = [
     "SessionCheck",
     "SweepOptions",
     "SyncedClock",
+    "TipResult",
     "TrainOptions",
     "ablate",
     "build_pipeline",
@@ -81,10 +83,12 @@ __all__ = [
     "parse_receiver",
     "parse_settings",
     "parse_size",
+    "pivot",
     "record",
     "refine",
     "render_demo",
     "report",
+    "rests",
     "rezero",
     "robot_recording",
     "run",

@@ -56,6 +56,10 @@ GROUPS: dict[str, tuple[Command, ...]] = {
         Command("evaluate", "Compare a run with the truth."),
         Command("export", "Write a run in another program's format."),
     ),
+    "Use the poses": (
+        Command("rests", "List where the body stood still, with the displacements between."),
+        Command("pivot", "Find a tool's tip from a run in which it is turned about it."),
+    ),
     "Correct a robot": (
         Command(
             "simulate", "Render a recording of the simulated RAVEN-II, with its log and its truth."

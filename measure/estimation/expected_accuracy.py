@@ -105,6 +105,34 @@ def body_pose_sd(
     return np.array(position), np.array(rotation)
 
 
+def pose_by_cameras(
+    cameras: Sequence[Camera], body: Body, pose: RigidTransform
+) -> tuple[Floats, ...]:
+    """How a body's pose moves (6, 18) with each camera's pose and lens; not at all where unseen.
+
+    Args:
+        cameras: that see the body.
+        body: the body.
+        pose: world_from_body.
+    """
+    points = pose.apply(body.centers)
+    by_motion = np.concatenate(
+        [np.broadcast_to(np.eye(3), (len(points), 3, 3)), -skew(points - pose.translation)], axis=2
+    )
+    normal, parts = np.zeros((6, 6)), []
+    for camera in cameras:
+        _, by_world, by_pose, by_lens = camera.project_with_jacobians(points)
+        if not np.all(np.isfinite(by_world)):
+            parts.append(np.zeros((6, 18)))
+            continue
+        J = (by_world @ by_motion).reshape(-1, 6)
+        normal += J.T @ J
+        parts.append(J.T @ np.concatenate([by_pose, by_lens], axis=2).reshape(-1, 18))
+    scale = 1 / np.sqrt(np.diag(normal))
+    inverse = np.linalg.inv(normal * scale[:, None] * scale) * scale[:, None] * scale
+    return tuple(inverse @ part for part in parts)
+
+
 def _calibration_covariance(
     cameras: Sequence[Camera],
     body: Body,
@@ -112,29 +140,10 @@ def _calibration_covariance(
     covariance: Floats | None,
     columns: dict[str, Ints] | None,
 ) -> Floats:
-    points = pose.apply(body.centers)
-    by_motion = np.concatenate(
-        [np.broadcast_to(np.eye(3), (len(points), 3, 3)), -skew(points - pose.translation)], axis=2
-    )
-    normal = np.zeros((6, 6))
-    parts: list[tuple[Camera, Floats]] = []
-    for camera in cameras:
-        _, by_world, by_pose, by_lens = camera.project_with_jacobians(points)
-        if not np.all(np.isfinite(by_world)):
-            continue
-        J = (by_world @ by_motion).reshape(-1, 6)
-        normal += J.T @ J
-        K = np.concatenate([by_pose, by_lens], axis=2).reshape(-1, 18)
-        parts.append((camera, J.T @ K))
-    scale = 1 / np.sqrt(np.diag(normal))
-    inverse = np.linalg.inv(normal * scale[:, None] * scale) * scale[:, None] * scale
+    parts = zip(cameras, pose_by_cameras(cameras, body, pose), strict=True)
     if covariance is None or columns is None:
         return sum(
-            (
-                inverse @ part @ c.covariance @ part.T @ inverse
-                for c, part in parts
-                if c.covariance is not None
-            ),
+            (part @ c.covariance @ part.T for c, part in parts if c.covariance is not None),
             np.zeros((6, 6)),
         )
     by_cameras = np.zeros((6, len(covariance)))
@@ -142,7 +151,7 @@ def _calibration_covariance(
         P = camera.intrinsics.covariance
         free = np.flatnonzero(np.diag(P) > 0) if P is not None else np.zeros(0, dtype=np.int64)
         own = np.concatenate([np.arange(6), 6 + free])
-        by_cameras[:, columns[camera.name]] = inverse @ part[:, own]
+        by_cameras[:, columns[camera.name]] = part[:, own]
     return by_cameras @ covariance @ by_cameras.T
 
 

@@ -1,0 +1,87 @@
+"""What a laboratory makes of poses: rests, a tool's tip, a frame of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.errors import DegenerateGeometryError, RunError
+from measure.metrology.pivot import Pivot, SpinAxis, find_spin_axis, find_tip
+from measure.metrology.poses import PoseTable, SharedErrors
+from measure.metrology.rests import SHORTEST_S, Rests, find_rests
+from measure.model import Body
+from measure.results import Run, read_run
+from measure.results.columns import texts
+
+
+@dataclass(frozen=True, eq=False)
+class TipResult:
+    """A tool's tip."""
+
+    pivot: Pivot  # the tip, its uncertainty, how it was found
+    axis: SpinAxis | None  # the tool's axis; None if none was asked for
+    body: Body  # the body with its origin at the tip, and its z along the axis if there is one
+
+
+def rests(run: Path | str, shortest_s: float = SHORTEST_S) -> Rests:
+    """The stretches of a run in which the body stands still."""
+    opened = read_run(Path(run))
+    return find_rests(poses_of(opened), shared_errors(opened), shortest_s)
+
+
+def pivot(run: Path | str, spin: Path | str | None = None) -> TipResult:
+    """The tip of a tool that was turned about it.
+
+    Args:
+        run: the run's folder: the tool pivots about its tip and does nothing else.
+        spin: another run, of the tool spun about its own axis.
+
+    Raises:
+        RunError: no run, or its motion cannot show the tip or the axis.
+    """
+    opened = read_run(Path(run))
+    with told_of(run):
+        found = find_tip(poses_of(opened), shared_errors(opened))
+    turn, axis = np.eye(3), None
+    if spin is not None:
+        spun = read_run(Path(spin))
+        with told_of(spin):
+            axis = find_spin_axis(poses_of(spun), shared_errors(spun), found.tip_mm)
+        turn = _turn_to_z(axis)
+    centers = (opened.body.centers - found.tip_mm) @ turn.T
+    return TipResult(found, axis, opened.body.with_centers(centers))
+
+
+def poses_of(run: Run) -> PoseTable:
+    """The poses of a run that are not flagged."""
+    unflagged = texts(run.poses, "status")[run.has_pose] == "ok"
+    table = PoseTable(run.times_s[run.has_pose], run.world_from_body, run.covariances)
+    return table.take(np.flatnonzero(unflagged))
+
+
+def shared_errors(run: Run) -> SharedErrors:
+    """What the poses of a run err by together, by its calibration and body file."""
+    return SharedErrors(run.cameras, run.body)
+
+
+@contextmanager
+def told_of(run: Path | str) -> Iterator[None]:
+    """Name the run in what its poses do not determine."""
+    try:
+        yield
+    except DegenerateGeometryError as problem:
+        raise RunError(f"{run}: {problem}") from None
+
+
+def _turn_to_z(axis: SpinAxis) -> Floats:
+    """The rotation (3, 3) that brings the axis to z and leaves x as near as it can."""
+    z = axis.direction
+    x = np.eye(3)[0 if abs(z[0]) < 0.9 else 1]
+    x = x - (x @ z) * z
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z])

@@ -1,0 +1,87 @@
+"""`measure pivot`: the tip of a tool that is turned about it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from measure.cli import console
+from measure.cli.console import JsonFlag
+
+if TYPE_CHECKING:
+    from measure.api import TipResult
+
+
+def pivot(
+    run: Path,
+    /,
+    *,
+    output: Annotated[Path | None, Parameter(name=("--output", "-o"))] = None,
+    spin: Path | None = None,
+    json: JsonFlag = False,
+) -> None:
+    """Find a tool's tip from a run in which it is turned about it.
+
+    The tip stands in a small hole and the tool is tilted to all sides, by 40 degrees in all or
+    more; what else the recording holds is in the way. Refused where the motion cannot show the tip.
+
+    Args:
+        run: the run's folder.
+        output: body file to write: the same balls, with the origin at the tip.
+        spin: another run, in which the tool is spun about its own axis: the body's z becomes this
+            axis, from the tip towards the balls.
+    """
+    from measure import api
+    from measure.api.outputs import check_replaceable
+    from measure.session import read_body, write_body
+
+    if output is not None:
+        check_replaceable(output, read_body, "body")
+    found = api.pivot(run, spin)
+    if output is not None:
+        write_body(output, found.body)
+    if json:
+        console.print_json({"run": str(run), **_values(found), "output": output})
+        return
+    _print(found)
+    if output is not None:
+        console.print_text(f"wrote {output}: measure with it, and positions are the tip's")
+
+
+def _print(found: TipResult) -> None:
+    tip, axis = found.pivot, found.axis
+    place = ", ".join(f"{value:.3f}" for value in tip.tip_mm)
+    console.print_text(f"tip at ({place}) mm in the body, sd {tip.tip_sd_mm:.3f} mm (3-D)")
+    console.print_text(
+        f"{tip.poses} poses, {tip.left_out} left out as they disagree; turned by "
+        f"{tip.swing_deg:.0f} deg, {tip.needed_deg:.0f} were needed; the tip stays within "
+        f"{tip.rms_mm:.3f} mm RMS, {tip.normalised**0.5:.1f} times what the poses state"
+    )
+    if axis is not None:
+        along = ", ".join(f"{value:.5f}" for value in axis.direction)
+        console.print_text(
+            f"axis along ({along}) in the body, sd {axis.sd_deg:.3f} deg; spun by "
+            f"{axis.turned_deg:.0f} deg"
+        )
+
+
+def _values(found: TipResult) -> dict[str, Any]:
+    tip, axis = found.pivot, found.axis
+    values: dict[str, Any] = {
+        "tip_mm": tip.tip_mm,
+        "tip_sd_mm": tip.tip_sd_mm,
+        "tip_covariance_mm2": tip.tip_covariance,
+        "rms_mm": tip.rms_mm,
+        "normalised": tip.normalised,
+        "point_mm": tip.point_mm,
+        "poses": tip.poses,
+        "left_out": tip.left_out,
+        "swing_deg": tip.swing_deg,
+        "needed_deg": tip.needed_deg,
+    }
+    if axis is not None:
+        spun = {"axis": axis.direction, "axis_sd_deg": axis.sd_deg, "spun_deg": axis.turned_deg}
+        values |= spun
+    return values
