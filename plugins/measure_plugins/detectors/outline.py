@@ -145,7 +145,7 @@ class OutlineDetector(SelfCalibratingDetector):
             view,
             rough,
             np.array([self._bits[first] for first, *_ in names], np.int64),
-            max(c.rays // FEWER_RAYS, MIN_RAYS),
+            (max(c.rays // FEWER_RAYS, MIN_RAYS), c.rays),
             c.min_contrast,
             GIVE_UP_SHARE * c.min_agreement,
             circles.table,
@@ -263,10 +263,13 @@ class OutlineDetector(SelfCalibratingDetector):
         numbers: Sequence[float],
     ) -> Detection | None:
         """The detection of a ball by its row of numbers; None if it fails the limits of a ball."""
-        radius_px, points, agreement, match = numbers
+        radius_px, points, agreement, match, rays = numbers
         c, count, (low, high) = self.config, int(points), limits_px
-        least = c.min_rays * found.points_px.shape[1] / c.rays
-        if count < least or agreement < c.min_agreement or match < c.min_color_match:
+        if (
+            count < c.min_rays * rays / c.rays
+            or agreement < c.min_agreement
+            or match < c.min_color_match
+        ):
             return None
         if not low - 2 <= radius_px <= high + 2:
             return None

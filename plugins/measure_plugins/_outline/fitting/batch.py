@@ -12,6 +12,7 @@ from measure_plugins._outline.appearance.interreflection import balls_behind, ba
 from measure_plugins._outline.appearance.radial_basis import unpacked
 from measure_plugins._outline.fitting.color import color_share
 from measure_plugins._outline.fitting.measurement import (
+    FROM_INSIDE,
     FROM_OUTSIDE,
     measure_known_size,
     measure_unknown_size,
@@ -24,6 +25,8 @@ from measure_plugins._outline.sampling.rays import radius_px
 
 _BEYOND_DOUBT = 0.8
 """Share of agreeing edges above which an outline is not compared with that of the colour."""
+_FAR_APART_PX = 12.0
+"""Distance of the fewer rays about a circle above which more are cast."""
 _COMPLETE = 0.5
 """Share of a circle seen times share of its inside filled that convinces by colour alone."""
 
@@ -58,9 +61,9 @@ class Measured(NamedTuple):
         covariances_px: (k, 2, 2) of those.
         points_px: (k, n, 2) edge points; the first `count` of each ball count.
         sd_px: (k, n) their standard deviations along the normal.
-        numbers: (k, 4) mean radius in px, count of edge points (0 where no outline was found),
+        numbers: (k, 5) mean radius in px, count of edge points (0 where no outline was found),
             their share among the rays that should show an edge, share of samples inside that have
-            the ball's colour.
+            the ball's colour, and the number of rays.
     """
 
     centers_px: Floats
@@ -123,7 +126,7 @@ def measure_circles(
     view: CameraImage,
     circles: Floats,
     bits: Ints,
-    rays: int,
+    rays: tuple[int, int],
     min_contrast: float,
     give_up_share: float,
     colors: Bytes,
@@ -138,18 +141,21 @@ def measure_circles(
         circles: (k, 6) centre x, y and radius, px, shares of the circle seen and of its inside
             filled, and the number of the bit that has found it.
         bits: (k,) of their colours in the table of colours.
-        rays: cast across each outline.
+        rays: cast across each outline, and how many across large ones.
         min_contrast: see `OutlineSearch`.
         give_up_share: see `measure_unknown_size`.
         colors: see `color_share`.
     """
-    found = _none_found(len(circles), rays)
+    found = _none_found(len(circles), rays[1])
     for i in range(len(circles)):
-        search = search_about_circle(view, circles[i], FROM_OUTSIDE, rays, min_contrast)
+        far_apart = 2 * np.pi * circles[i, 2] > _FAR_APART_PX * rays[0]
+        some = rays[1] if far_apart else rays[0]
+        found.numbers[i, 4] = some
+        search = search_about_circle(view, circles[i], FROM_OUTSIDE, some, min_contrast)
         outline = measure_unknown_size(view, search, give_up_share, colors, 0)
         complete = circles[i, 3] * circles[i, 4] >= _COMPLETE
         if complete and outline.share < _BEYOND_DOUBT:
-            search = search_about_circle(view, circles[i], 1.0, rays, min_contrast)
+            search = search_about_circle(view, circles[i], FROM_INSIDE, some, min_contrast)
             bit = 1 << int(circles[i, 5])
             by_color = measure_unknown_size(view, search, give_up_share, colors, bit)
             if by_color.share > outline.share:
@@ -161,13 +167,9 @@ def measure_circles(
 @compiled
 def _none_found(k: int, rays: int) -> Measured:
     """Arrays for k balls, none of them found yet."""
-    return Measured(
-        np.empty((k, 2)),
-        np.empty((k, 2, 2)),
-        np.empty((k, rays, 2)),
-        np.empty((k, rays)),
-        np.zeros((k, 4)),
-    )
+    points, numbers = np.empty((k, rays, 2)), np.zeros((k, 5))
+    numbers[:, 4] = rays
+    return Measured(np.empty((k, 2)), np.empty((k, 2, 2)), points, np.empty((k, rays)), numbers)
 
 
 @compiled

@@ -55,6 +55,8 @@ FROM_OUTSIDE = 1.12
 """Half angle from which an outline is approached, per that of the circle: reflections and the edge
 of the shade lie inside an outline, and keep scans from there. Of 1, 1.06, 1.12, and 1.2, this one
 finds most true outlines and fewest false ones on path-traced recordings."""
+FROM_INSIDE = 0.95
+"""The same for the border of a ball's colour, which balls that touch make too wide."""
 _CHANCE_SHARE = np.sqrt(1 - np.sqrt(INLIER)) * MAX_RESIDUAL_PX / SEARCH_PX
 """Share of edges that lie anywhere, not on the ball's outline, that agree with it by chance."""
 _MIN_INFORMATIVE = 0.05
