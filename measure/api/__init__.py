@@ -14,6 +14,7 @@ from measure.api.correcting import (
 )
 from measure.api.demo import Demo, demo, render_demo
 from measure.api.detecting import Lens, SeenPicture, detect, parse_expectation
+from measure.api.framing import world
 from measure.api.live import LiveEnd, LiveOptions, LiveState, live
 from measure.api.many import Outcome, run_many
 from measure.api.measuring import measure_session
@@ -101,5 +102,6 @@ __all__ = [
     "sweep",
     "sync",
     "train",
+    "world",
     "write_sampled_body",
 ]

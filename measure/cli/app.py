@@ -59,6 +59,9 @@ GROUPS: dict[str, tuple[Command, ...]] = {
     "Use the poses": (
         Command("rests", "List where the body stood still, with the displacements between."),
         Command("pivot", "Find a tool's tip from a run in which it is turned about it."),
+        Command(
+            "world", "Put a calibration's world where a body is, or through three touched points."
+        ),
     ),
     "Correct a robot": (
         Command(

@@ -1,0 +1,155 @@
+"""A calibration's world put where a body is, or where a tip touched."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from measure.api.metrology import poses_of, shared_errors, told_of
+from measure.arrays import Floats
+from measure.errors import CalibrationError, ConfigError, DegenerateGeometryError, RunError
+from measure.geometry import RigidTransform, UncertainTransform
+from measure.metrology.rests import Rests, find_rests
+from measure.model import Camera
+from measure.results import Run, read_run
+from measure.session import Calibration, read_calibration
+
+_SAME_MM = 1e-3
+"""Cameras further apart than this are not those of the same calibration."""
+_LEAST_SINE = 0.05
+"""Of the angle between the two edges that three touched points span."""
+
+
+def world(
+    calibration: Path | str,
+    run: Path | str,
+    at_s: float | None = None,
+    rest: int | None = None,
+    points: Sequence[int] | None = None,
+) -> tuple[Calibration, UncertainTransform]:
+    """A calibration whose world is the body's frame at an instant or a rest of a run.
+
+    Args:
+        calibration: that the run was measured with.
+        run: the run's folder.
+        at_s: time of a pose.
+        rest: number of a rest; the longest, if nothing is given.
+        points: numbers of three rests of a tip instead: at the origin, on the x axis, and on the
+            side of the xy plane where y is positive.
+
+    Returns:
+        The calibration, and the new world's pose in the old one.
+
+    Raises:
+        ConfigError: more than one place is given.
+        RunError: no such pose or rest, or points on one line.
+        CalibrationError: the run was measured with another calibration.
+    """
+    if sum(given is not None for given in (at_s, rest, points)) > 1:
+        raise ConfigError("--at, --rest and --points name different places: give one of them")
+    opened, given = read_run(Path(run)), read_calibration(calibration)
+    _refuse_others(given, opened, run)
+    with told_of(run):
+        if at_s is not None:
+            place = _pose_at(opened, at_s)
+        else:
+            found = find_rests(poses_of(opened), shared_errors(opened))
+            place = _of_rests(found, rest, points)
+    return _moved(given, place, str(run)), place
+
+
+def _refuse_others(given: Calibration, run: Run, folder: Path | str) -> None:
+    for used in run.cameras:
+        off = given.camera(used.name).world_from_camera.difference(used.world_from_camera)
+        if np.linalg.norm(off[:3]) > _SAME_MM or np.linalg.norm(off[3:]) > 1e-6:
+            raise CalibrationError(
+                f"{folder} was measured with another calibration: its camera {used.name} stands "
+                "elsewhere; measure the recording with this one, and take that run"
+            )
+
+
+def _pose_at(run: Run, at_s: float) -> UncertainTransform:
+    poses = poses_of(run)
+    if len(poses):
+        near = int(np.argmin(np.abs(poses.times_s - at_s)))
+        step = float(np.median(np.diff(run.times_s))) if len(run.times_s) > 1 else np.inf
+        if abs(poses.times_s[near] - at_s) <= step:
+            return UncertainTransform(poses.world_from_body[near], poses.covariances[near])
+    between = f"{run.times_s[0]:.3f} to {run.times_s[-1]:.3f} s" if len(run.times_s) else "nothing"
+    raise RunError(f"{run.path} holds no unflagged pose at {at_s:.3f} s: it spans {between}")
+
+
+def _of_rests(found: Rests, number: int | None, points: Sequence[int] | None) -> UncertainTransform:
+    if points is not None:
+        return _through(found, points)
+    lengths = [rest.end_s - rest.start_s for rest in found.rests]
+    chosen = int(np.argmax(lengths)) if number is None and lengths else number or 0
+    return UncertainTransform(found.rest(chosen).world_from_body, found.block(chosen, chosen))
+
+
+def _through(found: Rests, points: Sequence[int]) -> UncertainTransform:
+    """The frame of three touched points, and its covariance by numerical derivatives."""
+    touched = np.stack([found.rest(n).world_from_body.translation for n in points])
+    frame = _frame(touched)
+    rows = [6 * n + k for n in points for k in range(3)]
+    steps = 1e-4 * np.eye(9).reshape(9, 3, 3)
+    J = np.stack([_frame(touched + step).difference(frame) for step in steps], axis=1) / 1e-4
+    return UncertainTransform(frame, J @ found.covariance[np.ix_(rows, rows)] @ J.T)
+
+
+def _frame(points: Floats) -> RigidTransform:
+    along, aside = points[1] - points[0], points[2] - points[0]
+    normal = np.cross(along, aside)
+    sides = float(np.linalg.norm(along) * np.linalg.norm(aside))
+    sine = float(np.linalg.norm(normal)) / max(sides, 1e-12)
+    if sine < _LEAST_SINE:
+        raise DegenerateGeometryError(
+            f"the three points lie on one line ({np.degrees(np.arcsin(sine)):.1f} deg): touch the "
+            "third well beside it"
+        )
+    x, z = along / np.linalg.norm(along), normal / np.linalg.norm(normal)
+    return RigidTransform(np.stack([x, np.cross(z, x), z], axis=1), points[0])
+
+
+def _moved(given: Calibration, place: UncertainTransform, run: str) -> Calibration:
+    """The calibration with its world at `place`.
+
+    The frame is that of the pose as measured, an exact change of coordinates: covariances turn with
+    it. How well the body itself is known there stands in the provenance.
+    """
+    new_from_old = place.transform.inverse()
+    notes = dict(given.provenance)
+    joint = notes.pop("joint_covariance", None)
+    sizes = [_unknowns(camera) for camera in given.cameras]
+    if joint is not None and len(joint) == sum(sizes):
+        turn = np.eye(len(joint))
+        for start in np.cumsum([0, *sizes[:-1]]):
+            for at in (start, start + 3):
+                turn[at : at + 3, at : at + 3] = new_from_old.rotation
+        notes["joint_covariance"] = turn @ np.asarray(joint) @ turn.T
+    notes["world"] = {
+        "from_run": run,
+        "quat_wxyz": place.transform.quat_wxyz,
+        "translation_mm": place.transform.translation,
+        "covariance": place.covariance,
+    }
+    return Calibration(tuple(_moved_camera(c, new_from_old) for c in given.cameras), notes)
+
+
+def _unknowns(camera: Camera) -> int:
+    lens = camera.intrinsics.covariance
+    return 6 + (0 if lens is None else int(np.count_nonzero(np.diag(lens) > 0)))
+
+
+def _moved_camera(camera: Camera, new_from_old: RigidTransform) -> Camera:
+    turn = np.kron(np.eye(2), new_from_old.rotation)
+    own, both = camera.pose_covariance, camera.pose_intrinsics_covariance
+    return replace(
+        camera,
+        world_from_camera=new_from_old @ camera.world_from_camera,
+        pose_covariance=None if own is None else turn @ own @ turn.T,
+        pose_intrinsics_covariance=None if both is None else turn @ both,
+    )
