@@ -21,7 +21,6 @@ def floats(name: str, values: ArrayLike, *shape: int | str) -> Floats:
 
     Args:
         name: what the array is called in the error message.
-        values: anything numpy can read.
         *shape: sizes; a string names an axis of any size, and a leading "..." allows batch axes.
 
     Raises:

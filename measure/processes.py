@@ -10,8 +10,7 @@ from contextlib import suppress
 from threading import Thread
 from typing import Protocol
 
-_M_ARENA_MAX = -8
-"""Of glibc's malloc.h."""
+_M_ARENA_MAX = -8  # Of glibc's malloc.h
 _HEAPS = 2
 
 

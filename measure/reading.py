@@ -29,8 +29,6 @@ def check_ordinary(path: Path, error: type[MeasureError], where: str = "") -> in
     """The size in bytes of a file that can be read from its begin to its end.
 
     Args:
-        path: the file, or a link to it.
-        error: what to raise.
         where: begin of the message.
 
     Raises:
@@ -52,10 +50,7 @@ def read_bytes(path: Path, error: type[MeasureError], most: int, where: str = ""
     """The bytes of an ordinary file.
 
     Args:
-        path: the file.
-        error: what to raise.
         most: bytes that it may have.
-        where: begin of the message.
 
     Raises:
         error: missing, not an ordinary file, unreadable or larger.
@@ -88,11 +83,7 @@ def read_text(path: Path | str, error: type[MeasureError], most: int = MAX_TEXT_
 
 
 def read_toml_text(path: Path | str, error: type[MeasureError]) -> str:
-    """The text of a TOML file, which is small.
-
-    Raises:
-        error: as `read_text`.
-    """
+    """The text of a TOML file, which is small; see `read_text`."""
     return read_text(path, error, _MAX_TOML_BYTES)
 
 

@@ -54,14 +54,11 @@ if TYPE_CHECKING:
 _REACH_MM = 40.0
 _LEAST_NOISE_PX = 0.1
 _LARGEST_OFFSET_S = 2.0
-_LOOKED_AT_S = 6.0
-"""How much of each camera is searched for clocks' offsets."""
+_LOOKED_AT_S = 6.0  # How much of each camera is searched for clocks' offsets
 _UNCERTAIN_CLOCK_S, _MANY = 0.02, 0.3
 """And share of flagged poses, beyond which cameras may contradict each other."""
-_NEAR_S = 0.04
-"""A clock that is right by the cameras' own motion is right by the poses within this."""
-_BY_MOTION_S = 0.06
-"""Smaller offsets are left to the poses, which tell them from a turned camera."""
+_NEAR_S = 0.04  # A clock that is right by the cameras' own motion is right by the poses within this
+_BY_MOTION_S = 0.06  # Smaller offsets are left to the poses, which tell them from a turned camera
 _FEW, _FAR_S = 0.1, 0.01
 """A clock this far off is set right before it is estimated at last: images are paired anew."""
 

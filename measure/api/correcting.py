@@ -94,11 +94,7 @@ def shipped_model() -> Path:
 
 
 def correct_simulated_robot(seconds: float = 60.0, seed: int = 7) -> EstimatorEvaluation:
-    """What the shipped network does for a restart of the simulated robot it has not seen.
-
-    Args:
-        seed: of motion and restart; the network was trained on seed 1.
-    """
+    """What the shipped network, trained on seed 1, does for a restart that it has not seen."""
     from measure import learning
     from measure.host import OnnxModel
 

@@ -20,13 +20,10 @@ from measure.model import Body, Camera, Detection, Expectation, FrameSet, Image,
 from measure.processes import Progress
 from measure.session import read_calibration, read_picture
 
-_USUAL_FOCAL = 0.72
-"""Focal length over the longer side of a picture, of ordinary webcams."""
-_SIZE_FACTOR = 1.25
-"""How much larger or smaller than expected a ball may be."""
+_USUAL_FOCAL = 0.72  # Focal length over the longer side of a picture, of ordinary webcams
+_SIZE_FACTOR = 1.25  # How much larger or smaller than expected a ball may be
 _PLACE_STEPS = 4
-_REACH_RADII = 0.5
-"""How far from where it is expected a ball may be, in its radii."""
+_REACH_RADII = 0.5  # How far from where it is expected a ball may be, in its radii
 
 
 @dataclass(frozen=True)
@@ -47,22 +44,14 @@ class Lens:
 
 @dataclass(frozen=True, eq=False)
 class SeenPicture:
-    """The balls seen in one picture.
-
-    Attributes:
-        detections: the best first.
-    """
+    """The balls seen in one picture, the best first."""
 
     picture: Path
     detections: tuple[Detection, ...]
 
 
 def parse_expectation(text: str) -> tuple[str, tuple[float, float, float]]:
-    """Read BALL=U,V,R: a ball's name, its centre in px, and its radius in px.
-
-    Raises:
-        ConfigError: anything else.
-    """
+    """Read BALL=U,V,R: a ball's name, its centre and radius in px; ConfigError if it is not."""
     ball, (u, v, radius) = numbers_of(
         text, "--expect", "BALL=U,V,R, such as red=640,360,45 (in px)", 3
     )
@@ -189,10 +178,7 @@ def _expectation(
 
 
 def _place(center_px: Floats, radius_px: float, radius_mm: float, camera: Camera) -> Floats | None:
-    """The centre (3,) in mm of a sphere whose outline has the radius; None beyond the lens.
-
-    Off the axis an outline is longer than it is wide: its mean radius decides.
-    """
+    """The centre (3,) in mm of a sphere of this outline, by its mean radius; None off the lens."""
     bearing = camera.intrinsics.unproject(center_px[None])[0]
     if not np.isfinite(bearing).all():
         return None

@@ -15,11 +15,7 @@ def is_one_of(out: Path, read: Iterable[Path]) -> bool:
 
 
 def check_apart(*outs: Path) -> None:
-    """Refuse to write several things into one file.
-
-    Raises:
-        ConfigError: two of the files are the same.
-    """
+    """Refuse to write several things into one file (ConfigError)."""
     for index, out in enumerate(outs):
         if out.resolve() in {other.resolve() for other in outs[:index]}:
             raise ConfigError(f"{out}: would be written twice: what is written needs a file each")
@@ -68,11 +64,7 @@ def check_replaceable(out: Path, read: Callable[[Path], object], what: str) -> N
 
 
 def check_page_writable(page: Path) -> None:
-    """Refuse a file for a report as `check_writable` does, or that is there and is no page.
-
-    Raises:
-        ConfigError: as said.
-    """
+    """Refuse a file for a report as `check_writable` does, or that is there and is no page."""
     check_writable(page)
     if page.exists() and page.suffix.lower() not in (".html", ".htm"):
         raise ConfigError(f"{page} is there already and is no report: give a new file, or a .html")

@@ -104,11 +104,7 @@ def parse_value(text: str) -> Any:
 
 
 def find_tracker(name: str) -> type[Any]:
-    """The way of tracking called `name`.
-
-    Raises:
-        ConfigError: there is none.
-    """
+    """The way of tracking called `name`; ConfigError if there is none."""
     if name not in TRACKERS:
         raise ConfigError(f"no tracking is called '{name}'; there is {', '.join(sorted(TRACKERS))}")
     return TRACKERS[name]

@@ -110,11 +110,7 @@ def recorder(
 
 
 def check_apart(record: Path, out: Path) -> None:
-    """Refuse to record into a run's folder, or into one that it lies in.
-
-    Raises:
-        ConfigError: it is one of these.
-    """
+    """Refuse (ConfigError) to record into a run's folder, or into one that it lies in."""
     if record.resolve() in (out.resolve(), *out.resolve().parents):
         raise ConfigError(
             f"--record {record}: the run's folder, {out}, is the same or lies in it: a recording "
@@ -123,11 +119,7 @@ def check_apart(record: Path, out: Path) -> None:
 
 
 def check_seconds(seconds: float | None) -> None:
-    """Refuse a time that is none.
-
-    Raises:
-        ConfigError: it is not above 0, or no number.
-    """
+    """Refuse a time that is not above 0, or no number (ConfigError)."""
     if seconds is not None and not (math.isfinite(seconds) and seconds > 0):
         raise ConfigError(f"--seconds {seconds:g}: expected a time above 0")
 
@@ -174,20 +166,12 @@ def sources_of(
 
 
 def camera_names(calibration: Path) -> tuple[str, ...]:
-    """The cameras of a calibration, in its order.
-
-    Raises:
-        CalibrationError: it is broken.
-    """
+    """The cameras of a calibration, in its order; CalibrationError if it is broken."""
     return read_calibration(calibration).names
 
 
 def parse_size(text: str) -> tuple[int, int]:
-    """Read WIDTHxHEIGHT, px.
-
-    Raises:
-        ConfigError: anything else.
-    """
+    """Read WIDTHxHEIGHT, px; ConfigError for anything else."""
     width, _, height = text.partition("x")
     if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
         raise ConfigError(f"--size {text}: expected WIDTHxHEIGHT, such as 1280x720")
@@ -195,11 +179,7 @@ def parse_size(text: str) -> tuple[int, int]:
 
 
 def parse_receiver(text: str) -> tuple[str, int]:
-    """Read HOST:PORT.
-
-    Raises:
-        ConfigError: anything else.
-    """
+    """Read HOST:PORT; ConfigError for anything else."""
     host, _, port = text.rpartition(":")
     if not (host and port.isdecimal() and 0 < int(port) < 65_536):
         raise ConfigError(f"--send {text}: expected HOST:PORT, such as 127.0.0.1:5005")

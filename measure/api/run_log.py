@@ -37,11 +37,7 @@ class LogOptions:
     viewer: str | None = None
 
     def check_viewer(self) -> None:
-        """Refuse an address where no viewer listens, before anything is measured.
-
-        Raises:
-            ConfigError: none does.
-        """
+        """Refuse (ConfigError) an address where no viewer listens, before anything is measured."""
         if self.viewer:
             from measure.viewing.recording import check_listening
 
@@ -125,11 +121,7 @@ class RunLog:
             )
 
     def add(self, measurement: Measurement, frame_set: FrameSet) -> None:
-        """Log a measurement, and the pictures it was made from if it is their turn.
-
-        Raises:
-            RunError: the disk is full.
-        """
+        """Log a measurement, and its pictures if it is their turn; RunError if the disk is full."""
         self._check_free_space()
         self._log.add(measurement, frame_set)
         if self._path is not None and measurement.index + 1 == self._kept:

@@ -24,21 +24,13 @@ _FEWEST, _MOST = 30, 24
 
 
 def parse_click(text: str) -> tuple[str, tuple[float, float]]:
-    """Read BALL=U,V: a ball's name and a pixel on it.
-
-    Raises:
-        ConfigError: anything else.
-    """
+    """Read BALL=U,V: a ball's name and a pixel on it; ConfigError for anything else."""
     ball, (u, v) = numbers_of(text, "--sample", "BALL=U,V, such as red=640,360 (in px)", 2)
     return ball, (u, v)
 
 
 def check_new_body(to: Path) -> None:
-    """Refuse a body file that is there already, or that cannot be written.
-
-    Raises:
-        ConfigError: as said.
-    """
+    """Refuse (ConfigError) a body file that is there already, or that cannot be written."""
     check_writable(to)
     if to.exists():
         raise ConfigError(f"{to}: is there already, and is not written over: give a new file")

@@ -94,11 +94,7 @@ def _split(data: Sequence[Path], options: TrainOptions) -> Split:
 
 
 def parse_settings(texts: Sequence[str]) -> dict[str, Any]:
-    """Read NAME=VALUE; a value is TOML, or else a bare word.
-
-    Raises:
-        ConfigError: there is no "=".
-    """
+    """Read NAME=VALUE; a value is TOML, or else a bare word. ConfigError without "="."""
     out: dict[str, Any] = {}
     for text in texts:
         name, equals, value = text.partition("=")

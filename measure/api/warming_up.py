@@ -49,11 +49,7 @@ def compile_pipeline(
 
 @contextmanager
 def compilation_notice() -> Iterator[Callable[[], None]]:
-    """Log a notice while this block compiles, if that takes long.
-
-    Yields:
-        A function that ends the notices.
-    """
+    """Log a notice while this block compiles, if that takes long; yields what ends the notices."""
     from numba.core import event
 
     over, compiled = threading.Event(), event.RecordingListener()

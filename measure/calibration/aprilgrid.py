@@ -17,8 +17,7 @@ BORDER_BITS = 2
 _LEAST_TAGS = 4
 _CORNERS = np.array([[0, 0], [1, 0], [0, 1], [1, 1]])
 """Of a tag, in its sides: in this order half a turn of the board reverses all numbers."""
-_AROUND = np.array([0, 1, 3, 2])
-"""The same in the order of OpenCV's markers: clockwise."""
+_AROUND = np.array([0, 1, 3, 2])  # The same in the order of OpenCV's markers: clockwise
 
 
 @dataclass(frozen=True)

@@ -22,21 +22,15 @@ each. Which is better depends on noise, sharpening and compression: the data dec
 
 @dataclass(frozen=True, eq=False)
 class Corners:
-    """Board corners seen in one picture.
+    """Board corners seen in one picture."""
 
-    Attributes:
-        ids: (n,) which of the board's points.
-        pixels: (n, 2) sub-pixel places.
-        sharpness: steepest slope across the pattern's edges as a share of their contrast, per px:
-            about 0.5 in focus, below 0.2 blurred.
-        source: the picture, for messages.
-        by_gradient: (n, 2) the same corners by another rule (see `refine_by_gradient`), or None.
-    """
-
-    ids: Ints
-    pixels: Floats
+    ids: Ints  # (n,) which of the board's points
+    pixels: Floats  # (n, 2) sub-pixel places
+    # steepest slope across the pattern's edges as a share of their contrast, per px: about 0.5 in
+    # focus, below 0.2 blurred.
     sharpness: float
-    source: str = ""
+    source: str = ""  # the picture, for messages
+    # (n, 2) the same corners by another rule (see `refine_by_gradient`), or None.
     by_gradient: Floats | None = None
 
     def localised(self, rule: CornerRule) -> Corners:
@@ -98,12 +92,9 @@ class Chessboard:
 
     Origin at one outermost inner corner, x along the first count, y along the second. The outer
     square diagonal to the origin is black; the opposite one is white where the two ends differ.
-
-    Attributes:
-        inner_corners: along x and along y.
     """
 
-    inner_corners: tuple[int, int]
+    inner_corners: tuple[int, int]  # along x and along y
     square_mm: float
 
     @cached_property
@@ -157,20 +148,14 @@ def _outer_level(grid: Floats, gray: Bytes) -> float:
 
 @dataclass(frozen=True)
 class Charuco(Board):
-    """A chessboard with ArUco markers in its white squares: partial views count, ends are known.
+    """A chessboard with ArUco markers in its white squares: partial views count, ends are known."""
 
-    Attributes:
-        inner_corners: along x and along y.
-        dictionary: OpenCV's name, such as "DICT_4X4_1000".
-        inverted: printed white on black.
-        legacy: OpenCV's pattern before 4.6 (differs for an even number of rows of squares).
-    """
-
-    inner_corners: tuple[int, int]
+    inner_corners: tuple[int, int]  # along x and along y
     square_mm: float
     marker_mm: float
-    dictionary: str = "DICT_4X4_100"
-    inverted: bool = False
+    dictionary: str = "DICT_4X4_100"  # OpenCV's name, such as "DICT_4X4_1000"
+    inverted: bool = False  # printed white on black
+    # OpenCV's pattern before 4.6 (differs for an even number of rows of squares).
     legacy: bool = False
 
     @property

@@ -10,6 +10,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, FiniteFloat, model_validator
 
+from measure import session
 from measure.arrays import Bytes, Floats
 from measure.calibration.boards import Board
 from measure.calibration.markers import MarkerKind
@@ -17,16 +18,6 @@ from measure.calibration.targets import MarkerField, Tolerance, read_board, read
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
 from measure.model import Intrinsics, Projection
-from measure.session import (
-    FileModel,
-    Name,
-    Position,
-    load_toml,
-    matching_files,
-    open_video_stream,
-    read_intrinsics,
-    read_picture,
-)
 
 _VIDEO_ENDINGS = {".mp4", ".mkv", ".avi", ".mov", ".webm", ".m4v"}
 _VIDEO_FRAMES = 80
@@ -34,14 +25,14 @@ _VIDEO_FRAMES = 80
 different lengths have frames in common."""
 
 
-class CaptureTable(FileModel):
+class CaptureTable(session.FileModel):
     """`[capture]`."""
 
     name: str
     description: str = ""
-    board: Name | None = None
-    markers: Name | None = None
-    marks: Name | None = None
+    board: session.Name | None = None
+    markers: session.Name | None = None
+    marks: session.Name | None = None
     marker_kind: MarkerKind = "dot"
     marker_tolerance_mm: Tolerance | None = None
     board_tolerance_mm: Tolerance | None = None
@@ -52,18 +43,18 @@ class CaptureTable(FileModel):
     model: Projection | None = None
 
 
-class CaptureCameraTable(FileModel):
+class CaptureCameraTable(session.FileModel):
     """`[[cameras]]`."""
 
-    name: Name
-    intrinsics: Name | None = None
+    name: session.Name
+    intrinsics: session.Name | None = None
     model: Projection | None = None
-    calibration: Name | None = None
-    board_image: Name | None = None
+    calibration: session.Name | None = None
+    board_image: session.Name | None = None
     board_quat_wxyz: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat] | None = None
-    board_translation_mm: Position | None = None
+    board_translation_mm: session.Position | None = None
     board_origin_px: tuple[FiniteFloat, FiniteFloat] | None = None
-    marker_image: Name | None = None
+    marker_image: session.Name | None = None
 
     @model_validator(mode="after")
     def _complete(self) -> CaptureCameraTable:
@@ -84,7 +75,7 @@ class CaptureCameraTable(FileModel):
         return self
 
 
-class CaptureFile(FileModel):
+class CaptureFile(session.FileModel):
     """`capture.toml`."""
 
     capture: CaptureTable
@@ -119,13 +110,13 @@ class CameraCapture:
         if Path(self.pictures).suffix.lower() in _VIDEO_ENDINGS:
             yield from self._video(self.folder / self.pictures)
             return
-        files = matching_files(self.folder, self.pictures, CalibrationError)
+        files = session.matching_files(self.folder, self.pictures, CalibrationError)
         if not files:
             raise CalibrationError(
                 f"camera {self.name}: no picture matches {self.folder / self.pictures}"
             )
         for file in files:
-            yield file.name, read_picture(file)
+            yield file.name, session.read_picture(file)
 
     def still(self, path: Path, lens: Intrinsics) -> Bytes:
         """A picture (h, w, 3) BGR by which the camera is located.
@@ -134,7 +125,7 @@ class CameraCapture:
             CalibrationError: it is of another size than the lens's pictures.
             SessionError: it cannot be read.
         """
-        bgr = read_picture(path)
+        bgr = session.read_picture(path)
         width, height = lens.size_wh
         if bgr.shape[:2] != (height, width):
             raise CalibrationError(
@@ -144,7 +135,7 @@ class CameraCapture:
         return bgr
 
     def _video(self, path: Path) -> Iterator[tuple[str, Bytes]]:
-        stream = open_video_stream(self.name, path)
+        stream = session.open_video_stream(self.name, path)
         try:
             step = 2 ** max(0, (len(stream) // _VIDEO_FRAMES).bit_length() - 1)
             for index in range(0, len(stream), step):
@@ -155,31 +146,20 @@ class CameraCapture:
 
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """A capture folder, opened.
-
-    Attributes:
-        settings: the `[capture]` table.
-        board: the board, if there is one.
-        markers: the marker field, maybe empty.
-        cameras: in the order of the file.
-    """
+    """A capture folder, opened."""
 
     path: Path
-    settings: CaptureTable
-    board: Board | None
-    markers: MarkerField
-    cameras: tuple[CameraCapture, ...]
+    settings: CaptureTable  # the `[capture]` table
+    board: Board | None  # the board, if there is one
+    markers: MarkerField  # the marker field, maybe empty
+    cameras: tuple[CameraCapture, ...]  # in the order of the file
 
 
 def open_capture(path: Path | str) -> Capture:
-    """Open a capture folder or its capture.toml.
-
-    Raises:
-        CalibrationError: with file, line and key of whatever cannot be used.
-    """
+    """Open a capture folder or its capture.toml; CalibrationError with file, line and key."""
     path = Path(path)
     file = path / "capture.toml" if path.is_dir() else path
-    given = load_toml(file, CaptureFile, CalibrationError)
+    given = session.load_toml(file, CaptureFile, CalibrationError)
     folder, settings = file.parent, given.capture
     board = None if settings.board is None else read_board(folder / settings.board)
     markers = MarkerField()
@@ -211,7 +191,7 @@ def _camera(
 ) -> CameraCapture:
     known = None
     if table.calibration is not None:
-        lenses = read_intrinsics(folder / table.calibration)
+        lenses = session.read_intrinsics(folder / table.calibration)
         known = lenses.get(table.name) or (
             next(iter(lenses.values())) if len(lenses) == 1 else None
         )

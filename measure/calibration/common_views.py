@@ -30,11 +30,9 @@ _MIN_COMMON = 3
 _SAME_SHARE, _CLEAR_RATIO, _OTHER_RAD = 0.02, 3.0, 0.5
 """Views agree about a camera's pose if they differ by no more than this share of the board's
 diagonal, and alone about it if they differ so much more about any pose that is so far from it."""
-_APART_SHARE = 0.1
-"""Views that disagree by more were not taken together."""
+_APART_SHARE = 0.1  # Views that disagree by more were not taken together
 _NOT_TOGETHER = "do pictures (video frames) of one number show one instant?"
-_ONE_INSTANT_PX = 3.0
-"""Cameras that miss common views by more than this did not take them together."""
+_ONE_INSTANT_PX = 3.0  # Cameras that miss common views by more than this did not take them together
 
 
 @dataclass(frozen=True, eq=False)

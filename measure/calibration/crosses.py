@@ -17,12 +17,10 @@ from measure.calibration.pattern_fit import BLUR_PX, fit_pattern
 from measure.geometry.covariance import MAD_TO_SD
 
 _MIN_EXTENT_PX, _MAX_EXTENT_PX = 7, 90
-_MAX_FILLED_SHARE = 0.65
-"""A cross fills less of its box than this; a dot fills more."""
+_MAX_FILLED_SHARE = 0.65  # A cross fills less of its box than this; a dot fills more
 _MIN_ANGLE_DEG = 25.0
 _MAX_MISFIT = 0.12
-_MAX_UNEXPLAINED_SHARE = 0.04
-"""A second cross or a hidden arm takes more of the window than this."""
+_MAX_UNEXPLAINED_SHARE = 0.04  # A second cross or a hidden arm takes more of the window than this
 _ARM_SHARE = 0.75
 
 
@@ -36,11 +34,7 @@ class Cross:
 
 
 def cross_candidates(light: Floats) -> list[Cross]:
-    """What may be a cross: thin shapes about as wide as high, lighter or darker than around.
-
-    Args:
-        light: (h, w) linear luminance.
-    """
+    """What may be a cross in linear luminance (h, w): thin, about as wide as high."""
     reach = 2 * _MAX_EXTENT_PX // 2 + 1
     excess = light - cv2.blur(light, (reach, reach))
     spread = float(np.median(np.abs(excess))) * MAD_TO_SD
@@ -130,5 +124,4 @@ def _basis(unknowns: Floats, places: Floats, half: int) -> Floats:
     return np.column_stack([together, np.ones(places.shape[1]), places.T / half])
 
 
-_SIGMA_PX = float(np.hypot(BLUR_PX, np.sqrt(1 / 12)))
-"""The lens's blur and the pixel's own width."""
+_SIGMA_PX = float(np.hypot(BLUR_PX, np.sqrt(1 / 12)))  # The lens's blur and the pixel's own width

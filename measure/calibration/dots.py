@@ -21,8 +21,7 @@ from measure.geometry.covariance import MAD_TO_SD
 from measure.model import Intrinsics
 
 _NOISE_FLOOR = 0.1
-_RADII_PX = (1.5, 25.0)
-"""Smallest and largest radius of what may be a dot."""
+_RADII_PX = (1.5, 25.0)  # Smallest and largest radius of what may be a dot
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,11 +33,7 @@ class Dot:
 
 
 def dot_candidates(light: Floats) -> list[Dot]:
-    """Bright round spots that stand out from their surroundings.
-
-    Args:
-        light: (h, w) linear luminance.
-    """
+    """Spots in linear luminance (h, w) that are bright, round, and stand out from around them."""
     reach = 2 * int(2 * _RADII_PX[1]) + 1
     background = cv2.blur(light, (reach, reach))
     excess = light - background
@@ -74,12 +69,7 @@ def outline_shape(intrinsics: Intrinsics, pixel: Floats) -> Floats:
 
 
 def refine_dot(light: Floats, dot: Dot, shape: Floats) -> Dot | None:
-    """Fit the picture of a shaded ball; None where that fails or runs away.
-
-    Args:
-        light: (h, w) linear luminance.
-        shape: (2, 2) of its outline (see `outline_shape`).
-    """
+    """Fit a shaded ball of outline shape (2, 2) in linear light (h, w); None where that fails."""
     half = int(np.ceil(dot.radius_px + 4))
     u, v = (int(c) for c in np.rint(dot.center_px))
     patch = light[max(v - half, 0) : v + half + 1, max(u - half, 0) : u + half + 1]

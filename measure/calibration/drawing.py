@@ -69,19 +69,13 @@ Shape = Rectangle | Disc | Segment | Label
 
 @dataclass(frozen=True)
 class Sheet:
-    """A page: size in mm, origin at the top left, y downwards; later shapes lie on earlier ones.
-
-    Attributes:
-        paper: its name, "A4" and so on, or "" if none fits.
-        origin_mm: where the target's own origin came to lie.
-        note: what to know before it is used, or "".
-    """
+    """A page: size in mm, origin at the top left, y downwards; later shapes lie on earlier ones."""
 
     size_mm: tuple[float, float]
-    paper: str
-    origin_mm: tuple[float, float]
+    paper: str  # its name, "A4" and so on, or "" if none fits
+    origin_mm: tuple[float, float]  # where the target's own origin came to lie
     shapes: tuple[Shape, ...] = field(default=())
-    note: str = ""
+    note: str = ""  # what to know before it is used, or ""
 
 
 def lay_out(
@@ -125,11 +119,7 @@ def _fitted(label: Label, right: float) -> Label:
 
 
 def write_sheet(sheet: Sheet, path: Path) -> None:
-    """Write a PDF or an SVG, by the path's ending.
-
-    Raises:
-        ConfigError: another ending.
-    """
+    """Write a PDF or an SVG, by the path's ending; ConfigError for another."""
     if path.suffix.lower() == ".pdf":
         _write_pdf(sheet, path)
     elif path.suffix.lower() == ".svg":

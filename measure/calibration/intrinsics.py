@@ -22,8 +22,7 @@ _MIN_IMPROVEMENT_RATIO = 0.005
 MAX_FOCAL_SD = 0.03
 """Focal lengths known worse than this share are refused."""
 MAX_RMS_PX = 2.0
-_WIDE_RAD = np.deg2rad(80.0)
-"""Field of view, corner to corner, from which a lens may be a fisheye."""
+_WIDE_RAD = np.deg2rad(80.0)  # Field of view, corner to corner, from which a lens may be a fisheye
 _CLEARLY_BETTER = 0.8
 """A fisheye is advised where it leaves less than this share of the pinhole's error."""
 

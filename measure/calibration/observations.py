@@ -33,29 +33,20 @@ class MarkerObservation:
 
 @dataclass(frozen=True)
 class Tolerances:
-    """How exactly the things of known place are known, as standard deviations.
+    """How exactly the things of known place are known, as standard deviations."""
 
-    Attributes:
-        marker_mm: of each coordinate of a marker; 0 is exact.
-        board_mm: of each coordinate of a board's origin; 0 is exact.
-        board_deg: of a board's turn about each axis; 0 is exact.
-        common_px: of each coordinate of the offset that found marks of a picture share; 0: none.
-    """
-
-    marker_mm: float = 0.1
-    board_mm: float = 0.0
-    board_deg: float = 0.0
+    marker_mm: float = 0.1  # of each coordinate of a marker; 0 is exact
+    board_mm: float = 0.0  # of each coordinate of a board's origin; 0 is exact
+    board_deg: float = 0.0  # of a board's turn about each axis; 0 is exact
+    # of each coordinate of the offset that found marks of a picture share; 0: none.
     common_px: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class RigObservations:
-    """All that the cameras see of things whose place in the world is known.
+    """All that the cameras see of things whose place in the world is known."""
 
-    Attributes:
-        markers: (k, 3) stated positions of the markers in the world, mm.
-    """
-
+    # (k, 3) stated positions of the markers in the world, mm.
     markers: Floats = field(default_factory=lambda: np.zeros((0, 3)))
     boards: Mapping[str, BoardObservation] = field(default_factory=dict)
     marks: Mapping[str, MarkerObservation] = field(default_factory=dict)

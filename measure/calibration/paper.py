@@ -109,10 +109,7 @@ def _solve_equation_3(start: Camera, points: Floats, pixels: Floats) -> Camera:
 
 
 def _sensitivity(camera: Camera, points: Floats, pixels: Floats) -> tuple[Floats, Floats, Floats]:
-    """How a camera's pose follows marks (6, 2n), lens (6, 12) and its markers (6, 3n).
-
-    Of the optimum of r = c2m / |c2m| - R b: dx = -(J^T J)^-1 J^T (dr of all else).
-    """
+    """How a camera's pose follows marks (6, 2n), lens (6, 12) and its markers (6, 3n)."""
     turn = camera.world_from_camera.rotation
     bearings = camera.intrinsics.unproject(pixels)
     _, by_bearing, pixel_by_lens = camera.intrinsics.project_with_jacobians(bearings)

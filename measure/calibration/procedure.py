@@ -51,28 +51,22 @@ _COLOR_VIEWS = 12
 
 @dataclass(frozen=True, eq=False)
 class RigCalibration:
-    """A calibrated rig and intermediate results.
-
-    Attributes:
-        lenses: by camera name, where the lens was calibrated here.
-        fit: the joint fit, if there was one.
-        paper: the fit by equation 3, if that was the method.
-        cameras_before: at their rough poses, lenses as calibrated by themselves.
-        disagreement_mm: between board and markers at the markers, by camera name.
-        around: (n, 3) mm, board corners in view, where there are no markers.
-    """
+    """A calibrated rig and intermediate results."""
 
     cameras: tuple[Camera, ...]
     method: Method
-    lenses: dict[str, LensCalibration]
-    fit: RigFit | None
+    lenses: dict[str, LensCalibration]  # by camera name, where the lens was calibrated here
+    fit: RigFit | None  # the joint fit, if there was one
     observations: RigObservations
     markers: MarkerField
-    paper: PaperFit | None = None
+    paper: PaperFit | None = None  # the fit by equation 3, if that was the method
+    # at their rough poses, lenses as calibrated by themselves.
     cameras_before: tuple[Camera, ...] = ()
     found: dict[str, FoundMarkers] = field(default_factory=dict)
+    # between board and markers at the markers, by camera name.
     disagreement_mm: dict[str, float] = field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
+    # (n, 3) mm, board corners in view, where there are no markers.
     around: Floats = field(default_factory=lambda: np.zeros((0, 3)))
 
     @property

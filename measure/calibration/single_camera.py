@@ -17,8 +17,7 @@ from measure.model import Intrinsics, Projection
 
 _FISHEYE_WIDTHS_RAD = (0.6, 0.9, 1.3, 1.8, 2.4, 3.1)
 """Angles over the image's longer side that are tried to begin with."""
-_START_VIEWS = 8
-"""Most views that they are tried on."""
+_START_VIEWS = 8  # Most views that they are tried on
 
 
 def board_pose(intrinsics: Intrinsics, points: Floats, pixels: Floats) -> RigidTransform:
@@ -63,11 +62,7 @@ def start_intrinsics(
     views: tuple[Corners, ...],
     projection: Projection = "pinhole",
 ) -> Intrinsics:
-    """Centre of the image and the focal length that the views ask for.
-
-    Raises:
-        CalibrationError: no fisheye explains the views.
-    """
+    """Image centre, and focal length by the views; CalibrationError if no fisheye explains them."""
     if projection == "pinhole":
         return _start_pinhole(size_wh, points, views)
     tried = [

@@ -38,11 +38,7 @@ class DetectedBoard:
 
 
 def start_from_board(name: str, lens: Intrinsics, board: Board, seen: DetectedBoard) -> Camera:
-    """The camera as located by its board.
-
-    Raises:
-        CalibrationError: the corners do not fit the board under this lens.
-    """
+    """The camera as located by its board; CalibrationError if the corners do not fit it."""
     points = board.points[seen.corners.ids]
     rms = fit_pose_only(lens, board.points, seen.corners).rms_px
     if rms > _MAX_BOARD_RMS_PX:
@@ -106,8 +102,7 @@ def mm_per_px(camera: Camera, points: Floats) -> float:
     return distance / camera.intrinsics.focal_px
 
 
-_CLEAR_RATIO = 3.0
-"""How much worse the marks must fit any other turn."""
+_CLEAR_RATIO = 3.0  # How much worse the marks must fit any other turn
 
 
 def oriented_board(

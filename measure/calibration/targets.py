@@ -143,16 +143,11 @@ class MarkerFieldFile(FileModel):
 
 @dataclass(frozen=True, eq=False)
 class MarkerField:
-    """Markers of known place.
-
-    Attributes:
-        points: (k, 3) in the world, mm.
-        tolerance_mm: standard deviation of each coordinate.
-    """
+    """Markers of known place."""
 
     names: tuple[str, ...] = ()
-    points: Floats = field(default_factory=lambda: np.zeros((0, 3)))
-    tolerance_mm: float = 0.1
+    points: Floats = field(default_factory=lambda: np.zeros((0, 3)))  # (k, 3) in the world, mm
+    tolerance_mm: float = 0.1  # standard deviation of each coordinate
 
     def index(self, name: str) -> int:
         """Position of the marker called `name`."""
@@ -160,20 +155,12 @@ class MarkerField:
 
 
 def read_board(path: Path) -> Board:
-    """The board in a TOML file, or in a YAML file of Kalibr's.
-
-    Raises:
-        CalibrationError: with file, line and key.
-    """
+    """The board in a TOML file, or in a YAML file of Kalibr's; CalibrationError with the line."""
     return read_board_file(path).board()
 
 
 def read_board_file(path: Path) -> BoardFile:
-    """The same as the file has it, with its name.
-
-    Raises:
-        CalibrationError: with file, line and key.
-    """
+    """The same as the file has it, with its name."""
     if path.suffix.lower() in (".yaml", ".yml"):
         return _kalibr_target(path)
     kind = kind_of(path)
@@ -224,11 +211,7 @@ def kind_of(path: Path) -> str:
 
 
 def read_markers(path: Path, tolerance_mm: float | None = None) -> MarkerField:
-    """Markers from a CSV (name,x_mm,y_mm,z_mm) or a target TOML of kind "markers".
-
-    Raises:
-        CalibrationError: with file and line.
-    """
+    """Markers from a CSV (name,x_mm,y_mm,z_mm) or a target TOML; CalibrationError with the line."""
     if path.suffix == ".toml":
         given = load_toml(path, MarkerFieldFile, CalibrationError)
         names = tuple(row.name for row in given.markers)

@@ -34,28 +34,21 @@ _MIN_SCALE_ERROR = 0.002
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """How good a calibration is.
-
-    Attributes:
-        position_sd_mm: (27,) expected error of the body's position across the box, 3-D, one
-            standard deviation, from the calibration alone.
-        rotation_sd_deg: (27,) the same for its rotation.
-        held_out_px: RMS of marks kept out of the fit; NaN if there are none.
-        held_out_mm: the same at the markers.
-        scale: size of the marker field as the boards see it, over its stated size; NaN unless both
-            are there.
-        worst_views: the three worst board views of each camera: name and RMS in px.
-        findings: everything a user should know, the worst first.
-    """
+    """How good a calibration is."""
 
     workspace: Workspace
+    # (27,) expected error of the body's position across the box, 3-D, one standard deviation, from
+    # the calibration alone.
     position_sd_mm: Floats
-    rotation_sd_deg: Floats
-    held_out_px: float
-    held_out_mm: float
+    rotation_sd_deg: Floats  # (27,) the same for its rotation
+    held_out_px: float  # RMS of marks kept out of the fit; NaN if there are none
+    held_out_mm: float  # the same at the markers
+    # size of the marker field as the boards see it, over its stated size; NaN unless both are
+    # there.
     scale: float
+    # the three worst board views of each camera: name and RMS in px.
     worst_views: dict[str, list[tuple[str, float]]]
-    findings: tuple[Finding, ...]
+    findings: tuple[Finding, ...]  # everything a user should know, the worst first
 
     @property
     def trustworthy(self) -> bool:
@@ -259,10 +252,7 @@ def _finite(value: float) -> float | None:
 
 
 def camera_rows(cameras: Sequence[Camera]) -> list[tuple[str, float, float, float, float | None]]:
-    """Per camera: name, focal length px, position sd mm, rotation sd deg, reprojection RMS px.
-
-    The standard deviations are in 3-D, NaN where the calibration states none.
-    """
+    """Per camera: name, focal length px, sd in mm and deg (NaN if not stated), RMS px."""
     rows = []
     for camera in cameras:
         P = camera.pose_covariance

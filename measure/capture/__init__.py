@@ -7,12 +7,6 @@ from measure.capture.outages import Outage
 from measure.capture.recorder import Recorder, check_new
 
 __all__ = [
-    "CameraAddress",
-    "CameraCount",
-    "Cameras",
-    "Gathering",
-    "Outage",
-    "Recorder",
-    "check_new",
+    "CameraAddress", "CameraCount", "Cameras", "Gathering", "Outage", "Recorder", "check_new",
     "parse_cameras",
-]
+]  # fmt: skip

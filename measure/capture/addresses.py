@@ -18,14 +18,11 @@ _SCHEMES = ("http", "https", "rtsp", "rtsps")
 
 @dataclass(frozen=True)
 class CameraAddress:
-    """Where a camera's pictures come from.
-
-    Attributes:
-        address: http://... or https://... of a motion-JPEG stream, rtsp://..., the number or path
-            of a camera of this machine, or a video file.
-    """
+    """Where a camera's pictures come from."""
 
     name: str
+    # http://... or https://... of a motion-JPEG stream, rtsp://..., the number or path of a camera
+    # of this machine, or a video file.
     address: str = field(repr=False)
 
     @property

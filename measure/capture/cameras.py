@@ -20,38 +20,26 @@ from measure.model import Image
 
 SETTLING_S = 1.0
 """Pictures of a camera's first second are discarded, see `Source.settles`."""
-_RECONNECT_S = 1.0
-"""Wait before a camera that broke off is connected anew."""
-_FIRST_PICTURE_S = 15.0
-"""Longest wait for the first picture of every camera."""
+_RECONNECT_S = 1.0  # Wait before a camera that broke off is connected anew
+_FIRST_PICTURE_S = 15.0  # Longest wait for the first picture of every camera
 _LOOK_EVERY_S = 0.05
-_INTERVALS = 64
-"""Latest intervals between pictures from which `uneven_s` is computed."""
+_INTERVALS = 64  # Latest intervals between pictures from which `uneven_s` is computed
 
 
 @dataclass(frozen=True)
 class CameraCount:
-    """What came of a camera.
+    """What came of a camera."""
 
-    Attributes:
-        pictures: handed on, from `Cameras.begin` on.
-        first_s: time of the first of them; NaN without.
-        last_s: and of the last.
-        own_clock: whether its times are of its own clock, not those of arrival.
-        uneven_s: how much the steps from picture to picture vary, of late (a standard deviation by
-            their median distance from the median); NaN where unknown.
-        refused: pictures that could not be used: out of order, or no pictures.
-        ended: whether it delivers no more: a file that is over.
-    """
-
-    pictures: int = 0
-    first_s: float = float("nan")
-    last_s: float = float("nan")
-    own_clock: bool = False
+    pictures: int = 0  # handed on, from `Cameras.begin` on
+    first_s: float = float("nan")  # time of the first of them; NaN without
+    last_s: float = float("nan")  # and of the last
+    own_clock: bool = False  # whether its times are of its own clock, not those of arrival
+    # how much the steps from picture to picture vary, of late (a standard deviation by their median
+    # distance from the median); NaN where unknown.
     uneven_s: float = float("nan")
-    refused: int = 0
+    refused: int = 0  # pictures that could not be used: out of order, or no pictures
     outages: tuple[Outage, ...] = ()
-    ended: bool = False
+    ended: bool = False  # whether it delivers no more: a file that is over
 
     @property
     def rate_hz(self) -> float:
@@ -115,11 +103,7 @@ class Cameras:
         self.wait()
 
     def begin(self, sinks: Sequence[Callable[[Image], None]]) -> None:
-        """Hand every picture on from now on.
-
-        Args:
-            sinks: are called with it, each camera's in order, from that camera's thread.
-        """
+        """Call `sinks` with every picture from now on, in order, from each camera's thread."""
         self._sinks = tuple(sinks)
         self._watch.begin(self.clock_s())
         self._go.set()

@@ -6,10 +6,8 @@ from collections import deque
 
 _WINDOW_S = 30.0
 """Delays older than this are dropped: clocks drift by tens of microseconds a second."""
-_JUMP_S = 1.0
-"""A clock that is off by so much more than before has been set anew."""
-_HELD_UP_S = 5.0
-"""Pictures that are later than that for a shorter time were held up by the network."""
+_JUMP_S = 1.0  # A clock that is off by so much more than before has been set anew
+_HELD_UP_S = 5.0  # Pictures that are later than that for a shorter time were held up by the network
 _MAX_RESTARTED_SHARE = 0.1
 """Share of pictures at which a clock may be set anew; one that stands still, or does not count
 seconds, is at every picture."""

@@ -19,14 +19,10 @@ _PATIENCE_PERIODS = 1.5
 _REACH_PERIODS = 0.75
 """Largest distance of a set's pictures from its middle one, in periods. With half a period, cameras
 that expose just between two others would be lost at random."""
-_FIRST_PERIOD_S = 0.1
-"""Period assumed before any interval is known."""
-_INTERVALS = 32
-"""Latest intervals of each camera from which its period is computed."""
-_MAX_WAITING = 16
-"""Pictures of a camera that wait at a time, however slowly sets are taken."""
-_SILENT_PERIODS = 4
-"""A camera silent for so many of its periods is not waited for."""
+_FIRST_PERIOD_S = 0.1  # Period assumed before any interval is known
+_INTERVALS = 32  # Latest intervals of each camera from which its period is computed
+_MAX_WAITING = 16  # Pictures of a camera that wait at a time, however slowly sets are taken
+_SILENT_PERIODS = 4  # A camera silent for so many of its periods is not waited for
 _POLL_S = 0.2
 
 
@@ -120,11 +116,7 @@ class Gathering:
                     index += 1
 
     def take(self, ended: bool = False) -> list[Image]:
-        """The pictures of the next set; none as long as it is not ready.
-
-        Args:
-            ended: whether there will be no others, so that none is waited for.
-        """
+        """The pictures of the next set; none while it is not ready, or `ended` and none left."""
         with self._changed:
             members = self._members() if self._is_ready(ended) else []
             if members:

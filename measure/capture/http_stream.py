@@ -51,11 +51,7 @@ class Stream(io.RawIOBase):
         return io.BufferedReader(self)
 
     def readinto(self, buffer: Any) -> int:
-        """Receive some bytes.
-
-        Raises:
-            OSError: the allowance is used up, the camera is silent or gone.
-        """
+        """Receive some bytes; OSError if the allowance is used up, or the camera silent or gone."""
         if self._left <= 0:
             raise OSError(f"{self._what} is longer than {self._size} bytes")
         left_s = self._until_s - time.monotonic()

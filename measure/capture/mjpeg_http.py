@@ -20,13 +20,11 @@ from measure.capture.web_address import shown
 from measure.errors import CaptureError
 from measure.session.pictures import JPEG_END, is_complete_jpeg
 
-_MAX_BYTES = 16 << 20
-"""Largest picture, with its headers: one of a hundred megapixels."""
+_MAX_BYTES = 16 << 20  # Largest picture, with its headers: one of a hundred megapixels
 _MAX_HEADERS = 64
 _MAX_KIND = 80
 _MAX_DIGITS = 20
-_MAX_LINE = 8 << 10
-"""Bytes of a line that is not a picture's."""
+_MAX_LINE = 8 << 10  # Bytes of a line that is not a picture's
 _MAX_PICTURE_S = 3 * PATIENCE_S
 """Longest time for one picture: a camera may send bytes too slowly to count as silent."""
 _MAX_RATE_HZ = 1000

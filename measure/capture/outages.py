@@ -11,32 +11,23 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-_MISSING = 3
-"""A camera is away when so many of its pictures in a row have not come."""
+_MISSING = 3  # A camera is away when so many of its pictures in a row have not come
 _GRACE_S = 0.5
 """How much later than due the last of them may come: networks and busy machines hold some up."""
 _STEADY_S = 1.0
 """A camera is back once pictures have come for so long: one that stutters is away once."""
-_STEPS = 16
-"""Latest steps from picture to picture whose median is a camera's period."""
-_FIRST_PERIOD_S = 0.5
-"""Period assumed before any step is known."""
-_LISTED = 1000
-"""Outages of a camera that are listed; of more, the latest."""
+_STEPS = 16  # Latest steps from picture to picture whose median is a camera's period
+_FIRST_PERIOD_S = 0.5  # Period assumed before any step is known
+_LISTED = 1000  # Outages of a camera that are listed; of more, the latest
 
 
 @dataclass(frozen=True)
 class Outage:
-    """A time in which a camera delivered no new picture.
-
-    Attributes:
-        since_s: time of the last picture before, in seconds since 1970.
-        until_s: time of the first picture after; NaN while it lasts.
-    """
+    """A time in which a camera delivered no new picture."""
 
     camera: str
-    since_s: float
-    until_s: float = math.nan
+    since_s: float  # time of the last picture before, in seconds since 1970
+    until_s: float = math.nan  # time of the first picture after; NaN while it lasts
     reason: str = "no picture came"
 
     @property

@@ -81,11 +81,7 @@ class Recorder:
             self._stamps.clear()
 
     def add(self, image: Image) -> None:
-        """Write a picture; each camera's in order, different cameras' from different threads.
-
-        Raises:
-            CaptureError: it cannot be written; all before it stays.
-        """
+        """Write a picture, each camera's in order; CaptureError if it cannot be: others stay."""
         stamps = self._stamps.get(image.camera)
         if stamps is None:
             return

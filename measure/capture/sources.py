@@ -51,11 +51,7 @@ class Source(ABC):
 
     @abstractmethod
     def shots(self) -> Iterator[Shot]:
-        """Connect, and yield pictures as they come, until the camera ends.
-
-        Raises:
-            CaptureError: it cannot be reached, breaks off, or is silent for `PATIENCE_S`.
-        """
+        """Connect, yield pictures till the camera ends; CaptureError if it fails or is silent."""
 
 
 def image_of(camera: str, frame: int, time_s: float, shot: Shot, time_sd_s: float = 0.0) -> Image:

@@ -43,11 +43,7 @@ class WebAddress:
 
     @classmethod
     def parse(cls, address: str) -> WebAddress:
-        """Read one.
-
-        Raises:
-            ValueError: it is no address of this kind; what it says may hold the password.
-        """
+        """Read one; ValueError if it is none of this kind: its text may hold the password."""
         parts = urlsplit(address)
         if parts.scheme not in _PORTS or not parts.hostname:
             raise ValueError("no http:// or https:// address")
@@ -79,9 +75,5 @@ class WebAddress:
         return f"{self.scheme}://{self.place}{self.target}"
 
     def redirected(self, location: str) -> WebAddress:
-        """Where an answer's `Location` leads; a login that stands in that counts for nothing.
-
-        Raises:
-            ValueError: to no address of HTTP.
-        """
+        """Where an answer's `Location` leads, without a login; ValueError if to no HTTP address."""
         return WebAddress.parse(urljoin(self.url, location))

@@ -13,22 +13,8 @@ from measure.checking.overexposure import ColorlessCount, OverexposedCount
 from measure.checking.sampled_search import SearchSample, search_sample, with_velocities
 
 __all__ = [
-    "CameraMisfit",
-    "ColorlessCount",
-    "Coverage",
-    "DuplicateCount",
-    "Finding",
-    "Level",
-    "OverexposedCount",
-    "SearchSample",
-    "camera_misfits",
-    "coverage_findings",
-    "damage_findings",
-    "duplicate_findings",
-    "expected_accuracy",
-    "misfit_findings",
-    "search_sample",
-    "stamp_findings",
-    "with_velocities",
-    "worst_first",
-]
+    "CameraMisfit", "ColorlessCount", "Coverage", "DuplicateCount", "Finding", "Level",
+    "OverexposedCount", "SearchSample", "camera_misfits", "coverage_findings", "damage_findings",
+    "duplicate_findings", "expected_accuracy", "misfit_findings", "search_sample", "stamp_findings",
+    "with_velocities", "worst_first",
+]  # fmt: skip

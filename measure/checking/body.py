@@ -52,12 +52,7 @@ class BodyCheck:
 def locate_balls(
     detections: Mapping[str, Sequence[Detection]], body: Body, cameras: Sequence[Camera]
 ) -> LocatedBalls:
-    """Balls where the rays of most cameras intersect; for bodies whose colours do not repeat.
-
-    Args:
-        detections: candidates by camera name, from a search of the whole frame.
-        body: its colours and, roughly, its radii.
-    """
+    """Balls where the rays of most cameras intersect, in whole frames, if no colour repeats."""
     centers, variances, radii = {}, {}, {}
     for ball, candidates in zip(body.balls, by_ball(detections, body.balls, cameras), strict=True):
         points = intersect_rays(candidates, _SIGMAS, _RANGE_RATIO, max_points=1)

@@ -11,7 +11,7 @@ import numpy as np
 from measure.checking.finding import Finding, Level
 from measure.errors import DegenerateGeometryError
 from measure.estimation.body_layout import thickness
-from measure.geometry.alignment import align_points
+from measure.geometry.transform import align_points
 from measure.measuring.ball_radii import OutlineGrowth
 from measure.model import Body
 

@@ -14,10 +14,8 @@ from measure.geometry import RigidTransform, skew
 _HUBER_SIGMAS = 3.0
 _MIN_IMAGE_SPEED_PX_S = 1e-3
 _JACKKNIFE_BLOCKS = 8
-_UNDETERMINED = 1e-12
-"""Eigenvalues this small, as a share of the largest, are rounding."""
-_PRIOR_SD_S = 10.0
-"""A weak prior keeps a parameter that is nearly unobservable from diverging."""
+_UNDETERMINED = 1e-12  # Eigenvalues this small, as a share of the largest, are rounding
+_PRIOR_SD_S = 10.0  # A weak prior keeps a parameter that is nearly unobservable from diverging
 
 
 @dataclass(frozen=True, eq=False)

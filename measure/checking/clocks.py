@@ -26,8 +26,7 @@ _ITERATIONS = 4
 _SIGNIFICANT_SIGMAS = 4.0
 _MIN_INSTANTS = 5
 _MOTION_CONFIDENCE = 0.9999
-_EXTRA_PX = 0.3
-"""Usual systematic error of a detection."""
+_EXTRA_PX = 0.3  # Usual systematic error of a detection
 _MAX_READOUT_SD_S = 0.008
 """A less certain readout time cannot be separated from the offset and is not estimated."""
 
@@ -118,11 +117,7 @@ def _estimate(
 def measured_instants(
     measurements: Iterable[Measurement], body: Body, cameras: Sequence[Camera]
 ) -> list[Instant]:
-    """The observations of all instants with a pose, and the motion around them.
-
-    Args:
-        measurements: of one recording, in order of time.
-    """
+    """The observations of all instants with a pose, in order of time, and the motion there."""
     return _instants(*_sightings(measurements, body, cameras, _EXTRA_PX), cameras)
 
 

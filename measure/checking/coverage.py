@@ -17,8 +17,7 @@ from measure.geometry import RigidTransform
 from measure.model import Body, Camera
 
 _MIN_SEEN_SHARE = 0.5
-_MAX_CHANCE_SHARE = 0.1
-"""Share of frame sets with evidence of a second body that may be chance."""
+_MAX_CHANCE_SHARE = 0.1  # Share of frame sets with evidence of a second body that may be chance
 _MIN_ANGLE_DEG = 20.0
 _GRID = (-1.0, 0.0, 1.0)
 

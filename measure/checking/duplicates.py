@@ -14,8 +14,7 @@ from measure.session.stamp_errors import StampErrors
 
 _NOTE_SHARE, _WEAK_SHARE = 0.02, 0.5
 """Largest shares of duplicates that are only noted, and that only weaken the results."""
-_DROPPED_STEPS = 1.5
-"""A gap longer than this, in periods, has dropped frames."""
+_DROPPED_STEPS = 1.5  # A gap longer than this, in periods, has dropped frames
 _MAX_DROPPED_SHARE = 0.02
 _MAX_FRAMES_NAMED = 8
 
@@ -69,12 +68,7 @@ def duplicate_findings(
 
 
 def stamp_findings(camera: str, times_s: Floats, frames: Ints) -> list[Finding]:
-    """Dropped frames, uneven stamps and wrong units of one camera.
-
-    Args:
-        times_s: (n,) stamps, increasing.
-        frames: (n,) frame numbers.
-    """
+    """Dropped frames, uneven stamps (n,), which increase, and wrong units of one camera."""
     if len(times_s) < 3:
         return [Finding(Level.WEAK, "frames", f"{camera}: only {len(times_s)} frames")]
     steps = np.diff(times_s)
@@ -98,12 +92,7 @@ def stamp_findings(camera: str, times_s: Floats, frames: Ints) -> list[Finding]:
 
 
 def damage_findings(camera: str, frames: Sequence[int], count: int) -> list[Finding]:
-    """One line if images are damaged.
-
-    Args:
-        frames: numbers of the damaged ones.
-        count: number of images examined.
-    """
+    """One line if images, of `count` examined, are damaged: `frames` are their numbers."""
     if not frames:
         return []
     named = ", ".join(map(str, frames[:_MAX_FRAMES_NAMED])) + (

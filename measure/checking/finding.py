@@ -17,20 +17,14 @@ class Level(StrEnum):
 
 @dataclass(frozen=True)
 class Finding:
-    """One line of a check or of the judgement of a calibration.
+    """One line of a check or of the judgement of a calibration."""
 
-    Attributes:
-        level: WRONG spoils results; WEAK costs accuracy; NOTE is worth knowing.
-        topic: "balls", "body", "calibration", "clock", "colour", "coverage", "exposure", "frames";
-            of a calibration "accuracy", "boards", "cameras", "lens", "marks".
-        text: what, where, how much, and what to do.
-        camera: the camera it concerns, where `text` does not name it; empty for all.
-    """
-
-    level: Level
+    level: Level  # WRONG spoils results; WEAK costs accuracy; NOTE is worth knowing
+    # "balls", "body", "calibration", "clock", "colour", "coverage", "exposure", "frames"; of a
+    # calibration "accuracy", "boards", "cameras", "lens", "marks".
     topic: str
-    text: str
-    camera: str = ""
+    text: str  # what, where, how much, and what to do
+    camera: str = ""  # the camera it concerns, where `text` does not name it; empty for all
 
     def __str__(self) -> str:
         where = f"camera {self.camera}: " if self.camera else ""

@@ -26,26 +26,18 @@ _MIN_INSTANTS = 3
 _MIN_SHARE = 0.25
 _SIGMAS = 5.0
 _MAX_SPREAD_PX, _MAX_SPREAD_RATIO = 0.7, 0.3
-_MAX_SIGMAS = 6.0
-"""Limit of one ball-view's deviation in the mean over the other cameras."""
+_MAX_SIGMAS = 6.0  # Limit of one ball-view's deviation in the mean over the other cameras
 
 
 @dataclass(frozen=True)
 class CameraMisfit:
-    """The difference of one camera from what the others predict.
-
-    Attributes:
-        shift_px: mean length of the difference.
-        turn_deg: the least rotation of the camera that explains it.
-        since_s: when it began; None if it was there from the start.
-        instants: how many frame sets it was seen in.
-    """
+    """The difference of one camera from what the others predict."""
 
     camera: str
-    shift_px: float
-    turn_deg: float
-    since_s: float | None
-    instants: int
+    shift_px: float  # mean length of the difference
+    turn_deg: float  # the least rotation of the camera that explains it
+    since_s: float | None  # when it began; None if it was there from the start
+    instants: int  # how many frame sets it was seen in
 
 
 class _Difference(NamedTuple):
@@ -157,10 +149,7 @@ def _difference(
 
 
 def _consistent(residuals: Floats) -> bool:
-    """Whether the balls' differences (n, 2) agree, as for a moved camera.
-
-    That of a partly hidden ball differs from the others'.
-    """
+    """Whether the balls' differences (n, 2) agree, as for a moved camera: no hidden ball's."""
     middle = residuals.mean(axis=0)
     apart = np.max(np.linalg.norm(residuals - middle, axis=1))
     return bool(apart < _MAX_SPREAD_PX + _MAX_SPREAD_RATIO * np.linalg.norm(middle))

@@ -13,8 +13,7 @@ from measure.checking.finding import Finding, Level
 from measure.model import Detection, FrameSet
 from measure.model.frames import FULL
 
-_MAX_SATURATED_SHARE = 0.1
-"""Of a ball's pixels: highlights of lamps and windows have less."""
+_MAX_SATURATED_SHARE = 0.1  # Of a ball's pixels: highlights of lamps and windows have less
 _MIN_FRAME_SHARE = 0.5
 _PIXEL_STEP = 8
 _MAX_CHANNEL_DIFFERENCE = 3

@@ -14,33 +14,25 @@ from measure.measuring.tracking.predictive.pose_checks import disagreeing_camera
 from measure.model import Body, Camera, Detection
 
 _RADIUS_RATIO = 1.25
-_REACH_PX = 80.0
-"""Largest distance of a candidate from where the ball should be."""
-_MAX_STEP_S = 0.12
-"""Longest time between two samples that give a velocity."""
+_REACH_PX = 80.0  # Largest distance of a candidate from where the ball should be
+_MAX_STEP_S = 0.12  # Longest time between two samples that give a velocity
 
 
 @dataclass(frozen=True, eq=False)
 class SearchSample:
-    """The association of one frame set.
+    """The association of one frame set."""
 
-    Attributes:
-        time_s: mean time of the images.
-        world_from_body: the pose with the highest score, or None.
-        agreeing: the detections it rests on.
-        nearest: per camera and ball, the candidate of about the right size nearest to where the
-            ball should be, however far off.
-        disagreeing_cameras: those that see balls, but none where the body should appear.
-        velocity: (6,) in the pose's `perturb` chart, per second; zero if unknown.
-    """
-
-    time_s: float
-    world_from_body: RigidTransform | None
-    agreeing: tuple[Detection, ...]
+    time_s: float  # mean time of the images
+    world_from_body: RigidTransform | None  # the pose with the highest score, or None
+    agreeing: tuple[Detection, ...]  # the detections it rests on
+    # per camera and ball, the candidate of about the right size nearest to where the ball should
+    # be, however far off.
     nearest: tuple[Detection, ...]
     reason: str
     flags: tuple[str, ...] = ()
+    # those that see balls, but none where the body should appear.
     disagreeing_cameras: tuple[str, ...] = ()
+    # (6,) in the pose's `perturb` chart, per second; zero if unknown.
     velocity: Floats = field(default_factory=lambda: np.zeros(6))
 
 
@@ -71,11 +63,7 @@ def search_sample(
     cameras: Sequence[Camera],
     time_s: float,
 ) -> SearchSample:
-    """Find the body among candidates, and each camera's candidates nearest to it.
-
-    Args:
-        detections: candidates by camera name, from a search of whole images.
-    """
+    """Find the body among candidates by camera name, and each camera's candidates nearest to it."""
     found = associate(body, cameras, detections)
     if found.world_from_body is None:
         return SearchSample(time_s, None, (), (), found.reason)

@@ -85,8 +85,7 @@ _MACHINE_FAULTS = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.
 _PATH_FAULTS = {errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ENAMETOOLONG}
 """Errors of paths, which are the user's if the path is: a missing folder, a file in its place."""
 
-_CLAUSE_END = r"(?:;|\. )(?![^(]*\))"
-"""A semicolon or full stop, but not one in brackets."""
+_CLAUSE_END = r"(?:;|\. )(?![^(]*\))"  # A semicolon or full stop, but not one in brackets
 
 
 def main(tokens: Sequence[str] | None = None) -> int:

@@ -14,8 +14,7 @@ from measure.cli.console import JsonFlag
 if TYPE_CHECKING:
     from measure.learning import Zeroing
 
-_CROWDED = "too many senders"
-"""The counter of senders that were refused for want of room."""
+_CROWDED = "too many senders"  # The counter of senders that were refused for want of room
 
 
 def estimate(

@@ -17,10 +17,8 @@ from measure.cli.options import CaptureOptions
 if TYPE_CHECKING:
     from measure.capture import CameraCount, Outage
 
-_UNEVEN_S = 2e-3
-"""Spread of the times of arrival, in s, from which a warning is printed."""
-_LISTED = 10
-"""Outages of a camera that are listed at the end; of more, the latest."""
+_UNEVEN_S = 2e-3  # Spread of the times of arrival, in s, from which a warning is printed
+_LISTED = 10  # Outages of a camera that are listed at the end; of more, the latest
 
 
 def record(

@@ -44,27 +44,11 @@ if TYPE_CHECKING:
     from measure.estimation.pose_fit import PoseFit, PoseObservations, fit_pose
 
 __all__ = [
-    "PointFit",
-    "PointFits",
-    "PointObservations",
-    "PoseFit",
-    "PoseObservations",
-    "body_pose_sd",
-    "calibration_noise",
-    "fit_point",
-    "fit_point_rows",
-    "fit_points",
-    "fit_pose",
-    "layout_flags",
-    "looks_mirrored",
-    "noise_sd",
-    "point_sensitivity",
-    "ray_distances",
-    "thickness",
-    "tolerance_covariance",
-    "tolerance_sd",
-    "warm_up_point_fits",
-]
+    "PointFit", "PointFits", "PointObservations", "PoseFit", "PoseObservations", "body_pose_sd",
+    "calibration_noise", "fit_point", "fit_point_rows", "fit_points", "fit_pose", "layout_flags",
+    "looks_mirrored", "noise_sd", "point_sensitivity", "ray_distances", "thickness",
+    "tolerance_covariance", "tolerance_sd", "warm_up_point_fits",
+]  # fmt: skip
 
 _MODULES = {
     "body_layout": ("layout_flags", "looks_mirrored", "thickness"),

@@ -14,10 +14,8 @@ import numpy as np
 
 from measure.arrays import Bytes, Floats, Singles
 
-_BLOCK = 32
-"""Side of a block, in pixels of the picture reduced to half."""
-_BLUR_PX = 1.2
-"""Blur of the reduced picture: chroma is blurred already, by JPEG and demosaicing."""
+_BLOCK = 32  # Side of a block, in pixels of the picture reduced to half
+_BLUR_PX = 1.2  # Blur of the reduced picture: chroma is blurred already, by JPEG and demosaicing
 _LEAST_VARIANCE, _MOST_COLORED = 60.0, 0.05
 """Variance of a block that shows something, and share of a channel's that green may not explain."""
 _NOISE = 0.05

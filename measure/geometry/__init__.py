@@ -1,6 +1,5 @@
 """Transforms, rays, cones and covariances: pure mathematics, no cameras, no pictures, no files."""
 
-from measure.geometry.alignment import align_points
 from measure.geometry.cone import Cone, Ellipse, ellipse_of_conic, fit_cone, tangent_cone
 from measure.geometry.covariance import (
     UncertainTransform,
@@ -16,25 +15,10 @@ from measure.geometry.rays import (
     nearest_point,
     usable_pairs,
 )
-from measure.geometry.transform import RigidTransform, skew
+from measure.geometry.transform import RigidTransform, align_points, skew
 
 __all__ = [
-    "Cone",
-    "Ellipse",
-    "Midpoints",
-    "Rays",
-    "RigidTransform",
-    "UncertainTransform",
-    "align_points",
-    "chi_square_quantile",
-    "common_perpendicular",
-    "ellipse_of_conic",
-    "fit_cone",
-    "midpoints",
-    "nearest_point",
-    "propagate",
-    "skew",
-    "squared_mahalanobis",
-    "tangent_cone",
-    "usable_pairs",
-]
+    "Cone", "Ellipse", "Midpoints", "Rays", "RigidTransform", "UncertainTransform", "align_points",
+    "chi_square_quantile", "common_perpendicular", "ellipse_of_conic", "fit_cone", "midpoints",
+    "nearest_point", "propagate", "skew", "squared_mahalanobis", "tangent_cone", "usable_pairs",
+]  # fmt: skip

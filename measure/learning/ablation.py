@@ -17,22 +17,14 @@ from measure.learning.splits import Split
 
 @dataclass(frozen=True)
 class Importance:
-    """Increase of the test RMS without an input.
+    """Increase of the test RMS without an input."""
 
-    Attributes:
-        name: of a feature or a group of features.
-        permuted_mm: RMS with the columns shuffled among rows; history is shuffled with them.
-        removed_mm: RMS after fitting without them; None if not tried.
-        permutation_mm: `permuted_mm` minus the RMS with all inputs.
-        removal_mm: likewise.
-    """
-
-    name: str
+    name: str  # of a feature or a group of features
     features: int
-    permuted_mm: float
-    removed_mm: float | None
-    permutation_mm: float
-    removal_mm: float | None
+    permuted_mm: float  # RMS with the columns shuffled among rows; history is shuffled with them
+    removed_mm: float | None  # RMS after fitting without them; None if not tried
+    permutation_mm: float  # `permuted_mm` minus the RMS with all inputs
+    removal_mm: float | None  # likewise
 
 
 def ablate(

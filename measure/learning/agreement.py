@@ -7,8 +7,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import EstimatorError
 
-_MIN_SPREAD_MM = 1.0
-"""Spread of the positions below which their unit is not checked."""
+_MIN_SPREAD_MM = 1.0  # Spread of the positions below which their unit is not checked
 _MIN_SPREAD_SHARE = 1e-4
 """Least spread of the reported positions, as a share of that of the measured ones."""
 _MIN_ROWS, _MIN_PLANE_SPREAD_MM = 20, 10.0
@@ -21,11 +20,7 @@ _LARGEST_TURN_DEG, _LARGEST_SHIFT_MM = 20.0, 100.0
 
 
 def check_units(name: str, measured_mm: Floats, reported_mm: Floats) -> None:
-    """Refuse positions (n, 3) of the same instants that are not both in mm.
-
-    Raises:
-        EstimatorError: with the unit they seem to have.
-    """
+    """Refuse positions (n, 3) of the same instants that are not both in mm (EstimatorError)."""
     spread = np.linalg.norm(measured_mm.std(axis=0))
     expected = np.linalg.norm(reported_mm.std(axis=0))
     if max(spread, expected) < _MIN_SPREAD_MM:

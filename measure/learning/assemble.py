@@ -22,42 +22,27 @@ _LARGEST_RATE_HZ = 10_000.0
 
 @dataclass(frozen=True, eq=False)
 class PoseTrack:
-    """Measured tip positions of one recording, on the cameras' clock.
+    """Measured tip positions of one recording, on the cameras' clock."""
 
-    Attributes:
-        name: of the recording; it becomes the trajectory's id.
-        times_s: (n,) increasing.
-        positions_mm: (n, 3), in the robot's base frame; NaN where not measured.
-        covariances: (n, 3, 3) in mm^2.
-    """
-
-    name: str
-    times_s: Floats
-    positions_mm: Floats
-    covariances: Floats
+    name: str  # of the recording; it becomes the trajectory's id
+    times_s: Floats  # (n,) increasing
+    positions_mm: Floats  # (n, 3), in the robot's base frame; NaN where not measured
+    covariances: Floats  # (n, 3, 3) in mm^2
 
 
 @dataclass(frozen=True)
 class AssemblySettings:
-    """How poses and states are paired.
+    """How poses and states are paired."""
 
-    Attributes:
-        clock_offset_s: robot minus camera time; estimated from the motion if absent.
-        largest_offset_s: search range of that estimate.
-        longest_gap_s: a label farther than this from the robot's states is unusable.
-        outlier_sds: a label this many robust SDs from its neighbours' median is an outlier.
-        largest_sd_mm: a label less certain than this (3-D) is unusable.
-        history_hz: add unlabelled states between the labels at this rate; 0 adds none.
-        cut_s: cut recordings into trajectories of this length; 0 keeps them whole.
-    """
-
+    # robot minus camera time; estimated from the motion if absent.
     clock_offset_s: float | None = None
-    largest_offset_s: float = 5.0
-    longest_gap_s: float = 0.05
+    largest_offset_s: float = 5.0  # search range of that estimate
+    longest_gap_s: float = 0.05  # a label farther than this from the robot's states is unusable
+    # a label this many robust SDs from its neighbours' median is an outlier.
     outlier_sds: float = 6.0
-    largest_sd_mm: float = 3.0
-    history_hz: float = 0.0
-    cut_s: float = 0.0
+    largest_sd_mm: float = 3.0  # a label less certain than this (3-D) is unusable
+    history_hz: float = 0.0  # add unlabelled states between the labels at this rate; 0 adds none
+    cut_s: float = 0.0  # cut recordings into trajectories of this length; 0 keeps them whole
 
     def __post_init__(self) -> None:
         for name in ("largest_offset_s", "largest_sd_mm", "history_hz", "cut_s"):

@@ -62,11 +62,7 @@ def write_dataset(path: Path, data: Dataset, facts: Sequence[TrajectoryFacts], s
 
 
 def read_dataset(path: Path) -> Dataset:
-    """Read what `write_dataset` wrote.
-
-    Raises:
-        EstimatorError: missing, damaged, not such a file, or with usable rows that are not numbers.
-    """
+    """Read what `write_dataset` wrote; EstimatorError if it is missing, damaged or other data."""
     if not path.exists():
         raise EstimatorError(f"{path}: no such data set")
     table = Table.read(path)

@@ -12,12 +12,10 @@ from measure.arrays import Floats
 from measure.host import Correction, OnnxModel
 from measure.learning.zeroing import Zeroing
 
-_MAX_REORDERED = 100
-"""Largest number of packets by which a network brings one late."""
+_MAX_REORDERED = 100  # Largest number of packets by which a network brings one late
 _MAX_LOST_IN_A_ROW = 1_000_000
 """Largest number of packets lost in a row: a quarter of an hour at 1 kHz."""
-_JITTER_S = 1.0
-"""Largest step back of a stamp that is jitter, not a clock that was set."""
+_JITTER_S = 1.0  # Largest step back of a stamp that is jitter, not a clock that was set
 _MAX_FLOAT32 = float(np.finfo(np.float32).max)
 """Largest value of a feature: networks compute in float32."""
 _MAX_PAUSE_S = 1000.0
@@ -38,20 +36,13 @@ class Refusal(StrEnum):
 
 @dataclass
 class Counters:
-    """Counts of states and answers.
+    """Counts of states and answers."""
 
-    Attributes:
-        corrected: states that got a correction.
-        unfamiliar: of these, flagged as unlike training.
-        lost: sequence numbers that never came.
-        unanswered: refusals that were not sent, for strangers sent too much.
-    """
-
-    corrected: int = 0
-    unfamiliar: int = 0
-    lost: int = 0
+    corrected: int = 0  # states that got a correction
+    unfamiliar: int = 0  # of these, flagged as unlike training
+    lost: int = 0  # sequence numbers that never came
     unsent: int = 0
-    unanswered: int = 0
+    unanswered: int = 0  # refusals that were not sent, for strangers sent too much
     refused: Counter[Refusal] = field(default_factory=Counter)
 
     def refuse(self, reason: Refusal) -> Refusal:
@@ -168,15 +159,12 @@ class DriftMonitor:
 
     The squared Mahalanobis length of a residual per axis is 1 on average if they fit. Its
     exponential average is compared with a limit.
-
-    Attributes:
-        limit: of the average, beyond which retraining is due; 2 means residuals 1.4 times as large
-            as stated.
-        memory: labels over which to average.
     """
 
+    # of the average, beyond which retraining is due; 2 means residuals 1.4 times as large as
+    # stated.
     limit: float = 2.0
-    memory: float = 500.0
+    memory: float = 500.0  # labels over which to average
     ratio: float = 1.0
     count: int = 0
 

@@ -15,10 +15,8 @@ Sender = tuple[str, int]
 """Address and port."""
 
 _BUFFER_BYTES = 4 << 20
-_BATCH = 32
-"""Datagrams taken from the common socket before the lanes are looked at again."""
-_MOST_QUEUED = 20_000
-"""Datagrams that the buffer of the common socket cannot exceed."""
+_BATCH = 32  # Datagrams taken from the common socket before the lanes are looked at again
+_MOST_QUEUED = 20_000  # Datagrams that the buffer of the common socket cannot exceed
 
 
 class Lanes:
@@ -31,11 +29,7 @@ class Lanes:
     """
 
     def __init__(self, address: Sender) -> None:
-        """Listen.
-
-        Raises:
-            EstimatorError: it is impossible there.
-        """
+        """Listen; EstimatorError if it is impossible there."""
         self._common = _socket()
         try:
             self._common.bind(address)

@@ -73,11 +73,7 @@ class AnswerPacket:
 
     @classmethod
     def unpack(cls, data: bytes) -> AnswerPacket:
-        """From bytes.
-
-        Raises:
-            EstimatorError: they are no such packet.
-        """
+        """From bytes; EstimatorError if they are no such packet."""
         if len(data) != _ANSWER.size or data[:4] != _ANSWER_MAGIC:
             raise EstimatorError(f"an answer of {len(data)} bytes is not an estimator's")
         _, sequence, time_s, status, *numbers = _ANSWER.unpack(data)

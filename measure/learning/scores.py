@@ -16,22 +16,14 @@ SPEED_EDGES_MM_S = (0.0, 5.0, 15.0, 30.0, 60.0, np.inf)
 
 @dataclass(frozen=True)
 class Score:
-    """Residuals of some rows, in mm.
-
-    Attributes:
-        rms_mm: root mean square of the 3-D residual.
-        sd_mm: root of the trace of the residuals' covariance.
-        p95_mm: 95th percentile of its norm.
-        axis_rms_mm: per axis.
-        axis_sd_mm: per axis.
-    """
+    """Residuals of some rows, in mm."""
 
     rows: int
-    rms_mm: float
-    sd_mm: float
-    p95_mm: float
-    axis_rms_mm: tuple[float, float, float]
-    axis_sd_mm: tuple[float, float, float]
+    rms_mm: float  # root mean square of the 3-D residual
+    sd_mm: float  # root of the trace of the residuals' covariance
+    p95_mm: float  # 95th percentile of its norm
+    axis_rms_mm: tuple[float, float, float]  # per axis
+    axis_sd_mm: tuple[float, float, float]  # per axis
 
     @classmethod
     def of(cls, residuals_mm: Floats) -> Score:
@@ -56,27 +48,17 @@ class Score:
 
 @dataclass(frozen=True)
 class EstimatorEvaluation:
-    """An estimator on a data set, before and after the correction.
+    """An estimator on a data set, before and after the correction."""
 
-    Attributes:
-        before: of the reported position.
-        after: of the corrected position.
-        rms_change: after / before - 1; negative is better.
-        sd_change: the same for the SD.
-        consistency: mean squared Mahalanobis length of residuals per axis; 1 if the covariance
-            fits.
-        unfamiliar: share of rows flagged as unlike training.
-        by_trajectory: name -> (before, after).
-        by_speed: (slowest mm/s, fastest mm/s, before, after).
-    """
-
-    before: Score
-    after: Score
-    rms_change: float
-    sd_change: float
+    before: Score  # of the reported position
+    after: Score  # of the corrected position
+    rms_change: float  # after / before - 1; negative is better
+    sd_change: float  # the same for the SD
+    # mean squared Mahalanobis length of residuals per axis; 1 if the covariance fits.
     consistency: float
-    unfamiliar: float
-    by_trajectory: dict[str, tuple[Score, Score]]
+    unfamiliar: float  # share of rows flagged as unlike training
+    by_trajectory: dict[str, tuple[Score, Score]]  # name -> (before, after)
+    # (slowest mm/s, fastest mm/s, before, after).
     by_speed: tuple[tuple[float, float, Score, Score], ...]
 
     def to_dict(self) -> dict[str, Any]:
@@ -85,11 +67,7 @@ class EstimatorEvaluation:
 
 
 def evaluate(data: Dataset, estimates: Estimates) -> EstimatorEvaluation:
-    """Score corrections on the usable rows of a data set.
-
-    Args:
-        estimates: of all its rows.
-    """
+    """Score corrections, one for every row, on the usable rows of a data set."""
     keep = data.usable
     residuals = data.errors_mm - estimates.errors_mm
     before, after = Score.of(data.errors_mm[keep]), Score.of(residuals[keep])

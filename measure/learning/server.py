@@ -23,8 +23,7 @@ MOST_SENDERS = 16
 """Largest number of senders whose histories are kept."""
 SILENT_S = 60.0
 """A sender that has sent no valid state for so long gives way to a new one, if there is no room."""
-_MAX_STRANGERS_HZ = 1000
-"""Refusals sent in a second to senders without a history."""
+_MAX_STRANGERS_HZ = 1000  # Refusals sent in a second to senders without a history
 
 
 @dataclass
@@ -81,11 +80,7 @@ class EstimateServer:
         on_interval: Callable[[EstimateServer], None] | None = None,
         interval_s: float = 5.0,
     ) -> None:
-        """Answer until `seconds` are over, or for ever.
-
-        Args:
-            on_interval: called every `interval_s`, to show the counters.
-        """
+        """Answer until `seconds` are over, or for ever; `on_interval` shows the counters."""
         gc.collect()
         gc.freeze()  # what is loaded by now stays: collecting it would only cost milliseconds
         start = called = time.monotonic()

@@ -128,11 +128,7 @@ def join(parts: Sequence[Dataset]) -> Dataset:
 
 
 def same_robot(parts: Sequence[Dataset]) -> None:
-    """Refuse to use data of several robots together.
-
-    Raises:
-        EstimatorError: the robots or their features differ.
-    """
+    """Refuse to use data of several robots, or with other features, together (EstimatorError)."""
     robots = {part.schema.robot for part in parts}
     if len(robots) > 1:
         raise EstimatorError(

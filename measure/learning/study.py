@@ -61,11 +61,7 @@ class SweepState:
 
 
 def read_space(path: Path) -> dict[str, Range]:
-    """Read a search space: a TOML table per setting.
-
-    Raises:
-        EstimatorError: missing, not TOML, or a table that makes no sense, with its line.
-    """
+    """Read a search space: a TOML table per setting; EstimatorError with its line."""
     return load_toml(path, _Space, EstimatorError).root
 
 
@@ -91,11 +87,7 @@ def _chosen(params: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def open_study(journal: Path, identity: str) -> Any:
-    """The study in a journal, which is started if absent.
-
-    Raises:
-        EstimatorError: an extra is missing, or the journal is damaged or of another sweep.
-    """
+    """The study in a journal, started if absent; EstimatorError if it is not this sweep's."""
     try:
         import optuna
         from optuna.storages import JournalStorage
@@ -149,11 +141,7 @@ def _check_lines(journal: Path) -> None:
 
 
 def ask(study: Any, space: Mapping[str, Range]) -> tuple[Any, dict[str, Any]]:
-    """The next trial, marked as this process's, and its settings.
-
-    Raises:
-        EstimatorError: the journal's trials had other choices.
-    """
+    """The next trial, marked as this process's; EstimatorError if trials had other choices."""
     trial = study.ask()
     trial.set_user_attr("worker", f"{os.uname().nodename}:{os.getpid()}")
     try:

@@ -23,20 +23,13 @@ from measure.learning.splits import Split
 
 @dataclass(frozen=True, eq=False)
 class Trained:
-    """A fitted estimator on disk.
+    """A fitted estimator on disk."""
 
-    Attributes:
-        path: the ONNX file; the model card stands beside it.
-        evaluation: on the test trajectories.
-        curve: the learning curve, if it was iterative.
-        estimates: of all their rows.
-    """
-
-    path: Path
-    evaluation: EstimatorEvaluation
-    curve: tuple[Epoch, ...]
+    path: Path  # the ONNX file; the model card stands beside it
+    evaluation: EstimatorEvaluation  # on the test trajectories
+    curve: tuple[Epoch, ...]  # the learning curve, if it was iterative
     test: Dataset
-    estimates: Estimates
+    estimates: Estimates  # of all their rows
 
 
 def train(

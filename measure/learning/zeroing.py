@@ -23,22 +23,14 @@ class Zeroing:
 
     A constant offset of a joint is not constant at the tip: it depends on the pose. So where the
     kinematics are known, the joints are corrected.
-
-    Attributes:
-        shift_mm: (3,) of the tip, the same everywhere.
-        joints: (k,) rad or mm, to add to the joint readings; empty without kinematics.
-        readings: (features, k) from a state to the joints.
-        chain: the robot's kinematics, if known.
-        mean_mm: (3,) the offset of the tip, averaged over the stretch.
-        covariance: (3, 3) mm^2 of the offset, averaged over the stretch.
     """
 
-    shift_mm: Floats
-    joints: Floats
-    readings: Floats
-    chain: SerialChain | None
-    mean_mm: Floats
-    covariance: Floats
+    shift_mm: Floats  # (3,) of the tip, the same everywhere
+    joints: Floats  # (k,) rad or mm, to add to the joint readings; empty without kinematics
+    readings: Floats  # (features, k) from a state to the joints
+    chain: SerialChain | None  # the robot's kinematics, if known
+    mean_mm: Floats  # (3,) the offset of the tip, averaged over the stretch
+    covariance: Floats  # (3, 3) mm^2 of the offset, averaged over the stretch
 
     @property
     def sd_mm(self) -> float:

@@ -19,8 +19,7 @@ from measure.measuring.measurement import Measurement
 from measure.model import Body, Camera, Detection
 from measure.model.body import COMMON_RADIUS_VARIANCE
 
-_LEAST_VIEWS = 8
-"""Ball-views that tell a ball's size."""
+_LEAST_VIEWS = 8  # Ball-views that tell a ball's size
 _SHARE_SHOWN = 0.5
 """Share of an error that the outlines show at first: 0.25 to 0.6 on path-traced recordings."""
 _LEAST_SHARE_SHOWN = 0.25

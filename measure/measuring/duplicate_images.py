@@ -12,12 +12,10 @@ import numpy as np
 
 from measure.model import FrameSet, Image
 
-_ROW_STEP = 32
-"""Every so many rows are compared."""
+_ROW_STEP = 32  # Every so many rows are compared
 _FIRST_PIXELS = 64
 """Pixels of the middle row that are compared first: nearly always enough to tell images apart."""
-_MIN_IMAGES = 2
-"""New images with which a frame set is measured without the duplicates."""
+_MIN_IMAGES = 2  # New images with which a frame set is measured without the duplicates
 
 
 class DuplicateImages:
@@ -27,11 +25,7 @@ class DuplicateImages:
         self._last: dict[str, Image] = {}
 
     def without_duplicates(self, frame_set: FrameSet) -> tuple[FrameSet, str]:
-        """The frame set without duplicates if two other images are left; else unchanged.
-
-        Returns:
-            The frame set to measure, and a flag for its pose: empty unless duplicates are left.
-        """
+        """The frame set without duplicates if two others are left; else the same, and a flag."""
         duplicates = self.of(frame_set)
         if not duplicates:
             return frame_set, ""

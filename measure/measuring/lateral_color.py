@@ -15,8 +15,7 @@ _FRAME_SETS, _STEP = 3, 4
 _SIGMAS = 4.0
 _FLOOR_PX = 0.04
 """Standard deviation at the picture's corner by colours of the scene, however many blocks agree."""
-_SAME_FOCAL = 1.06
-"""Cameras whose focal lengths differ by no more than this factor are of one make."""
+_SAME_FOCAL = 1.06  # Cameras whose focal lengths differ by no more than this factor are of one make
 
 
 def with_lateral_color(

@@ -25,31 +25,21 @@ class Status(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """One frame set, measured.
+    """One frame set, measured."""
 
-    Attributes:
-        index: number of the frame set in the session.
-        time_s: the instant the positions and the pose hold for.
-        frames: frame number of each camera's image, by camera name.
-        views: the state of every ball in every camera, with its detection if there is one.
-        positions: at most one per ball.
-        pose: the body's pose, None unless `status` is OK or FLAGGED.
-        status: OK; FLAGGED (a pose with flags); LOST (no pose); SKIPPED (not tried).
-        reason: why it is not OK, in words; empty otherwise.
-        residuals_px: by (ball, camera), detected minus predicted centre (2,) in px, for every
-            effective view of a frame set with a pose.
-        searched: names of the cameras in which the whole frame was searched for some ball.
-    """
-
-    index: int
-    time_s: float
-    frames: dict[str, int]
+    index: int  # number of the frame set in the session
+    time_s: float  # the instant the positions and the pose hold for
+    frames: dict[str, int]  # frame number of each camera's image, by camera name
+    # the state of every ball in every camera, with its detection if there is one.
     views: tuple[BallView, ...]
-    positions: tuple[BallPosition, ...]
-    pose: Pose | None
-    status: Status
-    reason: str = ""
+    positions: tuple[BallPosition, ...]  # at most one per ball
+    pose: Pose | None  # the body's pose, None unless `status` is OK or FLAGGED
+    status: Status  # OK; FLAGGED (a pose with flags); LOST (no pose); SKIPPED (not tried)
+    reason: str = ""  # why it is not OK, in words; empty otherwise
+    # by (ball, camera), detected minus predicted centre (2,) in px, for every effective view of a
+    # frame set with a pose.
     residuals_px: dict[tuple[str, str], Floats] = field(default_factory=dict)
+    # names of the cameras in which the whole frame was searched for some ball.
     searched: tuple[str, ...] = ()
 
     def with_tolerance(self, body: Body) -> Measurement:
@@ -63,18 +53,13 @@ class Measurement:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Draft:
-    """A measurement that may be solved again when later poses are known.
-
-    Attributes:
-        measurement: so far.
-        motion: used to bring its images to one instant; None if none was known.
-        tracker_flags: flags of its pose that the tracker or the pipeline raised, not the solver.
-        seen: the observations it rests on; None if the frame set was skipped.
-    """
+    """A measurement that may be solved again when later poses are known."""
 
     measurement: Measurement
-    motion: Motion | None
+    motion: Motion | None  # used to bring its images to one instant; None if none was known
+    # flags of its pose that the tracker or the pipeline raised, not the solver.
     tracker_flags: tuple[str, ...]
+    # the observations it rests on; None if the frame set was skipped.
     seen: FrameSetObservations | None = None
 
     def flagged(self, flag: str) -> Draft:

@@ -16,11 +16,7 @@ from measure.model import BallPosition, Body, Camera, Detection, Expectation, Im
 
 
 def warm_up(kind: str, plugin: Plugin, part: Callable[[], object] | None = None) -> None:
-    """Let a plugin of a kind, or a part of it, compile or load what is slow.
-
-    Raises:
-        PluginError: it fails.
-    """
+    """Let a plugin of a kind, or a part of it, compile what is slow; PluginError if it fails."""
     with named(kind, plugin, "warming up"):
         (part or plugin.warm_up)()
 
@@ -28,11 +24,7 @@ def warm_up(kind: str, plugin: Plugin, part: Callable[[], object] | None = None)
 def detections(
     detector: Detector, image: Image, expected: Sequence[Expectation], body: Body
 ) -> list[Detection]:
-    """What a detector finds in an image.
-
-    Raises:
-        PluginError: it fails, or its result is invalid.
-    """
+    """What a detector finds in an image; PluginError if it fails, or its result is invalid."""
     try:
         found = detector.detect(image, expected)
         _check_type(found, list)
@@ -58,11 +50,7 @@ def positions(
     body: Body,
     time_s: float,
 ) -> list[BallPosition]:
-    """Positions of balls by a triangulator, in the order of the body's balls.
-
-    Raises:
-        PluginError: it fails, or its result is invalid.
-    """
+    """Positions by a triangulator, in the order of the body's balls; PluginError if it fails."""
     try:
         found = triangulator.triangulate_all(seen, cameras)
         for one in found:
@@ -83,11 +71,7 @@ def pose(
     time_s: float,
     prior: Motion | None,
 ) -> Pose | None:
-    """The body's pose by a solver; None if it finds none.
-
-    Raises:
-        PluginError: it fails, or its result is invalid.
-    """
+    """The body's pose by a solver; None if it finds none; PluginError if it fails."""
     try:
         found = solver.solve(located, seen, cameras, time_s, prior)
         if found is not None:

@@ -33,15 +33,10 @@ _POLYNOMIAL_KNOTS = 5
 
 @dataclass(frozen=True, eq=False)
 class SplineMotion(Motion):
-    """The motion around one knot of a spline through poses.
+    """The motion around one knot of a spline through poses."""
 
-    Attributes:
-        knots_s: (n,) times of the knots after the pose's.
-        spline: the pose's chart by that time.
-    """
-
-    knots_s: Floats = field(kw_only=True)
-    spline: Spline = field(kw_only=True)
+    knots_s: Floats = field(kw_only=True)  # (n,) times of the knots after the pose's
+    spline: Spline = field(kw_only=True)  # the pose's chart by that time
 
     @property
     def acceleration(self) -> Floats:
@@ -111,10 +106,7 @@ def with_surrounding_poses(
 
 
 def _surrounding_poses(held: Sequence[Draft], at: int) -> tuple[list[Pose], Draft, list[Pose]]:
-    """The accepted poses before and after one of `held` without a long pause between them.
-
-    None for images of one instant.
-    """
+    """The accepted poses around one of `held`, without a long pause; None for one instant."""
     seen = held[at].seen
     if seen is not None and seen.simultaneous:
         return [], held[at], []
@@ -148,22 +140,15 @@ def warm_up() -> None:
 
 
 class Spline(NamedTuple):
-    """A cubic spline through n poses in the chart of one of them, and its derivatives at that one.
+    """A cubic spline through n poses in the chart of one of them, and its derivatives there."""
 
-    Attributes:
-        places: (n, 6) of the poses.
-        slopes: (n, 6) of the curve at each, per second.
-        slope_covariance: (6, 6) at the own pose, from the poses' covariances and from the
-            difference to the slope of a polynomial through the nearest poses.
-        acceleration: (6,) second derivative there, per s^2.
-        own_acceleration: its derivative by the own pose's coordinate, per s^2.
-    """
-
-    places: Floats
-    slopes: Floats
+    places: Floats  # (n, 6) of the poses
+    slopes: Floats  # (n, 6) of the curve at each, per second
+    # (6, 6) at the own pose, from the poses' covariances and from the difference to the slope of a
+    # polynomial through the nearest poses.
     slope_covariance: Floats
-    acceleration: Floats
-    own_acceleration: float
+    acceleration: Floats  # (6,) second derivative there, per s^2
+    own_acceleration: float  # its derivative by the own pose's coordinate, per s^2
 
 
 @compiled

@@ -24,20 +24,13 @@ _SYSTEMATIC_PX = 0.3
 
 @dataclass(frozen=True, eq=False, slots=True)
 class FrameSetObservations:
-    """The n effective detections of one frame set, also as arrays.
+    """The n effective detections of one frame set, also as arrays."""
 
-    Attributes:
-        detections: n of them.
-        time_s: the common instant.
-        times_s: their own times, each once.
-        rows: the same as arrays; None if there are none.
-        time_sds_s: standard deviations of the images' stamps by camera, where they are known.
-    """
-
-    detections: tuple[Detection, ...]
-    time_s: float
-    times_s: tuple[float, ...]
-    rows: PoseObservations | None
+    detections: tuple[Detection, ...]  # n of them
+    time_s: float  # the common instant
+    times_s: tuple[float, ...]  # their own times, each once
+    rows: PoseObservations | None  # the same as arrays; None if there are none
+    # standard deviations of the images' stamps by camera, where they are known.
     time_sds_s: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -78,12 +71,7 @@ class FrameSetObservations:
         ]
 
     def residuals_px(self, pose: Pose, prior: Motion | None) -> dict[tuple[str, str], Floats]:
-        """Detected minus predicted centre (2,) in px of every detection, by (ball, camera).
-
-        Args:
-            pose: the measured one.
-            prior: the body's motion; at rest if None.
-        """
+        """Detected less predicted centre (2,) px, by (ball, camera); at rest without a `prior`."""
         s = self.rows
         if s is None:
             return {}

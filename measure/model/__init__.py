@@ -17,25 +17,7 @@ from measure.model.observations import (
 from measure.model.rig import Rig, RigRows
 
 __all__ = [
-    "Ball",
-    "BallColor",
-    "BallPosition",
-    "BallView",
-    "Body",
-    "Camera",
-    "ColorRange",
-    "ConvertedImage",
-    "Detection",
-    "Expectation",
-    "FrameSet",
-    "Image",
-    "Intrinsics",
-    "Motion",
-    "Pose",
-    "Projection",
-    "Reason",
-    "Rig",
-    "RigRows",
-    "State",
-    "paper_body",
-]
+    "Ball", "BallColor", "BallPosition", "BallView", "Body", "Camera", "ColorRange",
+    "ConvertedImage", "Detection", "Expectation", "FrameSet", "Image", "Intrinsics", "Motion",
+    "Pose", "Projection", "Reason", "Rig", "RigRows", "State", "paper_body",
+]  # fmt: skip

@@ -10,17 +10,6 @@ from measure.results.summary import Summary
 from measure.results.writer import RunWriter
 
 __all__ = [
-    "Marks",
-    "PoseSender",
-    "Provenance",
-    "Run",
-    "RunEvaluation",
-    "RunWriter",
-    "Summary",
-    "digest",
-    "evaluate",
-    "read_marks",
-    "read_run",
-    "refuse_other_writer",
-    "versions",
-]
+    "Marks", "PoseSender", "Provenance", "Run", "RunEvaluation", "RunWriter", "Summary", "digest",
+    "evaluate", "read_marks", "read_run", "refuse_other_writer", "versions",
+]  # fmt: skip

@@ -18,17 +18,12 @@ _DAMPING = 1e-9  # mm^2 or rad^2, of the normal matrix
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """One joint and the rigid link before it.
+    """One joint and the rigid link before it."""
 
-    Attributes:
-        link: (4, 4) homogeneous transform from the previous joint's frame to this one's, in mm.
-        axis: (3,) unit vector in this joint's own frame.
-        prismatic: True if the joint slides (mm) instead of turning (rad).
-    """
-
+    # (4, 4) homogeneous transform from the previous joint's frame to this one's, in mm.
     link: Floats
-    axis: Floats
-    prismatic: bool = False
+    axis: Floats  # (3,) unit vector in this joint's own frame
+    prismatic: bool = False  # True if the joint slides (mm) instead of turning (rad)
 
     def parts(self) -> tuple[Floats, Floats, Floats, Floats]:
         """Matrices A, B, C, D with `link @ motion(q) == A + B cos q + C sin q + D q`."""
@@ -46,15 +41,11 @@ class Joint:
 
 @dataclass(frozen=True, eq=False)
 class SerialChain:
-    """Joints from the base to the tool.
+    """Joints from the base to the tool."""
 
-    Attributes:
-        joints: in order; `q` below holds rad for turning joints and mm for sliding ones.
-        tool: (4, 4) transform from the last joint's frame to the tool tip.
-    """
-
+    # in order; `q` below holds rad for turning joints and mm for sliding ones.
     joints: tuple[Joint, ...]
-    tool: Floats
+    tool: Floats  # (4, 4) transform from the last joint's frame to the tool tip
 
     @property
     def size(self) -> int:

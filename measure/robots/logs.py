@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from measure.arrays import Floats
+from measure.arrays import Bools, Floats, Ints
 from measure.errors import EstimatorError
 from measure.robots.psm import psm_schema
 from measure.robots.raven import raven_schema
-from measure.robots.schema import RobotLog, StateSchema
+from measure.robots.schema import RobotLog, StateSchema, reported_mm
 
 if TYPE_CHECKING:
     from measure.robots.tables import Columns
@@ -28,11 +28,7 @@ SCHEMAS: dict[str, Callable[[], StateSchema]] = {
 
 
 def find_schema(name: str) -> StateSchema:
-    """The schema called `raven`, `raven-right`, `dvrk-psm`, or described by a TOML file.
-
-    Raises:
-        EstimatorError: there is no such schema.
-    """
+    """The schema called `raven`, `raven-right`, `dvrk-psm`, or described by a TOML file."""
     if name in SCHEMAS:
         return SCHEMAS[name]()
     if name.endswith(".toml"):
@@ -49,7 +45,6 @@ def read_log(path: Path, schema: StateSchema, *, topic: str | None = None) -> Ro
 
     Args:
         path: `.parquet`, `.csv`, `.bag`, `.mcap`, or a ROS 2 bag folder.
-        schema: which features are needed.
         topic: of the state messages in a bag; the only `raven_state` topic if absent.
 
     Raises:
@@ -120,11 +115,7 @@ def write_log(path: Path, log: RobotLog) -> None:
 
 
 def check_robot(table: Columns, robot: str) -> None:
-    """Refuse a table whose metadata names another robot; most files name none.
-
-    Raises:
-        EstimatorError: it names another robot.
-    """
+    """Refuse (EstimatorError) a table whose metadata names another robot; most files name none."""
     named = table.metadata(ROBOT_KEY)
     if named not in ("", robot):
         raise EstimatorError(f"{table.path}: holds states of robot '{named}', not of '{robot}'")
@@ -138,3 +129,40 @@ def _table_pieces(path: Path, schema: StateSchema) -> Iterator[tuple[Floats, Flo
     for table in file.pieces((TIME, *schema.names)):
         columns = table.numbers(TIME, *schema.names)
         yield columns[:, 0], columns[:, 1:]
+
+
+class LogFile:
+    """A log of any length; see `StateLog` for what its parts are.
+
+    The file is read once when this is built, and once more for every call of `states_at`.
+    """
+
+    def __init__(self, path: Path, schema: StateSchema, topic: str | None = None) -> None:
+        """Read the file; see `read_log`."""
+        self.schema, self._path, self._topic = schema, path, topic
+        times, places, whole = list[Floats](), list[Floats](), list[Bools]()
+        self.broken: Ints = np.zeros(len(schema.features), dtype=np.int64)
+        for piece, states in log_pieces(path, schema, topic):
+            finite = np.isfinite(states)
+            self.broken += (~finite).sum(axis=0)
+            complete = np.asarray(finite.all(axis=1))
+            times.append(piece)
+            whole.append(complete)
+            places.append(reported_mm(schema, states, complete))
+        self.times_s: Floats = np.concatenate(times)
+        self.complete: Bools = np.concatenate(whole)
+        self.reported_mm: Floats = np.concatenate(places)
+
+    def states_at(self, rows: Ints) -> Floats:
+        """States (k, features) of rows (k,); EstimatorError if the file has changed since."""
+        order = np.argsort(rows, kind="stable")
+        wanted = rows[order]
+        out = np.empty((len(rows), len(self.schema.features)))
+        start = done = 0
+        for times, states in log_pieces(self._path, self.schema, self._topic):
+            stop = int(np.searchsorted(wanted, start + len(times)))
+            out[order[done:stop]] = states[wanted[done:stop] - start]
+            start, done = start + len(times), stop
+        if start != len(self.times_s):
+            raise EstimatorError(f"{self._path}: has changed while it was read: try again")
+        return out

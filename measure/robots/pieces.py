@@ -28,11 +28,7 @@ class TableFile(Columns):
 
     @classmethod
     def open(cls, path: Path) -> Self:
-        """Read the names and types of its columns; CSV if its name ends so, else Parquet.
-
-        Raises:
-            EstimatorError: it cannot be read.
-        """
+        """Read names and types of the columns: CSV by its name, else Parquet; or EstimatorError."""
         check_ordinary(path, EstimatorError)
         with reading(path):
             if path.suffix != ".csv":

@@ -36,26 +36,17 @@ class Reading:
 
 @dataclass(frozen=True, eq=False)
 class StateSchema:
-    """A robot's state.
+    """A robot's state."""
 
-    Attributes:
-        robot: name; a model trained for one robot refuses another's states.
-        features: in the order of the state vector.
-        position: three readings in mm: the tip as the robot reports it.
-        joints: readings in rad or mm, in the order of `chain`; may be empty.
-        coupled: indices into `joints` of joints that share cables (a wrist).
-        chain: the forward kinematics, if known.
-        torques: readings of the motors' torques, one per joint, if reported.
-        groups: names of groups of features, for ablation.
-    """
-
-    robot: str
-    features: tuple[Feature, ...]
+    robot: str  # name; a model trained for one robot refuses another's states
+    features: tuple[Feature, ...]  # in the order of the state vector
+    # three readings in mm: the tip as the robot reports it.
     position: tuple[Reading, Reading, Reading]
-    joints: tuple[Reading, ...] = ()
-    coupled: tuple[int, ...] = ()
-    chain: SerialChain | None = None
-    torques: tuple[Reading, ...] = ()
+    joints: tuple[Reading, ...] = ()  # readings in rad or mm, in the order of `chain`; may be empty
+    coupled: tuple[int, ...] = ()  # indices into `joints` of joints that share cables (a wrist)
+    chain: SerialChain | None = None  # the forward kinematics, if known
+    torques: tuple[Reading, ...] = ()  # readings of the motors' torques, one per joint, if reported
+    # names of groups of features, for ablation.
     groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
@@ -64,11 +55,7 @@ class StateSchema:
         return tuple(feature.name for feature in self.features)
 
     def index(self, names: Sequence[str]) -> list[int]:
-        """Positions of features in the state vector.
-
-        Raises:
-            EstimatorError: some are not there; the message names them.
-        """
+        """Positions of features in the state vector; EstimatorError names what is missing."""
         where = {name: index for index, name in enumerate(self.names)}
         if missing := [name for name in names if name not in where]:
             raise EstimatorError(
@@ -179,17 +166,11 @@ class StateLog(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class RobotLog:
-    """A log in memory.
+    """A log in memory."""
 
-    Attributes:
-        schema: what the columns of `states` are.
-        times_s: (n,) strictly increasing.
-        states: (n, features).
-    """
-
-    schema: StateSchema
-    times_s: Floats
-    states: Floats
+    schema: StateSchema  # what the columns of `states` are
+    times_s: Floats  # (n,) strictly increasing
+    states: Floats  # (n, features)
 
     def __post_init__(self) -> None:
         count = len(floats("times_s", self.times_s, "n"))

@@ -33,11 +33,7 @@ class Columns:
         return (self.schema.metadata or {}).get(key, b"").decode("utf-8", "replace")
 
     def require(self, names: Sequence[str]) -> None:
-        """Refuse a table that lacks one of these columns, or holds it twice.
-
-        Raises:
-            EstimatorError: with the columns there are.
-        """
+        """Refuse (EstimatorError) a table that lacks one of these columns, or holds it twice."""
         there = self.schema.names
         if missing := [name for name in names if name not in there]:
             raise EstimatorError(
@@ -62,11 +58,7 @@ class Table(Columns):
 
     @classmethod
     def read(cls, path: Path) -> Self:
-        """Read a file, CSV if its name ends so, else Parquet.
-
-        Raises:
-            EstimatorError: it cannot be read.
-        """
+        """Read a file, CSV if its name ends so, else Parquet; EstimatorError if it cannot be."""
         check_ordinary(path, EstimatorError)
         with reading(path):
             content = csv.read_csv(path) if path.suffix == ".csv" else parquet.read_table(path)
@@ -133,11 +125,7 @@ def is_number(text: str | None) -> bool:
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Turn what pyarrow raises of a file into one line.
-
-    Raises:
-        EstimatorError: it cannot be read.
-    """
+    """Turn what pyarrow raises of a file into one line, an EstimatorError."""
     try:
         yield
     except (pa.ArrowException, OSError) as error:

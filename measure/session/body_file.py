@@ -24,8 +24,7 @@ from measure.session.toml_text import dump_toml
 Level = Annotated[int, Field(ge=0, le=255)]
 Triple = tuple[Level, Level, Level]
 
-_LEAST_RADIUS_MM = 0.5
-"""Smaller balls show no outline to a webcam: sizes are then rather metres."""
+_LEAST_RADIUS_MM = 0.5  # Smaller balls show no outline to a webcam: sizes are then rather metres
 _MOST_TOLERANCE_MM = 10.0
 Tolerance = Annotated[FiniteFloat, Field(ge=0, le=_MOST_TOLERANCE_MM)]
 _LAST_HUE = 179
@@ -156,11 +155,7 @@ class BodyModel(FileModel):
         return self
 
     def body(self, source: Path) -> Body:
-        """As the model's body.
-
-        Raises:
-            SessionError: the balls do not determine a pose, or a picture of samples cannot be used.
-        """
+        """As the model's body; SessionError if it has no pose, or samples cannot be used."""
         try:
             balls = tuple(_ball(ball, source.parent) for ball in self.balls)
             return Body(self.name, balls, self.tolerance_mm, self.radius_tolerance_mm)
@@ -169,22 +164,14 @@ class BodyModel(FileModel):
 
 
 def read_body(path: Path | str) -> Body:
-    """Read a body file.
-
-    Raises:
-        SessionError: with file, line and key where the file cannot be used; collinear balls.
-    """
+    """Read a body file; SessionError with file, line and key, or for collinear balls."""
     return load_toml(path, BodyModel).body(Path(path))
 
 
 def write_body(
     path: Path | str, body: Body, samples_bgr: Mapping[str, Bytes] | None = None
 ) -> None:
-    """Write a body file that `read_body` reads back; learnt colours become their ranges.
-
-    Args:
-        samples_bgr: (n, 3) of balls whose colours are written as these samples.
-    """
+    """Write a body file; learnt colours become ranges, or `samples_bgr` (n, 3), by ball."""
     sampled = {ball: {"samples_bgr": some.tolist()} for ball, some in (samples_bgr or {}).items()}
     balls = [
         {

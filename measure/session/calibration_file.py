@@ -35,13 +35,10 @@ UNIT_TOLERANCE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """Calibrated cameras.
-
-    Attributes:
-        provenance: where it comes from: program, version, date, capture, judgement; free.
-    """
+    """Calibrated cameras."""
 
     cameras: tuple[Camera, ...]
+    # where it comes from: program, version, date, capture, judgement; free.
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -50,11 +47,7 @@ class Calibration:
         return tuple(camera.name for camera in self.cameras)
 
     def camera(self, name: str) -> Camera:
-        """The camera called `name`.
-
-        Raises:
-            CalibrationError: there is none.
-        """
+        """The camera called `name`; CalibrationError if there is none."""
         for camera in self.cameras:
             if camera.name == name:
                 return camera
@@ -166,11 +159,7 @@ class CalibrationModel(FileModel):
 
 
 def read_own_calibration(path: Path) -> Calibration:
-    """Read our own format.
-
-    Raises:
-        CalibrationError: with file, line and key where it cannot be used.
-    """
+    """Read our own format; CalibrationError with file, line and key where it cannot be used."""
     given = load_toml(path, CalibrationModel, CalibrationError)
     return Calibration(tuple(camera.camera() for camera in given.cameras), given.provenance)
 

@@ -68,11 +68,7 @@ def read_calibration(
 
 
 def read_intrinsics(path: Path | str) -> dict[str, Intrinsics]:
-    """The lenses alone, by camera name; files of other programs need no poses for that.
-
-    Raises:
-        CalibrationError: the file cannot be used.
-    """
+    """The lenses alone, by camera name, poses or not; CalibrationError if there are none."""
     path = Path(path)
     stated = _foreign(path, read_text(path, CalibrationError))
     if stated is not None:

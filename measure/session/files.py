@@ -144,10 +144,7 @@ def _telling(error: Any) -> tuple[int, int]:
 
 
 def _real_keys(loc: tuple[int | str, ...], values: Any, missing: bool) -> tuple[int | str, ...]:
-    """The keys of a location without the names pydantic adds for the branches of a union.
-
-    Every key stands in the values, but a missing one, which comes last.
-    """
+    """The keys of a location without the names pydantic adds for the branches of a union."""
     keys: list[int | str] = []
     for depth, key in enumerate(loc):
         known = isinstance(values, dict) and key in values

@@ -12,15 +12,8 @@ from measure.arrays import Bytes, Floats, Ints
 from measure.errors import SessionError
 from measure.model import Image
 from measure.reading import missing_message
+from measure.session import pictures
 from measure.session.files import matching_files
-from measure.session.pictures import (
-    JPEG_START,
-    decode_picture,
-    held_bits,
-    is_turned,
-    picture_bytes,
-    picture_form,
-)
 from measure.session.streams import Stream, turned_notes
 from measure.session.timestamps import Stamps
 
@@ -42,11 +35,11 @@ class ImageStream(Stream):
         bits: int | None = None,
     ) -> None:
         size_wh, largest = _form(name, files[0])
-        notes = (*notes, *turned_notes(name, is_turned(picture_bytes(files[0]))))
+        notes = (*notes, *turned_notes(name, pictures.is_turned(pictures.picture_bytes(files[0]))))
         if largest is not None and bits is None:
             some = files[:: -(-len(files) // _PROBED)]
             largest = max(_form(name, file)[1] or 0 for file in some)
-            bits = held_bits(largest)
+            bits = pictures.held_bits(largest)
             held = f"camera '{name}': its pictures of 16 bits hold {bits} (values up to {largest})"
             notes = (*notes, f"{held}; if not, state bit_depth for it in session.toml")
         self._bits = bits
@@ -59,7 +52,7 @@ class ImageStream(Stream):
         data = self._content(index)
 
         def decode() -> Bytes:
-            pixels = decode_picture(data, f"{where}{self.files[index]}", self._bits)
+            pixels = pictures.decode_picture(data, f"{where}{self.files[index]}", self._bits)
             if pixels.shape[1::-1] != self.size_wh:
                 raise SessionError(
                     f"{where}{self.files[index]} is {pixels.shape[1]}x{pixels.shape[0]} px, "
@@ -67,7 +60,7 @@ class ImageStream(Stream):
                 )
             return pixels
 
-        return self._image(index, decode, data if data.startswith(JPEG_START) else None)
+        return self._image(index, decode, data if data.startswith(pictures.JPEG_START) else None)
 
     def repeated(self) -> Ints | None:
         """Positions of files with the content of the one before; most differ in size already."""
@@ -76,7 +69,7 @@ class ImageStream(Stream):
         return np.array([k for k in alike if self._content(k) == self._content(k - 1)], np.int64)
 
     def _content(self, index: int) -> bytes:
-        return picture_bytes(self.files[index], f"{self.place(index)}: ")
+        return pictures.picture_bytes(self.files[index], f"{self.place(index)}: ")
 
 
 def open_image_stream(
@@ -123,7 +116,7 @@ def open_image_stream(
 
 def _form(name: str, file: Path) -> tuple[tuple[int, int], int | None]:
     where = f"camera '{name}': "
-    return picture_form(picture_bytes(file, where), f"{where}{file}")
+    return pictures.picture_form(pictures.picture_bytes(file, where), f"{where}{file}")
 
 
 def _find(name: str, folder: Path, pattern: str) -> list[Path]:

@@ -13,10 +13,8 @@ from measure.geometry import RigidTransform
 from measure.session.plain_values import READ
 from measure.session.stated_rig import StatedCamera, StatedRig
 
-_SUBPIXELS = 64.0
-"""Qualisys' units in a pixel."""
-_FLIPPED = np.diag([1.0, -1.0, -1.0])
-"""From axes with y up and z to the back to ours."""
+_SUBPIXELS = 64.0  # Qualisys' units in a pixel
+_FLIPPED = np.diag([1.0, -1.0, -1.0])  # From axes with y up and z to the back to ours
 _SAME_PX, _MARGIN, _LEAST_FOCAL = 0.1, 1.1, 0.1
 
 

@@ -218,11 +218,7 @@ TimeColumns = tuple[tuple[int, float], ...]
 
 
 def time_columns(header: Sequence[str], named: str | None = None) -> TimeColumns | None:
-    """Find the time by the headings; None if none of them, or several, may be it.
-
-    Args:
-        named: the one that holds the time, if that is known.
-    """
+    """Find the time by the headings, or by its `named` one; None if none, or several, may be it."""
     if named is not None or TIME in header:
         name = TIME if named is None else named
         return ((header.index(name), _unit_s(name)),) if name in header else None

@@ -99,11 +99,7 @@ def session_truth(path: Path | str) -> Path | None:
 
 
 def session_file(path: Path) -> Path:
-    """The file that describes a session, given that or the folder.
-
-    Raises:
-        SessionError: there is none.
-    """
+    """The file that describes a session, given that or the folder; SessionError without one."""
     if not path.exists():
         raise SessionError(missing_message(path))
     if path.is_file() and path.suffix != ".toml":
@@ -206,11 +202,7 @@ def _check_size(stream: Stream, camera: Camera, calibrated: Path) -> None:
 
 
 def check_overlap(streams: list[Stream]) -> None:
-    """Refuse cameras that fall into groups without a moment in common: they have two clocks.
-
-    Raises:
-        SessionError: there are such groups.
-    """
+    """Refuse (SessionError) cameras in groups without a moment in common: they have two clocks."""
     groups: list[list[Stream]] = []
     end = np.inf
     for stream in sorted(streams, key=lambda s: float(s.times_s[0])):

@@ -31,8 +31,7 @@ _DEFAULT_MEGAPIXELS = 100.0
 _MAX_BYTES = 1 << 30
 _FRAME_HEADERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 """Markers after which a JPEG states its size."""
-_ALONE = frozenset({0x01, *range(0xD0, 0xD9)})
-"""Markers that nothing belongs to."""
+_ALONE = frozenset({0x01, *range(0xD0, 0xD9)})  # Markers that nothing belongs to
 _SCAN = 0xDA
 _READERS = (
     (JPEG_START, JpegImageFile),
@@ -46,8 +45,7 @@ _READERS = (
     (b"\xff\x4f\xff\x51", Jpeg2KImageFile),
 )
 """What reads a header, by the bytes that a file begins with."""
-_TILE_WIDTH, _TILE_LENGTH = 322, 323
-"""Tags of TIFF 6.0."""
+_TILE_WIDTH, _TILE_LENGTH = 322, 323  # Tags of TIFF 6.0
 _ORIENTATION, _UPRIGHT = 0x0112, (0, 1)
 """Tag of Exif, and its values for pictures that are stored as they are shown."""
 
@@ -95,11 +93,7 @@ def refuse_huge(size_wh: tuple[int, int], where: str) -> None:
 
 
 def most_pixels() -> float:
-    """Of a picture that is decoded.
-
-    Raises:
-        SessionError: the environment sets what is no number.
-    """
+    """Most pixels of a picture that is decoded; SessionError: the environment sets no number."""
     text = os.environ.get(LIMIT, "")
     try:
         given = float(text) if text else _DEFAULT_MEGAPIXELS

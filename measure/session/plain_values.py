@@ -12,10 +12,8 @@ import yaml
 
 from measure.errors import CalibrationError
 
-_SHOWN = 120
-"""Characters of a reason: OpenCV quotes what it could not read."""
-_LONGEST = 1000
-"""Entries of a list that may describe cameras."""
+_SHOWN = 120  # Characters of a reason: OpenCV quotes what it could not read
+_LONGEST = 1000  # Entries of a list that may describe cameras
 
 READ = (
     "calibrations are read as this program's, aniposelib's, caliscope's or Pose2Sim's TOML; "
@@ -27,11 +25,7 @@ READ = (
 
 
 def plain_values(path: Path, text: str) -> Any:
-    """The values of a file, None if it is in none of these languages.
-
-    Raises:
-        CalibrationError: it begins as one of OpenCV's, which then cannot read it.
-    """
+    """The values of a file, None if in none of these languages; CalibrationError if broken."""
     start = text.lstrip()
     if "!!opencv-matrix" in text and not start.startswith("%YAML"):
         start = f"%YAML:1.0\n---\n{start.removeprefix('---')}"

@@ -24,30 +24,21 @@ DEFAULT_PREFETCH = 3
 
 @dataclass(frozen=True, eq=False)
 class Session:
-    """An opened recording; use it in a `with` block, or call `close`.
+    """An opened recording; use it in a `with` block, or call `close`."""
 
-    Attributes:
-        name: as the file says, else the folder's name.
-        cameras: calibrated, in the order of the session.
-        calibration_path: the file the cameras come from.
-        truth_path: the known poses, if there are any; only evaluation reads them.
-        robot_log: the robot's log, if there is one.
-        notes: what a user should know: missing frames and the like.
-        clock_digest: a fingerprint of the stamps as they were recorded.
-        clock_shifts_s: by camera, what a calibration refined from these stamps has added to them.
-    """
-
-    name: str
+    name: str  # as the file says, else the folder's name
     path: Path
     body: Body
-    cameras: tuple[Camera, ...]
+    cameras: tuple[Camera, ...]  # calibrated, in the order of the session
     streams: dict[str, Stream]
-    calibration_path: Path
-    truth_path: Path | None = None
-    robot_log: Path | None = None
+    calibration_path: Path  # the file the cameras come from
+    truth_path: Path | None = None  # the known poses, if there are any; only evaluation reads them
+    robot_log: Path | None = None  # the robot's log, if there is one
     description: str = ""
+    # what a user should know: missing frames and the like.
     notes: tuple[str, ...] = field(default=())
-    clock_digest: str = ""
+    clock_digest: str = ""  # a fingerprint of the stamps as they were recorded
+    # by camera, what a calibration refined from these stamps has added to them.
     clock_shifts_s: Mapping[str, float] = field(default_factory=dict)
 
     def __enter__(self) -> Self:

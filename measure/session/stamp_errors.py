@@ -12,8 +12,7 @@ from measure.arrays import Floats
 from measure.errors import SessionError
 
 _QUANTA_S = (1.0, 0.1, 0.05, 0.04, 0.02, 0.016, 1 / 64, 0.01, 0.008, 0.005, 0.004, 0.002, 0.001)
-_ROUNDED = 0.01
-"""Of a quantum, or a period: what is nearer to its multiples is one of them."""
+_ROUNDED = 0.01  # Of a quantum, or a period: what is nearer to its multiples is one of them
 _MIN_STAMPS, _GAP_PERIODS = 8, 1.5
 _ARRIVAL_CORRELATION = -0.25
 """Of neighbouring steps: a late stamp lengthens one and shortens the next, which gives -0.5."""
@@ -76,10 +75,7 @@ class StampErrors:
 
 
 def _quantum_s(times_s: Floats, period_s: float) -> float:
-    """What the stamps are rounded to; 0 if nothing shows it.
-
-    A camera whose every step is the same, or a multiple of it, may well take pictures then.
-    """
+    """What the stamps are rounded to; 0 if nothing shows it, as where every step is the same."""
 
     def multiples(values: Floats, unit: float) -> bool:
         return bool(np.all(np.abs(values / unit - np.rint(values / unit)) < _ROUNDED))
@@ -90,11 +86,7 @@ def _quantum_s(times_s: Floats, period_s: float) -> float:
 
 
 def check_time_units(periods_s: Mapping[str, float]) -> None:
-    """Refuse cameras whose stamps are in different units, by their median steps.
-
-    Raises:
-        SessionError: one is a thousand, a million or a billion times another.
-    """
+    """Refuse (SessionError) cameras whose stamps, by their median steps, are in different units."""
     known = sorted((period, name) for name, period in periods_s.items() if np.isfinite(period))
     ratio = known[-1][0] / known[0][0] if known else 1.0
     if any(abs(ratio / factor - 1) < 0.1 for factor in (1e3, 1e6, 1e9)):

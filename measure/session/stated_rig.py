@@ -18,8 +18,7 @@ from measure.session.calibration_file import NO_CAMERA_MATRIX, Calibration, is_c
 
 Unit = Literal["mm", "cm", "m"]
 MM_PER: dict[str, float] = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
-_MAX_ROTATION_RAD = 100.0
-"""Of a component of a rotation vector: a few turns."""
+_MAX_ROTATION_RAD = 100.0  # Of a component of a rotation vector: a few turns
 _MODELS: dict[str, Projection] = {
     **dict.fromkeys(
         ("fisheye", "equidistant", "equi", "kannala_brandt", "kb4", "1", "true"), "fisheye"
@@ -47,12 +46,7 @@ class StatedCamera:
     rms_px: float | None = None  # of its calibration, or None
 
     def lens(self, place: str) -> Intrinsics:
-        """Its lens.
-
-        Raises:
-            CalibrationError: the numbers are none of a lens, or the size of its pictures is
-                unknown.
-        """
+        """Its lens; CalibrationError if the numbers are none, or the picture size is unknown."""
         if self.matrix.shape != (3, 3) or not is_camera_matrix(self.matrix):
             raise CalibrationError(f"{place}: {NO_CAMERA_MATRIX}")
         if self.size_wh is None:
@@ -111,11 +105,7 @@ class StatedRig:
         return Calibration(tuple(cameras), facts)
 
     def lenses(self, path: Path) -> dict[str, Intrinsics]:
-        """The lenses alone, by camera name.
-
-        Raises:
-            CalibrationError: a camera cannot be used.
-        """
+        """The lenses alone, by camera name; CalibrationError if a camera cannot be used."""
         return {one.name: one.lens(f"{path}: camera '{one.name}'") for one in self.cameras}
 
     def _named(self, pictures: Sizes) -> list[StatedCamera]:

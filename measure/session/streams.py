@@ -58,17 +58,10 @@ class Stream(ABC):
 
     @abstractmethod
     def read(self, index: int) -> Image:
-        """The frame at position `index` (not its number); its pixels decode on first use.
-
-        Raises:
-            SessionError: with camera, file and frame if it cannot be read.
-        """
+        """The frame at position `index`, decoded on first use; SessionError says which it is."""
 
     def repeated(self) -> Ints | None:
-        """Positions of pictures that are the one before once more, to the last bit.
-
-        None where only decoding would show it.
-        """
+        """Positions of pictures equal to the one before; None where only decoding would show it."""
         return None
 
     def close(self) -> None:  # noqa: B027 -- most streams hold nothing open

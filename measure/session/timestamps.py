@@ -17,8 +17,7 @@ from measure.session.number_table import read_number_table
 
 LATEST_S = 1e11
 """Latest time of a recording, seconds after 1970."""
-_MAX_FRAME_NUMBER = 2.0**53
-"""Largest whole number that is exact in double precision."""
+_MAX_FRAME_NUMBER = 2.0**53  # Largest whole number that is exact in double precision
 
 
 @dataclass(frozen=True, eq=False)

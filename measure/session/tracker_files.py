@@ -36,8 +36,7 @@ _LENGTHS_MM = {
 _NDI_RATE_HZ = 60.0
 _NDI_CELLS = ["q0", "qx", "qy", "qz", "tx", "ty", "tz"]
 _NDI_LOST = ("missing", "disabled", "invalid", "unoccupied")
-_FARTHEST_MM = 1e6
-"""NDI writes -3.7e28 for what is not known."""
+_FARTHEST_MM = 1e6  # NDI writes -3.7e28 for what is not known
 
 
 @dataclass(frozen=True)

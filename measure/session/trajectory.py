@@ -29,15 +29,10 @@ MAX_GAP_PERIODS = 5.0
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Poses at increasing times.
+    """Poses at increasing times."""
 
-    Attributes:
-        times_s: (n,).
-        world_from_body: a batch of n.
-    """
-
-    times_s: Floats
-    world_from_body: RigidTransform
+    times_s: Floats  # (n,)
+    world_from_body: RigidTransform  # a batch of n
     source: str = "trajectory"
 
     def __len__(self) -> int:

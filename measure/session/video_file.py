@@ -28,8 +28,7 @@ _CONTAINERS = (
 """What is opened. None of these names further files to be opened, as playlists do."""
 _TIME_OF_DAY_S = 1e8
 """A container that begins later than this counts from 1970, as recorders of streams may do."""
-_PATIENCE_S = 8.0
-"""Longest search for the next packet: damaged files may promise terabytes."""
+_PATIENCE_S = 8.0  # Longest search for the next packet: damaged files may promise terabytes
 _RAW_CONTAINERS = ("h264", "hevc", "m4v", "mjpeg", "mpegvideo", "rawvideo")
 """Bare streams without any time; a reader that gives some invents them."""
 
@@ -108,11 +107,7 @@ class VideoReader:
         self._next = 0
 
     def picture(self, position: int, where: str) -> Bytes:
-        """BGR pixels (h, w, 3) of the frame at `position`.
-
-        Raises:
-            SessionError: it cannot be decoded; the message starts with `where`.
-        """
+        """BGR pixels (h, w, 3) of the frame at `position`; SessionError if it cannot be decoded."""
         frame = self._advance(position, where, packets=False)
         # The default conversion repeats each chroma sample over two columns, which moves a coloured
         # edge by up to half a pixel depending on where it falls; this interpolates.

@@ -15,21 +15,7 @@ from measure.simulation.trajectory import (
 )
 
 __all__ = [
-    "Actor",
-    "CameraSensor",
-    "Capsule",
-    "ContinuousTrajectory",
-    "Cuboid",
-    "Lamp",
-    "Lighting",
-    "Material",
-    "MotionLimits",
-    "Renderer",
-    "Scene",
-    "Sines",
-    "Sphere",
-    "Still",
-    "random_motion",
-    "render",
-    "write_session",
-]
+    "Actor", "CameraSensor", "Capsule", "ContinuousTrajectory", "Cuboid", "Lamp", "Lighting",
+    "Material", "MotionLimits", "Renderer", "Scene", "Sines", "Sphere", "Still", "random_motion",
+    "render", "write_session",
+]  # fmt: skip

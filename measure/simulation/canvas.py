@@ -22,8 +22,7 @@ _MIDDLE = _BLOCK_PX // 2 + 1  # index in the grid, which begins one pixel before
 _BLOCK_MARGIN_PX = 0.75 * _BLOCK_PX + 2.0
 _TEXTURE_STEP = 0.05
 """Relative difference of neighbouring pixels on a flat face from which they are supersampled."""
-_MOST_EDGES = 4096
-"""Edge pixels supersampled at once: bounds the memory."""
+_MOST_EDGES = 4096  # Edge pixels supersampled at once: bounds the memory
 
 
 class Canvas:

@@ -21,30 +21,23 @@ _VELOCITY = slice(kernels.VELOCITY, kernels.VELOCITY + 3)
 _GOLDEN = (math.sqrt(5) - 1) / 2
 _MOST_TEXELS = 4096
 """Points whose texture is computed at once: the arrays stay in the processor's cache."""
-_EDGE_PX = 0.75
-"""An outline crosses a pixel only if it passes the centre at a smaller distance."""
+_EDGE_PX = 0.75  # An outline crosses a pixel only if it passes the centre at a smaller distance
 
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """Shapes and light, in a camera's frame.
+    """Shapes and light, in a camera's frame."""
 
-    Attributes:
-        shapes: in the camera's frame.
-        lighting: in the camera's frame.
-        focal_px: focal length of the camera, px per rad on its axis.
-        velocities: (k, 3) mm/s of the shapes, for a rolling shutter; None if all stand still.
-        longest_delay_s: largest difference between the exposure of a row and the middle row.
-        backdrop: standing shapes that are drawn apart; glossy shapes mirror them.
-        part: (index, count) of the stages that are averaged over an exposure.
-    """
-
-    shapes: tuple[Shape, ...]
-    lighting: Lighting
-    focal_px: float
+    shapes: tuple[Shape, ...]  # in the camera's frame
+    lighting: Lighting  # in the camera's frame
+    focal_px: float  # focal length of the camera, px per rad on its axis
+    # (k, 3) mm/s of the shapes, for a rolling shutter; None if all stand still.
     velocities: Floats | None = None
+    # largest difference between the exposure of a row and the middle row.
     longest_delay_s: float = 0.0
+    # standing shapes that are drawn apart; glossy shapes mirror them.
     backdrop: tuple[Shape, ...] = ()
+    # (index, count) of the stages that are averaged over an exposure.
     part: tuple[int, int] = (0, 1)
     fisheye: bool = False
 

@@ -7,15 +7,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.geometry import RigidTransform
 from measure.model import paper_body
-from measure.simulation.presets import (
-    PLASTIC,
-    WORKSPACE_MM,
-    lamps,
-    paper_rig,
-    plain_lighting,
-    shaft,
-    stems,
-)
+from measure.simulation import presets
 from measure.simulation.scene import Scene
 from measure.simulation.sensor import CameraSensor
 from measure.simulation.shading import Lighting, Material
@@ -68,7 +60,7 @@ PLAIN_CAMERA = CameraSensor(blur_px=0.7, level_noise=2.0, encoding="png")
 
 def motion(seed: int, limits: MotionLimits | None = None) -> Sines:
     """A smooth random motion about the middle of the workspace."""
-    return random_motion(seed, RigidTransform(np.eye(3), WORKSPACE_MM), limits)
+    return random_motion(seed, RigidTransform(np.eye(3), presets.WORKSPACE_MM), limits)
 
 
 def webcam_scene(seed: int = 1) -> Scene:
@@ -77,11 +69,11 @@ def webcam_scene(seed: int = 1) -> Scene:
     return Scene(
         "still",
         body,
-        paper_rig(),
+        presets.paper_rig(),
         motion(seed),
-        Lighting(lamps(seed), (0.15, 0.15, 0.15), (0.12, 0.12, 0.12), shadows=True),
-        finish=PLASTIC,
-        attached=(*stems(body), shaft(color=(0.02, 0.02, 0.02))),
+        Lighting(presets.lamps(seed), (0.15, 0.15, 0.15), (0.12, 0.12, 0.12), shadows=True),
+        finish=presets.PLASTIC,
+        attached=(*presets.stems(body), presets.shaft(color=(0.02, 0.02, 0.02))),
         backdrop=cloth_room(0.02, seed),
         sensor=WEBCAM,
         seed=seed,
@@ -98,11 +90,11 @@ def plain_scene(background: str = "black", seed: int = 1) -> Scene:
     return Scene(
         f"plain-{background}",
         body,
-        paper_rig(),
+        presets.paper_rig(),
         motion(seed + 100),
-        plain_lighting(seed),
+        presets.plain_lighting(seed),
         finish=Material((1.0, 1.0, 1.0), 0.03, 0.08),
-        attached=stems(body, (0.18, 0.18, 0.18)),
+        attached=presets.stems(body, (0.18, 0.18, 0.18)),
         backdrop=cloth_room({"black": 0.01, "grey": 0.12}[background], seed),
         sensor=PLAIN_CAMERA,
         seed=seed,

@@ -37,21 +37,13 @@ _OWN = 1.0001
 
 
 class Lights(NamedTuple):
-    """The light sources.
+    """The light sources."""
 
-    Attributes:
-        lamps: (m, LAMP_ROW).
-        ambient: (3,) diffuse light from above.
-        surround: (3,) radiance from straight above, where no shape is.
-        up_below: (4,) unit vector upwards, and the share of light from below.
-        blockers: (j,) shapes that cast shadows.
-    """
-
-    lamps: Floats
-    ambient: Floats
-    surround: Floats
-    up_below: Floats
-    blockers: Ints
+    lamps: Floats  # (m, LAMP_ROW)
+    ambient: Floats  # (3,) diffuse light from above
+    surround: Floats  # (3,) radiance from straight above, where no shape is
+    up_below: Floats  # (4,) unit vector upwards, and the share of light from below
+    blockers: Ints  # (j,) shapes that cast shadows
 
 
 @compiled
@@ -62,7 +54,6 @@ def reflect(points: Points, mirrored: Floats, shapes: Floats, lights: Lights, ou
         points: (n,) the points, all on shapes.
         mirrored: (n, 3) radiance of the mirrored shapes, without lamps, B G R.
         shapes: (k, ROW).
-        lights: lamps and surroundings.
         out: (n, 6) receives diffuse light per unit of albedo, and mirrored light, B G R each.
     """
     for i in range(len(points.shape)):
@@ -102,7 +93,6 @@ def mean_of_pixels(
     """Mean radiance of the rays of each pixel; a ray that meets no shape counts 0.
 
     Args:
-        rays: the rays.
         source: (n,) which row of `light` is a ray's.
         light: (j, 6) of `reflect`.
         albedo: (n, 3) of the rays, or (k, 3) of the shapes, B G R.

@@ -66,7 +66,6 @@ def count_facets(points: Points, shapes: Floats, most: float, least: float, star
         points: (n,) the points.
         shapes: (k, ROW).
         most: facets of a rough surface where all light is mirrored; proportional to that share.
-        least: smallest number of facets.
         starts: (n + 1,) receives the cumulative number of facets.
     """
     starts[0] = 0

@@ -13,17 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from measure.arrays import Bools, Floats, Ints
-from measure.simulation.kernels import (
-    BOX,
-    KIND,
-    RADIUS,
-    REFLECTANCE,
-    ROUGHNESS,
-    SPHERE,
-    VELOCITY,
-    A,
-    B,
-)
+from measure.simulation import kernels
 from measure.simulation.light_kernels import Lights, shine
 from measure.simulation.mirror_kernels import (
     count_facets,
@@ -51,7 +41,7 @@ class Grid(Protocol):
 
 def grid_of(row: Floats) -> Grid:
     """The grid of a ball or a rod, given as the kernels' row of numbers."""
-    return BallGrid(row) if row[KIND] == SPHERE else RodGrid(row)
+    return BallGrid(row) if row[kernels.KIND] == kernels.SPHERE else RodGrid(row)
 
 
 def interpolated(values: Floats, coordinates: Floats) -> Floats:
@@ -67,7 +57,7 @@ class BallGrid:
     shape = (_RINGS, _SPOKES + 1)
 
     def __init__(self, row: Floats) -> None:
-        self._center, self._radius = row[A : A + 3], row[RADIUS]
+        self._center, self._radius = row[kernels.A : kernels.A + 3], row[kernels.RADIUS]
         away = float(np.linalg.norm(self._center))
         towards = -self._center / away
         across = np.cross(towards, np.eye(3)[np.argmin(np.abs(towards))])
@@ -95,9 +85,9 @@ class RodGrid:
     """Strips along the round side of a rod, from outline to outline; not its ends."""
 
     def __init__(self, row: Floats) -> None:
-        self._start, self._radius = row[A : A + 3], row[RADIUS]
-        self._velocity = row[VELOCITY : VELOCITY + 3]
-        axis = row[B : B + 3] - self._start
+        self._start, self._radius = row[kernels.A : kernels.A + 3], row[kernels.RADIUS]
+        self._velocity = row[kernels.VELOCITY : kernels.VELOCITY + 3]
+        axis = row[kernels.B : kernels.B + 3] - self._start
         self._length = max(float(np.linalg.norm(axis)), 1e-9)
         self._along = axis / self._length
         self.shape = (int(self._length / _STEP_MM) + 2, _STRIPS)
@@ -138,8 +128,7 @@ def _seen_points(k: int, place: Floats, normal: Floats) -> Points:
 
 _FACETS = 32.0
 """Facets of a rough surface that mirror rays for one pixel, where all light is mirrored."""
-_SOFT_RAD = 0.04
-"""On balls and rods rougher than this, the mirror image is interpolated on a grid."""
+_SOFT_RAD = 0.04  # On balls and rods rougher than this, the mirror image is interpolated on a grid
 _GRID_FACETS, _FEWEST_GRID_FACETS = 32.0, 8.0
 
 
@@ -162,8 +151,10 @@ class Mirror:
         self._shapes, self._lights, self._albedo_of = shapes, lights, albedo_of
         self._part, self._parts = part
         self._images: dict[int, tuple[Grid, Floats]] = {}
-        soft = (shapes[:, ROUGHNESS] > _SOFT_RAD) & (shapes[:, REFLECTANCE] > 0)
-        self._soft = [int(k) for k in np.flatnonzero(soft & (shapes[:, KIND] != BOX))]
+        soft = (shapes[:, kernels.ROUGHNESS] > _SOFT_RAD) & (shapes[:, kernels.REFLECTANCE] > 0)
+        self._soft = [
+            int(k) for k in np.flatnonzero(soft & (shapes[:, kernels.KIND] != kernels.BOX))
+        ]
 
     def radiance(self, points: Points, numbers: Ints, per_pixel: int) -> Floats:
         """Radiance (n, 3) that points mirror to their viewers, without lamps, B G R.
@@ -173,7 +164,10 @@ class Mirror:
             numbers: (n,) index of each point in its pixel.
             per_pixel: rays through a pixel.
         """
-        out, left = np.zeros((len(points.shape), 3)), self._shapes[points.shape, REFLECTANCE] > 0
+        out, left = (
+            np.zeros((len(points.shape), 3)),
+            self._shapes[points.shape, kernels.REFLECTANCE] > 0,
+        )
         for k in self._soft:
             rows = np.flatnonzero(points.shape == k)
             grid, image = self._image(k, rows.size)

@@ -27,11 +27,7 @@ _VELOCITY_STEP_S = 1e-4
 
 
 class Renderer:
-    """Renders one camera of a scene; the parts that do not move are rendered once.
-
-    Args:
-        samples: rays through a pixel that an edge crosses.
-    """
+    """Renders one camera; what stands still once. `samples` are rays through an edge pixel."""
 
     def __init__(self, scene: Scene, camera: str, samples: int = SAMPLES) -> None:
         self.scene = scene

@@ -29,64 +29,43 @@ BALL_ALBEDO: dict[str, Rgb] = {
 
 @dataclass(frozen=True, eq=False)
 class Actor:
-    """Shapes that move together.
+    """Shapes that move together."""
 
-    Attributes:
-        shapes: in the actor's own frame.
-        trajectory: world_from_actor at any time.
-    """
-
-    shapes: tuple[Shape, ...]
-    trajectory: ContinuousTrajectory
+    shapes: tuple[Shape, ...]  # in the actor's own frame
+    trajectory: ContinuousTrajectory  # world_from_actor at any time
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """All that a rendered picture depends on.
+    """All that a rendered picture depends on."""
 
-    Attributes:
-        name: of the scene, and of the session written from it.
-        body: the measured body; its balls are drawn.
-        cameras: with their true calibration.
-        finish: material of the balls; its albedo is replaced by the colour of each ball.
-        attached: stems and shafts that move with the body, in its frame.
-        fixed: shapes that do not move; they occlude and are occluded.
-        backdrop: walls, floor and posters, behind all other shapes.
-        backdrop_px: the backdrop is computed at every n-th pixel and interpolated between.
-        sensor: from radiance to image file, for all cameras.
-        sensors: by camera name, the sensors that differ from `sensor`.
-        phases_s: by camera name, delay of its exposures in s.
-        shown: names of the balls that are drawn; None for all.
-        stated_cameras: cameras written to the calibration file, if not the true ones.
-        stated_body: body written to the body file, if not the true one.
-    """
-
-    name: str
-    body: Body
-    cameras: tuple[Camera, ...]
+    name: str  # of the scene, and of the session written from it
+    body: Body  # the measured body; its balls are drawn
+    cameras: tuple[Camera, ...]  # with their true calibration
     trajectory: ContinuousTrajectory
     lighting: Lighting
+    # material of the balls; its albedo is replaced by the colour of each ball.
     finish: Material = field(default_factory=lambda: Material((1.0, 1.0, 1.0), 0.04))
-    attached: tuple[Shape, ...] = ()
+    attached: tuple[Shape, ...] = ()  # stems and shafts that move with the body, in its frame
     actors: tuple[Actor, ...] = ()
-    fixed: tuple[Shape, ...] = ()
-    backdrop: tuple[Shape, ...] = ()
-    backdrop_px: int = 4
+    fixed: tuple[Shape, ...] = ()  # shapes that do not move; they occlude and are occluded
+    backdrop: tuple[Shape, ...] = ()  # walls, floor and posters, behind all other shapes
+    backdrop_px: int = 4  # the backdrop is computed at every n-th pixel and interpolated between
+    # from radiance to image file, for all cameras.
     sensor: CameraSensor = field(default_factory=CameraSensor)
+    # by camera name, the sensors that differ from `sensor`.
     sensors: dict[str, CameraSensor] = field(default_factory=dict)
+    # by camera name, delay of its exposures in s.
     phases_s: dict[str, float] = field(default_factory=dict)
     seed: int = 0
-    shown: tuple[str, ...] | None = None
+    shown: tuple[str, ...] | None = None  # names of the balls that are drawn; None for all
+    # cameras written to the calibration file, if not the true ones.
     stated_cameras: tuple[Camera, ...] | None = None
-    stated_body: Body | None = None
+    stated_body: Body | None = None  # body written to the body file, if not the true one
     description: str = "simulated; exact truth"
 
     def camera(self, name: str) -> Camera:
-        """The camera called `name`.
-
-        Raises:
-            ConfigError: there is none.
-        """
+        """The camera called `name`; ConfigError if there is none."""
         for camera in self.cameras:
             if camera.name == name:
                 return camera

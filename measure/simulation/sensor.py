@@ -31,38 +31,24 @@ _BAYER = cv2.COLOR_BayerBG2BGR
 
 @dataclass(frozen=True)
 class CameraSensor:
-    """The sensor chain of a camera.
+    """The sensor chain of a camera."""
 
-    Attributes:
-        exposure_s: exposure time, for motion blur; 0 for none.
-        row_time_s: rolling shutter: time from row to row (the middle row is on time); 0 for global.
-        blur_px: sigma of the optical blur.
-        gain: from radiance to the sensor's full scale.
-        bayer: whether colours are sampled through an RGGB mosaic and interpolated.
-        electrons: at full scale, for shot noise; 0 for none.
-        read_noise: in electrons if `electrons`, else in shares of full scale.
-        tone: "linear", "srgb", "bent" (a contrast curve on top of sRGB), or a gamma as "2.2".
-        sharpen: gain of the unsharp mask.
-        sharpen_px: its sigma.
-        level_noise: sigma of noise added to the encoded 8-bit levels.
-        quality: JPEG quality, 1 to 100.
-        chroma: JPEG chroma subsampling, "444", "422" or "420".
-    """
-
-    exposure_s: float = 0.0
+    exposure_s: float = 0.0  # exposure time, for motion blur; 0 for none
+    # rolling shutter: time from row to row (the middle row is on time); 0 for global.
     row_time_s: float = 0.0
-    blur_px: float = 0.7
-    gain: float = 1.0
-    bayer: bool = False
-    electrons: float = 0.0
-    read_noise: float = 0.0
+    blur_px: float = 0.7  # sigma of the optical blur
+    gain: float = 1.0  # from radiance to the sensor's full scale
+    bayer: bool = False  # whether colours are sampled through an RGGB mosaic and interpolated
+    electrons: float = 0.0  # at full scale, for shot noise; 0 for none
+    read_noise: float = 0.0  # in electrons if `electrons`, else in shares of full scale
+    # "linear", "srgb", "bent" (a contrast curve on top of sRGB), or a gamma as "2.2".
     tone: str = "srgb"
-    sharpen: float = 0.0
-    sharpen_px: float = 1.0
-    level_noise: float = 0.0
+    sharpen: float = 0.0  # gain of the unsharp mask
+    sharpen_px: float = 1.0  # its sigma
+    level_noise: float = 0.0  # sigma of noise added to the encoded 8-bit levels
     encoding: Literal["jpg", "png"] = "jpg"
-    quality: int = 95
-    chroma: Literal["444", "422", "420"] = "444"
+    quality: int = 95  # JPEG quality, 1 to 100
+    chroma: Literal["444", "422", "420"] = "444"  # JPEG chroma subsampling, "444", "422" or "420"
 
 
 def develop(radiance: Linear, sensor: CameraSensor, rng: np.random.Generator) -> Bytes:
@@ -84,11 +70,7 @@ def develop(radiance: Linear, sensor: CameraSensor, rng: np.random.Generator) ->
 
 @lru_cache
 def tone_curve(tone: str) -> Linear:
-    """Encoded levels 0-255 of `_TONE_STEPS` linear values from 0 to 1.
-
-    Raises:
-        ConfigError: no such curve.
-    """
+    """Encoded levels 0-255 of `_TONE_STEPS` linear values 0 to 1; ConfigError: no such curve."""
     x = np.linspace(0, 1, _TONE_STEPS)
     if tone == "linear":
         y = x

@@ -20,55 +20,41 @@ Texture: TypeAlias = Callable[[Floats], Floats]
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """A surface.
+    """A surface."""
 
-    Attributes:
-        albedo_rgb: diffuse reflectance, linear, 0 to 1.
-        reflectance: mirror reflectance at normal incidence (0.04 for plastic; 0 is ideally matt).
-        roughness_rad: standard deviation, per axis, of the slopes of the microfacets: highlights
-            and mirror images are blurred by twice that.
-        texture: albedo (n, 3) of points (n, 3) in the frame of a `Cuboid`, instead of `albedo_rgb`.
-    """
-
-    albedo_rgb: Rgb
+    albedo_rgb: Rgb  # diffuse reflectance, linear, 0 to 1
+    # mirror reflectance at normal incidence (0.04 for plastic; 0 is ideally matt).
     reflectance: float = 0.0
+    # standard deviation, per axis, of the slopes of the microfacets: highlights and mirror images
+    # are blurred by twice that.
     roughness_rad: float = 0.05
+    # albedo (n, 3) of points (n, 3) in the frame of a `Cuboid`, instead of `albedo_rgb`.
     texture: Texture | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Lamp:
-    """A round lamp.
+    """A round lamp."""
 
-    Attributes:
-        position_mm: (3,) in the world.
-        irradiance_rgb: at a distance of one metre; falls with the square of the distance.
-        radius_mm: radius of its disc; it softens shading, highlight and shadow.
-    """
-
-    position_mm: Floats
+    position_mm: Floats  # (3,) in the world
+    # at a distance of one metre; falls with the square of the distance.
     irradiance_rgb: Rgb = (1.0, 1.0, 1.0)
-    radius_mm: float = 80.0
+    radius_mm: float = 80.0  # radius of its disc; it softens shading, highlight and shadow
 
 
 @dataclass(frozen=True, eq=False)
 class Lighting:
-    """The light of a scene.
-
-    Attributes:
-        ambient_rgb: diffuse light from all sides, from above; less comes from below.
-        surround_rgb: radiance from straight above that glossy shapes mirror where no shape is; it
-            falls gradually to 0 at the horizon.
-        below: share of `ambient_rgb` that comes from below.
-        shadows: whether balls darken each other and what stands behind them.
-        up: (3,) unit vector, away from the floor.
-    """
+    """The light of a scene."""
 
     lights: tuple[Lamp, ...]
+    # diffuse light from all sides, from above; less comes from below.
     ambient_rgb: Rgb = (0.25, 0.25, 0.25)
+    # radiance from straight above that glossy shapes mirror where no shape is; it falls gradually
+    # to 0 at the horizon.
     surround_rgb: Rgb = (0.12, 0.12, 0.12)
-    below: float = 0.3
-    shadows: bool = False
+    below: float = 0.3  # share of `ambient_rgb` that comes from below
+    shadows: bool = False  # whether balls darken each other and what stands behind them
+    # (3,) unit vector, away from the floor.
     up: Floats = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
 
     def seen_from(self, camera_from_world: RigidTransform) -> Lighting:

@@ -73,17 +73,11 @@ class Capsule:
 
 @dataclass(frozen=True, eq=False)
 class Cuboid:
-    """A cuboid; flat ones serve as boards, posters, walls and floors.
+    """A cuboid; flat ones serve as boards, posters, walls and floors."""
 
-    Attributes:
-        frame_from_box: pose; the cuboid is centred in its own frame.
-        size_mm: (3,) full edge lengths.
-        material: its texture, if any, is evaluated in the box's frame.
-    """
-
-    frame_from_box: RigidTransform
-    size_mm: tuple[float, float, float]
-    material: Material
+    frame_from_box: RigidTransform  # pose; the cuboid is centred in its own frame
+    size_mm: tuple[float, float, float]  # (3,) full edge lengths
+    material: Material  # its texture, if any, is evaluated in the box's frame
 
     def moved(self, target_from_source: RigidTransform) -> Cuboid:
         """The same cuboid in another frame."""

@@ -16,39 +16,23 @@ REUSE = 4
 
 
 class RayHits(NamedTuple):
-    """Rays and the shapes that they meet first.
+    """Rays and the shapes that they meet first."""
 
-    Attributes:
-        ideal: (n, 2) undistorted normalised image coordinates.
-        per_pixel: how many consecutive rays belong to a pixel.
-        delays_s: (pixels,) time of exposure in s after that of the shapes' poses.
-        first: (n,) and
-        depth: (n,) as `trace` gives them.
-    """
-
-    ideal: Floats
-    per_pixel: int
-    delays_s: Floats
-    first: Ints
-    depth: Floats
+    ideal: Floats  # (n, 2) undistorted normalised image coordinates
+    per_pixel: int  # how many consecutive rays belong to a pixel
+    delays_s: Floats  # (pixels,) time of exposure in s after that of the shapes' poses
+    first: Ints  # (n,) and
+    depth: Floats  # (n,) as `trace` gives them
 
 
 class Points(NamedTuple):
-    """Points on surfaces, and from where they are seen.
+    """Points on surfaces, and from where they are seen."""
 
-    Attributes:
-        shape: (n,) which shape each lies on, or `NOTHING` for a ray that meets none.
-        place: (n, 3).
-        normal: (n, 3) unit vectors outwards.
-        viewer: (n, 3) unit vectors towards the viewer.
-        delay_s: (n,) time of exposure in s after that of the shapes' poses.
-    """
-
-    shape: Ints
-    place: Floats
-    normal: Floats
-    viewer: Floats
-    delay_s: Floats
+    shape: Ints  # (n,) which shape each lies on, or `NOTHING` for a ray that meets none
+    place: Floats  # (n, 3)
+    normal: Floats  # (n, 3) unit vectors outwards
+    viewer: Floats  # (n, 3) unit vectors towards the viewer
+    delay_s: Floats  # (n,) time of exposure in s after that of the shapes' poses
 
 
 def no_points(count: int) -> Points:
@@ -62,8 +46,6 @@ def choose_lit(rays: RayHits, shapes: int, lit: Ints, source: Ints) -> int:
     """Choose the rays whose shading is computed, and for each ray the one whose shading it takes.
 
     Args:
-        rays: the rays.
-        shapes: how many there are.
         lit: (n,) receives the indices of the chosen rays.
         source: (n,) receives, for each ray, the index into `lit` of the ray that it takes.
 

@@ -37,19 +37,12 @@ class Still:
 
 @dataclass(frozen=True, eq=False)
 class Sines:
-    """A smooth trajectory: every coordinate is a sum of sines.
+    """A smooth trajectory: every coordinate is a sum of sines."""
 
-    Attributes:
-        middle: pose about which the body moves.
-        amplitudes: (k, 6) mm and rad, of x y z and the rotation vector.
-        frequencies_hz: (k, 6).
-        phases: (k, 6) in rad.
-    """
-
-    middle: RigidTransform
-    amplitudes: Floats
-    frequencies_hz: Floats
-    phases: Floats
+    middle: RigidTransform  # pose about which the body moves
+    amplitudes: Floats  # (k, 6) mm and rad, of x y z and the rotation vector
+    frequencies_hz: Floats  # (k, 6)
+    phases: Floats  # (k, 6) in rad
 
     def at(self, times_s: ArrayLike) -> RigidTransform:
         """world_from_body at times (...), a batch of the same shape."""
@@ -64,23 +57,15 @@ class Sines:
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """Bounds of `random_motion`.
+    """Bounds of `random_motion`."""
 
-    Attributes:
-        reach_mm: largest distance from the middle along x, y and z.
-        angle_rad: largest rotation from the middle.
-        speed_mm_s: largest speed of the body's origin.
-        turn_rad_s: largest angular speed.
-        slowest_hz: lowest frequency of the sines.
-        fastest_hz: highest frequency of the sines.
-    """
-
+    # largest distance from the middle along x, y and z.
     reach_mm: tuple[float, float, float] = (50.0, 50.0, 30.0)
-    angle_rad: float = field(default=np.deg2rad(60.0))
-    speed_mm_s: float = 60.0
-    turn_rad_s: float = 1.0
-    slowest_hz: float = 0.05
-    fastest_hz: float = 0.5
+    angle_rad: float = field(default=np.deg2rad(60.0))  # largest rotation from the middle
+    speed_mm_s: float = 60.0  # largest speed of the body's origin
+    turn_rad_s: float = 1.0  # largest angular speed
+    slowest_hz: float = 0.05  # lowest frequency of the sines
+    fastest_hz: float = 0.5  # highest frequency of the sines
 
 
 def random_motion(

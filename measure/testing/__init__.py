@@ -16,11 +16,6 @@ from measure.testing.scenes import Example, example
 from measure.testing.triangulator import TriangulatorConformance
 
 __all__ = [
-    "DetectorConformance",
-    "EstimatorConformance",
-    "Example",
-    "PluginConformance",
-    "PoseSolverConformance",
-    "TriangulatorConformance",
-    "example",
-]
+    "DetectorConformance", "EstimatorConformance", "Example", "PluginConformance",
+    "PoseSolverConformance", "TriangulatorConformance", "example",
+]  # fmt: skip

@@ -17,8 +17,7 @@ from measure.session import Session
 
 TILE_WH = (640, 360)
 _AXIS_MM = 60.0
-_FRACTION_BITS = 4
-"""Bits of a pixel's fraction in OpenCV's drawing."""
+_FRACTION_BITS = 4  # Bits of a pixel's fraction in OpenCV's drawing
 _AXIS_COLOURS = ((80, 80, 255), (90, 220, 90), (255, 150, 80))
 _FOUND, _NOT_FOUND, _DARK = (255, 255, 255), (150, 150, 150), (0, 0, 0)
 

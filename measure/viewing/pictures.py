@@ -27,11 +27,7 @@ def send_views(
     body: Body,
     cameras: Sequence[Camera],
 ) -> None:
-    """Centres of what was found, and where a ball is not used; outlines where there are pictures.
-
-    Args:
-        pictured: (n,) which of them have pictures.
-    """
+    """Centres of what was found, or why a ball is not used; outlines where `pictured` (n,)."""
     for camera in cameras:
         mine = [[view for view in one.views if view.camera == camera.name] for one in sets]
         seen = [[view for view in row if view.detection is not None] for row in mine]

@@ -84,11 +84,7 @@ class RunRecording:
         self._stream.flush()
 
     def add(self, measured: Measurement, frame_set: FrameSet | None = None) -> None:
-        """Log one measurement.
-
-        Args:
-            frame_set: its images, where they shall be logged.
-        """
+        """Log one measurement, and the images of `frame_set`."""
         pictured = bool(frame_set and self._image_every and not measured.index % self._image_every)
         if frame_set is not None and pictured:
             self._log_images(measured, frame_set)

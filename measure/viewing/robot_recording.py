@@ -19,11 +19,7 @@ KINDS = {"reported": (207, 75, 75), "measured": (61, 139, 212), "corrected": (79
 
 
 def write_robot_recording(path: Path, name: str, frames: Floats, traces: RobotTraces) -> None:
-    """Write the traces to an .rrd file.
-
-    Args:
-        frames: (n,) index of each row's frame set.
-    """
+    """Write the traces to an .rrd file; `frames` (n,) index each row's frame set."""
     stream = rr.RecordingStream("triball robot")
     stream.set_sinks(rr.FileSink(path), default_blueprint=robot_blueprint())
     stream.send_recording_name(name)

@@ -14,8 +14,7 @@ from pathlib import Path
 from measure.errors import ConfigError, RunError
 
 LOOPBACK = "127.0.0.1"
-_MAGIC = b"RRF"
-"""What every .rrd file begins with."""
+_MAGIC = b"RRF"  # What every .rrd file begins with
 
 
 @dataclass(frozen=True)
@@ -68,11 +67,7 @@ def _refuse_what_is_no_recording(path: Path) -> None:
 
 
 def viewer_program() -> str:
-    """Path of the viewer itself, not of the wrapper that outlives a kill.
-
-    Raises:
-        RunError: it is not installed.
-    """
+    """Path of the viewer itself, not of the wrapper that outlives a kill; RunError without one."""
     spec = find_spec("rerun_cli")
     places = spec.submodule_search_locations if spec is not None else None
     for place in places or ():

@@ -6,14 +6,6 @@ from measure.calibration.refining.recording import Recording, Track
 from measure.calibration.refining.refine import Refinement, RefineSettings, refine_rig
 
 __all__ = [
-    "Recording",
-    "RefineSettings",
-    "RefineVerdict",
-    "RefinedRig",
-    "Refinement",
-    "Track",
-    "judge_refinement",
-    "refine_measured",
-    "refine_rig",
-    "rough_cameras",
-]
+    "Recording", "RefineSettings", "RefineVerdict", "RefinedRig", "Refinement", "Track",
+    "judge_refinement", "refine_measured", "refine_rig", "rough_cameras",
+]  # fmt: skip

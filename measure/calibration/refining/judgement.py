@@ -86,29 +86,25 @@ _LITTLE_GAIN_RATIO = 0.9
 _MIN_DETERMINED_SHARE = 0.02
 """Directions whose prior variance the recording lowers by a smaller share are not tested."""
 SUSPICIOUS_PX = 0.4
-_MAX_MISFIT_PX = 1.5
-"""Light shifts the edges of glossy balls by about a pixel at most."""
+_MAX_MISFIT_PX = 1.5  # Light shifts the edges of glossy balls by about a pixel at most
 _SURPRISE_CONFIDENCE = 0.999
 _JUDGED_POSES = 20
 
 
 @dataclass(frozen=True)
 class RefineVerdict:
-    """How good a refinement is.
+    """How good a refinement is."""
 
-    Attributes:
-        camera_sd_mm: of the cameras' places (3-D RMS), before and after, from the covariances.
-        body_sd_mm: of the body's position from the calibration alone (3-D RMS over the recorded
-            poses), before and after, from the covariances.
-        held_out_px: median residual of frame sets that played no part, before and after; NaN where
-            there are too few.
-        surprise: the size of the cameras' change against what the first calibration allows: about
-            one where it is right; NaN where the recording determines nothing.
-    """
-
+    # of the cameras' places (3-D RMS), before and after, from the covariances.
     camera_sd_mm: tuple[float, float]
+    # of the body's position from the calibration alone (3-D RMS over the recorded poses), before
+    # and after, from the covariances.
     body_sd_mm: tuple[float, float]
+    # median residual of frame sets that played no part, before and after; NaN where there are too
+    # few.
     held_out_px: tuple[float, float]
+    # the size of the cameras' change against what the first calibration allows: about one where it
+    # is right; NaN where the recording determines nothing.
     surprise: float
     notes: tuple[str, ...]
 

@@ -18,10 +18,8 @@ from measure.calibration.lens import lens_change
 from measure.calibration.refining.noise_model import NoiseModel, shrunken_variance
 from measure.model import Camera
 
-_JITTER = 1e-12
-"""Keeps covariances of rank one less than their size invertible."""
-_POINTS_PER_SIDE = 4
-"""Points a side of the grid at which misses are counted."""
+_JITTER = 1e-12  # Keeps covariances of rank one less than their size invertible
+_POINTS_PER_SIDE = 4  # Points a side of the grid at which misses are counted
 
 
 class CameraPrior(ABC):

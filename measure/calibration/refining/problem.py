@@ -13,16 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from measure.arrays import Floats, Ints
-from measure.calibration.least_squares import (
-    Columns,
-    Group,
-    Huber,
-    LeastSquaresSolution,
-    Linearised,
-    StoppingRule,
-    prior_rows,
-    solve,
-)
+from measure.calibration import least_squares
 from measure.calibration.lens import changed, free_parameters
 from measure.calibration.refining.noise_model import NoiseModel
 from measure.calibration.refining.priors import CameraPrior
@@ -30,11 +21,10 @@ from measure.calibration.refining.recording import BallMotion, Recording
 from measure.geometry import RigidTransform, skew
 from measure.model import Body, Camera
 
-_ONE_ROUND = StoppingRule(steps=2, tolerance=1e-7, must_settle=False, damping=1e-12)
+_ONE_ROUND = least_squares.StoppingRule(steps=2, tolerance=1e-7, must_settle=False, damping=1e-12)
 """Damping must be far below the prior of the world frame, which a long recording outweighs."""
 _HUBER_REACH = 2.5
-_CLOCK_SD_S = 0.02
-"""Clocks that are off at all are off by something like this."""
+_CLOCK_SD_S = 0.02  # Clocks that are off at all are off by something like this
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +58,7 @@ class RefineLayout:
         clocks_are_exact: bool = True,
     ) -> RefineLayout:
         """Lay out: cameras, then centres, then shifts, then clocks."""
-        take = Columns()
+        take = least_squares.Columns()
         free = tuple(free_parameters(camera) for camera in cameras)
         own = tuple(take(6 + len(lens)) for lens in free)
         centers = take(0 if body_is_exact else 3 * balls)
@@ -94,20 +84,17 @@ class RefineProblem:
 
     def solve(
         self, state: RefinedState, prior: CameraPrior | None, noise: NoiseModel
-    ) -> LeastSquaresSolution[RefinedState]:
-        """A few steps from a state; without a prior the cameras stay put.
-
-        The way between instants is held while solving, and taken anew in the next round.
-        """
+    ) -> least_squares.LeastSquaresSolution[RefinedState]:
+        """A few steps from a state, the motion held; without a prior the cameras stay put."""
         motion = BallMotion(self.recording.times_s, state.world_from_body, state.centers)
         roots = self._roots(noise)
         # The correlation widens the covariances, but must not widen the reach of the loss.
         reach = _HUBER_REACH / np.sqrt(noise.correlation)
-        return solve(
+        return least_squares.solve(
             lambda s: self._linearise(s, motion, roots, prior, noise),
             self._step,
             state,
-            Huber(float(reach)),
+            least_squares.Huber(float(reach)),
             _ONE_ROUND,
         )
 
@@ -169,7 +156,7 @@ class RefineProblem:
         roots: dict[str, Floats],
         prior: CameraPrior | None,
         noise: NoiseModel,
-    ) -> Linearised:
+    ) -> least_squares.Linearised:
         groups = tuple(
             self._group(number, state, motion, roots) for number in range(len(state.cameras))
         )
@@ -179,13 +166,13 @@ class RefineProblem:
             held = tuple(
                 replace(g, columns=nothing, by_shared=g.by_shared[:, :, :0]) for g in groups
             )
-            return Linearised(held, 0, blocks, np.zeros(0), np.zeros((0, 0)))
+            return least_squares.Linearised(held, 0, blocks, np.zeros(0), np.zeros((0, 0)))
         residuals, rows = self._priors(state, prior, noise)
-        return Linearised(groups, self.layout.size, blocks, residuals, rows)
+        return least_squares.Linearised(groups, self.layout.size, blocks, residuals, rows)
 
     def _group(
         self, number: int, state: RefinedState, motion: BallMotion, roots: dict[str, Floats]
-    ) -> Group:
+    ) -> least_squares.Group:
         layout, camera = self.layout, state.cameras[number]
         track, root = self.recording.tracks[camera.name], roots[camera.name]
         points, arms, velocity = self._points(number, state, motion)
@@ -207,7 +194,7 @@ class RefineProblem:
         shared += [by_world @ velocity[:, :, None]] * len(clock)
         by_pose = np.concatenate([by_world, -by_world @ skew(arms)], axis=2)
         left = track.pixels - predicted - state.shifts_px[number, track.ball]
-        return Group(
+        return least_squares.Group(
             np.einsum("nij,nj->ni", root, left),
             np.concatenate([layout.cameras[number], layout.centers, layout.shifts[number], clock]),
             root @ np.concatenate(shared, axis=2),
@@ -221,7 +208,7 @@ class RefineProblem:
         layout = self.layout
         root = prior.root(noise)
         change, own = prior.change(state.cameras, layout.free), np.concatenate(layout.cameras)
-        priors = [prior_rows(-change, root, own, layout.size)]
+        priors = [least_squares.prior_rows(-change, root, own, layout.size)]
         parts: list[tuple[Floats, float, Ints]] = []
         if len(layout.centers):
             off = (self.body.centers - state.centers).reshape(-1)
@@ -229,6 +216,9 @@ class RefineProblem:
         parts.append((-state.shifts_px.reshape(-1), noise.constant_px, layout.shifts.reshape(-1)))
         if len(layout.clocks):
             parts.append((-state.clocks_s[1:], _CLOCK_SD_S, layout.clocks))
-        priors += [prior_rows(off, np.eye(len(off)) / sd, at, layout.size) for off, sd, at in parts]
+        priors += [
+            least_squares.prior_rows(off, np.eye(len(off)) / sd, at, layout.size)
+            for off, sd, at in parts
+        ]
         residuals, rows = zip(*priors, strict=True)
         return np.concatenate(residuals), np.concatenate(rows)

@@ -12,39 +12,27 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from measure.arrays import Floats
-from measure.calibration.refining.judgement import (
-    SUSPICIOUS_PX,
-    RefineVerdict,
-    compare_halves,
-    judge_refinement,
-    refuse_misfit,
-    worst_misfit,
-)
+from measure.calibration.refining import judgement
 from measure.calibration.refining.recording import Recording, calibration_disagrees, recording_of
 from measure.calibration.refining.refine import Refinement, RefineSettings, refine_rig
 from measure.checking.clocks import CameraClock, estimate_clocks
 from measure.measuring import Measurement
 from measure.model import Body, Camera, Detection
 
-_MAX_STEP_S = 0.1
-"""Frame sets further apart do not determine velocities, nor clocks."""
+_MAX_STEP_S = 0.1  # Frame sets further apart do not determine velocities, nor clocks
 _CLOCK_FRAME_SETS = 400
 
 
 @dataclass(frozen=True, eq=False)
 class RefinedRig:
-    """A refined rig and the verdict on it.
-
-    Attributes:
-        clocks: one a camera, in order; empty if the frame sets are too far apart.
-        clocks_applied: whether their offsets were beyond doubt, and were used.
-    """
+    """A refined rig and the verdict on it."""
 
     recording: Recording
     refinement: Refinement
+    # one a camera, in order; empty if the frame sets are too far apart.
     clocks: tuple[CameraClock, ...]
-    clocks_applied: bool
-    verdict: RefineVerdict
+    clocks_applied: bool  # whether their offsets were beyond doubt, and were used
+    verdict: judgement.RefineVerdict
 
 
 def refine_measured(
@@ -67,12 +55,12 @@ def refine_measured(
     applied = trusted and any(clock.offset_visible or clock.rolling for clock in clocks)
     if applied:
         recording = recording_of(measurements, body, _lead(clocks, cameras))
-    halves = compare_halves(cameras, body, recording, settings, joint_covariance)
+    halves = judgement.compare_halves(cameras, body, recording, settings, joint_covariance)
     refinement = refine_rig(
         cameras, body, recording, settings, joint_covariance, halves.variance_factor
     )
-    refuse_misfit(refinement, body)
-    verdict = judge_refinement(cameras, body, recording, refinement, halves)
+    judgement.refuse_misfit(refinement, body)
+    verdict = judgement.judge_refinement(cameras, body, recording, refinement, halves)
     if applied:
         refinement = replace(refinement, cameras=_with_readout(refinement.cameras, clocks))
     return RefinedRig(recording, refinement, clocks, applied, verdict)
@@ -116,8 +104,8 @@ def _clocks(
         return (), False
     part = recording.part(0, _CLOCK_FRAME_SETS)
     free = refine_rig(cameras, body, part, settings, joint, clocks_are_exact=False)
-    refuse_misfit(free, body)
-    trusted = worst_misfit(free, body)[1] < SUSPICIOUS_PX
+    judgement.refuse_misfit(free, body)
+    trusted = judgement.worst_misfit(free, body)[1] < judgement.SUSPICIOUS_PX
     return estimate_clocks(measurements[:_CLOCK_FRAME_SETS], body, free.cameras), trusted
 
 

@@ -29,34 +29,21 @@ _CALIBRATION_MAY_CAUSE = (Reason.INCONSISTENT, Reason.JUMPED)
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """What one camera saw of the moving body.
+    """What one camera saw of the moving body."""
 
-    Attributes:
-        frame: (n,) number of the frame set in `Recording.times_s`.
-        ball: (n,) index of the ball.
-        pixels: (n, 2) projections of ball centres.
-        covariance: (n, 2, 2) of those.
-        lead_s: (n,) time of the picture after the frame set's.
-    """
-
-    frame: Ints
-    ball: Ints
-    pixels: Floats
-    covariance: Floats
-    lead_s: Floats
+    frame: Ints  # (n,) number of the frame set in `Recording.times_s`
+    ball: Ints  # (n,) index of the ball
+    pixels: Floats  # (n, 2) projections of ball centres
+    covariance: Floats  # (n, 2, 2) of those
+    lead_s: Floats  # (n,) time of the picture after the frame set's
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A measured recording as bundle adjustment needs it.
+    """A measured recording as bundle adjustment needs it."""
 
-    Attributes:
-        times_s: (f,) of the frame sets, increasing.
-        world_from_body: batch of (f,) measured poses.
-    """
-
-    times_s: Floats
-    world_from_body: RigidTransform
+    times_s: Floats  # (f,) of the frame sets, increasing
+    world_from_body: RigidTransform  # batch of (f,) measured poses
     tracks: dict[str, Track]
 
     def part(self, start: int, stop: int) -> Recording:
@@ -200,11 +187,7 @@ class BallMotion:
         self._coefficients = np.einsum("fpkj,fji->fpki", in_world, poses.rotation)
 
     def at(self, frame: Ints, ball: Ints, lead_s: Floats) -> tuple[Floats, Floats]:
-        """Way of each ball from its frame set's instant, and its velocity there.
-
-        Returns:
-            Both (n, 3), in the axes of the body at the frame set's instant.
-        """
+        """Way and velocity (n, 3) of each ball from its frame set's instant, in the body's axes."""
         slopes = self._coefficients[frame, 1:, ball]
         powers = np.arange(1, slopes.shape[1] + 1)
         way = lead_s[:, None] ** powers

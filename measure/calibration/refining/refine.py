@@ -33,60 +33,44 @@ _SETTLED_MM = 1e-3
 _START_IMAGE_SD_PX = 5.0
 """Cameras start free, so that their errors are not attributed to the balls' constant shifts."""
 _USUAL_TOLERANCE_MM = 0.05
-_PRIOR_OBSERVATIONS = 4.0
-"""How many observations the usual values are worth."""
+_PRIOR_OBSERVATIONS = 4.0  # How many observations the usual values are worth
 
 
 @dataclass(frozen=True)
 class RefineSettings:
-    """What may change, and how far (standard deviations).
+    """What may change, and how far (standard deviations)."""
 
-    Attributes:
-        body_tolerance_mm: of each coordinate of a ball's centre in the body; 0 keeps the body. If
-            None, what the body states, or what is usual.
-        position_tolerance_mm: where cameras usually stand elsewhere than a calibration without
-            a joint covariance says, by axis; that of these ones is estimated.
-        image_tolerance_px: by how much such a calibration usually misses.
-        constant_px: how far a ball's centre usually sits off all through a recording, by axis.
-        least_sd_px: lower bound of a ball centre's standard deviation.
-    """
-
+    # of each coordinate of a ball's centre in the body; 0 keeps the body. If None, what the body
+    # states, or what is usual.
     body_tolerance_mm: float | None = None
+    # where cameras usually stand elsewhere than a calibration without a joint covariance says, by
+    # axis; that of these ones is estimated.
     position_tolerance_mm: float = 0.5
-    image_tolerance_px: float = 0.1
+    image_tolerance_px: float = 0.1  # by how much such a calibration usually misses
+    # how far a ball's centre usually sits off all through a recording, by axis.
     constant_px: float = 0.15
-    least_sd_px: float = 0.02
+    least_sd_px: float = 0.02  # lower bound of a ball centre's standard deviation
 
 
 @dataclass(frozen=True, eq=False)
 class Refinement:
-    """A refined rig.
-
-    Attributes:
-        centers: (k, 3) ball centres in the body, mm.
-        center_sds: (k, 3) their standard deviations.
-        rms_px: of the ball centres' residuals, before and after, by camera.
-        misfit_px: median length of the residuals after, by camera.
-        shifts_px: (c, k, 2) by which each ball sits off in each camera all the time.
-        change: (p,) of all cameras' poses and free lens parameters.
-        covariance: (p, p) of those after the recording.
-        prior: (p, p) before it.
-        columns: by camera name, its rows in `covariance`.
-        world_held: whether the first calibration holds the joint covariance of all cameras.
-    """
+    """A refined rig."""
 
     cameras: tuple[Camera, ...]
-    centers: Floats
-    center_sds: Floats
+    centers: Floats  # (k, 3) ball centres in the body, mm
+    center_sds: Floats  # (k, 3) their standard deviations
+    # of the ball centres' residuals, before and after, by camera.
     rms_px: dict[str, tuple[float, float]]
-    misfit_px: dict[str, float]
-    shifts_px: Floats
+    misfit_px: dict[str, float]  # median length of the residuals after, by camera
+    shifts_px: Floats  # (c, k, 2) by which each ball sits off in each camera all the time
     noise: NoiseModel
-    change: Floats
-    covariance: Floats
-    prior: Floats
+    change: Floats  # (p,) of all cameras' poses and free lens parameters
+    covariance: Floats  # (p, p) of those after the recording
+    prior: Floats  # (p, p) before it
+    # by camera name, its rows in `covariance`.
     columns: dict[str, Ints] = field(default_factory=dict)
     frames: int = 0
+    # whether the first calibration holds the joint covariance of all cameras.
     world_held: bool = False
 
 

@@ -34,15 +34,12 @@ from measure.model import Body, Camera, Detection, Rig
 
 _MAX_ITERATIONS = 2
 _MAX_FINALISTS = 6
-_MIN_SCORE = 0.5
-"""Score of a detection whose outline's size is used."""
+_MIN_SCORE = 0.5  # Score of a detection whose outline's size is used
 _RELATIVE_RADIUS_SD = 0.03
 _MAX_SQUARED_DEVIATION = 25.0
 """Limit of one outline's squared radius error, in standard deviations: five of them."""
-_CONVERGED = 1e-3
-"""Steps, in mm and rad, that no longer change which candidates agree."""
-_TWIN_SHARE = 0.5
-"""Share of common candidates from which a rival pose is a twin of the best one."""
+_CONVERGED = 1e-3  # Steps, in mm and rad, that no longer change which candidates agree
+_TWIN_SHARE = 0.5  # Share of common candidates from which a rival pose is a twin of the best one
 
 
 class AssociationSettings(Settings):
@@ -84,21 +81,13 @@ class AssociationSettings(Settings):
 
 @dataclass(frozen=True, eq=False)
 class Association:
-    """The body among the candidates.
+    """The body among the candidates."""
 
-    Attributes:
-        world_from_body: the pose, or None if there is none or more than one.
-        covariance: (6, 6) of the pose; None without one.
-        detections: the chosen candidates, at most one per ball and camera.
-        rms_px: RMS distance of the chosen candidates from the pose.
-        reason: why there is no pose, in words; empty if there is one.
-    """
-
-    world_from_body: RigidTransform | None
-    covariance: Floats | None = None
-    detections: tuple[Detection, ...] = ()
-    rms_px: float = float("nan")
-    reason: str = ""
+    world_from_body: RigidTransform | None  # the pose, or None if there is none or more than one
+    covariance: Floats | None = None  # (6, 6) of the pose; None without one
+    detections: tuple[Detection, ...] = ()  # the chosen candidates, at most one per ball and camera
+    rms_px: float = float("nan")  # RMS distance of the chosen candidates from the pose
+    reason: str = ""  # why there is no pose, in words; empty if there is one
     flags: tuple[str, ...] = ()
 
 
@@ -130,12 +119,7 @@ def associate(
     detections: Mapping[str, Sequence[Detection]],
     settings: AssociationSettings | None = None,
 ) -> Association:
-    """Find the body.
-
-    Args:
-        body: what to look for; colours may repeat.
-        detections: candidates by camera name; several per ball, wrong ones among them.
-    """
+    """Find the body by candidates, several per ball and wrong ones too; colours may repeat."""
     settings = settings or AssociationSettings()
     candidates = by_ball(detections, body.balls, cameras)
     stacked = stack_candidates(candidates, settings.sigmas, settings.extra_px)
@@ -159,12 +143,7 @@ def second_body(
     detections: Mapping[str, Sequence[Detection]],
     settings: AssociationSettings | None = None,
 ) -> tuple[str, ...]:
-    """A flag if there may be another body like the one that is tracked.
-
-    Args:
-        world_from_body: the pose of the one that is tracked.
-        cameras: those whose whole images were searched.
-    """
+    """A flag if whole images of `cameras` may show another body like the one tracked."""
     settings = settings or AssociationSettings()
     candidates = by_ball(detections, body.balls, cameras)
     return second_body_flags(world_from_body, body, cameras, candidates, settings.sigmas)

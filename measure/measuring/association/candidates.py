@@ -20,37 +20,22 @@ _MIN_SQUARED_SINE = 1e-3
 
 
 class CandidateRays(NamedTuple):
-    """Rays of n candidates.
+    """Rays of n candidates."""
 
-    Attributes:
-        cameras: (n,) index of the camera.
-        origins: (n, 3) in the world, mm.
-        directions: (n, 3) in the world.
-        range_mm: (n,) distance that the outline's radius implies.
-        angle_sd: (n,) standard deviation of the ray's angle, rad.
-    """
-
-    cameras: Ints
-    origins: Floats
-    directions: Floats
-    range_mm: Floats
-    angle_sd: Floats
+    cameras: Ints  # (n,) index of the camera
+    origins: Floats  # (n, 3) in the world, mm
+    directions: Floats  # (n, 3) in the world
+    range_mm: Floats  # (n,) distance that the outline's radius implies
+    angle_sd: Floats  # (n,) standard deviation of the ray's angle, rad
 
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Candidates in all cameras, as arrays of n rows.
+    """Candidates in all cameras, as arrays of n rows."""
 
-    Attributes:
-        detections: the n candidates.
-        pixels: (n, 2).
-        sd_px: (n,) standard deviation of a coordinate.
-        rays: of the candidates.
-    """
-
-    detections: tuple[Detection, ...]
-    pixels: Floats
-    sd_px: Floats
+    detections: tuple[Detection, ...]  # the n candidates
+    pixels: Floats  # (n, 2)
+    sd_px: Floats  # (n,) standard deviation of a coordinate
     rays: CandidateRays
 
     def __len__(self) -> int:
@@ -68,17 +53,11 @@ class Candidates:
 
 @dataclass(frozen=True, eq=False)
 class BallPoints:
-    """Possible centres of one ball, as arrays of k rows.
+    """Possible centres of one ball, as arrays of k rows."""
 
-    Attributes:
-        points: (k, 3) in the world, mm.
-        sd_mm: (k,) standard deviation of a coordinate.
-        support: (k,) number of cameras.
-    """
-
-    points: Floats
-    sd_mm: Floats
-    support: Ints
+    points: Floats  # (k, 3) in the world, mm
+    sd_mm: Floats  # (k,) standard deviation of a coordinate
+    support: Ints  # (k,) number of cameras
 
 
 def intersect_rays(
@@ -87,7 +66,6 @@ def intersect_rays(
     """Points where rays of two or more cameras intersect, at distances that fit outlines' sizes.
 
     Args:
-        candidates: of one ball.
         sigmas: rays intersect if they pass within this many standard deviations.
         range_ratio: largest error, as a factor, of the distance that an outline's size implies.
         max_points: keep this many, those that most cameras see.
@@ -137,7 +115,6 @@ def consistent_sets(rays: CandidateRays, sigmas: float, range_ratio: float) -> B
     """Sets of the n candidates that see a common point, from every two whose rays intersect.
 
     Args:
-        rays: of the candidates.
         sigmas: see `intersect_rays`.
         range_ratio: see `intersect_rays`.
 
@@ -231,7 +208,6 @@ def intersections(
     """Least-squares points of each set of candidates whose rays intersect.
 
     Args:
-        rays: of the candidates.
         sigmas: see `intersect_rays`.
         range_ratio: see `intersect_rays`.
 

@@ -67,17 +67,11 @@ def stack_candidates(
 
 @dataclass(frozen=True, eq=False)
 class PoseScores:
-    """Agreement of candidates with m poses.
+    """Agreement of candidates with m poses."""
 
-    Attributes:
-        chosen: (m, balls, cameras) row of the agreeing candidate of that ball, or -1.
-        expected: (m,) number of balls in view, over all cameras.
-        score: (m,) sum over agreeing candidates of 1 - (distance / gate)^2.
-    """
-
-    chosen: Ints
-    expected: Ints
-    score: Floats
+    chosen: Ints  # (m, balls, cameras) row of the agreeing candidate of that ball, or -1
+    expected: Ints  # (m,) number of balls in view, over all cameras
+    score: Floats  # (m,) sum over agreeing candidates of 1 - (distance / gate)^2
 
     @property
     def count(self) -> Ints:
@@ -117,9 +111,6 @@ def lie_on_body(
     """Whether each of n candidates (n,) lies on some ball of the body in its pose.
 
     Args:
-        world_from_body: the pose.
-        body: the body.
-        cameras: all cameras.
         seen_by: (n,) index of the candidates' cameras.
         pixels: (n, 2).
     """

@@ -13,21 +13,13 @@ from measure.model.rig_kernels import project_one
 
 
 class CandidateRows(NamedTuple):
-    """The candidates of all balls as arrays of n rows, one ball's after the other's.
+    """The candidates of all balls as arrays of n rows, one ball's after the other's."""
 
-    Attributes:
-        starts: (balls + 1,) first row of each ball's.
-        cameras: (n,) index of the camera.
-        pixels: (n, 2).
-        limit_px: (n,) the furthest that a candidate may be from where a pose puts its ball.
-        range_mm: (n,) distance that the outline's radius implies.
-    """
-
-    starts: Ints
-    cameras: Ints
-    pixels: Floats
-    limit_px: Floats
-    range_mm: Floats
+    starts: Ints  # (balls + 1,) first row of each ball's
+    cameras: Ints  # (n,) index of the camera
+    pixels: Floats  # (n, 2)
+    limit_px: Floats  # (n,) the furthest that a candidate may be from where a pose puts its ball
+    range_mm: Floats  # (n,) distance that the outline's radius implies
 
 
 @compiled
@@ -46,7 +38,6 @@ def agreement(
         rotations: (m, 3, 3) of world_from_body.
         translations: (m, 3).
         centers_body: (balls, 3).
-        rig: all cameras.
         corners: (cameras, 2) last pixel of each picture.
         candidates: n of them.
         range_ratio: largest error, as a factor, of the distance that an outline's size implies.
@@ -98,7 +89,6 @@ def lie_on_balls(
     Args:
         centers: (balls, 3) in the world.
         radii: (balls,) mm.
-        rig: all cameras.
         cameras: (n,) index of the candidates' cameras.
         pixels: (n, 2).
         share: of a ball's radius, how far from its centre.
@@ -124,7 +114,6 @@ def possible_distances(a: Floats, b: Floats, distance_mm: float, slack_mm: float
     Args:
         a: (n, s, 3) places, mm.
         b: (m, s, 3) the same.
-        distance_mm: between the two.
         slack_mm: tolerance of the least and the largest distance.
 
     Returns:

@@ -5,20 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
+from measure import model
 from measure.arrays import Floats
 from measure.host.settings import Settings
 from measure.measuring.tracking.tracker import Conclusion
-from measure.model import (
-    BallPosition,
-    BallView,
-    Body,
-    Camera,
-    Detection,
-    Expectation,
-    FrameSet,
-    Motion,
-    Pose,
-)
 from measure.model.observations import Reason, State
 
 
@@ -27,47 +17,47 @@ class Memoryless:
 
     Config: ClassVar[type[Settings]] = Settings
 
-    def __init__(self, config: Settings, body: Body, cameras: Sequence[Camera]) -> None:
+    def __init__(self, config: Settings, body: model.Body, cameras: Sequence[model.Camera]) -> None:
         self.config = config
         self._pairs = [(ball, camera.name) for camera in cameras for ball in body.names]
 
     def warm_up(self) -> None:
         """Nothing here is compiled."""
 
-    def expect(self, frame_set: FrameSet) -> Mapping[str, Sequence[Expectation]]:
+    def expect(self, frame_set: model.FrameSet) -> Mapping[str, Sequence[model.Expectation]]:
         """Search everything."""
         return dict.fromkeys(frame_set.images, ())
 
-    def doubt(self, frame_set: FrameSet) -> None:
+    def doubt(self, frame_set: model.FrameSet) -> None:
         """None: every frame set is searched anyway."""
 
     def backwards(self) -> None:
         """Not supported: there is no state."""
 
     def judge(
-        self, frame_set: FrameSet, detections: Mapping[str, Sequence[Detection]]
-    ) -> tuple[BallView, ...]:
+        self, frame_set: model.FrameSet, detections: Mapping[str, Sequence[model.Detection]]
+    ) -> tuple[model.BallView, ...]:
         """The first (best) detection of each ball is effective."""
         views = []
         for ball, camera in self._pairs:
             seen = next((d for d in detections.get(camera, ()) if d.ball == ball), None)
             if seen is not None:
-                views.append(BallView(ball, camera, State.EFFECTIVE, detection=seen))
+                views.append(model.BallView(ball, camera, State.EFFECTIVE, detection=seen))
             else:
                 missing = Reason.NOT_FOUND if camera in frame_set.images else Reason.NO_IMAGE
-                views.append(BallView(ball, camera, State.SUSPENDED, missing))
+                views.append(model.BallView(ball, camera, State.SUSPENDED, missing))
         return tuple(views)
 
-    def motion(self, time_s: float) -> Motion | None:  # noqa: ARG002
+    def motion(self, time_s: float) -> model.Motion | None:  # noqa: ARG002
         """No motion is known."""
         return None
 
     def conclude(
         self,
-        frame_set: FrameSet,  # noqa: ARG002
-        views: Sequence[BallView],
-        positions: Sequence[BallPosition],
-        pose: Pose | None,
+        frame_set: model.FrameSet,  # noqa: ARG002
+        views: Sequence[model.BallView],
+        positions: Sequence[model.BallPosition],
+        pose: model.Pose | None,
         residuals_px: Mapping[tuple[str, str], Floats],  # noqa: ARG002
     ) -> Conclusion:
         """Accept the pose; without one, the reason counts balls and views."""

@@ -17,20 +17,14 @@ _N = raven.DRIVES
 
 
 class _Mechanics(NamedTuple):
-    """Constants of the drives.
+    """Constants of the drives."""
 
-    Attributes:
-        motor: (7, drives) inertia, viscous and Coulomb friction, gains of position and velocity
-            of the controller, largest DAC counts, counts per torque.
-        cables: (8, drives) of `Cables.packed`.
-        coupling: (drives, drives) from link positions to drive positions.
-        ratio: (drives,) motor rad per drive rad or m.
-    """
-
+    # (7, drives) inertia, viscous and Coulomb friction, gains of position and velocity of the
+    # controller, largest DAC counts, counts per torque.
     motor: Floats
-    cables: Floats
-    coupling: Floats
-    ratio: Floats
+    cables: Floats  # (8, drives) of `Cables.packed`
+    coupling: Floats  # (drives, drives) from link positions to drive positions
+    ratio: Floats  # (drives,) motor rad per drive rad or m
 
 
 def integrate(desired: Floats, gravity: Floats, cables: Cables, log_every: int) -> Floats:
@@ -39,7 +33,6 @@ def integrate(desired: Floats, gravity: Floats, cables: Cables, log_every: int) 
     Args:
         desired: (steps, 7) drive positions at 1 kHz, rad and m.
         gravity: (steps, 7) generalised gravity, N m and N.
-        cables: the mechanics.
         log_every: keep every so many steps.
 
     Returns:

@@ -16,13 +16,11 @@ from measure.viewing.report.page import Page
 
 _TOO_SURE = 1.5
 """Errors larger than this many promised standard deviations make the verdict doubtful."""
-_UNLIKE = 0.1
-"""So does a larger share of states that the estimator calls unfamiliar."""
+_UNLIKE = 0.1  # So does a larger share of states that the estimator calls unfamiliar
 _MADE_FROM = (
     "estimator", "settings", "seed", "robot", "data", "created", "triball", "revision", "python",
 )  # fmt: skip
-_SHOWN_S = 60.0
-"""How much of a test trajectory is drawn."""
+_SHOWN_S = 60.0  # How much of a test trajectory is drawn
 
 
 def estimator_report(trained: Trained, card: Mapping[str, Any]) -> str:
@@ -76,11 +74,7 @@ def _tables(page: Page, result: EstimatorEvaluation, judged: str) -> None:
 
 
 def judged_on(data: Mapping[str, Any]) -> str:
-    """What the test data are to the estimator, in words.
-
-    Args:
-        data: the card's, with digest and trajectories of training, validation and test.
-    """
+    """What the test data are to the estimator, in words, by the card's data."""
     if set(data["test"]["trajectories"]) & set(data["training"]["trajectories"]):
         return "labels between those learnt from (not on unseen trajectories)"
     if data["test"]["digest"] == data["validation"]["digest"]:

@@ -76,12 +76,7 @@ def histograms(
 def residual_map(
     centers_px: Floats, residuals_px: Floats, size_wh: tuple[int, int], name: str
 ) -> go.Figure:
-    """Residuals of one camera where they occurred in its image.
-
-    Args:
-        centers_px: (n, 2) detected centres.
-        residuals_px: (n, 2) detected minus predicted.
-    """
+    """Residuals (n, 2) px, detected less predicted, of one camera where they occurred (n, 2)."""
     keep = thinned(len(centers_px), np.linalg.norm(residuals_px, axis=1))
     start, arrows = centers_px[keep], residuals_px[keep] * ARROW_SCALE
     gaps = np.full(len(start), np.nan)

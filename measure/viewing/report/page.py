@@ -65,8 +65,7 @@ new Response(unpacked).text().then((code) => {
 });
 """
 
-_LONG = 40
-"""A column with longer texts is set as words: flush left, broken into lines."""
+_LONG = 40  # A column with longer texts is set as words: flush left, broken into lines
 
 
 @dataclass

@@ -80,12 +80,7 @@ def trajectory(
 
 
 def plan(positions: Floats, axes: tuple[int, int]) -> go.Figure:
-    """The trajectory seen along one axis; drawn also where a browser has no 3-D.
-
-    Args:
-        positions: (n, 3) in mm.
-        axes: which two world axes to draw.
-    """
+    """The trajectory (n, 3) mm seen along one axis; drawn also where a browser has no 3-D."""
     figure = style.figure(300, showlegend=False)
     figure.add_trace(_path(positions, axes, style.ACCENT))
     _name_axes(figure, axes, "range")

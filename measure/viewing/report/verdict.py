@@ -20,11 +20,7 @@ _MIN_INSIDE_95 = 0.8
 
 
 def verdict(run: Run, errors: Floats | None) -> tuple[str, str]:
-    """Tone ("good", "doubtful" or "bad") and sentence.
-
-    Args:
-        errors: (n, 6) against truth, NaN where unknown.
-    """
+    """Tone ("good", "doubtful" or "bad") and sentence, by the errors (n, 6) against truth."""
     summary, unflagged = run.summary, _unflagged(run)
     if not run.has_pose.any():
         return "bad", f"No pose in {_sets(summary.frame_sets)}{_because(run, ~run.has_pose)}."

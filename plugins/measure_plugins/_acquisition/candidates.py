@@ -14,11 +14,16 @@ from measure.compiling import compiled
 from measure.host import Settings, setting
 from measure.model import BallColor
 from measure_plugins._acquisition.circles import circles_of_each, distinct
-from measure_plugins._acquisition.color_table import MAX_COLORS, classify, color_table
-from measure_plugins._acquisition.pale import brighter_than_the_rest, is_pale
+from measure_plugins._acquisition.color_table import (
+    MAX_COLORS,
+    brighter_than_the_rest,
+    classify,
+    color_table,
+    is_pale,
+    more_vivid_than_the_rest,
+)
 from measure_plugins._acquisition.patches import majority
 from measure_plugins._acquisition.shade import much_in_shade, with_shade
-from measure_plugins._acquisition.vivid import more_vivid_than_the_rest
 
 _REDUCED_WIDTH = 320
 
@@ -38,17 +43,14 @@ class AcquisitionSettings(Settings):
 
 
 class FoundCircles(NamedTuple):
-    """Circles of each colour in one picture.
+    """Circles of each colour in one picture."""
 
-    Attributes:
-        of_color: for each colour up to `max_candidates` circles (k, 6), best first, to a pixel or
-            two: centre x, y and radius in px, share of the circle seen, share of its inside that
-            has the colour, and the number of the bit in `table` that has found it.
-        table: (64, 64, 64) bits of the colours, with their shade, and then of those that were
-            searched once more.
-    """
-
+    # for each colour up to `max_candidates` circles (k, 6), best first, to a pixel or two: centre
+    # x, y and radius in px, share of the circle seen, share of its inside that has the colour, and
+    # the number of the bit in `table` that has found it.
     of_color: list[Floats]
+    # (64, 64, 64) bits of the colours, with their shade, and then of those that were searched once
+    # more.
     table: Bytes
 
 
@@ -61,8 +63,6 @@ def find_circles(
 
     Args:
         pixels: BGR (h, w, 3), contiguous.
-        colors: of the balls.
-        config: settings.
     """
     step, count = max(1, round(pixels.shape[1] / _REDUCED_WIDTH)), len(colors)
     table, with_dark, pale = _tables(tuple(colors))
@@ -87,18 +87,7 @@ def find_circles(
 def _bits_of(
     pixels: Bytes, table: Bytes, with_dark: Bytes, step: int, count: int
 ) -> tuple[Bytes, Bools]:
-    """Colour bits of the reduced picture, see `classify`, and which colours are in shade too.
-
-    Args:
-        pixels: BGR (h, w, 3).
-        table: from `color_table`.
-        with_dark: from `with_shade`, of the same colours.
-        step: reduction, 1 or more.
-        count: number of colours tested for shade.
-
-    Returns:
-        The bits; for each colour whether it is `much_in_shade` (count,).
-    """
+    """Colour bits of the reduced picture, see `classify`, and which colours are in shade too."""
     every, some = classify(pixels, table, with_dark, step)
     bits, dark = majority(every), majority(some)
     lit, shaded = bits[::2, ::2].copy(), np.zeros(count, np.bool_)

@@ -55,20 +55,7 @@ def _find_edges(
     going: Bytes,
     here: Bytes,
 ) -> None:
-    """Fill the radii at which the colour ends, minus that of the circle.
-
-    Args:
-        mask: see `framed`.
-        x: of the circle's centre.
-        y: of the circle's centre.
-        r: its radius.
-        reach: of the search, inwards and outwards.
-        edges: (angles,) filled; more than `reach` where the colour does not end within that.
-        radii: (angles,) scratch, like the rest.
-        places: (angles,).
-        going: (angles,).
-        here: (angles,).
-    """
+    """Fill the radii at which the colour ends, less that of the circle; beyond `reach`: nowhere."""
     radii[:] = r - reach
     _read_ring(mask, x, y, radii, places, here)
     for k in range(ANGLES):

@@ -66,11 +66,9 @@ def circles_of(
 
     Args:
         bits: (h, w) colours of each pixel.
-        bit: the colour's.
         radii: least and greatest radius, in pixels of `bits`.
         least_seen: least share of a circle that must be seen.
         least_filled: least share of its inside that must have the colour.
-        most: how many circles to find.
 
     Returns:
         (k, 5) centre x, y, radius, share of the circle seen, share of its inside filled.
@@ -214,11 +212,7 @@ def _share_seen(mask: Bytes, x: float, y: float, r: float, needed: float) -> flo
 
 @compiled
 def _keep(best: Floats, x: float, y: float, r: float, seen: float) -> float:
-    """Put a circle into `best`: in place of a similar one if better, else of the worst.
-
-    Returns:
-        The worst score in `best`.
-    """
+    """Put a circle into `best`: in place of a similar one if better, else of the worst."""
     score = seen * np.sqrt(r)
     place = int(np.argmin(best[:, 4]))
     for i in range(len(best)):

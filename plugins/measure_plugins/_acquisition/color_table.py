@@ -1,12 +1,22 @@
-"""Colours of pixels by one table look-up each."""
+"""Colours of pixels by one table look-up each, and tables for colours that need a second search.
+
+White balls, which hue does not separate from grey, are as dark as grey on their shaded side: a
+fixed threshold of brightness cuts such a ball at its shade, and the rest is no circle. They are
+searched twice: by their colour, and as brighter than the median grey of the picture.
+
+Balls may stand in front of dull things of their hue: an orange ball and cardboard, a yellow one and
+wood. A range of hue that holds a colour in all lights holds much else, to which the ball is joined.
+Where what has a colour falls into dull and vivid pixels, the vivid ones are searched once more.
+"""
 
 from __future__ import annotations
 
-from functools import lru_cache
+from dataclasses import replace
+from functools import cache, lru_cache
 
 import numpy as np
 
-from measure.arrays import Bytes
+from measure.arrays import Bytes, Floats, Ints
 from measure.compiling import compiled
 from measure.model import BallColor
 
@@ -51,7 +61,6 @@ def classify(pixels: Bytes, table: Bytes, sparse: Bytes, step: int) -> tuple[Byt
     Args:
         pixels: BGR (h, w, 3).
         table: from `color_table`.
-        sparse: another one.
         step: reduction, 1 or more.
 
     Returns:
@@ -80,3 +89,128 @@ def classify(pixels: Bytes, table: Bytes, sparse: Bytes, step: int) -> tuple[Byt
             for j in range(0, width, 2):
                 some[i // 2, j // 2] = others[places[j]]
     return out, some
+
+
+_GREY_STRIDE = 32
+"""Stride of the rows and columns from which the picture's grey is taken."""
+_BRIGHTER = 1.35
+"""Threshold of brightness per median grey, in picture values."""
+_ALL_HUES = (0, 179)
+
+
+def is_pale(color: BallColor) -> bool:
+    """Whether a colour is any hue with little saturation and no upper end: white, light grey."""
+    return any(
+        r.space == "hsv"
+        and (r.low[0], r.high[0]) == _ALL_HUES
+        and r.low[1] == 0
+        and r.high[1] < 255
+        and r.high[2] == 255
+        for r in color.ranges
+    )
+
+
+def brighter_than_the_rest(color: BallColor, bit: int, pixels: Bytes) -> Bytes:
+    """A `color_table` of pale colours that are brighter than the median grey of a picture.
+
+    Args:
+        color: a colour that `is_pale`.
+        pixels: BGR (h, w, 3).
+
+    Returns:
+        (64, 64, 64).
+    """
+    pale = _of_any_value(color, bit)
+    some = pixels[_GREY_STRIDE // 2 :: _GREY_STRIDE, _GREY_STRIDE // 2 :: _GREY_STRIDE].reshape(
+        -1, 3
+    )
+    cut = some // (256 // len(pale))
+    values = some[pale[cut[:, 0], cut[:, 1], cut[:, 2]] > 0].max(axis=1)
+    level = float(np.median(values)) if len(values) else 0.0
+    bright = _values(len(pale)) >= np.uint8(min(_BRIGHTER * level, 255.0))
+    return np.multiply(pale, bright, dtype=np.uint8)
+
+
+@cache
+def _of_any_value(color: BallColor, bit: int) -> Bytes:
+    floorless = replace(color, ranges=tuple(replace(r, low=(*r.low[:2], 0)) for r in color.ranges))
+    return color_table((floorless,)) * np.uint8(bit)
+
+
+@cache
+def _values(levels: int) -> Bytes:
+    """The greatest of blue, green and red for each entry of a colour table."""
+    level = np.arange(levels) * (256 // levels) + 128 // levels
+    blue, green, red = np.meshgrid(level, level, level, indexing="ij")
+    return np.maximum(np.maximum(blue, green), red).astype(np.uint8)
+
+
+_STRIDE = 2
+"""Stride of the reduced pixels that are counted."""
+_MIN_PIXELS, _MIN_DULL = 30, 0.4
+"""Fewest pixels of a colour that are split, and the least share of dull ones."""
+_TIMES_AS_VIVID = 2.0
+"""Least ratio of the mean chroma of vivid pixels to that of dull ones."""
+
+
+def more_vivid_than_the_rest(
+    pixels: Bytes, table: Bytes, step: int, count: int
+) -> list[tuple[int, Bytes]]:
+    """Colours of which dull and vivid pixels are far apart, each with a table of the vivid ones.
+
+    They are split at the chroma, the greatest minus the least of blue, green and red, that makes
+    the variance between both largest (Otsu 1979).
+
+    Args:
+        pixels: BGR (h, w, 3).
+        table: from `color_table`.
+        step: reduction, see `classify`.
+
+    Returns:
+        Numbers of colours; (64, 64, 64) with 1 where a vivid pixel is.
+    """
+    out = []
+    for i, histogram in enumerate(_chroma_histograms(pixels, table, _STRIDE * step, count)):
+        least = _split(histogram.astype(np.float64))
+        if least is not None:
+            vivid = _chroma() >= np.uint8(least)
+            out.append((i, np.multiply(table >> np.uint8(i) & np.uint8(1), vivid, dtype=np.uint8)))
+    return out
+
+
+@compiled
+def _chroma_histograms(pixels: Bytes, table: Bytes, stride: int, count: int) -> Ints:
+    """How many of some pixels have each colour (count, 64) with each chroma, in levels."""
+    out, one = np.zeros((count, _LEVELS), np.int64), np.uint8(1)
+    for i in range(stride // 2, pixels.shape[0], stride):
+        for j in range(stride // 2, pixels.shape[1], stride):
+            b, g, r = pixels[i, j, 0] >> 2, pixels[i, j, 1] >> 2, pixels[i, j, 2] >> 2
+            bits = table[b, g, r]
+            for k in range(count):
+                if bits >> np.uint8(k) & one:
+                    out[k, max(b, g, r) - min(b, g, r)] += 1
+    return out
+
+
+def _split(histogram: Floats) -> int | None:
+    """The least chroma of vivid pixels; None if they are not far from the dull ones."""
+    total, chroma = histogram.sum(), np.arange(_LEVELS)
+    if total < _MIN_PIXELS:
+        return None
+    below, moment = np.cumsum(histogram)[:-1], np.cumsum(histogram * chroma)
+    above, rest = total - below, moment[-1] - moment[:-1]
+    some = (below > 0) & (above > 0)
+    dull, vivid = moment[:-1] / np.maximum(below, 1), rest / np.maximum(above, 1)
+    if not some.any():
+        return None
+    at = int(np.argmax(np.where(some, below * above * (vivid - dull) ** 2, -1.0)))
+    far = below[at] >= _MIN_DULL * total and vivid[at] >= _TIMES_AS_VIVID * dull[at]
+    return at + 1 if far else None
+
+
+@cache
+def _chroma() -> Bytes:
+    """The greatest minus the least of blue, green and red for each entry of a colour table."""
+    blue, green, red = np.ogrid[:_LEVELS, :_LEVELS, :_LEVELS]
+    greatest = np.maximum(np.maximum(blue, green), red)
+    return (greatest - np.minimum(np.minimum(blue, green), red)).astype(np.uint8)

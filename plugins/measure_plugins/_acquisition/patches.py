@@ -153,7 +153,6 @@ def _trace(neighbours: Bytes, labels: Bytes, row: int, column: int, pixels: Ints
 
     Args:
         neighbours: as from `_labels`.
-        labels: the same; changed in place.
         row: of the first pixel, in `labels`.
         column: of the first pixel; the one to its left is not of the colour.
         pixels: (k, 2) filled with x, y in the picture.

@@ -42,7 +42,6 @@ def much_in_shade(lit: Bytes, shaded: Bytes, bit: int) -> bool:
     Args:
         lit: (h, w) colours of some pixels.
         shaded: (h, w) of the same pixels, with shade.
-        bit: the colour's.
     """
     return _count(shaded, bit) > (1 + _MUCH_SHADE) * _count(lit, bit)
 

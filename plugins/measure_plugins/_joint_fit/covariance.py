@@ -27,25 +27,14 @@ the position would be too small beside the rotation's, the more so the more ball
 
 
 class JointFit(NamedTuple):
-    """A pose fitted to outlines, with its full covariance.
+    """A pose fitted to outlines, with its full covariance."""
 
-    Attributes:
-        rotation: (3, 3) of world_from_body.
-        translation: (3,) of world_from_body, mm.
-        covariance: (6, 6) in the `perturb` chart: random effects, light, and calibration.
-        effects_px: (k, 3) see `OutlineFit`.
-        offsets_px: (c,) see `OutlineFit`.
-        rms_px: of the effects bx and by.
-        solved: whether the outlines determine the pose.
-        converged: whether the last step was short.
-    """
-
-    rotation: Floats
-    translation: Floats
-    covariance: Floats
-    effects_px: Floats
-    offsets_px: Floats
-    rms_px: float
+    rotation: Floats  # (3, 3) of world_from_body
+    translation: Floats  # (3,) of world_from_body, mm
+    covariance: Floats  # (6, 6) in the `perturb` chart: random effects, light, and calibration
+    effects_px: Floats  # (k, 3) see `OutlineFit`
+    offsets_px: Floats  # (c,) see `OutlineFit`
+    rms_px: float  # of the effects bx and by
     solved: bool
     converged: bool
 
@@ -117,7 +106,6 @@ def calibration_covariance(outlines: PackedOutlines, fit: OutlineFit, rig: RigRo
 
     Args:
         outlines: k ball-views in c views.
-        fit: the pose fitted to them.
         rig: the c cameras.
     """
     out, lever = np.zeros((6, 6)), np.zeros((6, 18))
@@ -153,9 +141,7 @@ def pose_by_radius(
 
     Args:
         outlines: k ball-views in c views.
-        fit: the pose fitted to them.
         ball_of: (k,) index of the ball.
-        balls: how many there are.
         lenses: (c, 16) lens rows.
     """
     out = np.zeros((6, balls))
@@ -210,9 +196,7 @@ def light_covariance(
 
     Args:
         outlines: k ball-views in c views.
-        fit: the pose fitted to them.
         ball_of: (k,) index of the ball.
-        balls: how many there are.
         lenses: (c, 16) lens rows.
     """
     levers, mm_per_px = np.zeros((balls, 6, 3)), 0.0

@@ -24,21 +24,13 @@ _X, _Y, _RADIUS, _RESIDUAL = 7, 8, 6, 9
 
 
 class ReducedEquations(NamedTuple):
-    """Normal equations of k ball-views for their shared unknowns, the random effects eliminated.
+    """Normal equations of k ball-views for their shared unknowns, the random effects eliminated."""
 
-    Attributes:
-        normal: (k, 7, 7) reduced normal matrices.
-        right: (k, 7) reduced right sides.
-        offset: (k, 3) the random effects are `offset - back_substitution @ shared`.
-        back_substitution: (k, 3, 7).
-        effect_covariance: (k, 3, 3) of the random effects, given the shared unknowns.
-    """
-
-    normal: Floats
-    right: Floats
-    offset: Floats
-    back_substitution: Floats
-    effect_covariance: Floats
+    normal: Floats  # (k, 7, 7) reduced normal matrices
+    right: Floats  # (k, 7) reduced right sides
+    offset: Floats  # (k, 3) the random effects are `offset - back_substitution @ shared`
+    back_substitution: Floats  # (k, 3, 7)
+    effect_covariance: Floats  # (k, 3, 3) of the random effects, given the shared unknowns
 
 
 @compiled
@@ -115,21 +107,13 @@ _MAX_SHIFT_SQUARE = 9.2
 
 
 class ViewShifts(NamedTuple):
-    """The shifts (x, y) of c views, `offset - back_substitution @ shared`, px.
+    """The shifts (x, y) of c views, `offset - back_substitution @ shared`, px."""
 
-    Attributes:
-        variance: (c, 2, 2) of the shifts by the calibration, px^2; zero for exact cameras.
-        inverse_weight: (c,) factor by which that is raised, 1 or more.
-        shift: (c, 2) estimated.
-        offset: (c, 2).
-        back_substitution: (c, 2, 7).
-    """
-
-    variance: Floats
-    inverse_weight: Floats
-    shift: Floats
-    offset: Floats
-    back_substitution: Floats
+    variance: Floats  # (c, 2, 2) of the shifts by the calibration, px^2; zero for exact cameras
+    inverse_weight: Floats  # (c,) factor by which that is raised, 1 or more
+    shift: Floats  # (c, 2) estimated
+    offset: Floats  # (c, 2)
+    back_substitution: Floats  # (c, 2, 7)
 
 
 @compiled
@@ -228,7 +212,6 @@ def _eliminate_from(
     """Eliminate a view's shift from the equations of one of its ball-views.
 
     Args:
-        k: the ball-view.
         variances: (3,) of its random effects.
         inverse: (2, 2) covariance of the view's shift, given the shared unknowns.
         offset: (2,) see `ViewShifts`.
@@ -264,10 +247,7 @@ def _eliminate_from(
 
 @compiled
 def update_view_shifts(step: Floats, shifts: ViewShifts) -> None:
-    """Fill the views' shifts, given the step (6 + c,) of the shared unknowns, and their weights.
-
-    See docs/explanation/joint_fit.md, formulas 7 and 12.
-    """
+    """Fill the views' shifts, given the step (6 + c,), and their weights (formulas 7 and 12)."""
     for view in range(len(shifts.variance)):
         if not _is_uncertain(shifts, view):
             continue
@@ -292,7 +272,6 @@ def subtract_view_shifts(
 
     Args:
         view_of: (k,) index of the ball-views' views.
-        shifts: of the views.
         by_effect: (k, 6, 3) derivatives of the pose by the ball-views' random effects.
         covariance: changed.
     """

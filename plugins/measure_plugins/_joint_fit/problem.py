@@ -26,32 +26,20 @@ _MIN_VARIANCE_PX2 = 5e-9
 
 
 class PackedOutlines(NamedTuple):
-    """k ball-views with n outline points together; ball-view i has those from start[i] on.
+    """k ball-views with n outline points together; ball-view i has those from start[i] on."""
 
-    Attributes:
-        start: (k + 1,).
-        rays: (9, n) of the points, see `lens.fill_rays`.
-        sharpness: (n,) one over the points' standard deviations, px^-1.
-        view_of: (k,) index of the camera among those used.
-        centers_body: (k, 3) of the balls, mm.
-        radii: (k,) mm.
-        motion: (k, 6) how far the body has moved, at the picture's time, from where it is at the
-            pose's time (mm, rad, world).
-        relative_variance: (k,) of each outline's random shift, relative to the others'.
-        rotations: (c, 3, 3) of camera_from_world.
-        translations: (c, 3) of camera_from_world, mm.
-    """
-
-    start: Ints
-    rays: Floats
-    sharpness: Floats
-    view_of: Ints
-    centers_body: Floats
-    radii: Floats
+    start: Ints  # (k + 1,)
+    rays: Floats  # (9, n) of the points, see `lens.fill_rays`
+    sharpness: Floats  # (n,) one over the points' standard deviations, px^-1
+    view_of: Ints  # (k,) index of the camera among those used
+    centers_body: Floats  # (k, 3) of the balls, mm
+    radii: Floats  # (k,) mm
+    # (k, 6) how far the body has moved, at the picture's time, from where it is at the pose's time
+    # (mm, rad, world).
     motion: Floats
-    relative_variance: Floats
-    rotations: Floats
-    translations: Floats
+    relative_variance: Floats  # (k,) of each outline's random shift, relative to the others'
+    rotations: Floats  # (c, 3, 3) of camera_from_world
+    translations: Floats  # (c, 3) of camera_from_world, mm
 
     def points(self, i: int) -> slice:
         """Where ball-view i's points are."""
@@ -100,8 +88,6 @@ def pack(
         points: k outlines (n, 2), px.
         sd: (n,) of each, px.
         covariances: (k, 2, 2) of the outlines' centres, px^2.
-        balls: which they are.
-        views: the cameras that saw them.
 
     Returns:
         The outlines, and which of the k ball-views have points enough to be fitted.

@@ -33,15 +33,10 @@ _CHI_SQUARE_MEDIAN = 1.386
 
 
 class EffectVariance(NamedTuple):
-    """Student's t distribution of the random effects.
+    """Student's t distribution of the random effects."""
 
-    Attributes:
-        variance: (3,) of bx, by and br, px^2.
-        inverse_weight: (k,) factor of a ball-view's variances: large for outlying effects.
-    """
-
-    variance: Floats
-    inverse_weight: Floats
+    variance: Floats  # (3,) of bx, by and br, px^2
+    inverse_weight: Floats  # (k,) factor of a ball-view's variances: large for outlying effects
 
 
 @compiled

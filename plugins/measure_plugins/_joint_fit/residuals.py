@@ -175,10 +175,7 @@ def _fill_residuals(
 
 @inlined
 def _weights(columns: Floats, outlines: PackedOutlines, k: int, effect: Floats) -> Floats:
-    """Tukey's weights (n,) of ball-view k's points over their variances, px^-2.
-
-    See docs/explanation/joint_fit.md, formulas 8 and 9.
-    """
+    """Tukey's weights (n,) of ball-view k's points over their variances (formulas 8 and 9)."""
     first, n = np.uint64(outlines.start[k]), np.uint64(outlines.start[k + 1] - outlines.start[k])
     x, y, growth = effect
     out, size, sharpness = np.empty(n), np.empty(n), outlines.sharpness

@@ -52,60 +52,33 @@ _OFFSET_SD_PX = 3.0
 
 
 class OutlineFit(NamedTuple):
-    """The result of the joint fit, before what all outlines have in common is added.
+    """The result of the joint fit, before what all outlines have in common is added."""
 
-    Attributes:
-        rotation: (3, 3) of world_from_body.
-        translation: (3,) of world_from_body, mm.
-        covariance: (6, 6) without the cameras' own uncertainty.
-        offsets_px: (c,) outward edge offset of every view.
-        effects_px: (k, 3) random effects bx, by, br, with the view's shift in bx and by.
-        effect_sd_px: (2,) estimated standard deviations of bx and by (each), and of br.
-        by_ball: (k, 6, 3) derivatives of the pose by where a ball-view shows its ball, per mm.
-        by_camera: (c, 6, 6) derivatives by the cameras' poses, in their `perturb` charts.
-        by_effect: (k, 6, 3) derivatives by shifts (x, y, radius) of an outline, per px.
-        solved: whether the outlines determine the pose.
-        converged: whether the last step was short.
-    """
-
-    rotation: Floats
-    translation: Floats
-    covariance: Floats
-    offsets_px: Floats
-    effects_px: Floats
-    effect_sd_px: Floats
-    by_ball: Floats
-    by_camera: Floats
-    by_effect: Floats
+    rotation: Floats  # (3, 3) of world_from_body
+    translation: Floats  # (3,) of world_from_body, mm
+    covariance: Floats  # (6, 6) without the cameras' own uncertainty
+    offsets_px: Floats  # (c,) outward edge offset of every view
+    effects_px: Floats  # (k, 3) random effects bx, by, br, with the view's shift in bx and by
+    effect_sd_px: Floats  # (2,) estimated standard deviations of bx and by (each), and of br
+    by_ball: Floats  # (k, 6, 3) derivatives of the pose by where a ball-view shows its ball, per mm
+    by_camera: Floats  # (c, 6, 6) derivatives by the cameras' poses, in their `perturb` charts
+    by_effect: Floats  # (k, 6, 3) derivatives by shifts (x, y, radius) of an outline, per px
     solved: bool
     converged: bool
 
 
 class _FitState(NamedTuple):
-    """The state of a fit at fixed moments; filled in place.
+    """The state of a fit at fixed moments; filled in place."""
 
-    Attributes:
-        moments: (k, 10, 10) see `residuals.accumulate_moments`.
-        equations: the same, the random effects eliminated.
-        prior_normal: (6 + c, 6 + c) information that does not come from the points.
-        prior_right: (6 + c,) its right side.
-        covariance: (6 + c, 6 + c) of pose and edge offsets.
-        step: (6 + c,) from where the moments were formed.
-        effects: (k, 3) the random effects.
-        variances: (k, 3) of those, as taken for `equations`.
-        effect_variance: the estimate that `variances` are made of.
-        view_shifts: of the views.
-    """
-
-    moments: Floats
-    equations: ReducedEquations
-    prior_normal: Floats
-    prior_right: Floats
-    covariance: Floats
-    step: Floats
-    effects: Floats
-    variances: Floats
-    effect_variance: EffectVariance
+    moments: Floats  # (k, 10, 10) see `residuals.accumulate_moments`
+    equations: ReducedEquations  # the same, the random effects eliminated
+    prior_normal: Floats  # (6 + c, 6 + c) information that does not come from the points
+    prior_right: Floats  # (6 + c,) its right side
+    covariance: Floats  # (6 + c, 6 + c) of pose and edge offsets
+    step: Floats  # (6 + c,) from where the moments were formed
+    effects: Floats  # (k, 3) the random effects
+    variances: Floats  # (k, 3) of those, as taken for `equations`
+    effect_variance: EffectVariance  # the estimate that `variances` are made of
     view_shifts: ViewShifts
 
 
@@ -214,11 +187,7 @@ def _within(step: Floats, limit_mm: float, limit_rad: float) -> bool:
 
 @compiled
 def _solve_inner(outlines: PackedOutlines, state: _FitState) -> tuple[bool, float]:
-    """Alternate between the step and the effects' variances, at fixed moments.
-
-    Returns:
-        Whether the outlines determine the pose, and the step in standard deviations.
-    """
+    """Alternate between the step and the effects' variances, at fixed moments."""
     normal, right = np.empty_like(state.prior_normal), np.empty_like(state.prior_right)
     square = np.inf
     for _ in range(_MAX_INNER_ITERATIONS):

@@ -12,8 +12,7 @@ from measure.arrays import Bytes, Floats, Ints
 from measure.model import ConvertedImage
 from measure_plugins.detectors._hough_steps import Find, hough_circles
 
-_STRIDE = 4
-"""Stride of the pixels tested: segments are larger."""
+_STRIDE = 4  # Stride of the pixels tested: segments are larger
 
 
 @dataclass(frozen=True, eq=False)

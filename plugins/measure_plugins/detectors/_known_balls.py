@@ -193,8 +193,7 @@ class KnownBalls:
 
 
 _RADIUS_PX = 40.0
-_SHARE = 0.3
-"""Largest radius, per shorter side of the picture: the rays must end inside it."""
+_SHARE = 0.3  # Largest radius, per shorter side of the picture: the rays must end inside it
 
 
 def drawn_disc(body: Body, camera: Camera) -> tuple[Image, list[Expectation]]:

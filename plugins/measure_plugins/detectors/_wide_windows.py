@@ -16,12 +16,9 @@ from measure.arrays import Floats
 from measure.model import Camera, Detection, Expectation
 from measure.model.lens import bearing
 
-_CONVINCING_SHARE = 2 / 3
-"""Score above which a ball is not searched elsewhere."""
-_CIRCLE_ERROR_PX = 4.0
-"""Error of a circle found by colour, in centre and radius."""
-_REACH_SIGMAS = 3.5
-"""Reach of a window in standard deviations of the prediction."""
+_CONVINCING_SHARE = 2 / 3  # Score above which a ball is not searched elsewhere
+_CIRCLE_ERROR_PX = 4.0  # Error of a circle found by colour, in centre and radius
+_REACH_SIGMAS = 3.5  # Reach of a window in standard deviations of the prediction
 
 
 def lost_in_wide_windows(

@@ -9,8 +9,7 @@ import numpy as np
 from measure.arrays import Bools, Floats
 from measure.host import Dataset, Graph, OnnxEstimator, Value
 
-_MAX_BETWEEN_SHARE = 0.3
-"""Largest share of a feature's variance that may lie between trajectories."""
+_MAX_BETWEEN_SHARE = 0.3  # Largest share of a feature's variance that may lie between trajectories
 
 
 def informative_features(data: Dataset) -> list[int]:

@@ -20,11 +20,7 @@ AfterEpoch = Callable[[int, float, float], None]
 
 
 def torch_or_explain() -> Any:
-    """The torch module, on one thread.
-
-    Raises:
-        EstimatorError: it is not installed.
-    """
+    """The torch module, on one thread; EstimatorError if it is not installed."""
     try:
         import torch
     except ImportError:

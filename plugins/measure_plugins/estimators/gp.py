@@ -4,31 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
+from measure import host
 from measure.arrays import Floats
 from measure.geometry.covariance import MAD_TO_SD
-from measure.host import (
-    Core,
-    Dataset,
-    Estimator,
-    Graph,
-    Report,
-    Scaling,
-    Settings,
-    Value,
-    hookimpl,
-    setting,
-)
 from measure_plugins.estimators._inputs import StateWindow, WithinTrajectoryEstimator
 
 
-class GpSettings(Settings):
+class GpSettings(host.Settings):
     """Settings of `gp`."""
 
-    points: int = setting(700, "Number of training rows kept for prediction.", ge=20)
-    tuning_points: int = setting(
+    points: int = host.setting(700, "Number of training rows kept for prediction.", ge=20)
+    tuning_points: int = host.setting(
         300, "Number of rows from which the kernel's parameters are chosen.", ge=20
     )
-    cleaning_sds: float = setting(
+    cleaning_sds: float = host.setting(
         3.0, "Rows with residuals of more than this many standard deviations are dropped.", gt=0
     )
 
@@ -43,12 +32,14 @@ class GpEstimator(WithinTrajectoryEstimator):
     Config = GpSettings
     config: GpSettings
 
-    def learn(self, data: Dataset, validation: Dataset, *, seed: int, report: Report) -> None:
+    def learn(
+        self, data: host.Dataset, validation: host.Dataset, *, seed: int, report: host.Report
+    ) -> None:
         """Choose the kernel by marginal likelihood; fit, drop outliers, fit again."""
         self._reading = data.schema.reading_matrix(data.schema.joints or data.schema.position)
         self._window = StateWindow(self._reading.shape[1], 2)
         inputs = self._inputs(data)
-        self._scaling = Scaling.of(inputs)
+        self._scaling = host.Scaling.of(inputs)
         inputs = self._scaling.apply(inputs)
         usable = np.flatnonzero(data.usable)
         self._mean = data.errors_mm[usable].mean(axis=0)
@@ -65,7 +56,9 @@ class GpEstimator(WithinTrajectoryEstimator):
         self._solve(inputs[clean[: self.config.points]], labels[clean[: self.config.points]])
         report(1.0, "fitted")
 
-    def compute(self, graph: Graph, features: Value, memory: Value, tick: Value) -> Core:
+    def compute(
+        self, graph: host.Graph, features: host.Value, memory: host.Value, tick: host.Value
+    ) -> host.Core:
         """Mean and variance of the process."""
         joints = graph.op("MatMul", features, self._reading)
         window, after = self._window.in_graph(graph, joints, memory, tick)
@@ -84,9 +77,9 @@ class GpEstimator(WithinTrajectoryEstimator):
         )
         unknown = graph.op("Sub", np.array([[self._signal]]), explained)
         variance = graph.op("Max", unknown, np.zeros((1, 1)))
-        return Core(mean, after, variance, self._window.size)
+        return host.Core(mean, after, variance, self._window.size)
 
-    def _inputs(self, data: Dataset) -> Floats:
+    def _inputs(self, data: host.Dataset) -> Floats:
         """Joints and how far they moved since the last row."""
         joints = data.states @ self._reading
         window = self._window.features(data, joints)
@@ -143,7 +136,7 @@ def _tune(inputs: Floats, labels: Floats) -> tuple[Floats, float, float]:
     return unpack(best.x)
 
 
-@hookimpl
-def measure_estimators() -> list[type[Estimator]]:
+@host.hookimpl
+def measure_estimators() -> list[type[host.Estimator]]:
     """Register the estimator."""
     return [GpEstimator]

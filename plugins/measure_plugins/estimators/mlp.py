@@ -7,27 +7,14 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import field_validator
 
+from measure import host
 from measure.arrays import Floats
-from measure.host import (
-    Core,
-    Dataset,
-    Epoch,
-    Estimator,
-    Graph,
-    OnnxEstimator,
-    Report,
-    Scaling,
-    Settings,
-    Value,
-    hookimpl,
-    setting,
-)
 from measure_plugins.estimators._checkpoint import Checkpoint
 from measure_plugins.estimators._nets import array_of
 from measure_plugins.estimators._training import torch_or_explain
 
 
-class MlpSettings(Settings):
+class MlpSettings(host.Settings):
     """Settings of `mlp`; the defaults are the paper's, but for learning rate, epochs and penalty.
 
     The paper states a learning rate of 1e-8. Adam moves a weight by at most about the rate at each
@@ -35,22 +22,22 @@ class MlpSettings(Settings):
     (docs/explanation/learning.md shows it). Its penalty, 5e-6, lets ours overfit.
     """
 
-    layers: tuple[int, ...] = setting((600, 500, 400), "Units of each hidden layer.")
-    activation: Literal["sigmoid", "elu", "relu"] = setting(
+    layers: tuple[int, ...] = host.setting((600, 500, 400), "Units of each hidden layer.")
+    activation: Literal["sigmoid", "elu", "relu"] = host.setting(
         "sigmoid", "Activation function of the hidden layers."
     )
-    learning_rate: float = setting(
+    learning_rate: float = host.setting(
         1e-2, "Learning rate of Adam at the peak of its one cycle; the paper states 1e-8.", gt=0
     )
-    epochs: int = setting(
+    epochs: int = host.setting(
         80, "Largest number of passes over the data, at which the cycle of the rate ends.", ge=1
     )
-    patience: int = setting(
+    patience: int = host.setting(
         40, "Training stops after this many epochs without a better validation error.", ge=1
     )
-    batch: int = setting(1024, "Number of rows of a batch.", ge=2)
-    l1: float = setting(2e-4, "L1 penalty on the weights; the paper's is 5e-6.", ge=0)
-    loss: Literal["mse", "mae"] = setting("mse", "Loss: mean squared or mean absolute error.")
+    batch: int = host.setting(1024, "Number of rows of a batch.", ge=2)
+    l1: float = host.setting(2e-4, "L1 penalty on the weights; the paper's is 5e-6.", ge=0)
+    loss: Literal["mse", "mae"] = host.setting("mse", "Loss: mean squared or mean absolute error.")
 
     @field_validator("layers")
     @classmethod
@@ -60,7 +47,7 @@ class MlpSettings(Settings):
         return layers
 
 
-class MlpEstimator(OnnxEstimator):
+class MlpEstimator(host.OnnxEstimator):
     """The paper's perceptron: three sigmoid layers with batch normalisation, L1 and Adam."""
 
     name = "mlp"
@@ -68,11 +55,13 @@ class MlpEstimator(OnnxEstimator):
     config: MlpSettings
     memoryless = True
 
-    def learn(self, data: Dataset, validation: Dataset, *, seed: int, report: Report) -> None:
+    def learn(
+        self, data: host.Dataset, validation: host.Dataset, *, seed: int, report: host.Report
+    ) -> None:
         """Train with early stopping; the best epoch on the validation trajectories is kept."""
         torch = torch_or_explain()
         c = self.config
-        self._scaling = Scaling.of(data.states)
+        self._scaling = host.Scaling.of(data.states)
         other = _tensors(torch, validation, self._scaling)
         fit = _MlpTraining(torch, _tensors(torch, data, self._scaling), c, seed)
         key = seed, c.model_dump(mode="json"), data.digest(), validation.digest()
@@ -87,7 +76,9 @@ class MlpEstimator(OnnxEstimator):
         self.curve = tuple(fit.curve)
         self._layers = _fold(fit.best_net())
 
-    def compute(self, graph: Graph, features: Value, memory: Value, tick: Value) -> Core:
+    def compute(
+        self, graph: host.Graph, features: host.Value, memory: host.Value, tick: host.Value
+    ) -> host.Core:
         """Dense layers; batch normalisation is folded into them."""
         kinds = {"sigmoid": "Sigmoid", "elu": "Elu", "relu": "Relu"}
         x = self._scaling.in_graph(graph, features)
@@ -95,7 +86,7 @@ class MlpEstimator(OnnxEstimator):
             x = graph.op("Gemm", x, weight, bias)
             if index < len(self._layers) - 1:
                 x = graph.op(kinds[self.config.activation], x)
-        return Core(x)
+        return host.Core(x)
 
 
 def _network(torch: Any, inputs: int, config: MlpSettings) -> Any:
@@ -111,7 +102,7 @@ def _network(torch: Any, inputs: int, config: MlpSettings) -> Any:
     return torch.nn.Sequential(*parts, torch.nn.Linear(width, 3))
 
 
-def _tensors(torch: Any, data: Dataset, scaling: Scaling) -> tuple[Any, Any, Any]:
+def _tensors(torch: Any, data: host.Dataset, scaling: host.Scaling) -> tuple[Any, Any, Any]:
     used = data.usable
     return tuple(
         torch.tensor(values[used], dtype=torch.float32)
@@ -141,7 +132,7 @@ class _MlpTraining:
             cycle_momentum=False,  # the paper's betas
         )
         self._parts = {"net": self._net, "optimiser": self._optimiser, "plan": self._plan}
-        self.curve: list[Epoch] = []
+        self.curve: list[host.Epoch] = []
         self.best: tuple[float, int, Any] = (np.inf, 0, None)
 
     def epoch(self, epoch: int, other: tuple[Any, Any, Any]) -> float:
@@ -151,7 +142,7 @@ class _MlpTraining:
         self._net.train()
         squares = [self._step(order[start : start + self._size]) for start in starts]
         score = self._score(other)
-        self.curve.append(Epoch(epoch, float(np.sqrt(np.mean(squares))), score))
+        self.curve.append(host.Epoch(epoch, float(np.sqrt(np.mean(squares))), score))
         if score < self.best[0]:
             kept = {name: value.clone() for name, value in self._net.state_dict().items()}
             self.best = (score, epoch, kept)
@@ -197,7 +188,7 @@ class _MlpTraining:
             part.load_state_dict(state[name])
         self._dice.set_state(state["dice"])
         self.best = state["best"]
-        self.curve = [Epoch(*line) for line in state["curve"]]
+        self.curve = [host.Epoch(*line) for line in state["curve"]]
 
 
 def _fold(net: Any) -> list[tuple[Floats, Floats]]:
@@ -218,7 +209,7 @@ def _fold(net: Any) -> list[tuple[Floats, Floats]]:
     return layers
 
 
-@hookimpl
-def measure_estimators() -> list[type[Estimator]]:
+@host.hookimpl
+def measure_estimators() -> list[type[host.Estimator]]:
     """Register the estimator."""
     return [MlpEstimator]

@@ -8,20 +8,8 @@ from typing import TypeVar
 
 import numpy as np
 
+from measure import host
 from measure.arrays import Floats
-from measure.host import (
-    Core,
-    Dataset,
-    Epoch,
-    Estimator,
-    Graph,
-    Report,
-    Scaling,
-    Settings,
-    Value,
-    hookimpl,
-    setting,
-)
 from measure_plugins.estimators import _nets
 from measure_plugins.estimators._checkpoint import Checkpoint
 from measure_plugins.estimators._inputs import WithinTrajectoryEstimator, informative_features
@@ -42,28 +30,30 @@ _PERCEPTRON_SHARE = 0.2  # time of a perceptron's epoch, as a share of a GRU's
 _TURN_RAD, _SLIDE_MM, _TIP_MM = 0.05, 1.0, 1.0  # joint or tip errors of an output of one
 
 
-class StreamSettings(Settings):
+class StreamSettings(host.Settings):
     """Settings of `stream`."""
 
-    perceptrons: int = setting(5, "Number of perceptrons in the ensemble.", ge=1)
-    perceptron_units: int = setting(128, "Units in each of the two layers of a perceptron.", ge=4)
-    perceptron_epochs: int = setting(
+    perceptrons: int = host.setting(5, "Number of perceptrons in the ensemble.", ge=1)
+    perceptron_units: int = host.setting(
+        128, "Units in each of the two layers of a perceptron.", ge=4
+    )
+    perceptron_epochs: int = host.setting(
         50, "Passes over the data in the training of the perceptrons.", ge=1
     )
-    grus: int = setting(3, "Number of GRUs in the ensemble.", ge=1)
-    gru_units: int = setting(96, "Hidden units of a GRU.", ge=4)
-    gru_epochs: int = setting(120, "Passes over the data in the training of a GRU.", ge=1)
-    window: int = setting(128, "Steps in a training window of a GRU.", ge=8)
-    play_widths: int = setting(8, "Number of play operators per joint combination.", ge=1)
-    narrowest: float = setting(
+    grus: int = host.setting(3, "Number of GRUs in the ensemble.", ge=1)
+    gru_units: int = host.setting(96, "Hidden units of a GRU.", ge=4)
+    gru_epochs: int = host.setting(120, "Passes over the data in the training of a GRU.", ge=1)
+    window: int = host.setting(128, "Steps in a training window of a GRU.", ge=8)
+    play_widths: int = host.setting(8, "Number of play operators per joint combination.", ge=1)
+    narrowest: float = host.setting(
         0.01, "Half-width of the narrowest play, as a share of the joint's range.", gt=0, lt=1
     )
-    widest: float = setting(
+    widest: float = host.setting(
         0.2, "Half-width of the widest play, as a share of the joint's range.", gt=0, le=1
     )
-    dropout: float = setting(0.4, "Share of a GRU's outputs dropped in training.", ge=0, lt=1)
-    decay: float = setting(0.05, "Weight decay of AdamW.", ge=0)
-    noise: float = setting(
+    dropout: float = host.setting(0.4, "Share of a GRU's outputs dropped in training.", ge=0, lt=1)
+    decay: float = host.setting(0.05, "Weight decay of AdamW.", ge=0)
+    noise: float = host.setting(
         0.02, "Standard deviation of the noise added to scaled inputs in training.", ge=0
     )
 
@@ -79,14 +69,16 @@ class StreamEstimator(WithinTrajectoryEstimator):
     Config = StreamSettings
     config: StreamSettings
 
-    def learn(self, data: Dataset, validation: Dataset, *, seed: int, report: Report) -> None:
+    def learn(
+        self, data: host.Dataset, validation: host.Dataset, *, seed: int, report: host.Report
+    ) -> None:
         """Compute inputs, then train every net in turn."""
         torch_or_explain()
         c = self.config
         self._data_schema = data.schema
         self._digests = data.digest(), validation.digest()
         self._columns = informative_features(data)
-        self._scaling = Scaling.of(data.states[:, self._columns])
+        self._scaling = host.Scaling.of(data.states[:, self._columns])
         self._moving = self._moving_inputs()
         self._bank = PlayBank.of(data, c.play_widths, c.narrowest, c.widest)
         used = data.usable
@@ -99,7 +91,7 @@ class StreamEstimator(WithinTrajectoryEstimator):
         self.curve = tuple(log.curve)
 
     def _fit_perceptrons(
-        self, data: TrainingSet, seed: int, log: _Log, report: Report
+        self, data: TrainingSet, seed: int, log: _Log, report: host.Report
     ) -> _nets.Perceptrons:
         c, outputs = self.config, len(self._outputs.scale)
         how = Training(c.perceptron_epochs, noise=c.noise, decay=0.2 * c.decay)
@@ -113,7 +105,7 @@ class StreamEstimator(WithinTrajectoryEstimator):
             lambda: train_perceptrons(data, sizes, c.perceptrons, how, seed, note),
         )
 
-    def _fit_grus(self, data: TrainingSet, seed: int, log: _Log, report: Report) -> _nets.Grus:
+    def _fit_grus(self, data: TrainingSet, seed: int, log: _Log, report: host.Report) -> _nets.Grus:
         c, outputs = self.config, len(self._outputs.scale)
         how = Training(c.gru_epochs, noise=c.noise, decay=c.decay, dropout=c.dropout)
         found = []
@@ -135,7 +127,9 @@ class StreamEstimator(WithinTrajectoryEstimator):
             saved.store(now=True, net=net.values())
         return net
 
-    def compute(self, graph: Graph, features: Value, memory: Value, tick: Value) -> Core:
+    def compute(
+        self, graph: host.Graph, features: host.Value, memory: host.Value, tick: host.Value
+    ) -> host.Core:
         """Memory: a started flag, play states, hidden states, moving inputs of the last tick."""
         plays, hidden = self._bank.size, self._grus.members * self._grus.hidden
         widths = [1, plays, hidden, len(self._moving)]
@@ -161,9 +155,9 @@ class StreamEstimator(WithinTrajectoryEstimator):
         )
         kept = graph.op("Concat", begun, states, slow, axis=1)
         error = self._error(graph, features, graph.op("Mul", mean, self._outputs.scale))
-        return Core(error, kept, spread, sum(widths))
+        return host.Core(error, kept, spread, sum(widths))
 
-    def _error(self, graph: Graph, features: Value, outputs: Value) -> Value:
+    def _error(self, graph: host.Graph, features: host.Value, outputs: host.Value) -> host.Value:
         schema = self._data_schema
         if schema.chain is None:
             return graph.op("Add", outputs, self._outputs.middle_mm)
@@ -190,7 +184,7 @@ class StreamEstimator(WithinTrajectoryEstimator):
         lever = np.where(self._outputs.scale == _TURN_RAD, 50.0, 1.0)
         return self._outputs.scale * lever
 
-    def _inputs(self, data: Dataset) -> Floats:
+    def _inputs(self, data: host.Dataset) -> Floats:
         scaled = self._scaling.apply(data.states[:, self._columns])
         return np.concatenate([scaled, self._bank.features(data)], axis=1)
 
@@ -199,22 +193,22 @@ class _Log:
     """The learning curve of all nets in a row, and the progress it means."""
 
     def __init__(self, total: float) -> None:
-        self.curve: list[Epoch] = []
+        self.curve: list[host.Epoch] = []
         self._total, self._done = total, 0.0
 
-    def part(self, what: str, share: float, epochs: int, report: Report) -> AfterEpoch:
+    def part(self, what: str, share: float, epochs: int, report: host.Report) -> AfterEpoch:
         """Begins the next net, whose epochs cost `share` each."""
         before = self._done
         self._done += share * epochs
 
         def note(epoch: int, train: float, score: float) -> None:
-            self.curve.append(Epoch(len(self.curve), train, score))
+            self.curve.append(host.Epoch(len(self.curve), train, score))
             report((before + share * (epoch + 1)) / self._total, f"{what}: {score:.3f} mm")
 
         return note
 
 
-@hookimpl
-def measure_estimators() -> list[type[Estimator]]:
+@host.hookimpl
+def measure_estimators() -> list[type[host.Estimator]]:
     """Register the estimator."""
     return [StreamEstimator]

@@ -17,8 +17,7 @@ from measure.geometry import propagate
 from measure.host import Settings, Triangulator, hookimpl
 from measure.model import BallPosition, Camera, Detection
 
-_PARALLEL = 1e-4
-"""Third singular value over the first, below which the rays are parallel."""
+_PARALLEL = 1e-4  # Third singular value over the first, below which the rays are parallel
 
 
 class DltTriangulator(Triangulator):

@@ -17,11 +17,9 @@ from measure.geometry import Rays, midpoints, propagate, usable_pairs
 from measure.host import Settings, Triangulator, hookimpl, setting
 from measure.model import BallPosition, Camera, Detection, Rig
 
-_STEP_PX = 0.25
-"""Half the step of the central differences; the midpoint is smooth over many pixels."""
+_STEP_PX = 0.25  # Half the step of the central differences; the midpoint is smooth over many pixels
 
-_STEP_POSE = 1e-3
-"""The same for a camera's pose, in mm and rad."""
+_STEP_POSE = 1e-3  # The same for a camera's pose, in mm and rad
 
 
 class MidpointSettings(Settings):

@@ -13,17 +13,9 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.host.settings import Settings, setting
+from measure.measuring.tracking.paper import ray_agreement
 from measure.measuring.tracking.paper.circle_state import Circle, Evidence, advance, remember
 from measure.measuring.tracking.paper.initialisation import choose
-from measure.measuring.tracking.paper.ray_agreement import (
-    AgreementLimits,
-    apparent_radius_px,
-    disagreeing,
-    locate,
-    misfit,
-    ray_observations,
-    residual_flags,
-)
 from measure.measuring.tracking.tracker import Conclusion
 from measure.model import (
     Ball,
@@ -39,8 +31,7 @@ from measure.model import (
 )
 from measure.model.observations import Reason, State
 
-_MAX_STEP_S = 0.5
-"""Motion bounds of a circle grow no longer than this after its last detection."""
+_MAX_STEP_S = 0.5  # Motion bounds of a circle grow no longer than this after its last detection
 
 
 class FrameUpdateSettings(Settings):
@@ -167,7 +158,7 @@ class FrameUpdate:
         self._pose = pose
         self._starting = False
         self._tolerance = 1 + (self._tolerance - 1) * self.config.tolerance_decay
-        against = residual_flags(
+        against = ray_agreement.residual_flags(
             positions, pose, self.config.flag_residual_mm, self.config.flag_rays_mm
         )
         return Conclusion(replace(pose, flags=(*pose.flags, *against)))
@@ -208,7 +199,7 @@ class FrameUpdate:
             center, radius = circle.center_px, circle.radius_px
         elif point is not None and self._tolerance < self.config.search_tolerance:
             center = camera.project(point[None])[0]
-            radius = apparent_radius_px(camera, point, ball.radius_mm)
+            radius = ray_agreement.apparent_radius_px(camera, point, ball.radius_mm)
             if not np.all(np.isfinite(center)):
                 return None
         else:
@@ -241,8 +232,10 @@ class FrameUpdate:
             self.config.motion_base_px + moved_mm * radius_px / ball.radius_mm
         )
 
-    def _limits(self) -> AgreementLimits:
-        return AgreementLimits(self.config.consistency_mm, self.config.radius_percent / 100)
+    def _limits(self) -> ray_agreement.AgreementLimits:
+        return ray_agreement.AgreementLimits(
+            self.config.consistency_mm, self.config.radius_percent / 100
+        )
 
     def _good(self, detection: Detection) -> bool:
         miscolored = 100 * detection.color_match < self.config.color_percent
@@ -258,7 +251,7 @@ class FrameUpdate:
             for detection in detections.get(name, ())
             if self._good(detection)
         ]
-        seen = ray_observations(candidates, self._cameras)
+        seen = ray_agreement.ray_observations(candidates, self._cameras)
         chosen = choose(self._body, seen, self._limits(), 2 * self.config.consistency_mm)
         views = []
         for ball, camera in self._circles:
@@ -316,16 +309,16 @@ class FrameUpdate:
     ) -> dict[str, Evidence]:
         """Fill in whether each circle agrees with the 3-D centre from effective circles."""
         good = [d for name, d in found.items() if d is not None and evidence[name].color_ok]
-        seen = ray_observations(good, self._cameras)
+        seen = ray_agreement.ray_observations(good, self._cameras)
         effective = [
             one
             for one in seen
             if self._circles[ball.name, one.camera.name].effective
             and not evidence[one.camera.name].moved_too_far
         ]
-        outliers = disagreeing(effective, ball.radius_mm, self._limits())
+        outliers = ray_agreement.disagreeing(effective, ball.radius_mm, self._limits())
         kept = [one for one in effective if one not in outliers]
-        point = locate(kept)
+        point = ray_agreement.locate(kept)
         if point is None and len(self._body.balls) > 3:
             point = self._predicted(ball)
         out = dict(evidence)
@@ -334,7 +327,7 @@ class FrameUpdate:
             if one in outliers:
                 out[name] = replace(evidence[name], consistent=False)
             elif point is not None and one not in kept:
-                fits = misfit(one, point, ball.radius_mm, self._limits()) <= 1
+                fits = ray_agreement.misfit(one, point, ball.radius_mm, self._limits()) <= 1
                 out[name] = replace(evidence[name], consistent=fits)
         return out
 

@@ -21,23 +21,14 @@ _OUT_OF_SIGHT_PX = -1e4
 
 
 class PredictedBalls(NamedTuple):
-    """n predicted ball-views, all balls of the first camera, then of the second, and so on.
+    """n predicted ball-views, all balls of the first camera, then of the second, and so on."""
 
-    Attributes:
-        centers_px: (n, 2).
-        radii_px: (n,).
-        centers_camera: (n, 3) in mm.
-        covariances_px: (n, 2, 2) from the predicted pose's covariance.
-        jacobians: (n, 2, 6) by the pose's `perturb` chart.
-        max_sd_px: (n,) largest standard deviation of the centre over all directions.
-    """
-
-    centers_px: Floats
-    radii_px: Floats
-    centers_camera: Floats
-    covariances_px: Floats
-    jacobians: Floats
-    max_sd_px: Floats
+    centers_px: Floats  # (n, 2)
+    radii_px: Floats  # (n,)
+    centers_camera: Floats  # (n, 3) in mm
+    covariances_px: Floats  # (n, 2, 2) from the predicted pose's covariance
+    jacobians: Floats  # (n, 2, 6) by the pose's `perturb` chart
+    max_sd_px: Floats  # (n,) largest standard deviation of the centre over all directions
 
 
 @compiled
@@ -53,7 +44,6 @@ def predict_balls(
     """Every ball of a moving body in every camera, at its image's time.
 
     Args:
-        state: of its motion.
         variance: (6,) of the acceleration.
         leads_s: (c,) times of the images after the state's.
         balls: (k, 3) centres in the body.

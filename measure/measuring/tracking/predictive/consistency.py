@@ -20,8 +20,7 @@ from measure.model.observations import Reason, stacked_positions
 _ELSEWHERE = (Reason.JUMPED, Reason.INCONSISTENT, Reason.RECOVERING)
 """Reasons of a ball detected elsewhere than predicted, or lately."""
 _MIN_CAMERAS = 2
-_MIN_BALL_VIEWS = 5
-"""The same as a search requires (`AssociationSettings.min_views`)."""
+_MIN_BALL_VIEWS = 5  # The same as a search requires (`AssociationSettings.min_views`)
 
 
 def consistency_flags(
@@ -56,10 +55,7 @@ def consistency_flags(
 def single_view_balls(
     pose: Pose, views: Sequence[BallView], body: Body, cameras: Sequence[Camera]
 ) -> tuple[str, ...]:
-    """Flags of balls that only one camera sees though others should, if the rotation rests on them.
-
-    Two located balls and a third anywhere on one line of sight fit very different bodies.
-    """
+    """Covariance (2, 2) px^2 of an offset by the uncertain calibration, body and motion."""
     count = dict.fromkeys(body.names, 0)
     for view in views:
         count[view.ball] += view.effective

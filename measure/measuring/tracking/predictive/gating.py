@@ -26,19 +26,12 @@ not explained by the change of the prediction that explains the majority."""
 
 
 class GatedObservations(NamedTuple):
-    """n detections to be gated.
+    """n detections to be gated."""
 
-    Attributes:
-        pixels: (n, 2) centres.
-        noise: (n, 2, 2) covariances.
-        times_s: (n,).
-        colored: (n,) whether the colour is right, or not checked.
-    """
-
-    pixels: Floats
-    noise: Floats
-    times_s: Floats
-    colored: Bools
+    pixels: Floats  # (n, 2) centres
+    noise: Floats  # (n, 2, 2) covariances
+    times_s: Floats  # (n,)
+    colored: Bools  # (n,) whether the colour is right, or not checked
 
 
 @compiled
@@ -55,9 +48,7 @@ def gate_observations(
     """Gate detections, and estimate the change of the motion that the accepted ones ask for.
 
     Args:
-        seen: the detections.
         rows: (n,) the prediction that each of them belongs to.
-        balls: the predictions.
         covariance: (12, 12) of pose and velocity at `time_s`.
         time_s: the instant that is predicted from.
         variance: (6,) of the acceleration.

@@ -12,8 +12,7 @@ from measure.measuring.tracking.predictive.motion_filter import MotionState
 from measure.measuring.tracking.predictive.pose_checks import implausible_motion
 
 _REVIEW_EVERY_S = 0.5
-_REVIEWS_ALONE = 3
-"""Reviews in a row that must show no other body: one may be hidden for a moment."""
+_REVIEWS_ALONE = 3  # Reviews in a row that must show no other body: one may be hidden for a moment
 
 
 class IdentityDoubt:

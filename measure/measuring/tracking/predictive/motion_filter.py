@@ -25,12 +25,10 @@ from measure.measuring.tracking.predictive.motion_kernels import (
 )
 from measure.model import Motion, Pose
 
-_MEMORY_S = 0.3
-"""Time constant of the mean over accelerations."""
+_MEMORY_S = 0.3  # Time constant of the mean over accelerations
 _MIN_POSES_VELOCITY = 2
 """Measured poses after which changes of the velocity are the body's, not the filter's start."""
-_MIN_POSES_ACCELERATION = 6
-"""Measured poses after which four accelerations have been observed."""
+_MIN_POSES_ACCELERATION = 6  # Measured poses after which four accelerations have been observed
 _LOST_FACTOR, _LOST_S = 4.0, 0.5
 """Factor on speed and acceleration of a body found again within so many seconds after its loss."""
 
@@ -103,11 +101,7 @@ class MotionState:
         return acceleration_bound(self.accelerations.square, acceleration_sd)
 
     def at(self, time_s: float, acceleration_sd: Floats) -> MotionState:
-        """The prediction for another instant.
-
-        Args:
-            acceleration_sd: (6,) standard deviation of the acceleration, mm/s^2 and rad/s^2.
-        """
+        """The prediction for another instant; (6,) sd of the acceleration in mm/s^2 and rad/s^2."""
         state = predicted(self.filter_state(), time_s - self.time_s, acceleration_sd**2)
         return self._with(state, time_s, self.measured)
 
@@ -153,11 +147,7 @@ class MotionState:
         return 1 / min(self.measured - _MIN_POSES_VELOCITY + 1, max(_MEMORY_S / dt, 1.0))
 
     def motion(self, velocity_change: tuple[Floats, Floats] | None = None) -> Motion:
-        """For pose solvers.
-
-        Args:
-            velocity_change: (6,) by newer detections, and the velocity's covariance with them.
-        """
+        """For pose solvers: (6,) change of velocity by newer detections, with its covariance."""
         change, covariance = velocity_change or (0.0, self.covariance[6:, 6:])
         return Motion(
             self.world_from_body,

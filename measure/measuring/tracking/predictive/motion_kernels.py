@@ -20,49 +20,29 @@ _MAX_VARIANCE_RATIO = 16
 
 
 class Kinematics(NamedTuple):
-    """How a body moves at an instant, in the world.
+    """How a body moves at an instant, in the world."""
 
-    Attributes:
-        velocity: (6,) mm/s and rad/s.
-        acceleration: (6,) expected from here on, mm/s^2 and rad/s^2.
-        duration_s: for how long.
-    """
-
-    velocity: Floats
-    acceleration: Floats
+    velocity: Floats  # (6,) mm/s and rad/s
+    acceleration: Floats  # (6,) expected from here on, mm/s^2 and rad/s^2
     duration_s: float
 
 
 class AccelerationMoments(NamedTuple):
-    """Moments of the accelerations observed so far, mm/s^2 and rad/s^2.
+    """Moments of the accelerations observed so far, mm/s^2 and rad/s^2."""
 
-    Attributes:
-        last: (6,) the last one.
-        square: (6, 6) mean of a a^T; zero if none was observed.
-        product: (6,) mean product of each with the one before.
-    """
-
-    last: Floats
-    square: Floats
-    product: Floats
+    last: Floats  # (6,) the last one
+    square: Floats  # (6, 6) mean of a a^T; zero if none was observed
+    product: Floats  # (6,) mean product of each with the one before
 
 
 class FilterState(NamedTuple):
-    """The state of the filter.
+    """The state of the filter."""
 
-    Attributes:
-        rotation: (3, 3) of world_from_body.
-        translation: (3,) the same, mm.
-        kinematics: of the body.
-        covariance: (12, 12) of pose and velocity.
-        accelerations: observed so far.
-    """
-
-    rotation: Floats
-    translation: Floats
+    rotation: Floats  # (3, 3) of world_from_body
+    translation: Floats  # (3,) the same, mm
     kinematics: Kinematics
-    covariance: Floats
-    accelerations: AccelerationMoments
+    covariance: Floats  # (12, 12) of pose and velocity
+    accelerations: AccelerationMoments  # observed so far
 
 
 @compiled
@@ -126,7 +106,6 @@ def updated(
     """The state after a measured pose.
 
     Args:
-        state: before it.
         dt: s from there until the measured pose.
         variance: (6,) configured for the acceleration.
         measured_rotation: (3, 3) of the measured world_from_body.

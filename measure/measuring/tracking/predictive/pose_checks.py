@@ -16,8 +16,7 @@ from measure.measuring.tracking.predictive.motion_filter import MotionState
 from measure.model import BallPosition, BallView, Body, Camera, Detection, Pose, Rig
 from measure.model.observations import Reason, stacked_positions
 
-_MIN_SCORE = 0.5
-"""Score of a candidate that is taken for a ball."""
+_MIN_SCORE = 0.5  # Score of a candidate that is taken for a ball
 _MAX_CONTRADICTING_SHARE = 0.5
 _RMS_SIGMAS = 2.0
 _MOTION_CONFIDENCE = 0.9999

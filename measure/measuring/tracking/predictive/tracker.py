@@ -14,55 +14,29 @@ from typing import ClassVar
 
 import numpy as np
 
+from measure import model
 from measure.arrays import Floats
 from measure.estimation.body_layout import distances_from_body, layout_flags
 from measure.geometry import RigidTransform, chi_square_quantile
 from measure.host.settings import Settings, setting
 from measure.measuring import association
 from measure.measuring.association import Association, AssociationSettings, associate, second_body
+from measure.measuring.tracking.predictive import gating, pose_checks
 from measure.measuring.tracking.predictive.camera_bias import CameraBiasMonitor
 from measure.measuring.tracking.predictive.consistency import consistency_flags, single_view_balls
-from measure.measuring.tracking.predictive.gating import (
-    AGREES,
-    CONTRADICTS,
-    JUMPED,
-    MISCOLORED,
-    GatedObservations,
-    gate_observations,
-)
 from measure.measuring.tracking.predictive.identity import IdentityDoubt
 from measure.measuring.tracking.predictive.motion_filter import MotionState, initial_state, per_axis
-from measure.measuring.tracking.predictive.pose_checks import (
-    disagreeing_cameras,
-    disagreement_flags,
-    hard_flags,
-    soft_flags,
-    too_uncertain,
-    unconfirmed_balls,
-    unstable_initialisation,
-)
 from measure.measuring.tracking.predictive.search_windows import SearchWindows, predict_windows
 from measure.measuring.tracking.tracker import Conclusion, Review
-from measure.model import (
-    BallPosition,
-    BallView,
-    Body,
-    Camera,
-    Detection,
-    Expectation,
-    FrameSet,
-    Motion,
-    Pose,
-)
 from measure.model.observations import Reason, State
 
 _EXTRA_SD = np.repeat([0.02, 0.0005], 3)
 """Standard deviations (mm, rad) added to a measured pose in the filter: systematic errors."""
 _REASONS = {
-    AGREES: Reason.NONE,
-    JUMPED: Reason.JUMPED,
-    MISCOLORED: Reason.COLOR,
-    CONTRADICTS: Reason.INCONSISTENT,
+    gating.AGREES: Reason.NONE,
+    gating.JUMPED: Reason.JUMPED,
+    gating.MISCOLORED: Reason.COLOR,
+    gating.CONTRADICTS: Reason.INCONSISTENT,
 }
 _SUSPICIOUS = (Reason.JUMPED, Reason.COLOR, Reason.INCONSISTENT)
 
@@ -136,7 +110,9 @@ class PredictiveTracker:
 
     Config: ClassVar[type[Settings]] = PredictiveConfig
 
-    def __init__(self, config: PredictiveConfig, body: Body, cameras: Sequence[Camera]) -> None:
+    def __init__(
+        self, config: PredictiveConfig, body: model.Body, cameras: Sequence[model.Camera]
+    ) -> None:
         self.config = config
         self._body = body
         self._cameras = tuple(cameras)
@@ -161,7 +137,7 @@ class PredictiveTracker:
         association.warm_up(self._body, self._cameras)
         _warm_up(self._body, self._cameras)
 
-    def expect(self, frame_set: FrameSet) -> Mapping[str, Sequence[Expectation]]:
+    def expect(self, frame_set: model.FrameSet) -> Mapping[str, Sequence[model.Expectation]]:
         """Windows from the predicted pose at each image's own time; the whole frame without one."""
         self._windows = self._found = self._velocity_change = None
         if self._state is not None and frame_set.images:
@@ -178,14 +154,14 @@ class PredictiveTracker:
         c = self.config
         return self._windows.expectations(c.reach_sigmas, c.min_reach_px, c.radius_slack)
 
-    def doubt(self, frame_set: FrameSet) -> Review | None:
+    def doubt(self, frame_set: model.FrameSet) -> Review | None:
         """Looks for another body beside the one that is tracked, if that may be the wrong one."""
         state, time_s = self._state, frame_set.time_s
         if state is None or not self._identity.due(time_s):
             return None
         present = [camera for camera in self._cameras if camera.name in frame_set.images]
 
-        def review(detections: Mapping[str, Sequence[Detection]]) -> None:
+        def review(detections: Mapping[str, Sequence[model.Detection]]) -> None:
             flags = second_body(state.world_from_body, self._body, present, detections)
             self._identity.reviewed(flags, time_s)
 
@@ -200,14 +176,14 @@ class PredictiveTracker:
         return back
 
     def judge(
-        self, frame_set: FrameSet, detections: Mapping[str, Sequence[Detection]]
-    ) -> tuple[BallView, ...]:
+        self, frame_set: model.FrameSet, detections: Mapping[str, Sequence[model.Detection]]
+    ) -> tuple[model.BallView, ...]:
         """Association across cameras while searching; gates while tracking."""
         if self._windows is None:
             return self._search(frame_set, detections)
         return self._track(frame_set, self._windows, detections)
 
-    def motion(self, time_s: float) -> Motion | None:
+    def motion(self, time_s: float) -> model.Motion | None:
         """The predicted motion at `time_s`; right after a search, the pose found, at rest.
 
         The velocity includes the change that the gated detections of this frame set ask for: else
@@ -219,10 +195,10 @@ class PredictiveTracker:
 
     def conclude(
         self,
-        frame_set: FrameSet,
-        views: Sequence[BallView],
-        positions: Sequence[BallPosition],
-        pose: Pose | None,
+        frame_set: model.FrameSet,
+        views: Sequence[model.BallView],
+        positions: Sequence[model.BallPosition],
+        pose: model.Pose | None,
         residuals_px: Mapping[tuple[str, str], Floats],
     ) -> Conclusion:
         """Flag the pose; unless a flag is hard, update the motion filter with it."""
@@ -231,14 +207,14 @@ class PredictiveTracker:
             self._missed()
             return Conclusion(None, reason or "too few balls agree with the prediction")
         c = self.config
-        hard = hard_flags(
+        hard = pose_checks.hard_flags(
             pose, positions, views, self._body, self._cameras, c.distance_tolerance_mm, c.max_rms_px
         )
-        soft = soft_flags(pose, views, c.max_sd_mm) + self._disagreement(views)
+        soft = pose_checks.soft_flags(pose, views, c.max_sd_mm) + self._disagreement(views)
         soft += self._identity.flags(self._state, self._acceleration, self._acceleration_bound)
-        soft += unconfirmed_balls(views, self._body, self._confirmed)
+        soft += pose_checks.unconfirmed_balls(views, self._body, self._confirmed)
         if self._state is not None and self._state.new:
-            soft += unstable_initialisation(
+            soft += pose_checks.unstable_initialisation(
                 views, [image.time_s for image in frame_set.images.values()]
             )
         soft += consistency_flags(pose, views, positions, self._body, c.view_bias_px, c.confidence)
@@ -248,7 +224,7 @@ class PredictiveTracker:
         flags = tuple(dict.fromkeys((*pose.flags, *hard, *soft)))
         if hard:
             self._missed()
-        elif too_uncertain(pose, self._body):
+        elif pose_checks.too_uncertain(pose, self._body):
             self._forget()
         elif self._state is not None:
             self._misses = 0
@@ -257,8 +233,8 @@ class PredictiveTracker:
         return Conclusion(pose if flags == pose.flags else replace(pose, flags=flags))
 
     def _search(
-        self, frame_set: FrameSet, detections: Mapping[str, Sequence[Detection]]
-    ) -> tuple[BallView, ...]:
+        self, frame_set: model.FrameSet, detections: Mapping[str, Sequence[model.Detection]]
+    ) -> tuple[model.BallView, ...]:
         present = [camera for camera in self._cameras if camera.name in frame_set.images]
         self._found = found = associate(self._body, present, detections, AssociationSettings())
         self._recovering = {}
@@ -268,7 +244,9 @@ class PredictiveTracker:
             here = found.world_from_body, found.covariance, time_s
             self._state = initial_state(*here, self._speed, self._acceleration, self._last_state)
             self._identity.begin(found.flags, self._last_state, self._state)
-            self._disagreeing = disagreeing_cameras(found, self._body, present, detections)
+            self._disagreeing = pose_checks.disagreeing_cameras(
+                found, self._body, present, detections
+            )
             self._confirmed = set()
         chosen = {(d.camera, d.ball): d for d in found.detections}
         seen = {(d.camera, d.ball) for some in detections.values() for d in some}
@@ -278,10 +256,10 @@ class PredictiveTracker:
 
     def _track(
         self,
-        frame_set: FrameSet,
+        frame_set: model.FrameSet,
         windows: SearchWindows,
-        detections: Mapping[str, Sequence[Detection]],
-    ) -> tuple[BallView, ...]:
+        detections: Mapping[str, Sequence[model.Detection]],
+    ) -> tuple[model.BallView, ...]:
         best = {(d.camera, d.ball): d for some in detections.values() for d in reversed(some)}
         rows = [row for row, key in enumerate(windows.keys) if key in best]
         keys = [windows.keys[row] for row in rows]
@@ -296,18 +274,18 @@ class PredictiveTracker:
             if self._recovering or reason is not Reason.NONE:
                 reason = self._recovery(key, reason)
             state = State.EFFECTIVE if reason is Reason.NONE else State.SUSPENDED
-            views.append(BallView(ball, camera, state, reason, best.get(key)))
+            views.append(model.BallView(ball, camera, state, reason, best.get(key)))
         return tuple(views)
 
     def _gate(
-        self, windows: SearchWindows, rows: Sequence[int], seen: Sequence[Detection]
+        self, windows: SearchWindows, rows: Sequence[int], seen: Sequence[model.Detection]
     ) -> list[Reason]:
         """Why each detection is suspended, or `Reason.NONE`."""
         if not seen:
             return []
         assert self._state is not None
         c = self.config
-        gated, change, covariance = gate_observations(
+        gated, change, covariance = gating.gate_observations(
             windows.observations(rows, seen, c.min_color_match),
             np.array(rows),
             windows.balls,
@@ -330,13 +308,13 @@ class PredictiveTracker:
             self._recovering[key] = self.config.recover_frames
         return reason
 
-    def _disagreement(self, views: Sequence[BallView]) -> tuple[str, ...]:
+    def _disagreement(self, views: Sequence[model.BallView]) -> tuple[str, ...]:
         """Flags of cameras that disagreed with the search and still have no effective view."""
         if not self._disagreeing:
             return ()
         agreeing = {view.camera for view in views if view.effective}
         self._disagreeing = tuple(name for name in self._disagreeing if name not in agreeing)
-        return disagreement_flags(self._disagreeing)
+        return pose_checks.disagreement_flags(self._disagreeing)
 
     def _missed(self) -> None:
         """Count a frame set without an accepted pose; forget the body at once after a search."""
@@ -349,19 +327,19 @@ class PredictiveTracker:
 
 
 def _searched_view(
-    key: tuple[str, str], frame_set: FrameSet, chosen: Detection | None, seen: bool
-) -> BallView:
+    key: tuple[str, str], frame_set: model.FrameSet, chosen: model.Detection | None, seen: bool
+) -> model.BallView:
     """The state of a ball in a camera after a search: effective if its candidate was chosen."""
     camera, ball = key
     if chosen is not None:
-        return BallView(ball, camera, State.EFFECTIVE, detection=chosen)
+        return model.BallView(ball, camera, State.EFFECTIVE, detection=chosen)
     reason = Reason.INCONSISTENT if seen else Reason.NOT_FOUND
     if camera not in frame_set.images:
         reason = Reason.NO_IMAGE
-    return BallView(ball, camera, State.SUSPENDED, reason)
+    return model.BallView(ball, camera, State.SUSPENDED, reason)
 
 
-def _warm_up(body: Body, cameras: Sequence[Camera]) -> None:
+def _warm_up(body: model.Body, cameras: Sequence[model.Camera]) -> None:
     """Compile or load the loops of tracking: a body at rest, detected where it is predicted."""
     still, one = RigidTransform.identity(), np.ones(6)
     state = MotionState.begin(still, np.eye(6), 0.0, one)
@@ -370,9 +348,9 @@ def _warm_up(body: Body, cameras: Sequence[Camera]) -> None:
     windows.expectations(1.0, 1.0, 0.1)
     balls, n = windows.balls, len(windows.keys)
     noise, now = np.tile(np.eye(2), (n, 1, 1)), np.zeros(n)
-    seen = GatedObservations(balls.centers_px, noise, now, np.ones(n, np.bool_))
-    gate_observations(seen, np.arange(n), balls, state.covariance, 0.0, one, 0.5, 1.0)
-    state.updated(Pose(0.0, still, np.eye(6), 0.0, 0.0, (), ()), one, one)
+    seen = gating.GatedObservations(balls.centers_px, noise, now, np.ones(n, np.bool_))
+    gating.gate_observations(seen, np.arange(n), balls, state.covariance, 0.0, one, 0.5, 1.0)
+    state.updated(model.Pose(0.0, still, np.eye(6), 0.0, 0.0, (), ()), one, one)
     places = np.tile(np.eye(3), (len(body.balls), 1, 1))
     layout_flags(body, body.names, body.centers, places, 1.0)
     distances_from_body(still.rotation, still.translation, body.centers, body.centers, places)

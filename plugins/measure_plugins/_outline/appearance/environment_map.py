@@ -28,23 +28,16 @@ _MIN_STRENGTH = 1e-6
 
 
 class EnvironmentMap(NamedTuple):
-    """A camera's surroundings on a coarse grid of the undistorted image plane.
+    """A camera's surroundings on a coarse grid of the undistorted image plane."""
 
-    Attributes:
-        colors: (h, w, 3) chromatic component of the light, B G R; (0, 0, 3) if not known.
-        corner: (2,) x / z and y / z of the first cell.
-        step: of the grid, in x / z and y / z.
-        share: (4,) angle from the ball at which the camera sees what the ball mirrors, as a share
-            of the deflection, on the right of the picture, below, left and above; less for what is
-            near, like a floor.
-        strength: (4,) factor of the light on these sides.
-    """
-
-    colors: Floats
-    corner: Floats
-    step: float
+    colors: Floats  # (h, w, 3) chromatic component of the light, B G R; (0, 0, 3) if not known
+    corner: Floats  # (2,) x / z and y / z of the first cell
+    step: float  # of the grid, in x / z and y / z
+    # (4,) angle from the ball at which the camera sees what the ball mirrors, as a share of the
+    # deflection, on the right of the picture, below, left and above; less for what is near, like a
+    # floor.
     share: Floats
-    strength: Floats
+    strength: Floats  # (4,) factor of the light on these sides
 
 
 def no_environment() -> EnvironmentMap:
@@ -62,7 +55,6 @@ def environment_reflection(
     on every second ray, and the mean of its neighbours in between.
 
     Args:
-        environment: the map.
         grey: (m, k) see `RadialTables`.
         frame: (3, 3) about the ball's axis, see `rays.frame_about`.
         half_angle: of its cone, rad.

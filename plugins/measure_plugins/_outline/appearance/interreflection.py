@@ -81,7 +81,6 @@ def _ends(
     Args:
         ball: (4,) see `balls_behind`.
         frame: (3, 3) about the axis of the ball before.
-        edge: cosine and sine of the half angle.
         around: (2,) cosine and sine of the place on the outline.
 
     Returns:
@@ -120,7 +119,6 @@ def add_ball_reflection(
         shares: see `ball_reflection_shares`.
         background: (3, n) light outside the outline.
         behind_grey: (n,) grey component of that, whose reflection is fitted anyway.
-        tables: of the ball.
         first: the step at which the prediction begins.
         out: (3, m - first, n) the predicted light, changed.
     """

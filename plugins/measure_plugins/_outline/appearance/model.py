@@ -35,28 +35,19 @@ _FLATTEST = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Appearance:
-    """Parameters of the model that predicts a ball's picture.
+    """Parameters of the model that predicts a ball's picture."""
 
-    Attributes:
-        tone: name of the tone curve to start from, as in `tone_table`.
-        bends: (3,) the camera's deviation from it, see `bent_table`.
-        blur_px: sigma of the blur of brightness.
-        chroma_px: sigma of the blur of colour beyond that.
-        index: refractive index of the balls' surface.
-        mirrors: whether it mirrors, at grazing angles, the colours of what is behind the ball.
-        point_lights: (k, 4) in the camera frame, see `point_lights`; none if not known.
-        environment: the surroundings that balls mirror.
-        correction_weight: share of the predicted bias of edges that is subtracted, see `trust`.
-    """
-
-    tone: str
-    bends: Floats
-    blur_px: float
+    tone: str  # name of the tone curve to start from, as in `tone_table`
+    bends: Floats  # (3,) the camera's deviation from it, see `bent_table`
+    blur_px: float  # sigma of the blur of brightness
     index: float
-    chroma_px: float = CHROMA_PX
+    chroma_px: float = CHROMA_PX  # sigma of the blur of colour beyond that
+    # whether it mirrors, at grazing angles, the colours of what is behind the ball.
     mirrors: bool = True
+    # (k, 4) in the camera frame, see `point_lights`; none if not known.
     point_lights: Floats = field(default_factory=no_point_lights)
     environment: EnvironmentMap = field(default_factory=no_environment)
+    # share of the predicted bias of edges that is subtracted, see `trust`.
     correction_weight: float = DEFAULT_CORRECTION_WEIGHT
 
     @cached_property
@@ -90,7 +81,6 @@ def bent_table(tone: str, bends: Floats) -> Floats:
     2003).
 
     Args:
-        tone: the curve that is deviated from.
         bends: (3,) lift of the blacks, bow, S; shares of the largest value.
 
     Returns:

@@ -158,11 +158,7 @@ def fit_light_shading(
 
 @compiled
 def some_clear(status: Statuses) -> Ints:
-    """Indices (k,) of the clear rays to which light is fitted.
-
-    Args:
-        status: (n,) see `RaySet`.
-    """
+    """Indices (k,) of the clear rays, by the `status` (n,), to which light is fitted."""
     return np.nonzero(status == CLEAR)[0][:: max(len(status) // _FITTED_RAYS, 1)]
 
 

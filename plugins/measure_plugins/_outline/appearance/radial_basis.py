@@ -41,26 +41,18 @@ _LOBES = 6
 
 
 class RadialTables(NamedTuple):
-    """Blurred radial functions at `STEPS`.
+    """Blurred radial functions at `STEPS`."""
 
-    Attributes:
-        diffuse: (m, 6) of the diffuse light, see `_lobes`.
-        grey: (m, k) of light reflected from the directions around each of `DEFLECTIONS`.
-        grazing_reflection: (m,) of what is right behind the ball, mirrored at grazing angles.
-        outside: (m,) of the background outside the outline.
-        fresnel_loss: (1,) share of light that the surface reflects at grazing incidence; at other
-            incidence it is (1 - cosine)^5 times as much (Schlick 1994).
-        reflection_solver: (k, m) from a profile to the reflected light, smooth where unobserved.
-        reflection_prior: (k,) from the grey of the background to the same.
-    """
-
-    diffuse: Floats
-    grey: Floats
-    grazing_reflection: Floats
-    outside: Floats
+    diffuse: Floats  # (m, 6) of the diffuse light, see `_lobes`
+    grey: Floats  # (m, k) of light reflected from the directions around each of `DEFLECTIONS`
+    grazing_reflection: Floats  # (m,) of what is right behind the ball, mirrored at grazing angles
+    outside: Floats  # (m,) of the background outside the outline
+    # (1,) share of light that the surface reflects at grazing incidence; at other incidence it is
+    # (1 - cosine)^5 times as much (Schlick 1994).
     fresnel_loss: Floats
+    # (k, m) from a profile to the reflected light, smooth where unobserved.
     reflection_solver: Floats
-    reflection_prior: Floats
+    reflection_prior: Floats  # (k,) from the grey of the background to the same
 
 
 def radial_tables(
@@ -69,9 +61,7 @@ def radial_tables(
     """Tables for a ball; radius, angle and blur are rounded to negligible steps.
 
     Args:
-        radius_px: of the outline.
         half_angle: of its cone, rad.
-        blur_px: sigma of the blur of brightness.
         index: refractive index of the surface.
         mirrors: whether the colours behind are mirrored at grazing angles.
     """

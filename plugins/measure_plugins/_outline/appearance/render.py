@@ -32,19 +32,14 @@ _MIN_OUTSIDE = 1e-9
 
 
 class Ambient(NamedTuple):
-    """The light on a ball along n rays across it, as far as it is known.
+    """The light on a ball along n rays across it, as far as it is known."""
 
-    Attributes:
-        light_shading: (m, n) diffuse light by the point lights, see `shade_by_lights`; empty if
-            none are known: shading is then a polynomial.
-        mirrored: (3, m, n) reflection of the surroundings, see `environment_reflection`; empty if
-            unknown.
-        ball_shares: (k, n) share of the mirrored light that is a ball's, see
-            `ball_reflection_shares`.
-    """
-
+    # (m, n) diffuse light by the point lights, see `shade_by_lights`; empty if none are known:
+    # shading is then a polynomial.
     light_shading: Floats
+    # (3, m, n) reflection of the surroundings, see `environment_reflection`; empty if unknown.
     mirrored: Floats
+    # (k, n) share of the mirrored light that is a ball's, see `ball_reflection_shares`.
     ball_shares: Floats
 
 
@@ -132,7 +127,6 @@ def split_light(
         background: (3, n) light outside the outline.
         steps: (m,) px along the normal.
         tables: of the ball, at the same steps.
-        used: how many of the steps are wanted.
 
     Returns:
         The body colour (3,), amounts of it and of grey along the rays, both (used, n), and the grey

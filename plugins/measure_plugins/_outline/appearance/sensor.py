@@ -33,15 +33,10 @@ _NO_LIGHT, _FULL_LIGHT = np.float32(0), np.float32(1)
 
 
 class Sensor(NamedTuple):
-    """How a camera turns light into picture values.
+    """How a camera turns light into picture values."""
 
-    Attributes:
-        encoding: (2050,) see `encoding`.
-        taps: (4,) see `chroma_taps`.
-    """
-
-    encoding: Singles
-    taps: Floats
+    encoding: Singles  # (2050,) see `encoding`
+    taps: Floats  # (4,) see `chroma_taps`
 
 
 def encoding(table: Floats) -> Singles:
@@ -57,11 +52,7 @@ def encoding(table: Floats) -> Singles:
 
 
 def chroma_taps(chroma_px: float) -> Floats:
-    """Weights (CHROMA_REACH + 1,) of a step and of those on either side in the blur of colour.
-
-    Args:
-        chroma_px: sigma of the camera's blur of colour beyond that of brightness.
-    """
+    """Weights (CHROMA_REACH + 1,) of a step and its neighbours in the blur of colour."""
     weights = np.exp(-0.5 * _TAP_OFFSETS_PX**2 / (chroma_px**2 + _INTERPOLATED))
     return np.ascontiguousarray((weights / weights.sum())[CHROMA_REACH:])
 

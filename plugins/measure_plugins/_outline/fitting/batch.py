@@ -15,12 +15,12 @@ from measure_plugins._outline.fitting.measurement import (
     FROM_INSIDE,
     FROM_OUTSIDE,
     measure_known_size,
+    measure_step_gain,
     measure_unknown_size,
     search_about_circle,
 )
 from measure_plugins._outline.fitting.outline import Outline
 from measure_plugins._outline.fitting.scan import CameraImage, OutlineSearch
-from measure_plugins._outline.fitting.step_gain import measure_step_gain
 from measure_plugins._outline.sampling.rays import radius_px
 
 _BEYOND_DOUBT = 0.8
@@ -32,44 +32,31 @@ _COMPLETE = 0.5
 
 
 class Expected(NamedTuple):
-    """k balls to search for.
+    """k balls to search for."""
 
-    Attributes:
-        cones: (k, 5) unit axis of each outline in the camera frame, half angle in rad, and the
-            ball's distance in mm; columns beyond those are ignored.
-        reach_px: (k,) how far the outline may be from there.
-        tables: (k, r) what its size makes a ball show, see `tables.packed_radials`;
-            unused where that is not known.
-        sized: (k,) whether the size is known: if not, edges are not corrected.
-        bits: (k,) of the balls' colours in the table of colours.
-        step_gains: (k, 2, 2) see `step_gain.measure_step_gain`; the unit matrix where not known.
-    """
-
+    # (k, 5) unit axis of each outline in the camera frame, half angle in rad, and the ball's
+    # distance in mm; columns beyond those are ignored.
     cones: Floats
-    reach_px: Floats
+    reach_px: Floats  # (k,) how far the outline may be from there
+    # (k, r) what its size makes a ball show, see `tables.packed_radials`; unused where that is not
+    # known.
     tables: Floats
-    sized: Bools
-    bits: Ints
+    sized: Bools  # (k,) whether the size is known: if not, edges are not corrected
+    bits: Ints  # (k,) of the balls' colours in the table of colours
+    # (k, 2, 2) see `step_gain.measure_step_gain`; the unit matrix where not known.
     step_gains: Floats
 
 
 class Measured(NamedTuple):
-    """What was found of k balls.
+    """What was found of k balls."""
 
-    Attributes:
-        centers_px: (k, 2) images of the spheres' centres.
-        covariances_px: (k, 2, 2) of those.
-        points_px: (k, n, 2) edge points; the first `count` of each ball count.
-        sd_px: (k, n) their standard deviations along the normal.
-        numbers: (k, 5) mean radius in px, count of edge points (0 where no outline was found),
-            their share among the rays that should show an edge, share of samples inside that have
-            the ball's colour, and the number of rays.
-    """
-
-    centers_px: Floats
-    covariances_px: Floats
-    points_px: Floats
-    sd_px: Floats
+    centers_px: Floats  # (k, 2) images of the spheres' centres
+    covariances_px: Floats  # (k, 2, 2) of those
+    points_px: Floats  # (k, n, 2) edge points; the first `count` of each ball count
+    sd_px: Floats  # (k, n) their standard deviations along the normal
+    # (k, 5) mean radius in px, count of edge points (0 where no outline was found), their share
+    # among the rays that should show an edge, share of samples inside that have the ball's colour,
+    # and the number of rays.
     numbers: Floats
 
 
@@ -102,9 +89,6 @@ def measure_balls(
     """Measure every expected ball.
 
     Args:
-        view: the picture.
-        expected: what is to be found in it.
-        rays: cast across each outline.
         min_contrast: see `OutlineSearch`.
         margin_px: see `OutlineSearch`.
         give_up_share: see `measure_unknown_size`.
@@ -137,7 +121,6 @@ def measure_circles(
     found a circle, if much of it, decides where it ends.
 
     Args:
-        view: the picture.
         circles: (k, 6) centre x, y and radius, px, shares of the circle seen and of its inside
             filled, and the number of the bit that has found it.
         bits: (k,) of their colours in the table of colours.

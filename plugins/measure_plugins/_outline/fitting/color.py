@@ -33,13 +33,9 @@ def scan_color(
     Holes, prints, and things behind the ball that differ from it in brightness alone do not count.
 
     Args:
-        view: the picture.
         axis: (3,) unit direction of the ball's centre in the camera frame.
         half_angle: of its cone, rad.
-        count: of rays.
-        reach_px: how far to search.
         colors: (k, k, k) bits by blue, green and red, each cut to as many levels, a power of two.
-        bit: the colour's.
     """
     frame = frame_about(axis)
     rays, scale = cast_rays(frame, half_angle, count, view.lens)
@@ -72,7 +68,6 @@ def color_share(pixels: Bytes, colors: Bytes, bit: int, center: Floats, points: 
     Args:
         pixels: (h, w, 3) uint8.
         colors: see `scan_color`.
-        bit: the colour's.
         center: (2,) px.
         points: (n, 2) px.
     """

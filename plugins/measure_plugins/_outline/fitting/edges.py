@@ -55,61 +55,35 @@ _LIGHT_STEPS = (STEPS <= FIT_LAST_PX) | (
 
 
 class Edges(NamedTuple):
-    """Edges along n rays.
+    """Edges along n rays."""
 
-    Attributes:
-        shifts: (n,) px outward from the prediction, NaN where there is none.
-        sd: (n,) px.
-        contrast: (n,) difference of inside and outside.
-        inside: (3, n) light inside.
-        outside: (3, n) light outside.
-    """
-
-    shifts: Floats
-    sd: Floats
-    contrast: Floats
-    inside: Floats
-    outside: Floats
+    shifts: Floats  # (n,) px outward from the prediction, NaN where there is none
+    sd: Floats  # (n,) px
+    contrast: Floats  # (n,) difference of inside and outside
+    inside: Floats  # (3, n) light inside
+    outside: Floats  # (3, n) light outside
 
 
 class PredictionInputs(NamedTuple):
-    """A ball in a picture, and all that the picture is predicted from along rays across it.
+    """A ball in a picture, and all that the picture is predicted from along rays across it."""
 
-    Attributes:
-        pixels: (h, w, 3) uint8.
-        table: (256,) light of each picture value.
-        sensor: how the camera turns light into values.
-        rays: n rays across the predicted outline; those that leave the picture are marked.
-        tables: what the ball shows along a ray, see `tables.tables`.
-        ambient: the light on it, along the rays that are predicted.
-    """
-
-    pixels: Bytes
-    table: Floats
+    pixels: Bytes  # (h, w, 3) uint8
+    table: Floats  # (256,) light of each picture value
     sensor: Sensor
-    rays: RaySet
-    tables: RadialTables
-    ambient: Ambient
+    rays: RaySet  # n rays across the predicted outline; those that leave the picture are marked
+    tables: RadialTables  # what the ball shows along a ray, see `tables.tables`
+    ambient: Ambient  # the light on it, along the rays that are predicted
 
 
 class EdgePairs(NamedTuple):
-    """Edges along n rays, found without the grey component of their colours, then with it.
+    """Edges along n rays, found without the grey component of their colours, then with it."""
 
-    Attributes:
-        at: (2, n) px outward from the prediction, NaN where there is none.
-        sd: (2, n) px.
-        contrast: (2, n) difference of inside and outside, in picture values from 0 to 1.
-        predicted: (2, n / 2) where the same finder sees edges on the prediction, px.
-        inside: (3, n) light inside.
-        outside: (3, n) light outside.
-    """
-
-    at: Floats
-    sd: Floats
-    contrast: Floats
-    predicted: Floats
-    inside: Singles
-    outside: Singles
+    at: Floats  # (2, n) px outward from the prediction, NaN where there is none
+    sd: Floats  # (2, n) px
+    contrast: Floats  # (2, n) difference of inside and outside, in picture values from 0 to 1
+    predicted: Floats  # (2, n / 2) where the same finder sees edges on the prediction, px
+    inside: Singles  # (3, n) light inside
+    outside: Singles  # (3, n) light outside
 
 
 @folded

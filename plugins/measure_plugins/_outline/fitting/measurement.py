@@ -1,4 +1,10 @@
-"""Outlines by repeated scans: with corrected edges where the ball's size is known, else without."""
+"""Outlines by repeated scans: with corrected edges where the ball's size is known, else without.
+
+The prediction is fitted to the picture where the outline is assumed to be, and takes up part of its
+displacement. How much depends on the light on the ball, on its size and on its reflections, and
+hardly changes from picture to picture: it is measured once, and each scan's result multiplied by
+the inverse. See docs/explanation/outline.md, formula 16.
+"""
 
 from __future__ import annotations
 
@@ -33,8 +39,7 @@ from measure_plugins._outline.fitting.scan import (
     scan_half_level,
     scan_with_model,
 )
-from measure_plugins._outline.fitting.step_gain import CORRECTED_GROWTH, apply_step_gain
-from measure_plugins._outline.sampling.rays import radius_px
+from measure_plugins._outline.sampling.rays import frame_about, radius_px
 
 _MAX_ITERATIONS = 8
 _CONVERGED_PX, _CONVERGED_SD, _MAX_MOVE_PX = 0.3, 3.0, 0.5
@@ -148,8 +153,6 @@ def measure_unknown_size(
     """Measure an outline of unknown size by its half-level crossings, or by where its colour ends.
 
     Args:
-        view: the picture.
-        search: where the outline is.
         give_up_share: share of agreeing edges in a narrow scan below which no further one is made.
         colors: see `scan_color`.
         bit: of the ball's colour there; 0 for half-level crossings.
@@ -183,12 +186,58 @@ def _chance_corrected(scan: EdgeScan, fit: Fit, share: float) -> tuple[Floats, f
     """Covariance of an axis by edges that are not corrected and may belong to another object.
 
     Some edges agree with the outline by chance: only the agreement beyond that counts (Cohen 1960).
-
-    Returns:
-        Covariance (2, 2) along e1 and e2, px^2; by what factor it is wider than that of the fit.
     """
     informative = max((share - _CHANCE_SHARE) / (1 - _CHANCE_SHARE), _MIN_INFORMATIVE)
     weights, off = residuals(scan, fit, 0.0)
     spread = piecewise_covariance(scan.rays.around, weights, off, fit.normal)
     wider = np.sqrt(np.trace(spread) / np.trace(np.linalg.inv(fit.normal)[:2, :2])) / informative
     return spread / informative**2, wider
+
+
+CORRECTED_GROWTH = (0.0, 0.3)
+"""Prior mean and sd in px of the radius of corrected edges minus the one predicted by distance."""
+_OFFSET_PX = 0.3
+_MIN_DETERMINANT = 1e-3
+"""Determinant of the step response below which it is not inverted."""
+_MAX_EXCESS = 1.0
+"""Limit of the gain minus the unit matrix (Frobenius norm), where the response is weak."""
+
+
+@compiled
+def apply_step_gain(scan: EdgeScan, fit: Fit, step_gain: Floats) -> None:
+    """Multiply the shift of a fit's axis by the gain, and move the scan's edges along."""
+    found = fit.solution[:2].copy()
+    for a in range(2):
+        fit.solution[a] = step_gain[a, 0] * found[0] + step_gain[a, 1] * found[1]
+    more = fit.solution[:2] - found
+    around = scan.rays.around
+    for i in range(len(around)):
+        scan.edges.shifts[i] += around[i, 0] * more[0] + around[i, 1] * more[1]
+
+
+@folded
+def measure_step_gain(view: CameraImage, search: OutlineSearch, tables: RadialTables) -> Floats:
+    """Displacement (2, 2) of the axis along e1 and e2, px per px that a scan shows.
+
+    The inverse of the response to displacements of `_OFFSET_PX` to either side of the outline that
+    `search` holds, which must have converged.
+    """
+    axis, response = search.axis, np.zeros((2, 2))
+    ambient = ambient_light(view, search, axis, tables)
+    frame, scale = frame_about(axis), radius_px(axis, search.half_angle, view.lens)
+    for k in range(2):
+        for side in (-1, 1):
+            offset = axis + side * _OFFSET_PX * search.half_angle / scale * frame[k]
+            offset /= np.sqrt(np.sum(offset * offset))
+            scan = scan_with_model(view, search, offset, search.half_angle, tables, ambient)
+            fit = fit_scan(scan, CORRECTED_GROWTH, False)
+            if not np.isfinite(fit.scale):
+                return np.eye(2)
+            for a in range(2):
+                response[a, k] -= side * fit.solution[a] / (2 * _OFFSET_PX)
+    det = response[0, 0] * response[1, 1] - response[0, 1] * response[1, 0]
+    if not det > _MIN_DETERMINANT:
+        return np.eye(2)
+    adjugate = np.array([[response[1, 1], -response[0, 1]], [-response[1, 0], response[0, 0]]])
+    more = adjugate / det - np.eye(2)
+    return np.eye(2) + more * min(1.0, _MAX_EXCESS / (np.sqrt(np.sum(more * more)) + 1e-12))

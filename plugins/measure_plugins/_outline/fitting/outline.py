@@ -24,25 +24,15 @@ INLIER = 0.1
 
 
 class Outline(NamedTuple):
-    """A measured outline.
+    """A measured outline."""
 
-    Attributes:
-        center_px: (2,) image of the sphere's centre.
-        radius_px: mean radius of the outline.
-        covariance_px: (2, 2) of `center_px`.
-        points_px: (n, 2) edge points that agree with the cone.
-        sd_px: (n,) their standard deviations along the normal.
-        agreeing: number of rays whose edge agrees with the cone; 0 if no cone was found.
-        share: of the rays that should show an edge, see `agreeing_share`.
-    """
-
-    center_px: Floats
+    center_px: Floats  # (2,) image of the sphere's centre
     radius_px: float
-    covariance_px: Floats
-    points_px: Floats
-    sd_px: Floats
-    agreeing: int
-    share: float
+    covariance_px: Floats  # (2, 2) of `center_px`
+    points_px: Floats  # (n, 2) edge points that agree with the cone
+    sd_px: Floats  # (n,) their standard deviations along the normal
+    agreeing: int  # number of rays whose edge agrees with the cone; 0 if no cone was found
+    share: float  # of the rays that should show an edge, see `agreeing_share`
 
 
 class Fit(NamedTuple):
@@ -132,9 +122,6 @@ def outline_of(
     """The outline that a scan's fit gives.
 
     Args:
-        view: the picture.
-        scan: the last scan.
-        fit: of its edges.
         share: of the rays that should show an edge whose edges agree with the fit.
         spread: covariance (2, 2) in px^2 of the axis along e1 and e2.
         wider: factor by which the edges are less certain than their own sd and the scale of the

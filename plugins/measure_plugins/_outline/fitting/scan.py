@@ -47,73 +47,41 @@ _LIGHT_PER_VALUE = 0.3
 
 
 class CameraImage(NamedTuple):
-    """A picture and how its camera shows balls.
+    """A picture and how its camera shows balls."""
 
-    Attributes:
-        pixels: (h, w, 3) uint8.
-        table: (256,) light of each picture value.
-        sensor: how the camera turns light into values.
-        lens: (14,) lens row.
-        point_lights: (k, 4) in the camera frame, see `appearance.point_lights`.
-        environment: the surroundings that balls mirror.
-        correction_weight: see `Appearance`.
-    """
-
-    pixels: Bytes
-    table: Floats
+    pixels: Bytes  # (h, w, 3) uint8
+    table: Floats  # (256,) light of each picture value
     sensor: Sensor
-    lens: Floats
-    point_lights: Floats
+    lens: Floats  # (14,) lens row
+    point_lights: Floats  # (k, 4) in the camera frame, see `appearance.point_lights`
     environment: EnvironmentMap
-    correction_weight: float
+    correction_weight: float  # see `Appearance`
 
 
 class OutlineSearch(NamedTuple):
-    """Where and how one outline is searched for.
+    """Where and how one outline is searched for."""
 
-    Attributes:
-        axis: (3,) predicted unit direction of the ball's centre in the camera frame.
-        half_angle: predicted half angle of its cone, rad.
-        nearer: (k, 4) unit axes and half angles of nearer balls.
-        behind: (k, 4) balls further away, see `balls_behind`.
-        reach_px: how far the outline may be from the prediction.
-        rays: number of rays.
-        min_contrast: least difference of inside and outside, in picture values from 0 to 1.
-        margin_px: distance to keep from nearer balls.
-        distance: of the ball, mm; unused where its size is not known.
-        step_gain: (2, 2) see `measure_step_gain`; used for corrected edges only.
-    """
-
-    axis: Floats
-    half_angle: float
-    nearer: Floats
-    behind: Floats
-    reach_px: float
+    axis: Floats  # (3,) predicted unit direction of the ball's centre in the camera frame
+    half_angle: float  # predicted half angle of its cone, rad
+    nearer: Floats  # (k, 4) unit axes and half angles of nearer balls
+    behind: Floats  # (k, 4) balls further away, see `balls_behind`
+    reach_px: float  # how far the outline may be from the prediction
     rays: int
-    min_contrast: float
+    min_contrast: float  # least difference of inside and outside, in picture values from 0 to 1
     margin_px: float
-    distance: float
-    step_gain: Floats
+    distance: float  # of the ball, mm; unused where its size is not known
+    step_gain: Floats  # (2, 2) see `measure_step_gain`; used for corrected edges only
 
 
 class EdgeScan(NamedTuple):
-    """Edges found along n rays across a predicted outline.
+    """Edges found along n rays across a predicted outline."""
 
-    Attributes:
-        frame: (3, 3) see `rays.frame_about`.
-        rays: those rays.
-        scale: (n,) px per rad along their normals.
-        edges: along them.
-        clear: (n,) 1 for clear rays on which inside and outside differ enough, else 0.
-        use: (n,) 1 for clear rays with an edge, else 0.
-    """
-
-    frame: Floats
+    frame: Floats  # (3, 3) see `rays.frame_about`
     rays: RaySet
-    scale: Floats
+    scale: Floats  # (n,) px per rad along their normals
     edges: Edges
-    clear: Floats
-    use: Floats
+    clear: Floats  # (n,) 1 for clear rays on which inside and outside differ enough, else 0
+    use: Floats  # (n,) 1 for clear rays with an edge, else 0
 
 
 @compiled

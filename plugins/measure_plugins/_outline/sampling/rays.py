@@ -35,21 +35,15 @@ _TILT = 1e-4
 
 
 class RaySet(NamedTuple):
-    """n rays across a predicted outline.
+    """n rays across a predicted outline."""
 
-    Attributes:
-        points: (n, 2) where they cross it, px.
-        normals: (n, 2) its outward unit normals there.
-        around: (n, 2) cosine and sine of their angles around the axis of the ball's cone.
-        status: (n,) int8, CLEAR, OCCLUDED or OUT_OF_IMAGE each; sampling sets the last in place.
-        color_shifts: (3, n, 2) px from where green is to where blue, green and red of the same
-            light are (lateral colour); (0, n, 2) for a lens without.
-    """
-
-    points: Floats
-    normals: Floats
-    around: Floats
+    points: Floats  # (n, 2) where they cross it, px
+    normals: Floats  # (n, 2) its outward unit normals there
+    around: Floats  # (n, 2) cosine and sine of their angles around the axis of the ball's cone
+    # (n,) int8, CLEAR, OCCLUDED or OUT_OF_IMAGE each; sampling sets the last in place.
     status: Statuses
+    # (3, n, 2) px from where green is to where blue, green and red of the same light are (lateral
+    # colour); (0, n, 2) for a lens without.
     color_shifts: Floats
 
 
@@ -179,7 +173,6 @@ def mark_occluded(
         half_angle: of the cone, rad.
         nearer: (k, 4) unit axes and half angles of the outlines of nearer balls.
         reach: start and end of the rays along the normal, px.
-        margin_px: distance to keep.
     """
     if len(nearer) == 0:
         return

@@ -36,7 +36,6 @@ def aligned_residuals(
         status: (n,) see `RaySet`; the k clear rays are compared.
         around: (n, 2) cosine and sine around the axis.
         compared: how many of the m samples count, from the inside.
-        step_px: their distance.
         weights: (k,) of the rays; if empty, robust ones are computed.
 
     Returns:

@@ -49,39 +49,23 @@ distance to nearly infinitely far from the ball."""
 
 
 class BackgroundAccumulator(NamedTuple):
-    """Sums over one picture without its balls, on a grid of the undistorted image plane.
+    """Sums over one picture without its balls, on a grid of the undistorted image plane."""
 
-    Attributes:
-        sums: (h, w, 3) of picture values from 0 to 1.
-        counts: (h, w) number of values.
-        corner: (2,) x / z and y / z of the first cell.
-        step: of the grid, in x / z and y / z.
-    """
-
-    sums: Floats
-    counts: Floats
-    corner: Floats
-    step: float
+    sums: Floats  # (h, w, 3) of picture values from 0 to 1
+    counts: Floats  # (h, w) number of values
+    corner: Floats  # (2,) x / z and y / z of the first cell
+    step: float  # of the grid, in x / z and y / z
 
 
 class _ForeignColor(NamedTuple):
-    """Light of a patch along the colour that is orthogonal to the body colour and to grey.
-
-    Attributes:
-        patch: the ball.
-        direction: (3,) unit vector of that colour, B G R.
-        rows: (m,) which of `STEPS` are used.
-        clear: (n,) which rays are.
-        grey: see `RadialTables`.
-        seen: amounts of it on these rows and rays, less that of the background.
-    """
+    """Light of a patch along the colour that is orthogonal to the body colour and to grey."""
 
     patch: BallPatch
-    direction: Floats
-    rows: Bools
-    clear: Bools
-    grey: Floats
-    seen: Floats
+    direction: Floats  # (3,) unit vector of that colour, B G R
+    rows: Bools  # (m,) which of `STEPS` are used
+    clear: Bools  # (n,) which rays are
+    grey: Floats  # see `RadialTables`
+    seen: Floats  # amounts of it on these rows and rays, less that of the background
 
 
 def background_of(pixels: Bytes, lens: Floats, balls: Floats) -> BackgroundAccumulator:

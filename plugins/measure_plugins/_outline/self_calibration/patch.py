@@ -19,25 +19,15 @@ from measure_plugins._outline.sampling.rays import RaySet
 
 @dataclass(frozen=True, eq=False)
 class BallPatch:
-    """The part of a picture that shows a ball, with the rays across its outline.
+    """The part of a picture that shows a ball, with the rays across its outline."""
 
-    Attributes:
-        pixels: (h, w, 3) the part of the picture.
-        rays: n rays across the outline as found, in px of that part.
-        half_angle: of the cone, rad.
-        scale: px per rad.
-        frame: (3, 3) about the axis, see `rays.frame_about`.
-        behind: see `behind.ball_reflection_shares`.
-        distance: of the ball, mm.
-    """
-
-    pixels: Bytes
-    rays: RaySet
-    half_angle: float
-    scale: float
-    frame: Floats
-    behind: Floats
-    distance: float
+    pixels: Bytes  # (h, w, 3) the part of the picture
+    rays: RaySet  # n rays across the outline as found, in px of that part
+    half_angle: float  # of the cone, rad
+    scale: float  # px per rad
+    frame: Floats  # (3, 3) about the axis, see `rays.frame_about`
+    behind: Floats  # see `behind.ball_reflection_shares`
+    distance: float  # of the ball, mm
 
     def own_rays(self) -> RaySet:
         """Its rays with a copy of their status, which sampling changes."""

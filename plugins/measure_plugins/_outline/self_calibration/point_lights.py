@@ -60,18 +60,13 @@ _MIN_POWER_SHARE = 0.01
 
 
 class LightEquations(NamedTuple):
-    """Normal equations of the powers (m,) of lights, from the balls in one camera's pictures.
+    """Normal equations of the powers (m,) of lights, from the balls in one camera's pictures."""
 
-    Attributes:
-        places: (k, 4) lights of irradiance 1 in the camera frame, in the world's directions; the
-            other powers, m - k = 6 of them, are of light from all round, by the world's axes.
-        normal: (m, m) normal matrix, per variance of the residuals.
-        right: (m,) their right side.
-    """
-
+    # (k, 4) lights of irradiance 1 in the camera frame, in the world's directions; the other
+    # powers, m - k = 6 of them, are of light from all round, by the world's axes.
     places: Floats
-    normal: Floats
-    right: Floats
+    normal: Floats  # (m, m) normal matrix, per variance of the residuals
+    right: Floats  # (m,) their right side
 
 
 def with_point_lights(
@@ -112,13 +107,7 @@ def solve_point_lights(lights: Sequence[LightEquations]) -> Floats:
 def light_equations(
     patches: Sequence[BallPatch], appearance: Appearance, world_from_camera: Floats
 ) -> LightEquations:
-    """Equations of the lights from the shading of balls, robustly.
-
-    Args:
-        patches: the balls.
-        appearance: how the camera shows them.
-        world_from_camera: (3, 3) rotation of the camera.
-    """
+    """Equations of the lights from the shading of balls, robustly; `world_from_camera` (3, 3)."""
     middle = np.mean([patch.distance * patch.frame[2] for patch in patches], axis=0)
     places = _light_sphere(middle, world_from_camera)
     shares, seen = [], []

@@ -40,14 +40,12 @@ from measure_plugins._outline.self_calibration.trust import (
     prediction_agreement,
 )
 
-_FIRST_ESTIMATE = 2
-"""Number of the picture of the first estimate; the one before is only kept."""
+_FIRST_ESTIMATE = 2  # Number of the picture of the first estimate; the one before is only kept
 _INTERVAL_FACTOR = 4
 """Each estimate waits for this many times as many pictures as the one before: light and exposure
 may change, but estimates must take little of the whole time."""
 _KEPT_IMAGES = 4
-_ENOUGH_ESTIMATES = 2
-"""Later estimates are hardly better than the one of this number."""
+_ENOUGH_ESTIMATES = 2  # Later estimates are hardly better than the one of this number
 _BORDER_PX = 2.0
 
 Cone = tuple[Floats, float, float]
@@ -103,11 +101,7 @@ class SelfCalibration:
         return self._fused(self._estimate)
 
     def wants_image(self, found: int, time_s: float) -> bool:
-        """Whether a picture is one to keep or to estimate from; to be called for every picture.
-
-        Args:
-            time_s: its time stamp; pictures no later than all before are not wanted.
-        """
+        """Whether to keep, or estimate from, a picture, no earlier than others; call it for all."""
         if found == 0 or time_s <= self._latest_s:
             return False
         self._count, self._latest_s = self._count + 1, time_s

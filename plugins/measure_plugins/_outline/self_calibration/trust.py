@@ -24,8 +24,7 @@ _WEIGHT_UNSEEN, _WEIGHT_RANGE = 0.65, 0.4
 """The weight at a slope of 0, and how much more at a slope of 1: chosen on simulated scenes in
 other light, with known truth."""
 _PRIOR_SLOPE = (DEFAULT_CORRECTION_WEIGHT - _WEIGHT_UNSEEN) / _WEIGHT_RANGE
-_PRIOR_PX2 = 100.0
-"""Prior sum of squared predicted separations, with the slope above."""
+_PRIOR_PX2 = 100.0  # Prior sum of squared predicted separations, with the slope above
 _MIN_RAYS = 100
 _MIN_CONTRAST = 0.06
 _ITERATIONS = 10
