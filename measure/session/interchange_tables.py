@@ -32,6 +32,8 @@ _SIZES = ("image_size", "imagesize", "resolution", "size")
 _RMS = ("avg_reprojection_error", "error")
 _SIDES = (("1", "2"), ("_1", "_2"), ("_left", "_right"), ("_l", "_r"), ("l", "r"))
 """What ends the names of the two cameras of a stereo pair."""
+_MAX_TANGENTIAL = 0.02
+"""Largest tangential coefficient of a lens that is believed where a file names no lens model."""
 _STEREO_MATRIX = ("m", *_MATRIX)
 
 
@@ -200,6 +202,12 @@ def _camera(
     models = [stated_model(place, words) for words in said]
     matrix = _numbers(_first(own, _MATRIX), place, "camera_matrix", 9)
     distortion = _numbers(_first(own, _DISTORTION), place, "distortion coefficients")
+    unsaid = not any(value is not None for words in said for value in words.values())
+    if unsaid and distortion.size == 4 and np.abs(distortion[2:]).max() > _MAX_TANGENTIAL:
+        raise CalibrationError(
+            f"{place}: four distortion coefficients and no lens model, the last two too large for "
+            "p1 p2 of plumb_bob: write camera_model: fisheye (k1 to k4) or camera_model: pinhole"
+        )
     turn, shift = _first(own, _ROTATION), _first(own, _TRANSLATION)
     if pose is None and turn is not None and shift is not None:
         rotation = _numbers(turn, place, "R")

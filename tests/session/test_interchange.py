@@ -157,6 +157,27 @@ def test_a_rolling_shutter_that_a_format_cannot_hold_is_said(tmp_path: Path, cap
 
 
 @pytest.mark.parametrize(
+    ("coefficients", "read_as"),
+    [("[-0.1, 0.02, 0.001, -0.002]", "pinhole"), ("[0.05, -0.01, 0.03, -0.004]", None)],
+)
+def test_four_coefficients_that_cannot_be_a_pinhole_s_need_a_model(
+    tmp_path, coefficients, read_as
+) -> None:
+    path = tmp_path / "left.yml"
+    path.write_text(
+        "image_width: 640\nimage_height: 480\n"
+        "camera_matrix: {rows: 3, cols: 3, data: [500, 0, 320, 0, 500, 240, 0, 0, 1]}\n"
+        f"distortion_coefficients: {{rows: 1, cols: 4, data: {coefficients}}}\n"
+    )
+    if read_as is None:
+        with pytest.raises(CalibrationError, match="no lens model.*write camera_model: fisheye"):
+            read_intrinsics(path)
+        path.write_text(path.read_text() + "camera_model: fisheye\n")
+    (lens,) = read_intrinsics(path).values()
+    assert lens.model == (read_as or "fisheye")
+
+
+@pytest.mark.parametrize(
     ("said", "other"),
     [
         ('distortion_model: "equidistant"', 'distortion_model: "mei"'),
