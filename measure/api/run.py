@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from itertools import chain, islice
 from pathlib import Path
@@ -12,6 +12,7 @@ from typing import Any, get_args
 from measure.api.measuring import measure_session
 from measure.api.profiles import find_tracker
 from measure.api.run_log import LogOptions, RunLog
+from measure.checking import ColorlessCount
 from measure.errors import ConfigError, MeasureError
 from measure.host import Registry
 from measure.host.settings import read_settings
@@ -22,6 +23,9 @@ from measure.model.body import USUAL_RADIUS_TOLERANCE_MM
 from measure.processes import Progress
 from measure.results import Provenance, RunWriter, Summary, digest
 from measure.session import Session, Trajectory, open_session, read_trajectory
+
+_FIRST_FRAME_SETS = 3
+"""Frame sets that are looked at for colour before a run."""
 
 
 @dataclass(frozen=True)
@@ -158,8 +162,22 @@ def _of_session(session: Session, profile: Profile, registry: Registry) -> Prove
         session=str(session.path.resolve()),
         session_digest=session.digest(),
         session_name=session.name,
-        notes=(*session.notes, *session.stamp_notes(), *session.clock_notes()),
+        notes=(
+            *session.notes,
+            *session.stamp_notes(),
+            *session.clock_notes(),
+            *_without_color(session),
+        ),
     )
+
+
+def _without_color(session: Session) -> Iterator[str]:
+    """One line for each camera whose first pictures have no colour, though they have channels."""
+    count = ColorlessCount()
+    with suppress(MeasureError):
+        for frame_set in islice(session.frame_sets(), _FIRST_FRAME_SETS):
+            count.add(frame_set)
+    yield from (finding.text for finding in count.findings())
 
 
 def _body_digest(body: Body) -> str:

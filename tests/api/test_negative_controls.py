@@ -190,6 +190,7 @@ def test_focal_lengths_all_off_alike_are_told(scene, share, told, tmp_path):
         if "times as far apart" in note
     ]
     assert factors == ([pytest.approx(1 / share, abs=2e-3)] if told else [])
+    assert not any("grey" in note for note in notes)
 
 
 def mirrored(body: Body) -> Body:

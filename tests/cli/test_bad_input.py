@@ -105,7 +105,9 @@ def test_a_run_where_no_folder_can_be_made(recording: Recording, capsys) -> None
 
 def test_a_run_that_finds_nothing_says_where_to_look(recording: Recording, capsys) -> None:
     assert main([*run_words(recording)]) == 0
-    assert f"to find out why: measure check {recording.path}" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert f"to find out why: measure check {recording.path}" in said
+    assert "cam1: 3 of 3 pictures are grey" in said  # three equal channels
 
 
 def test_a_truncated_picture_keeps_what_waits_for_later_pictures(
