@@ -52,8 +52,37 @@ def defocused(values: Shares) -> Shares:
     return _values(np.asarray(cv2.GaussianBlur(_light(values), (0, 0), 1.6), np.float32))
 
 
+def lateral(values: Shares) -> Shares:
+    """Red magnified and blue reduced, by half a pixel at the corners."""
+    height, width = values.shape[:2]
+    middle = np.array([width - 1, height - 1]) / 2
+    out = values.copy()
+    for channel, larger in ((0, -1.0), (2, 1.0)):
+        zoom = 1 + larger * 0.5 / np.linalg.norm(middle)
+        to_source = np.column_stack([np.eye(2) / zoom, middle * (1 - 1 / zoom)])
+        how = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+        plane = np.ascontiguousarray(values[:, :, channel])
+        out[:, :, channel] = cv2.warpAffine(
+            plane, to_source, (width, height), flags=how, borderMode=cv2.BORDER_REPLICATE
+        )
+    return out
+
+
+def vignetted(values: Shares) -> Shares:
+    """Half the light at the corners."""
+    height, width = values.shape[:2]
+    down, right = np.ogrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j]
+    return _values(_light(values) * np.float32(1 - (down**2 + right**2) / 4)[:, :, None])
+
+
+def smoothed(values: Shares) -> Shares:
+    """A median filter against noise."""
+    return np.asarray(cv2.medianBlur(values, 3), np.float32)
+
+
 ALTERATIONS: dict[str, Callable[[Shares], Shares]] = {
-    one.__name__: one for one in (contrast, sharpened, overexposed, dim, defocused)
+    one.__name__: one
+    for one in (contrast, sharpened, overexposed, dim, defocused, lateral, vignetted, smoothed)
 }
 
 

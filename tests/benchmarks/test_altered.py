@@ -13,7 +13,10 @@ from benchmarks.altered import (
     contrast,
     defocused,
     dim,
+    lateral,
     overexposed,
+    smoothed,
+    vignetted,
 )
 from benchmarks.recordings import ALTERED, altered_recordings, recordings_beside
 from measure.session import open_session, read_body
@@ -34,7 +37,7 @@ def test_only_pictures_change(recording, tmp_path, how):
     before = _first(recording)
     altered_copy(recording, tmp_path / how, how)
     assert np.array_equal(_first(recording), before)
-    assert np.mean(np.abs(_first(tmp_path / how) - before)) > 0.5
+    assert np.mean(np.abs(_first(tmp_path / how) - before)) > (0.01 if how == "lateral" else 0.5)
     for name in ("truth.csv", "calibration.toml", "body.toml", "cam0.csv"):
         assert (tmp_path / how / name).read_bytes() == (recording / name).read_bytes()
     with open_session(tmp_path / how) as session:
@@ -74,6 +77,22 @@ def test_what_alterations_do_to_light():
     assert defocused(grey) == pytest.approx(grey, abs=1e-3)
     edge = np.where(np.arange(40)[None, :, None] < 20, 0.0, 0.8) * np.ones((40, 40, 3))
     assert np.ptp(np.diff(defocused(edge.astype(np.float32))[20, :, 0])) < 0.4
+
+
+def test_what_alterations_do_to_webcam_pictures():
+    grey = np.full((90, 120, 3), 0.5, np.float32)
+    assert lateral(grey) == pytest.approx(grey, abs=1e-3)
+    right, down = np.meshgrid(np.arange(120.0), np.arange(90.0))
+    ramp = np.repeat(((right + down) / 300)[:, :, None], 3, axis=2).astype(np.float32)
+    moved = (lateral(ramp) - ramp)[80, 110] * 300 / np.sqrt(2)
+    # Along the ramp, from the middle; the corners are half a pixel off.
+    along = (50.5 + 35.5) / np.sqrt(2) * 0.5 / np.hypot(59.5, 44.5)
+    assert moved == pytest.approx([along, 0, -along], abs=0.07)  # 1 in 32 px
+    shaded = vignetted(grey)
+    assert shaded[45, 60] == pytest.approx(0.5, abs=0.01)
+    assert shaded[0, 0] == pytest.approx(0.36, abs=0.01)  # half of the light of 0.5
+    grey[20, 30] = 1
+    assert smoothed(grey).max() == 0.5
 
 
 def test_every_recording_beside_is_altered_in_every_way():

@@ -14,10 +14,11 @@ from measure.arrays import Floats
 from measure.model import Camera, Intrinsics
 from measure.simulation.catalogue import WEBCAM, cloth_room, motion, webcam_scene
 from measure.simulation.presets import MATT, WORKSPACE_MM, body, lamps, ring, shaft, stems
-from measure.simulation.scene import Scene
+from measure.simulation.scene import Scene, painted
 from measure.simulation.shading import Lamp, Lighting, Rgb
+from measure.simulation.shapes import Sphere
 from measure.simulation.trajectory import MotionLimits
-from tests.simulated.catalogue import clutter_scene, four_ball_body
+from tests.simulated.catalogue import clutter_scene, four_ball_body, rolling
 
 _BENT = replace(WEBCAM, tone="bent", sharpen=0.7, sharpen_px=1.1)
 
@@ -133,6 +134,39 @@ def quick_compressed() -> Scene:
     )
 
 
+def out_of_round(seed: int = 27) -> Scene:
+    """Balls 0.1, 0.2 and 0.3 mm longer in one direction each, as two spheres all but coincide."""
+    scene, rng = webcam_scene(seed), np.random.default_rng(seed)
+    halves: list[Sphere] = []
+    balls = []
+    for ball, longer_mm in zip(scene.body.balls, (0.1, 0.2, 0.3), strict=True):
+        axis = rng.normal(size=3)
+        aside = longer_mm / 2 * axis / np.linalg.norm(axis)
+        balls.append(replace(ball, center_mm=ball.center_mm + aside))
+        paint = painted(scene.finish, ball.color.name)
+        halves.append(Sphere(ball.center_mm - aside, ball.radius_mm, paint))
+    return replace(
+        scene,
+        name="out-of-round",
+        body=replace(scene.body, balls=tuple(balls)),
+        stated_body=scene.body,
+        attached=(*halves, *scene.attached),
+        description="balls 0.1, 0.2 and 0.3 mm out of round",
+    )
+
+
+def rolling_blurred() -> Scene:
+    """Motion blur and rolling shutter, as a webcam indoors has both."""
+    limits = MotionLimits(speed_mm_s=60, slowest_hz=0.3, fastest_hz=0.9)
+    scene = rolling(replace(webcam_scene(28), trajectory=motion(28, limits)), 30e-6)
+    return replace(
+        scene,
+        name="rolling-blurred",
+        sensor=replace(scene.sensor, exposure_s=0.02),
+        description="up to 60 mm/s, exposures of 20 ms, rolling shutter of 30 us a row",
+    )
+
+
 def clutter_sharpened() -> Scene:
     """A coloured room and false balls, seen by a camera that sharpens and bends the tone curve."""
     return replace(
@@ -180,6 +214,8 @@ def unusual_scenes() -> dict[str, Scene]:
         wide_lens(),
         two_cameras(),
         quick_compressed(),
+        rolling_blurred(),
+        out_of_round(),
         clutter_sharpened(),
         four_matt_bent(),
         four_matt_compressed(),
