@@ -170,7 +170,7 @@ def test_four_coefficients_that_cannot_be_a_pinhole_s_need_a_model(
         f"distortion_coefficients: {{rows: 1, cols: 4, data: {coefficients}}}\n"
     )
     if read_as is None:
-        with pytest.raises(CalibrationError, match="no lens model.*write camera_model: fisheye"):
+        with pytest.raises(CalibrationError, match="no lens model, the last two too large"):
             read_intrinsics(path)
         path.write_text(path.read_text() + "camera_model: fisheye\n")
     (lens,) = read_intrinsics(path).values()
