@@ -81,8 +81,8 @@ ALTERED_RECORDINGS = """## Altered recordings
 The path tracer's recordings as other cameras would have taken them (`benchmarks/altered.py`),
 measured with the default profile: more contrast than the standard's tone curve has, sharpened with
 a strongly bent curve, overexposed, dim, defocused; as cheap webcams do, with lateral colour of half
-a pixel at the corners, vignetted, smoothed by a median; and with radii in the body file that are 1 %
-too large, or up and down by 0.5 % in turn. One alone: `--only "altered still lateral"`.
+a pixel at the corners, vignetted, smoothed by a median; and with radii in the body file that are
+1 % too large, or up and down by 0.5 % in turn. One alone: `--only "altered still lateral"`.
 
 """
 PHOTOGRAPHS = """## Photographs
