@@ -72,7 +72,8 @@ def vignetted(values: Shares) -> Shares:
     """Half the light at the corners."""
     height, width = values.shape[:2]
     down, right = np.ogrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j]
-    return _values(_light(values) * np.float32(1 - (down**2 + right**2) / 4)[:, :, None])
+    share = (1 - (down**2 + right**2) / 4).astype(np.float32)
+    return _values(_light(values) * share[:, :, None])
 
 
 def smoothed(values: Shares) -> Shares:
