@@ -92,7 +92,11 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     "stages", [("--solver", "kabsch"), ("--triangulator", "nearest", "--solver", "rigid")]
 )
-def test_plugins_measure_a_recording(environment: Environment, session, tmp_path, stages):
+def test_plugins_measure_a_recording(
+    environment: Environment, session, tmp_path, stages, monkeypatch
+):
+    # Compiling hot loops once more, in another place, would cost more than running them as Python.
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
     done = environment.measure(
         *("run", str(session), "--out", str(tmp_path / "run"), *stages),
         *("--detector", "blob", "--set", "detector.roundness=0.7", "--no-recording", "--json"),
