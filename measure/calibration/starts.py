@@ -54,11 +54,7 @@ def start_from_board(name: str, lens: Intrinsics, board: Board, seen: DetectedBo
 def start_from_marks(
     name: str, lens: Intrinsics, markers: MarkerField, marks: MarkerObservation
 ) -> Camera:
-    """The camera as located by its marks.
-
-    Raises:
-        CalibrationError: fewer than six marks, marks in one plane, or marks that fit no pose.
-    """
+    """The camera as located by its marks; CalibrationError: under six, in a plane, or no pose."""
     points = markers.points[marks.ids]
     if len(points) < _MIN_MARKS_ALONE:
         raise CalibrationError(

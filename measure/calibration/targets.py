@@ -229,11 +229,7 @@ def read_markers(path: Path, tolerance_mm: float | None = None) -> MarkerField:
 
 
 def read_marks(path: Path, markers: MarkerField) -> dict[str, dict[str, Floats]]:
-    """Hand marks (camera,name,u_px,v_px): by camera and marker name, (2,) px.
-
-    Raises:
-        CalibrationError: with file and line; also for a marker that is not in the field.
-    """
+    """Hand marks (camera,name,u_px,v_px) by both names, (2,) px; CalibrationError with line."""
     marks: dict[str, dict[str, Floats]] = {}
     for line, (camera, name, *rest) in read_rows(path, ("camera", "name", "u_px", "v_px")):
         if name not in markers.names:
@@ -247,11 +243,7 @@ def read_marks(path: Path, markers: MarkerField) -> dict[str, dict[str, Floats]]
 
 
 def read_rows(path: Path, columns: tuple[str, ...]) -> list[tuple[int, list[str]]]:
-    """Lines of a CSV with exactly these columns: line number and cells.
-
-    Raises:
-        CalibrationError: missing file, wrong header, or a line of another length.
-    """
+    """Lines of a CSV with exactly these columns: number and cells; CalibrationError otherwise."""
     text = read_text(path, CalibrationError)
     lines = [(i, row) for i, row in enumerate(csv.reader(io.StringIO(text)), start=1) if row]
     if not lines or tuple(cell.strip() for cell in lines[0][1]) != columns:

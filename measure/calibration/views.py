@@ -116,11 +116,7 @@ def choose_views(
     left_out: dict[str, str] | None = None,
     limit: int = MAX_VIEWS,
 ) -> ViewSet:
-    """Keep sharp views that differ from each other, the most different first.
-
-    Raises:
-        CalibrationError: too few, or all alike.
-    """
+    """Keep sharp views that differ, the most different first; CalibrationError if too few do."""
     left_out = dict(left_out or {})
     floor = _BLURRED_SHARE * float(np.median([view.sharpness for view in seen]))
     sharp = []

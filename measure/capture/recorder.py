@@ -101,11 +101,7 @@ class Recorder:
 
 
 def check_new(folder: Path, names: Iterable[str] = ()) -> None:
-    """Refuse a folder that holds something, and cameras whose pictures cannot have one in it.
-
-    Raises:
-        CaptureError: it does, or cannot be looked into; a camera's name cannot be a folder's.
-    """
+    """Refuse (CaptureError) a folder that is not empty, and cameras whose names are no folders'."""
     _check_names(list(names))
     try:
         taken = folder.exists() and (not folder.is_dir() or any(folder.iterdir()))

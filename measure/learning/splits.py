@@ -51,11 +51,7 @@ def split_by_trajectory(
 
 
 def split_as_trained(data: Dataset, model: OnnxModel) -> Split:
-    """The split that a model was trained with: the trajectories that its card names.
-
-    Raises:
-        EstimatorError: the data lack some of them, or hold them cut otherwise.
-    """
+    """The split a model was trained with, by its card; EstimatorError if the data are others."""
     parts = []
     for what in ("training", "validation", "test"):
         facts = model.card.get("data", {}).get(what, {"trajectories": (), "rows": None})
@@ -104,11 +100,7 @@ def _check_shares(test: float, validation: float) -> None:
 
 
 def join(parts: Sequence[Dataset]) -> Dataset:
-    """One data set of several of the same robot; trajectory names must differ.
-
-    Raises:
-        EstimatorError: they are of several robots, have other features, or share a trajectory name.
-    """
+    """One data set of several of one robot with different trajectories; else EstimatorError."""
     same_robot(parts)
     names = tuple(name for part in parts for name in part.names)
     if len(set(names)) < len(names):

@@ -68,21 +68,13 @@ class Table(Columns):
         return int(self.content.num_rows)
 
     def numbers(self, *names: str) -> Floats:
-        """Columns (n, k) as numbers; NaN where a cell is empty.
-
-        Raises:
-            EstimatorError: columns are missing (they are named) or hold something else.
-        """
+        """Columns (n, k) as numbers, NaN for empty cells; EstimatorError: missing or no numbers."""
         self.require(names)
         columns = [self._numbers(name) for name in names]
         return np.stack(columns, axis=1) if columns else np.empty((len(self), 0))
 
     def labels(self, name: str) -> list[Any]:
-        """A column (n,) of words or numbers that name something.
-
-        Raises:
-            EstimatorError: it is missing, holds something else, or a cell is empty.
-        """
+        """A column (n,) of names; EstimatorError: missing, something else, or with empty cells."""
         self.require((name,))
         column = self.content[name]
         if kinds.is_nested(column.type):

@@ -89,11 +89,7 @@ def open_session(
 
 
 def session_truth(path: Path | str) -> Path | None:
-    """The file of known poses that a session names, if it names one; nothing else is opened.
-
-    Raises:
-        SessionError: no session, a broken one, or the file it names is missing.
-    """
+    """The file of known poses that a session names, if any; SessionError if that is missing."""
     file = session_file(Path(path))
     return _optional(file.parent, load_toml(file, SessionModel).session.truth, file)
 

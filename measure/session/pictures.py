@@ -63,12 +63,7 @@ def read_picture(path: Path | str) -> Bytes:
 
 
 def picture_bytes(path: Path, where: str = "") -> bytes:
-    """The bytes of a picture's file, which is not empty.
-
-    Raises:
-        SessionError: missing, no ordinary file, unreadable or empty; the message starts with
-            `where`.
-    """
+    """The bytes of a picture's file; SessionError, beginning with `where`, if there are none."""
     data = read_bytes(path, SessionError, _MAX_BYTES, where)
     if not data:
         raise SessionError(f"{where}{path}: the file is empty (0 bytes)")
@@ -187,11 +182,7 @@ def decode_picture(data: bytes, where: str, bits: int | None = None) -> Bytes:
 
 
 def picture_form(data: bytes, where: str) -> tuple[tuple[int, int], int | None]:
-    """Width and height of a picture in px; the largest value if it has 16 bits, None for 8.
-
-    Raises:
-        SessionError: as `decode_picture`, or of one channel: balls are told apart by colour.
-    """
+    """Size of a picture in px; largest value of 16 bits, None for 8. SessionError if grey."""
     pixels = _decoded(data, where, cv2.IMREAD_UNCHANGED)
     if pixels.ndim == 2:
         raise SessionError(

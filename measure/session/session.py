@@ -67,11 +67,7 @@ class Session:
         return fingerprint.hexdigest()
 
     def pair(self, tolerance_s: float | None = None, reference: str | None = None) -> Pairing:
-        """Which frames form frame sets (see `pair_nearest`); columns in the order of `streams`.
-
-        Raises:
-            SessionError: `reference` is no camera of this session.
-        """
+        """Frames that form sets (see `pair_nearest`); SessionError if `reference` is no camera."""
         names = list(self.streams)
         if reference is not None and reference not in names:
             raise SessionError(f"no camera '{reference}'; there is {', '.join(names)}")

@@ -119,11 +119,7 @@ class StatedRig:
 
 
 def stated_model(place: str, said: Mapping[str, object]) -> Projection:
-    """The lens model that a file states under some keys, a pinhole if it does not.
-
-    Raises:
-        CalibrationError: it is one by whose numbers another one would be misread.
-    """
+    """The lens model a file states under some keys, or a pinhole; CalibrationError: unknown."""
     models = set()
     for key, value in said.items():
         name = "" if value is None else str(value).lower().replace("-", "_").removesuffix(".0")

@@ -85,11 +85,7 @@ class TrackedBody:
 def tracker_bodies(
     path: Path, text: str, error: type[MeasureError]
 ) -> dict[str, TrackedBody] | None:
-    """The rigid bodies of a tracker's file by name; None if it is no such file.
-
-    Raises:
-        error: it is one, but holds no rigid body, or in a way that is not known.
-    """
+    """The rigid bodies of a tracker's file by name, or `error`; None if it is no such file."""
     first = next((line for line in text.splitlines() if line.strip()), "")
     separator = "\t" if "\t" in first else ","
     cells = [cell.strip().lower() for cell in first.split(separator)]

@@ -239,11 +239,7 @@ def worst_misfit(refinement: Refinement, body: Body) -> tuple[str, float]:
 
 
 def refuse_misfit(refinement: Refinement, body: Body) -> None:
-    """Refuse a recording that the first calibration does not fit.
-
-    Raises:
-        CalibrationError: a ball sits too far off all through the recording, or a camera misses.
-    """
+    """Refuse (CalibrationError) a recording in which a ball sits too far off or a camera misses."""
     what, far = worst_misfit(refinement, body)
     if far > _MAX_MISFIT_PX:
         raise CalibrationError(
