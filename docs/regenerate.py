@@ -29,9 +29,9 @@ HEAD = """# Command line
 The help of every command; where `measure` is not on the path, `python -m measure` is the same.
 Written by `python docs/regenerate.py`.
 
-Exit codes: 0 done; 2 a mistake, which one line on stderr explains; 3 `check` or `calibrate` found
-what must not be believed ("wrong"); 1 a defect of ours, with its traceback; 130 interrupted;
-141 whoever read the output went away.
+Exit codes: 0 done; 2 a mistake, which one line on stderr explains; 3 `check`,
+`calibrate` or `accept` found what must not be believed ("wrong"); 1 a defect of ours, with its
+traceback; 130 interrupted; 141 whoever read the output went away.
 """
 SETTINGS_HEAD = """# Settings
 

@@ -62,6 +62,7 @@ GROUPS: dict[str, tuple[Command, ...]] = {
         Command(
             "world", "Put a calibration's world where a body is, or through three touched points."
         ),
+        Command("accept", "Test a rig by known lengths: its errors against what it states."),
     ),
     "Correct a robot": (
         Command(

@@ -22,7 +22,7 @@ JsonFlag = Annotated[bool, Parameter(name="--json", help="Print one JSON object 
 """Type of every command's `json` option."""
 
 UNBELIEVABLE = 3
-"""Exit code of `check` and `calibrate` where they find what must not be believed."""
+"""Exit code of `check`, `calibrate` and `accept` where they find what must not be believed."""
 _LINE_EVERY_S = 5.0
 _PIPE_WIDTH = 120
 

@@ -7,6 +7,7 @@ how many of them are independent, and all of what they err by alike.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,8 +32,10 @@ _STILL_RATIO = 4.0
 """Variance of a window over that of the quietest, up to which it is still."""
 _LEAST_SHARE = 0.05**2
 """Poses that scatter by less than a twentieth of what is stated count as that quiet."""
+_MOST_SHARE = 2.0
+"""Poses that scatter by more than 1.4 times what is stated are moving."""
 _QUIETEST = 0.05
-"""The quietest windows are this quantile of those that scatter less than is stated."""
+"""The quietest windows are this quantile of those that scatter less than that."""
 _PAUSE_STEPS = 10.0
 """A rest ends where no pose comes for so many usual steps."""
 
@@ -46,6 +49,7 @@ class Rest:
     poses: int  # how many were averaged
     independent: float  # how many independent ones they are worth
     world_from_body: RigidTransform  # their mean
+    stated: Floats  # (6, 6) covariance that its poses state, their mean
     scatter: Floats  # (6, 6) covariance of a single pose about the mean, as they scatter
     noise: Floats  # (6, 6) covariance of the mean by that scatter
     light: Floats  # (6, 6) covariance by light, which all of its poses share
@@ -133,7 +137,7 @@ def find_rests(poses: PoseTable, shared: SharedErrors, shortest_s: float = SHORT
     shares = np.array([_share(poses, a, b) for a, b in windows])
     if not len(windows):
         return Rests((), np.zeros((0, 0)), np.nan, np.nan)
-    quiet = shares[shares <= 1.0]
+    quiet = shares[shares <= _MOST_SHARE]
     floor = max(float(np.quantile(quiet, _QUIETEST)), _LEAST_SHARE) if len(quiet) else np.nan
     limit = _STILL_RATIO * floor
     still = [window for window, share in zip(windows, shares, strict=True) if share <= limit]
@@ -213,25 +217,29 @@ def _averaged(poses: PoseTable, shared: SharedErrors) -> Rest:
     independent = min(max(independent_count(in_sds), 2.0), len(off))
     scatter = off.T @ off / len(off) * independent / (independent - 1)
     pose = centre.perturb(mean)
-    factors = shared.factors(RigidTransform(pose.rotation[None], pose.translation[None]))[0]
+    (factors,) = shared.factors(_table([pose], [stated]))
     share = scatter_share(off, stated, len(off) / independent)
     light = alike_part(share, stated, factors @ factors.T)
     first, last = poses.times_s[used][[0, -1]].tolist()
-    return Rest(first, last, len(off), independent, pose, scatter, scatter / independent, light)
+    noise = scatter / independent
+    return Rest(first, last, len(off), independent, pose, stated, scatter, noise, light)
 
 
 def _joint_covariance(rests: tuple[Rest, ...], shared: SharedErrors) -> Floats:
     n = len(rests)
     if not n:
         return np.zeros((0, 0))
-    poses = RigidTransform(
-        np.stack([rest.world_from_body.rotation for rest in rests]),
-        np.stack([rest.world_from_body.translation for rest in rests]),
-    )
+    poses = _table([rest.world_from_body for rest in rests], [rest.stated for rest in rests])
     factors = shared.factors(poses).reshape(6 * n, -1)
     roots = np.stack([square_root(rest.light) for rest in rests])
-    light = np.einsum("ij,iab,jcb->iajc", shared.alike(poses), roots, roots)
+    light = np.einsum("ij,iab,jcb->iajc", shared.alike(poses.world_from_body), roots, roots)
     out = factors @ factors.T + light.reshape(6 * n, 6 * n)
     for k, rest in enumerate(rests):
         out[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] += rest.noise
     return np.asarray(out)
+
+
+def _table(poses: Sequence[RigidTransform], stated: Sequence[Floats]) -> PoseTable:
+    rotations = np.stack([pose.rotation for pose in poses])
+    places = RigidTransform(rotations, np.stack([pose.translation for pose in poses]))
+    return PoseTable(np.arange(len(poses), dtype=np.float64), places, np.stack(stated))

@@ -1,68 +1,26 @@
-"""Poses made up as a rig states them: a truth, and errors drawn from the stated covariance."""
+"""Runs of poses made up as a rig states them: a truth, and errors drawn from what is stated."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks.acceptance import Errors, poses_with, with_rests
 from measure.arrays import Floats
 from measure.geometry import RigidTransform
 from measure.measuring import Measurement, Status
-from measure.metrology.poses import PoseTable, SharedErrors
+from measure.metrology.poses import PoseTable
 from measure.model import Body, Camera, Pose
 from measure.results import RunWriter
 from tests.results.conftest import BODY, CAMERAS, made_from
 
-STATED = np.diag([0.02, 0.02, 0.03, *[np.deg2rad(0.035)] * 3]) ** 2
-"""Of every pose: 0.041 mm and 0.06 deg, 3-D."""
-RATE_HZ = 30.0
-
-
-@dataclass(frozen=True)
-class Errors:
-    """How errors hang together, as shares of the stated variance; the rest is noise.
-
-    Attributes:
-        everywhere: the same in all poses.
-        nearby: alike where the balls have moved little.
-        scale: by which every translation is longer than it is.
-    """
-
-    everywhere: float = 0.0
-    nearby: float = 0.0
-    scale: float = 1.0
+__all__ = ["Errors", "pivoting", "poses_of", "with_rests", "write_run"]
 
 
 def poses_of(truth: RigidTransform, errors: Errors, rng: np.random.Generator) -> PoseTable:
-    """Poses that are off by draws from `STATED`."""
-    n, root = len(truth.translation), np.linalg.cholesky(STATED)
-    alone = 1.0 - errors.everywhere - errors.nearby
-    off = np.sqrt(alone) * rng.normal(size=(n, 6)) + np.sqrt(errors.everywhere) * rng.normal(size=6)
-    if errors.nearby:
-        # Poses at rest are one place: the correlation of different places only is factored.
-        places, which = np.unique(truth.matrix.reshape(n, 16), axis=0, return_inverse=True)
-        alike = SharedErrors((), BODY).alike(RigidTransform.from_matrix(places.reshape(-1, 4, 4)))
-        draws = np.linalg.cholesky(alike + 1e-9 * np.eye(len(places))) @ rng.normal(
-            size=(len(places), 6)
-        )
-        off = off + np.sqrt(errors.nearby) * draws[which.reshape(-1)]
-    scaled = RigidTransform(truth.rotation, errors.scale * truth.translation)
-    stated = np.broadcast_to(STATED, (n, 6, 6)).copy()
-    return PoseTable(np.arange(n) / RATE_HZ, scaled.perturb(off @ root.T), stated)
-
-
-def with_rests(places: Floats, rest_s: float = 1.0, move_s: float = 0.4) -> RigidTransform:
-    """A body carried from place to place (k, 3) in mm, that stands still at each."""
-    still, moving = round(rest_s * RATE_HZ), round(move_s * RATE_HZ)
-    path = [np.repeat(places[:1], still, axis=0)]
-    share = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, moving) / moving)[:, None]
-    for start, end in pairwise(places):
-        path += [start + share * (end - start), np.repeat(end[None], still, axis=0)]
-    points = np.concatenate(path)
-    return RigidTransform(np.broadcast_to(np.eye(3), (len(points), 3, 3)), points)
+    """Poses of the body of these tests, that are off by draws from what they state."""
+    return poses_with(truth, errors, BODY, rng)
 
 
 def pivoting(
