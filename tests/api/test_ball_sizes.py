@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 
 import numpy as np
 import pytest
@@ -14,14 +13,15 @@ from measure.checking.body_explanations import size_findings
 from measure.host import Registry
 from measure.measuring.ball_radii import outline_growth, seen_balls
 from measure.session import open_session, read_trajectory
+from tests.simulated.sessions import part_of
 
 REGION_95 = 12.6
 """95 % of chi-square with six degrees of freedom."""
 
 
 def stated(still, folder, *shares):
-    """A copy of the recording whose body file states radii that are off by these shares."""
-    shutil.copytree(still, folder)
+    """A part of the recording whose body file states radii that are off by these shares."""
+    part_of(still, range(8), folder)
     text, share = (still / "body.toml").read_text("utf-8"), iter(shares)
     text = re.sub(r"(?<=radius_mm = )[\d.]+", lambda m: f"{float(m[0]) * next(share)}", text)
     (folder / "body.toml").write_text(text, "utf-8")
