@@ -18,7 +18,7 @@ from measure.api.detecting import Lens, SeenPicture, detect, parse_expectation
 from measure.api.framing import world
 from measure.api.live import LiveEnd, LiveOptions, LiveState, live
 from measure.api.many import Outcome, run_many
-from measure.api.measuring import measure_session
+from measure.api.measuring import measure_bodies, measure_session
 from measure.api.metrology import TipResult, pivot, rests
 from measure.api.pairing import make_dataset, simulate_dataset, simulate_recording
 from measure.api.profiles import build_pipeline, choose, load_profile
@@ -31,7 +31,7 @@ from measure.api.recording import (
     record,
 )
 from measure.api.refining import RefineResult, refine
-from measure.api.results import evaluate, export, report
+from measure.api.results import body_names, evaluate, export, report
 from measure.api.run import RunOptions, parse_images, run
 from measure.api.sampling import check_new_body, parse_click, write_sampled_body
 from measure.api.synchronising import SyncedClock, sync
@@ -41,70 +41,16 @@ from measure.capture import parse_cameras
 from measure.results.evaluation_table import evaluation_tables
 
 __all__ = [
-    "Accepted",
-    "CalibrationResult",
-    "CaptureRequest",
-    "Demo",
-    "Lens",
-    "LiveEnd",
-    "LiveOptions",
-    "LiveState",
-    "Outcome",
-    "RecordedSession",
-    "RefineResult",
-    "RunOptions",
-    "SeenPicture",
-    "SessionCheck",
-    "SweepOptions",
-    "SyncedClock",
-    "TipResult",
-    "TrainOptions",
-    "ablate",
-    "accept",
-    "build_pipeline",
-    "calibrate",
-    "camera_names",
-    "check",
-    "check_new_body",
-    "choose",
-    "correct_simulated_robot",
-    "demo",
-    "detect",
-    "draw_target",
-    "estimate_file",
-    "estimate_online",
-    "evaluate",
-    "evaluation_tables",
-    "export",
-    "live",
-    "load_profile",
-    "make_dataset",
-    "measure_session",
-    "parse_cameras",
-    "parse_click",
-    "parse_expectation",
-    "parse_images",
-    "parse_receiver",
-    "parse_settings",
-    "parse_size",
-    "pivot",
-    "record",
-    "refine",
-    "render_demo",
-    "report",
-    "rests",
-    "rezero",
-    "robot_recording",
-    "run",
-    "run_many",
-    "shipped_model",
-    "shipped_targets",
-    "simulate_dataset",
-    "simulate_recording",
-    "spawn_viewer",
-    "sweep",
-    "sync",
-    "train",
-    "world",
+    "Accepted", "CalibrationResult", "CaptureRequest", "Demo", "Lens", "LiveEnd", "LiveOptions",
+    "LiveState", "Outcome", "RecordedSession", "RefineResult", "RunOptions", "SeenPicture",
+    "SessionCheck", "SweepOptions", "SyncedClock", "TipResult", "TrainOptions", "ablate",
+    "accept", "body_names", "build_pipeline", "calibrate", "camera_names", "check",
+    "check_new_body", "choose", "correct_simulated_robot", "demo", "detect", "draw_target",
+    "estimate_file", "estimate_online", "evaluate", "evaluation_tables", "export", "live",
+    "load_profile", "make_dataset", "measure_bodies", "measure_session", "parse_cameras",
+    "parse_click", "parse_expectation", "parse_images", "parse_receiver", "parse_settings",
+    "parse_size", "pivot", "record", "refine", "render_demo", "report", "rests", "rezero",
+    "robot_recording", "run", "run_many", "shipped_model", "shipped_targets",
+    "simulate_dataset", "simulate_recording", "spawn_viewer", "sweep", "sync", "train", "world",
     "write_sampled_body",
 ]  # fmt: skip

@@ -36,7 +36,7 @@ from measure.measuring.burn_in import enter_realtime
 from measure.model import Body, Camera, FrameSet
 from measure.processes import share_heaps
 from measure.results import PoseSender, Provenance, RunWriter, Summary, refuse_other_writer
-from measure.session import Calibration, check_unit, read_body
+from measure.session import Calibration, check_bodies, check_unit, read_body
 
 _RECENT = 30
 """Frame sets over which the rate and the age of poses are taken."""
@@ -52,6 +52,7 @@ class LiveOptions(LogOptions):
         seconds: how long; until interrupted if None.
         request: what cameras of this machine are set to.
         overwrite: throw an earlier run away.
+        reference: name of the body that others are measured relative to; empty without one.
     """
 
     record: Path | None = None
@@ -59,6 +60,7 @@ class LiveOptions(LogOptions):
     seconds: float | None = None
     request: CaptureRequest | None = None
     overwrite: bool = False
+    reference: str = ""
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,7 @@ class LiveState:
     """State of a live measurement.
 
     Attributes:
-        latest: the last measurement.
+        latest: the last measurement of each body.
         frame_sets: how many are measured.
         rate_hz: of late; NaN at first.
         age_s: from the middle of a frame set's pictures to its pose being there, median of late.
@@ -76,7 +78,7 @@ class LiveState:
         away: the cameras that are away now.
     """
 
-    latest: Measurement
+    latest: Sequence[Measurement]
     frame_sets: int
     rate_hz: float
     age_s: float
@@ -103,7 +105,7 @@ def live(
     cameras: Sequence[CameraAddress],
     out: Path,
     calibration: Path,
-    body: Path,
+    bodies: Sequence[Path],
     profile: Profile,
     registry: Registry,
     options: LiveOptions | None = None,
@@ -119,7 +121,7 @@ def live(
         cameras: where their pictures come from; at least two.
         out: the run's folder.
         calibration: the cameras' calibration.
-        body: the body's file.
+        bodies: the bodies' files, one or several.
         profile: the stages and their settings.
         registry: where the plugins come from.
         options: what else is to be done with pictures and poses.
@@ -135,9 +137,11 @@ def live(
     check_seconds(options.seconds)
     if len(cameras) < 2:
         raise ConfigError(f"a measurement needs at least two cameras, got {len(cameras)}")
-    calibrated, measured = calibrated_cameras(cameras, calibration), read_body(body)
+    calibrated = calibrated_cameras(cameras, calibration)
+    measured = [read_body(body) for body in bodies]
+    check_bodies(measured, options.reference, "--body")
     cure = 'write mm, or into another program\'s file its unit, as in unit = "m"'
-    check_unit(Calibration(tuple(calibrated)), measured, str(calibration), cure)
+    check_unit(Calibration(tuple(calibrated)), measured[0], str(calibration), cure)
     profile = profile.model_copy(update={"smoothing": False})
     sources = sources_of(cameras, calibrated, options.request)
     if options.record is not None:
@@ -147,7 +151,7 @@ def live(
     if (out / RUN_FILE).exists() and not options.overwrite:
         raise RunError(f"{out} holds a run already: --overwrite throws it away")
     options.check_viewer()
-    pipeline = warm_pipeline(profile, registry, measured, calibrated)
+    warm = [warm_pipeline(profile, registry, body, calibrated) for body in measured]
     made_from = _provenance(options.record, calibration, measured, profile, registry)
     rig = Cameras(sources, sizes_of(calibrated), on_outage)
     gathering = Gathering([camera.name for camera in calibrated], on_read=rig.note_read)
@@ -156,18 +160,19 @@ def live(
         stop = stack.enter_context(until_stopped())
         sinks = [gathering.add]
         if options.record is not None:
-            kept = recorder(options.record, sources, measured, calibrated)
+            kept = recorder(options.record, sources, measured, calibrated, options.reference)
             sinks.append(stack.enter_context(kept).add)
         outputs = _LiveOutputs(stack, out, made_from, measured, calibrated, options)
         rig.begin(sinks)
         frame_sets = _frame_sets(gathering, rig, stop, options.seconds)
-        pipeline = burnt_in(pipeline, profile, registry, frame_sets)
-        enter_realtime(pipeline.stages.detectors)
+        pipelines = [burnt_in(one, profile, registry, frame_sets) for one in warm]
+        for one in pipelines:
+            enter_realtime(one.stages.detectors)
         state, watch = None, _PaceMeter(gathering, rig)
-        for frame_set, found in measure_frame_sets(pipeline, frame_sets()):
-            one = _with_away(found, rig.away)
-            outputs.add(frame_set, one)
-            state = watch.state(one)
+        for frame_set, found in measure_frame_sets(pipelines, frame_sets()):
+            known = [_with_away(each, rig.away) for each in found]
+            outputs.add(frame_set, known)
+            state = watch.state(known)
             if on_state is not None:
                 on_state(state)
         rig.check()
@@ -204,7 +209,7 @@ class _LiveOutputs:
         stack: ExitStack,
         out: Path,
         made_from: Provenance,
-        body: Body,
+        bodies: Sequence[Body],
         cameras: Sequence[Camera],
         options: LiveOptions,
     ) -> None:
@@ -212,17 +217,28 @@ class _LiveOutputs:
         if options.send is not None:
             self._sender = stack.enter_context(PoseSender(options.send))
         self._writer = stack.enter_context(
-            RunWriter(out, made_from, body, cameras, overwrite=options.overwrite)
+            RunWriter(
+                out,
+                made_from,
+                bodies,
+                cameras,
+                overwrite=options.overwrite,
+                reference=options.reference,
+            )
         )
         self._writer.begin()
         if options.recording or options.viewer:
-            self._log = stack.enter_context(RunLog(out.resolve().name, body, cameras, out, options))
+            self._log = stack.enter_context(
+                RunLog(out.resolve().name, bodies, cameras, out, options)
+            )
+        self._names = [body.name if len(bodies) > 1 else None for body in bodies]
 
-    def add(self, frame_set: FrameSet, measured: Measurement) -> None:
-        """Hand a measurement on, to the receiver first."""
+    def add(self, frame_set: FrameSet, measured: Sequence[Measurement]) -> None:
+        """Hand a measurement of each body on, to the receiver first."""
         if self._sender is not None:
-            self._sender.send(measured)
-        self._writer.append(measured)
+            for name, one in zip(self._names, measured, strict=True):
+                self._sender.send(one, name)
+        self._writer.append(*measured)
         if self._log is not None:
             self._log.add(measured, frame_set)
 
@@ -241,15 +257,15 @@ class _PaceMeter:
         self._done: deque[float] = deque(maxlen=_RECENT)
         self._ages: deque[float] = deque(maxlen=_RECENT)
 
-    def state(self, measured: Measurement) -> LiveState:
-        """The state after this measurement."""
+    def state(self, measured: Sequence[Measurement]) -> LiveState:
+        """The state after these measurements of a frame set."""
         now = time.monotonic()
         self._done.append(now)
-        self._ages.append(self._rig.clock_s() - measured.time_s)
+        self._ages.append(self._rig.clock_s() - measured[0].time_s)
         span = self._done[-1] - self._done[0]
         return LiveState(
             measured,
-            measured.index + 1,
+            measured[0].index + 1,
             (len(self._done) - 1) / span if span > 0 else math.nan,
             float(np.median(self._ages)),
             self._gathering.overtaken,
@@ -260,12 +276,16 @@ class _PaceMeter:
 
 
 def _provenance(
-    record: Path | None, calibration: Path, body: Body, profile: Profile, registry: Registry
+    record: Path | None,
+    calibration: Path,
+    bodies: Sequence[Body],
+    profile: Profile,
+    registry: Registry,
 ) -> Provenance:
     """What a live run is made from: pictures that are kept, or gone."""
     return provenance(
         calibration,
-        body,
+        bodies,
         profile,
         registry,
         session="" if record is None else str((record / "session.toml").resolve()),

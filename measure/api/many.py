@@ -21,7 +21,6 @@ from measure.host.cluster import connected
 from measure.measuring import Profile
 from measure.processes import Progress, processes, usable_cores
 from measure.results import Summary
-from measure.session import open_session
 
 _ATTEMPTS = 3
 
@@ -174,11 +173,7 @@ def _on_this_machine(jobs: Sequence[_Job], workers: int | None) -> Iterator[Outc
 def _compile_once(jobs: Sequence[_Job]) -> None:
     """Compile the hot loops before the processes start; failures are reported by the jobs."""
     for job in jobs:
-        options = job.options
-        with (
-            suppress(MeasureError),
-            open_session(job.session, options.calibration, options.body) as session,
-        ):
+        with suppress(MeasureError), job.options.open(job.session) as session:
             warm_pipeline(job.profile, job.registry, session.body, session.cameras)
             return
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 
 from measure.api.warming_up import warm_pipeline
 from measure.host import Registry
-from measure.measuring import Measurement, Pipeline, Profile
-from measure.model import FrameSet
+from measure.measuring import Measurement, Pipeline, Profile, measure_together
+from measure.model import Body, FrameSet
 from measure.session import Session
 
 
@@ -17,6 +17,8 @@ def measure_session(
     session: Session, profile: Profile, registry: Registry
 ) -> Iterator[tuple[FrameSet, Measurement]]:
     """Measure a session's frame sets in order, after a burn-in if detectors calibrate themselves.
+
+    Of a session with several bodies this measures the first: see `measure_bodies`.
 
     Args:
         session: an open session.
@@ -32,13 +34,26 @@ def measure_session(
         SessionError: an image that cannot be read.
     """
     pipeline = calibrated_pipeline(session, profile, registry)
-    yield from measure_frame_sets(pipeline, session.frame_sets())
+    for frame_set, (measured,) in measure_frame_sets([pipeline], session.frame_sets()):
+        yield frame_set, measured
+
+
+def measure_bodies(
+    session: Session, profile: Profile, registry: Registry
+) -> Iterator[tuple[FrameSet, tuple[Measurement, ...]]]:
+    """`measure_session` for all bodies of a session, each with a pipeline of its own.
+
+    Yields:
+        Each frame set with a measurement for every one of `session.bodies`, in that order.
+    """
+    pipelines = [calibrated_pipeline(session, profile, registry, body) for body in session.bodies]
+    yield from measure_frame_sets(pipelines, session.frame_sets())
 
 
 def measure_frame_sets(
-    pipeline: Pipeline, frame_sets: Iterable[FrameSet]
-) -> Iterator[tuple[FrameSet, Measurement]]:
-    """Each frame set with its measurement, as soon as that is final; in order of time."""
+    pipelines: Sequence[Pipeline], frame_sets: Iterable[FrameSet]
+) -> Iterator[tuple[FrameSet, tuple[Measurement, ...]]]:
+    """Each frame set with its measurements, as soon as these are final; in order of time."""
     waiting: deque[FrameSet] = deque()
 
     def remember() -> Iterator[FrameSet]:
@@ -46,21 +61,23 @@ def measure_frame_sets(
             waiting.append(frame_set)
             yield frame_set
 
-    for measured in pipeline.measure(remember()):
+    for measured in measure_together(pipelines, remember()):
         yield waiting.popleft(), measured
 
 
 def calibrated_pipeline(
-    session: Session, profile: Profile, registry: Registry, start: int = 0
+    session: Session, profile: Profile, registry: Registry, body: Body | None = None, start: int = 0
 ) -> Pipeline:
     """A warm pipeline whose detectors have calibrated themselves on the frame sets from `start`.
+
+    It measures the session's body, or another one.
 
     Raises:
         PluginError: a plugin that is unknown, broken or ambiguous, or refuses the body.
         ConfigError: settings that do not fit.
         SessionError: no two cameras have images close enough in time.
     """
-    pipeline = warm_pipeline(profile, registry, session.body, session.cameras)
+    pipeline = warm_pipeline(profile, registry, body or session.body, session.cameras)
     return burnt_in(pipeline, profile, registry, partial(session.frame_sets, start=start))
 
 

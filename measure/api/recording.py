@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from measure.capture import CameraAddress, CameraCount, Cameras, Outage, Recorder, check_new
 from measure.errors import ConfigError
-from measure.session import read_body, read_calibration
+from measure.session import check_bodies, read_body, read_calibration
 
 if TYPE_CHECKING:
     from measure.capture.sources import Source
@@ -51,7 +51,8 @@ def record(
     out: Path,
     *,
     calibration: Path | None = None,
-    body: Path | None = None,
+    bodies: Sequence[Path] = (),
+    reference: str = "",
     request: CaptureRequest | None = None,
     seconds: float | None = None,
     on_state: Callable[[Mapping[str, CameraCount]], None] | None = None,
@@ -62,7 +63,8 @@ def record(
     Args:
         out: the session's folder, new or empty.
         calibration: copied into it; pictures of other sizes are refused. May be added later.
-        body: likewise copied; may be added later.
+        bodies: likewise copied, one or several; may be added later.
+        reference: name of the body that others are measured relative to; empty without one.
         request: what cameras of this machine are set to.
         seconds: how long; until interrupted if None.
         on_state: called ten times a second with the counts of all cameras.
@@ -78,13 +80,15 @@ def record(
     check_seconds(seconds)
     check_new(out, [one.name for one in cameras])
     calibrated = calibrated_cameras(cameras, calibration)
-    measured = None if body is None else read_body(body)
+    measured = [read_body(body) for body in bodies]
+    if measured:
+        check_bodies(measured, reference, "--body")
     sources = sources_of(cameras, calibrated, request)
     with (
         # Nothing is lost yet if this is interrupted.
         Cameras(sources, sizes_of(calibrated), on_outage) as rig,
         until_stopped() as stop,
-        recorder(out, sources, measured, calibrated) as recording,
+        recorder(out, sources, measured, calibrated, reference) as recording,
     ):
         rig.begin([recording.add])
         begun = time.monotonic()
@@ -102,11 +106,15 @@ def record(
 
 
 def recorder(
-    out: Path, sources: Mapping[str, Source], body: Body | None, cameras: Sequence[Camera]
+    out: Path,
+    sources: Mapping[str, Source],
+    bodies: Sequence[Body],
+    cameras: Sequence[Camera],
+    reference: str,
 ) -> Recorder:
     """A session folder for what these sources deliver."""
     addresses = {name: source.address for name, source in sources.items()}
-    return Recorder(out, addresses, body, cameras)
+    return Recorder(out, addresses, bodies, cameras, reference)
 
 
 def check_apart(record: Path, out: Path) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from measure.api.outputs import check_page_writable
 from measure.errors import RunError
-from measure.results import Run, RunEvaluation, read_marks, read_run
+from measure.results import Run, RunEvaluation, read_marks, read_run, read_runs
 from measure.results import evaluate as evaluate_run
 from measure.results.evaluation import pose_errors
 from measure.results.exports import export_run
@@ -21,6 +21,7 @@ def evaluate(
     *,
     find_offset: bool = False,
     truth_body: str | None = None,
+    body: str | None = None,
 ) -> RunEvaluation:
     """Compare a run with the truth: Table I of the paper, and what it leaves out.
 
@@ -31,12 +32,15 @@ def evaluate(
         marks: ball centres marked by hand (camera,frame,ball,u_px,v_px); detection is compared with
             these.
         find_offset: find the clock of a truth of another system by motion, and fit its frames.
-        truth_body: which rigid body of a tracker's file.
+        truth_body: which rigid body of a tracker's file, or of a table of several bodies; of a run
+            of several bodies that of the body's own name if omitted.
+        body: which body, of a run of several.
 
     Raises:
         RunError: no run, no truth, or a truth of another time or unit.
     """
-    opened = read_run(Path(run))
+    opened = read_run(Path(run), body)
+    truth_body = truth_body or _own_name(opened)
     path = Path(truth) if truth is not None else _truth_of(opened)
     if path is None:
         raise RunError(f"the session of {run} has no truth: give one with --truth")
@@ -50,12 +54,24 @@ def evaluate(
     )
 
 
-def report(run_path: Path, out: Path | None = None, truth: Path | None = None) -> Path:
+def body_names(run: Path | str) -> list[str]:
+    """Names of the bodies that a run measured.
+
+    Raises:
+        RunError: no run, or a damaged one.
+    """
+    return [one.body.name for one in read_runs(Path(run))]
+
+
+def report(
+    run_path: Path, out: Path | None = None, truth: Path | None = None, body: str | None = None
+) -> Path:
     """Write the report of a run as one self-contained HTML file.
 
     Args:
         out: the file; `report.html` in the run's folder if omitted.
         truth: poses over time; those of the run's session if omitted and there are any.
+        body: which body, of a run of several; all if omitted.
 
     Returns:
         Where it was written.
@@ -66,23 +82,31 @@ def report(run_path: Path, out: Path | None = None, truth: Path | None = None) -
     """
     from measure.viewing.report.run_report import write_report
 
-    run = read_run(run_path)
-    truth = (truth or _truth_of(run)) if run.poses.num_rows else None
-    errors = None if truth is None else pose_errors(run, read_trajectory(truth, RunError))
+    runs = _chosen(run_path, body)
+    errors = []
+    for run in runs:
+        file = (truth or _truth_of(run)) if run.poses.num_rows else None
+        known = None if file is None else read_trajectory(file, RunError, _own_name(run))
+        errors.append(None if known is None else pose_errors(run, known))
     path = out or run_path / "report.html"
     check_page_writable(path)
-    write_report(run, path, errors)
+    write_report(runs, path, errors)
     return path
 
 
 def export(
-    run: Path | str, file_format: str, out: Path | str | None = None, overwrite: bool = False
+    run: Path | str,
+    file_format: str,
+    out: Path | str | None = None,
+    overwrite: bool = False,
+    body: str | None = None,
 ) -> Path:
     """Write a run in another program's format.
 
     Args:
         file_format: "csv", "tum", "trc", "c3d" or "mcap".
         out: the file to write; `export.FORMAT` in the run's folder if omitted.
+        body: which body, of a run of several; all if omitted.
 
     Returns:
         The file written.
@@ -91,9 +115,18 @@ def export(
         ConfigError: no such format, or its library is not installed.
         RunError: no run, no pose in it, or the file cannot be written.
     """
-    opened = read_run(Path(run))
     path = Path(run) / f"export.{file_format}" if out is None else Path(out)
-    return export_run(opened, file_format, path, overwrite)
+    return export_run(_chosen(Path(run), body), file_format, path, overwrite)
+
+
+def _chosen(run: Path, body: str | None) -> list[Run]:
+    """The runs of all bodies, or of one."""
+    return read_runs(run) if body is None else [read_run(run, body)]
+
+
+def _own_name(run: Run) -> str | None:
+    """The name of the body in a table of several, None for a run of one."""
+    return run.body.name if run.several else None
 
 
 def _truth_of(run: Run) -> Path | None:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any, get_args
 
-from measure.api.measuring import measure_session
+from measure.api.measuring import measure_bodies
 from measure.api.profiles import find_tracker
 from measure.api.run_log import LogOptions, RunLog
 from measure.checking import ColorlessCount
@@ -36,13 +36,20 @@ class RunOptions(LogOptions):
         resume: go on with an earlier run of the same, which is measured again as far as it came.
         overwrite: throw an earlier run away.
         calibration: a calibration file to use instead of the session's own.
-        body: a body file to use instead of the session's own.
+        body: a body file to use instead of the session's own, or several.
+        reference: name of the body that the others are measured relative to, instead of the
+            session's.
     """
 
     resume: bool = False
     overwrite: bool = False
     calibration: Path | None = None
-    body: Path | None = None
+    body: Path | Sequence[Path] | None = None
+    reference: str | None = None
+
+    def open(self, session: Path) -> Session:
+        """Open a session with these files."""
+        return open_session(session, self.calibration, self.body, reference=self.reference)
 
 
 def parse_images(text: str) -> int:
@@ -88,13 +95,21 @@ def run(
     """
     options = options or RunOptions()
     with ExitStack() as stack:
-        session = stack.enter_context(open_session(session_path, options.calibration, options.body))
+        session = stack.enter_context(options.open(session_path))
         total = len(session.pair().times_s)
         options.check_viewer()
         made_from = _of_session(session, profile, registry)
         resume, overwrite = options.resume, options.overwrite
         writer = stack.enter_context(
-            RunWriter(out, made_from, session.body, session.cameras, resume, overwrite)
+            RunWriter(
+                out,
+                made_from,
+                session.bodies,
+                session.cameras,
+                resume,
+                overwrite,
+                session.reference,
+            )
         )
         if writer.is_complete(total):
             return writer.finish()
@@ -103,7 +118,7 @@ def run(
                 f"measuring {min(writer.kept, total)} kept of {total} frame sets again, so that "
                 "the rest comes out as if never interrupted"
             )
-        measured = measure_session(session, profile, registry)
+        measured = measure_bodies(session, profile, registry)
         # Stages that do not fit together or fail at the very first picture are met here: before a
         # folder is made, or an earlier run lost.
         first = list(islice(measured, 1))
@@ -113,12 +128,12 @@ def run(
             if options.recording or options.viewer
             else None
         )
-        for frame_set, measurement in chain(first, measured):
-            writer.append(measurement)
+        for frame_set, measurements in chain(first, measured):
+            writer.append(*measurements)
             if log is not None:
-                log.add(measurement, frame_set)
+                log.add(measurements, frame_set)
             if progress is not None:
-                progress(measurement.index + 1, total)
+                progress(measurements[0].index + 1, total)
         if log is not None:
             log.close()
         return writer.finish()
@@ -126,7 +141,7 @@ def run(
 
 def provenance(
     calibration: Path,
-    body: Body,
+    bodies: Sequence[Body],
     profile: Profile,
     registry: Registry,
     *,
@@ -145,7 +160,7 @@ def provenance(
         session_digest=session_digest,
         calibration=str(calibration.resolve()),
         calibration_digest=digest([calibration.read_bytes()]),
-        body_digest=_body_digest(body),
+        body_digest=_body_digest(bodies),
         profile=resolved(profile, registry),
         plugins={stage: f"{one.name} of {one.distribution}" for stage, one in loaded.items()},
         notes=notes,
@@ -156,7 +171,7 @@ def provenance(
 def _of_session(session: Session, profile: Profile, registry: Registry) -> Provenance:
     return provenance(
         session.calibration_path,
-        session.body,
+        session.bodies,
         profile,
         registry,
         session=str(session.path.resolve()),
@@ -180,13 +195,16 @@ def _without_color(session: Session) -> Iterator[str]:
     yield from (finding.text for finding in count.findings())
 
 
-def _body_digest(body: Body) -> str:
-    """A fingerprint of all that a body file says of balls and where they are."""
-    described = [f"{ball!r}" for ball in body.balls]
-    if body.tolerance_mm:
-        described.append(f"{body.tolerance_mm!r}")
-    if body.radius_tolerance_mm != USUAL_RADIUS_TOLERANCE_MM:
-        described.append(f"radii {body.radius_tolerance_mm!r}")
+def _body_digest(bodies: Sequence[Body]) -> str:
+    """A fingerprint of all that body files say of balls and where they are."""
+    described = []
+    for body in bodies:
+        described += [body.name] if len(bodies) > 1 else []
+        described += [f"{ball!r}" for ball in body.balls]
+        if body.tolerance_mm:
+            described.append(f"{body.tolerance_mm!r}")
+        if body.radius_tolerance_mm != USUAL_RADIUS_TOLERANCE_MM:
+            described.append(f"radii {body.radius_tolerance_mm!r}")
     return digest([text.encode() for text in described])
 
 
@@ -210,21 +228,23 @@ def _log(session: Session, out: Path, options: RunOptions, kept: int) -> RunLog:
 
     return RunLog(
         session.name,
-        session.body,
+        session.bodies,
         session.cameras,
         out,
         options,
         kept,
-        truth=_truth(session),
+        truths=_truths(session),
         videos=passed_videos(session) if options.image_every else {},
     )
 
 
-def _truth(session: Session) -> Trajectory | None:
-    """The true poses, if they can be read; truth never stops a measurement."""
+def _truths(session: Session) -> dict[str, Trajectory]:
+    """By body the true poses that can be read; truth never stops a measurement."""
+    out = dict[str, Trajectory]()
     if session.truth_path is None:
-        return None
-    try:
-        return read_trajectory(session.truth_path)
-    except MeasureError:
-        return None
+        return out
+    for body in session.bodies:
+        with suppress(MeasureError):
+            name = body.name if len(session.bodies) > 1 else None
+            out[body.name] = read_trajectory(session.truth_path, body=name)
+    return out

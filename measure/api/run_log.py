@@ -48,21 +48,23 @@ class RunLog:
     """The recording of a run, with the error against truth where there is one.
 
     Args:
+        bodies: what is measured.
         out: the run's folder, with its `run.toml`.
         kept: how many frame sets are kept of an interrupted run: its recording is replaced by this
             one as soon as this one holds as much.
+        truths: by body the true poses, where they are known.
         videos: by camera, recorded videos that go in as they are.
     """
 
     def __init__(
         self,
         name: str,
-        body: Body,
+        bodies: Sequence[Body],
         cameras: Sequence[Camera],
         out: Path,
         options: LogOptions,
         kept: int = 0,
-        truth: Trajectory | None = None,
+        truths: Mapping[str, Trajectory] | None = None,
         videos: Mapping[str, PassedVideo] | None = None,
     ) -> None:
         from measure.viewing.recording import RunRecording, open_recording
@@ -72,14 +74,16 @@ class RunLog:
         self._check_free_space()
         run_id = digest([(out / "run.toml").read_bytes()])
         file = unfinished(self._path) if self._path and kept else self._path
-        stream = open_recording(name, cameras, file, options.viewer, run_id)
+        stream = open_recording(
+            name, cameras, file, options.viewer, run_id, [body.name for body in bodies]
+        )
         self._log = RunRecording(
             stream,
-            body,
+            bodies,
             cameras,
             options.image_every,
             videos,
-            truth,
+            truths,
             live=options.viewer is not None,
         )
 
@@ -120,10 +124,10 @@ class RunLog:
                 "out with --no-recording"
             )
 
-    def add(self, measurement: Measurement, frame_set: FrameSet) -> None:
-        """Log a measurement, and its pictures if it is their turn; RunError if the disk is full."""
+    def add(self, measurements: Sequence[Measurement], frame_set: FrameSet) -> None:
+        """Log a frame set, its pictures if it is their turn; RunError if the disk is full."""
         self._check_free_space()
-        self._log.add(measurement, frame_set)
-        if self._path is not None and measurement.index + 1 == self._kept:
+        self._log.add(measurements, frame_set)
+        if self._path is not None and measurements[0].index + 1 == self._kept:
             self._log.flush()
             unfinished(self._path).replace(self._path)

@@ -33,15 +33,17 @@ class Recorder:
         self,
         folder: Path,
         addresses: Mapping[str, str],
-        body: Body | None = None,
+        bodies: Sequence[Body] = (),
         cameras: Sequence[Camera] = (),
+        reference: str = "",
     ) -> None:
         """Make the folder and all that does not grow.
 
         Args:
             folder: new, or empty.
-            body: what is measured, if it is known already.
+            bodies: what is measured, if it is known already.
             cameras: calibrated, if they are already.
+            reference: name of the body that others are measured relative to; empty without one.
 
         Raises:
             CaptureError: the folder holds something, or cannot be written; a camera's name cannot
@@ -54,11 +56,12 @@ class Recorder:
             folder.mkdir(parents=True, exist_ok=True)
             for name in addresses:
                 (folder / name).mkdir()  # fails for the second of two that record into it at once
-            if body is not None:
-                write_body(folder / "body.toml", body)
+            files = _body_files(bodies)
+            for name, body in files.items():
+                write_body(folder / name, body)
             if cameras:
                 write_calibration(folder / "calibration.toml", Calibration(tuple(cameras)))
-            text = dump_toml(_session(folder, addresses, body is not None, bool(cameras)))
+            text = dump_toml(_session(folder, addresses, list(files), reference, bool(cameras)))
             (folder / "session.toml").write_text(text, "utf-8")
             for name in addresses:
                 self._stamps[name] = _new_stamps(folder / f"{name}.csv")
@@ -135,8 +138,18 @@ def _new_stamps(path: Path) -> TextIO:
     return file
 
 
+def _body_files(bodies: Sequence[Body]) -> dict[str, Body]:
+    if len(bodies) == 1:
+        return {"body.toml": bodies[0]}
+    return {f"body-{body.name}.toml": body for body in bodies}
+
+
 def _session(
-    folder: Path, addresses: Mapping[str, str], has_body: bool, calibrated: bool
+    folder: Path,
+    addresses: Mapping[str, str],
+    bodies: Sequence[str],
+    reference: str,
+    calibrated: bool,
 ) -> dict[str, object]:
     """What `session.toml` holds."""
     sources = ", ".join(f"{name}: {address}" for name, address in addresses.items())
@@ -144,7 +157,9 @@ def _session(
         "session": {
             "name": folder.resolve().name,
             "description": f"recorded from {sources}",
-            "body": "body.toml" if has_body else None,
+            "body": bodies[0] if len(bodies) == 1 else None,
+            "bodies": bodies if len(bodies) > 1 else None,
+            "reference": reference or None,
             "calibration": "calibration.toml" if calibrated else None,
         },
         "cameras": [

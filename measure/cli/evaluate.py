@@ -18,6 +18,7 @@ def evaluate(
     marks: Path | None = None,
     find_offset: bool = False,
     truth_body: str | None = None,
+    body: str | None = None,
     json: JsonFlag = False,
 ) -> None:
     """Compare a run with the truth.
@@ -36,18 +37,33 @@ def evaluate(
         marks: ball centres marked by hand (camera,frame,ball,u_px,v_px) to compare detection with.
         find_offset: find by motion what to add to the truth's times, and fit its frames to the run
             if they are others; refused where the motion cannot tell.
-        truth_body: which rigid body of a tracker's file.
+        truth_body: which rigid body of a tracker's file, or of a table with a column `body`.
+        body: which body, of a run of several; each if omitted.
     """
     from measure import api
 
-    found = api.evaluate(
-        run, truth, calibration, marks, find_offset=find_offset, truth_body=truth_body
-    )
+    names = api.body_names(run)
+    every = {
+        name: api.evaluate(
+            run,
+            truth,
+            calibration,
+            marks,
+            find_offset=find_offset,
+            truth_body=truth_body,
+            body=name,
+        )
+        for name in (names if body is None else [body])
+    }
     if json:
-        console.print_json({"run": str(run), **dataclasses.asdict(found)})
+        values = {name: dataclasses.asdict(found) for name, found in every.items()}
+        one = next(iter(values.values())) if len(values) == 1 else {"bodies": values}
+        console.print_json({"run": str(run), **one})
         return
-    for table in api.evaluation_tables(found):
-        console.print_table(table.columns, table.rows, table.title)
-        console.print_text("")
-    for note in found.notes:
-        console.print_text(f"note: {note}")
+    for name, found in every.items():
+        about = f"{name}: " if len(names) > 1 else ""
+        for table in api.evaluation_tables(found):
+            console.print_table(table.columns, table.rows, f"{about}{table.title}")
+            console.print_text("")
+        for note in found.notes:
+            console.print_text(f"note: {about}{note}")

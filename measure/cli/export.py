@@ -18,6 +18,7 @@ def export(
     format_: Annotated[str, Parameter(name=("--format", "-f"))],
     out: Annotated[Path | None, Parameter(name=("--out", "-o"))] = None,
     overwrite: bool = False,
+    body: str | None = None,
     json: JsonFlag = False,
 ) -> None:
     """Write a run in another program's format.
@@ -28,10 +29,11 @@ def export(
             (markers) or mcap (ROS 2; metres).
         out: the file to write; export.FORMAT in the run's folder if omitted.
         overwrite: replace a file that is there.
+        body: which body, of a run of several; all if omitted.
     """
     from measure import api
 
-    path = api.export(run, format_, out, overwrite)
+    path = api.export(run, format_, out, overwrite, body)
     if json:
         console.print_json({"run": str(run), "format": format_, "file": str(path)})
     else:

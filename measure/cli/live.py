@@ -12,12 +12,20 @@ from cyclopts import Parameter
 
 from measure.cli import console
 from measure.cli.console import JsonFlag
-from measure.cli.options import CaptureOptions, InjectedRegistry, ProfileOptions, ViewerOptions
+from measure.cli.options import (
+    BodyOptions,
+    CaptureOptions,
+    InjectedRegistry,
+    ProfileOptions,
+    ViewerOptions,
+)
 from measure.cli.record import note_outage, print_cameras
 from measure.cli.run import print_summary
+from measure.errors import ConfigError
 
 if TYPE_CHECKING:
     from measure.api import LiveEnd, LiveState
+    from measure.measuring import Measurement
 
 _LINE_EVERY_S = 2.0
 
@@ -44,7 +52,7 @@ def live(
     *cameras: str,
     to: _DestinationOptions,
     calibration: Path,
-    body: Path,
+    bodies: BodyOptions = BodyOptions(),
     method: ProfileOptions = ProfileOptions(),
     viewer: ViewerOptions = ViewerOptions(),
     capture: CaptureOptions = CaptureOptions(),
@@ -60,7 +68,6 @@ def live(
     Args:
         cameras: NAME=ADDRESS each, two at least, as for `measure record`.
         calibration: the cameras' calibration.
-        body: the body's file.
     """
     from measure import api
 
@@ -74,10 +81,15 @@ def live(
         recording=viewer.recording,
         viewer=viewer.address(),
         overwrite=to.overwrite,
+        reference=bodies.reference or "",
     )
+    if not bodies.body:
+        raise ConfigError("what is to be measured? give --body FILE")
     given = api.parse_cameras(cameras, api.camera_names(calibration))
     lines = _StateLines()
-    end = api.live(given, to.out, calibration, body, chosen, registry, options, lines, note_outage)
+    end = api.live(
+        given, to.out, calibration, bodies.body, chosen, registry, options, lines, note_outage
+    )
     if json:
         console.print_json({"run": str(to.out), **end.summary.values(), **_numbers(end)})
     else:
@@ -95,11 +107,10 @@ class _StateLines:
         if now - self._last >= _LINE_EVERY_S:
             self._last = now
             away = [f"{', '.join(state.away)} away"] if state.away else []
-            console.note("; ".join([_where(state), *away, _pace(state)]))
+            console.note("; ".join([*map(_where, state.latest), *away, _pace(state)]))
 
 
-def _where(state: LiveState) -> str:
-    latest = state.latest
+def _where(latest: Measurement) -> str:
     if latest.pose is None:
         return f"{latest.status.value}: {latest.reason}"
     x, y, z = latest.pose.world_from_body.translation

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 from cyclopts import Parameter
@@ -47,6 +48,20 @@ class ProfileOptions:
             {"detector": self.detector, "triangulator": self.triangulator, "solver": self.solver},
             self.set_,
         )
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class BodyOptions:
+    """What is measured.
+
+    Attributes:
+        body: the body's file, instead of a session's own; may be repeated for several bodies.
+        reference: name of the body that the others are measured relative to.
+    """
+
+    body: tuple[Path, ...] = ()
+    reference: str | None = None
 
 
 @Parameter(name="*")

@@ -12,7 +12,7 @@ from cyclopts import Parameter
 
 from measure.cli import console
 from measure.cli.console import JsonFlag
-from measure.cli.options import CaptureOptions
+from measure.cli.options import BodyOptions, CaptureOptions
 
 if TYPE_CHECKING:
     from measure.capture import CameraCount, Outage
@@ -25,7 +25,7 @@ def record(
     *cameras: str,
     out: Annotated[Path, Parameter(name=("--out", "-o"))],
     calibration: Path | None = None,
-    body: Path | None = None,
+    bodies: BodyOptions = BodyOptions(),
     capture: CaptureOptions = CaptureOptions(),
     json: JsonFlag = False,
 ) -> None:
@@ -38,8 +38,8 @@ def record(
         cameras: NAME=ADDRESS each: http://... of a motion-JPEG stream, rtsp://..., the number of a
             camera of this machine (0 for /dev/video0), or a video file, played at its own pace.
         out: the session's folder, new or empty.
-        calibration: the cameras' calibration, copied into the session; it may come later.
-        body: the body's file, likewise.
+        calibration: the cameras' calibration, copied into the session as the bodies' files are;
+            they may come later.
     """
     from measure import api
 
@@ -49,7 +49,8 @@ def record(
             api.parse_cameras(cameras, names),
             out,
             calibration=calibration,
-            body=body,
+            bodies=bodies.body,
+            reference=bodies.reference or "",
             request=capture.request(),
             seconds=capture.seconds,
             on_state=lambda counts: report(sum(c.pictures for c in counts.values()), None),

@@ -16,6 +16,7 @@ def report(
     *,
     out: Annotated[Path | None, Parameter(name=("--out", "-o"))] = None,
     truth: Path | None = None,
+    body: str | None = None,
 ) -> None:
     """Write a run's report as one HTML file.
 
@@ -25,7 +26,8 @@ def report(
         run: the run's folder.
         out: the file to write; report.html in the run's folder if omitted.
         truth: a trajectory to compare with; the session's own if omitted.
+        body: which body, of a run of several; all if omitted.
     """
     from measure import api
 
-    console.print_text(str(api.report(run, out, truth)))
+    console.print_text(str(api.report(run, out, truth, body)))

@@ -12,7 +12,7 @@ from cyclopts import Parameter
 
 from measure.cli import console
 from measure.cli.console import JsonFlag
-from measure.cli.options import InjectedRegistry, ProfileOptions, ViewerOptions
+from measure.cli.options import BodyOptions, InjectedRegistry, ProfileOptions, ViewerOptions
 from measure.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -27,11 +27,9 @@ class _InputOptions:
 
     Attributes:
         calibration: a calibration to use instead of the session's.
-        body: a body file to use instead of the session's.
     """
 
     calibration: Path | None = None
-    body: Path | None = None
 
 
 @Parameter(name="*")
@@ -57,6 +55,7 @@ def run(
     out: Annotated[Path, Parameter(name=("--out", "-o"))],
     method: ProfileOptions = ProfileOptions(),
     inputs: _InputOptions = _InputOptions(),
+    bodies: BodyOptions = BodyOptions(),
     viewer: ViewerOptions = ViewerOptions(),
     execution: _ExecutionOptions = _ExecutionOptions(),
     json: JsonFlag = False,
@@ -81,7 +80,8 @@ def run(
         resume=execution.resume,
         overwrite=execution.overwrite,
         calibration=inputs.calibration,
-        body=inputs.body,
+        body=bodies.body or None,
+        reference=bodies.reference,
     )
     if not sessions:
         raise ConfigError("no session to measure: give its folder")
@@ -107,6 +107,8 @@ def run(
 def print_summary(summary: Summary) -> None:
     """Print a run's summary, the reasons for missing poses, and the notes."""
     console.print_text(summary.sentence())
+    for name, one in summary.bodies.items():
+        console.print_text(f"  {name}: {one.sentence()}")
     for reason, count in summary.reasons.items():
         console.print_text(f"  {count} x {reason}")
     for note in summary.notes:

@@ -3,5 +3,16 @@
 from measure.measuring.measurement import Measurement, Status
 from measure.measuring.pipeline import Pipeline, Stages
 from measure.measuring.profile import Profile, Stage
+from measure.measuring.relative import relative_measurement
+from measure.measuring.together import measure_together
 
-__all__ = ["Measurement", "Pipeline", "Profile", "Stage", "Stages", "Status"]
+__all__ = [
+    "Measurement",
+    "Pipeline",
+    "Profile",
+    "Stage",
+    "Stages",
+    "Status",
+    "measure_together",
+    "relative_measurement",
+]

@@ -23,6 +23,8 @@ from measure.model import BallPosition, Body, Camera, Detection, Expectation, Fr
 
 _SAME_MOTION_MM = 5e-3
 """Two motions are the same if they displace the body by no more than this at the images' times."""
+_SAME_BALL = 0.6
+"""A circle nearer to a ball than this share of its radius, and of about its size, is that ball."""
 _ARM_MM = np.array([1.0, 1.0, 1.0, 40.0, 40.0, 40.0])
 """Displacement in mm per mm and per rad of a pose: balls are about 40 mm off the origin."""
 
@@ -65,6 +67,7 @@ class Pipeline:
             not detector.stateful for detector in stages.detectors.values()
         )
         self.stages = stages
+        self.others: tuple[Pipeline, ...] = ()
 
     def warm_up(self) -> None:
         """Let every stage compile or load what is slow."""
@@ -204,9 +207,26 @@ class Pipeline:
         def detect(name: str) -> list[Detection]:
             detector, image = self.stages.detectors[name], frame_set.images[name]
             found = plugin_calls.detections(detector, image, expected.get(name, ()), self.body)
+            if self.others and not expected.get(name):
+                found = self._without_others(found, self._cameras[name], image.time_s)
             return self._at_row_times(found) if self.stages.per_image_timestamps else found
 
         return pool.map(detect, frame_set.images)
+
+    def _without_others(
+        self, found: list[Detection], camera: Camera, time_s: float
+    ) -> list[Detection]:
+        """What a search has found, less the balls of other bodies that are being tracked."""
+        for other in self.others:
+            motion = other.stages.tracker.motion(time_s)
+            if motion is None:
+                continue
+            centers = motion.at(time_s).apply(other.body.centers)
+            pixels = camera.project(centers)
+            depth_mm = np.linalg.norm(centers - camera.center, axis=1)
+            radii = camera.intrinsics.focal_px * other.body.radii / depth_mm
+            found = [d for d in found if not _is_one_of(d, pixels, radii)]
+        return found
 
     def _at_row_times(self, found: list[Detection]) -> list[Detection]:
         """Detections at the times when a rolling shutter exposed their rows."""
@@ -296,6 +316,13 @@ def _until_error(frame_sets: Iterable[FrameSet], errors: list[MeasureError]) -> 
         yield from frame_sets
     except MeasureError as error:
         errors.append(error)
+
+
+def _is_one_of(found: Detection, pixels: Floats, radii: Floats) -> bool:
+    """Whether a detection is one of balls at pixels (n, 2) of radii (n,) px."""
+    off = np.linalg.norm(pixels - found.center_px, axis=1) / radii
+    size = found.radius_px / radii
+    return bool(np.any((off < _SAME_BALL) & (size > _SAME_BALL) & (size < 1 / _SAME_BALL)))
 
 
 def _status(pose: Pose | None) -> Status:

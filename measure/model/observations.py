@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import lru_cache
@@ -177,6 +178,8 @@ class Pose:
         cameras: names of the cameras used.
         balls: names of the balls used.
         flags: reasons to doubt it, empty if none.
+        by_camera: by name, derivatives (6, 18) of the pose by a camera's pose and intrinsics (see
+            `Camera.covariance`), of which `covariance` holds the share; None if not known.
     """
 
     time_s: float
@@ -187,6 +190,7 @@ class Pose:
     cameras: tuple[str, ...]
     balls: tuple[str, ...]
     flags: tuple[str, ...] = ()
+    by_camera: Mapping[str, Floats] | None = None
 
     @property
     def position_sd_mm(self) -> float:

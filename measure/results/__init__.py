@@ -4,12 +4,13 @@ from measure.results.evaluation import RunEvaluation, evaluate
 from measure.results.lock import refuse_other_writer
 from measure.results.marks import Marks, read_marks
 from measure.results.provenance import Provenance, digest, versions
-from measure.results.run import Run, read_run
+from measure.results.run import Run, read_run, read_runs
 from measure.results.sending import PoseSender
 from measure.results.summary import Summary
 from measure.results.writer import RunWriter
 
 __all__ = [
-    "Marks", "PoseSender", "Provenance", "Run", "RunEvaluation", "RunWriter", "Summary", "digest",
-    "evaluate", "read_marks", "read_run", "refuse_other_writer", "versions",
+    "Marks", "PoseSender", "Provenance", "Run", "RunEvaluation", "RunWriter", "Summary",
+    "digest", "evaluate", "read_marks", "read_run", "read_runs", "refuse_other_writer",
+    "versions",
 ]  # fmt: skip

@@ -13,7 +13,7 @@ from measure.model import Body, Camera
 from measure.reading import check_ordinary
 from measure.results.provenance import Provenance, changed_versions, read_provenance
 from measure.results.stored import read_tables
-from measure.results.tables import SCHEMAS
+from measure.results.tables import schemas
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,40 +25,56 @@ class Kept:
         csv_rows: of `poses.csv`, which may be ahead of the tables.
         closing: whether the run was complete: all that may be missing is how it is stored.
         blame: why a row might come out otherwise now.
+        bodies: how many rows of poses a frame set has.
     """
 
     tables: Mapping[str, pa.Table]
     csv_rows: int = 0
     closing: bool = False
     blame: str = ""
+    bodies: int = 1
 
     @property
     def frame_sets(self) -> int:
         """How many are kept."""
-        return int(self.tables["poses"].num_rows)
+        return int(self.tables["poses"].num_rows) // self.bodies
+
+    @property
+    def csv_frame_sets(self) -> int:
+        """How many of `poses.csv`."""
+        return self.csv_rows // self.bodies
 
 
-NOTHING = Kept({name: schema.empty_table() for name, schema in SCHEMAS.items()})
-"""Of a run that begins."""
+def nothing_kept(bodies: int, relative: bool) -> Kept:
+    """Of a run that begins."""
+    tables = {name: schema.empty_table() for name, schema in schemas(bodies > 1, relative).items()}
+    return Kept(tables, bodies=bodies)
 
 
-def read_kept(folder: Path, provenance: Provenance, body: Body, cameras: Sequence[Camera]) -> Kept:
+def read_kept(
+    folder: Path,
+    provenance: Provenance,
+    bodies: Sequence[Body],
+    cameras: Sequence[Camera],
+    relative: bool = False,
+) -> Kept:
     """Read what is kept in a run's folder.
 
     Args:
         folder: of the run, with its `run.toml`.
         provenance: of the run that goes on with it.
-        body: that is measured.
-        cameras: that see it.
+        bodies: that are measured.
+        cameras: that see them.
+        relative: whether their poses relative to one of them are written.
 
     Raises:
         RunError: the run is one of something else, or damaged.
     """
     written = refuse_other_run(folder, provenance)
     closing = (folder / "summary.json").exists()
-    tables = read_tables(folder, body, cameras, begun_only=not closing)
+    tables = read_tables(folder, bodies, cameras, not closing, relative)
     changed = ", ".join(changed_versions(written)) or "another processor, or a damaged file"
-    return Kept(tables, csv_rows(folder / "poses.csv"), closing, changed)
+    return Kept(tables, csv_rows(folder / "poses.csv"), closing, changed, len(bodies))
 
 
 def refuse_other_run(folder: Path, provenance: Provenance) -> dict[str, object]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -17,10 +18,10 @@ from measure.model import Body, Camera
 from measure.results.columns import matrices, numbers
 from measure.results.distances import BallDistance, ball_distances, body_notes, contradictions
 from measure.results.provenance import read_provenance
-from measure.results.stored import read_tables
+from measure.results.stored import read_tables, rows_of_body
 from measure.results.summary import Summary, summarise
-from measure.results.tables import PLACE
-from measure.session import read_body, read_calibration
+from measure.results.tables import PLACE, SCHEMAS
+from measure.session import read_bodies, read_body, read_calibration
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +37,7 @@ class Run:
         balls: one row per position.
         poses: one row per frame set, also where there is no pose.
         finished: whether it came to its end.
+        several: whether other bodies were measured with it.
     """
 
     path: Path
@@ -46,6 +48,7 @@ class Run:
     balls: pa.Table
     poses: pa.Table
     finished: bool
+    several: bool = False
 
     @cached_property
     def summary(self) -> Summary:
@@ -92,8 +95,28 @@ class Run:
         return matrices(self.poses, "covariance", 6)[self.has_pose]
 
 
-def read_run(folder: Path) -> Run:
+def read_run(folder: Path, body: str | None = None) -> Run:
     """Read a run folder; of an unfinished run, what was measured so far.
+
+    Args:
+        folder: of the run.
+        body: the name of the body, of a run of several.
+
+    Raises:
+        RunError: the folder is no run, a file of it is damaged, or it is not said which body.
+    """
+    runs = read_runs(folder)
+    named = [run for run in runs if body in (None, run.body.name)]
+    if len(named) == 1:
+        return named[0]
+    known = ", ".join(run.body.name for run in runs)
+    if body is None:
+        raise RunError(f"{folder} measured several bodies, {known}: choose one with --body NAME")
+    raise RunError(f"{folder} measured no body '{body}': there is {known}")
+
+
+def read_runs(folder: Path) -> list[Run]:
+    """Read a run folder: one run for each body that was measured.
 
     Raises:
         RunError: the folder is no run, or a file of it is damaged.
@@ -103,8 +126,32 @@ def read_run(folder: Path) -> Run:
         what = "no such folder" if not folder.exists() else "it has no run.toml"
         raise RunError(f"{folder} is no run: {what}; `measure run` makes one")
     provenance = read_provenance(file)
-    body = read_body(folder / "body.toml")
+    several = (folder / "bodies.toml").exists()
+    bodies = read_bodies(folder / "bodies.toml") if several else (read_body(folder / "body.toml"),)
     cameras = read_calibration(folder / "calibration.toml").cameras
-    tables = read_tables(folder, body, cameras)
+    tables = read_tables(folder, bodies, cameras)
     finished = not (folder / "poses.arrows").exists()
-    return Run(folder, provenance, body, cameras, **tables, finished=finished)
+    return runs_of(provenance, bodies, folder, cameras, tables, finished)
+
+
+def runs_of(
+    provenance: dict[str, Any],
+    bodies: Sequence[Body],
+    folder: Path,
+    cameras: tuple[Camera, ...],
+    tables: Mapping[str, pa.Table],
+    finished: bool,
+) -> list[Run]:
+    """A run for each body, from the tables of all."""
+    return [
+        Run(
+            folder,
+            provenance,
+            body,
+            cameras,
+            **{name: rows_of_body(tables[name], body.name) for name in SCHEMAS},
+            finished=finished,
+            several=len(bodies) > 1,
+        )
+        for body in bodies
+    ]

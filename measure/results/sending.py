@@ -44,18 +44,23 @@ class PoseSender:
     def __exit__(self, *_: object) -> None:
         self._socket.close()
 
-    def send(self, measured: Measurement) -> None:
-        """Send one measurement."""
+    def send(self, measured: Measurement, body: str | None = None) -> None:
+        """Send one measurement; `body` names the body of a measurement of several."""
         try:
-            self._socket.sendto(datagram(measured), self._address)
+            self._socket.sendto(datagram(measured, body), self._address)
         except OSError:
             return  # nobody listens, or the network is down: the run itself goes on
 
 
-def datagram(measured: Measurement) -> bytes:
+def datagram(measured: Measurement, body: str | None = None) -> bytes:
     """A measurement as it is sent."""
     row = pose_row(measured)
-    values = {"frame": row.pop("index"), **{name: _plain(value) for name, value in row.items()}}
+    named = {} if body is None else {"body": body}
+    values = {
+        "frame": row.pop("index"),
+        **named,
+        **{name: _plain(value) for name, value in row.items()},
+    }
     return json.dumps(values, allow_nan=False, separators=(",", ":")).encode()
 
 

@@ -16,7 +16,7 @@ from measure.model.observations import Reason, State
 from measure.results.columns import numbers
 from measure.results.files import MEND
 from measure.results.journal import is_missing, read_table
-from measure.results.tables import PLACE, SCHEMAS
+from measure.results.tables import BODY, PLACE, schemas
 
 _Known = tuple[str, Sequence[str]]
 """Words, and what they are: `in body.toml`."""
@@ -26,15 +26,20 @@ _UNIT = 1e-3
 
 
 def read_tables(
-    folder: Path, body: Body, cameras: Sequence[Camera], begun_only: bool = False
+    folder: Path,
+    bodies: Sequence[Body],
+    cameras: Sequence[Camera],
+    begun_only: bool = False,
+    relative: bool = False,
 ) -> dict[str, pa.Table]:
     """The rows of all frame sets whose pose was written; a kill may leave some of one more.
 
     Args:
         folder: of the run.
-        body: that was measured.
+        bodies: that were measured.
         cameras: that saw it.
         begun_only: whether tables may be missing: those of a run that was only begun.
+        relative: whether relative poses are wanted as well.
 
     Raises:
         RunError: a table is missing or cannot be read, or holds what no run of these writes.
@@ -44,16 +49,37 @@ def read_tables(
         name: schema.empty_table()
         if begun_only and is_missing(folder, name)
         else read_table(folder, name, schema)
-        for name, schema in reversed(SCHEMAS.items())
+        for name, schema in reversed(schemas(len(bodies) > 1, relative).items())
     }
-    words = _words(body, cameras)
     for what, table in tables.items():
-        wrong = _wrong_poses(table) if what == "poses" else ""
-        wrong = _wrong_balls(table) if what == "balls" else wrong
-        if wrong := wrong or _wrong_order(table) or _wrong_words(table, words[what]):
+        found = (_wrong_rows(what, rows_of_body(table, b.name), b, cameras) for b in bodies)
+        if wrong := _wrong_bodies(table, bodies) or next(filter(None, found), ""):
             raise RunError(f"{folder}: the {what} are damaged: {wrong}: {MEND}")
-    complete = tables["poses"].num_rows
+    complete = tables["poses"].num_rows // len(bodies)
     return {name: t.filter(pc.less(t["index"], complete)) for name, t in tables.items()}
+
+
+def rows_of_body(table: pa.Table, name: str) -> pa.Table:
+    """The rows of one body, as the table of a run of that body alone."""
+    if BODY not in table.column_names:
+        return table
+    return table.filter(pc.equal(table[BODY], name)).drop_columns([BODY])
+
+
+def _wrong_bodies(table: pa.Table, bodies: Sequence[Body]) -> str:
+    if len(bodies) == 1:
+        return ""
+    known = [body.name for body in bodies]
+    strange = [name for name in pc.unique(table[BODY]).to_pylist() if name not in known]
+    return f"body {strange[0]!r} is not in bodies.toml ({', '.join(known)})" if strange else ""
+
+
+def _wrong_rows(what: str, rows: pa.Table, body: Body, cameras: Sequence[Camera]) -> str:
+    if what == "relative":
+        return ""
+    wrong = _wrong_poses(rows) if what == "poses" else ""
+    wrong = _wrong_balls(rows) if what == "balls" else wrong
+    return wrong or _wrong_order(rows) or _wrong_words(rows, _words(body, cameras)[what])
 
 
 def _wrong_order(table: pa.Table) -> str:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import re
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -39,6 +38,8 @@ class Summary:
         notes: what the session left to be known: missing pictures and the like; cameras that
             took part in no pose; ball distances that contradict the body file ("wrong: ..."), and a
             body that another file describes as well ("weak: ...").
+        bodies: of a run of several bodies, the summary of each by its name. A frame set then counts
+            by its worst body, and standard deviations are those of the worst.
     """
 
     frame_sets: int
@@ -53,6 +54,7 @@ class Summary:
     suspended: dict[str, int]
     reasons: dict[str, int]
     notes: tuple[str, ...] = ()
+    bodies: Mapping[str, Summary] = field(default_factory=dict)
 
     def sentence(self) -> str:
         """The run in one sentence; never more than the data say."""
@@ -73,10 +75,14 @@ class Summary:
 
     def values(self) -> dict[str, Any]:
         """As written: NaN becomes null."""
-        return {
+        values = {
             key: None if isinstance(value, float) and math.isnan(value) else value
-            for key, value in dataclasses.asdict(self).items()
+            for key, value in vars(self).items()
         }
+        del values["bodies"]
+        if self.bodies:
+            values["bodies"] = {name: one.values() for name, one in self.bodies.items()}
+        return values
 
 
 def summarise(
@@ -119,6 +125,53 @@ def summarise(
         reasons=dict(doubts.most_common()),
         notes=(*notes, *_idle(suspended, {row["camera"] for row in used}), *body_notes),
     )
+
+
+def together(bodies: Mapping[str, Summary], poses: pa.Table) -> Summary:
+    """The summary of a run of several bodies.
+
+    Args:
+        bodies: of each body.
+        poses: of all bodies, a row for each body and frame set.
+    """
+    ranks = {"ok": 0, "flagged": 1, "skipped": 2, "lost": 3}
+    worst = dict[int, str]()
+    for index, status in zip(poses["index"].to_pylist(), poses["status"].to_pylist(), strict=True):
+        worst[index] = max(status, worst.get(index, "ok"), key=ranks.__getitem__)
+    counts = Counter(worst.values())
+
+    def named(what: str) -> dict[str, Any]:
+        return {f"{n}: {key}": v for n, s in bodies.items() for key, v in getattr(s, what).items()}
+
+    return Summary(
+        frame_sets=len(worst),
+        ok=counts["ok"],
+        flagged=counts["flagged"],
+        lost=counts["lost"],
+        skipped=counts["skipped"],
+        position_sd_mm=float(np.max([one.position_sd_mm for one in bodies.values()])),
+        rotation_sd_deg=float(np.max([one.rotation_sd_deg for one in bodies.values()])),
+        rms_px=float(np.max([one.rms_px for one in bodies.values()])),
+        effective=named("effective"),
+        suspended=named("suspended"),
+        reasons=named("reasons"),
+        notes=tuple(
+            dict.fromkeys(
+                note if all(note in one.notes for one in bodies.values()) else _about(name, note)
+                for name, summary in bodies.items()
+                for note in summary.notes
+            )
+        ),
+        bodies=bodies,
+    )
+
+
+def _about(body: str, note: str) -> str:
+    """A note with the body it is about, after its level."""
+    for level in ("wrong: ", "weak: "):
+        if note.startswith(level):
+            return f"{level}{body}: {note.removeprefix(level)}"
+    return f"{body}: {note}"
 
 
 def _idle(suspended: pa.Table, used: set[str]) -> tuple[str, ...]:

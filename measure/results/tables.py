@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from io import StringIO
 from typing import Any
 
@@ -67,12 +67,36 @@ SCHEMAS = {
 }
 """By table. `covariance` is the 6x6 of docs/conventions.md, row by row: mm^2, mm rad, rad^2."""
 
+BODY = "body"
+"""The column that a run of several bodies has besides, in every table."""
+
 CSV_COLUMNS = (
     *("frame", "time_s", *PLACE, "position_sd_mm", "rotation_sd_deg", "rms_px"),
     *("cameras", "status", "reason"),
 )
+RELATIVE_COLUMNS = (CSV_COLUMNS[0], BODY, "reference", *CSV_COLUMNS[1:])
+"""Of `relative.csv`: the pose is reference_from_body."""
+RELATIVE_SCHEMA = pa.schema([(BODY, _S), ("reference", _S), *SCHEMAS["poses"]])
 _UNKNOWN = np.full(2, np.nan)
 _NINE_DECIMALS = {"time_s", *PLACE[3:]}
+
+
+def schemas(several: bool, relative: bool = False) -> dict[str, pa.Schema]:
+    """The schemas by table, of a run of one body or of several, perhaps relative to one."""
+    if not several:
+        return SCHEMAS
+    out = {name: pa.schema([(BODY, _S), *schema]) for name, schema in SCHEMAS.items()}
+    return out | ({"relative": RELATIVE_SCHEMA} if relative else {})
+
+
+def csv_columns(several: bool) -> tuple[str, ...]:
+    """The columns of `poses.csv`, of a run of one body or of several."""
+    return (CSV_COLUMNS[0], BODY, *CSV_COLUMNS[1:]) if several else CSV_COLUMNS
+
+
+def csv_heading(columns: Sequence[str]) -> bytes:
+    """The first line of a table."""
+    return ",".join(columns).encode() + b"\n"
 
 
 def rows_of(measured: Measurement) -> dict[str, list[dict[str, Any]]]:
@@ -84,9 +108,9 @@ def rows_of(measured: Measurement) -> dict[str, list[dict[str, Any]]]:
     }
 
 
-def csv_line(row: Mapping[str, Any]) -> bytes:
+def csv_line(row: Mapping[str, Any], columns: Sequence[str] = CSV_COLUMNS) -> bytes:
     """A row of the table of poses as a line of `poses.csv`; empty cells where there is no pose."""
-    cells = [_cell(name, row["index" if name == "frame" else name]) for name in CSV_COLUMNS]
+    cells = [_cell(name, row["index" if name == "frame" else name]) for name in columns]
     line = StringIO()
     csv.writer(line, lineterminator="\n").writerow(cells)
     return line.getvalue().encode()

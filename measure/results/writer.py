@@ -4,32 +4,39 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import pyarrow as pa
 
 from measure.errors import RunError
-from measure.measuring import Measurement
+from measure.measuring import Measurement, relative_measurement
 from measure.model import Body, Camera
 from measure.results.files import GrowingFile, replacing, unfinished, writing
 from measure.results.folder import clear, own_files, refuse_folder
 from measure.results.journal import Journal, finish, read_table
-from measure.results.kept import NOTHING, csv_rows, read_kept, refuse_other_run
+from measure.results.kept import csv_rows, nothing_kept, read_kept, refuse_other_run
 from measure.results.lock import FolderLock, refuse_other_writer
 from measure.results.provenance import Provenance
-from measure.results.run import Run
-from measure.results.summary import Summary
-from measure.results.tables import CSV_COLUMNS, SCHEMAS, csv_line, rows_of
-from measure.session import Calibration, dump_toml, write_body, write_calibration
+from measure.results.run import runs_of
+from measure.results.summary import Summary, together
+from measure.results.tables import (
+    BODY,
+    RELATIVE_COLUMNS,
+    csv_columns,
+    csv_heading,
+    csv_line,
+    pose_row,
+    rows_of,
+    schemas,
+)
+from measure.session import Calibration, dump_toml, write_bodies, write_body, write_calibration
 
 FLUSH_EVERY_S = 0.5
 """How much of the work a kill may cost; `poses.csv` loses nothing."""
-
-_CSV_HEADING = ",".join(CSV_COLUMNS).encode() + b"\n"
 
 
 class RunWriter:
@@ -43,10 +50,11 @@ class RunWriter:
     Args:
         folder: new, empty, or (with `resume` or `overwrite`) an earlier run.
         provenance: what the run is made from.
-        body: copied into the folder, so that the run can be looked at without its session.
+        bodies: copied into the folder, so that the run can be looked at without its session.
         cameras: likewise.
         resume: go on with an earlier run of the same.
         overwrite: throw an earlier run away.
+        reference: name of the body that the others are written relative to; empty without one.
         clock: seconds, for the rhythm of writing.
 
     Raises:
@@ -58,16 +66,22 @@ class RunWriter:
         self,
         folder: Path,
         provenance: Provenance,
-        body: Body,
+        bodies: Sequence[Body],
         cameras: Sequence[Camera],
         resume: bool = False,
         overwrite: bool = False,
+        reference: str = "",
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._folder, self._provenance = folder, provenance
-        self._body, self._cameras = body, tuple(cameras)
+        self._bodies, self._cameras = tuple(bodies), tuple(cameras)
+        self._reference = [body.name for body in bodies].index(reference) if reference else None
+        several, relative = len(self._bodies) > 1, self._reference is not None
+        self._schemas = schemas(several, relative)
+        self._columns = {"poses": csv_columns(several)}
+        self._columns |= {"relative": RELATIVE_COLUMNS} if relative else {}
         self._resume, self._overwrite, self._clock = resume, overwrite, clock
-        self._kept, self._appended = NOTHING, 0
+        self._kept, self._appended = nothing_kept(len(self._bodies), relative), 0
         self._lock: FolderLock | None = None
         self._files = ExitStack()
         self._begun = self._in_place = False
@@ -126,10 +140,10 @@ class RunWriter:
             self._write_copies()
             self._open_files()
             self._begun = True
-            self._take_place_if(not self.kept and not self._kept.csv_rows)
+            self._take_place_if(not self.kept and not self._kept.csv_frame_sets)
 
-    def append(self, measured: Measurement) -> None:
-        """Write one measurement, which must be the next.
+    def append(self, *measured: Measurement) -> None:
+        """Write a frame set's measurements, one of each body; it must be the next.
 
         Raises:
             RunError: it cannot be written (disk full), what was written before is kept; or it is
@@ -137,15 +151,35 @@ class RunWriter:
         """
         self.begin()
         with writing(self._folder):
-            rows = rows_of(measured)
+            rows: dict[str, list[dict[str, Any]]] = {name: [] for name in self._journals}
+            for body, one in zip(self._bodies, measured, strict=True):
+                for name, some in rows_of(one).items():
+                    rows[name] += [{BODY: body.name, **row} for row in some]
+            if self._reference is not None:
+                rows["relative"] = self._relative_rows(measured, self._reference)
             for name, journal in self._journals.items():
                 journal.append(rows[name])
-            self._csv.append(csv_line(rows["poses"][0]))
+            for name, file in self._csv.items():
+                file.append(b"".join(csv_line(row, self._columns[name]) for row in rows[name]))
             self._appended += 1
             if self._clock() - self._flushed_s >= FLUSH_EVERY_S:
                 self._flush()
             # Never are there fewer rows than before: not in `poses.csv` either.
-            self._take_place_if(self._appended >= max(self.kept, self._kept.csv_rows))
+            self._take_place_if(self._appended >= max(self.kept, self._kept.csv_frame_sets))
+
+    def _relative_rows(
+        self, measured: Sequence[Measurement], reference: int
+    ) -> list[dict[str, Any]]:
+        pairs = list(zip(self._bodies, measured, strict=True))
+        base = pairs.pop(reference)
+        return [
+            {
+                BODY: pair[0].name,
+                "reference": base[0].name,
+                **pose_row(relative_measurement(pair, base, self._cameras)),
+            }
+            for pair in pairs
+        ]
 
     def finish(self) -> Summary:
         """Turn the streams into Parquet and write `summary.json`."""
@@ -158,11 +192,9 @@ class RunWriter:
             self._take_place_if(self._begun and self._appended >= self.kept)
             self._files.close()
             self._begun = False
-            tables = {name: read_table(self._folder, name, s) for name, s in SCHEMAS.items()}
-            self._mend_csv(tables["poses"])
-            made_from = self._provenance.values()
-            run = Run(self._folder, made_from, self._body, self._cameras, **tables, finished=True)
-            summary = run.summary
+            tables = {n: read_table(self._folder, n, s) for n, s in self._schemas.items()}
+            self._mend_csv(tables)
+            summary = self._summary(tables)
             text = json.dumps(summary.values(), indent=2, allow_nan=False, ensure_ascii=False)
             # From here on the run counts as complete.
             with replacing(self._folder / "summary.json") as file:
@@ -170,6 +202,13 @@ class RunWriter:
             for name, table in tables.items():
                 finish(self._folder, name, table)
         return summary
+
+    def _summary(self, tables: dict[str, pa.Table]) -> Summary:
+        made_from, place = self._provenance.values(), (self._folder, self._cameras)
+        runs = runs_of(made_from, self._bodies, *place, tables, finished=True)
+        if len(runs) == 1:
+            return runs[0].summary
+        return together({run.body.name: run.summary for run in runs}, tables["poses"])
 
     def _goes_on(self) -> bool:
         """Whether there is a run to go on with."""
@@ -183,27 +222,39 @@ class RunWriter:
             for file in own_files(self._folder):
                 unfinished(file).unlink(missing_ok=True)
             if self._goes_on():
-                self._kept = read_kept(self._folder, self._provenance, self._body, self._cameras)
+                self._kept = read_kept(
+                    self._folder,
+                    self._provenance,
+                    self._bodies,
+                    self._cameras,
+                    self._reference is not None,
+                )
         except BaseException:
             self._lock.release()
             raise
 
     def _write_copies(self) -> None:
-        with replacing(self._folder / "body.toml") as file:
-            write_body(file, self._body)
+        if len(self._bodies) == 1:
+            with replacing(self._folder / "body.toml") as file:
+                write_body(file, self._bodies[0])
+        else:
+            with replacing(self._folder / "bodies.toml") as file:
+                write_bodies(file, self._bodies)
         with replacing(self._folder / "calibration.toml") as file:
             write_calibration(file, Calibration(self._cameras))
 
     def _open_files(self) -> None:
         self._journals: dict[str, Journal] = {}
-        for name, schema in SCHEMAS.items():
+        for name, schema in self._schemas.items():
             kept = self._kept.tables[name]
             journal = Journal(self._folder / f"{name}.arrows", schema, kept, self._kept.blame)
             self._files.callback(journal.close)
             self._journals[name] = journal
-        self._csv = GrowingFile(self._folder / "poses.csv")
-        self._files.callback(self._csv.close)
-        self._csv.append(_CSV_HEADING)
+        self._csv = dict[str, GrowingFile]()
+        for name, columns in self._columns.items():
+            self._csv[name] = file = GrowingFile(self._folder / f"{name}.csv")
+            self._files.callback(file.close)
+            file.append(csv_heading(columns))
 
     def _take_place_if(self, due: bool) -> None:
         """Replace what is kept of an earlier run, if that is due and not done."""
@@ -211,7 +262,8 @@ class RunWriter:
             self._flush()
             for journal in self._in_order():
                 journal.take_place()
-            self._csv.take_place()
+            for file in self._csv.values():
+                file.take_place()
             self._in_place = True
 
     def _flush(self) -> None:
@@ -222,11 +274,14 @@ class RunWriter:
 
     def _in_order(self) -> list[Journal]:
         """So that a pose's row never stands without the rows it was made from."""
-        return [self._journals[name] for name in ("detections", "balls", "poses")]
+        order = ("detections", "balls", "relative", "poses")
+        return [self._journals[name] for name in order if name in self._journals]
 
-    def _mend_csv(self, poses: pa.Table) -> None:
+    def _mend_csv(self, tables: Mapping[str, pa.Table]) -> None:
         """Write `poses.csv` anew if it has not all the rows: then not this process wrote it."""
-        path = self._folder / "poses.csv"
-        if csv_rows(path) != poses.num_rows:
-            with replacing(path) as file:
-                file.write_bytes(_CSV_HEADING + b"".join(map(csv_line, poses.to_pylist())))
+        for name, columns in self._columns.items():
+            path = self._folder / f"{name}.csv"
+            if csv_rows(path) != tables[name].num_rows:
+                lines = [csv_line(row, columns) for row in tables[name].to_pylist()]
+                with replacing(path) as file:
+                    file.write_bytes(csv_heading(columns) + b"".join(lines))

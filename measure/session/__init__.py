@@ -1,6 +1,6 @@
 """Recordings: session folders, images and videos, clocks, calibrations and body files."""
 
-from measure.session.body_file import read_body, write_body
+from measure.session.body_file import read_bodies, read_body, write_bodies, write_body
 from measure.session.calibration_file import Calibration
 from measure.session.calibrations import read_calibration, read_intrinsics, write_calibration
 from measure.session.clock_shifts import clock_values
@@ -11,6 +11,7 @@ from measure.session.pairing import pair_nearest
 from measure.session.pictures import decode_picture, is_complete_jpeg, read_picture
 from measure.session.rig_scale import check_unit
 from measure.session.session import Session
+from measure.session.several_bodies import check_bodies
 from measure.session.streams import Stream
 from measure.session.toml_text import dump_toml
 from measure.session.trajectory import Trajectory, read_trajectory
@@ -18,9 +19,9 @@ from measure.session.video_stream import open_video_stream
 
 __all__ = [
     "Calibration", "FileModel", "Length", "Name", "Position", "Session", "Stream", "Trajectory",
-    "check_overlap", "check_unit", "clock_values", "damaged_frames", "decode_picture", "dump_toml",
-    "holds_jpeg", "is_complete_jpeg", "load_toml", "matching_files", "open_session",
-    "open_video_stream", "pair_nearest", "read_body", "read_calibration", "read_intrinsics",
-    "read_picture", "read_trajectory", "session_file", "session_truth", "write_body",
-    "write_calibration",
+    "check_bodies", "check_overlap", "check_unit", "clock_values", "damaged_frames",
+    "decode_picture", "dump_toml", "holds_jpeg", "is_complete_jpeg", "load_toml",
+    "matching_files", "open_session", "open_video_stream", "pair_nearest", "read_bodies",
+    "read_body", "read_calibration", "read_intrinsics", "read_picture", "read_trajectory",
+    "session_file", "session_truth", "write_bodies", "write_body", "write_calibration",
 ]  # fmt: skip

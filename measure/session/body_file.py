@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -168,11 +168,35 @@ def read_body(path: Path | str) -> Body:
     return load_toml(path, BodyModel).body(Path(path))
 
 
+def read_bodies(path: Path | str) -> tuple[Body, ...]:
+    """Read several bodies from one file, as `write_bodies` writes it.
+
+    Raises:
+        SessionError: as of `read_body`.
+    """
+    return tuple(one.body(Path(path)) for one in load_toml(path, _BodiesModel).bodies)
+
+
+class _BodiesModel(FileModel):
+    bodies: list[BodyModel]
+
+
+def write_bodies(path: Path | str, bodies: Sequence[Body]) -> None:
+    """Write several bodies into one file."""
+    values = {"bodies": [_body_values(body, {}) for body in bodies]}
+    Path(path).write_text(dump_toml(values), encoding="utf-8")
+
+
 def write_body(
     path: Path | str, body: Body, samples_bgr: Mapping[str, Bytes] | None = None
 ) -> None:
     """Write a body file; learnt colours become ranges, or `samples_bgr` (n, 3), by ball."""
-    sampled = {ball: {"samples_bgr": some.tolist()} for ball, some in (samples_bgr or {}).items()}
+    values = _body_values(body, samples_bgr or {})
+    Path(path).write_text(dump_toml(values), encoding="utf-8")
+
+
+def _body_values(body: Body, samples_bgr: Mapping[str, Bytes]) -> dict[str, Any]:
+    sampled = {ball: {"samples_bgr": some.tolist()} for ball, some in samples_bgr.items()}
     balls = [
         {
             "name": ball.name,
@@ -182,13 +206,12 @@ def write_body(
         }
         for ball in body.balls
     ]
-    values = {
+    return {
         "name": body.name,
         "tolerance_mm": body.tolerance_mm or None,
         "radius_tolerance_mm": body.radius_tolerance_mm,
         "balls": balls,
     }
-    Path(path).write_text(dump_toml(values), encoding="utf-8")
 
 
 def _ball(given: BallModel, folder: Path) -> Ball:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,6 +20,7 @@ from measure.session.image_stream import open_image_stream
 from measure.session.rig_scale import check_unit
 from measure.session.session import Session
 from measure.session.settings import CameraTable, SessionModel
+from measure.session.several_bodies import check_bodies
 from measure.session.stamp_errors import check_time_units
 from measure.session.streams import Stream
 from measure.session.timestamps import read_stamps
@@ -31,8 +32,9 @@ _FILE = "session.toml, the file that names each camera's video or folder of pict
 def open_session(
     path: Path | str,
     calibration: Path | str | None = None,
-    body: Path | str | None = None,
+    body: Path | str | Sequence[Path] | None = None,
     *,
+    reference: str | None = None,
     clocks_apart: bool = False,
 ) -> Session:
     """Open a recording and check all that can be checked without decoding it.
@@ -40,7 +42,8 @@ def open_session(
     Args:
         path: the session's folder, or its `session.toml`.
         calibration: a calibration file to use instead of the session's own.
-        body: a body file to use instead of the session's own.
+        body: a body file to use instead of the session's own, or several.
+        reference: name of the body to measure the others relative to, instead of the session's.
         clocks_apart: open cameras without a time in common as well, to find their clocks.
 
     Raises:
@@ -51,14 +54,18 @@ def open_session(
     file = session_file(Path(path))
     given = load_toml(file, SessionModel)
     folder = file.parent
-    measured = _body(given, file, body)
+    bodies = _bodies(given, file, body)
+    relative_to = given.session.reference if reference is None else reference
+    if body is not None and reference is None and relative_to not in [b.name for b in bodies]:
+        relative_to = ""
+    check_bodies(bodies, relative_to, "--body" if body is not None else str(file))
     calibration_path = _calibration_path(given, file, calibration)
     streams: dict[str, Stream] = {}
     try:
         for table in given.cameras:
             streams[table.name] = _open_stream(table, folder)
         calibration_read = _calibration(given, streams, calibration_path, file)
-        check_unit(calibration_read, measured, str(calibration_path))
+        check_unit(calibration_read, bodies[0], str(calibration_path))
         check_time_units({name: stream.period_s for name, stream in streams.items()})
         digest = clock_digest(streams.values())
         shifts = shift_clocks(streams, digest, calibration_read.provenance, calibration_path)
@@ -71,7 +78,9 @@ def open_session(
     return Session(
         name=given.session.name or folder.resolve().name,
         path=file,
-        body=measured,
+        body=bodies[0],
+        other_bodies=bodies[1:],
+        reference=relative_to,
         cameras=calibration_read.cameras,
         streams=streams,
         calibration_path=calibration_path,
@@ -108,16 +117,20 @@ def session_file(path: Path) -> Path:
     return file
 
 
-def _body(given: SessionModel, file: Path, override: Path | str | None) -> Body:
+def _bodies(
+    given: SessionModel, file: Path, override: Path | str | Sequence[Path] | None
+) -> tuple[Body, ...]:
     if override is not None:
-        return read_body(override)
+        files = [override] if isinstance(override, Path | str) else override
+        return tuple(map(read_body, files))
     if given.body is not None:
-        return given.body.body(file)
-    if given.session.body is None:
+        return (given.body.body(file),)
+    names = given.session.bodies or list(filter(None, [given.session.body]))
+    if not names:
         raise SessionError(
             f'{file}: the session names no body; add body = "body.toml" to [session], or [body]'
         )
-    return read_body(file.parent / given.session.body)
+    return tuple(read_body(file.parent / name) for name in names)
 
 
 def _calibration_path(given: SessionModel, file: Path, override: Path | str | None) -> Path:

@@ -28,7 +28,7 @@ class Session:
 
     name: str  # as the file says, else the folder's name
     path: Path
-    body: Body
+    body: Body  # what is measured; the first of several
     cameras: tuple[Camera, ...]  # calibrated, in the order of the session
     streams: dict[str, Stream]
     calibration_path: Path  # the file the cameras come from
@@ -40,6 +40,8 @@ class Session:
     clock_digest: str = ""  # a fingerprint of the stamps as they were recorded
     # by camera, what a calibration refined from these stamps has added to them.
     clock_shifts_s: Mapping[str, float] = field(default_factory=dict)
+    other_bodies: tuple[Body, ...] = ()  # what else is measured
+    reference: str = ""  # the body that others are measured relative to
 
     def __enter__(self) -> Self:
         return self
@@ -52,13 +54,22 @@ class Session:
         for stream in self.streams.values():
             stream.close()
 
+    @property
+    def bodies(self) -> tuple[Body, ...]:
+        """All that are measured."""
+        return (self.body, *self.other_bodies)
+
     def camera(self, name: str) -> Camera:
         """The camera called `name`."""
         return next(camera for camera in self.cameras if camera.name == name)
 
     def digest(self) -> str:
         """A fingerprint: changes when the body, the clocks, or any picture's name or size does."""
-        balls = [(b.name, b.color, b.center_mm.tolist(), b.radius_mm) for b in self.body.balls]
+        balls = [
+            (b.name, b.color, b.center_mm.tolist(), b.radius_mm)
+            for body in self.bodies
+            for b in body.balls
+        ]
         fingerprint = hashlib.sha256(repr(balls).encode())
         for stream in self.streams.values():
             sizes = [(file.name, file.stat().st_size) for file in stream.files]

@@ -18,6 +18,8 @@ class SessionTable(FileModel):
     name: str = ""
     description: str = ""
     body: Name | None = None
+    bodies: Annotated[list[Name], Field(default_factory=list)]
+    reference: str = ""
     calibration: Name | None = None
     calibration_unit: Unit | None = None
     truth: Name | None = None
@@ -61,8 +63,12 @@ class SessionModel(FileModel):
 
     @model_validator(mode="after")
     def _fits_together(self) -> SessionModel:
-        if self.body is not None and self.session.body is not None:
-            raise ValueError('give the body once: body = "body.toml" in [session], or [body]')
+        given = (self.body is not None, self.session.body is not None, bool(self.session.bodies))
+        if sum(given) > 1:
+            raise ValueError(
+                'give the body once: body = "body.toml" or bodies = ["tool.toml", "base.toml"] in '
+                "[session], or [body]"
+            )
         names = [camera.name for camera in self.cameras]
         for name in names:
             if names.count(name) > 1:

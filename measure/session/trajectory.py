@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,7 +18,7 @@ from measure.errors import MeasureError, SessionError
 from measure.geometry import RigidTransform
 from measure.reading import read_text
 from measure.session.number_table import read_number_table
-from measure.session.tracker_files import TrackedBody, tracker_bodies
+from measure.session.tracker_files import tracker_bodies
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicHermiteSpline
@@ -104,11 +105,11 @@ def read_trajectory(
     """Read poses over time.
 
     Our CSV (`time_s,x_mm,y_mm,z_mm,qw,qx,qy,qz`: truth.csv, poses.csv; rows without a pose are
-    passed over), TUM (`time_s x y z qx qy qz qw`, metres), or a tracker's file (see
-    `tracker_files`), told apart by content.
+    passed over; with a column `body` it holds several bodies), TUM (`time_s x y z qx qy qz qw`,
+    metres), or a tracker's file (see `tracker_files`), told apart by content.
 
     Args:
-        body: which of the rigid bodies of a tracker's file.
+        body: which of the rigid bodies of a tracker's file, or of several in a CSV.
 
     Raises:
         error: the file cannot be used; with file and line where a value is wrong or the time does
@@ -118,27 +119,34 @@ def read_trajectory(
     text = read_text(path, error)
     bodies = tracker_bodies(path, text, error)
     first = next((line for line in text.splitlines() if line.strip()), "")
+    several = "body" in map(str.strip, re.split("[,;\t]", first))
     if bodies is not None:
-        values, lines = _chosen(path, bodies, body, error).read(path, error)
-    elif body is not None:
+        values, lines = bodies[_one_of(path, bodies, body, error)].read(path, error)
+    elif body is not None and not several:
         raise error(f"{path}: holds one body without a name, and no '{body}'")
     elif first.startswith("#") or ("," not in first and len(first.split()) == 8):
         values, lines = _read_tum(path, error)
     else:
-        table = read_number_table(path, COLUMNS, "", error, empty_is_nan=True)
+        words = ("body",) if several else ()
+        table = read_number_table(path, COLUMNS, "", error, empty_is_nan=True, words=words)
         values, lines = np.stack([table.columns[name] for name in COLUMNS], axis=1), table.lines
+        if several:
+            mine = np.array(table.words["body"]) == _one_of(
+                path, dict.fromkeys(table.words["body"]), body, error
+            )
+            values, lines = values[mine], [lines[i] for i in np.flatnonzero(mine)]
     here = np.flatnonzero(~np.isnan(values[:, 1:]).all(axis=1))
     return _checked(path, values[here], [lines[i] for i in here], error)
 
 
-def _chosen(
-    path: Path, bodies: Mapping[str, TrackedBody], name: str | None, error: type[MeasureError]
-) -> TrackedBody:
-    """The body called `name`, or the only one."""
+def _one_of(
+    path: Path, bodies: Mapping[str, object], name: str | None, error: type[MeasureError]
+) -> str:
+    """The name of the body called `name`, or of the only one."""
     if name is None and len(bodies) == 1:
-        return next(iter(bodies.values()))
+        return next(iter(bodies))
     if name is not None and name in bodies:
-        return bodies[name]
+        return name
     asked = f"none of them is called '{name}'" if name else "name one with --truth-body"
     raise error(f"{path}: holds the rigid bodies {', '.join(bodies)}: {asked}")
 

@@ -18,14 +18,15 @@ _EYE_BESIDE = np.array([0.55, -1.6, 0.95])
 """Where one looks from: right, back and above, in sizes of the rig."""
 
 
-def run_blueprint(cameras: Sequence[Camera]) -> rrb.Blueprint:
-    """3-D scene and pictures above, traces below."""
+def run_blueprint(cameras: Sequence[Camera], bodies: Sequence[str] = ("",)) -> rrb.Blueprint:
+    """3-D scene and pictures above, traces below, for bodies of these names."""
+    trails = [entities.TRAIL + entities.suffix(name, len(bodies) > 1) for name in bodies]
     names = [camera.name for camera in cameras]
     scene = rrb.Spatial3DView(
         origin=entities.WORLD,
         name="Scene (uncertainty x100)",
         contents=["$origin/**", *(f"- {entities.image(name)}/**" for name in names)],
-        overrides={entities.TRAIL: up_to_cursor()},
+        overrides=dict.fromkeys(trails, up_to_cursor()),
         eye_controls=_eye(cameras),
     )
     pictures = rrb.Grid(*map(_picture, cameras), name="Cameras")

@@ -18,10 +18,12 @@ _SINCE_1970_S = 1e9
 
 
 class FrameSetBatch:
-    """One batch on both timelines."""
+    """One batch on both timelines; `suffix` ends every entity, see `entities.suffix`."""
 
-    def __init__(self, stream: rr.RecordingStream, sets: Sequence[Measurement]) -> None:
-        self._stream = stream
+    def __init__(
+        self, stream: rr.RecordingStream, sets: Sequence[Measurement], suffix: str = ""
+    ) -> None:
+        self._stream, self._suffix = stream, suffix
         self._frames = np.array([one.index for one in sets], dtype=np.int64)
         self.times_s = np.array([one.time_s for one in sets], dtype=np.float64)
         self._index = self._on_timelines(np.ones(len(sets), dtype=bool))
@@ -29,7 +31,7 @@ class FrameSetBatch:
     def send(self, entity: str, *columns: Iterable[Any], rows: Bools | None = None) -> None:
         """Send one entity's components, for all frame sets or for some rows (n,) of them."""
         index = self._index if rows is None else self._on_timelines(rows)
-        self._stream.send_columns(entity, indexes=index, columns=chain(*columns))
+        self._stream.send_columns(entity + self._suffix, indexes=index, columns=chain(*columns))
 
     def scalars(self, entity: str, values: Floats, rows: Bools | None = None) -> None:
         """Send numbers, one a row; NaN leaves a gap in the plot."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import rerun as rr
+
 from measure.model.observations import Reason
 
 WORLD = "world"
@@ -78,6 +80,11 @@ UNFAMILIAR = "plots/correction/unfamiliar"
 ROTATION_ERROR = "plots/error_deg/rotation"
 POSITION_SD = "plots/position_sd_mm/3d"
 EFFECTIVE_CAMERAS = "plots/effective_cameras/count"
+
+
+def suffix(body: str, several: bool) -> str:
+    """What the entities of one of several bodies end with; nothing if there is only one."""
+    return f"/{rr.escape_entity_path_part(body)}" if several else ""
 
 
 def ball_color(name: str, index: int) -> tuple[int, int, int]:

@@ -39,31 +39,32 @@ class RunRecording:
         stream: an open recording (see `open_recording`).
         image_every: log the pictures of every n-th frame set; 0 logs none.
         videos: by camera name, recorded videos that go into the recording as they are.
+        truths: the true world_from_body by body, where it is known.
         live: whether somebody watches.
     """
 
     def __init__(
         self,
         stream: rr.RecordingStream,
-        body: Body,
+        bodies: Sequence[Body],
         cameras: Sequence[Camera],
         image_every: int,
         videos: Mapping[str, PassedVideo] | None = None,
-        truth: Trajectory | None = None,
+        truths: Mapping[str, Trajectory] | None = None,
         live: bool = False,
     ) -> None:
         self._stream = stream
-        self._body = body
+        self._bodies = [(b, entities.suffix(b.name, len(bodies) > 1)) for b in bodies]
         self._cameras = cameras
         self._image_every = image_every
         self._videos = dict(videos or {}) if image_every else {}
-        self._truth = truth
+        self._truths = truths or {}
         self._live = live
-        self._status = ""
+        self._status = dict[str, str]()
         self._sent_at = time.monotonic()
-        self._sets: list[Measurement] = []
+        self._sets: list[Sequence[Measurement]] = []
         self._pictured: list[bool] = []
-        log_rig(stream, body, cameras)
+        log_rig(stream, bodies, cameras)
         for name, video in self._videos.items():
             stream.log(entities.image(name), video.asset, static=True)
 
@@ -83,12 +84,14 @@ class RunRecording:
         self._send()
         self._stream.flush()
 
-    def add(self, measured: Measurement, frame_set: FrameSet | None = None) -> None:
-        """Log one measurement, and the images of `frame_set`."""
-        pictured = bool(frame_set and self._image_every and not measured.index % self._image_every)
+    def add(self, measured: Sequence[Measurement], frame_set: FrameSet | None = None) -> None:
+        """Log a measurement of each body, and the images of `frame_set`."""
+        index = measured[0].index
+        pictured = bool(frame_set and self._image_every and not index % self._image_every)
         if frame_set is not None and pictured:
-            self._log_images(measured, frame_set)
-        self._log_status(measured)
+            self._log_images(measured[0], frame_set)
+        for one, (_, end) in zip(measured, self._bodies, strict=True):
+            self._log_status(one, entities.STATUS + end)
         self._sets.append(measured)
         self._pictured.append(pictured)
         if self._due():
@@ -101,27 +104,27 @@ class RunRecording:
         return held >= HELD_SETS or (held >= WORTH_SENDING and waited_s > PERIOD_S)
 
     def _send(self) -> None:
-        sets = self._sets
-        if sets:
-            columns = FrameSetBatch(self._stream, sets)
-            send_balls(columns, sets, self._body, self._cameras)
+        pictured, cameras = np.array(self._pictured), self._cameras
+        for number, (body, end) in enumerate(self._bodies if self._sets else ()):
+            sets = [one[number] for one in self._sets]
+            columns = FrameSetBatch(self._stream, sets, end)
+            send_balls(columns, sets, body, cameras)
             send_poses(columns, sets)
-            send_views(columns, sets, np.array(self._pictured), self._body, self._cameras)
-            send_traces(columns, sets, self._cameras)
-            if self._truth is not None:
-                send_errors(columns, sets, self._truth)
+            send_views(columns, sets, pictured, body, cameras)
+            send_traces(columns, sets, cameras)
+            if body.name in self._truths:
+                send_errors(columns, sets, self._truths[body.name])
         self._sets, self._pictured = [], []
         self._sent_at = time.monotonic()
 
-    def _log_status(self, measured: Measurement) -> None:
+    def _log_status(self, measured: Measurement, entity: str) -> None:
         text = ": ".join(part for part in (measured.status.value, measured.reason) if part)
         if measured.pose is not None and measured.pose.flags:
             text += f" ({'; '.join(measured.pose.flags)})"
-        if text != self._status:
+        if text != self._status.get(entity):
             self._set_time(measured)
-            entry = rr.TextLog(text, level=_LEVELS[measured.status])
-            self._stream.log(entities.STATUS, entry)
-            self._status = text
+            self._stream.log(entity, rr.TextLog(text, level=_LEVELS[measured.status]))
+            self._status[entity] = text
 
     def _set_time(self, measured: Measurement) -> None:
         self._stream.set_time(entities.TIMELINE_FRAME, sequence=measured.index)
@@ -151,6 +154,7 @@ def open_recording(
     path: Path | None = None,
     address: str | None = None,
     part_of: str | None = None,
+    bodies: Sequence[str] = ("",),
 ) -> rr.RecordingStream:
     """A recording that is written as it goes: to a file, to a viewer that runs, or to both.
 
@@ -159,6 +163,7 @@ def open_recording(
         path: the .rrd file, overwritten; no viewer is needed for it.
         address: of a viewer, as `rerun+http://127.0.0.1:9876/proxy`.
         part_of: recordings of one such name are shown as one; a name of its own if omitted.
+        bodies: their names.
 
     Raises:
         ConfigError: no viewer listens at the address.
@@ -168,7 +173,7 @@ def open_recording(
         check_listening(address)
     sinks: list[rr.FileSink | rr.GrpcSink] = [rr.FileSink(path)] if path else []
     sinks += [rr.GrpcSink(address)] if address else []
-    stream.set_sinks(*sinks, default_blueprint=run_blueprint(cameras))
+    stream.set_sinks(*sinks, default_blueprint=run_blueprint(cameras, bodies))
     stream.send_recording_name(name)
     return stream
 

@@ -125,18 +125,27 @@ def _ellipsoids(covariances: Floats) -> tuple[Floats, Floats]:
     return half, Rotation.from_matrix(axes).as_quat()
 
 
-def log_rig(stream: rr.RecordingStream, body: Body, cameras: Sequence[Camera]) -> None:
+def log_rig(stream: rr.RecordingStream, bodies: Sequence[Body], cameras: Sequence[Camera]) -> None:
     """Log the cameras, the balls' shapes and the style of every trace, outside of time."""
     stream.log(entities.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     for camera in cameras:
         _log_camera(stream, camera)
-    _log_body(stream, body)
-    lines = {entities.error(axis): (axis, color) for axis, color in entities.ERROR_COLORS.items()}
-    for index, camera in enumerate(cameras):
-        lines[entities.residual(camera.name)] = (camera.name, entities.line_color(index))
-    for index, (first, second) in enumerate(body.distances()):
-        lines[entities.distance(first, second)] = (f"{first}-{second}", entities.line_color(index))
-    log_lines(stream, lines)
+    for body in bodies:
+        end = entities.suffix(body.name, len(bodies) > 1)
+        of = f" {body.name}" if end else ""
+        _log_body(stream, body, end)
+        lines = {
+            entities.error(axis) + end: (axis + of, color)
+            for axis, color in entities.ERROR_COLORS.items()
+        }
+        for index, camera in enumerate(cameras):
+            color = entities.line_color(index)
+            lines[entities.residual(camera.name) + end] = (camera.name + of, color)
+            _log_dots(stream, camera, end)
+        for index, (first, second) in enumerate(body.distances()):
+            name = f"{first}-{second}{of}"
+            lines[entities.distance(first, second) + end] = (name, entities.line_color(index))
+        log_lines(stream, lines)
 
 
 def log_lines(
@@ -161,13 +170,17 @@ def _log_camera(stream: rr.RecordingStream, camera: Camera) -> None:
         ),
         static=True,
     )
+
+
+def _log_dots(stream: rr.RecordingStream, camera: Camera, end: str) -> None:
+    """Size of the marks in a camera's picture."""
     dots = rr.Points2D.from_fields(radii=rr.Radius.ui_points(1.5))
-    stream.log(entities.edges(camera.name), dots, static=True)
+    stream.log(entities.edges(camera.name) + end, dots, static=True)
     why = rr.Points2D.from_fields(radii=rr.Radius.ui_points(4.0), show_labels=True)
-    stream.log(entities.suspended(camera.name), why, static=True)
+    stream.log(entities.suspended(camera.name) + end, why, static=True)
 
 
-def _log_body(stream: rr.RecordingStream, body: Body) -> None:
+def _log_body(stream: rr.RecordingStream, body: Body, end: str) -> None:
     for index, ball in enumerate(body.balls):
         color = entities.ball_color(ball.color.name, index)
         shape = rr.Ellipsoids3D.from_fields(
@@ -177,10 +190,10 @@ def _log_body(stream: rr.RecordingStream, body: Body) -> None:
             labels=[ball.name],
             show_labels=False,
         )
-        stream.log(entities.ball(ball.name), shape, static=True)
+        stream.log(entities.ball(ball.name) + end, shape, static=True)
         rays = rr.LineStrips3D.from_fields(colors=[(*color, 150)], radii=[0.25])
-        stream.log(entities.rays(ball.name), rays, static=True)
+        stream.log(entities.rays(ball.name) + end, rays, static=True)
     trail = rr.Points3D.from_fields(colors=[(120, 200, 255)], radii=[0.6])
-    stream.log(entities.TRAIL, trail, static=True)
+    stream.log(entities.TRAIL + end, trail, static=True)
     haze = rr.Ellipsoids3D.from_fields(colors=[(255, 120, 220)], fill_mode="majorwireframe")
-    stream.log(entities.UNCERTAINTY, haze, static=True)
+    stream.log(entities.UNCERTAINTY + end, haze, static=True)

@@ -31,7 +31,9 @@ def pictures(count=3, size_wh=(1280, 720)):
 
 
 def recorded(folder, body, cameras, count=3):
-    with Recorder(folder, dict.fromkeys(NAMES, "http://x"), body, cameras) as recorder:
+    with Recorder(
+        folder, dict.fromkeys(NAMES, "http://x"), [body] if body else [], cameras
+    ) as recorder:
         for image in pictures(count):
             recorder.add(image)
     return folder
@@ -52,7 +54,7 @@ def test_it_is_a_session(tmp_path, paper_body, cameras):
 
 def test_it_can_be_measured_while_it_is_written(tmp_path, paper_body, cameras):
     """As after a kill: nothing was closed."""
-    recorder = Recorder(tmp_path / "s", dict.fromkeys(NAMES, "x"), paper_body, cameras)
+    recorder = Recorder(tmp_path / "s", dict.fromkeys(NAMES, "x"), [paper_body], cameras)
     for image in pictures():
         recorder.add(image)
     with open_session(tmp_path / "s") as session:
@@ -90,7 +92,7 @@ def test_what_is_no_jpeg_becomes_one_that_hardly_differs(tmp_path, rng):
 
 def test_pictures_that_come_after_the_end_leave_nothing(tmp_path, paper_body, cameras):
     folder = tmp_path / "s"
-    recorder = Recorder(folder, dict.fromkeys(NAMES, "x"), paper_body, cameras)
+    recorder = Recorder(folder, dict.fromkeys(NAMES, "x"), [paper_body], cameras)
     recorder.close()
     for image in pictures():
         recorder.add(image)
@@ -127,7 +129,7 @@ def test_names_that_cannot_be_folders_are_refused_first(tmp_path, names):
 def test_a_name_that_looks_like_a_pattern_is_found_again(tmp_path, paper_body, rig):
     names = ("cam[0]", "c*")
     cameras = [replace(camera, name=name) for camera, name in zip(rig, names, strict=False)]
-    with Recorder(tmp_path / "s", dict.fromkeys(names, "x"), paper_body, cameras) as recorder:
+    with Recorder(tmp_path / "s", dict.fromkeys(names, "x"), [paper_body], cameras) as recorder:
         for image in pictures():
             recorder.add(replace(image, camera=names[NAMES.index(image.camera)]))
     with open_session(tmp_path / "s") as session:
@@ -156,5 +158,5 @@ def test_the_second_of_two_that_begin_at_once_writes_nothing(
     before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
     monkeypatch.setattr("measure.capture.recorder.check_new", lambda *_: None)
     with pytest.raises(CaptureError, match="cam0: cannot be written: File exists"):
-        Recorder(folder, dict.fromkeys(NAMES, "other"), None, [])
+        Recorder(folder, dict.fromkeys(NAMES, "other"), [], [])
     assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before

@@ -94,7 +94,7 @@ def test_stages_that_fail_at_once_cost_no_run(
 def test_a_viewer_that_is_not_there_costs_no_run(
     recording: Recording, monkeypatch: pytest.MonkeyPatch, capsys
 ) -> None:
-    monkeypatch.setattr("measure.viewing.stream.CONNECT_WITHIN_S", 0.0)
+    monkeypatch.setattr("measure.viewing.recording.CONNECT_WITHIN_S", 0.0)
     words = run_words(recording, "--connect", "rerun+http://127.0.0.1:1/proxy")
     assert "no viewer listens at rerun+http://127.0.0.1:1/proxy" in complaint(capsys, *words)
     assert not recording.path.with_name("run").exists()

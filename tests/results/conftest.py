@@ -129,7 +129,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def open_writer(folder: Path, **options: bool) -> RunWriter:
-    return RunWriter(folder, made_from(), BODY, CAMERAS, **options)
+    return RunWriter(folder, made_from(), [BODY], CAMERAS, **options)
 
 
 def go_on(folder: Path, count: int) -> int:

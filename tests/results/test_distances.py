@@ -17,7 +17,7 @@ def notes(folder, stated, noise_mm=0.0, sets=8, size=1.0):
     """Of a run in which BODY's balls are located where they are, but `stated` is the body file."""
     rng = np.random.default_rng(2)
     covariance = np.diag([SD_MM**2] * 3 + [1e-6] * 3)
-    with RunWriter(folder, made_from(), stated, CAMERAS) as writer:
+    with RunWriter(folder, made_from(), [stated], CAMERAS) as writer:
         for index in range(sets):
             found = measurement(index, covariance=covariance, size=size)
             positions = [

@@ -19,7 +19,7 @@ COUNT = 60
 
 
 def _run(folder: Path, make: Callable[[int], Measurement], count: int = COUNT) -> Run:
-    with RunWriter(folder, made_from(), BODY, CAMERAS) as writer:
+    with RunWriter(folder, made_from(), [BODY], CAMERAS) as writer:
         for i in range(count):
             writer.append(make(i))
         writer.finish()

@@ -25,7 +25,7 @@ HERE = [i for i in range(COUNT) if i not in LOST]
 
 @pytest.fixture
 def run(folder: Path) -> Run:
-    with RunWriter(folder, made_from(), BODY, CAMERAS) as writer:
+    with RunWriter(folder, made_from(), [BODY], CAMERAS) as writer:
         for i in range(COUNT):
             writer.append(measurement(i, lost=i in LOST))
         writer.finish()
@@ -37,7 +37,7 @@ def _truth():
 
 
 def test_csv(run: Run, tmp_path: Path) -> None:
-    path = export_run(run, "csv", tmp_path / "x.csv")
+    path = export_run([run], "csv", tmp_path / "x.csv")
     with path.open() as file:
         rows = list(csv.DictReader(file))
     assert [int(row["frame"]) for row in rows] == list(range(COUNT))
@@ -51,7 +51,7 @@ def test_csv(run: Run, tmp_path: Path) -> None:
 
 
 def test_tum(run: Run, tmp_path: Path) -> None:
-    path = export_run(run, "tum", tmp_path / "x.tum")
+    path = export_run([run], "tum", tmp_path / "x.tum")
     values = np.loadtxt(path)
     assert values.shape == (len(HERE), 8)
     assert np.allclose(values[:, 0], np.array(HERE) / 30)
@@ -63,14 +63,14 @@ def test_tum(run: Run, tmp_path: Path) -> None:
 
 def test_tum_is_read_by_evo(run: Run, tmp_path: Path) -> None:
     file_interface = pytest.importorskip("evo.tools.file_interface")
-    path = export_run(run, "tum", tmp_path / "x.tum")
+    path = export_run([run], "tum", tmp_path / "x.tum")
     trajectory = file_interface.read_tum_trajectory_file(str(path))
     assert trajectory.check()[0]
     assert trajectory.num_poses == len(HERE)
 
 
 def test_trc(run: Run, tmp_path: Path) -> None:
-    lines = export_run(run, "trc", tmp_path / "x.trc").read_text().splitlines()
+    lines = export_run([run], "trc", tmp_path / "x.trc").read_text().splitlines()
     head = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=True))
     assert (head["NumFrames"], head["NumMarkers"], head["Units"]) == ("12", "4", "mm")
     assert float(head["DataRate"]) == pytest.approx(30)
@@ -89,7 +89,7 @@ def test_trc(run: Run, tmp_path: Path) -> None:
 
 def test_c3d(run: Run, tmp_path: Path) -> None:
     c3d = pytest.importorskip("c3d")
-    path = export_run(run, "c3d", tmp_path / "x.c3d")
+    path = export_run([run], "c3d", tmp_path / "x.c3d")
     with path.open("rb") as file:
         reader = c3d.Reader(file)
         assert reader.point_rate == pytest.approx(30)
@@ -114,7 +114,7 @@ def test_mcap(run: Run, tmp_path: Path) -> None:
     reader = pytest.importorskip("mcap.reader")
     decoder = pytest.importorskip("mcap_ros2.decoder")
     pytest.importorskip("rosbags")
-    path = export_run(run, "mcap", tmp_path / "x.mcap")
+    path = export_run([run], "mcap", tmp_path / "x.mcap")
     seen: dict[str, list] = {}
     with path.open("rb") as file:
         opened = reader.make_reader(file, decoder_factories=[decoder.DecoderFactory()])
@@ -141,13 +141,13 @@ def test_mcap(run: Run, tmp_path: Path) -> None:
 
 def test_what_cannot_be_exported_is_explained(run: Run, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="no export format is called 'c3'; did you mean c3d"):
-        export_run(run, "c3", tmp_path / "x")
-    export_run(run, "tum", tmp_path / "x.tum")
+        export_run([run], "c3", tmp_path / "x")
+    export_run([run], "tum", tmp_path / "x.tum")
     with pytest.raises(RunError, match=r"x\.tum is there already; --overwrite"):
-        export_run(run, "tum", tmp_path / "x.tum")
-    export_run(run, "tum", tmp_path / "x.tum", overwrite=True)
+        export_run([run], "tum", tmp_path / "x.tum")
+    export_run([run], "tum", tmp_path / "x.tum", overwrite=True)
     with pytest.raises(RunError, match="cannot be written"):
-        export_run(run, "tum", tmp_path / "none" / "x.tum")
+        export_run([run], "tum", tmp_path / "none" / "x.tum")
 
 
 @pytest.mark.parametrize(("file_format", "module"), [("c3d", "ezc3d"), ("mcap", "rosbags")])
@@ -157,11 +157,11 @@ def test_what_was_not_written_is_not_said_to_be(run, tmp_path, file_format, modu
     (tmp_path / "folder").mkdir()
     for path in (tmp_path / "none" / "x", tmp_path / "folder"):
         with pytest.raises(RunError, match="cannot be written"):
-            export_run(run, file_format, path, overwrite=True)
+            export_run([run], file_format, path, overwrite=True)
     assert not list((tmp_path / "folder").iterdir())
     if file_format == "c3d" and Path("/dev/full").exists():
         with pytest.raises(RunError, match="cannot be written: No space left"):
-            export_run(run, file_format, Path("/dev/full"), overwrite=True)
+            export_run([run], file_format, Path("/dev/full"), overwrite=True)
 
 
 def test_a_c3d_that_was_cut_is_not_said_to_be_whole(run, tmp_path, monkeypatch) -> None:
@@ -174,7 +174,7 @@ def test_a_c3d_that_was_cut_is_not_said_to_be_whole(run, tmp_path, monkeypatch) 
 
     monkeypatch.setattr(ezc3d.c3d, "write", cut)
     with pytest.raises(RunError, match="is the disk full"):
-        export_run(run, "c3d", tmp_path / "x.c3d")
+        export_run([run], "c3d", tmp_path / "x.c3d")
     assert not (tmp_path / "x.c3d").exists()
 
 
@@ -186,11 +186,11 @@ def test_a_folder_whose_name_is_no_text(run: Run, tmp_path: Path, file_format: s
         folder.mkdir()
     except OSError:
         pytest.skip("this file system knows no such names")
-    plain = export_run(run, file_format, tmp_path / "x").read_bytes()
+    plain = export_run([run], file_format, tmp_path / "x").read_bytes()
     if file_format == "mcap":  # which holds the moment it was written
-        assert len(export_run(run, file_format, folder / "x").read_bytes()) == len(plain)
+        assert len(export_run([run], file_format, folder / "x").read_bytes()) == len(plain)
     else:
-        assert export_run(run, file_format, folder / "x").read_bytes() == plain
+        assert export_run([run], file_format, folder / "x").read_bytes() == plain
 
 
 @pytest.mark.parametrize("name", ["poses.csv", "run.toml", "poses.parquet", "x/../body.toml"])
@@ -198,7 +198,7 @@ def test_a_runs_own_files_are_not_replaced(run: Run, name: str) -> None:
     (run.path / "x").mkdir(exist_ok=True)
     before = (run.path / name).read_bytes()
     with pytest.raises(RunError, match="is a file of the run itself"):
-        export_run(run, "csv", run.path / name, overwrite=True)
+        export_run([run], "csv", run.path / name, overwrite=True)
     assert (run.path / name).read_bytes() == before
 
 
@@ -206,22 +206,22 @@ def test_times_that_ros_does_not_know_are_refused(run, tmp_path) -> None:
     pytest.importorskip("rosbags")
     early = run.poses.set_column(1, "time_s", pa.array(run.times_s - 1.0))
     with pytest.raises(RunError, match=r"ROS knows no time -1 s.*time_offset_s"):
-        export_run(replace(run, poses=early), "mcap", tmp_path / "x.mcap")
+        export_run([replace(run, poses=early)], "mcap", tmp_path / "x.mcap")
 
 
 def test_balls_have_topics_of_their_own() -> None:
-    topics = _topics(["ball 1", "ball-1", "红", "绿", "red"])
+    topics = _topics(["ball 1", "ball-1", "红", "绿", "red"], "/balls")
     assert len(set(topics.values())) == 5
     assert topics["red"] == "/balls/red"
 
 
 def test_a_run_without_a_pose_is_refused(folder: Path, tmp_path: Path) -> None:
-    with RunWriter(folder, made_from(), BODY, CAMERAS) as writer:
+    with RunWriter(folder, made_from(), [BODY], CAMERAS) as writer:
         writer.append(measurement(0, lost=True))
         writer.finish()
     for name in FORMATS:
         with pytest.raises(RunError, match="holds no pose"):
-            export_run(read_run(folder), name, tmp_path / "x")
+            export_run([read_run(folder)], name, tmp_path / "x")
 
 
 @pytest.mark.parametrize(("name", "library"), [("c3d", "ezc3d"), ("mcap", "rosbags")])
@@ -237,4 +237,4 @@ def test_a_missing_library_is_named_with_its_extra(
 
     monkeypatch.setattr(builtins, "__import__", without)
     with pytest.raises(ConfigError, match=rf'needs {library}: .*"triball\[{FORMATS[name].extra}\]'):
-        export_run(run, name, tmp_path / "x")
+        export_run([run], name, tmp_path / "x")

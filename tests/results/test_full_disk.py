@@ -60,7 +60,7 @@ def test_a_full_disk_loses_nothing_written_before(small_disk: Path) -> None:
     folder = small_disk / "run"
     done: list[int] = []
     with pytest.raises(RunError) as caught:
-        _fill(_Flushing(folder, made_from(), BODY, CAMERAS), done)
+        _fill(_Flushing(folder, made_from(), [BODY], CAMERAS), done)
     assert "the disk is full; everything measured before is kept" in str(caught.value)
     assert "--resume" in str(caught.value)
     assert "\n" not in str(caught.value)
@@ -96,10 +96,13 @@ def test_a_full_disk_wherever_it_strikes(folder: Path, room: int) -> None:
                 return
             super().begin()
             left = [room]
-            for file in (*(journal._file for journal in self._journals.values()), self._csv):
+            for file in (
+                *(journal._file for journal in self._journals.values()),
+                *self._csv.values(),
+            ):
                 file._file = _FullAfter(file._file, left)
 
-    writer = OnSmallDisk(folder, made_from(), BODY, CAMERAS)
+    writer = OnSmallDisk(folder, made_from(), [BODY], CAMERAS)
     done: list[int] = []
     with pytest.raises(RunError, match="the disk is full"):
         _fill(writer, done)

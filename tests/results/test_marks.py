@@ -20,7 +20,7 @@ COUNT = 60
 
 
 def _run(folder: Path, make: Callable[[int], Measurement], count: int = COUNT) -> Run:
-    with RunWriter(folder, made_from(), BODY, CAMERAS) as writer:
+    with RunWriter(folder, made_from(), [BODY], CAMERAS) as writer:
         for i in range(count):
             writer.append(make(i))
         writer.finish()
@@ -94,7 +94,7 @@ def stopped(tmp_path: Path) -> Run:
     """A run of a recording with six frames, of which it measured two."""
     recording = write_recording(tmp_path / "rec", frames=6)
     made = replace(made_from(), session=str(recording.path / "session.toml"))
-    with RunWriter(tmp_path / "run", made, BODY, CAMERAS) as writer:
+    with RunWriter(tmp_path / "run", made, [BODY], CAMERAS) as writer:
         writer.append(measurement(0))
         writer.append(measurement(1))
     return read_run(tmp_path / "run")

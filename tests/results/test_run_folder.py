@@ -28,7 +28,7 @@ PROVENANCE = Provenance(
 
 
 def _write(folder, total, **options):
-    with RunWriter(folder, PROVENANCE, BODY, CAMERAS, **options) as writer:
+    with RunWriter(folder, PROVENANCE, [BODY], CAMERAS, **options) as writer:
         for index in range(total):
             writer.append(measurement(index, lost=index == 3))
         return writer.finish()
@@ -65,7 +65,7 @@ def test_csv_has_a_row_for_every_frame_set(tmp_path):
 
 def test_resumed_run_equals_an_uninterrupted_one(tmp_path):
     folder = tmp_path / "run"
-    with RunWriter(folder, PROVENANCE, BODY, CAMERAS) as writer:
+    with RunWriter(folder, PROVENANCE, [BODY], CAMERAS) as writer:
         for index in range(37):
             writer.append(measurement(index, lost=index == 3))
     assert not read_run(folder).finished
@@ -79,7 +79,7 @@ def test_resumed_run_equals_an_uninterrupted_one(tmp_path):
 
 def test_frame_numbers_in_microseconds_survive(tmp_path):
     frames = dict.fromkeys(("cam0", "cam1"), 1_700_000_000_123_456)
-    with RunWriter(tmp_path / "run", PROVENANCE, BODY, CAMERAS) as writer:
+    with RunWriter(tmp_path / "run", PROVENANCE, [BODY], CAMERAS) as writer:
         writer.append(replace(measurement(0), frames=frames))
         writer._flush()
         assert set(read_run(tmp_path / "run").detections["frame"].to_pylist()) == {*frames.values()}
@@ -109,7 +109,7 @@ def test_no_thread_may_hold_a_file_of_pythons_after_its_end(tmp_path, monkeypatc
 
 
 def test_an_unfinished_run_of_an_earlier_version_can_be_read(tmp_path):
-    with RunWriter(tmp_path / "run", PROVENANCE, BODY, CAMERAS) as writer:
+    with RunWriter(tmp_path / "run", PROVENANCE, [BODY], CAMERAS) as writer:
         writer.append(measurement(0))
     stream = tmp_path / "run/detections.arrows"
     with stream.open("rb") as file:

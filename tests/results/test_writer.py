@@ -42,7 +42,7 @@ _KILLED = """
     from pathlib import Path
     from measure.results import RunWriter
     from tests.results.conftest import BODY, CAMERAS, made_from, measurement
-    writer = RunWriter(Path(sys.argv[1]), made_from(), BODY, CAMERAS).__enter__()
+    writer = RunWriter(Path(sys.argv[1]), made_from(), [BODY], CAMERAS).__enter__()
     started = time.monotonic()
     late = None
     for i in range(10_000):
@@ -151,7 +151,7 @@ def test_resume_says_what_would_change_the_numbers(folder: Path) -> None:
         plugins={"detector": "hough of triball 0.2"},
     )
     with pytest.raises(RunError) as caught:
-        RunWriter(folder, other, BODY, CAMERAS, resume=True)
+        RunWriter(folder, other, [BODY], CAMERAS, resume=True)
     message = str(caught.value)
     for part in (
         "session",

@@ -34,14 +34,16 @@ DRAWN = "[...document.querySelectorAll('.figure')].every(f => f.querySelector('.
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run's folder with its recording and its report."""
     folder = tmp_path_factory.mktemp("browser") / "run"
-    with RunWriter(folder, PROVENANCE, BODY, CAMERAS) as writer:
+    with RunWriter(folder, PROVENANCE, [BODY], CAMERAS) as writer:
         for index in range(COUNT):
             writer.append(measurement(index, lost=index in (5, 6)))
         writer.finish()
-    with RunRecording(open_recording("test", CAMERAS, folder / "run.rrd"), BODY, CAMERAS, 0) as log:
+    with RunRecording(
+        open_recording("test", CAMERAS, folder / "run.rrd"), [BODY], CAMERAS, 0
+    ) as log:
         for index in range(COUNT):
-            log.add(measurement(index))
-    page = run_report(read_run(folder), errors=np.full((COUNT, 6), 0.01))
+            log.add([measurement(index)])
+    page = run_report([read_run(folder)], [np.full((COUNT, 6), 0.01)])
     (folder / "report.html").write_text(page, "utf-8")
     return folder
 

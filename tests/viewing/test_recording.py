@@ -22,9 +22,9 @@ def _record(path, count, lost=()):
     aside = RigidTransform.from_rotvec(k * [0, 0, 0.01], k * [0.1, 0, 0] + [0.05, 0, 0])
     truth = Trajectory(np.arange(count) / 30, aside)
     stream = open_recording("test", CAMERAS, path)
-    with RunRecording(stream, BODY, CAMERAS, 0, truth=truth) as run:
+    with RunRecording(stream, [BODY], CAMERAS, 0, truths={BODY.name: truth}) as run:
         for index in range(count):
-            run.add(measurement(index, index in lost))
+            run.add([measurement(index, index in lost)])
     return read_recording(path)
 
 
@@ -88,10 +88,10 @@ def test_unused_ball_is_marked_in_place_with_the_reason(tmp_path):
     rest = [v for v in one.views if (v.ball, v.camera) not in (("red", "cam0"), ("green", "cam1"))]
     assert (jumped.ball, jumped.camera) == ("green", "cam1")
     path = tmp_path / "run.rrd"
-    with RunRecording(open_recording("test", CAMERAS, path), BODY, CAMERAS, 0) as run:
-        run.add(measurement(4))
-        run.add(replace(one, views=(missed, jumped, *rest)))
-        run.add(replace(measurement(6, lost=True), views=(missed,)))
+    with RunRecording(open_recording("test", CAMERAS, path), [BODY], CAMERAS, 0) as run:
+        run.add([measurement(4)])
+        run.add([replace(one, views=(missed, jumped, *rest))])
+        run.add([replace(measurement(6, lost=True), views=(missed,))])
     stored = read_recording(path)
     marks = stored[entities.suspended("cam0")]
     assert list(column(marks, "Points2D:labels").values()) == [[], ["red: not found"], []]
@@ -114,9 +114,9 @@ def test_somebody_who_watches_sees_each_frame_set_soon(tmp_path, monkeypatch):
     monkeypatch.setattr(recording, "send_views", lambda _, sets, *rest: sent.append(len(sets)))
     for live in (True, False):
         log = open_recording("test", CAMERAS, tmp_path / f"{live}.rrd")
-        with RunRecording(log, BODY, CAMERAS, 0, live=live) as run:
+        with RunRecording(log, [BODY], CAMERAS, 0, live=live) as run:
             for index in range(3):
-                run.add(measurement(index))
+                run.add([measurement(index)])
     assert sent == [1, 1, 1, 3]
 
 
@@ -171,10 +171,10 @@ def test_ten_thousand_frame_sets_are_all_there(tmp_path):
 def test_times_since_1970_are_shown_as_dates(tmp_path, begins_s, kind):
     """Of what is logged by the column, and of what is logged when it happens."""
     path = tmp_path / "run.rrd"
-    with RunRecording(open_recording("test", CAMERAS, path), BODY, CAMERAS, 0) as run:
+    with RunRecording(open_recording("test", CAMERAS, path), [BODY], CAMERAS, 0) as run:
         for index in range(4):
             one = measurement(index)
-            run.add(replace(one, time_s=begins_s + one.time_s))
+            run.add([replace(one, time_s=begins_s + one.time_s)])
     stored = read_recording(path)
     for entity in (entities.BODY, entities.STATUS):
         for batch in stored[entity]:

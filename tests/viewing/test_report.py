@@ -27,7 +27,7 @@ PROVENANCE = Provenance("/data/s", "a", "calibration.toml", "b", "c", {"name": "
 
 
 def _run(folder, count, lost=(), finish=True, measure=None, cameras=CAMERAS, provenance=PROVENANCE):
-    with RunWriter(folder, provenance, BODY, cameras) as writer:
+    with RunWriter(folder, provenance, [BODY], cameras) as writer:
         for index in range(count):
             writer.append(measure(index) if measure else measurement(index, lost=index in lost))
         if finish:
@@ -40,7 +40,7 @@ def _figures(page):
 
 
 def test_a_good_run_says_how_well_the_position_is_known(tmp_path):
-    page = run_report(_run(tmp_path / "run", 40), errors=np.full((40, 6), 0.01))
+    page = run_report([_run(tmp_path / "run", 40)], [np.full((40, 6), 0.01)])
     assert "Position known to 0.028 mm (95 %), 2 of 2 cameras carry it." in page
     assert 'class="verdict good"' in page
     for heading in ("Error against truth", "Trajectory", "Who saw what when", "Ball distances"):
@@ -49,12 +49,12 @@ def test_a_good_run_says_how_well_the_position_is_known(tmp_path):
 
 
 def test_a_report_names_the_recording_and_the_day(tmp_path):
-    page = run_report(_run(tmp_path / "run", 5))
+    page = run_report([_run(tmp_path / "run", 5)])
     assert "<title>Run of s</title>" in page
     assert re.search(r"\d{4}-\d\d-\d\d \d\d:\d\d UTC", page)
-    assert "<title>Run s</title>" in run_report(_run(tmp_path / "s", 5))
+    assert "<title>Run s</title>" in run_report([_run(tmp_path / "s", 5)])
     named = replace(PROVENANCE, session_name="white room")
-    page = run_report(_run(tmp_path / "other", 5, provenance=named))
+    page = run_report([_run(tmp_path / "other", 5, provenance=named)])
     assert "<title>Run other of white room</title>" in page
 
 
@@ -64,22 +64,22 @@ def test_a_run_in_a_folder_whose_name_is_no_text_has_a_report(tmp_path):
         run = _run(folder, 5)
     except OSError:
         pytest.skip("this file system knows no such names")
-    write_report(run, folder / "report.html")
+    write_report([run], folder / "report.html")
     assert r"<title>Run s\udcff of s</title>" in (folder / "report.html").read_text("utf-8")
 
 
 def test_missing_poses_make_the_verdict_doubtful(tmp_path):
-    page = run_report(_run(tmp_path / "run", 40, lost={3, 4}))
+    page = run_report([_run(tmp_path / "run", 40, lost={3, 4})])
     assert "2 of 40 frame sets without a pose" in page
     assert 'class="verdict doubtful"' in page
 
 
 def test_an_unfinished_run_says_so(tmp_path):
-    assert "the run is not finished" in run_report(_run(tmp_path / "run", 40, finish=False))
+    assert "the run is not finished" in run_report([_run(tmp_path / "run", 40, finish=False)])
 
 
 def test_a_run_without_any_pose_has_a_report_that_says_why(tmp_path):
-    page = run_report(_run(tmp_path / "run", 20, lost=range(20)))
+    page = run_report([_run(tmp_path / "run", 20, lost=range(20))])
     assert "No pose in 20 frame sets (nothing seen)." in page
     assert 'class="verdict bad"' in page
     assert "Trajectory" not in page
@@ -178,7 +178,7 @@ def test_a_place_that_one_camera_sees_has_no_expected_accuracy(tmp_path):
 def test_the_command_that_repeats_a_run_uses_what_the_run_used(tmp_path):
     profile = load_profile().with_setting("detector", "rays", 40)
     made = replace(PROVENANCE, profile=resolved(profile, Registry.discover()))
-    page = run_report(_run(tmp_path / "run", 10, provenance=made))
+    page = run_report([_run(tmp_path / "run", 10, provenance=made)])
     (command,) = re.findall(r"<pre>(measure run .*?)</pre>", page)
     words = shlex.split(html.unescape(command))
     options = dict(zip(words[3::2], words[4::2], strict=True))
@@ -191,7 +191,7 @@ def test_the_command_that_repeats_a_run_uses_what_the_run_used(tmp_path):
 
 
 def test_the_page_is_self_contained_and_small(tmp_path):
-    page = run_report(_run(tmp_path / "run", 60))
+    page = run_report([_run(tmp_path / "run", 60)])
     markup = re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)
     assert not re.search("src=|href=|@import|url\\(", markup)
     assert "<script src" not in page
@@ -200,7 +200,7 @@ def test_the_page_is_self_contained_and_small(tmp_path):
 
 @pytest.mark.slow
 def test_ten_thousand_frame_sets_make_a_page_below_8_mb(tmp_path):
-    page = run_report(_run(tmp_path / "run", 10_000))
+    page = run_report([_run(tmp_path / "run", 10_000)])
     assert len(page.encode()) < 8_000_000
     assert "10000" in page
 

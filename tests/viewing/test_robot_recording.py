@@ -34,7 +34,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     track, log = recording(run, "r", 5, frame_hz=FRAME_HZ, clock_offset_s=OFFSET_S)
     write_log(folder / "robot.parquet", log)
     made = Provenance("/nowhere", "a", "calibration.toml", "b", "c", {"name": "precise"}, {})
-    with RunWriter(folder / "run", made, BODY, CAMERAS) as writer:
+    with RunWriter(folder / "run", made, [BODY], CAMERAS) as writer:
         for index, (time_s, place) in enumerate(
             zip(track.times_s, track.positions_mm, strict=True)
         ):

@@ -39,9 +39,9 @@ def _frame_set(index):
 
 def _record(path, session, every):
     stream = open_recording("test", CAMERAS, path)
-    with RunRecording(stream, BODY, CAMERAS, every, passed_videos(session)) as run:
+    with RunRecording(stream, [BODY], CAMERAS, every, passed_videos(session)) as run:
         for index in range(len(TICKS)):
-            run.add(measurement(index), _frame_set(index))
+            run.add([measurement(index)], _frame_set(index))
     return read_recording(path)
 
 

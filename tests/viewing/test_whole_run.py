@@ -137,10 +137,10 @@ def test_logging_costs_less_than_a_tenth_of_measuring(session: Path, tmp_path: P
         costs = []
         for trial in range(3):
             stream = open_recording("cost", opened.cameras, tmp_path / f"{trial}.rrd")
-            with RunRecording(stream, opened.body, opened.cameras, 0) as log:
+            with RunRecording(stream, [opened.body], opened.cameras, 0) as log:
                 began = time.process_time()
                 for frame_set, measurement in pairs * REPEATS:
-                    log.add(measurement, frame_set)
+                    log.add([measurement], frame_set)
             costs.append((time.process_time() - began) / REPEATS)
         jpeg = next((session / "cam0").glob("*.jpg")).read_bytes()
         began = time.process_time()

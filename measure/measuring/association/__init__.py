@@ -7,5 +7,13 @@ from measure.measuring.association.associate import (
     second_body,
     warm_up,
 )
+from measure.measuring.association.second_body import SecondBodyFlag
 
-__all__ = ["Association", "AssociationSettings", "associate", "second_body", "warm_up"]
+__all__ = [
+    "Association",
+    "AssociationSettings",
+    "SecondBodyFlag",
+    "associate",
+    "second_body",
+    "warm_up",
+]

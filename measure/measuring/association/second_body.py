@@ -33,6 +33,13 @@ _OCCLUDED_SLACK_MM = 5.0
 _MAX_POINTS_PER_BALL = 12
 
 
+class SecondBodyFlag(str):
+    """A flag that knows where (3,) the other body may be, mm."""
+
+    __slots__ = ("place",)
+    place: Floats
+
+
 def second_body_flags(
     world_from_body: RigidTransform,
     body: Body,
@@ -208,9 +215,11 @@ def _size_agrees(distance: Floats, range_mm: Floats) -> Bools:
     )
 
 
-def _flag(names: Sequence[str], where: Floats) -> str:
+def _flag(names: Sequence[str], where: Floats) -> SecondBodyFlag:
     x, y, z = where
-    return (
+    flag = SecondBodyFlag(
         f"there may be a second body near ({x:.0f}, {y:.0f}, {z:.0f}) mm, with balls like "
         f"{', '.join(names[:-1])} and {names[-1]}: take it out of view"
     )
+    flag.place = where
+    return flag

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from measure.results.run import Run
 class Format:
     """A format: the function that writes it, and the extra that must be installed."""
 
-    write: Callable[[Run, Path], None]
+    write: Callable[[Sequence[Run], Path], None]
     extra: str = ""
 
 
@@ -30,11 +30,11 @@ FORMATS = {
 }
 
 
-def export_run(run: Run, file_format: str, path: Path, overwrite: bool = False) -> Path:
+def export_run(runs: Sequence[Run], file_format: str, path: Path, overwrite: bool = False) -> Path:
     """Write a run in another program's format.
 
     Args:
-        run: finished or not.
+        runs: of each body of a run, finished or not.
         file_format: one of `FORMATS`.
         path: the file to write.
         overwrite: replace a file that is there.
@@ -53,15 +53,17 @@ def export_run(run: Run, file_format: str, path: Path, overwrite: bool = False) 
         raise ConfigError(f"no export format is called '{file_format}'; {hint}")
     if path.is_symlink():
         raise RunError(f"{path} is a link to {path.readlink()}: give the file itself with --out")
-    if path.exists() and any(own.exists() and path.samefile(own) for own in own_files(run.path)):
+    if path.exists() and any(
+        own.exists() and path.samefile(own) for own in own_files(runs[0].path)
+    ):
         raise RunError(f"{path} is a file of the run itself: give another with --out")
     if path.exists() and not overwrite:
         raise RunError(f"{path} is there already; --overwrite replaces it")
-    if not run.has_pose.any():
-        raise RunError(f"{run.path} holds no pose: there is nothing to export")
+    if not any(run.has_pose.any() for run in runs):
+        raise RunError(f"{runs[0].path} holds no pose: there is nothing to export")
     chosen = FORMATS[file_format]
     try:
-        chosen.write(run, path)
+        chosen.write(runs, path)
     except ModuleNotFoundError as problem:
         raise ConfigError(
             f"writing {file_format} needs {problem.name}: install it with "

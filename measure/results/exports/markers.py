@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -42,8 +43,20 @@ class Markers:
     rate_hz: float
 
 
-def markers_of(run: Run) -> Markers:
-    """The markers of a run: balls as triangulated, the origin from the pose."""
+def markers_of(runs: Sequence[Run]) -> Markers:
+    """The markers of a run: balls as triangulated, origins from the poses.
+
+    Those of several bodies have their body's name before their own.
+    """
+    every = [_markers_of(run) for run in runs]
+    if len(every) == 1:
+        return every[0]
+    names = [f"{r.body.name}.{name}" for r, m in zip(runs, every, strict=True) for name in m.names]
+    points_mm = np.concatenate([one.points_mm for one in every], axis=1)
+    return replace(every[0], names=tuple(names), points_mm=points_mm)
+
+
+def _markers_of(run: Run) -> Markers:
     names = (*run.body.names, ORIGIN)
     points = np.full((len(run.times_s), len(names), 3), np.nan)
     table = run.balls
@@ -56,9 +69,9 @@ def markers_of(run: Run) -> Markers:
     return Markers(names, run.times_s, points, rate)
 
 
-def write_trc(run: Run, path: Path) -> None:
+def write_trc(runs: Sequence[Run], path: Path) -> None:
     """Write every frame set; a marker that was not located is left empty."""
-    markers = markers_of(run)
+    markers = markers_of(runs)
     count, rate = len(markers.times_s), f"{markers.rate_hz:.6f}"
     coordinates = [f"{axis}{k}" for k in range(1, len(markers.names) + 1) for axis in "XYZ"]
     lines = [
@@ -79,7 +92,7 @@ def _cells(points: Floats) -> list[str]:
     return [f"{v:.6f}" if np.isfinite(v) else "" for v in points.reshape(-1)]
 
 
-def write_c3d(run: Run, path: Path) -> None:
+def write_c3d(runs: Sequence[Run], path: Path) -> None:
     """Write every frame set; a marker that was not located is invalid there.
 
     C3D knows a rate, but no times: those since the first frame set stand in the analog channel
@@ -87,7 +100,7 @@ def write_c3d(run: Run, path: Path) -> None:
     """
     import ezc3d
 
-    markers = markers_of(run)
+    markers = markers_of(runs)
     count = len(markers.times_s)
     file = ezc3d.c3d()
     points = file["parameters"]["POINT"]

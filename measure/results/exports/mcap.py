@@ -15,7 +15,7 @@ from measure.results.columns import numbers, texts
 from measure.results.run import Run
 
 WORLD, BODY = "world", "body"
-POSE_TOPIC, BALL_TOPIC, TF_TOPIC = "/body/pose", "/balls", "/tf"
+BALL_TOPIC, TF_TOPIC = "/balls", "/tf"
 _POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 _POINT = "geometry_msgs/msg/PointStamped"
 _TF = "tf2_msgs/msg/TFMessage"
@@ -23,8 +23,10 @@ _END_S = 2**31
 _METRES = np.array([1e-3] * 3 + [1.0] * 3)
 
 
-def write(run: Run, path: Path) -> None:
+def write(runs: Sequence[Run], path: Path) -> None:
     """Write the poses with covariance, their transforms, and every located ball.
+
+    Topics and frame of one body are called `body`, those of several by their names.
 
     ROS orders a pose covariance as we do (x y z, then rotations about the fixed axes).
     """
@@ -36,8 +38,10 @@ def write(run: Run, path: Path) -> None:
         bag = Path(scratch) / "bag"
         with Writer(bag, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
             out = _Topics(writer, store)
-            _write_poses(run, out)
-            _write_balls(run, out)
+            for run in runs:
+                body = _topic_name(run.body.name) if len(runs) > 1 else BODY
+                _write_poses(run, out, body)
+                _write_balls(run, out, f"/{body}{BALL_TOPIC}" if len(runs) > 1 else BALL_TOPIC)
         next(bag.glob("*.mcap")).replace(path)
 
 
@@ -65,7 +69,7 @@ class _Topics:
         self._writer.write(self._open[topic], _nanoseconds(time_s), data)
 
 
-def _write_poses(run: Run, out: _Topics) -> None:
+def _write_poses(run: Run, out: _Topics, body: str) -> None:
     poses = run.world_from_body
     quats, covariances = poses.quat_wxyz, run.covariances * np.outer(_METRES, _METRES)
     for k, time_s in enumerate(run.times_s[run.has_pose].tolist()):
@@ -77,28 +81,28 @@ def _write_poses(run: Run, out: _Topics) -> None:
             "geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariances[k].reshape(36)
         )
         stamped = out.message(_POSE, header=out.header(time_s), pose=uncertain)
-        out.send(POSE_TOPIC, _POSE, time_s, stamped)
-        out.send(TF_TOPIC, _TF, time_s, _transform(out, time_s, position, turn))
+        out.send(f"/{body}/pose", _POSE, time_s, stamped)
+        out.send(TF_TOPIC, _TF, time_s, _transform(out, body, time_s, position, turn))
 
 
-def _write_balls(run: Run, out: _Topics) -> None:
+def _write_balls(run: Run, out: _Topics, above: str) -> None:
     table = run.balls
     centers = numbers(table, "x_mm", "y_mm", "z_mm") / 1000
     times, names = numbers(table, "time_s"), texts(table, "ball")
-    topics = _topics(run.body.names)
+    topics = _topics(run.body.names, above)
     for time_s, name, center in zip(times.tolist(), names.tolist(), centers, strict=True):
         point = _parts(out, "Point", "xyz", center)
         stamped = out.message(_POINT, header=out.header(time_s), point=point)
         out.send(topics[name], _POINT, time_s, stamped)
 
 
-def _transform(out: _Topics, time_s: float, position: Floats, turn: Any) -> Any:
+def _transform(out: _Topics, body: str, time_s: float, position: Floats, turn: Any) -> Any:
     shift = _parts(out, "Vector3", "xyz", position)
     transform = out.message("geometry_msgs/msg/Transform", translation=shift, rotation=turn)
     stamped = out.message(
         "geometry_msgs/msg/TransformStamped",
         header=out.header(time_s),
-        child_frame_id=BODY,
+        child_frame_id=body,
         transform=transform,
     )
     return out.message(_TF, transforms=[stamped])
@@ -111,11 +115,11 @@ def _parts(out: _Topics, kind: str, names: str, values: Floats) -> Any:
     )
 
 
-def _topics(balls: Sequence[str]) -> dict[str, str]:
+def _topics(balls: Sequence[str], above: str) -> dict[str, str]:
     """A topic for each ball; with the ball's number where ROS allows too little of its name."""
     words = [_topic_name(name) for name in balls]
     return {
-        name: f"{BALL_TOPIC}/{word}" + (f"_{number}" if words.count(word) > 1 else "")
+        name: f"{above}/{word}" + (f"_{number}" if words.count(word) > 1 else "")
         for number, (name, word) in enumerate(zip(balls, words, strict=True))
     }
 

@@ -3,46 +3,66 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from measure.errors import RunError
 from measure.results.columns import matrices, numbers
 from measure.results.run import Run
 from measure.results.tables import PLACE, QUALITY
 
 _WORDS = ("cameras", "balls", "flags")
+_UPPER = np.triu_indices(6)
 _AXES = (*PLACE[:3], "rx_rad", "ry_rad", "rz_rad")
 
 
-def write_csv(run: Run, path: Path) -> None:
-    """Write a row a frame set: `frame, time_s`, the pose, its quality, 21 entries of covariance."""
-    upper = np.triu_indices(6)
-    pairs = [f"cov_{_AXES[i]}_{_AXES[j]}" for i, j in zip(*upper, strict=True)]
-    table = run.poses
-    values = numbers(table, *PLACE, *QUALITY)
-    covariances = matrices(table, "covariance", 6)[:, upper[0], upper[1]]
-    words = {name: table[name].to_pylist() for name in (*_WORDS, "status", "reason")}
-    indices = table["index"].to_pylist()
+def write_csv(runs: Sequence[Run], path: Path) -> None:
+    """Write a row a frame set: `frame, time_s`, the pose, its quality, 21 entries of covariance.
+
+    A run of several bodies has a column `body`, and a row for each.
+    """
+    pairs = [f"cov_{_AXES[i]}_{_AXES[j]}" for i, j in zip(*_UPPER, strict=True)]
+    named = ["body"] if len(runs) > 1 else []
+    names = ["frame", *named, "time_s", *PLACE, *QUALITY, *_WORDS, "status", "reason", *pairs]
     with path.open("w", newline="", encoding="utf-8") as file:
         out = csv.writer(file, lineterminator="\n")
-        out.writerow(["frame", "time_s", *PLACE, *QUALITY, *_WORDS, "status", "reason", *pairs])
-        for row, index in enumerate(indices):
-            out.writerow(
-                [
-                    index,
-                    f"{run.times_s[row]:.9f}",
-                    *map(_cell, values[row]),
-                    *(" ".join(words[name][row] or ()) for name in _WORDS),
-                    words["status"][row],
-                    words["reason"][row],
-                    *map(_cell, covariances[row]),
-                ]
-            )
+        out.writerow(names)
+        for rows in zip(
+            *(_rows(run, [run.body.name] if named else []) for run in runs), strict=True
+        ):
+            out.writerows(rows)
 
 
-def write_tum(run: Run, path: Path) -> None:
-    """Write a line for every pose, in metres; the format cannot say that one is missing."""
+def _rows(run: Run, named: list[str]) -> Iterator[list[object]]:
+    table = run.poses
+    values = numbers(table, *PLACE, *QUALITY)
+    covariances = matrices(table, "covariance", 6)[:, _UPPER[0], _UPPER[1]]
+    words = {name: table[name].to_pylist() for name in (*_WORDS, "status", "reason")}
+    for row, index in enumerate(table["index"].to_pylist()):
+        yield [
+            index,
+            *named,
+            f"{run.times_s[row]:.9f}",
+            *map(_cell, values[row]),
+            *(" ".join(words[name][row] or ()) for name in _WORDS),
+            words["status"][row],
+            words["reason"][row],
+            *map(_cell, covariances[row]),
+        ]
+
+
+def write_tum(runs: Sequence[Run], path: Path) -> None:
+    """Write a line for every pose, in metres; the format cannot say that one is missing.
+
+    Raises:
+        RunError: there are several bodies, for whose names the format has no place.
+    """
+    if len(runs) > 1:
+        names = ", ".join(run.body.name for run in runs)
+        raise RunError(f"a TUM file holds one body: choose one with --body ({names})")
+    (run,) = runs
     poses = run.world_from_body
     quat = poses.quat_wxyz
     rows = np.column_stack(

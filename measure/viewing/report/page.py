@@ -75,6 +75,7 @@ class Page:
     title: str
     verdict: str
     tone: str  # "good", "doubtful" or "bad"
+    about: str = ""  # stands before the headings of the sections that follow
     _parts: list[str] = field(default_factory=list)
     _figures: int = 0
 
@@ -84,7 +85,8 @@ class Page:
             f"<div><b>{html.escape(value)}</b><span>{html.escape(label)}</span></div>"
             for label, value in facts
         )
-        self._parts.append(f'<div class="facts">{tiles}</div>')
+        about = f"<h2>{html.escape(self.about.strip(' :'))}</h2>" if self.about else ""
+        self._parts.append(f'{about}<div class="facts">{tiles}</div>')
 
     def figures(self, heading: str, words: str, *figures: go.Figure) -> None:
         """A section of one or more figures side by side."""
@@ -131,7 +133,8 @@ class Page:
 
     def _section(self, heading: str, words: str, body: str) -> None:
         explained = f"<p>{html.escape(words)}</p>" if words else ""
-        self._parts.append(f"<section><h2>{html.escape(heading)}</h2>{explained}{body}</section>")
+        heading = html.escape(self.about + heading)
+        self._parts.append(f"<section><h2>{heading}</h2>{explained}{body}</section>")
 
     def _draw(self, figure: go.Figure) -> str:
         self._figures += 1

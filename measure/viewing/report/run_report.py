@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from datetime import datetime
 from pathlib import Path
 
@@ -20,25 +20,35 @@ from measure.viewing.report.page import Page
 from measure.viewing.report.verdict import verdict
 
 
-def run_report(run: Run, errors: Floats | None = None) -> str:
+def run_report(runs: Sequence[Run], errors: Sequence[Floats | None] = ()) -> str:
     """The report as HTML.
 
     Args:
-        run: finished or not; one without any pose has a report too.
-        errors: (n, 6) of the poses against truth in the `perturb` chart, NaN where unknown.
+        runs: of each body, finished or not; one without any pose has a report too.
+        errors: of each (n, 6) of the poses against truth in the `perturb` chart, NaN where unknown.
     """
-    tone, sentence = verdict(run, errors)
-    page = Page(_title(run), sentence, tone)
-    page.facts(_facts(run))
-    if errors is not None:
-        _add_errors(page, run, errors)
-    if run.has_pose.any():
-        _add_poses(page, run)
-        _add_accuracy(page, run)
-    if run.detections.num_rows:
-        _add_views(page, run)
-    _add_distances(page, run)
-    _add_provenance(page, run)
+    errors = errors or [None] * len(runs)
+    verdicts = [verdict(run, off) for run, off in zip(runs, errors, strict=True)]
+    tone = max((tone for tone, _ in verdicts), key=("good", "doubtful", "bad").index)
+    several = len(runs) > 1
+    said = [
+        f"{run.body.name}: {text}" if several else text
+        for run, (_, text) in zip(runs, verdicts, strict=True)
+    ]
+    page = Page(_title(runs[0]), " ".join(said), tone)
+    for run, off in zip(runs, errors, strict=True):
+        page.about = f"{run.body.name}: " if several else ""
+        page.facts(_facts(run))
+        if off is not None:
+            _add_errors(page, run, off)
+        if run.has_pose.any():
+            _add_poses(page, run)
+            _add_accuracy(page, run)
+        if run.detections.num_rows:
+            _add_views(page, run)
+        _add_distances(page, run)
+    page.about = ""
+    _add_provenance(page, runs)
     return page.render("Made by measure report. Everything on this page is inside this file.")
 
 
@@ -51,10 +61,10 @@ def _title(run: Run) -> str:
     return title if recording in ("", name) else f"{title} of {recording}"
 
 
-def write_report(run: Run, path: Path, errors: Floats | None = None) -> None:
+def write_report(runs: Sequence[Run], path: Path, errors: Sequence[Floats | None] = ()) -> None:
     """Write the report to a file."""
     # A folder may have a name that is no text.
-    path.write_text(run_report(run, errors), encoding="utf-8", errors="backslashreplace")
+    path.write_text(run_report(runs, errors), encoding="utf-8", errors="backslashreplace")
 
 
 def _facts(run: Run) -> Iterator[tuple[str, str]]:
@@ -218,14 +228,16 @@ def _add_distances(page: Page, run: Run) -> None:
         )
 
 
-def _add_provenance(page: Page, run: Run) -> None:
+def _add_provenance(page: Page, runs: Sequence[Run]) -> None:
+    run = runs[0]
     words = "The cameras as used. Standard deviations are those that the calibration file states."
     places.add_cameras(page, words, run.cameras)
     session = run.provenance.get("session", {}).get("path", "SESSION")
     calibration = run.provenance.get("calibration", {}).get("path", "CALIBRATION")
     own = run.path.resolve()
     again = ["measure", "run", session, "--out", "NEW", "--profile", str(own / "run.toml")]
-    again += ["--calibration", calibration, "--body", str(own / "body.toml")]
+    again += ["--calibration", calibration]
+    again += ["--body", str(own / "body.toml")] if not run.several else []
     page.text(
         "How to repeat it",
         "With the same versions it gives the same poses to the last digit. The run's folder holds "

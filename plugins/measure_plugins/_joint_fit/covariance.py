@@ -34,6 +34,7 @@ class JointFit(NamedTuple):
     covariance: Floats  # (6, 6) in the `perturb` chart: random effects, light, and calibration
     effects_px: Floats  # (k, 3) see `OutlineFit`
     offsets_px: Floats  # (c,) see `OutlineFit`
+    by_camera: Floats  # (c, 6, 18) by the poses and intrinsics of uncertain cameras
     rms_px: float  # of the effects bx and by
     solved: bool
     converged: bool
@@ -69,12 +70,13 @@ def solve_outlines(
     fit = fit_outlines(
         outlines, rotation, translation, prior_information, prior_view_shifts(view_noise)
     )
-    known = fit.covariance * widening
+    known, levers = fit.covariance * widening, np.zeros((len(rig.lenses), 6, 18))
     if fit.solved:
         known += light_covariance(outlines, fit, ball_of, len(radius_covariance), rig.lenses)
         by_radius = pose_by_radius(outlines, fit, ball_of, len(radius_covariance), rig.lenses)
         known += by_radius @ radius_covariance @ by_radius.T
-        known += calibration_covariance(outlines, fit, rig)
+        levers = by_cameras(outlines, fit, rig)
+        known += calibration_covariance(levers, rig)
     off = fit.effects_px[:, :2]
     return JointFit(
         fit.rotation,
@@ -82,6 +84,7 @@ def solve_outlines(
         (known + known.T) / 2,
         fit.effects_px,
         fit.offsets_px,
+        levers,
         np.sqrt(np.sum(off * off) / len(off)),
         fit.solved,
         fit.converged,
@@ -99,27 +102,40 @@ def rms_distance(fit: JointFit, points_body: Floats, centers: Floats) -> float:
 
 
 @compiled
-def calibration_covariance(outlines: PackedOutlines, fit: OutlineFit, rig: RigRows) -> Floats:
+def calibration_covariance(levers: Floats, rig: RigRows) -> Floats:
     """What the cameras' uncertain poses and lenses add to the pose's covariance (6, 6).
 
     See docs/explanation/joint_fit.md, formula 19.
 
     Args:
+        levers: (c, 6, 18) as `by_cameras` gives them.
+        rig: the c cameras.
+    """
+    out = np.zeros((6, 6))
+    for view in range(len(rig.lenses)):
+        if np.any(rig.covariances[view]):
+            out += levers[view] @ rig.covariances[view] @ levers[view].T
+    return out
+
+
+@compiled
+def by_cameras(outlines: PackedOutlines, fit: OutlineFit, rig: RigRows) -> Floats:
+    """Derivatives (c, 6, 18) of the pose by the uncertain cameras' poses and intrinsics.
+
+    Args:
         outlines: k ball-views in c views.
         rig: the c cameras.
     """
-    out, lever = np.zeros((6, 6)), np.zeros((6, 18))
-    by_intrinsics = np.empty((3, 12))
+    levers, by_intrinsics = np.zeros((len(rig.lenses), 6, 18)), np.empty((3, 12))
     for view in range(len(rig.lenses)):
         if not np.any(rig.covariances[view]):
             continue
-        lever[:, :6], lever[:, 6:] = fit.by_camera[view], 0.0
+        levers[view, :, :6] = fit.by_camera[view]
         for k in range(len(outlines.view_of)):
             if outlines.view_of[k] == view:
                 _outline_by_lens(outlines, fit, k, rig.lenses[view], by_intrinsics)
-                lever[:, 6:] -= fit.by_effect[k] @ by_intrinsics
-        out += lever @ rig.covariances[view] @ lever.T
-    return out
+                levers[view, :, 6:] -= fit.by_effect[k] @ by_intrinsics
+    return levers
 
 
 @compiled

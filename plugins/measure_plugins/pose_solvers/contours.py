@@ -132,6 +132,7 @@ class ContoursSolver(PoseSolver):
             cameras=outlines.named.seen_by,
             balls=outlines.named.shown,
             flags=self._flags(fit, outlines, view_noise),
+            by_camera=dict(zip(outlines.named.rig.names, fit.by_camera, strict=True)),
         )
 
     def _fit(

@@ -1,0 +1,95 @@
+"""Bodies that are measured together: each has a name of its own, and none passes for another."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations, permutations
+
+import numpy as np
+
+from measure.errors import DegenerateGeometryError, SessionError
+from measure.geometry import align_points
+from measure.model import Ball, Body, ColorRange
+
+_MOST_BODIES = 6
+_ALIKE_MM = 3.0
+"""Bodies whose balls can be laid on each other this closely are told apart by colours alone."""
+_NO_NAME = set('/\\:,"\n\r\t')
+"""A body's name stands in file names, entity paths and tables."""
+_HUES = 180
+
+
+def check_bodies(bodies: Sequence[Body], reference: str, source: str) -> None:
+    """Refuse bodies that cannot be measured together.
+
+    Args:
+        bodies: all that are measured.
+        reference: the name of the one that others are measured relative to; empty without one.
+        source: where they are named, for the message.
+
+    Raises:
+        SessionError: two have one name or cannot be told apart, or the reference is none of them.
+    """
+    names = [body.name for body in bodies]
+    if len(names) > _MOST_BODIES:
+        raise SessionError(f"{source}: {len(names)} bodies, but at most {_MOST_BODIES} fit a run")
+    if reference and (reference not in names or len(names) == 1):
+        raise SessionError(
+            f"{source}: the reference '{reference}' must be one of several bodies; there is "
+            f"{', '.join(names)}"
+        )
+    if len(names) == 1:
+        return
+    for name in names:
+        if names.count(name) > 1:
+            raise SessionError(
+                f"{source}: two bodies are called '{name}': write another name = \"...\" at the "
+                "top of one body file"
+            )
+        if not name.strip() or _NO_NAME & set(name):
+            raise SessionError(f"{source}: {name!r} cannot name a body: take letters and digits")
+    for one, other in combinations(bodies, 2):
+        if may_be_confused(one, other):
+            raise SessionError(
+                f"{source}: bodies '{one.name}' and '{other.name}' cannot be told apart: balls of "
+                f"the same colours lie at the same places within {_ALIKE_MM:g} mm: change a "
+                "colour, or move a ball of one of them"
+            )
+
+
+def may_be_confused(one: Body, other: Body) -> bool:
+    """Whether all balls of the body with fewer lie on balls of their colours of the other."""
+    few, many = sorted((one, other), key=lambda body: len(body.balls))
+    for balls in permutations(many.balls, len(few.balls)):
+        if not all(map(_same_color, few.balls, balls)):
+            continue
+        places = np.stack([ball.center_mm for ball in balls])
+        try:
+            off_mm = align_points(places, few.centers).apply(few.centers) - places
+        except DegenerateGeometryError:
+            continue
+        if np.max(np.linalg.norm(off_mm, axis=1)) < _ALIKE_MM:
+            return True
+    return False
+
+
+def _same_color(one: Ball, other: Ball) -> bool:
+    """Whether each hue's range holds the middle of the other; of red and orange neither does."""
+    return any(
+        a.space == b.space and _hue_inside(a, b) and _hue_inside(b, a) and _levels_overlap(a, b)
+        for a in one.color.ranges
+        for b in other.color.ranges
+    )
+
+
+def _hue_inside(box: ColorRange, other: ColorRange) -> bool:
+    """Whether the middle of another range's first level lies in this range."""
+    (low, *_), (high, *_) = box.low, box.high
+    middle = (other.low[0] + other.high[0]) // 2
+    if other.low[0] > other.high[0]:
+        middle = (middle + _HUES // 2) % _HUES
+    return low <= middle <= high if low <= high else not high < middle < low
+
+
+def _levels_overlap(a: ColorRange, b: ColorRange) -> bool:
+    return all(max(a.low[i], b.low[i]) <= min(a.high[i], b.high[i]) for i in (1, 2))

@@ -1,0 +1,80 @@
+"""The pose of one body relative to another: its place, and what both share."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from measure.geometry import RigidTransform
+from measure.measuring import Measurement, Status, relative_measurement
+from measure.model import Pose
+from tests.scenes import RAVEN, ring
+
+BASE = replace(RAVEN, name="base")
+HERE = RigidTransform.from_rotvec(np.array([0.3, -0.2, 0.9]), np.array([60.0, -20.0, 250.0]))
+THERE = RigidTransform.from_rotvec(np.array([-0.4, 0.1, 0.2]), np.array([-50.0, 10.0, 230.0]))
+
+
+def measurement(pose, covariance=None, levers=None, flags=(), status=Status.OK):
+    found = pose and Pose(0.0, pose, covariance, 0.1, 0.2, ("cam0",), RAVEN.names, flags, levers)
+    return Measurement(3, 0.0, {"cam0": 3}, (), (), found, status)
+
+
+def relative(one, other, cameras=()):
+    return relative_measurement((RAVEN, one), (BASE, other), cameras)
+
+
+def test_covariance_is_the_scatter_of_relative_poses():
+    rng = np.random.default_rng(1)
+    root = np.diag([0.05, 0.04, 0.08, 1e-3, 2e-3, 1e-3]) @ rng.normal(size=(6, 6))
+    one, other = (
+        root @ root.T,
+        0.5 * root[:, ::-1] @ np.diag([1, 2, 0.5, 1, 1, 3]) @ root[:, ::-1].T,
+    )
+    found = relative(measurement(HERE, one), measurement(THERE, other)).pose
+    draws = [
+        (THERE.perturb(b).inverse() @ HERE.perturb(a)).difference(found.world_from_body)
+        for a, b in zip(
+            rng.multivariate_normal(np.zeros(6), one, 4000),
+            rng.multivariate_normal(np.zeros(6), other, 4000),
+            strict=True,
+        )
+    ]
+    whitened = np.linalg.solve(np.linalg.cholesky(found.covariance), np.array(draws).T)
+    np.testing.assert_allclose(np.cov(whitened), np.eye(6), atol=0.12)
+
+
+@pytest.mark.parametrize(("together", "share"), [(True, 1e-9), (False, 1.0)])
+def test_an_error_that_moves_both_as_one_thing_cancels(together, share):
+    """A camera that turns the world about its centre turns both bodies; or one of them only."""
+    camera = replace(ring(1)["cam0"], pose_covariance=np.diag([0.3**2] * 3 + [1e-3**2] * 3))
+
+    def lever(pose):
+        arm = pose.translation - camera.center
+        out = np.eye(6, 18)
+        out[:3, 3:6] = np.cross(np.eye(3), arm).T
+        return out
+
+    levers = [{"cam0": lever(pose)} for pose in (HERE, THERE)]
+    poses = [
+        measurement(pose, lever["cam0"] @ camera.covariance @ lever["cam0"].T, lever)
+        for pose, lever in zip((HERE, THERE), levers, strict=True)
+    ]
+    if not together:
+        poses[1] = replace(poses[1], pose=replace(poses[1].pose, by_camera=None))
+    found = relative(*poses, (camera,)).pose.covariance
+    alone = relative(poses[0], replace(poses[1], pose=replace(poses[1].pose, by_camera=None)))
+    assert np.trace(found) == pytest.approx(share * np.trace(alone.pose.covariance), abs=1e-7)
+
+
+def test_without_either_there_is_none_and_flags_say_whose():
+    good, lost = measurement(HERE, np.eye(6)), measurement(None, status=Status.LOST)
+    found = relative(good, lost)
+    assert (found.status, found.pose, found.reason) == (Status.LOST, None, "base lost")
+    assert relative(lost, good).reason == "raven lost"
+    doubtful = measurement(THERE, np.eye(6), flags=("jumped",), status=Status.FLAGGED)
+    flagged = relative(good, doubtful)
+    assert flagged.status is Status.FLAGGED
+    assert flagged.pose.flags == ("base: jumped",)
