@@ -17,11 +17,11 @@ import numpy as np
 
 from benchmarks.command import run_command
 from benchmarks.errors import truth_of
-from measure.api.metrology import poses_of, shared_errors
 from measure.arrays import Floats
 from measure.errors import RunError
 from measure.metrology.poses import ALIKE_OVER_MM
 from measure.results import read_run
+from measure.results.pose_table import poses_of, shared_errors
 
 EDGES_MM = (0.0, 3.0, 6.0, 10.0, 15.0, 20.0, 30.0, 40.0, 60.0, 100.0)
 

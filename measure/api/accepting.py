@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from scipy.linalg import block_diag
 
-from measure.api.metrology import poses_of, shared_errors, told_of
+from measure.api.metrology import told_of
 from measure.api.outputs import check_page_writable
 from measure.errors import DegenerateGeometryError, RunError
 from measure.metrology.lengths import Acceptance, MeasuredLengths, between_rests, judge
@@ -18,6 +18,7 @@ from measure.metrology.rests import Rests, find_rests
 from measure.reading import read_text
 from measure.results import Run, read_run
 from measure.results.distances import BallDistance
+from measure.results.pose_table import poses_of, shared_errors
 from measure.session.number_table import NumberTable, read_number_table
 
 
@@ -99,10 +100,12 @@ def _with_balls(found: MeasuredLengths, run: Run, seen: Sequence[BallDistance]) 
     """The lengths, and behind them distances between balls by rays alone."""
     if not seen:
         return found
+    # They share balls, light and rays: half of their variance counts as common.
+    sd = np.array([one.uncertainty_mm for one in seen])
     middle = np.mean(run.world_from_body.apply(run.body.middle), axis=0)
     return MeasuredLengths(
         np.concatenate([found.lengths_mm, [one.mean_mm for one in seen]]),
-        block_diag(found.covariance, np.diag([one.uncertainty_mm**2 for one in seen])),
+        block_diag(found.covariance, np.outer(sd, sd) * (1 + np.eye(len(sd))) / 2),
         np.concatenate([found.middles_mm, np.tile(middle, (len(seen), 1))]),
         np.concatenate([found.single_sd_mm, [np.nanstd(one.measured_mm) for one in seen]]),
     )

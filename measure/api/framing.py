@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from measure.api.metrology import poses_of, shared_errors, told_of
+from measure.api.metrology import told_of
 from measure.arrays import Floats
 from measure.errors import CalibrationError, ConfigError, DegenerateGeometryError, RunError
 from measure.geometry import RigidTransform, UncertainTransform
 from measure.metrology.rests import Rests, find_rests
 from measure.model import Camera
 from measure.results import Run, read_run
+from measure.results.pose_table import poses_of, shared_errors
 from measure.session import Calibration, read_calibration
 
 _SAME_MM = 1e-3

@@ -12,11 +12,10 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError, RunError
 from measure.metrology.pivot import Pivot, SpinAxis, find_spin_axis, find_tip
-from measure.metrology.poses import PoseTable, SharedErrors
 from measure.metrology.rests import SHORTEST_S, Rests, find_rests
 from measure.model import Body
-from measure.results import Run, read_run
-from measure.results.columns import texts
+from measure.results import read_run
+from measure.results.pose_table import poses_of, shared_errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,18 +54,6 @@ def pivot(run: Path | str, spin: Path | str | None = None) -> TipResult:
         turn = _turn_to_z(axis)
     centers = (opened.body.centers - found.tip_mm) @ turn.T
     return TipResult(found, axis, opened.body.with_centers(centers))
-
-
-def poses_of(run: Run) -> PoseTable:
-    """The poses of a run that are not flagged."""
-    unflagged = texts(run.poses, "status")[run.has_pose] == "ok"
-    table = PoseTable(run.times_s[run.has_pose], run.world_from_body, run.covariances)
-    return table.take(np.flatnonzero(unflagged))
-
-
-def shared_errors(run: Run) -> SharedErrors:
-    """What the poses of a run err by together, by its calibration and body file."""
-    return SharedErrors(run.cameras, run.body)
 
 
 @contextmanager

@@ -72,6 +72,8 @@ def report(
         out: the file; `report.html` in the run's folder if omitted.
         truth: poses over time; those of the run's session if omitted and there are any.
         body: which body, of a run of several; all if omitted.
+        smooth_s: smooth poses over so long on either side; as measured if omitted.
+        velocity: write velocities as well.
 
     Returns:
         Where it was written.
@@ -100,6 +102,9 @@ def export(
     out: Path | str | None = None,
     overwrite: bool = False,
     body: str | None = None,
+    *,
+    smooth_s: float | None = None,
+    velocity: bool = False,
 ) -> Path:
     """Write a run in another program's format.
 
@@ -116,7 +121,8 @@ def export(
         RunError: no run, no pose in it, or the file cannot be written.
     """
     path = Path(run) / f"export.{file_format}" if out is None else Path(out)
-    return export_run(_chosen(Path(run), body), file_format, path, overwrite)
+    runs = _chosen(Path(run), body)
+    return export_run(runs, file_format, path, overwrite, smooth_s, velocity)
 
 
 def _chosen(run: Path, body: str | None) -> list[Run]:

@@ -19,6 +19,8 @@ def export(
     out: Annotated[Path | None, Parameter(name=("--out", "-o"))] = None,
     overwrite: bool = False,
     body: str | None = None,
+    smooth: float | None = None,
+    velocity: bool = False,
     json: JsonFlag = False,
 ) -> None:
     """Write a run in another program's format.
@@ -30,10 +32,13 @@ def export(
         out: the file to write; export.FORMAT in the run's folder if omitted.
         overwrite: replace a file that is there.
         body: which body, of a run of several; all if omitted.
+        smooth: smooth the unflagged poses by cubics over so many seconds on either side; they are
+            as measured if omitted. Of csv, tum and mcap.
+        velocity: write velocities as well, with their covariance. Of csv and mcap.
     """
     from measure import api
 
-    path = api.export(run, format_, out, overwrite, body)
+    path = api.export(run, format_, out, overwrite, body, smooth_s=smooth, velocity=velocity)
     if json:
         console.print_json({"run": str(run), "format": format_, "file": str(path)})
     else:

@@ -14,6 +14,8 @@ from measure.errors import CalibrationError, ConfigError, RunError
 from measure.estimation.pose_fit import PoseObservations, fit_pose
 from measure.geometry import RigidTransform
 from measure.model import Detection
+from measure.results import read_run
+from measure.results.pose_table import poses_of as poses_in
 from measure.session import Calibration, read_calibration, write_calibration
 from tests.metrology.recordings import Errors, poses_of, with_rests, write_run
 from tests.results.conftest import BODY, CAMERAS
@@ -62,7 +64,7 @@ def test_poses_of_the_same_pictures_are_the_old_ones_seen_from_the_new_world(mad
     out = tmp_path / "new.toml"
     assert main(["world", str(file), "--run", str(run), "--at", "1.2", "-o", str(out)]) == 0
     cameras = read_calibration(out).cameras
-    old = api.metrology.poses_of(api.metrology.read_run(run))
+    old = poses_in(read_run(run))
     at = old.world_from_body[36]
     for k in (0, 36, 60):
         pose = old.world_from_body[k]

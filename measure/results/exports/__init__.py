@@ -10,27 +10,37 @@ from pathlib import Path
 from measure.errors import ConfigError, RunError
 from measure.results.exports import markers, mcap, poses
 from measure.results.folder import own_files
+from measure.results.pose_table import Velocities, smooth_run
 from measure.results.run import Run
 
 
 @dataclass(frozen=True)
 class Format:
-    """A format: the function that writes it, and the extra that must be installed."""
+    """A format."""
 
-    write: Callable[[Sequence[Run], Path], None]
-    extra: str = ""
+    write: Callable[..., None]  # takes runs, a path and, if it holds velocities, these or nothing
+    extra: str = ""  # that must be installed
+    smooth: bool = True  # whether it holds poses, which can be smoothed
+    velocity: bool = False  # whether it holds velocities
 
 
 FORMATS = {
-    "csv": Format(poses.write_csv),
+    "csv": Format(poses.write_csv, velocity=True),
     "tum": Format(poses.write_tum),
-    "trc": Format(markers.write_trc),
-    "c3d": Format(markers.write_c3d, extra="c3d"),
-    "mcap": Format(mcap.write, extra="ros"),
+    "trc": Format(markers.write_trc, smooth=False),
+    "c3d": Format(markers.write_c3d, extra="c3d", smooth=False),
+    "mcap": Format(mcap.write, extra="ros", velocity=True),
 }
 
 
-def export_run(runs: Sequence[Run], file_format: str, path: Path, overwrite: bool = False) -> Path:
+def export_run(
+    runs: Sequence[Run],
+    file_format: str,
+    path: Path,
+    overwrite: bool = False,
+    smooth_s: float | None = None,
+    velocity: bool = False,
+) -> Path:
     """Write a run in another program's format.
 
     Args:
@@ -38,12 +48,14 @@ def export_run(runs: Sequence[Run], file_format: str, path: Path, overwrite: boo
         file_format: one of `FORMATS`.
         path: the file to write.
         overwrite: replace a file that is there.
+        smooth_s: smooth poses over so long on either side; as measured if omitted.
+        velocity: write velocities as well.
 
     Returns:
         The file written.
 
     Raises:
-        ConfigError: no such format, or its library is not installed.
+        ConfigError: no such format, it cannot hold what is asked, or its library is missing.
         RunError: the file is there already or one of the run's own, cannot be written, or the run
             holds no pose.
     """
@@ -62,8 +74,14 @@ def export_run(runs: Sequence[Run], file_format: str, path: Path, overwrite: boo
     if not any(run.has_pose.any() for run in runs):
         raise RunError(f"{runs[0].path} holds no pose: there is nothing to export")
     chosen = FORMATS[file_format]
+    _refuse_what_it_cannot_hold(file_format, smooth_s is not None, velocity)
+    velocities: list[Sequence[Velocities]] = []
+    if smooth_s is not None or velocity:
+        smoothed = [smooth_run(run, smooth_s) for run in runs]
+        runs = [run for run, _ in smoothed]
+        velocities = [[moving for _, moving in smoothed]] if velocity else []
     try:
-        chosen.write(runs, path)
+        chosen.write(runs, path, *velocities)
     except ModuleNotFoundError as problem:
         raise ConfigError(
             f"writing {file_format} needs {problem.name}: install it with "
@@ -72,3 +90,13 @@ def export_run(runs: Sequence[Run], file_format: str, path: Path, overwrite: boo
     except OSError as problem:
         raise RunError(f"{path}: cannot be written: {problem.strerror or problem}") from None
     return path
+
+
+def _refuse_what_it_cannot_hold(file_format: str, smooth: bool, velocity: bool) -> None:
+    chosen = FORMATS[file_format]
+    if smooth and not chosen.smooth:
+        raise ConfigError(
+            f"{file_format} holds balls as located: --smooth is for csv, tum and mcap"
+        )
+    if velocity and not chosen.velocity:
+        raise ConfigError(f"{file_format} has no place for --velocity: export csv or mcap")

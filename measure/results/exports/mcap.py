@@ -12,19 +12,21 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import RunError
 from measure.results.columns import numbers, texts
+from measure.results.pose_table import Velocities
 from measure.results.run import Run
 
 WORLD, BODY = "world", "body"
 BALL_TOPIC, TF_TOPIC = "/balls", "/tf"
 _POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+_TWIST = "geometry_msgs/msg/TwistWithCovarianceStamped"
 _POINT = "geometry_msgs/msg/PointStamped"
 _TF = "tf2_msgs/msg/TFMessage"
 _END_S = 2**31
 _METRES = np.array([1e-3] * 3 + [1.0] * 3)
 
 
-def write(runs: Sequence[Run], path: Path) -> None:
-    """Write the poses with covariance, their transforms, and every located ball.
+def write(runs: Sequence[Run], path: Path, velocities: Sequence[Velocities] = ()) -> None:
+    """Write the poses with covariance, their transforms, every located ball, perhaps velocities.
 
     Topics and frame of one body are called `body`, those of several by their names.
 
@@ -38,10 +40,12 @@ def write(runs: Sequence[Run], path: Path) -> None:
         bag = Path(scratch) / "bag"
         with Writer(bag, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
             out = _Topics(writer, store)
-            for run in runs:
+            for k, run in enumerate(runs):
                 body = _topic_name(run.body.name) if len(runs) > 1 else BODY
                 _write_poses(run, out, body)
                 _write_balls(run, out, f"/{body}{BALL_TOPIC}" if len(runs) > 1 else BALL_TOPIC)
+                if velocities:
+                    _write_velocities(run, velocities[k], out, body)
         next(bag.glob("*.mcap")).replace(path)
 
 
@@ -83,6 +87,24 @@ def _write_poses(run: Run, out: _Topics, body: str) -> None:
         stamped = out.message(_POSE, header=out.header(time_s), pose=uncertain)
         out.send(f"/{body}/pose", _POSE, time_s, stamped)
         out.send(TF_TOPIC, _TF, time_s, _transform(out, body, time_s, position, turn))
+
+
+def _write_velocities(run: Run, velocities: Velocities, out: _Topics, body: str) -> None:
+    values, spread = (
+        velocities.values * _METRES,
+        velocities.covariances * np.outer(_METRES, _METRES),
+    )
+    for k in np.flatnonzero(np.isfinite(values).all(axis=1)).tolist():
+        linear, angular = (
+            _parts(out, "Vector3", "xyz", part) for part in (values[k, :3], values[k, 3:])
+        )
+        twist = out.message("geometry_msgs/msg/Twist", linear=linear, angular=angular)
+        uncertain = out.message(
+            "geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=spread[k].reshape(36)
+        )
+        time_s = float(run.times_s[k])
+        stamped = out.message(_TWIST, header=out.header(time_s), twist=uncertain)
+        out.send(f"/{body}/twist", _TWIST, time_s, stamped)
 
 
 def _write_balls(run: Run, out: _Topics, above: str) -> None:

@@ -1,0 +1,88 @@
+"""The poses of a run that may be relied on; and the run with these smoothed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pyarrow as pa
+
+from measure.arrays import Floats, Ints
+from measure.errors import ConfigError
+from measure.geometry import RigidTransform
+from measure.metrology.poses import PoseTable, SharedErrors
+from measure.metrology.smoothing import SmoothMotion, smooth_motion
+from measure.results.columns import matrices, numbers, texts
+from measure.results.run import Run
+from measure.results.tables import PLACE
+
+_FEWEST_STEPS = 3
+"""Usual steps on either side of a pose, from which a velocity is taken if nothing is smoothed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Velocities:
+    """Velocities of all n frame sets, NaN where there is none."""
+
+    values: Floats  # (n, 6) mm/s and rad/s, along the world's axes
+    covariances: Floats  # (n, 6, 6)
+
+
+def poses_of(run: Run) -> PoseTable:
+    """The poses of a run that are not flagged."""
+    return _table(run, _unflagged(run))
+
+
+def shared_errors(run: Run) -> SharedErrors:
+    """What the poses of a run err by together, by its calibration and body file."""
+    return SharedErrors(run.cameras, run.body)
+
+
+def smooth_run(run: Run, smooth_s: float | None) -> tuple[Run, Velocities]:
+    """A run with its unflagged poses smoothed over `smooth_s` on either side, and velocities.
+
+    With None poses stay as they are, and velocities are those of the nearest poses.
+
+    Raises:
+        ConfigError: `smooth_s` is not positive.
+    """
+    if smooth_s is not None and not 0 < smooth_s < np.inf:
+        raise ConfigError(f"--smooth {smooth_s:g}: give the seconds on either side of a pose")
+    rows = _unflagged(run)
+    steps = np.diff(run.times_s)
+    reach_s = _FEWEST_STEPS * float(np.median(steps)) if len(steps) else 1.0
+    motion = smooth_motion(_table(run, rows), shared_errors(run), smooth_s or 1.01 * reach_s)
+    n = run.poses.num_rows
+    velocities = Velocities(np.full((n, 6), np.nan), np.full((n, 6, 6), np.nan))
+    velocities.values[rows], velocities.covariances[rows] = motion.velocities, motion.covariances
+    smoothed = run if smooth_s is None else replace(run, poses=_with(run.poses, rows, motion))
+    return smoothed, velocities
+
+
+def _unflagged(run: Run) -> Ints:
+    return np.flatnonzero(run.has_pose & (texts(run.poses, "status") == "ok"))
+
+
+def _table(run: Run, rows: Ints) -> PoseTable:
+    place = numbers(run.poses, *PLACE)[rows]
+    poses = RigidTransform.from_quat_wxyz(place[:, 3:], place[:, :3])
+    return PoseTable(run.times_s[rows], poses, matrices(run.poses, "covariance", 6)[rows])
+
+
+def _with(table: pa.Table, rows: Ints, motion: SmoothMotion) -> pa.Table:
+    """The table of poses with those of some rows replaced."""
+    poses, P = motion.poses.world_from_body, motion.poses.covariances
+    variances = np.diagonal(P, axis1=1, axis2=2)
+    new = dict(zip(PLACE, np.column_stack([poses.translation, poses.quat_wxyz]).T, strict=True))
+    new["position_sd_mm"] = np.sqrt(variances[:, :3].sum(axis=1))
+    new["rotation_sd_deg"] = np.degrees(np.sqrt(variances[:, 3:].sum(axis=1)))
+    for name, values in new.items():
+        column = numbers(table, name).copy()
+        column[rows] = values
+        table = table.set_column(table.column_names.index(name), table.field(name), [column])
+    lists = table["covariance"].to_pylist()
+    for row, covariance in zip(rows.tolist(), P, strict=True):
+        lists[row] = covariance.ravel().tolist()
+    field = table.field("covariance")
+    at = table.column_names.index("covariance")
+    return table.set_column(at, field, pa.array(lists, field.type))
