@@ -30,7 +30,9 @@ class Accepted:
     promises: tuple[tuple[str, bool, str], ...]  # what the program promises, whether it held, how
 
 
-def accept(run: Path | str, lengths: Path | str, page: Path | None = None) -> Accepted:
+def accept(
+    run: Path | str, lengths: Path | str, page: Path | None = None, body: str | None = None
+) -> Accepted:
     """Compare lengths of a run with known ones.
 
     Args:
@@ -38,13 +40,14 @@ def accept(run: Path | str, lengths: Path | str, page: Path | None = None) -> Ac
         lengths: a table `from,to,length_mm` and perhaps `sd_mm`, between rests by their numbers or
             between two balls of the body by their names.
         page: a report to write.
+        body: the name of the body that rests, in a run of several.
 
     Raises:
         RunError: no run, or a row that names no rest and no ball.
         ConfigError: the page cannot be written.
     """
     path = Path(lengths)
-    opened, table = read_run(Path(run)), _read(path)
+    opened, table = read_run(Path(run), body), _read(path)
     if page is not None:
         check_page_writable(page)
     rests = find_rests(poses_of(opened), shared_errors(opened))

@@ -30,6 +30,7 @@ def world(
     at_s: float | None = None,
     rest: int | None = None,
     points: Sequence[int] | None = None,
+    body: str | None = None,
 ) -> tuple[Calibration, UncertainTransform]:
     """A calibration whose world is the body's frame at an instant or a rest of a run.
 
@@ -40,6 +41,7 @@ def world(
         rest: number of a rest; the longest, if nothing is given.
         points: numbers of three rests of a tip instead: at the origin, on the x axis, and on the
             side of the xy plane where y is positive.
+        body: its name, in a run of several.
 
     Returns:
         The calibration, and the new world's pose in the old one.
@@ -51,7 +53,7 @@ def world(
     """
     if sum(given is not None for given in (at_s, rest, points)) > 1:
         raise ConfigError("--at, --rest and --points name different places: give one of them")
-    opened, given = read_run(Path(run)), read_calibration(calibration)
+    opened, given = read_run(Path(run), body), read_calibration(calibration)
     _refuse_others(given, opened, run)
     with told_of(run):
         if at_s is not None:

@@ -27,28 +27,29 @@ class TipResult:
     body: Body  # the body with its origin at the tip, and its z along the axis if there is one
 
 
-def rests(run: Path | str, shortest_s: float = SHORTEST_S) -> Rests:
-    """The stretches of a run in which the body stands still."""
-    opened = read_run(Path(run))
+def rests(run: Path | str, shortest_s: float = SHORTEST_S, body: str | None = None) -> Rests:
+    """The stretches of a run in which a body, of several the named one, stands still."""
+    opened = read_run(Path(run), body)
     return find_rests(poses_of(opened), shared_errors(opened), shortest_s)
 
 
-def pivot(run: Path | str, spin: Path | str | None = None) -> TipResult:
+def pivot(run: Path | str, spin: Path | str | None = None, body: str | None = None) -> TipResult:
     """The tip of a tool that was turned about it.
 
     Args:
         run: the run's folder: the tool pivots about its tip and does nothing else.
         spin: another run, of the tool spun about its own axis.
+        body: the tool's name, in a run of several bodies.
 
     Raises:
         RunError: no run, or its motion cannot show the tip or the axis.
     """
-    opened = read_run(Path(run))
+    opened = read_run(Path(run), body)
     with told_of(run):
         found = find_tip(poses_of(opened), shared_errors(opened))
     turn, axis = np.eye(3), None
     if spin is not None:
-        spun = read_run(Path(spin))
+        spun = read_run(Path(spin), body)
         with told_of(spin):
             axis = find_spin_axis(poses_of(spun), shared_errors(spun), found.tip_mm)
         turn = _turn_to_z(axis)

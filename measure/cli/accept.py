@@ -17,6 +17,7 @@ def accept(
     *,
     lengths: Path,
     output: Annotated[Path | None, Parameter(name=("--output", "-o"))] = None,
+    body: str | None = None,
     json: JsonFlag = False,
 ) -> int:
     """Test a rig by known lengths: its errors against what it states.
@@ -28,10 +29,11 @@ def accept(
         lengths: table from,to,length_mm between rests by their numbers (`measure rests`) or between
             two balls by their names; perhaps with sd_mm, how exactly a length is known.
         output: report to write, one HTML file.
+        body: which body, of a run of several.
     """
     from measure import api
 
-    found = api.accept(run, lengths, output)
+    found = api.accept(run, lengths, output, body)
     judged = found.judged
     rows = [
         (name, float(known), f"{error:+.3f}", f"{U:.3f}", f"{ratio:+.2f}")

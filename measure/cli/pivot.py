@@ -20,6 +20,7 @@ def pivot(
     *,
     output: Annotated[Path | None, Parameter(name=("--output", "-o"))] = None,
     spin: Path | None = None,
+    body: str | None = None,
     json: JsonFlag = False,
 ) -> None:
     """Find a tool's tip from a run in which it is turned about it.
@@ -32,6 +33,7 @@ def pivot(
         output: body file to write: the same balls, with the origin at the tip.
         spin: another run, in which the tool is spun about its own axis: the body's z becomes this
             axis, from the tip towards the balls.
+        body: which body, of a run of several.
     """
     from measure import api
     from measure.api.outputs import check_replaceable
@@ -39,7 +41,7 @@ def pivot(
 
     if output is not None:
         check_replaceable(output, read_body, "body")
-    found = api.pivot(run, spin)
+    found = api.pivot(run, spin, body)
     if output is not None:
         write_body(output, found.body)
     if json:

@@ -21,6 +21,7 @@ def rests(
     *,
     shortest_s: float = 0.5,
     from_: Annotated[int, Parameter(name="--from")] = 0,
+    body: str | None = None,
     json: JsonFlag = False,
 ) -> None:
     """List where the body stood still, with the displacements between.
@@ -34,10 +35,11 @@ def rests(
         run: the run's folder.
         shortest_s: shortest rest.
         from_: print the displacements from this rest; --json has those between any two.
+        body: which body, of a run of several.
     """
     from measure import api
 
-    found = api.rests(run, shortest_s)
+    found = api.rests(run, shortest_s, body)
     if json:
         console.print_json({"run": str(run), **_values(found)})
         return

@@ -21,6 +21,7 @@ def world(
     rest: int | None = None,
     points: tuple[int, int, int] | None = None,
     output: Annotated[Path, Parameter(name=("--output", "-o"))],
+    body: str | None = None,
     json: JsonFlag = False,
 ) -> None:
     """Put a calibration's world where a body is, or through three touched points.
@@ -36,13 +37,14 @@ def world(
         points: three rests of a pivoted tip instead: at the origin, on the x axis, and beside it
             where y is positive.
         output: the calibration to write.
+        body: which body, of a run of several.
     """
     from measure import api
     from measure.api.outputs import check_replaceable
     from measure.session import read_calibration, write_calibration
 
     check_replaceable(output, read_calibration, "calibration")
-    found, place = api.world(calibration, run, at, rest, points)
+    found, place = api.world(calibration, run, at, rest, points, body)
     write_calibration(output, found)
     sd = np.sqrt(np.diag(place.covariance))
     if json:

@@ -43,14 +43,26 @@ def write_run(
     flagged: frozenset[int] = frozenset(),
 ) -> Path:
     """The run folder that holds these poses."""
-    with RunWriter(folder, made_from(), body, cameras) as writer:
+    with RunWriter(folder, made_from(), [body], cameras) as writer:
         for k in range(len(poses)):
             flags = ("in doubt",) if k in flagged else ()
-            pose = Pose(
-                float(poses.times_s[k]), poses.world_from_body[k], poses.covariances[k],
-                0.1, 0.2, tuple(c.name for c in cameras), body.names, flags,
-            )  # fmt: skip
-            status = Status.FLAGGED if flags else Status.OK
-            writer.append(Measurement(k, pose.time_s, {}, (), (), pose, status))
+            place = poses.world_from_body[k]
+            time_s, stated = float(poses.times_s[k]), poses.covariances[k]
+            writer.append(measured(k, time_s, place, stated, body.names, flags))
         writer.finish()
     return folder
+
+
+def measured(
+    index: int,
+    time_s: float,
+    world_from_body: RigidTransform,
+    covariance: Floats,
+    balls: tuple[str, ...],
+    flags: tuple[str, ...] = (),
+) -> Measurement:
+    """A frame set of which nothing but the pose is known."""
+    seen_by = tuple(camera.name for camera in CAMERAS)
+    pose = Pose(time_s, world_from_body, covariance, 0.1, 0.2, seen_by, balls, flags)
+    status = Status.FLAGGED if flags else Status.OK
+    return Measurement(index, time_s, {}, (), (), pose, status)

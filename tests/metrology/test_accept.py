@@ -95,7 +95,7 @@ def test_a_bad_row_is_told_with_its_line(rows, message, tmp_path: Path, rng, cap
 
 def test_balls_are_a_ball_bar(tmp_path: Path, capsys):
     """Distances between the body's own balls, by rays alone."""
-    with RunWriter(tmp_path / "run", made_from(), BODY, CAMERAS) as writer:
+    with RunWriter(tmp_path / "run", made_from(), [BODY], CAMERAS) as writer:
         for k in range(12):
             writer.append(measurement(k))
         writer.finish()

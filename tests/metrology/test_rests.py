@@ -17,8 +17,9 @@ from measure.geometry import RigidTransform
 from measure.metrology.poses import PoseTable, SharedErrors
 from measure.metrology.rests import find_rests
 from measure.model import Detection
-from tests.metrology.recordings import Errors, poses_of, with_rests, write_run
-from tests.results.conftest import BODY, CAMERAS
+from measure.results import RunWriter
+from tests.metrology.recordings import Errors, measured, poses_of, with_rests, write_run
+from tests.results.conftest import BODY, CAMERAS, made_from
 
 PLACES = np.array([[0.0, 0, 200], [60, 0, 200], [60.4, 0, 200], [-40, 30, 230]])
 EXACT = SharedErrors((), BODY)
@@ -139,3 +140,23 @@ def test_the_command_lists_rests_and_leaves_out_flagged_poses(tmp_path: Path, rn
     assert "there are 3 rests, 0 to 2" in capsys.readouterr().err
     with pytest.raises(RunError):
         api.rests(tmp_path / "none")
+
+
+def test_of_several_bodies_one_is_named(tmp_path: Path, rng, capsys):
+    twin = replace(BODY, name="twin")
+    poses = poses_of(with_rests(PLACES), Errors(nearby=0.5), rng)
+    away = RigidTransform.from_rotvec([0, 0, 0], [0, 0, 300]) @ poses.world_from_body
+    with RunWriter(tmp_path / "run", made_from(), [BODY, twin], CAMERAS) as writer:
+        for k in range(len(poses)):
+            writer.append(
+                *(
+                    measured(k, float(poses.times_s[k]), place[k], poses.covariances[k], BODY.names)
+                    for place in (poses.world_from_body, away)
+                )
+            )
+        writer.finish()
+    assert main(["rests", str(tmp_path / "run")]) == 2
+    assert "choose one with --body" in capsys.readouterr().err
+    assert main(["rests", str(tmp_path / "run"), "--body", "twin", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["rests"][0]["translation_mm"][2] == pytest.approx(500, abs=0.2)
