@@ -39,6 +39,12 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     warm_pipeline(load_profile(), Registry.discover(), scene.body, scene.cameras)
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files with slow tests come first: at the end no worker is left alone with one."""
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: item.path not in slow)
+
+
 @pytest.fixture(scope="session")
 def shared() -> Path:
     """The folder of recordings that lies beside the repository."""
