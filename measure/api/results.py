@@ -8,6 +8,8 @@ from measure.api.outputs import check_page_writable
 from measure.errors import RunError
 from measure.results import Run, RunEvaluation, read_marks, read_run, read_runs
 from measure.results import evaluate as evaluate_run
+from measure.results.comparing import Comparison
+from measure.results.comparing import compare as compare_runs
 from measure.results.evaluation import pose_errors
 from measure.results.exports import export_run
 from measure.session import read_calibration, read_trajectory, session_truth
@@ -123,6 +125,18 @@ def export(
     path = Path(run) / f"export.{file_format}" if out is None else Path(out)
     runs = _chosen(Path(run), body)
     return export_run(runs, file_format, path, overwrite, smooth_s, velocity)
+
+
+def compare(first: Path | str, second: Path | str, body: str | None = None) -> Comparison:
+    """What differs between two runs, and by how many standard deviations.
+
+    Args:
+        body: which body, of runs of several.
+
+    Raises:
+        RunError: no run, or one without an unflagged pose.
+    """
+    return compare_runs(read_run(Path(first), body), read_run(Path(second), body))
 
 
 def _chosen(run: Path, body: str | None) -> list[Run]:

@@ -63,6 +63,7 @@ GROUPS: dict[str, tuple[Command, ...]] = {
             "world", "Put a calibration's world where a body is, or through three touched points."
         ),
         Command("accept", "Test a rig by known lengths: its errors against what it states."),
+        Command("compare", "Say what differs between two runs, and by how many deviations."),
     ),
     "Correct a robot": (
         Command(

@@ -74,7 +74,7 @@ class Provenance:
             if ours[name]["sha256"] != written.get(name, {}).get("sha256")
         ]
         for part in ("profile", "plugins"):
-            now, then = _flat(ours[part], part), _flat(written.get(part, {}), part)
+            now, then = flat(ours[part], part), flat(written.get(part, {}), part)
             changed += [
                 f"{key} ({then.get(key, 'unset')} then, {now.get(key, 'unset')} now)"
                 for key in sorted({*now, *then})
@@ -142,12 +142,12 @@ class _RunFile(BaseModel):
     versions: dict[str, Any] = {}
 
 
-def _flat(values: Mapping[str, Any], name: str) -> dict[str, Any]:
+def flat(values: Mapping[str, Any], name: str) -> dict[str, Any]:
     """Nested values by dotted name, as TOML gives them back: no None, no tuples."""
     out: dict[str, Any] = {}
     for key, value in values.items():
         if isinstance(value, Mapping):
-            out |= _flat(value, f"{name}.{key}")
+            out |= flat(value, f"{name}.{key}")
         elif value is not None:
             out[f"{name}.{key}"] = list(value) if isinstance(value, tuple) else value
     return out

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -41,9 +42,10 @@ def write_run(
     body: Body = BODY,
     cameras: tuple[Camera, ...] = CAMERAS,
     flagged: frozenset[int] = frozenset(),
+    **made: object,
 ) -> Path:
     """The run folder that holds these poses."""
-    with RunWriter(folder, made_from(), [body], cameras) as writer:
+    with RunWriter(folder, replace(made_from(), **made), [body], cameras) as writer:
         for k in range(len(poses)):
             flags = ("in doubt",) if k in flagged else ()
             place = poses.world_from_body[k]

@@ -1,0 +1,64 @@
+"""`measure compare`: what differs between two runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from measure.cli import console
+from measure.cli.console import JsonFlag
+
+_MOST_SETTINGS = 10
+
+
+def compare(
+    first: Path, second: Path, /, *, body: str | None = None, json: JsonFlag = False
+) -> None:
+    """Say what differs between two runs, and by how many deviations.
+
+    Runs of one session are compared frame set by frame set, those of two by their statistics.
+    `sds` is the difference in standard deviations that follow from its scatter: whether there is
+    one. `stated_sd` is what the runs state of such a difference: whether it matters.
+
+    Args:
+        first: a run's folder.
+        second: another's.
+        body: which body, of runs of several.
+    """
+    from measure import api
+
+    found = api.compare(first, second, body)
+    if json:
+        figures = [{**vars(figure), "sds": figure.sds} for figure in found.figures]
+        told = {**vars(found), "figures": figures}
+        console.print_json({"first": str(first), "second": str(second), **told})
+        return
+    how = (
+        f"one session, {found.paired} frame sets with an unflagged pose in both"
+        if found.same_session
+        else "two sessions, compared by their statistics"
+    )
+    console.print_text(f"{first} and {second}: {how}")
+    console.print_table(
+        ("differs", "first", "second"),
+        [
+            (key, *(f"{value:.24}" for value in values))  # of a digest the first letters say enough
+            for key, values in [*found.settings.items()][:_MOST_SETTINGS]
+        ],
+    )
+    if len(found.settings) > _MOST_SETTINGS:
+        console.print_text(f"and {len(found.settings) - _MOST_SETTINGS} more: --json has them")
+    states = [(f"frame sets {state}", *counts, counts[1] - counts[0], "", "", "")
+              for state, counts in found.states.items()]  # fmt: skip
+    rows = [
+        (f.what, f"{f.first:.4f}", f"{f.second:.4f}", f"{f.difference:+.4f}", _digits(f.sd),
+         f"{f.sds:+.1f}" if np.isfinite(f.sds) else "", _digits(f.stated_sd))
+        for f in found.figures
+    ]  # fmt: skip
+    heads = ("mean of", "first", "second", "difference", "sd", "sds", "stated_sd")
+    console.print_table(heads, [*states, *rows])
+
+
+def _digits(value: float) -> str:
+    return f"{value:.4f}" if np.isfinite(value) else ""
