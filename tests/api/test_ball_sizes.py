@@ -15,6 +15,7 @@ from measure.measuring.ball_radii import outline_growth, seen_balls
 from measure.session import open_session, read_trajectory
 from tests.simulated.sessions import part_of
 
+pytestmark = pytest.mark.slow
 REGION_95 = 12.6
 """95 % of chi-square with six degrees of freedom."""
 

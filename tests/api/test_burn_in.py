@@ -16,6 +16,8 @@ from measure.simulation import write_session
 from measure_plugins.detectors.outline import OutlineDetector
 from tests.simulated.catalogue import scene_catalogue
 
+pytestmark = pytest.mark.slow
+
 
 def first_errors(folder, count):
     """Status and error (mm, deg) of the first frame sets; infinite without a pose."""

@@ -23,6 +23,7 @@ from measure.model import Body, Camera
 from measure.session import Calibration, open_session, read_trajectory, write_body
 from measure.session import write_calibration as write
 
+pytestmark = pytest.mark.slow
 Cameras = Sequence[Camera]
 
 
