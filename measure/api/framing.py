@@ -126,7 +126,8 @@ def _moved(given: Calibration, place: UncertainTransform, run: str) -> Calibrati
     new_from_old = place.transform.inverse()
     notes = dict(given.provenance)
     joint = notes.pop("joint_covariance", None)
-    sizes = [_unknowns(camera) for camera in given.cameras]
+    lenses = [c.intrinsics.covariance for c in given.cameras]
+    sizes = [6 + (0 if P is None else np.count_nonzero(np.diag(P) > 0)) for P in lenses]
     if joint is not None and len(joint) == sum(sizes):
         turn = np.eye(len(joint))
         for start in np.cumsum([0, *sizes[:-1]]):
@@ -140,11 +141,6 @@ def _moved(given: Calibration, place: UncertainTransform, run: str) -> Calibrati
         "covariance": place.covariance,
     }
     return Calibration(tuple(_moved_camera(c, new_from_old) for c in given.cameras), notes)
-
-
-def _unknowns(camera: Camera) -> int:
-    lens = camera.intrinsics.covariance
-    return 6 + (0 if lens is None else int(np.count_nonzero(np.diag(lens) > 0)))
 
 
 def _moved_camera(camera: Camera, new_from_old: RigidTransform) -> Camera:

@@ -70,20 +70,7 @@ def _print(found: TipResult) -> None:
 
 
 def _values(found: TipResult) -> dict[str, Any]:
-    tip, axis = found.pivot, found.axis
-    values: dict[str, Any] = {
-        "tip_mm": tip.tip_mm,
-        "tip_sd_mm": tip.tip_sd_mm,
-        "tip_covariance_mm2": tip.tip_covariance,
-        "rms_mm": tip.rms_mm,
-        "normalised": tip.normalised,
-        "point_mm": tip.point_mm,
-        "poses": tip.poses,
-        "left_out": tip.left_out,
-        "swing_deg": tip.swing_deg,
-        "needed_deg": tip.needed_deg,
-    }
-    if axis is not None:
-        spun = {"axis": axis.direction, "axis_sd_deg": axis.sd_deg, "spun_deg": axis.turned_deg}
-        values |= spun
+    values = {"tip_sd_mm": found.pivot.tip_sd_mm, **vars(found.pivot)}
+    if found.axis is not None:
+        values |= {f"axis_{key}": value for key, value in vars(found.axis).items()}
     return values

@@ -12,7 +12,7 @@ from measure.cli import console
 from measure.cli.console import JsonFlag
 
 if TYPE_CHECKING:
-    from measure.metrology.rests import Displacement, Rest, Rests
+    from measure.metrology.rests import Rest, Rests
 
 
 def rests(
@@ -51,66 +51,39 @@ def rests(
     )
     heads = ("rest", "start_s", "end_s", "poses", "x_mm", "y_mm", "z_mm", "sd_mm", "scatter_mm")
     console.print_table(heads, [_row(found, n, rest) for n, rest in enumerate(found.rests)])
-    if len(found) > 1:
-        found.rest(from_)
-        rows = [
-            (n, *d.shift_mm.tolist(), d.distance_mm, d.distance_sd_mm, d.turned_deg)
-            for n in range(len(found))
-            if n != from_
-            for d in [found.displacement(from_, n)]
-        ]
-        columns = ("to", "dx_mm", "dy_mm", "dz_mm", "distance_mm", "sd_mm", "turned_deg")
-        console.print_table(columns, [tuple(map(_digits, row)) for row in rows], f"from {from_}")
+    found.rest(from_)
+    ends = [n for n in range(len(found)) if n != from_]
+    moves = [(n, found.displacement(from_, n)) for n in ends]
+    rows = [(n, *_digits(*d.shift_mm, d.distance_mm, d.distance_sd_mm, d.turned_deg))
+            for n, d in moves]  # fmt: skip
+    columns = ("to", "dx_mm", "dy_mm", "dz_mm", "distance_mm", "sd_mm", "turned_deg")
+    console.print_table(columns, rows, f"from {from_}")
 
 
 def _row(found: Rests, number: int, rest: Rest) -> tuple[object, ...]:
-    sd = float(np.sqrt(np.trace(found.block(number, number)[:3, :3])))
     scatter = float(np.sqrt(np.trace(rest.scatter[:3, :3])))
-    place = (_digits(value) for value in rest.world_from_body.translation.tolist())
-    times = (f"{rest.start_s:.3f}", f"{rest.end_s:.3f}")
-    return (number, *times, rest.poses, *place, sd, scatter)
+    times, place = _digits(rest.start_s, rest.end_s), _digits(*rest.world_from_body.translation)
+    return (number, *times, rest.poses, *place, found.sds(number)[0], scatter)
 
 
-def _digits(value: float) -> object:
+def _digits(*values: float) -> list[str]:
     """Micrometres, whatever the length: four significant digits would be too few."""
-    return f"{value:.3f}" if isinstance(value, float) else value
+    return [f"{value:.3f}" for value in values]
 
 
 def _values(found: Rests) -> dict[str, Any]:
     """As JSON: rests, and the displacement between any two of them."""
+    rests = [
+        {
+            "rest": n,
+            "translation_mm": rest.world_from_body.translation,
+            "quat_wxyz": rest.world_from_body.quat_wxyz,
+            **dict(zip(("position_sd_mm", "rotation_sd_deg"), found.sds(n), strict=True)),
+            "covariance": found.block(n, n),
+            **{key: value for key, value in vars(rest).items() if key != "world_from_body"},
+        }
+        for n, rest in enumerate(found.rests)
+    ]
     pairs = [(a, b) for a in range(len(found)) for b in range(a + 1, len(found))]
-    return {
-        "noise_share": found.noise_share,
-        "rests": [_rest_values(found, n, rest) for n, rest in enumerate(found.rests)],
-        "displacements": [_pair_values(a, b, found.displacement(a, b)) for a, b in pairs],
-    }
-
-
-def _rest_values(found: Rests, number: int, rest: Rest) -> dict[str, Any]:
-    P = found.block(number, number)
-    return {
-        "rest": number,
-        "start_s": rest.start_s,
-        "end_s": rest.end_s,
-        "poses": rest.poses,
-        "independent": rest.independent,
-        "translation_mm": rest.world_from_body.translation,
-        "quat_wxyz": rest.world_from_body.quat_wxyz,
-        "position_sd_mm": np.sqrt(np.trace(P[:3, :3])),
-        "rotation_sd_deg": np.degrees(np.sqrt(np.trace(P[3:, 3:]))),
-        "scatter_mm": np.sqrt(np.trace(rest.scatter[:3, :3])),
-        "covariance": P,
-    }
-
-
-def _pair_values(start: int, end: int, found: Displacement) -> dict[str, Any]:
-    return {
-        "from": start,
-        "to": end,
-        "shift_mm": found.shift_mm,
-        "distance_mm": found.distance_mm,
-        "distance_sd_mm": found.distance_sd_mm,
-        "turned_deg": found.turned_deg,
-        "turned_sd_deg": found.turned_sd_deg,
-        "covariance": found.covariance,
-    }
+    moved = [{"from": a, "to": b, **vars(found.displacement(a, b))} for a, b in pairs]
+    return {"noise_share": found.noise_share, "rests": rests, "displacements": moved}

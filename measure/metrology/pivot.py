@@ -67,7 +67,7 @@ def find_tip(poses: PoseTable, shared: SharedErrors) -> Pivot:
         DegenerateGeometryError: too few poses, turned too little, or no point stays.
     """
     _refuse_few(poses)
-    swing = _swing_deg(poses)
+    swing = _full_cone_deg(np.linalg.eigvalsh(_turning(poses.world_from_body.rotation))[0])
     if swing < _LEAST_SWING_DEG:
         raise DegenerateGeometryError(_too_little(swing, _LEAST_SWING_DEG))
     tip, point, weights = _fit(poses)
@@ -102,11 +102,11 @@ def find_spin_axis(poses: PoseTable, shared: SharedErrors, tip_mm: Floats) -> Sp
     _refuse_few(poses)
     values, axes = np.linalg.eigh(_turning(poses.world_from_body.rotation))
     axis = axes[:, 0]
-    turned = _full_cone_deg(float(values[1]))
+    turned = _full_cone_deg(values[1])
     if turned < _LEAST_SWING_DEG or values[0] > 0.1 * values[1]:
         raise DegenerateGeometryError(
             f"the body was turned by {turned:.0f} deg about the axis and by "
-            f"{_full_cone_deg(float(values[0])):.0f} deg across: at least {_LEAST_SWING_DEG:.0f} "
+            f"{_full_cone_deg(values[0]):.0f} deg across: at least {_LEAST_SWING_DEG:.0f} "
             "deg about one axis alone are needed"
         )
     P = _axis_covariance(poses, axes, values, shared)
@@ -133,10 +133,6 @@ def _turning(rotations: Floats) -> Floats:
     """Mean square (3, 3) of how directions of the body move in the world."""
     centred = rotations - rotations.mean(axis=0)
     return np.asarray(np.einsum("nji,njk->ik", centred, centred) / len(centred))
-
-
-def _swing_deg(poses: PoseTable) -> float:
-    return _full_cone_deg(float(np.linalg.eigvalsh(_turning(poses.world_from_body.rotation))[0]))
 
 
 def _full_cone_deg(mean_square: float) -> float:

@@ -105,12 +105,18 @@ class Rests:
         """Covariance (6, 6) of the poses of two rests."""
         return self.covariance[6 * a : 6 * a + 6, 6 * b : 6 * b + 6]
 
+    def sds(self, number: int) -> tuple[float, float]:
+        """Standard deviations of a rest's position (3-D, mm) and rotation (deg)."""
+        P = np.diag(self.block(number, number))
+        return float(np.sqrt(P[:3].sum())), float(np.degrees(np.sqrt(P[3:].sum())))
+
     def displacement(self, start: int, end: int) -> Displacement:
         """From one rest to another; what both err by alike cancels as far as it is alike."""
         a, b = self.rest(start).world_from_body, self.rest(end).world_from_body
-        by_both = self.change(start, end)
-        rows = [6 * start + k for k in range(6)] + [6 * end + k for k in range(6)]
-        P = by_both @ self.covariance[np.ix_(rows, rows)] @ by_both.T
+        back = np.eye(6)  # of shift and turn by the first pose, negative
+        back[3:, 3:] = b.rotation @ a.rotation.T
+        across = back @ self.block(start, end)
+        P = back @ self.block(start, start) @ back.T + self.block(end, end) - across - across.T
         shift, turn = b.translation - a.translation, (b @ a.inverse()).rotvec
         length = float(np.linalg.norm(shift))
         along = shift / length if length else np.zeros(3)
@@ -122,13 +128,6 @@ class Rests:
             float(np.degrees(np.linalg.norm(turn))),
             float(np.degrees(np.sqrt(np.trace(P[3:, 3:])))),
         )
-
-    def change(self, start: int, end: int) -> Floats:
-        """Jacobian (6, 12) of shift and turn by the poses of both rests."""
-        a, b = self.rests[start].world_from_body, self.rests[end].world_from_body
-        back = np.eye(6)
-        back[3:, 3:] = b.rotation @ a.rotation.T
-        return np.concatenate([-back, np.eye(6)], axis=1)
 
 
 def find_rests(poses: PoseTable, shared: SharedErrors, shortest_s: float = SHORTEST_S) -> Rests:
