@@ -80,9 +80,11 @@ def _read(path: Path) -> NumberTable:
     sd = ("sd_mm",) if "sd_mm" in read_text(path, RunError).partition("\n")[0] else ()
     needed = ("length_mm", *sd)
     table = read_number_table(path, needed, error=RunError, words=("from", "to"))
-    for line, length in zip(table.lines, table.columns["length_mm"], strict=True):
+    for line, length, *sds in zip(table.lines, *table.columns.values(), strict=True):
         if not 0 < length < math.inf:
             raise RunError(f"{path}:{line}: length_mm is {length:g}: write a length in mm")
+        if not all(0 <= given < math.inf for given in sds):
+            raise RunError(f"{path}:{line}: sd_mm is {sds[0]:g}: write a standard deviation in mm")
     return table
 
 

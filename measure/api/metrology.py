@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from measure.arrays import Floats
-from measure.errors import DegenerateGeometryError, RunError
+from measure.errors import ConfigError, DegenerateGeometryError, RunError
 from measure.metrology.pivot import Pivot, SpinAxis, find_spin_axis, find_tip
 from measure.metrology.rests import SHORTEST_S, Rests, find_rests
 from measure.model import Body
@@ -29,6 +29,8 @@ class TipResult:
 
 def rests(run: Path | str, shortest_s: float = SHORTEST_S, body: str | None = None) -> Rests:
     """The stretches of a run in which a body, of several the named one, stands still."""
+    if not 0 < shortest_s < np.inf:
+        raise ConfigError(f"--shortest-s {shortest_s:g}: give the seconds of the shortest rest")
     opened = read_run(Path(run), body)
     return find_rests(poses_of(opened), shared_errors(opened), shortest_s)
 

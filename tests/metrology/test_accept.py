@@ -81,13 +81,15 @@ def test_a_contradiction_ends_with_three_and_names_the_length(tmp_path: Path, rn
         ("0,0,100", r"lengths.csv:2: rest 0 has no distance from itself"),
         ("0,red,100", r"lengths.csv:2: '0' to 'red' are no two rests .* green, yellow, red"),
         ("0,1,-3", r"lengths.csv:2: length_mm is -3"),
+        ("0,1,100,-1", r"lengths.csv:2: sd_mm is -1"),
         ("0,1", r"lengths.csv:2: .*length_mm"),
     ],
 )
 def test_a_bad_row_is_told_with_its_line(rows, message, tmp_path: Path, rng, capsys):
     run = write_run(tmp_path / "run", poses_of(with_rests(PLACES), Errors(nearby=0.7), rng))
     table = tmp_path / "lengths.csv"
-    table.write_text(f"from,to,length_mm\n{rows}\n")
+    head = "from,to,length_mm" + (",sd_mm" if rows.count(",") == 3 else "")
+    table.write_text(f"{head}\n{rows}\n")
     assert main(["accept", str(run), "--lengths", str(table)]) == 2
     error = capsys.readouterr().err
     assert re.search(message, error), error

@@ -138,6 +138,8 @@ def test_the_command_lists_rests_and_leaves_out_flagged_poses(tmp_path: Path, rn
     assert "from 1" in capsys.readouterr().out
     assert main(["rests", str(run), "--from", "7"]) == 2
     assert "there are 3 rests, 0 to 2" in capsys.readouterr().err
+    assert main(["rests", str(run), "--shortest-s", "-1"]) == 2
+    assert "--shortest-s -1" in capsys.readouterr().err
     with pytest.raises(RunError):
         api.rests(tmp_path / "none")
 
