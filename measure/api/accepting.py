@@ -14,11 +14,11 @@ from measure.api.metrology import told_of
 from measure.api.outputs import check_page_writable
 from measure.errors import DegenerateGeometryError, RunError
 from measure.metrology.lengths import Acceptance, MeasuredLengths, between_rests, judge
-from measure.metrology.rests import Rests, find_rests
+from measure.metrology.rests import Rests
 from measure.reading import read_text
 from measure.results import Run, read_run
 from measure.results.distances import BallDistance
-from measure.results.pose_table import poses_of, shared_errors
+from measure.results.pose_table import rests_of
 from measure.session.number_table import NumberTable, read_number_table
 
 
@@ -50,7 +50,7 @@ def accept(
     opened, table = read_run(Path(run), body), _read(path)
     if page is not None:
         check_page_writable(page)
-    rests = find_rests(poses_of(opened), shared_errors(opened))
+    rests = rests_of(opened)
     balls = {frozenset(one.balls): one for one in opened.distances if one.count}
     pairs: list[tuple[int, int]] = []
     seen, order = [], []
@@ -67,7 +67,7 @@ def accept(
     known = table.columns["length_mm"]
     sd = table.columns.get("sd_mm", np.zeros(len(known)))
     found = _with_balls(between_rests(rests, pairs), opened, seen)
-    judged = judge(names, found, known[order], sd[order])
+    judged = judge(names, found, known[order], sd[order], opened.contradictions)
     promises = _promises(judged, opened, rests)
     if page is not None:
         from measure.viewing.report.acceptance_report import acceptance_report

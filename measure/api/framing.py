@@ -12,10 +12,10 @@ from measure.api.metrology import told_of
 from measure.arrays import Floats
 from measure.errors import CalibrationError, ConfigError, DegenerateGeometryError, RunError
 from measure.geometry import RigidTransform, UncertainTransform
-from measure.metrology.rests import Rests, find_rests
+from measure.metrology.rests import Rests
 from measure.model import Camera
 from measure.results import Run, read_run
-from measure.results.pose_table import poses_of, shared_errors
+from measure.results.pose_table import poses_of, rests_of
 from measure.session import Calibration, read_calibration
 
 _SAME_MM = 1e-3
@@ -59,8 +59,7 @@ def world(
         if at_s is not None:
             place = _pose_at(opened, at_s)
         else:
-            found = find_rests(poses_of(opened), shared_errors(opened))
-            place = _of_rests(found, rest, points)
+            place = _of_rests(rests_of(opened), rest, points)
     return _moved(given, place, str(run)), place
 
 

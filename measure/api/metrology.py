@@ -12,10 +12,10 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import ConfigError, DegenerateGeometryError, RunError
 from measure.metrology.pivot import Pivot, SpinAxis, find_spin_axis, find_tip
-from measure.metrology.rests import SHORTEST_S, Rests, find_rests
+from measure.metrology.rests import SHORTEST_S, Rests
 from measure.model import Body
 from measure.results import read_run
-from measure.results.pose_table import poses_of, shared_errors
+from measure.results.pose_table import poses_of, rests_of, shared_errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,8 +31,7 @@ def rests(run: Path | str, shortest_s: float = SHORTEST_S, body: str | None = No
     """The stretches of a run in which a body, of several the named one, stands still."""
     if not 0 < shortest_s < np.inf:
         raise ConfigError(f"--shortest-s {shortest_s:g}: give the seconds of the shortest rest")
-    opened = read_run(Path(run), body)
-    return find_rests(poses_of(opened), shared_errors(opened), shortest_s)
+    return rests_of(read_run(Path(run), body), shortest_s)
 
 
 def pivot(run: Path | str, spin: Path | str | None = None, body: str | None = None) -> TipResult:

@@ -48,6 +48,7 @@ class Acceptance:
     scale: float  # measured over known, less 1
     scale_expanded: float  # its expanded uncertainty, k = 2
     limit: float  # factor k beyond which one of so many lengths contradicts
+    doubts: tuple[str, ...]  # what the rig already says against itself
 
     @property
     def ratios(self) -> Floats:
@@ -77,7 +78,8 @@ class Acceptance:
     def contradictions(self) -> tuple[str, ...]:
         """What cannot be by chance, a line each; empty if the rig is as good as it says."""
         wide = self.limit / COVERAGE_FACTOR
-        lines = [
+        lines = [doubt.removeprefix("wrong: ") for doubt in self.doubts]
+        lines += [
             f"length {name}: off by {error:+.3f} mm, more than {wide * U:.3f} mm"
             for name, error, U in zip(
                 self.names, self.length_errors_mm, self.expanded_mm, strict=True
@@ -108,9 +110,16 @@ def between_rests(rests: Rests, pairs: Sequence[tuple[int, int]]) -> MeasuredLen
 
 
 def judge(
-    names: Sequence[str], measured: MeasuredLengths, known_mm: Floats, known_sd_mm: Floats
+    names: Sequence[str],
+    measured: MeasuredLengths,
+    known_mm: Floats,
+    known_sd_mm: Floats,
+    doubts: tuple[str, ...] = (),
 ) -> Acceptance:
-    """Compare n measured lengths with known ones (n,) and their standard deviations (n,)."""
+    """Compare n measured lengths with known ones (n,) and their standard deviations (n,).
+
+    What the rig already says against itself, its `doubts`, are contradictions as well.
+    """
     errors = measured.lengths_mm - known_mm
     P = measured.covariance + np.diag(known_sd_mm**2)
     square = float(known_mm @ known_mm)
@@ -135,4 +144,5 @@ def judge(
         float(known_mm @ errors) / square,
         COVERAGE_FACTOR * float(np.sqrt(known_mm @ P @ known_mm)) / square,
         float(stdtrit(_DEGREES, (1 + _COVERAGE ** (1 / tests)) / 2)),
+        doubts,
     )

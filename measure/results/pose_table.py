@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,10 +12,13 @@ from measure.arrays import Floats, Ints
 from measure.errors import ConfigError
 from measure.geometry import RigidTransform
 from measure.metrology.poses import PoseTable, SharedErrors
+from measure.metrology.rests import SHORTEST_S, Rests, find_rests
 from measure.metrology.smoothing import SmoothMotion, smooth_motion
 from measure.results.columns import matrices, numbers, texts
 from measure.results.run import Run
 from measure.results.tables import PLACE
+
+_log = logging.getLogger(__name__)
 
 _FEWEST_STEPS = 3
 """Usual steps on either side of a pose, from which a velocity is taken if nothing is smoothed."""
@@ -31,6 +35,18 @@ class Velocities:
 def poses_of(run: Run) -> PoseTable:
     """The poses of a run that are not flagged."""
     return _table(run, _unflagged(run))
+
+
+def rests_of(run: Run, shortest_s: float = SHORTEST_S) -> Rests:
+    """Where the body of a run stands still, by its unflagged poses.
+
+    Where most poses are flagged, as a wrong scale flags all, by all of them, with a warning.
+    """
+    poses = poses_of(run)
+    if 2 * len(poses) < np.count_nonzero(run.has_pose):
+        _log.warning("%s: most poses are flagged, and rests are of poses in doubt", run.path)
+        poses = _table(run, np.flatnonzero(run.has_pose))
+    return find_rests(poses, shared_errors(run), shortest_s)
 
 
 def shared_errors(run: Run) -> SharedErrors:

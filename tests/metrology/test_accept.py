@@ -114,3 +114,14 @@ def test_balls_are_a_ball_bar(tmp_path: Path, capsys):
     assert told["max_mm"] < 0.01
     table.write_text("from,to,length_mm\ngreen,red,80\n")
     assert main(["accept", str(tmp_path / "run"), "--lengths", str(table)]) == 3
+
+
+def test_a_rig_whose_poses_are_all_flagged_is_judged_all_the_same(tmp_path, rng, capsys, caplog):
+    """A wrong scale that the run has found flags them all; the lengths say so too."""
+    poses = poses_of(with_rests(PLACES), Errors(nearby=0.7, scale=1.01), rng)
+    run = write_run(tmp_path / "run", poses, flagged=frozenset(range(len(poses))))
+    table = tmp_path / "lengths.csv"
+    table.write_text(TABLE)
+    assert main(["accept", str(run), "--lengths", str(table)]) == 3
+    assert "wrong: scale: lengths are +1.0" in capsys.readouterr().out
+    assert "most poses are flagged" in caplog.text
