@@ -163,7 +163,7 @@ def _fit(poses: PoseTable) -> tuple[Floats, Floats, Floats]:
         v = np.einsum("nij,nkj,nk->ni", poses.covariances, H, rest)
         v[weights == 0] = 0.0
         adjusted = measured.perturb(-v)
-        if np.max(np.abs(step)) < 1e-6:
+        if np.max(np.abs(step)) < 1e-5:
             break
     return x[:3], x[3:], weights
 

@@ -22,11 +22,7 @@ EXACT = SharedErrors((), BODY)
 DRAWS = 100
 
 
-@pytest.mark.parametrize(
-    "errors",
-    [Errors(), Errors(everywhere=0.5), Errors(nearby=0.5), Errors(everywhere=0.9)],
-    ids=str,
-)
+@pytest.mark.parametrize("errors", [Errors(), Errors(nearby=0.5), Errors(everywhere=0.9)], ids=str)
 def test_the_tip_is_inside_its_region(errors, rng):
     truth, inside, off = pivoting(TIP, POINT, 40.0), 0, []
     for _ in range(DRAWS):
