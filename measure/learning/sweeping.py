@@ -12,22 +12,11 @@ from typing import Any
 from measure.errors import EstimatorError
 from measure.host import Registry, Report
 from measure.host.cluster import connected
+from measure.learning import study as studies
 from measure.learning.files import read_dataset
 from measure.learning.fitting import fit
 from measure.learning.scores import corrected_rms_mm
 from measure.learning.splits import split_by_trajectory
-from measure.learning.study import (
-    Range,
-    SweepState,
-    ask,
-    fail,
-    failures,
-    finish,
-    open_study,
-    queued,
-    requeue_dead,
-    sweep_state,
-)
 
 
 @dataclass(frozen=True)
@@ -70,13 +59,13 @@ def run_trial(job: SweepJob, settings: Mapping[str, Any]) -> float:
 
 def sweep(
     job: SweepJob,
-    space: Mapping[str, Range],
+    space: Mapping[str, studies.Range],
     journal: Path,
     trials: int,
     *,
     scheduler: str | None = None,
     report: Report,
-) -> SweepState:
+) -> studies.SweepState:
     """Work on a sweep until it has `trials` finished trials; every process that calls this helps.
 
     The journal is a file that any number of processes and machines append to. The settings of a
@@ -92,19 +81,19 @@ def sweep(
         EstimatorError: an extra is missing, the journal is damaged or of another sweep, or as many
             trials failed as were wanted.
     """
-    study = open_study(journal, job.identity)
+    study = studies.open_study(journal, job.identity)
     while True:
-        requeue_dead(study)
-        state = sweep_state(study)
+        studies.requeue_dead(study)
+        state = studies.sweep_state(study)
         report(min(1.0, state.finished / trials), f"{state.finished} of {trials} trials")
         if state.finished >= trials:
             return state
-        if len(failed := failures(study)) >= trials:
+        if len(failed := studies.failures(study)) >= trials:
             raise EstimatorError(
                 f"{len(failed)} trials failed and {state.finished} finished; the last failure: "
                 f"{failed[-1]}: mend the space and use another journal, or want more trials"
             )
-        if state.finished + state.running >= trials and not queued(study):
+        if state.finished + state.running >= trials and not studies.queued(study):
             time.sleep(0.5)
             continue
         if scheduler:
@@ -113,24 +102,24 @@ def sweep(
             _one(study, job, space)
 
 
-def _one(study: Any, job: SweepJob, space: Mapping[str, Range]) -> None:
-    trial, settings = ask(study, space)
-    finish(study, trial, lambda: run_trial(job, settings))
+def _one(study: Any, job: SweepJob, space: Mapping[str, studies.Range]) -> None:
+    trial, settings = studies.ask(study, space)
+    studies.finish(study, trial, lambda: run_trial(job, settings))
 
 
 def _on_cluster(
-    study: Any, job: SweepJob, space: Mapping[str, Range], scheduler: str, wanted: int
+    study: Any, job: SweepJob, space: Mapping[str, studies.Range], scheduler: str, wanted: int
 ) -> None:
     """Hand a batch to dask's workers; dask itself repeats what a dead worker was doing."""
     with connected(scheduler, "--scheduler") as (client, distributed):
         workers = len(client.scheduler_info()["workers"])
         asked: dict[Any, Any] = {}
         for _ in range(min(wanted, 2 * workers)):
-            trial, settings = ask(study, space)
+            trial, settings = studies.ask(study, space)
             asked[client.submit(run_trial, job, settings, pure=False)] = trial
         for future in distributed.as_completed(list(asked), loop=client.loop):
             error = future.exception()
             if isinstance(error, distributed.KilledWorker):
-                fail(study, asked[future], f"every worker that tried it died: {error}")
+                studies.fail(study, asked[future], f"every worker that tried it died: {error}")
             else:
-                finish(study, asked[future], future.result)
+                studies.finish(study, asked[future], future.result)
