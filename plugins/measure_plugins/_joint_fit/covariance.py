@@ -26,6 +26,13 @@ balls, and moves the body without turning it. With independent shifts alone the 
 the position would be too small beside the rotation's, the more so the more balls there are."""
 
 
+class UncertainBalls(NamedTuple):
+    """How far b balls may be from spheres of their radii."""
+
+    radius_covariance: Floats  # (b, b) of the radii, mm^2
+    shape_variances: Floats  # (3,) of an outline's x, y and radius by a ball out of round, mm^2
+
+
 class JointFit(NamedTuple):
     """A pose fitted to outlines, with its full covariance."""
 
@@ -47,7 +54,7 @@ def solve_outlines(
     translation: Floats,
     prior_information: Floats,
     ball_of: Ints,
-    radius_covariance: Floats,
+    balls: UncertainBalls,
     rig: RigRows,
     view_noise: Floats,
     widening: float,
@@ -62,7 +69,7 @@ def solve_outlines(
         translation: (3,) of the same.
         prior_information: (6, 6) see `fit_outlines`.
         ball_of: (k,) index of the ball.
-        radius_covariance: (b, b) of the body's radii, mm^2.
+        balls: the body's b balls.
         rig: the c cameras.
         view_noise: (c, 2, 2) covariances of the views' shifts by their calibration, px^2.
         widening: factor of the covariance, for effects whose variance is itself estimated.
@@ -72,9 +79,11 @@ def solve_outlines(
     )
     known, levers = fit.covariance * widening, np.zeros((len(rig.lenses), 6, 18))
     if fit.solved:
-        known += light_covariance(outlines, fit, ball_of, len(radius_covariance), rig.lenses)
-        by_radius = pose_by_radius(outlines, fit, ball_of, len(radius_covariance), rig.lenses)
-        known += by_radius @ radius_covariance @ by_radius.T
+        count = len(balls.radius_covariance)
+        known += light_covariance(outlines, fit, ball_of, count, rig.lenses)
+        by_radius = pose_by_radius(outlines, fit, ball_of, count, rig.lenses)
+        known += by_radius @ balls.radius_covariance @ by_radius.T
+        known += shape_covariance(outlines, fit, balls.shape_variances, rig.lenses)
         levers = by_cameras(outlines, fit, rig)
         known += calibration_covariance(levers, rig)
     off = fit.effects_px[:, :2]
@@ -162,11 +171,38 @@ def pose_by_radius(
     """
     out = np.zeros((6, balls))
     for k in range(len(outlines.view_of)):
-        view, center = outlines.view_of[k], _center_in_camera(outlines, fit, k)
-        square = np.sum(center * center) - outlines.radii[k] ** 2
-        focal = (lenses[view, 0] + lenses[view, 3]) / 2
-        out[:, ball_of[k]] += fit.by_effect[k, :, 2] * focal / np.sqrt(square)
+        out[:, ball_of[k]] += fit.by_effect[k, :, 2] * _px_per_mm(outlines, fit, k, lenses)
     return out
+
+
+@compiled
+def shape_covariance(
+    outlines: PackedOutlines, fit: OutlineFit, variances: Floats, lenses: Floats
+) -> Floats:
+    """What balls that are out of round add to the pose's covariance (6, 6).
+
+    Each view shows another outline of a ball, which shifts and grows independently: as random
+    effects do, whose covariance the fit states. What is missing there is added. See
+    docs/explanation/joint_fit.md, formula 23.
+
+    Args:
+        outlines: k ball-views in c views.
+        variances: (3,) of an outline's x, y and radius, mm^2.
+        lenses: (c, 16) lens rows.
+    """
+    out, stated = np.zeros((6, 6)), fit.effect_sd_px[np.array([0, 0, 1])] ** 2
+    for k in range(len(outlines.view_of)):
+        shape = variances * _px_per_mm(outlines, fit, k, lenses) ** 2
+        out += (fit.by_effect[k] * np.maximum(shape - stated, 0.0)) @ fit.by_effect[k].T
+    return out
+
+
+@compiled
+def _px_per_mm(outlines: PackedOutlines, fit: OutlineFit, k: int, lenses: Floats) -> float:
+    """How far ball-view k's outline moves in its picture if the ball's surface does."""
+    view, center = outlines.view_of[k], _center_in_camera(outlines, fit, k)
+    square = np.sum(center * center) - outlines.radii[k] ** 2
+    return float((lenses[view, 0] + lenses[view, 3]) / 2 / np.sqrt(square))
 
 
 @compiled

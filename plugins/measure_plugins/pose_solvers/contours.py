@@ -32,6 +32,10 @@ if TYPE_CHECKING:
 _MAX_EFFECT_SQUARE = 13.8
 """Squared Mahalanobis distance of a shift beyond which it is flagged: exceeded by 1 in 1000
 (chi-square, 2 degrees of freedom)."""
+_OUTLINE_SHARES = np.array([3.0, 3.0, 2.0]) / 16
+"""Shares of the variance of a ball's surface, half oval (spherical harmonics of degree 2) and half
+three-lobed (degree 3), that shift an outline to x and y and let it grow. See
+docs/explanation/joint_fit.md, formula 23."""
 
 
 class ContoursConfig(Settings):
@@ -145,7 +149,7 @@ class ContoursSolver(PoseSolver):
         view_noise: Floats,
     ) -> JointFit:
         """The joint fit at `time_s`, each image at its own time where the motion is known."""
-        from measure_plugins._joint_fit.covariance import solve_outlines
+        from measure_plugins._joint_fit.covariance import UncertainBalls, solve_outlines
 
         named, packed = outlines.named, outlines.packed
         if prior is not None and outlines.instants != {time_s}:
@@ -157,7 +161,9 @@ class ContoursSolver(PoseSolver):
             np.ascontiguousarray(start.translation),
             information,
             named.ball_of,
-            self.body.radius_covariance,
+            UncertainBalls(
+                self.body.radius_covariance, self.body.radius_tolerance_mm**2 * _OUTLINE_SHARES
+            ),
             named.rig.rows,
             view_noise,
             _small_sample(2 * len(named.balls) - 6),

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.special import eval_legendre
 
-from measure.geometry import squared_mahalanobis
+from measure.geometry import squared_mahalanobis, tangent_cone
 from measure.model import Camera, Intrinsics, Motion
-from tests.plugins.pose_solvers.outlined import OFF, POSE, see, see_all, solve
+from tests.plugins.pose_solvers.outlined import ANGLES, OFF, POSE, see, see_all, solve
 from tests.scenes import RAVEN, moved, ring
 
 
@@ -60,6 +63,62 @@ def test_what_light_does_to_all_balls_alike_is_in_the_position():
             yield rng.normal(scale=0.04, size=(3, 3)) + rng.normal(scale=0.04, size=3)
 
     assert inside_of(lights, 4) >= 54
+
+
+def test_balls_may_be_as_far_out_of_round_as_their_radii_may_be_off():
+    """Surfaces of 0.15 mm, the same for all cameras, half oval and half three-lobed."""
+    rng, cameras, prior = np.random.default_rng(6), ring(), Motion.at_rest(POSE, 0.0)
+    errors, stated = [], []
+    spheres, unround = _of_known_radii(0.0), _of_known_radii(0.15)
+    for _ in range(30):
+        surfaces = [_surface(rng, 0.15) for _ in RAVEN.balls]
+        seen = [
+            see(RAVEN, camera, ball.name, POSE, offset=_bulge_px(camera, ball, surface))
+            for camera in cameras.values()
+            for ball, surface in zip(RAVEN.balls, surfaces, strict=True)
+        ]
+        poses = [solve(body, seen, cameras, prior) for body in (spheres, unround)]
+        errors.append(poses[0].world_from_body.difference(POSE))
+        stated.append([np.diag(pose.covariance) for pose in poses])
+    exact = see_all(RAVEN, cameras, POSE)
+    hidden = solve(unround, exact, cameras, prior).covariance
+    added = hidden - solve(spheres, exact, cameras, prior).covariance
+    ratio = np.sqrt(np.diag(added) / np.mean(np.square(errors), axis=0))
+    # Opposite cameras see the same outline: what it does to height and rotation cancels.
+    assert np.all((ratio > 0.8) & (ratio < 3.5))
+    assert np.all((ratio[:2] > 0.8) & (ratio[:2] < 1.25))
+    # What residuals show is stated without it, and not stated twice.
+    without, again = np.mean(stated, axis=0)
+    assert np.all(again < 1.25 * without)
+    assert np.all(np.diag(hidden) > 1.25 * np.diag(hidden - added))
+
+
+def _of_known_radii(tolerance_mm):
+    body = replace(RAVEN, radius_tolerance_mm=tolerance_mm)
+    return body.with_radii(body.radii, np.zeros((3, 3)))
+
+
+def _surface(rng, sd_mm):
+    """How far (n,) mm a ball stands out along directions (n, 3): harmonics of degrees 2 and 3."""
+    poles = rng.normal(size=(2, 40, 3))
+    poles /= np.linalg.norm(poles, axis=2, keepdims=True)
+    # The mean square of a Legendre polynomial over the sphere is 1 / (2 degree + 1).
+    heights = sd_mm * rng.normal(size=(2, 40)) * np.sqrt([[5 / 80], [7 / 80]])
+
+    def stands_out(directions):
+        each = zip((2, 3), poles, heights, strict=True)
+        return sum(eval_legendre(degree, directions @ at.T) @ high for degree, at, high in each)
+
+    return stands_out
+
+
+def _bulge_px(camera, ball, surface):
+    """How far (n,) px an outline lies outside that of a sphere."""
+    center = camera.camera_from_world.apply(POSE.apply(ball.center_mm))
+    tangent_mm = np.sqrt(center @ center - ball.radius_mm**2)
+    touched = tangent_mm * tangent_cone(center, ball.radius_mm).bearings(ANGLES)
+    normals = camera.world_from_camera.rotate((touched - center) / ball.radius_mm)
+    return surface(POSE.inverse().rotate(normals)) * camera.intrinsics.focal_px / tangent_mm
 
 
 def _in_picture(camera, light_world_px, rng=None):
@@ -207,16 +266,16 @@ def _stated_over_seen(draw, joined=True):
     Rotations react little, mostly by way of the weights. A draw is the pose's error in the
     camera's own axes (6,), and the intrinsics' (12,).
     """
-    prior = Motion.at_rest(POSE, 0.0)
+    prior, body = Motion.at_rest(POSE, 0.0), _of_known_radii(0.0)
     seen = see_all(RAVEN, ring(), POSE)
-    exact = solve(RAVEN, seen, ring(), prior)
+    exact = solve(body, seen, ring(), prior)
     rng = np.random.default_rng(5)
     many = np.array([np.concatenate(draw(rng)) for _ in range(4000)])
     known = many.T @ many / len(many)
     errors, added = [], []
     for _ in range(40):
         cameras = {name: _off(camera, *draw(rng), known, joined) for name, camera in ring().items()}
-        stated = solve(RAVEN, seen, cameras, prior)
+        stated = solve(body, seen, cameras, prior)
         errors.append(stated.world_from_body.difference(exact.world_from_body)[:3])
         added.append(np.diag(stated.covariance - exact.covariance)[:3])
     return np.sqrt(np.mean(added, axis=0) / np.mean(np.square(errors), axis=0))
