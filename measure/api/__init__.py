@@ -4,6 +4,7 @@ Heavy libraries load when an action is called, not with this package.
 """
 
 from measure.api.accepting import Accepted, accept
+from measure.api.body_finding import FoundBody, find_body
 from measure.api.calibrating import CalibrationResult, calibrate, draw_target, shipped_targets
 from measure.api.check import SessionCheck, check
 from measure.api.correcting import (
@@ -45,6 +46,7 @@ __all__ = [
     "CalibrationResult",
     "CaptureRequest",
     "Demo",
+    "FoundBody",
     "Lens",
     "LiveEnd",
     "LiveOptions",
@@ -78,6 +80,7 @@ __all__ = [
     "evaluate",
     "evaluation_tables",
     "export",
+    "find_body",
     "live",
     "load_profile",
     "make_dataset",

@@ -71,18 +71,16 @@ def refine(
     from measure.calibration import refine_measured, rough_cameras
     from measure.session import open_session
 
-    chosen = _lenient(load_profile(profile))
+    chosen = lenient(load_profile(profile))
     with open_session(session, calibration=calibration) as opened:
-        # The covariance of all cameras together, where the first calibration holds it.
-        known = read_calibration(opened.calibration_path).provenance.get("joint_covariance")
-        joint = None if known is None else np.asarray(known, dtype=np.float64)
+        joint = joint_covariance(opened)
         given = (opened.cameras, opened.body)
-        measured, sized = _measure(opened, chosen, registry, progress)
+        measured, sized = measure_all(opened, chosen, registry, progress)
         rough = rough_cameras(*given, measured, settings, joint)
         if rough is not None:
             _log.warning("the cameras disagree much: measuring again with roughly refined ones")
             again = replace(opened, cameras=rough)
-            measured, sized = _measure(again, chosen, registry, progress)
+            measured, sized = measure_all(again, chosen, registry, progress)
         rig = refine_measured(*given, measured, settings, joint)
         clocks = clock_values(opened.clock_digest, _shifts(rig, opened.clock_shifts_s))
     notes = rig.verdict.notes + (() if rig.refinement.world_held else (LOOSE_WORLD,))
@@ -91,7 +89,13 @@ def refine(
     return RefineResult(Calibration(rig.refinement.cameras, values), rig, refined, notes)
 
 
-def _lenient(profile: Profile) -> Profile:
+def joint_covariance(opened: Session) -> Floats | None:
+    """The covariance of all cameras together, where their calibration holds it."""
+    known = read_calibration(opened.calibration_path).provenance.get("joint_covariance")
+    return None if known is None else np.asarray(known, dtype=np.float64)
+
+
+def lenient(profile: Profile) -> Profile:
     """The profile without flags for displaced cameras: refining corrects those."""
     if profile.tracking == "predictive":
         profile = profile.with_setting("tracking", "view_bias_px", _ANY_PX)
@@ -100,7 +104,7 @@ def _lenient(profile: Profile) -> Profile:
     return profile
 
 
-def _measure(
+def measure_all(
     opened: Session, profile: Profile, registry: Registry, progress: Progress | None
 ) -> tuple[list[Measurement], Body]:
     """Every frame set measured, and the body with the radii that its outlines show."""

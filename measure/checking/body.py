@@ -60,7 +60,7 @@ def locate_balls(
             continue
         centers[ball.name] = points.points[0]
         variances[ball.name] = float(points.sd_mm[0] ** 2)
-        near = _sizes(candidates.detections, points.points[0], cameras)
+        near = outline_sizes(candidates.detections, points.points[0], cameras)
         if near:
             # The deviation is that of one view, as the bias of edges is common to all.
             radius, sd = np.median(near, axis=0).tolist()
@@ -88,7 +88,7 @@ def check_body(located: Iterable[LocatedBalls], body: Body) -> BodyCheck:
     return BodyCheck(distances, radii, tuple(findings), blind_to(body, known))
 
 
-def _sizes(
+def outline_sizes(
     detections: Sequence[Detection], center: Floats, cameras: Sequence[Camera]
 ) -> list[tuple[float, float]]:
     """(radius in mm, its standard deviation) from every outline around a ball at `center`."""

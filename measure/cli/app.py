@@ -44,6 +44,7 @@ GROUPS: dict[str, tuple[Command, ...]] = {
         Command("target", "Draw a printable board, marker field or body."),
         Command("record", "Record cameras into a session."),
         Command("calibrate", "Calibrate cameras from pictures of boards and markers."),
+        Command("body", "Write a body file from a recording in which the balls are seen."),
         Command("refine", "Refine a calibration from the moving balls themselves."),
         Command("sync", "Bring recordings started by hand together, by the balls' motion."),
         Command("check", "Say what is wrong or weak in a session before it is measured."),

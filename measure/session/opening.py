@@ -32,7 +32,7 @@ _FILE = "session.toml, the file that names each camera's video or folder of pict
 def open_session(
     path: Path | str,
     calibration: Path | str | None = None,
-    body: Path | str | Sequence[Path] | None = None,
+    body: Path | str | Body | Sequence[Path] | None = None,
     *,
     reference: str | None = None,
     clocks_apart: bool = False,
@@ -42,7 +42,7 @@ def open_session(
     Args:
         path: the session's folder, or its `session.toml`.
         calibration: a calibration file to use instead of the session's own.
-        body: a body file to use instead of the session's own, or several.
+        body: a body, its file, or several files, to use instead of the session's own.
         reference: name of the body to measure the others relative to, instead of the session's.
         clocks_apart: open cameras without a time in common as well, to find their clocks.
 
@@ -118,8 +118,10 @@ def session_file(path: Path) -> Path:
 
 
 def _bodies(
-    given: SessionModel, file: Path, override: Path | str | Sequence[Path] | None
+    given: SessionModel, file: Path, override: Path | str | Body | Sequence[Path] | None
 ) -> tuple[Body, ...]:
+    if isinstance(override, Body):
+        return (override,)
     if override is not None:
         files = [override] if isinstance(override, Path | str) else override
         return tuple(map(read_body, files))

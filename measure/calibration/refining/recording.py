@@ -75,6 +75,7 @@ def recording_of(
     lead_s: Callable[[Detection], float] | None = None,
     limit: int = 1500,
     doubtful_too: bool = False,
+    least_motion_mm: float = _MIN_MOTION_MM,
 ) -> Recording:
     """Collect the poses and effective detections of measured frame sets.
 
@@ -100,7 +101,7 @@ def recording_of(
     kept = kept[:limit]
     poses = stack([m.pose.world_from_body for m in kept if m.pose is not None])
     spread = float(np.linalg.norm(np.ptp(poses.translation, axis=0)))
-    if spread < _MIN_MOTION_MM:
+    if spread < least_motion_mm:
         raise CalibrationError(
             f"the body moved {spread:.1f} mm only: carry it through the whole workspace"
         )

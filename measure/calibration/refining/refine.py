@@ -58,7 +58,7 @@ class Refinement:
 
     cameras: tuple[Camera, ...]
     centers: Floats  # (k, 3) ball centres in the body, mm
-    center_sds: Floats  # (k, 3) their standard deviations
+    center_covariance: Floats  # (3k, 3k) of those; zero where the body is exact
     # of the ball centres' residuals, before and after, by camera.
     rms_px: dict[str, tuple[float, float]]
     misfit_px: dict[str, float]  # median length of the residuals after, by camera
@@ -72,6 +72,11 @@ class Refinement:
     frames: int = 0
     # whether the first calibration holds the joint covariance of all cameras.
     world_held: bool = False
+
+    @property
+    def center_sds(self) -> Floats:
+        """Standard deviations (k, 3) of the ball centres, mm."""
+        return np.sqrt(np.diag(self.center_covariance)).reshape(-1, 3)
 
 
 def refine_rig(
@@ -237,14 +242,14 @@ def _answer(
         with_covariance(camera, P[np.ix_(columns, columns)], free, after[camera.name])
         for camera, columns, free in zip(state.cameras, layout.cameras, layout.free, strict=True)
     )
-    sds = np.zeros_like(state.centers)
+    known = np.zeros((state.centers.size, state.centers.size))
     if len(layout.centers):
-        sds = np.sqrt(np.diag(P)[layout.centers]).reshape(-1, 3)
+        known = P[np.ix_(layout.centers, layout.centers)]
     own = np.concatenate(layout.cameras)
     return Refinement(
         cameras,
         state.centers,
-        sds,
+        known,
         {name: (before[name], after[name]) for name in after},
         {n: float(np.median(np.linalg.norm(left, axis=1))) for n, left in shifted.items()},
         state.shifts_px,

@@ -1,0 +1,216 @@
+"""The layout of a body of which only a ball's size is known, from balls seen in a recording.
+
+Balls are searched by the common colours and located where the rays of several cameras intersect.
+What keeps its distances while it moves is a body; its shape follows from them (classical
+multidimensional scaling, Torgerson 1952), good enough to measure it with and to adjust it then.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from measure.arrays import Floats
+from measure.checking.body import outline_sizes
+from measure.errors import DegenerateGeometryError, SessionError
+from measure.estimation.body_layout import looks_mirrored
+from measure.geometry.covariance import MAD_TO_SD
+from measure.measuring.association.candidates import by_ball, intersect_rays
+from measure.model import Ball, BallColor, Body, Camera, Detection
+
+PALETTES = (("red", "yellow", "green", "blue", "white"), ("orange", "cyan", "purple", "pink"))
+"""Colours searched for, in groups of few that overlap little."""
+_SEARCHED = (
+    f"; searched for {', '.join(color for group in PALETTES for color in group)}: --like gives the "
+    "colours of other balls"
+)
+_SIGMAS, _RANGE_RATIO = 4.0, 2.5
+_FEWEST_FRAMES = 6
+_LEAST_SHARE = 0.3
+"""Of the frame sets, in which a ball must be located."""
+_ALIKE = 0.2
+"""Relative difference of outlines up to which they are of balls of one size."""
+_RIGID_RADII = 0.1
+"""Scatter of a distance, in radii, up to which it counts as constant."""
+_LEAST_SIZE_SD, _SIZE_SIGMAS = 0.015, 4.0
+"""Relative standard deviation of a ball's size by its outlines at best; how far off is wrong."""
+_TWINS = 0.5
+"""Share of a ball's frame sets with a second one of its colour from which there are two."""
+
+
+@dataclass(frozen=True, eq=False)
+class SeenBall:
+    """A ball of one frame set."""
+
+    center: Floats  # (3,) in the world, mm
+    radius_mm: float  # by the outlines
+    radius_sd_mm: float  # of a single outline
+    match: float  # sum over the cameras of how well its pixels match the colour
+    alone: bool  # whether no other ball of this colour is seen
+
+
+def probe(colors: Sequence[str], radius_mm: float) -> Body:
+    """Balls of common colours, laid out anyhow, to search pictures for."""
+    angle = 2 * np.pi * np.arange(len(colors)) / len(colors)
+    ring = 2 * radius_mm * len(colors) / np.pi
+    places = ring * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    named = zip(colors, places, strict=True)
+    return Body("body", tuple(Ball(c, BallColor.named(c), at, radius_mm) for c, at in named))
+
+
+def locate(
+    detections: Mapping[str, Sequence[Detection]], body: Body, cameras: Sequence[Camera]
+) -> dict[str, SeenBall]:
+    """The balls of one frame set by name, by candidates of whole pictures, by camera."""
+    out, least = {}, min(3, len(cameras))
+    for ball, candidates in zip(body.balls, by_ball(detections, body.balls, cameras), strict=True):
+        found = intersect_rays(candidates, _SIGMAS, _RANGE_RATIO, max_points=8)
+        points = found.points[found.support >= least]
+        if not len(points):
+            continue
+        sizes = outline_sizes(candidates.detections, points[0], cameras)
+        if len(sizes) < 2:
+            continue
+        radius, sd = np.median(sizes, axis=0).tolist()
+        away = np.linalg.norm(points - points[0], axis=1)
+        match = sum(
+            d.color_match
+            for d in candidates.detections
+            if np.isfinite(d.color_match) and _shows(d, points[0], cameras)
+        )
+        out[ball.name] = SeenBall(points[0], radius, sd, match, bool(np.all(away < radius)))
+    return out
+
+
+def find_layout(frames: Sequence[Mapping[str, SeenBall]], body: Body, *, pick: bool) -> Body:
+    """The balls that move together, with their layout about their centroid.
+
+    Args:
+        frames: balls by name, frame set by frame set.
+        body: their colours and radii; its layout is not used.
+        pick: whether names are colours that overlap, of which the best is meant; else all balls.
+
+    Raises:
+        SessionError: fewer than three balls that keep their distances, two of one colour, or
+            balls of another size than stated.
+    """
+    names = _distinct(frames, body) if pick else list(body.names)
+    often = max(_FEWEST_FRAMES, _LEAST_SHARE * len(frames))
+    seen = [n for n in names if sum(n in f for f in frames) >= often]
+    if len(seen) < 3:
+        raise SessionError(
+            f"{_listed(seen)} seen by several cameras in {often:.0f} or more of {len(frames)} "
+            f"frame sets, but a body needs 3 balls{_SEARCHED if pick else ''}"
+        )
+    if twice := [n for n in seen if pick and _has_twin(frames, n)]:
+        raise SessionError(
+            f"two {twice[0]} balls are seen: take one out of view, or give --like, a body file "
+            "with the approximate layout, that tells them apart"
+        )
+    group = _rigid(frames, _of_one_size(frames, seen) if pick else seen, body)
+    if len(group) < 3:
+        raise SessionError(
+            f"{_listed(seen)} seen, but no three of them keep their distances: is the body rigid, "
+            "and the calibration this recording's? `measure check` tells"
+        )
+    _check_size(frames, group, body)
+    return _laid_out(frames, group, body)
+
+
+def _shows(d: Detection, center: Floats, cameras: Sequence[Camera]) -> bool:
+    camera = next(camera for camera in cameras if camera.name == d.camera)
+    off = np.linalg.norm(camera.project(center[None])[0] - d.center_px)
+    return bool(off < d.radius_px / 2)
+
+
+def _distinct(frames: Sequence[Mapping[str, SeenBall]], body: Body) -> list[str]:
+    """Colours without those that only see what another one sees better."""
+    total = {n: sum(f[n].match for f in frames if n in f) for n in body.names}
+    kept: list[str] = []
+    for name in sorted(body.names, key=lambda n: -total[n]):
+        apart = [
+            np.median([np.linalg.norm(f[name].center - f[k].center) for f in both])
+            for k in kept
+            if (both := [f for f in frames if name in f and k in f])
+        ]
+        if total[name] and all(d > body.radii[0] for d in apart):
+            kept.append(name)
+    return [n for n in body.names if n in kept]
+
+
+def _has_twin(frames: Sequence[Mapping[str, SeenBall]], name: str) -> bool:
+    return float(np.mean([not f[name].alone for f in frames if name in f])) > _TWINS
+
+
+def _of_one_size(frames: Sequence[Mapping[str, SeenBall]], names: Sequence[str]) -> list[str]:
+    """Those whose outlines are as large as most: a body has balls of one size."""
+    sizes = {n: np.median([f[n].radius_mm for f in frames if n in f]) for n in names}
+    usual = np.median(list(sizes.values()))
+    return [n for n in names if abs(sizes[n] / usual - 1) < _ALIKE]
+
+
+def _apart(frames: Sequence[Mapping[str, SeenBall]], a: str, b: str) -> tuple[float, float]:
+    """Median distance of two balls, and its robust scatter, mm; the scatter inf if unknown."""
+    both = np.array(
+        [np.linalg.norm(f[a].center - f[b].center) for f in frames if a in f and b in f]
+    )
+    if len(both) < _FEWEST_FRAMES:
+        return float("nan"), float("inf")
+    median = float(np.median(both))
+    return median, MAD_TO_SD * float(np.median(np.abs(both - median)))
+
+
+def _rigid(
+    frames: Sequence[Mapping[str, SeenBall]], names: Sequence[str], body: Body
+) -> tuple[str, ...]:
+    """The largest group of balls of which every two stay as far apart; the steadiest of several."""
+    scatter = {pair: _apart(frames, *pair)[1] for pair in combinations(names, 2)}
+    for size in range(len(names), 2, -1):
+        groups = [
+            (max(scatter[pair] for pair in combinations(group, 2)), group)
+            for group in combinations(names, size)
+        ]
+        worst, group = min(groups)
+        if worst < _RIGID_RADII * body.radii.max():
+            return group
+    return ()
+
+
+def _check_size(frames: Sequence[Mapping[str, SeenBall]], names: Sequence[str], body: Body) -> None:
+    """Refuse a size that the outlines contradict, at distances by the calibration's scale."""
+    seen = [f[name] for f in frames for name in names if name in f]
+    stated = float(body.radii[0])
+    ratio, sd = np.median([(b.radius_mm, b.radius_sd_mm) for b in seen], axis=0) / stated
+    if abs(ratio - 1) > _SIZE_SIGMAS * np.hypot(sd, _LEAST_SIZE_SD):
+        raise SessionError(
+            f"--radius-mm {stated:g}: by the calibration's scale the balls have a radius of "
+            f"{ratio * stated:.2f} mm: measure one (the radius is half of what callipers show), or "
+            "set the calibration's scale right"
+        )
+
+
+def _laid_out(frames: Sequence[Mapping[str, SeenBall]], names: Sequence[str], body: Body) -> Body:
+    """The body of these balls: centres from all their distances, about the centroid."""
+    k = len(names)
+    squares = np.zeros((k, k))
+    for i, j in combinations(range(k), 2):
+        squares[i, j] = squares[j, i] = _apart(frames, names[i], names[j])[0] ** 2
+    centring = np.eye(k) - 1 / k
+    values, axes = np.linalg.eigh(-0.5 * centring @ squares @ centring)
+    centers = centring @ axes[:, -3:] * np.sqrt(np.maximum(values[-3:], 0.0))
+    whole = [np.stack([f[n].center for n in names]) for f in frames if set(names) <= set(f)]
+    if whole and np.mean([looks_mirrored(centers, points) for points in whole]) > 0.5:
+        centers = centers * [1.0, 1.0, -1.0]
+    balls = tuple(body.balls[body.index(n)] for n in names)
+    try:
+        return Body(body.name, balls).with_centers(centers)
+    except DegenerateGeometryError as problem:
+        raise SessionError(str(problem)) from None
+
+
+def _listed(names: Sequence[str]) -> str:
+    count = f"{len(names)} ball{'' if len(names) == 1 else 's'}"
+    return f"{count} ({', '.join(names)})" if names else "no ball is"

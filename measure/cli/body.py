@@ -1,0 +1,72 @@
+"""`measure body`: a body file from a recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from measure.cli import console
+from measure.cli.console import JsonFlag
+from measure.cli.options import InjectedRegistry
+
+
+def body(
+    session: Path,
+    /,
+    *,
+    radius_mm: float,
+    like: Path | None = None,
+    origin: str | None = None,
+    output: Annotated[Path, Parameter(name=("--output", "-o"))],
+    calibration: Path | None = None,
+    profile: str = "precise",
+    json: JsonFlag = False,
+    registry: InjectedRegistry,
+) -> None:
+    """Write a body file from a recording in which the balls are seen.
+
+    The body is turned and carried through the workspace. Balls of the common colours are found in
+    whole pictures, and their places adjusted to all of them; the cameras give the scale.
+
+    Args:
+        session: the recording; it needs no body file, and one that it names is not read.
+        radius_mm: radius of each ball.
+        like: body file with the balls' names and colours and the frame to use; needed where two
+            balls have one colour, or one that has no common name.
+        origin: ball to put the origin at; the centroid of all if omitted.
+        output: the body file to write.
+        calibration: a calibration file to use instead of the session's own.
+        profile: how to measure the session, by name or TOML file.
+    """
+    from measure import api
+    from measure.api.outputs import check_replaceable
+    from measure.session import read_body, write_body
+
+    check_replaceable(output, read_body, "body")
+    with console.progress("looking") as progress:
+        found = api.find_body(
+            session, registry, radius_mm, like, origin, profile, calibration, progress
+        )
+    write_body(output, found.body)
+    rows = [(a, b, mm, sd) for (a, b), (mm, sd) in found.distances.items()]
+    if json:
+        keys = ("from", "to", "distance_mm", "sd_mm")
+        values = {
+            "output": output,
+            "frame": found.frame,
+            "frame_sets": found.frame_sets,
+            "rms_px": found.rms_px,
+            "tolerance_mm": found.body.tolerance_mm,
+            "distances": [dict(zip(keys, row, strict=True)) for row in rows],
+        }
+        console.print_json(values)
+        return
+    console.print_table(("from", "to", "distance_mm", "sd_mm"), rows)
+    console.print_text(f"frame: {found.frame}")
+    console.print_text(
+        f"wrote {output}: {len(found.body.balls)} balls from {found.frame_sets} frame sets, each "
+        f"coordinate known to {found.body.tolerance_mm:.3f} mm; what is left in the pictures "
+        f"{found.rms_px:.2f} px RMS"
+    )

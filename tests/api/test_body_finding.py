@@ -1,0 +1,102 @@
+"""A body found in a recording: its distances and their uncertainty, its frame, and refusals."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from measure.checking.unknown_body import find_layout, locate, probe
+from measure.cli.app import main
+from measure.errors import SessionError
+from measure.estimation.body_layout import looks_mirrored
+from measure.session import read_body
+from tests.scenes import FOUR, RAVEN, a_pose, ring, see
+
+COLORS = ("white", "blue", "orange", "green", "yellow", "red")
+
+
+def seen_frames(body, radius_mm, count=20, colors=COLORS, scale=1.0):
+    """Balls located in simulated frame sets with 0.2 px of noise, by the colours searched for.
+
+    By a calibration `scale` times too large.
+    """
+    cameras, rng, frames = ring(), np.random.default_rng(3), []
+    for _ in range(count):
+        found = {}
+        for detection in see(cameras, body, a_pose(rng), sd_px=0.2, rng=rng):
+            found.setdefault(detection.camera, []).append(detection)
+        frames.append(locate(found, probe(colors, scale * radius_mm), list(cameras.values())))
+    return frames, probe(colors, scale * radius_mm)
+
+
+@pytest.mark.parametrize("body", [RAVEN, FOUR], ids=["three", "four"])
+def test_the_layout_follows_from_what_stays_as_far_apart(body):
+    frames, searched = seen_frames(body, body.radii[0])
+    found = find_layout(frames, searched, pick=True)
+    assert set(found.names) == set(body.names)
+    np.testing.assert_allclose(found.centers.mean(axis=0), 0, atol=1e-9)
+    truth = body.centers_of(found.names)
+    for i in range(len(truth)):
+        off = np.linalg.norm(found.centers - found.centers[i], axis=1)
+        np.testing.assert_allclose(off, np.linalg.norm(truth - truth[i], axis=1), atol=0.3)
+    assert not looks_mirrored(truth, found.centers)
+
+
+@pytest.mark.parametrize("factor", [0.5, 0.8, 1.25, 2.0])
+def test_a_wrong_radius_is_refused_with_the_one_that_is_seen(factor):
+    frames, searched = seen_frames(RAVEN, RAVEN.radii[0], scale=factor)
+    with pytest.raises(SessionError, match=r"radius of (19\.\d\d|20\.\d\d) mm"):
+        find_layout(frames, searched, pick=True)
+
+
+def test_balls_that_do_not_move_together_are_no_body():
+    frames, searched = seen_frames(RAVEN, 20.0)
+    others, _ = seen_frames(RAVEN.with_centers(1.2 * RAVEN.centers), 20.0)
+    with pytest.raises(SessionError, match="no three of them keep their distances"):
+        find_layout(frames[:10] + others[:10], searched, pick=True)
+
+
+def test_two_colors_are_no_body():
+    frames, searched = seen_frames(RAVEN, 20.0)
+    poorer = [{n: ball for n, ball in f.items() if n != "red"} for f in frames]
+    with pytest.raises(SessionError, match=r"2 balls \(green, yellow\) seen.*needs 3 balls"):
+        find_layout(poorer, searched, pick=True)
+
+
+def test_two_balls_of_one_color_are_refused():
+    cameras, rng, frames = ring(), np.random.default_rng(5), []
+    twin = FOUR.with_centers(FOUR.centers + np.array([0.0, 0.0, 90.0]))
+    for _ in range(12):
+        pose, found = a_pose(rng), {}
+        both = see(cameras, FOUR, pose) + [d for d in see(cameras, twin, pose) if d.ball == "blue"]
+        for detection in both:
+            found.setdefault(detection.camera, []).append(detection)
+        frames.append(locate(found, probe(COLORS, 15.0), list(cameras.values())))
+    with pytest.raises(SessionError, match=r"two blue balls are seen.*--like"):
+        find_layout(frames, probe(COLORS, 15.0), pick=True)
+
+
+@pytest.mark.slow
+def test_a_session_without_a_body_gives_one_within_its_uncertainty(still, tmp_path, capsys):
+    session = tmp_path / "session"
+    shutil.copytree(still, session)
+    truth = read_body(session / "body.toml")
+    (session / "body.toml").unlink()
+    out = tmp_path / "found.toml"
+    assert main(["body", str(session), "--radius-mm", "20", "-o", str(out), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    for row in told["distances"]:
+        ends = truth.centers_of([row["from"], row["to"]])
+        off = row["distance_mm"] - np.linalg.norm(ends[0] - ends[1])
+        assert abs(off) < 3 * row["sd_mm"] < 0.3
+    found = read_body(out)
+    assert found.tolerance_mm == pytest.approx(told["tolerance_mm"])
+    assert set(found.names) == set(truth.names)
+    aligned = tmp_path / "like.toml"
+    shutil.copy(still / "body.toml", tmp_path / "known.toml")
+    words = ["body", str(session), "--radius-mm", "20", "--like", str(tmp_path / "known.toml")]
+    assert main([*words, "-o", str(aligned)]) == 0
+    np.testing.assert_allclose(read_body(aligned).centers, truth.centers, atol=0.1)
