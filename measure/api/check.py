@@ -139,6 +139,10 @@ def check(
 def _concluded(session: Session, look: _Look, pictures: list[Finding]) -> SessionCheck:
     findings = pictures + [Finding(Level.NOTE, "frames", note) for note in session.notes]
     findings += [Finding(Level.WRONG, "clock", text) for text in session.clock_notes()]
+    if session.other_bodies:
+        others = ", ".join(body.name for body in session.other_bodies)
+        alone = f"checked with '{session.body.name}' alone; with --body FILE also {others}"
+        findings.append(Finding(Level.NOTE, "body", alone))
     for stream in session.streams.values():
         findings += stamp_findings(stream.name, stream.times_s, stream.frames)
     motion, searched, misfits = look.motion, look.searched, look.misfits
