@@ -31,27 +31,19 @@ _ARM_MM = np.array([1.0, 1.0, 1.0, 40.0, 40.0, 40.0])
 
 @dataclass(frozen=True, eq=False)
 class Stages:
-    """The parts a pipeline is made of.
+    """The parts a pipeline is made of."""
 
-    Attributes:
-        detectors: one per camera, by name.
-        tracker: holds the state between frame sets.
-        triangulator: locates single balls.
-        solver: locates the body.
-        per_image_timestamps: whether each image counts at its own time.
-        smoothing: whether poses wait for later ones: each is solved again with the motion of a
-            spline through the poses around it, and a body just found is tracked back through the
-            frame sets in which it was not found.
-        remeasure_after_search: whether, after a search of whole frames, the balls are measured once
-            more where they were found, and images in which the body was lost are searched.
-    """
-
-    detectors: Mapping[str, Detector]
-    tracker: Tracker
-    triangulator: Triangulator
-    solver: PoseSolver
-    per_image_timestamps: bool
+    detectors: Mapping[str, Detector]  # one per camera, by name
+    tracker: Tracker  # holds the state between frame sets
+    triangulator: Triangulator  # locates single balls
+    solver: PoseSolver  # locates the body
+    per_image_timestamps: bool  # whether each image counts at its own time
+    # whether poses wait for later ones: each is solved again with the motion of a spline through
+    # the poses around it, and a body just found is tracked back through the frame sets in which it
+    # was not found.
     smoothing: bool
+    # whether, after a search of whole frames, the balls are measured once more where they were
+    # found, and images in which the body was lost are searched.
     remeasure_after_search: bool
 
 

@@ -20,21 +20,13 @@ _MAP_SIZE_RATIO = 1.5
 
 @dataclass(frozen=True, eq=False)
 class AccuracyMap:
-    """Expected error of the body's position over a plane through the middle of the workspace.
+    """Expected error of the body's position over a plane through the middle of the workspace."""
 
-    Attributes:
-        axes: the two world axes of the plane: 0 is x, 1 y, 2 z.
-        across_mm: (n,) coordinates along the first.
-        up_mm: (m,) along the second.
-        sd_mm: (m, n) standard deviation of the position, 3-D; NaN where it cannot be measured.
-        from_calibration: whether the cameras' own uncertainty is in it.
-    """
-
-    axes: tuple[int, int]
-    across_mm: Floats
-    up_mm: Floats
-    sd_mm: Floats
-    from_calibration: bool
+    axes: tuple[int, int]  # the two world axes of the plane: 0 is x, 1 y, 2 z
+    across_mm: Floats  # (n,) coordinates along the first
+    up_mm: Floats  # (m,) along the second
+    sd_mm: Floats  # (m, n) standard deviation of the position, 3-D; NaN where it cannot be measured
+    from_calibration: bool  # whether the cameras' own uncertainty is in it
 
 
 def accuracy_map(run: Run, axes: tuple[int, int]) -> AccuracyMap:

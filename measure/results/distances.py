@@ -32,19 +32,13 @@ _MOST_VIEWS = 1500
 
 @dataclass(frozen=True, eq=False)
 class BallDistance:
-    """One pair of balls over a run.
+    """One pair of balls over a run."""
 
-    Attributes:
-        balls: their names.
-        nominal_mm: by the body file.
-        measured_mm: (n,) in every frame set; NaN where one of them has no position.
-        sd_mm: (n,) standard deviations by the positions' covariances, which hold what all frame
-            sets err by alike; NaN likewise.
-    """
-
-    balls: tuple[str, str]
-    nominal_mm: float
-    measured_mm: Floats
+    balls: tuple[str, str]  # their names
+    nominal_mm: float  # by the body file
+    measured_mm: Floats  # (n,) in every frame set; NaN where one of them has no position
+    # (n,) standard deviations by the positions' covariances, which hold what all frame sets err by
+    # alike; NaN likewise.
     sd_mm: Floats
 
     @property

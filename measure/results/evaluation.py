@@ -37,67 +37,41 @@ FAR_MM, FAR_DEG = 30.0, 20.0
 
 @dataclass(frozen=True)
 class Aligned:
-    """Errors after the one rigid motion of the world that fits the run to the truth best.
+    """Errors after the one rigid motion of the world that fits the run to the truth best."""
 
-    Attributes:
-        body: position errors that are left.
-        rotation: rotation errors that are left.
-        shift_mm: length of the motion's shift at the middle of the positions.
-        turn_deg: angle of the motion's rotation.
-    """
-
-    body: PositionErrors
-    rotation: RotationErrors
-    shift_mm: float
-    turn_deg: float
+    body: PositionErrors  # position errors that are left
+    rotation: RotationErrors  # rotation errors that are left
+    shift_mm: float  # length of the motion's shift at the middle of the positions
+    turn_deg: float  # angle of the motion's rotation
 
 
 @dataclass(frozen=True)
 class RunEvaluation:
-    """How good a run is.
+    """How good a run is."""
 
-    Attributes:
-        frame_sets: of the run.
-        compared: with a pose at a time at which the truth is known.
-        without_pose: frame sets at such times without a pose; `failure_rate` is their share.
-        outside_truth: frame sets at times at which the truth is not known.
-        failure_rate: see `without_pose`.
-        rms_all_frames_mm: RMS in 3-D over all frame sets the truth covers: infinite as soon as one
-            of them has no pose, for a missing pose is no small error.
-        body: errors of the body's origin, over the frame sets compared.
-        body_ok: the same, without those the run itself flags as doubtful.
-        ball: errors of single ball centres as triangulated, all balls together.
-        balls: the same, by ball.
-        rotation: errors of the body's rotation.
-        position_consistency: of the positions with their covariances.
-        pose_consistency: of the whole poses with their 6x6 covariances.
-        ball_consistency: of the single balls.
-        aligned: errors relative to the best rigid motion of the world.
-        detection: errors of detection alone.
-        localisation: errors of camera localisation alone; None if the true cameras are not given.
-        truth_offset: how the truth's clock was found, where that was asked for.
-        notes: what to doubt about this comparison.
-    """
-
-    frame_sets: int
-    compared: int
-    without_pose: int
-    outside_truth: int
-    failure_rate: float
+    frame_sets: int  # of the run
+    compared: int  # with a pose at a time at which the truth is known
+    without_pose: int  # frame sets at such times without a pose; `failure_rate` is their share
+    outside_truth: int  # frame sets at times at which the truth is not known
+    failure_rate: float  # see `without_pose`
+    # RMS in 3-D over all frame sets the truth covers: infinite as soon as one of them has no pose,
+    # for a missing pose is no small error.
     rms_all_frames_mm: float
-    body: PositionErrors | None
-    body_ok: PositionErrors | None
-    ball: PositionErrors | None
-    balls: dict[str, PositionErrors | None]
-    rotation: RotationErrors | None
-    position_consistency: Consistency | None
-    pose_consistency: Consistency | None
-    ball_consistency: Consistency | None
-    aligned: Aligned | None
-    detection: SingleErrors | None
+    body: PositionErrors | None  # errors of the body's origin, over the frame sets compared
+    body_ok: PositionErrors | None  # the same, without those the run itself flags as doubtful
+    ball: PositionErrors | None  # errors of single ball centres as triangulated, all balls together
+    balls: dict[str, PositionErrors | None]  # the same, by ball
+    rotation: RotationErrors | None  # errors of the body's rotation
+    position_consistency: Consistency | None  # of the positions with their covariances
+    pose_consistency: Consistency | None  # of the whole poses with their 6x6 covariances
+    ball_consistency: Consistency | None  # of the single balls
+    aligned: Aligned | None  # errors relative to the best rigid motion of the world
+    detection: SingleErrors | None  # errors of detection alone
+    # errors of camera localisation alone; None if the true cameras are not given.
     localisation: SingleErrors | None
+    # how the truth's clock was found, where that was asked for.
     truth_offset: TruthOffset | None = None
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # what to doubt about this comparison
 
 
 def evaluate(

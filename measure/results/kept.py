@@ -18,21 +18,14 @@ from measure.results.tables import schemas
 
 @dataclass(frozen=True, eq=False)
 class Kept:
-    """Rows of an earlier run, with which a resumed one must agree.
+    """Rows of an earlier run, with which a resumed one must agree."""
 
-    Attributes:
-        tables: by name.
-        csv_rows: of `poses.csv`, which may be ahead of the tables.
-        closing: whether the run was complete: all that may be missing is how it is stored.
-        blame: why a row might come out otherwise now.
-        bodies: how many rows of poses a frame set has.
-    """
-
-    tables: Mapping[str, pa.Table]
-    csv_rows: int = 0
+    tables: Mapping[str, pa.Table]  # by name
+    csv_rows: int = 0  # of `poses.csv`, which may be ahead of the tables
+    # whether the run was complete: all that may be missing is how it is stored.
     closing: bool = False
-    blame: str = ""
-    bodies: int = 1
+    blame: str = ""  # why a row might come out otherwise now
+    bodies: int = 1  # how many rows of poses a frame set has
 
     @property
     def frame_sets(self) -> int:

@@ -24,29 +24,18 @@ _LIBRARIES = ("triball", "numpy", "scipy", "opencv-python-headless", "numba", "a
 
 @dataclass(frozen=True)
 class Provenance:
-    """What a run is made from.
+    """What a run is made from."""
 
-    Attributes:
-        session: absolute path of the file that describes it.
-        session_digest: SHA-256 of its description, clocks and the names and sizes of its pictures.
-        calibration: path of the calibration used.
-        calibration_digest: SHA-256 of that file.
-        body_digest: SHA-256 of the body as used.
-        profile: the resolved stages with all their settings, defaults included.
-        plugins: by stage, "NAME of DISTRIBUTION VERSION".
-        notes: what the session left to be known: missing pictures and the like.
-        session_name: what the session is called; empty if not known.
-    """
-
-    session: str
+    session: str  # absolute path of the file that describes it
+    # SHA-256 of its description, clocks and the names and sizes of its pictures.
     session_digest: str
-    calibration: str
-    calibration_digest: str
-    body_digest: str
-    profile: Mapping[str, Any]
-    plugins: Mapping[str, str]
-    notes: tuple[str, ...] = ()
-    session_name: str = ""
+    calibration: str  # path of the calibration used
+    calibration_digest: str  # SHA-256 of that file
+    body_digest: str  # SHA-256 of the body as used
+    profile: Mapping[str, Any]  # the resolved stages with all their settings, defaults included
+    plugins: Mapping[str, str]  # by stage, "NAME of DISTRIBUTION VERSION"
+    notes: tuple[str, ...] = ()  # what the session left to be known: missing pictures and the like
+    session_name: str = ""  # what the session is called; empty if not known
 
     def values(self) -> dict[str, Any]:
         """As written to `run.toml`."""

@@ -26,29 +26,17 @@ from measure.session import read_bodies, read_body, read_calibration
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """A run.
+    """A run."""
 
-    Attributes:
-        path: its folder.
-        provenance: the values of `run.toml`.
-        body: as measured.
-        cameras: as used.
-        detections: one row per frame set, camera and ball (see `measure.results.tables`).
-        balls: one row per position.
-        poses: one row per frame set, also where there is no pose.
-        finished: whether it came to its end.
-        several: whether other bodies were measured with it.
-    """
-
-    path: Path
-    provenance: dict[str, Any]
-    body: Body
-    cameras: tuple[Camera, ...]
-    detections: pa.Table
-    balls: pa.Table
-    poses: pa.Table
-    finished: bool
-    several: bool = False
+    path: Path  # its folder
+    provenance: dict[str, Any]  # the values of `run.toml`
+    body: Body  # as measured
+    cameras: tuple[Camera, ...]  # as used
+    detections: pa.Table  # one row per frame set, camera and ball (see `measure.results.tables`)
+    balls: pa.Table  # one row per position
+    poses: pa.Table  # one row per frame set, also where there is no pose
+    finished: bool  # whether it came to its end
+    several: bool = False  # whether other bodies were measured with it
 
     @cached_property
     def summary(self) -> Summary:

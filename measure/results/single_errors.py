@@ -20,23 +20,14 @@ from measure.session import Trajectory
 
 @dataclass(frozen=True, eq=False)
 class BallObservations:
-    """Ball centres in images that belong to an instant, one a row.
+    """Ball centres in images that belong to an instant, one a row."""
 
-    Attributes:
-        index: (n,) of the frame set.
-        ball: (n,) name.
-        camera: (n,) name.
-        frame: (n,) number of the camera's picture.
-        time_s: (n,) of the picture.
-        pixels: (n, 2).
-    """
-
-    index: Ints
-    ball: Texts
-    camera: Texts
-    frame: Ints
-    time_s: Floats
-    pixels: Floats
+    index: Ints  # (n,) of the frame set
+    ball: Texts  # (n,) name
+    camera: Texts  # (n,) name
+    frame: Ints  # (n,) number of the camera's picture
+    time_s: Floats  # (n,) of the picture
+    pixels: Floats  # (n, 2)
 
     def rows(self, rows: Bools) -> BallObservations:
         """Some rows (n,) only."""
@@ -46,17 +37,12 @@ class BallObservations:
 
 @dataclass(frozen=True)
 class SingleErrors:
-    """One kind of error alone.
+    """One kind of error alone."""
 
-    Attributes:
-        pixels: of the centres in the images; None where the images are taken as exact.
-        ball: of single ball centres, triangulated.
-        body: of the body's origin, fitted to three or more of them.
-    """
-
+    # of the centres in the images; None where the images are taken as exact.
     pixels: PixelErrors | None
-    ball: PositionErrors | None
-    body: PositionErrors | None
+    ball: PositionErrors | None  # of single ball centres, triangulated
+    body: PositionErrors | None  # of the body's origin, fitted to three or more of them
 
 
 def effective_detections(run: Run) -> BallObservations:

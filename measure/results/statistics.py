@@ -20,28 +20,17 @@ class PositionErrors:
     signed error, so RMS^2 = mean^2 + SD^2. In 3-D it is that of the error's length about its mean
     length: only this reading fits the table (end effector: per axis 0.051, 0.095 and 0.072 mm, in
     3-D 0.070 mm; the root of the axes' sum would be 0.130).
-
-    Attributes:
-        count: number of samples.
-        mean_mm: by axis.
-        rms_mm: by axis.
-        sd_mm: by axis.
-        rms_3d_mm: root mean square of the error's length.
-        sd_3d_mm: standard deviation of the error's length.
-        median_3d_mm: of the error's length.
-        p95_3d_mm: 95 % of the errors are at most this long.
-        max_3d_mm: the longest.
     """
 
-    count: int
-    mean_mm: dict[str, float]
-    rms_mm: dict[str, float]
-    sd_mm: dict[str, float]
-    rms_3d_mm: float
-    sd_3d_mm: float
-    median_3d_mm: float
-    p95_3d_mm: float
-    max_3d_mm: float
+    count: int  # number of samples
+    mean_mm: dict[str, float]  # by axis
+    rms_mm: dict[str, float]  # by axis
+    sd_mm: dict[str, float]  # by axis
+    rms_3d_mm: float  # root mean square of the error's length
+    sd_3d_mm: float  # standard deviation of the error's length
+    median_3d_mm: float  # of the error's length
+    p95_3d_mm: float  # 95 % of the errors are at most this long
+    max_3d_mm: float  # the longest
 
 
 def position_errors(errors_mm: Floats) -> PositionErrors | None:
@@ -64,21 +53,13 @@ def position_errors(errors_mm: Floats) -> PositionErrors | None:
 
 @dataclass(frozen=True)
 class RotationErrors:
-    """Rotation errors over `count` samples.
+    """Rotation errors over `count` samples."""
 
-    Attributes:
-        count: number of samples.
-        rms_deg: by world axis, of the error's rotation vector.
-        rms_3d_deg: root mean square of the angle.
-        sd_3d_deg: standard deviation of the angle.
-        max_3d_deg: the largest angle.
-    """
-
-    count: int
-    rms_deg: dict[str, float]
-    rms_3d_deg: float
-    sd_3d_deg: float
-    max_3d_deg: float
+    count: int  # number of samples
+    rms_deg: dict[str, float]  # by world axis, of the error's rotation vector
+    rms_3d_deg: float  # root mean square of the angle
+    sd_3d_deg: float  # standard deviation of the angle
+    max_3d_deg: float  # the largest angle
 
 
 def rotation_errors(rotvecs: Floats) -> RotationErrors | None:
@@ -98,23 +79,14 @@ def rotation_errors(rotvecs: Floats) -> RotationErrors | None:
 
 @dataclass(frozen=True)
 class PixelErrors:
-    """Errors of ball centres in the images over `count` detections.
+    """Errors of ball centres in the images over `count` detections."""
 
-    Attributes:
-        count: number of detections.
-        mean_px: by image axis (u right, v down).
-        rms_px: by image axis.
-        rms_2d_px: root mean square of the error's length.
-        p95_2d_px: 95 % of the errors are at most this long.
-        max_2d_px: the longest.
-    """
-
-    count: int
-    mean_px: dict[str, float]
-    rms_px: dict[str, float]
-    rms_2d_px: float
-    p95_2d_px: float
-    max_2d_px: float
+    count: int  # number of detections
+    mean_px: dict[str, float]  # by image axis (u right, v down)
+    rms_px: dict[str, float]  # by image axis
+    rms_2d_px: float  # root mean square of the error's length
+    p95_2d_px: float  # 95 % of the errors are at most this long
+    max_2d_px: float  # the longest
 
 
 def pixel_errors(errors_px: Floats) -> PixelErrors | None:
@@ -134,18 +106,14 @@ def pixel_errors(errors_px: Floats) -> PixelErrors | None:
 
 @dataclass(frozen=True)
 class Consistency:
-    """Whether errors are as large as the reported covariances say.
+    """Whether errors are as large as the reported covariances say."""
 
-    Attributes:
-        count: errors with a usable covariance.
-        inside_95: share of errors inside their own 95 % ellipsoid; 0.95 is right, less means the
-            covariances promise too much.
-        normalised_squared_error: mean of e^T C^-1 e over its dimension; 1 is right, more means the
-            covariances promise too much.
-    """
-
-    count: int
+    count: int  # errors with a usable covariance
+    # share of errors inside their own 95 % ellipsoid; 0.95 is right, less means the covariances
+    # promise too much.
     inside_95: float
+    # mean of e^T C^-1 e over its dimension; 1 is right, more means the covariances promise too
+    # much.
     normalised_squared_error: float
 
 

@@ -19,41 +19,29 @@ _NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(\.\d+)?(e[-+]?\d+)?(?![\w.]*\w)")
 
 @dataclass(frozen=True)
 class Summary:
-    """The contents of `summary.json`.
+    """The contents of `summary.json`."""
 
-    Attributes:
-        frame_sets: how many there are.
-        ok: with an unflagged pose.
-        flagged: with a flagged pose.
-        lost: without a pose.
-        skipped: not tried, while tracking restarts.
-        position_sd_mm: median standard deviation of the position, of the unflagged poses;
-            NaN without any.
-        rotation_sd_deg: likewise of the rotation.
-        rms_px: likewise the median reprojection error.
-        effective: share of frame sets in which a camera saw a ball effectively, by "ball@camera".
-        suspended: how often each reason suspended a view.
-        reasons: how often each reason, its numbers left out, kept a frame set from being "ok"; and
-            how often a camera of a live run was away.
-        notes: what the session left to be known: missing pictures and the like; cameras that
-            took part in no pose; ball distances that contradict the body file ("wrong: ..."), and a
-            body that another file describes as well ("weak: ...").
-        bodies: of a run of several bodies, the summary of each by its name. A frame set then counts
-            by its worst body, and standard deviations are those of the worst.
-    """
-
-    frame_sets: int
-    ok: int
-    flagged: int
-    lost: int
-    skipped: int
+    frame_sets: int  # how many there are
+    ok: int  # with an unflagged pose
+    flagged: int  # with a flagged pose
+    lost: int  # without a pose
+    skipped: int  # not tried, while tracking restarts
+    # median standard deviation of the position, of the unflagged poses; NaN without any.
     position_sd_mm: float
-    rotation_sd_deg: float
-    rms_px: float
+    rotation_sd_deg: float  # likewise of the rotation
+    rms_px: float  # likewise the median reprojection error
+    # share of frame sets in which a camera saw a ball effectively, by "ball@camera".
     effective: dict[str, float]
-    suspended: dict[str, int]
+    suspended: dict[str, int]  # how often each reason suspended a view
+    # how often each reason, its numbers left out, kept a frame set from being "ok"; and how often a
+    # camera of a live run was away.
     reasons: dict[str, int]
+    # what the session left to be known: missing pictures and the like; cameras that took part in no
+    # pose; ball distances that contradict the body file ("wrong: ..."), and a body that another
+    # file describes as well ("weak: ...").
     notes: tuple[str, ...] = ()
+    # of a run of several bodies, the summary of each by its name. A frame set then counts by its
+    # worst body, and standard deviations are those of the worst.
     bodies: Mapping[str, Summary] = field(default_factory=dict)
 
     def sentence(self) -> str:

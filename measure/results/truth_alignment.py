@@ -32,21 +32,13 @@ _SAME_FRAME_MM, _SAME_FRAME_DEG = 30.0, 20.0
 
 @dataclass(frozen=True)
 class TruthOffset:
-    """How a truth was brought to a run's clock and frames.
+    """How a truth was brought to a run's clock and frames."""
 
-    Attributes:
-        offset_s: added to the truth's times.
-        sd_s: its standard deviation.
-        frames_fitted: whether its frames are others than the run's, and were fitted to it.
-        shift_mm: how far the truth's world was moved, at the run's middle.
-        turn_deg: how far it was turned.
-    """
-
-    offset_s: float
-    sd_s: float
-    frames_fitted: bool
-    shift_mm: float
-    turn_deg: float
+    offset_s: float  # added to the truth's times
+    sd_s: float  # its standard deviation
+    frames_fitted: bool  # whether its frames are others than the run's, and were fitted to it
+    shift_mm: float  # how far the truth's world was moved, at the run's middle
+    turn_deg: float  # how far it was turned
 
     def note(self) -> str:
         """A line for the user."""

@@ -28,19 +28,12 @@ CHANNELS = ("time_s", "frame")
 
 @dataclass(frozen=True, eq=False)
 class Markers:
-    """Markers over time.
+    """Markers over time."""
 
-    Attributes:
-        names: of the k markers: the balls, then the body's origin.
-        times_s: (n,) of the frame sets.
-        points_mm: (n, k, 3) in the world, NaN where one was not located.
-        rate_hz: frame sets a second, by the median step.
-    """
-
-    names: tuple[str, ...]
-    times_s: Floats
-    points_mm: Floats
-    rate_hz: float
+    names: tuple[str, ...]  # of the k markers: the balls, then the body's origin
+    times_s: Floats  # (n,) of the frame sets
+    points_mm: Floats  # (n, k, 3) in the world, NaN where one was not located
+    rate_hz: float  # frame sets a second, by the median step
 
 
 def markers_of(runs: Sequence[Run]) -> Markers:
