@@ -87,6 +87,10 @@ def assert_same(actual: Any, expected: Any, what: str) -> None:
                     getattr(expected, field.name),
                     f"{what}.{field.name}",
                 )
+    elif isinstance(expected, dict):
+        assert_same(list(actual), list(expected), f"keys of {what}")
+        for key in expected:
+            assert_same(actual[key], expected[key], f"{what}[{key!r}]")
     elif isinstance(expected, list | tuple):
         assert len(actual) == len(expected), f"{what}: {len(actual)} instead of {len(expected)}"
         for i, (one, other) in enumerate(zip(actual, expected, strict=True)):
