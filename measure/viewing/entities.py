@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import rerun as rr
 
-from measure.model.observations import Reason
-
 WORLD = "world"
 BODY = "world/body"
 TRAIL = "world/trail"
@@ -17,16 +15,6 @@ TIMELINE_TIME = "time"
 
 ERROR_COLORS = {"x": (229, 83, 83), "y": (96, 180, 90), "z": (80, 130, 235), "3d": (240, 200, 60)}
 ERROR_AXES = tuple(ERROR_COLORS)
-EFFECTIVE_COLOR = (80, 220, 120)
-REASON_COLORS = {
-    Reason.JUMPED: (255, 140, 0),
-    Reason.COLOR: (220, 80, 220),
-    Reason.NOT_FOUND: (165, 125, 60),
-    Reason.INCONSISTENT: (255, 60, 60),
-    Reason.RECOVERING: (90, 190, 255),
-    Reason.NO_IMAGE: (110, 110, 110),
-}
-UNKNOWN_COLOR = (150, 150, 150)
 _NAMED_COLORS = {
     "red": (214, 40, 40),
     "orange": (244, 140, 30),

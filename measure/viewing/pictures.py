@@ -12,7 +12,7 @@ from measure.arrays import Bools, Floats
 from measure.measuring import Measurement
 from measure.model import BallView, Body, Camera, Detection, Pose
 from measure.model.observations import Reason, State
-from measure.viewing import entities
+from measure.viewing import entities, state_colors
 from measure.viewing.columns import FrameSetBatch, lengths, points
 
 Colors = npt.NDArray[np.uint32]
@@ -114,6 +114,6 @@ def _pack(color: tuple[int, int, int]) -> int:
     return red << 24 | green << 16 | blue << 8 | 255
 
 
-_PACKED = {None: _pack(entities.EFFECTIVE_COLOR)} | {
-    reason: _pack(entities.REASON_COLORS.get(reason, entities.UNKNOWN_COLOR)) for reason in Reason
+_PACKED = {None: _pack(state_colors.EFFECTIVE)} | {
+    reason: _pack(state_colors.REASONS.get(reason, state_colors.UNKNOWN)) for reason in Reason
 }

@@ -12,7 +12,7 @@ from measure.errors import ConfigError
 from measure.geometry import RigidTransform
 from measure.model.observations import BallView, Reason, State
 from measure.session import Trajectory
-from measure.viewing import entities, recording
+from measure.viewing import entities, recording, state_colors
 from measure.viewing.recording import RunRecording, open_recording
 from tests.viewing.reading import column, read_recording
 
@@ -99,7 +99,7 @@ def test_unused_ball_is_marked_in_place_with_the_reason(tmp_path):
     assert column(marks, "Points2D:positions")[5][0] == pytest.approx(expected, abs=1e-3)
     (label,) = column(stored[entities.suspended("cam1")], "Points2D:labels")[5]
     assert label == "green: moved too far between frames"
-    red, green, blue = entities.REASON_COLORS[Reason.JUMPED]
+    red, green, blue = state_colors.REASONS[Reason.JUMPED]
     color = column(stored[entities.suspended("cam1")], "Points2D:colors")[5]
     assert color == [red << 24 | green << 16 | blue << 8 | 255]
     centers = column(stored[entities.centers("cam1")], "Points2D:colors")[5]

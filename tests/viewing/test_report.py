@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import base64
 import html
+import json
 import re
 import shlex
 from dataclasses import replace
@@ -20,6 +22,7 @@ from measure.measuring import Status
 from measure.results import Provenance, RunWriter, read_run
 from measure.results.accuracy import accuracy_map
 from measure.session import read_body
+from measure.viewing import state_colors
 from measure.viewing.report.run_report import run_report, write_report
 from measure.viewing.report.verdict import verdict
 
@@ -182,12 +185,66 @@ def test_the_command_that_repeats_a_run_uses_what_the_run_used(tmp_path):
     (command,) = re.findall(r"<pre>(measure run .*?)</pre>", page)
     words = shlex.split(html.unescape(command))
     options = dict(zip(words[3::2], words[4::2], strict=True))
-    assert words[2] == "/data/s"
+    assert words[2] == "s"
     assert options["--calibration"] == "calibration.toml"
-    again = load_profile(options["--profile"])
+    again = load_profile(str(tmp_path / options["--profile"]))
     assert again.settings["detector"]["rays"] == 40
     assert resolved(again, Registry.discover()) == made.profile
-    assert read_body(Path(options["--body"])).names == BODY.names
+    assert read_body(tmp_path / options["--body"]).names == BODY.names
+
+
+def test_no_folder_of_the_author_is_in_the_page(tmp_path):
+    page = run_report([_run(tmp_path / "run", 10)])
+    assert str(tmp_path) not in page
+    assert "/data" not in page
+
+
+def _traces(page, kind):
+    """The traces of one kind of all figures of a page."""
+    specs = re.findall(r'class="spec"[^>]*>(.*?)</script>', page, flags=re.DOTALL)
+    every = [trace for spec in specs for trace in json.loads(spec)["data"]]
+    return [trace for trace in every if trace["type"] == kind]
+
+
+def _values(packed):
+    """Numbers as plotly writes them."""
+    if isinstance(packed, dict):
+        return np.frombuffer(base64.b64decode(packed["bdata"]), packed["dtype"])
+    return np.array([np.nan if value is None else value for value in packed], dtype=float)
+
+
+def _flagged_once(index):
+    made = measurement(index, lost=index == 4)
+    if index != 7:
+        return made
+    return replace(made, status=Status.FLAGGED, reason="red sits 9 px off")
+
+
+def test_flagged_and_lost_poses_are_gaps_in_the_trajectory(tmp_path):
+    page = run_report([_run(tmp_path / "run", 12, measure=_flagged_once)])
+    by_name = {trace["name"]: trace for trace in _traces(page, "scatter3d")}
+    way = _values(by_name["body"]["x"])
+    assert np.flatnonzero(~np.isfinite(way)).tolist() == [4, 7]
+    assert len(_values(by_name["flagged"]["x"])) == 1
+    assert re.search(r"<td[^>]*>red sits 9 px off</td><td>1</td>", page)
+
+
+def test_times_count_from_the_start_and_the_head_has_the_date(tmp_path):
+    def late(index):
+        return replace(measurement(index), time_s=1.795628585e9 + index / 30)
+
+    page = run_report([_run(tmp_path / "run", 12, measure=late)])
+    assert "<b>2026-11-25 " in page
+    curves = [t for t in _traces(page, "scatter") if t["name"] == "rotation"]
+    assert curves
+    for curve in curves:
+        assert _values(curve["x"])[[0, -1]] == pytest.approx([0, 11 / 30], abs=1e-6)
+
+
+def test_states_have_the_viewers_colors(tmp_path):
+    timeline = _traces(run_report([_run(tmp_path / "run", 12)]), "heatmap")[-1]
+    effective = "#{:02x}{:02x}{:02x}".format(*state_colors.EFFECTIVE)
+    assert timeline["colorscale"][0][1] == effective
 
 
 def test_the_page_is_self_contained_and_small(tmp_path):

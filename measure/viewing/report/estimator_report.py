@@ -137,8 +137,8 @@ def _bars(before: Score, after: Score, kind: str) -> go.Figure:
 def _over_time(trained: Trained) -> list[go.Figure]:
     data = trained.test
     _, rows = next(data.runs())
-    times = data.times_s[rows]
-    shown = times - times[0] < _SHOWN_S
+    times = data.times_s[rows] - data.times_s[rows][0]
+    shown = times < _SHOWN_S
     reported = data.reported_mm[rows][shown]
     curves = {
         "measured": reported + np.where(

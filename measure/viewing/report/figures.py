@@ -9,6 +9,7 @@ import plotly.graph_objects as go
 
 from measure.arrays import Floats, Ints
 from measure.viewing.report import style
+from measure.viewing.state_colors import css
 
 MAX_POINTS = 2000
 """Longer curves are thinned for drawing; extremes and gaps survive. They are drawn without WebGL,
@@ -41,7 +42,7 @@ def over_time(
                 x=times_s[keep], y=values[keep], name=name, mode="lines", line={"color": color}
             )
         )
-    figure.update_xaxes(title="time [s]")
+    figure.update_xaxes(title="time since the start [s]")
     figure.update_yaxes(title=label)
     return figure
 
@@ -51,7 +52,8 @@ def histograms(
 ) -> go.Figure:
     """One histogram per column of values (n, k), overlaid; `counted` names the rows."""
     figure = style.figure(barmode="overlay")
-    for column, name in zip(values.T, names, strict=True):
+    for index, (column, name) in enumerate(zip(values.T, names, strict=True)):
+        color = style.AXIS_COLORS.get(name, style.PALETTE[index % len(style.PALETTE)])
         finite = column[np.isfinite(column)]
         # Few values in narrow bins look like a comb.
         bins = int(np.clip(2 * np.sqrt(len(finite)), 8, 40))
@@ -65,7 +67,7 @@ def histograms(
                 width=np.diff(edges),
                 name=name,
                 opacity=0.6,
-                marker={"color": style.AXIS_COLORS.get(name, style.ACCENT), "line": {"width": 0}},
+                marker={"color": color, "line": {"width": 0}},
             )
         )
     figure.update_xaxes(title=label)
@@ -120,11 +122,11 @@ def state_timeline(
     count = len(times_s)
     ends = np.linspace(0, count, min(count, MAX_POINTS) + 1).astype(np.int64)
     shown = codes if count <= MAX_POINTS else _commonest(codes, ends)
-    colors = (style.GOOD, style.DOUBTFUL, "#b05fc4", "#9aa4ae", style.BAD, style.ACCENT, "#6b7480")
+    colors = [css(reason) for reason in reasons]
     top = max(len(reasons) - 1, 1)
     scale = []
     for code in range(len(reasons)):
-        color = colors[code % len(colors)]
+        color = colors[code]
         scale += [(code / (top + 1), color), ((code + 1) / (top + 1), color)]
     figure = style.figure(90 + 22 * len(views))
     figure.add_trace(
@@ -140,10 +142,10 @@ def state_timeline(
         )
     )
     for code, reason in enumerate(reasons):
-        marker = {"symbol": "square", "size": 10, "color": colors[code % len(colors)]}
+        marker = {"symbol": "square", "size": 10, "color": colors[code]}
         key = go.Scatter(x=[None], y=[None], mode="markers", marker=marker, name=reason)
         figure.add_trace(key)
-    figure.update_xaxes(title="time [s]")
+    figure.update_xaxes(title="time since the start [s]")
     figure.update_yaxes(autorange="reversed")
     return figure
 

@@ -35,15 +35,20 @@ def add_cameras(
 
 
 def trajectory(
-    positions: Floats, sd_mm: Floats, camera_centers: Floats, camera_names: Sequence[str]
+    positions: Floats,
+    sd_mm: Floats,
+    camera_centers: Floats,
+    camera_names: Sequence[str],
+    doubtful: Floats | None = None,
 ) -> go.Figure:
     """Where the body went, coloured by its uncertainty, among the cameras.
 
     Args:
-        positions: (n, 3) in mm.
+        positions: (n, 3) in mm; NaN leaves a gap.
         sd_mm: (n,) standard deviation of each position.
         camera_centers: (m, 3) in mm.
         camera_names: m names.
+        doubtful: (k, 3) in mm, drawn as loose points.
     """
     keep = thinned(len(positions), *positions.T)
     colors = {
@@ -76,13 +81,24 @@ def trajectory(
     figure = style.figure(460, scene={**scene, "aspectmode": "data", "camera": eye})
     figure.update_layout(showlegend=False, margin={"t": 0, "b": 40})
     figure.add_traces([path, rig])
+    if doubtful is not None and len(doubtful):
+        x, y, z = doubtful.T
+        loose = {"size": 3, "symbol": "x", "color": style.BAD}
+        figure.add_trace(go.Scatter3d(x=x, y=y, z=z, mode="markers", marker=loose, name="flagged"))
     return figure
 
 
-def plan(positions: Floats, axes: tuple[int, int]) -> go.Figure:
-    """The trajectory (n, 3) mm seen along one axis; drawn also where a browser has no 3-D."""
+def plan(positions: Floats, axes: tuple[int, int], doubtful: Floats) -> go.Figure:
+    """The trajectory (n, 3) mm seen along one axis; drawn also where a browser has no 3-D.
+
+    NaN leaves a gap; `doubtful` (k, 3) are loose points.
+    """
     figure = style.figure(300, showlegend=False)
     figure.add_trace(_path(positions, axes, style.ACCENT))
+    if len(doubtful):
+        x, y = doubtful[:, axes[0]], doubtful[:, axes[1]]
+        loose = {"size": 5, "symbol": "x", "color": style.BAD}
+        figure.add_trace(go.Scatter(x=x, y=y, mode="markers", marker=loose, name="flagged"))
     _name_axes(figure, axes, "range")
     return figure
 

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator, Sequence
-from datetime import datetime
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from measure.arrays import Floats, Ints
+from measure.arrays import Bools, Floats, Ints
 from measure.results import Run, Summary
 from measure.results.accuracy import accuracy_map
+from measure.results.columns import texts
 from measure.session import dump_toml
 from measure.viewing.report import figures, places, style
 from measure.viewing.report.page import Page
@@ -52,6 +55,15 @@ def run_report(runs: Sequence[Run], errors: Sequence[Floats | None] = ()) -> str
     return page.render("Made by measure report. Everything on this page is inside this file.")
 
 
+_DATED_S = 1e9
+"""Times from here on are seconds since 1970, and not since a camera was switched on."""
+
+
+def since_start(run: Run) -> Floats:
+    """Times (n,) of the frame sets since the first one, s."""
+    return run.times_s - run.times_s[:1]
+
+
 def _title(run: Run) -> str:
     """Names the run, unless it is called just that, and a recording that is called otherwise."""
     name = run.path.resolve().name
@@ -78,6 +90,8 @@ def _facts(run: Run) -> Iterator[tuple[str, str]]:
     if started := run.provenance.get("run", {}).get("started"):
         yield "measured", f"{datetime.fromisoformat(started):%Y-%m-%d %H:%M} UTC"
     if run.poses.num_rows:
+        if run.times_s[0] > _DATED_S:
+            yield "recorded", f"{datetime.fromtimestamp(run.times_s[0], UTC):%Y-%m-%d %H:%M:%S} UTC"
         yield "duration", f"{run.times_s[-1] - run.times_s[0]:.1f} s"
 
 
@@ -91,24 +105,26 @@ def _add_errors(page: Page, run: Run, errors: Floats) -> None:
     page.figures(
         "Error against truth",
         "Measured minus true position, in world axes; gaps are frame sets without a pose.",
-        figures.over_time(run.times_s, curves, "error [mm]", style.AXIS_COLORS),
-        figures.over_time(run.times_s, {"rotation": turn}, "error [deg]"),
+        figures.over_time(since_start(run), curves, "error [mm]", style.AXIS_COLORS),
+        figures.over_time(since_start(run), {"rotation": turn}, "error [deg]"),
         figures.histograms(errors[:, :3], ("x", "y", "z"), "error [mm]"),
         figures.histograms(turn[:, None], ("rotation",), "error [deg]"),
     )
 
 
 def _add_poses(page: Page, run: Run) -> None:
-    place, has = run.world_from_body.translation, run.has_pose
+    has = run.has_pose
     sd = run.poses["position_sd_mm"].to_numpy()
+    sure, doubtful = _sure_and_doubtful(run)
     centers = np.stack([camera.center for camera in run.cameras])
     names = [camera.name for camera in run.cameras]
     page.figures(
         "Trajectory",
         "Where the body's origin went, and how well each position is known; then as seen along "
-        "each axis.",
-        places.trajectory(place, sd[has], centers, names),
-        *(places.plan(place, axes) for axes in _PLANES),
+        "each axis. The line has a gap where there is no pose, and where one is flagged: those "
+        "are loose points.",
+        places.trajectory(sure, sd, centers, names, doubtful),
+        *(places.plan(sure, axes, doubtful) for axes in _PLANES),
     )
     axes = np.full((len(has), 3), np.nan)
     axes[has] = np.sqrt(np.diagonal(run.covariances, axis1=1, axis2=2)[:, :3])
@@ -117,17 +133,27 @@ def _add_poses(page: Page, run: Run) -> None:
     page.figures(
         "Uncertainty",
         "Reported standard deviations; a gap is a frame set without a pose.",
-        figures.over_time(run.times_s, curves, "SD [mm]", style.AXIS_COLORS),
-        figures.over_time(run.times_s, {"rotation": turn}, "SD [deg]"),
+        figures.over_time(since_start(run), curves, "SD [mm]", style.AXIS_COLORS),
+        figures.over_time(since_start(run), {"rotation": turn}, "SD [deg]"),
     )
-    xyz = np.full((len(has), 3), np.nan)
-    xyz[has] = place
+    middle = np.nanmedian(sure, axis=0) if np.isfinite(sure).any() else np.zeros(3)
     page.figures(
         "Position",
-        "In world axes.",
-        figures.over_time(run.times_s, _by_axis(xyz), "position [mm]", style.AXIS_COLORS),
-        figures.histograms(xyz - np.nanmean(xyz, axis=0), ("x", "y", "z"), "about the mean [mm]"),
+        "In world axes; the curves have gaps where there is no pose, and where one is flagged.",
+        figures.over_time(since_start(run), _by_axis(sure), "position [mm]", style.AXIS_COLORS),
+        figures.histograms(sure - middle, ("x", "y", "z"), "about the median [mm]"),
     )
+
+
+def _sure_and_doubtful(run: Run) -> tuple[Floats, Floats]:
+    """Positions (n, 3), NaN where there is no pose or a flagged one; and those flagged (k, 3)."""
+    flagged, xyz = _flagged(run), np.full((run.poses.num_rows, 3), np.nan)
+    xyz[run.has_pose] = run.world_from_body.translation
+    return np.where(flagged[:, None], np.nan, xyz), xyz[flagged]
+
+
+def _flagged(run: Run) -> Bools:
+    return np.asarray(texts(run.poses, "status") == "flagged")
 
 
 def _by_axis(values: Floats) -> dict[str, Floats]:
@@ -143,15 +169,13 @@ def _add_accuracy(page: Page, run: Run) -> None:
         if maps[0].from_calibration
         else ("without the cameras' own uncertainty, which the calibration file does not state")
     )
+    path, _ = _sure_and_doubtful(run)
     page.figures(
         "Accuracy over the workspace",
         "Expected standard deviation of the position, 3-D, if every ball is in sight: the geometry "
         f"of cameras and body, scaled to what this run reported along its path; {source}. White: "
         "the path. Empty: seen by too few cameras.",
-        *(
-            places.accuracy(m.across_mm, m.up_mm, m.sd_mm, m.axes, run.world_from_body.translation)
-            for m in maps
-        ),
+        *(places.accuracy(m.across_mm, m.up_mm, m.sd_mm, m.axes, path) for m in maps),
     )
 
 
@@ -161,7 +185,7 @@ def _add_views(page: Page, run: Run) -> None:
         "Who saw what when",
         "Each ball in each camera: effective, or suspended and why. Where frame sets are many, a "
         "column stands for several and shows the commonest reason against a view among them.",
-        figures.state_timeline(run.times_s, codes, views, reasons),
+        figures.state_timeline(since_start(run), codes, views, reasons),
     )
     seen = {name: run.detections[name].to_numpy(zero_copy_only=False) for name in _RESIDUAL}
     maps = []
@@ -171,6 +195,7 @@ def _add_views(page: Page, run: Run) -> None:
             center = np.column_stack([seen["u_px"][mine], seen["v_px"][mine]])
             off = np.column_stack([seen["residual_u_px"][mine], seen["residual_v_px"][mine]])
             maps.append(figures.residual_map(center, off, camera.intrinsics.size_wh, camera.name))
+    _add_residuals(page, run, seen)
     if maps:
         page.figures(
             "Residuals in the images",
@@ -180,6 +205,41 @@ def _add_views(page: Page, run: Run) -> None:
         )
 
 
+def _add_residuals(page: Page, run: Run, seen: Mapping[str, Any]) -> None:
+    """Residuals by camera, and why frame sets are flagged."""
+    size = np.hypot(seen["residual_u_px"], seen["residual_v_px"])
+    rows, columns = [], []
+    for camera in run.cameras:
+        own = np.where((seen["camera"] == camera.name) & np.isfinite(size), size, np.nan)
+        columns.append(own)
+        kept = own[np.isfinite(own)]
+        if len(kept):
+            high, rms = np.quantile(kept, 0.95), np.sqrt(np.mean(kept**2))
+            rows.append((camera.name, len(kept), *map(float, (np.median(kept), high, rms))))
+    page.table(
+        "Residuals by camera",
+        "Distances of detected from predicted ball centres. One camera far above the others was "
+        "moved, is late, or sees badly.",
+        ("camera", "balls", "median px", "95 % px", "RMS px"),
+        rows,
+    )
+    if rows:
+        names, label = [camera.name for camera in run.cameras], "residual [px]"
+        drawn = figures.histograms(np.column_stack(columns), names, label, "balls")
+        page.figures("How large residuals are", "", drawn)
+    why = texts(run.poses, "reason")[_flagged(run)]
+    if len(why):
+        begun = since_start(run)[_flagged(run)]
+        counted = Counter(why.tolist()).most_common(_MOST_REASONS)
+        page.table(
+            "Flagged frame sets",
+            "Why poses are doubtful, the commonest reasons first.",
+            ("reason", "frame sets", "first at s"),
+            [(reason, n, float(begun[np.argmax(why == reason)])) for reason, n in counted],
+        )
+
+
+_MOST_REASONS = 12
 _PLANES = ((0, 1), (0, 2), (1, 2))
 _RESIDUAL = ("camera", "u_px", "v_px", "residual_u_px", "residual_v_px")
 
@@ -224,7 +284,7 @@ def _add_distances(page: Page, run: Run) -> None:
         page.figures(
             "Ball distances over time",
             "Measured minus nominal.",
-            figures.over_time(run.times_s, curves, "difference [mm]"),
+            figures.over_time(since_start(run), curves, "difference [mm]"),
         )
 
 
@@ -232,16 +292,27 @@ def _add_provenance(page: Page, runs: Sequence[Run]) -> None:
     run = runs[0]
     words = "The cameras as used. Standard deviations are those that the calibration file states."
     places.add_cameras(page, words, run.cameras)
-    session = run.provenance.get("session", {}).get("path", "SESSION")
-    calibration = run.provenance.get("calibration", {}).get("path", "CALIBRATION")
-    own = run.path.resolve()
+    file = Path(run.provenance.get("session", {}).get("path", "SESSION"))
+    session = file.parent.name if file.name == "session.toml" else file.name
+    calibration = Path(run.provenance.get("calibration", {}).get("path", "CALIBRATION")).name
+    own = Path(run.path.resolve().name)
     again = ["measure", "run", session, "--out", "NEW", "--profile", str(own / "run.toml")]
     again += ["--calibration", calibration]
     again += ["--body", str(own / "body.toml")] if not run.several else []
     page.text(
         "How to repeat it",
         "With the same versions it gives the same poses to the last digit. The run's folder holds "
-        "every setting, the body, and a copy of the calibration should the original be lost.",
+        "every setting, the body, and a copy of the calibration should the original be lost. Names "
+        "stand here without their folders.",
         shlex.join(again),
     )
-    page.text("Settings and versions", "", dump_toml(run.provenance))
+    page.text("Settings and versions", "", dump_toml(_without_folders(run.provenance)))
+
+
+def _without_folders(value: Any) -> Any:
+    """Values with absolute paths cut to names: a page is made to be sent to others."""
+    if isinstance(value, Mapping):
+        return {key: _without_folders(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_folders(one) for one in value]
+    return Path(value).name if isinstance(value, str) and Path(value).is_absolute() else value
