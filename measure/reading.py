@@ -88,11 +88,7 @@ def read_toml_text(path: Path | str, error: type[MeasureError]) -> str:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """The values of a TOML text.
-
-    Raises:
-        TOMLDecodeError: it is none, or is nested or has numbers beyond reason.
-    """
+    """The values of a TOML text; TOMLDecodeError if it is none, or is nested beyond reason."""
     try:
         values = tomllib.loads(text)
     except tomllib.TOMLDecodeError:

@@ -32,21 +32,14 @@ _ROUGH_MM, _FREE_MM = 0.5, 5.0
 
 @dataclass(frozen=True, eq=False)
 class FoundBody:
-    """A body as a recording shows it.
+    """A body as a recording shows it."""
 
-    Attributes:
-        body: in the stated frame; its `tolerance_mm` is what is left of its uncertainty.
-        distances: (mm, standard deviation in mm) of every two balls.
-        frame: where its origin is and how its axes lie, in words.
-        frame_sets: how many it rests on.
-        rms_px: of what is left of the balls' centres in the pictures.
-    """
-
-    body: Body
+    body: Body  # in the stated frame; its `tolerance_mm` is what is left of its uncertainty
+    # (mm, standard deviation in mm) of every two balls.
     distances: Mapping[tuple[str, str], tuple[float, float]]
-    frame: str
-    frame_sets: int
-    rms_px: float
+    frame: str  # where its origin is and how its axes lie, in words
+    frame_sets: int  # how many it rests on
+    rms_px: float  # of what is left of the balls' centres in the pictures
 
 
 def find_body(

@@ -65,30 +65,21 @@ _FEW, _FAR_S = 0.1, 0.01
 
 @dataclass(frozen=True, eq=False)
 class SessionCheck:
-    """What was found in a recording.
-
-    Attributes:
-        looked_at: how many of them were searched.
-        misfits: cameras that do not stand where the calibration says.
-        body: the balls' distances and radii against the body file.
-        clocks: of all cameras; empty if the motion was not measured.
-        camera_errors: cameras whose clock, direction or focal length is off.
-        scale: how many times as far apart as in the body file the balls are; NaN if unknown.
-        accuracy: (27, 5) expected standard deviations round the place where the body was (see
-            `expected_accuracy`), or None if it was never found.
-    """
+    """What was found in a recording."""
 
     session: str
     frame_sets: int
-    looked_at: int
+    looked_at: int  # how many of them were searched
     findings: tuple[Finding, ...]
     coverage: tuple[Coverage, ...]
-    misfits: tuple[CameraMisfit, ...]
-    body: BodyCheck
-    clocks: tuple[CameraClock, ...]
-    camera_errors: tuple[CameraError, ...]
-    scale: float
+    misfits: tuple[CameraMisfit, ...]  # cameras that do not stand where the calibration says
+    body: BodyCheck  # the balls' distances and radii against the body file
+    clocks: tuple[CameraClock, ...]  # of all cameras; empty if the motion was not measured
+    camera_errors: tuple[CameraError, ...]  # cameras whose clock, direction or focal length is off
+    scale: float  # how many times as far apart as in the body file the balls are; NaN if unknown
     scale_sd: float
+    # (27, 5) expected standard deviations round the place where the body was (see
+    # `expected_accuracy`), or None if it was never found.
     accuracy: Floats | None
 
     @property
@@ -190,24 +181,19 @@ def _accuracy(session: Session, searched: Sequence[SearchSample]) -> Floats | No
 
 @dataclass(frozen=True, eq=False)
 class _Look:
-    """What one look at a recording has shown.
-
-    Attributes:
-        motion: of frame sets measured in a row; empty if they were not.
-        misfits: cameras that do not stand where the calibration says.
-        ahead_s: by camera, what was added to its stamps before; `motion.clocks` include it.
-        tried_s: clocks that did not make the cameras agree.
-        instead: misfits that there were no more when clocks were set right.
-    """
+    """What one look at a recording has shown."""
 
     frame_sets: int
     searched: Sequence[SearchSample]
     located: Sequence[LocatedBalls]
-    motion: MotionCheck
+    motion: MotionCheck  # of frame sets measured in a row; empty if they were not
     pictures: Sequence[Finding]
-    misfits: tuple[CameraMisfit, ...]
+    misfits: tuple[CameraMisfit, ...]  # cameras that do not stand where the calibration says
+    # by camera, what was added to its stamps before; `motion.clocks` include it.
     ahead_s: Mapping[str, float] = field(default_factory=dict)
+    # clocks that did not make the cameras agree.
     tried_s: Mapping[str, float] = field(default_factory=dict)
+    # misfits that there were no more when clocks were set right.
     instead: tuple[CameraMisfit, ...] = ()
 
     @property

@@ -31,18 +31,14 @@ _MARK = "session/session.toml"
 
 @dataclass(frozen=True)
 class Demo:
-    """What the demonstration made and found.
-
-    Attributes:
-        picture: the views of one frame set with what was found in them.
-        correction: the shipped network on a minute of the simulated robot it has not seen.
-    """
+    """What the demonstration made and found."""
 
     session: Path
     run: Path
-    picture: Path
+    picture: Path  # the views of one frame set with what was found in them
     summary: Summary
     evaluation: RunEvaluation
+    # the shipped network on a minute of the simulated robot it has not seen.
     correction: learning.EstimatorEvaluation
 
 

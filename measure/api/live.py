@@ -44,61 +44,37 @@ _RECENT = 30
 
 @dataclass(frozen=True)
 class LiveOptions(LogOptions):
-    """How cameras are measured live, beside the run's recording.
+    """How cameras are measured live, beside the run's recording."""
 
-    Attributes:
-        record: a session folder to record the pictures into as well.
-        send: host and port that every pose is sent to by UDP.
-        seconds: how long; until interrupted if None.
-        request: what cameras of this machine are set to.
-        overwrite: throw an earlier run away.
-        reference: name of the body that others are measured relative to; empty without one.
-    """
-
-    record: Path | None = None
-    send: tuple[str, int] | None = None
-    seconds: float | None = None
-    request: CaptureRequest | None = None
-    overwrite: bool = False
-    reference: str = ""
+    record: Path | None = None  # a session folder to record the pictures into as well
+    send: tuple[str, int] | None = None  # host and port that every pose is sent to by UDP
+    seconds: float | None = None  # how long; until interrupted if None
+    request: CaptureRequest | None = None  # what cameras of this machine are set to
+    overwrite: bool = False  # throw an earlier run away
+    reference: str = ""  # name of the body that others are measured relative to; empty without one
 
 
 @dataclass(frozen=True)
 class LiveState:
-    """State of a live measurement.
+    """State of a live measurement."""
 
-    Attributes:
-        latest: the last measurement of each body.
-        frame_sets: how many are measured.
-        rate_hz: of late; NaN at first.
-        age_s: from the middle of a frame set's pictures to its pose being there, median of late.
-        overtaken: pictures a camera that were left out for newer ones.
-        unreadable: pictures that could not be decoded.
-        cameras: what has come of each.
-        away: the cameras that are away now.
-    """
-
-    latest: Sequence[Measurement]
-    frame_sets: int
-    rate_hz: float
+    latest: Sequence[Measurement]  # the last measurement of each body
+    frame_sets: int  # how many are measured
+    rate_hz: float  # of late; NaN at first
+    # from the middle of a frame set's pictures to its pose being there, median of late.
     age_s: float
-    overtaken: int
-    unreadable: int
-    cameras: Mapping[str, CameraCount]
-    away: tuple[str, ...] = ()
+    overtaken: int  # pictures a camera that were left out for newer ones
+    unreadable: int  # pictures that could not be decoded
+    cameras: Mapping[str, CameraCount]  # what has come of each
+    away: tuple[str, ...] = ()  # the cameras that are away now
 
 
 @dataclass(frozen=True)
 class LiveEnd:
-    """A live measurement that has ended.
+    """A live measurement that has ended."""
 
-    Attributes:
-        summary: of the run.
-        state: at the end; None if there was no frame set.
-    """
-
-    summary: Summary
-    state: LiveState | None
+    summary: Summary  # of the run
+    state: LiveState | None  # at the end; None if there was no frame set
 
 
 def live(

@@ -27,19 +27,13 @@ _ATTEMPTS = 3
 
 @dataclass(frozen=True)
 class Outcome:
-    """How one recording ended.
-
-    Attributes:
-        summary: what was measured; None if it failed.
-        error: why it failed, in one line; empty if it did not.
-        defect: the traceback, if the failure is ours and not the user's to mend.
-    """
+    """How one recording ended."""
 
     session: Path
     run: Path
-    summary: Summary | None = None
-    error: str = ""
-    defect: str = ""
+    summary: Summary | None = None  # what was measured; None if it failed
+    error: str = ""  # why it failed, in one line; empty if it did not
+    defect: str = ""  # the traceback, if the failure is ours and not the user's to mend
 
 
 @dataclass(frozen=True)

@@ -27,15 +27,11 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 @dataclass(frozen=True)
 class CaptureRequest:
-    """Size and rate requested of cameras of this machine.
+    """Size and rate requested of cameras of this machine."""
 
-    Attributes:
-        size_wh: of the pictures; that of the calibration if None and there is one.
-        rate_hz: pictures a second; the camera's own if None.
-    """
-
+    # of the pictures; that of the calibration if None and there is one.
     size_wh: tuple[int, int] | None = None
-    rate_hz: float | None = None
+    rate_hz: float | None = None  # pictures a second; the camera's own if None
 
 
 @dataclass(frozen=True)

@@ -35,15 +35,11 @@ LOOSE_WORLD = (
 
 @dataclass(frozen=True, eq=False)
 class RefineResult:
-    """A refined calibration and how it came about.
-
-    Attributes:
-        body: with its balls where the recording puts them, within the tolerance, and as large.
-    """
+    """A refined calibration and how it came about."""
 
     calibration: Calibration
     rig: RefinedRig
-    body: Body
+    body: Body  # with its balls where the recording puts them, within the tolerance, and as large
     notes: tuple[str, ...] = ()
 
 

@@ -30,21 +30,15 @@ _FIRST_FRAME_SETS = 3
 
 @dataclass(frozen=True)
 class RunOptions(LogOptions):
-    """How a run is written, beside its recording.
+    """How a run is written, beside its recording."""
 
-    Attributes:
-        resume: go on with an earlier run of the same, which is measured again as far as it came.
-        overwrite: throw an earlier run away.
-        calibration: a calibration file to use instead of the session's own.
-        body: a body file to use instead of the session's own, or several.
-        reference: name of the body that the others are measured relative to, instead of the
-            session's.
-    """
-
+    # go on with an earlier run of the same, which is measured again as far as it came.
     resume: bool = False
-    overwrite: bool = False
-    calibration: Path | None = None
+    overwrite: bool = False  # throw an earlier run away
+    calibration: Path | None = None  # a calibration file to use instead of the session's own
+    # a body file to use instead of the session's own, or several.
     body: Path | Sequence[Path] | None = None
+    # name of the body that the others are measured relative to, instead of the session's.
     reference: str | None = None
 
     def open(self, session: Path) -> Session:

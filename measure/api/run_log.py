@@ -24,17 +24,11 @@ RESERVED_BYTES = 32_000_000
 
 @dataclass(frozen=True)
 class LogOptions:
-    """What goes into a run's recording.
+    """What goes into a run's recording."""
 
-    Attributes:
-        image_every: pictures of every n-th frame set go into `run.rrd`; 0 for none.
-        recording: whether to write `run.rrd` at all.
-        viewer: address of a running viewer to send to while measuring.
-    """
-
-    image_every: int = 0
-    recording: bool = True
-    viewer: str | None = None
+    image_every: int = 0  # pictures of every n-th frame set go into `run.rrd`; 0 for none
+    recording: bool = True  # whether to write `run.rrd` at all
+    viewer: str | None = None  # address of a running viewer to send to while measuring
 
     def check_viewer(self) -> None:
         """Refuse (ConfigError) an address where no viewer listens, before anything is measured."""

@@ -18,25 +18,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class TrainOptions:
-    """What is trained, and on what.
-
-    Attributes:
-        validation: a data set of its own that chooses, stops and scores; otherwise trajectories
-            are split off for that.
-        test_share: of the rows, in whole trajectories.
-        resume: go on with an interrupted training of the same file.
-        split_rows: split by random rows: wrong, and only there to show how wrong.
-    """
+    """What is trained, and on what."""
 
     estimator: str = "stream"
     settings: Mapping[str, Any] | None = None
+    # a data set of its own that chooses, stops and scores; otherwise trajectories are split off for
+    # that.
     validation: Path | None = None
-    test_share: float = 0.1
+    test_share: float = 0.1  # of the rows, in whole trajectories
     validation_share: float = 0.1
     split_seed: int = 0
     seed: int = 0
-    resume: bool = False
-    split_rows: bool = False
+    resume: bool = False  # go on with an interrupted training of the same file
+    split_rows: bool = False  # split by random rows: wrong, and only there to show how wrong
     notes: Mapping[str, str] | None = None
 
 
@@ -106,17 +100,13 @@ def parse_settings(texts: Sequence[str]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class SweepOptions:
-    """What a sweep searches.
-
-    Attributes:
-        scheduler: address of a dask scheduler whose workers run the trials.
-    """
+    """What a sweep searches."""
 
     estimator: str
     settings: Mapping[str, Any]
     trials: int
     split_seed: int = 0
-    scheduler: str | None = None
+    scheduler: str | None = None  # address of a dask scheduler whose workers run the trials
 
 
 def sweep(

@@ -17,8 +17,7 @@ from measure.model import Body
 _MAX_DISTANCE_SIGMAS = 4.0
 _MAX_MIRRORED_RMS_RATIO = 0.5
 """RMS of the mirrored body over the body's own below which the centres are called mirrored."""
-_MIN_THICKNESS_MM = 1.0
-"""A body thinner than this about its plane is its own mirror image."""
+_MIN_THICKNESS_MM = 1.0  # A body thinner than this about its plane is its own mirror image
 
 
 def layout_flags(

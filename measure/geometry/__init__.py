@@ -1,6 +1,6 @@
 """Transforms, rays, cones and covariances: pure mathematics, no cameras, no pictures, no files."""
 
-from measure.geometry.cone import Cone, Ellipse, ellipse_of_conic, fit_cone, tangent_cone
+from measure.geometry.cone import Cone, fit_cone, tangent_cone
 from measure.geometry.covariance import (
     UncertainTransform,
     chi_square_quantile,
@@ -18,7 +18,7 @@ from measure.geometry.rays import (
 from measure.geometry.transform import RigidTransform, align_points, skew
 
 __all__ = [
-    "Cone", "Ellipse", "Midpoints", "Rays", "RigidTransform", "UncertainTransform", "align_points",
-    "chi_square_quantile", "common_perpendicular", "ellipse_of_conic", "fit_cone", "midpoints",
+    "Cone", "Midpoints", "Rays", "RigidTransform", "UncertainTransform", "align_points",
+    "chi_square_quantile", "common_perpendicular", "fit_cone", "midpoints",
     "nearest_point", "propagate", "skew", "squared_mahalanobis", "tangent_cone", "usable_pairs",
 ]  # fmt: skip

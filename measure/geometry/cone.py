@@ -19,57 +19,6 @@ from measure.errors import DegenerateGeometryError
 
 
 @dataclass(frozen=True, eq=False)
-class Ellipse:
-    """An ellipse in a plane.
-
-    Attributes:
-        center: (2,).
-        semi_axes: (2,) the longer one first, in the units of the plane.
-        angle: of the longer axis, in rad from x towards y, in (-pi / 2, pi / 2].
-    """
-
-    center: Floats
-    semi_axes: Floats
-    angle: float
-
-    def points(self, parameters: ArrayLike) -> Floats:
-        """Points (n, 2) at `parameters` (n,) in rad, 0 at the end of the longer axis."""
-        t = np.asarray(parameters, dtype=np.float64)[..., None]
-        major = np.array([np.cos(self.angle), np.sin(self.angle)])
-        minor = np.array([-major[1], major[0]])
-        a, b = self.semi_axes
-        return self.center + a * np.cos(t) * major + b * np.sin(t) * minor
-
-
-def ellipse_of_conic(conic: ArrayLike) -> Ellipse:
-    """The ellipse of points (x, y, 1) with `v^T conic v = 0`.
-
-    Args:
-        conic: (3, 3) symmetric, of any scale.
-
-    Raises:
-        DegenerateGeometryError: the conic is a hyperbola, a parabola, or has no points.
-    """
-    q = floats("conic", conic, 3, 3)
-    curvature, vectors = np.linalg.eigh(q[:2, :2])
-    if curvature[0] * curvature[1] <= 0:
-        raise DegenerateGeometryError(
-            f"not an ellipse: the conic's curvatures {curvature[0]:.3g} and {curvature[1]:.3g} "
-            "differ in sign"
-        )
-    center = -np.linalg.solve(q[:2, :2], q[:2, 2])
-    squares = -(q[2, 2] + q[:2, 2] @ center) / curvature
-    if np.any(squares <= 0):
-        raise DegenerateGeometryError("not an ellipse: no point lies on the conic")
-    order = np.argsort(squares)[::-1]
-    x, y = vectors[:, order[0]]
-    if x < 0 or (x == 0 and y < 0):
-        x, y = -x, -y
-    semi_axes: Floats = np.sqrt(squares[order])
-    return Ellipse(np.asarray(center, dtype=np.float64), semi_axes, float(np.arctan2(y, x)))
-
-
-@dataclass(frozen=True, eq=False)
 class Cone:
     """A right circular cone with its apex at the camera.
 
@@ -93,22 +42,6 @@ class Cone:
         phi = np.asarray(angles, dtype=np.float64)[..., None]
         around = np.cos(phi) * e1 + np.sin(phi) * e2
         return np.cos(self.half_angle) * self.axis + np.sin(self.half_angle) * around
-
-    def ellipse(self) -> Ellipse:
-        """The outline in the plane z = 1 of an ideal camera that looks along +z.
-
-        Raises:
-            DegenerateGeometryError: the cone reaches the plane z = 0, so the outline is no ellipse.
-        """
-        off_axis = np.arccos(np.clip(self.axis[2], -1, 1))
-        if off_axis + self.half_angle >= np.pi / 2:
-            raise DegenerateGeometryError(
-                f"the outline of a ball {np.degrees(self.half_angle):.1f} deg in radius and "
-                f"{np.degrees(off_axis):.1f} deg off the optical axis is no ellipse"
-            )
-        # v . a = |v| cos(alpha), squared: v^T (a a^T - cos(alpha)^2 I) v = 0.
-        square = np.cos(self.half_angle) ** 2
-        return ellipse_of_conic(square * np.eye(3) - np.outer(self.axis, self.axis))
 
     def residuals(self, bearings: Floats) -> Floats:
         """Angles (n,) in rad by which bearings (n, 3) lie outside the cone (negative: inside)."""

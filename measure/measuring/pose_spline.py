@@ -25,10 +25,8 @@ from measure.model import Motion, Pose
 
 REACH = 3
 """Poses on either side: the fourth would change a slope by 2 % of its own noise."""
-_MAX_PAUSE_S = 0.5
-"""Longest time between two poses of one spline."""
-_POLYNOMIAL_KNOTS = 5
-"""Nearest knots of the polynomial whose slope is compared with the spline's."""
+_MAX_PAUSE_S = 0.5  # Longest time between two poses of one spline
+_POLYNOMIAL_KNOTS = 5  # Nearest knots of the polynomial whose slope is compared with the spline's
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from measure.arrays import Bools, Floats, floats
-from measure.geometry import Cone, Rays, RigidTransform, UncertainTransform, skew, tangent_cone
+from measure.geometry import Cone, Rays, RigidTransform, skew, tangent_cone
 from measure.model import distortion, fisheye
 
 Projection = Literal["pinhole", "fisheye"]
@@ -193,13 +193,6 @@ class Camera:
     def center(self) -> Floats:
         """The projection centre (3,) in the world, mm."""
         return self.world_from_camera.translation
-
-    @property
-    def uncertain_pose(self) -> UncertainTransform | None:
-        """The pose with its covariance, or None if that is unknown."""
-        if self.pose_covariance is None:
-            return None
-        return UncertainTransform(self.world_from_camera, self.pose_covariance)
 
     @cached_property
     def covariance(self) -> Floats | None:

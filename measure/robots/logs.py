@@ -58,11 +58,7 @@ def read_log(path: Path, schema: StateSchema, *, topic: str | None = None) -> Ro
 def log_pieces(
     path: Path, schema: StateSchema, topic: str | None = None
 ) -> Iterator[tuple[Floats, Floats]]:
-    """Times (n,) and states (n, features) of a log in order, piece by piece; no time twice.
-
-    Raises:
-        EstimatorError: as `read_log`, when the piece is due.
-    """
+    """Times (n,) and states (n, features) of a log in order, piece by piece; see `read_log`."""
     if not path.exists():
         raise EstimatorError(f"{path}: no such robot log")
     if path.suffix in (".parquet", ".csv"):

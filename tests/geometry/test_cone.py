@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from strategies import directions, vectors
+from strategies import directions
 
 from measure.errors import DegenerateGeometryError
-from measure.geometry import Cone, ellipse_of_conic, fit_cone, tangent_cone
+from measure.geometry import Cone, fit_cone, tangent_cone
 
 BALLS = st.tuples(directions(), st.floats(100, 3000), st.floats(5, 60))
 """Where a ball is: direction, distance in mm, radius in mm."""
@@ -121,70 +121,3 @@ def test_weights_of_another_length_are_refused():
     points = tangent_cone([0, 0, 100.0], 10).bearings([0, 1, 2])
     with pytest.raises(ValueError, match=r"weights: expected shape \(3\), got \(2,\)"):
         fit_cone(points, [1, 1])
-
-
-# -- the image of the cone ------------------------------------------------------------------------
-
-
-@given(st.floats(0, 1.2), st.floats(0, 6.28), st.floats(0.01, 0.3), st.floats(0, 6.28))
-def test_the_ellipse_is_the_image_of_the_cone(off_axis, azimuth, half_angle, around):
-    axis = np.array(
-        [np.sin(off_axis) * np.cos(azimuth), np.sin(off_axis) * np.sin(azimuth), np.cos(off_axis)]
-    )
-    cone = Cone(axis, half_angle)
-    ellipse = cone.ellipse()
-    points = ellipse.points(around + np.arange(8))
-    bearings = np.column_stack([points, np.ones(8)])
-    np.testing.assert_allclose(cone.residuals(bearings), 0, atol=1e-8)
-    assert ellipse.semi_axes[0] >= ellipse.semi_axes[1]
-    assert -np.pi / 2 < ellipse.angle <= np.pi / 2
-
-
-@pytest.mark.parametrize("off_axis_deg", [5, 10, 15, 20, 24])
-@pytest.mark.parametrize("half_angle_deg", [1.0, 2.547, 8.0])
-def test_the_ellipse_has_the_textbook_centre_and_axes(off_axis_deg, half_angle_deg):
-    """For a ball `theta` off the axis, with focal length 1 (derived from the conic by hand)."""
-    theta, alpha = np.radians(off_axis_deg), np.radians(half_angle_deg)
-    ellipse = Cone(np.array([np.sin(theta), 0, np.cos(theta)]), alpha).ellipse()
-    below = np.cos(theta) ** 2 - np.sin(alpha) ** 2
-    offset = np.tan(theta) * np.sin(alpha) ** 2 / below
-    np.testing.assert_allclose(ellipse.center, [np.tan(theta) + offset, 0], atol=1e-12)
-    np.testing.assert_allclose(
-        ellipse.semi_axes,
-        [np.sin(alpha) * np.cos(alpha) / below, np.sin(alpha) / np.sqrt(below)],
-        rtol=1e-9,
-    )
-    assert ellipse.angle == pytest.approx(0)
-
-
-def test_the_centre_of_the_outline_is_not_the_centre_of_the_ball():
-    """1420 px, 450 mm, 20 mm, 15 deg off axis: 0.81 px, which is 0.26 mm at the ball."""
-    theta, alpha = np.radians(15), np.arcsin(20 / 450)
-    ellipse = Cone(np.array([np.sin(theta), 0, np.cos(theta)]), float(alpha)).ellipse()
-    assert 1420 * (ellipse.center[0] - np.tan(theta)) == pytest.approx(0.81, abs=0.005)
-
-
-def test_a_ball_beside_the_camera_has_no_ellipse():
-    with pytest.raises(DegenerateGeometryError, match=r"85\.0 deg off the optical axis"):
-        Cone(np.array([np.sin(np.radians(85)), 0, np.cos(np.radians(85))]), 0.2).ellipse()
-
-
-def test_other_conics_are_refused():
-    with pytest.raises(DegenerateGeometryError, match="differ in sign"):
-        ellipse_of_conic(np.diag([1.0, -1, -1]))
-    with pytest.raises(DegenerateGeometryError, match="no point"):
-        ellipse_of_conic(np.eye(3))
-
-
-@given(st.floats(0.1, 5), st.floats(0.02, 1), vectors(3), st.floats(-1.57, 1.57))
-def test_an_ellipse_is_read_back_from_its_conic(long, ratio, center, angle):
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    shape = turn @ np.diag([1 / long**2, 1 / (long * ratio) ** 2]) @ turn.T
-    to_center = np.hstack([np.eye(2), -center[:2, None]])
-    conic = to_center.T @ shape @ to_center
-    conic[2, 2] -= 1
-    ellipse = ellipse_of_conic(-2.5 * conic)
-    np.testing.assert_allclose(ellipse.center, center[:2], atol=1e-6)
-    np.testing.assert_allclose(ellipse.semi_axes, [long, long * ratio], rtol=1e-6)
-    if ratio < 0.99:
-        assert np.tan(ellipse.angle - angle) == pytest.approx(0, abs=1e-6)

@@ -171,21 +171,6 @@ def test_a_distorted_outline_leads_back_to_the_ball(camera, center):
     np.testing.assert_allclose(fit_cone(back).center(20.0), center, atol=1e-4)
 
 
-def test_an_ideal_outline_is_the_ellipse_of_the_cone():
-    matrix = np.array([[1000.0, 0, 640], [0, 1000, 360], [0, 0, 1]])
-    lens = Intrinsics((1280, 720), matrix)
-    cone = tangent_cone([120.0, 60, 450], 20.0)
-    ellipse = cone.ellipse()
-    outline = (lens.outline(cone, 36) - matrix[:2, 2]) / 1000 - ellipse.center
-    turn = np.array(
-        [[np.cos(ellipse.angle), np.sin(ellipse.angle)],
-         [-np.sin(ellipse.angle), np.cos(ellipse.angle)]]
-    )  # fmt: skip
-    np.testing.assert_allclose(
-        np.linalg.norm(outline @ turn.T / ellipse.semi_axes, axis=1), 1, atol=1e-9
-    )
-
-
 def test_a_camera_inside_a_ball_sees_no_outline(rig):
     with pytest.raises(DegenerateGeometryError, match="inside the ball"):
         rig[0].outline(rig[0].center, 20.0)

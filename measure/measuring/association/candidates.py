@@ -13,10 +13,8 @@ from measure.compiling import compiled
 from measure.model import Ball, Camera, Detection, Rig
 from measure.model.rig_kernels import ray_rows
 
-_MIN_GATE_MM = 1.0
-"""Rays that pass this close always intersect: cameras are not quite simultaneous."""
-_MIN_SQUARED_SINE = 1e-3
-"""Of the angle between two rays."""
+_MIN_GATE_MM = 1.0  # Rays that pass this close always intersect: cameras are not quite simultaneous
+_MIN_SQUARED_SINE = 1e-3  # Of the angle between two rays
 
 
 class CandidateRays(NamedTuple):

@@ -19,8 +19,7 @@ from measure.model import Body, Camera, Rig
 _MAX_TRIPLES = 400
 _MAX_PAIRS = 20
 _SLACK_MM = 1.0
-_MIN_SPREAD_RATIO = 0.05
-"""Second to first singular value of three balls that are not on a line."""
+_MIN_SPREAD_RATIO = 0.05  # Second to first singular value of three balls that are not on a line
 _ANGLES = 90
 _INSIDE_RADII = 0.8
 """Candidates within this many radii of a ball of the body belong to it, whatever their colour: a

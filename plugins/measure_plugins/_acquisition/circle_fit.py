@@ -14,12 +14,10 @@ from measure.geometry.linear_kernels import cholesky, solve_factored
 ANGLES = 48
 COSINES = np.cos(2 * np.pi * np.arange(ANGLES) / ANGLES)
 SINES = np.sin(2 * np.pi * np.arange(ANGLES) / ANGLES)
-_REACHES = (3.0, 2.0, 1.5)
-"""Reach of the search for the edge in successive fits, in reduced pixels."""
+_REACHES = (3.0, 2.0, 1.5)  # Reach of the search for the edge in successive fits, in reduced pixels
 _QUARTER, _HALF_STEP = 0.25, 0.125
 _MIN_EDGES = 6
-_PRIOR_WEIGHT = 0.02
-"""Weight of the initial circle, which holds the fit of a short arc."""
+_PRIOR_WEIGHT = 0.02  # Weight of the initial circle, which holds the fit of a short arc
 
 
 @compiled

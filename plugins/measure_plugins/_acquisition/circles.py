@@ -16,18 +16,13 @@ from measure_plugins._acquisition.patches import borders, framed
 
 _BATCH_ANGLES = 8
 """Angles that are tested before the next check whether the share can still be reached."""
-_REACH = 1.5
-"""Distance from the circle at which inside and outside are read, in reduced pixels."""
-_MIN_ARC = 2.0
-"""Least visible arc in reduced pixels, divided by 2 pi: 13 pixels of border."""
-_SPANS = (55, 34, 21, 13, 8, 5)
-"""Border pixels between the three points."""
-_MIN_BORDER = 10
-"""Segments with a shorter border, in reduced pixels, are left out."""
+_REACH = 1.5  # Distance from the circle at which inside and outside are read, in reduced pixels
+_MIN_ARC = 2.0  # Least visible arc in reduced pixels, divided by 2 pi: 13 pixels of border
+_SPANS = (55, 34, 21, 13, 8, 5)  # Border pixels between the three points
+_MIN_BORDER = 10  # Segments with a shorter border, in reduced pixels, are left out
 _COMPLETE_SHARE = 0.8
 """Visible share of a circle above which its part of a border is not searched further."""
-_CONTAINS_ABOVE = 0.6
-"""Visible share above which other circles inside one are parts of it."""
+_CONTAINS_ABOVE = 0.6  # Visible share above which other circles inside one are parts of it
 
 
 @compiled
@@ -39,11 +34,7 @@ def circles_of_each(
     least_filled: float,
     most: int,
 ) -> tuple[Floats, Ints]:
-    """`circles_of` each of some colours, the numbers of whose bits are given (n,), in one call.
-
-    Returns:
-        (k, 5) circles of one colour after the other; (n,) the row after each one's last.
-    """
+    """`circles_of` some colours, by their bits (n,): (k, 5); (n,) the row after each one's last."""
     out, ends = np.empty((most * len(colors), 5)), np.empty(len(colors), np.int64)
     count = 0
     for i in range(len(colors)):

@@ -91,10 +91,8 @@ def classify(pixels: Bytes, table: Bytes, sparse: Bytes, step: int) -> tuple[Byt
     return out, some
 
 
-_GREY_STRIDE = 32
-"""Stride of the rows and columns from which the picture's grey is taken."""
-_BRIGHTER = 1.35
-"""Threshold of brightness per median grey, in picture values."""
+_GREY_STRIDE = 32  # Stride of the rows and columns from which the picture's grey is taken
+_BRIGHTER = 1.35  # Threshold of brightness per median grey, in picture values
 _ALL_HUES = (0, 179)
 
 
@@ -145,12 +143,10 @@ def _values(levels: int) -> Bytes:
     return np.maximum(np.maximum(blue, green), red).astype(np.uint8)
 
 
-_STRIDE = 2
-"""Stride of the reduced pixels that are counted."""
+_STRIDE = 2  # Stride of the reduced pixels that are counted
 _MIN_PIXELS, _MIN_DULL = 30, 0.4
 """Fewest pixels of a colour that are split, and the least share of dull ones."""
-_TIMES_AS_VIVID = 2.0
-"""Least ratio of the mean chroma of vivid pixels to that of dull ones."""
+_TIMES_AS_VIVID = 2.0  # Least ratio of the mean chroma of vivid pixels to that of dull ones
 
 
 def more_vivid_than_the_rest(

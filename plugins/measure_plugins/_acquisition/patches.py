@@ -11,10 +11,8 @@ _DX = np.array([1, 1, 0, -1, -1, -1, 0, 1])
 _DY = np.array([0, -1, -1, -1, 0, 1, 1, 1])
 """The eight neighbours of a pixel, counter-clockwise from the right in the displayed picture."""
 _WEST = 4
-_ALL = 0xFF
-"""All eight neighbours: such a pixel lies on no border."""
-_WORD = 8
-"""Pixels tested at once, to skip those on no border."""
+_ALL = 0xFF  # All eight neighbours: such a pixel lies on no border
+_WORD = 8  # Pixels tested at once, to skip those on no border
 OFF = 2
 """Value of a mask outside the picture."""
 _EDGE, _ENTERED, _LEFT = 1, 2, 3

@@ -18,8 +18,7 @@ from measure.model import BallColor
 from measure.model.color import ColorRange
 from measure_plugins._acquisition.color_table import color_table
 
-_MIN_VALUE = 12
-"""Least value of a dark pixel, above the quantisation of hue."""
+_MIN_VALUE = 12  # Least value of a dark pixel, above the quantisation of hue
 _MIN_SATURATION = 110
 """Least saturation of a dark pixel: its hue then rests on five levels in the darkest and on a dozen
 in less dark ones. Grey pixels a few levels off would pass the lower limits of some colours."""
@@ -37,12 +36,7 @@ def with_shade(colors: tuple[BallColor, ...]) -> Bytes:
 
 @compiled
 def much_in_shade(lit: Bytes, shaded: Bytes, bit: int) -> bool:
-    """Whether so much of a colour is in shade that a ball may be cut or missed.
-
-    Args:
-        lit: (h, w) colours of some pixels.
-        shaded: (h, w) of the same pixels, with shade.
-    """
+    """Whether so much of a colour, by lit and shaded pixels (h, w), is in shade as to cut balls."""
     return _count(shaded, bit) > (1 + _MUCH_SHADE) * _count(lit, bit)
 
 

@@ -18,11 +18,9 @@ from measure.model import Camera
 from measure.model.lens import RAY, fill_rays
 from measure_plugins._kernels.selection import median
 
-_MIN_POINTS = 3
-"""Outline points that determine a cone."""
+_MIN_POINTS = 3  # Outline points that determine a cone
 _MAX_RELATIVE_VARIANCE = 2.0
-_MIN_VARIANCE_PX2 = 5e-9
-"""For detectors that state no uncertainty at all."""
+_MIN_VARIANCE_PX2 = 5e-9  # For detectors that state no uncertainty at all
 
 
 class PackedOutlines(NamedTuple):

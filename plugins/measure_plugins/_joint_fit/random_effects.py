@@ -28,8 +28,7 @@ _MIN_TYPICAL_SD_PX = 0.2
 light in one camera is balanced by that in another."""
 _MIN_RADIUS_SD_PX = 0.1
 """Balls are not round to better than this, and edges differ: a size determines range no better."""
-_CHI_SQUARE_MEDIAN = 1.386
-"""With 2 degrees of freedom: 2 ln 2."""
+_CHI_SQUARE_MEDIAN = 1.386  # With 2 degrees of freedom: 2 ln 2
 
 
 class EffectVariance(NamedTuple):

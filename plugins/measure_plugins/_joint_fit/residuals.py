@@ -26,8 +26,7 @@ from measure_plugins._kernels.selection import median
 
 COLUMNS = 10
 """The pose's six, the view's offset, the outline's normal axial x and y, and the residual."""
-_LOCAL = 7
-"""The same with the ball's centre (in the camera frame) for the pose."""
+_LOCAL = 7  # The same with the ball's centre (in the camera frame) for the pose
 
 
 @compiled

@@ -20,8 +20,7 @@ GREY = 1 / np.sqrt(3.0)
 COLORLESS = 0.15
 """Sine of the angle between a ball's colour and grey below which the two cannot be told apart."""
 _OWN_LAST_PX = -3.0
-_COLOR_RAYS = 36
-"""The body colour is taken from about so many rays, evenly spaced."""
+_COLOR_RAYS = 36  # The body colour is taken from about so many rays, evenly spaced
 _NEIGHBOURS = tuple(float(w) for w in np.exp(-0.5 * (np.arange(5) / 1.5) ** 2))
 """Weights of a ray and of those one to four further on: a normal distribution of sd 1.5 rays."""
 

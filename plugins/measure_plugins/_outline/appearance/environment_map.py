@@ -17,8 +17,7 @@ from measure.compiling import compiled, inlined
 from measure.geometry.linear_kernels import add_product
 from measure_plugins._outline.appearance.radial_basis import DEFLECTIONS, FADE_RAD
 
-_MIN_COSINE = 0.2
-"""Cosine from the optical axis below which directions count as unseen."""
+_MIN_COSINE = 0.2  # Cosine from the optical axis below which directions count as unseen
 _BEYOND_RAD = float(DEFLECTIONS[1] - DEFLECTIONS[0])
 """Angle past the picture's border over which colours fade out, so that they change continuously
 where a ball moves: the step of `DEFLECTIONS`."""

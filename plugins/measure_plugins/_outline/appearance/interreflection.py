@@ -15,8 +15,7 @@ from measure_plugins._outline.appearance.dichromatic import GREY
 from measure_plugins._outline.appearance.radial_basis import DEFLECTIONS, RadialTables
 
 _SPACING = float(DEFLECTIONS[1] - DEFLECTIONS[0])
-_SAME_MM = 1e-6
-"""Balls whose distances differ by less neither occlude nor mirror each other."""
+_SAME_MM = 1e-6  # Balls whose distances differ by less neither occlude nor mirror each other
 
 
 @compiled

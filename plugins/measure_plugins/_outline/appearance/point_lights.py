@@ -23,12 +23,9 @@ REFERENCE_MM = 1000.0
 """The distance at which a light's irradiance is stated."""
 _ITERATIONS = 4
 _COLUMNS = 5
-_FITTED_RAYS = 36
-"""Light is fitted to about so many rays, evenly spaced."""
-_LANES = 2 * _FITTED_RAYS
-"""An upper limit of their number."""
-_MIN_UNIFORM = 1e-4
-"""Diffuse light below which a step along a ray lies past the blurred outline."""
+_FITTED_RAYS = 36  # Light is fitted to about so many rays, evenly spaced
+_LANES = 2 * _FITTED_RAYS  # An upper limit of their number
+_MIN_UNIFORM = 1e-4  # Diffuse light below which a step along a ray lies past the blurred outline
 _NONE, _ONE = np.float32(0), np.float32(1)
 UNIFORM, AXIAL, RADIAL = 0, 1, 3
 """Columns of `RadialTables.diffuse` for uniform light, and light linear in the normal."""

@@ -34,8 +34,7 @@ _REFLECTION_USED = (
     np.abs(STEPS - np.mean(_REFLECTION_RANGE_PX))[:, None] <= np.ptp(_REFLECTION_RANGE_PX) / 2
 )
 _STIFFNESS, _FIRM = 0.02, 1e3
-_SLANTING = 0.3
-"""Cosine at which Schlick's formula is fitted to a surface."""
+_SLANTING = 0.3  # Cosine at which Schlick's formula is fitted to a surface
 FADE_RAD = np.radians(40)
 _LOBES = 6
 

@@ -27,8 +27,7 @@ from measure_plugins._outline.sampling.rays import Statuses
 
 FIT_LAST_PX = 1.0
 """Last step along the normal that light is fitted to."""
-_MIN_OUTSIDE = 1e-9
-"""Share of the background's light that is not subtracted."""
+_MIN_OUTSIDE = 1e-9  # Share of the background's light that is not subtracted
 
 
 class Ambient(NamedTuple):

@@ -17,8 +17,7 @@ from measure_plugins._outline.sampling.rays import STEPS
 
 CHROMA_PX = 0.8
 """Blur of chroma beyond that of luma, before it is estimated."""
-_BLUE, _GREEN, _RED = 0.114, 0.587, 0.299
-"""Weights of the luma of JPEG (BT.601)."""
+_BLUE, _GREEN, _RED = 0.114, 0.587, 0.299  # Weights of the luma of JPEG (BT.601)
 CHROMA_REACH = 3
 """Steps to either side over which chroma is blurred: three sigma."""
 _STEP = float(STEPS[1] - STEPS[0])

@@ -25,8 +25,7 @@ from measure_plugins._outline.sampling.rays import radius_px
 
 _BEYOND_DOUBT = 0.8
 """Share of agreeing edges above which an outline is not compared with that of the colour."""
-_FAR_APART_PX = 12.0
-"""Distance of the fewer rays about a circle above which more are cast."""
+_FAR_APART_PX = 12.0  # Distance of the fewer rays about a circle above which more are cast
 _COMPLETE = 0.5
 """Share of a circle seen times share of its inside filled that convinces by colour alone."""
 
@@ -62,11 +61,7 @@ class Measured(NamedTuple):
 
 @compiled
 def cones_of(centers: Floats, radii: Floats, lens: Floats) -> Floats:
-    """Outlines of balls at `centers` (k, 3) in the camera frame, of these radii (k,), both mm.
-
-    Returns:
-        (k, 6) as `Expected.cones`, and the outlines' mean radius in px.
-    """
+    """Outlines of balls (mm, camera frame): (k, 6) as `Expected.cones`, and mean radius in px."""
     out = np.empty((len(centers), 6))
     for i in range(len(centers)):
         distance = np.sqrt(np.sum(centers[i] * centers[i]))

@@ -11,8 +11,7 @@ from measure_plugins._outline.fitting.scan import CameraImage, EdgeScan
 from measure_plugins._outline.sampling.rays import CLEAR, OUT_OF_IMAGE, cast_rays, frame_about
 
 _STEP_PX = 0.5
-_EDGE_SD_PX = 0.5
-"""Standard deviation of where a colour ends along a ray, seen in whole pixels."""
+_EDGE_SD_PX = 0.5  # Standard deviation of where a colour ends along a ray, seen in whole pixels
 _RINGS = (0.25, 0.5, 0.7, 0.85)
 """Radii, as shares of the outline's, at which the colour inside is sampled."""
 _LEVELS = 256

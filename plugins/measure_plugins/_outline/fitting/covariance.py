@@ -18,10 +18,8 @@ _STEEPNESS = 1.5
 """The power of the k-th wave of an outline's errors is taken as k to the minus this: so fall, in
 the mean of seventeen rendered recordings, the residuals' waves from the second to the fifth."""
 _POWERS = tuple(float(max(wave, 1) ** -_STEEPNESS) for wave in range(_WAVES + 1))
-_LANES = 16
-"""Waves computed: a whole number of vectors, and one more than `_WAVES` is used."""
-_ARCS = 24
-"""Arcs of the outline, whose means are nearly without noise."""
+_LANES = 16  # Waves computed: a whole number of vectors, and one more than `_WAVES` is used
+_ARCS = 24  # Arcs of the outline, whose means are nearly without noise
 
 
 @compiled

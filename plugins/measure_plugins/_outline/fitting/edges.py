@@ -44,8 +44,7 @@ _CORRECTION_SD_SHARE = 0.25
 _SYSTEMATIC_PX = 0.25
 """Standard deviation that the model leaves on a ray, however low the noise: it bounds the weight of
 bright rays."""
-_FIRST = int(np.searchsorted(STEPS, INSIDE_PX[0]))
-"""The first step that edges are found from."""
+_FIRST = int(np.searchsorted(STEPS, INSIDE_PX[0]))  # The first step that edges are found from
 LATER_STEPS = STEPS[_FIRST:]
 """Where the picture is predicted, px along the normal."""
 _LIGHT_STEPS = (STEPS <= FIT_LAST_PX) | (

@@ -52,8 +52,7 @@ _GROWTH_SEEN = (-0.5, 0.5)
 """Prior mean and sd in px of the radius of half-level crossings minus the one predicted by
 distance: diffuse light fades at grazing angles, so the crossing lies inside the outline."""
 _HALF_LEVEL_CONVERGED_PX = 0.5
-_ANY_GROWTH = (0.0, 1e3)
-"""The same prior where the size is not known."""
+_ANY_GROWTH = (0.0, 1e3)  # The same prior where the size is not known
 _CIRCLE_REACH = 0.2
 """How far an outline may be from a circle found by colour, as a share of its radius."""
 FROM_OUTSIDE = 1.12
@@ -197,8 +196,7 @@ def _chance_corrected(scan: EdgeScan, fit: Fit, share: float) -> tuple[Floats, f
 CORRECTED_GROWTH = (0.0, 0.3)
 """Prior mean and sd in px of the radius of corrected edges minus the one predicted by distance."""
 _OFFSET_PX = 0.3
-_MIN_DETERMINANT = 1e-3
-"""Determinant of the step response below which it is not inverted."""
+_MIN_DETERMINANT = 1e-3  # Determinant of the step response below which it is not inverted
 _MAX_EXCESS = 1.0
 """Limit of the gain minus the unit matrix (Frobenius norm), where the response is weak."""
 

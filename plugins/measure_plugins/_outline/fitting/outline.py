@@ -85,11 +85,7 @@ def agreeing_share(scan: EdgeScan, fit: Fit) -> float:
 
 @compiled
 def residuals(scan: EdgeScan, fit: Fit, least: float) -> tuple[Floats, Floats]:
-    """Residuals of edges with robust weights above `least`.
-
-    Returns:
-        Their weights (n,) in the fit, px^-2, and residuals (n,), px; both 0 for the others.
-    """
+    """Weights (n,), px^-2, and residuals (n,), px, of edges weighed above `least`; 0 for others."""
     weights, off = np.zeros(len(fit.weights)), np.zeros(len(fit.weights))
     for i in range(len(off)):
         if fit.weights[i] > least:

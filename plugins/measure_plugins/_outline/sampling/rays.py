@@ -30,8 +30,7 @@ CLEAR, OCCLUDED, OUT_OF_IMAGE = 0, 1, 2
 Statuses: TypeAlias = NDArray[np.int8]
 
 _LEVEL = np.float32(1 / 255)
-_TILT = 1e-4
-"""Angle in rad over which the outline's normal and scale are taken."""
+_TILT = 1e-4  # Angle in rad over which the outline's normal and scale are taken
 
 
 class RaySet(NamedTuple):
@@ -82,11 +81,7 @@ def angles_around(count: int) -> Floats:
 
 @compiled
 def cast_rays(frame: Floats, half_angle: float, count: int, lens: Floats) -> tuple[RaySet, Floats]:
-    """Evenly spaced rays across the outline of the cone `half_angle` about `frame[2]`, all clear.
-
-    Returns:
-        The rays; and the outline's scale along their normals (n,), px per rad.
-    """
+    """Evenly spaced clear rays across a cone's outline; its scale along normals (n,), px/rad."""
     points, normals, scale = np.empty((count, 2)), np.empty((count, 2)), np.empty(count)
     around, at, beyond = angles_around(count), np.empty((2, count)), np.empty((2, count))
     _project_ring(frame, half_angle, around, lens, at)

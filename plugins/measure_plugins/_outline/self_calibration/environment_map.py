@@ -30,14 +30,11 @@ from measure_plugins._outline.self_calibration.patch import BallPatch
 
 _LONGER_SIDE_CELLS = 80
 """Cells of the map along the longer side of a picture, finer than the blur of reflections."""
-_SAMPLES_PER_CELL = 4
-"""Pixels sampled in either direction of each cell."""
-_MAX_TANGENT = 2.0
-"""Tangent of the angle from the optical axis up to which the map reaches."""
+_SAMPLES_PER_CELL = 4  # Pixels sampled in either direction of each cell
+_MAX_TANGENT = 2.0  # Tangent of the angle from the optical axis up to which the map reaches
 _CUT_OUT_FACTOR = 1.15
 """Factor of the radius within which balls are cut out, because they are blurred."""
-_MIRRORING_PX = (-6.0, 0.0)
-"""Range in px along the outward normal where a ball mirrors enough."""
+_MIRRORING_PX = (-6.0, 0.0)  # Range in px along the outward normal where a ball mirrors enough
 _MIN_RAYS = 16
 _TINY = 1e-20
 _MIN_CORRELATION = 0.25
@@ -132,12 +129,7 @@ def _in_ball(x: float, y: float, balls: Floats) -> bool:
 
 
 def environment_of(backgrounds: Sequence[BackgroundAccumulator], table: Floats) -> EnvironmentMap:
-    """The map by pictures of one camera, infinitely far away; unknown if all show only balls.
-
-    Args:
-        backgrounds: the pictures without their balls.
-        table: (256,) light of each picture value.
-    """
+    """The map by one camera's pictures without balls; unknown if there is none. `table`: (256,)."""
     sums = np.sum([one.sums for one in backgrounds], axis=0)
     counts = np.sum([one.counts for one in backgrounds], axis=0)
     known = counts > 0

@@ -42,21 +42,17 @@ _LIGHT_COUNT = 200
 _LIGHT_DISTANCE_MM = 1000.0
 """Assumed distance of the lights from the balls, between that of desk and ceiling lamps; or that of
 the camera if it is further away."""
-_OUTERMOST_PX = -1.0
-"""Last step along the normal that is used."""
+_OUTERMOST_PX = -1.0  # Last step along the normal that is used
 _STEP_STRIDE = 2
-_SKY_COLUMNS = 6
-"""Columns of light from all round, see `_add_skies`."""
+_SKY_COLUMNS = 6  # Columns of light from all round, see `_add_skies`
 _ITERATIONS = 4
 _SWEEPS = 400
 _RIDGE = 3e-4
 """Ridge, per mean of the normal matrix's diagonal: it shares power among neighbouring places
 between which the pictures do not distinguish."""
-_EXPOSURE_ITERATIONS = 16
-"""Alternations between the cameras' exposures and the lights' powers."""
+_EXPOSURE_ITERATIONS = 16  # Alternations between the cameras' exposures and the lights' powers
 _TINY = 1e-12
-_MIN_POWER_SHARE = 0.01
-"""Lights below this share of the total power are left out."""
+_MIN_POWER_SHARE = 0.01  # Lights below this share of the total power are left out
 
 
 class LightEquations(NamedTuple):

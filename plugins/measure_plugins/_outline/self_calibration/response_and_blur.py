@@ -104,11 +104,7 @@ def unclipped_patches(patches: Sequence[BallPatch]) -> list[BallPatch]:
 
 
 def surface_bounds(patches: Sequence[BallPatch], table: Floats) -> tuple[Bounds, Bounds]:
-    """Bounds between glossy and matt balls (see `_of_either_surface`), by their highlights.
-
-    Returns:
-        For straight curves, and for bent ones.
-    """
+    """Bounds between glossy and matt balls by highlights, for straight and for bent curves."""
     seen = highlights([(s.pixels, s.rays.points, s.rays.status == CLEAR) for s in patches], table)
     if np.isnan(seen):
         return (_GLOSSY_BELOW, _MATT_ABOVE), (0.0, _MATT_ABOVE_BENT)

@@ -17,8 +17,7 @@ _INNER_RADIUS = 0.93
 _MIN_PIXELS = 50
 _HIGHLIGHT_QUANTILE = 0.995
 """Quantile of surface reflection taken for a highlight: noise alone exceeds it on fewer pixels."""
-_LIT_QUANTILE = 0.9
-"""Quantile of body reflection taken for that of the lit side."""
+_LIT_QUANTILE = 0.9  # Quantile of body reflection taken for that of the lit side
 _MIN_SATURATION = 0.3
 """Least difference of the strongest and the weakest channel of a body colour, of maximum 1."""
 
