@@ -122,7 +122,9 @@ def _searched(
                 seen: Mapping[str, list[Detection]] = dict(zip(images, found, strict=True))
                 if body is pattern:
                     seen = _of_this_body(seen, body, session)
-                located |= locate(seen, body, session.cameras)
+                # A known layout has told other things of these colours apart: two rays will do.
+                least = 2 if body is pattern else 3
+                located |= locate(seen, body, session.cameras, least)
             if progress is not None:
                 progress(done, len(chosen))
             yield located

@@ -62,10 +62,17 @@ def probe(colors: Sequence[str], radius_mm: float) -> Body:
 
 
 def locate(
-    detections: Mapping[str, Sequence[Detection]], body: Body, cameras: Sequence[Camera]
+    detections: Mapping[str, Sequence[Detection]],
+    body: Body,
+    cameras: Sequence[Camera],
+    least: int = 3,
 ) -> dict[str, SeenBall]:
-    """The balls of one frame set by name, by candidates of whole pictures, by camera."""
-    out, least = {}, min(3, len(cameras))
+    """The balls of one frame set by name, by candidates of whole pictures, by camera.
+
+    Args:
+        least: cameras that must see a ball, where there are as many.
+    """
+    out, least = {}, min(least, len(cameras))
     for ball, candidates in zip(body.balls, by_ball(detections, body.balls, cameras), strict=True):
         found = intersect_rays(candidates, _SIGMAS, _RANGE_RATIO, max_points=8)
         points = found.points[found.support >= least]
