@@ -76,12 +76,15 @@ def _print(found: SessionCheck) -> None:
     if found.clocks:
         _print_clocks(found.clocks)
     if found.accuracy is not None and np.any(np.isfinite(found.accuracy[:, 3])):
+        from measure.results.summary import WHICH_ACCURACY
+
         position, turn = found.accuracy[:, 3], found.accuracy[:, 4]
         console.print_text(
             "to be expected within 40 mm of where the body was: "
             f"{np.nanmin(position):.3f} to {np.nanmax(position):.3f} mm "
             f"and {np.nanmin(turn):.3f} to {np.nanmax(turn):.3f} deg (one standard deviation)"
         )
+        console.print_text(f"  {WHICH_ACCURACY['forecast']}")
 
 
 def _print_clocks(clocks: tuple[CameraClock, ...]) -> None:

@@ -60,6 +60,8 @@ def evaluate(
         one = next(iter(values.values())) if len(values) == 1 else {"bodies": values}
         console.print_json({"run": str(run), **one})
         return
+    from measure.results.summary import WHICH_ACCURACY
+
     for name, found in every.items():
         about = f"{name}: " if len(names) > 1 else ""
         for table in api.evaluation_tables(found):
@@ -67,3 +69,4 @@ def evaluate(
             console.print_text("")
         for note in found.notes:
             console.print_text(f"note: {about}{note}")
+    console.print_text(WHICH_ACCURACY["measured"])

@@ -106,7 +106,11 @@ def run(
 
 def print_summary(summary: Summary) -> None:
     """Print a run's summary, the reasons for missing poses, and the notes."""
+    from measure.results.summary import WHICH_ACCURACY
+
     console.print_text(summary.sentence())
+    if summary.ok:
+        console.print_text(f"  {WHICH_ACCURACY['stated']}")
     for name, one in summary.bodies.items():
         console.print_text(f"  {name}: {one.sentence()}")
     for reason, count in summary.reasons.items():

@@ -16,6 +16,23 @@ import pyarrow.compute as pc
 _NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(\.\d+)?(e[-+]?\d+)?(?![\w.]*\w)")
 """A number that stands alone: not part of a name such as cam0."""
 
+WHICH_ACCURACY = {
+    "forecast": (
+        "this is a forecast, from geometry and the noise of a search of whole pictures; the poses "
+        "of `measure run` are measured finer and state their own, and `measure evaluate` compares "
+        "with a truth"
+    ),
+    "stated": (
+        "this is what poses state of themselves, 3-D, one standard deviation; `measure check` "
+        "forecasts from coarser detections, and `measure evaluate` compares with a truth"
+    ),
+    "measured": (
+        "these are differences from the truth; poses may state more, as they count what "
+        "calibration and body could err by, and here erred by less"
+    ),
+}
+"""Which accuracy a command tells: three questions, so three figures for one rig."""
+
 
 @dataclass(frozen=True)
 class Summary:

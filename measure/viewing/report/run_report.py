@@ -17,6 +17,7 @@ from measure.arrays import Bools, Floats, Ints
 from measure.results import Run, Summary
 from measure.results.accuracy import accuracy_map
 from measure.results.columns import texts
+from measure.results.summary import WHICH_ACCURACY
 from measure.session import dump_toml
 from measure.viewing.report import figures, places, style
 from measure.viewing.report.page import Page
@@ -132,7 +133,8 @@ def _add_poses(page: Page, run: Run) -> None:
     turn = run.poses["rotation_sd_deg"].to_numpy()
     page.figures(
         "Uncertainty",
-        "Reported standard deviations; a gap is a frame set without a pose.",
+        "Reported standard deviations; a gap is a frame set without a pose. In numbers, "
+        f"{WHICH_ACCURACY['stated']}.",
         figures.over_time(since_start(run), curves, "SD [mm]", style.AXIS_COLORS),
         figures.over_time(since_start(run), {"rotation": turn}, "SD [deg]"),
     )
