@@ -69,7 +69,9 @@ def session(tmp_path: Path) -> Path:
 def seen(monkeypatch: pytest.MonkeyPatch, path: object, count: int) -> None:
     """Every measuring of a session gives the body on this path."""
     measured = list(recorded(path, count=count))
-    monkeypatch.setattr("measure.api.refining._measure", lambda opened, *_: (measured, opened.body))
+    monkeypatch.setattr(
+        "measure.api.refining.measure_all", lambda opened, *_: (measured, opened.body)
+    )
 
 
 def test_it_writes_what_it_found_and_says_so(session, tmp_path, monkeypatch, capsys) -> None:
@@ -190,7 +192,7 @@ def test_an_unwritable_output_is_refused_before_measuring(
     def never(*_, **__):
         raise AssertionError("it was measured first")
 
-    monkeypatch.setattr("measure.api.refining._measure", never)
+    monkeypatch.setattr("measure.api.refining.measure_all", never)
     (tmp_path / "file").write_text("")
     assert main(["refine", str(session), "-o", str(tmp_path / place)]) == 2
     err = capsys.readouterr().err
