@@ -11,8 +11,7 @@ from typing import Any
 
 from measure.errors import MeasureError
 
-MAX_TEXT_BYTES = 64 << 20
-"""Largest file of text: millions of rows."""
+MAX_TEXT_BYTES = 64 << 20  # Largest file of text: millions of rows
 _MAX_TOML_BYTES = 8 << 20
 _MAX_TOML_DEPTH = 32
 _TOO_DEEP = "Tables or lists are nested too deep"

@@ -24,8 +24,7 @@ if TYPE_CHECKING:
     from measure.measuring import Profile
     from measure.model import Detection
 
-_SEARCHED = 24
-"""Frame sets, spread over the recording, in which whole pictures are searched."""
+_SEARCHED = 24  # Frame sets, spread over the recording, in which whole pictures are searched
 _ROUGH_MM, _FREE_MM = 0.5, 5.0
 """Standard deviations of a ball's centre: by the search alone, and while it is adjusted."""
 

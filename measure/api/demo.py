@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 
 DEMO_FRAMES = 30
 DEMO_RATE_HZ = 30.0
-ROBOT_S = 60.0
-"""How long the simulated robot moves."""
+ROBOT_S = 60.0  # How long the simulated robot moves
 _MARK = "session/session.toml"
 
 

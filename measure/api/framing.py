@@ -18,10 +18,8 @@ from measure.results import Run, read_run
 from measure.results.pose_table import poses_of, rests_of
 from measure.session import Calibration, read_calibration
 
-_SAME_MM = 1e-3
-"""Cameras further apart than this are not those of the same calibration."""
-_LEAST_SINE = 0.05
-"""Of the angle between the two edges that three touched points span."""
+_SAME_MM = 1e-3  # Cameras further apart than this are not those of the same calibration
+_LEAST_SINE = 0.05  # Of the angle between the two edges that three touched points span
 
 
 def world(

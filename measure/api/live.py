@@ -38,8 +38,7 @@ from measure.processes import share_heaps
 from measure.results import PoseSender, Provenance, RunWriter, Summary, refuse_other_writer
 from measure.session import Calibration, check_bodies, check_unit, read_body
 
-_RECENT = 30
-"""Frame sets over which the rate and the age of poses are taken."""
+_RECENT = 30  # Frame sets over which the rate and the age of poses are taken
 
 
 @dataclass(frozen=True)

@@ -57,11 +57,7 @@ def evaluate(
 
 
 def body_names(run: Path | str) -> list[str]:
-    """Names of the bodies that a run measured.
-
-    Raises:
-        RunError: no run, or a damaged one.
-    """
+    """Names of the bodies that a run measured; RunError: no run, or a damaged one."""
     return [one.body.name for one in read_runs(Path(run))]
 
 

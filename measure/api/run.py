@@ -24,8 +24,7 @@ from measure.processes import Progress
 from measure.results import Provenance, RunWriter, Summary, digest
 from measure.session import Session, Trajectory, open_session, read_trajectory
 
-_FIRST_FRAME_SETS = 3
-"""Frame sets that are looked at for colour before a run."""
+_FIRST_FRAME_SETS = 3  # Frame sets that are looked at for colour before a run
 
 
 @dataclass(frozen=True)
@@ -47,11 +46,7 @@ class RunOptions(LogOptions):
 
 
 def parse_images(text: str) -> int:
-    """Read none, all or a number N as `RunOptions.image_every`.
-
-    Raises:
-        ConfigError: anything else.
-    """
+    """Read none, all or a number N as `RunOptions.image_every`; ConfigError: anything else."""
     known = {"none": 0, "all": 1}
     if text in known:
         return known[text]

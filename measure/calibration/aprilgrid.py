@@ -12,8 +12,7 @@ from measure.arrays import Bytes, Floats, Ints, rms_length
 from measure.calibration.boards import Board, Corners, refine_by_gradient, sharpness
 
 DICTIONARY = "DICT_APRILTAG_36h11"
-BORDER_BITS = 2
-"""Width of the tags' black border in cells, as Kalibr prints them; others print one."""
+BORDER_BITS = 2  # Width of the tags' black border in cells, as Kalibr prints them; others print one
 _LEAST_TAGS = 4
 _CORNERS = np.array([[0, 0], [1, 0], [0, 1], [1, 1]])
 """Of a tag, in its sides: in this order half a turn of the board reverses all numbers."""

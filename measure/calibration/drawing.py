@@ -16,8 +16,7 @@ _PAPERS_MM = {
 }
 _POINTS_PER_MM = 72 / 25.4
 _FONT = "Helvetica"
-BAR_MM = 100.0
-"""Length of the scale bar, which has a tick every 10 mm."""
+BAR_MM = 100.0  # Length of the scale bar, which has a tick every 10 mm
 MARGIN_MM = 8.0
 FOOTER_MM = 16.0
 

@@ -159,8 +159,7 @@ _BOARD_MM = (0.005, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
 _COMMON_PX = (0.2, 0.4)
 """Candidates for the offset common to the found marks of a picture, px. Zero is not among them:
 light from above shifts the dots of all cameras upwards, which no residual shows."""
-DEFAULT_COMMON_PX = 0.2
-"""Taken for that offset where no boards determine it."""
+DEFAULT_COMMON_PX = 0.2  # Taken for that offset where no boards determine it
 _PAST_PEAK_LOG_LIKELIHOOD = 10.0
 """The search ends at a candidate whose log likelihood is lower than the best by this."""
 _MIN_CAMERAS_WITH_BOTH = 2

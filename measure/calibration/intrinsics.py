@@ -19,8 +19,7 @@ _FOLDS = 5
 _WORST_VIEW_RATIO = 3.0
 _MIN_IMPROVEMENT_RATIO = 0.005
 """A freer model must lower the held-out error by this share to be chosen."""
-MAX_FOCAL_SD = 0.03
-"""Focal lengths known worse than this share are refused."""
+MAX_FOCAL_SD = 0.03  # Focal lengths known worse than this share are refused
 MAX_RMS_PX = 2.0
 _WIDE_RAD = np.deg2rad(80.0)  # Field of view, corner to corner, from which a lens may be a fisheye
 _CLEARLY_BETTER = 0.8

@@ -10,8 +10,7 @@ import numpy as np
 from measure.arrays import Bytes, Floats
 from measure.geometry.covariance import MAD_TO_SD
 
-BLUR_PX = 0.8
-"""Optics and colour mosaic together; the fits of recorded dots are best about here."""
+BLUR_PX = 0.8  # Optics and colour mosaic together; the fits of recorded dots are best about here
 SUPERSAMPLING = 3
 _MAX_ITERATIONS = 25
 _NUDGE_PX = 0.1

@@ -20,8 +20,7 @@ from measure.calibration.observations import BoardObservation, MarkerObservation
 from measure.geometry import RigidTransform, skew
 from measure.model import Camera
 
-CORNERS, MARKS = 0, 1
-"""The two kinds of observation, each with its own standard deviation."""
+CORNERS, MARKS = 0, 1  # The two kinds of observation, each with its own standard deviation
 
 
 @dataclass(frozen=True, eq=False)

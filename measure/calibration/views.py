@@ -18,8 +18,7 @@ ALL_VIEWS = 1000
 MIN_VIEWS = 5
 ALIKE_SHARE = 0.02
 """Views whose corners moved by less than this share of the image diagonal are one view."""
-SAME_SHARE = 0.004
-"""Views that differ by less than this are the same: the second one is left out."""
+SAME_SHARE = 0.004  # Views that differ by less than this are the same: the second one is left out
 _EXPLAINED = 3  # Pictures in which another board than the stated one is looked for
 _BLURRED_SHARE = 0.5
 _COVERAGE_GRID = (8, 6)

@@ -18,8 +18,7 @@ from measure.capture.sources import PATIENCE_S, Shot, Source, image_of, is_whole
 from measure.errors import CaptureError
 from measure.model import Image
 
-SETTLING_S = 1.0
-"""Pictures of a camera's first second are discarded, see `Source.settles`."""
+SETTLING_S = 1.0  # Pictures of a camera's first second are discarded, see `Source.settles`
 _RECONNECT_S = 1.0  # Wait before a camera that broke off is connected anew
 _FIRST_PICTURE_S = 15.0  # Longest wait for the first picture of every camera
 _LOOK_EVERY_S = 0.05

@@ -13,8 +13,7 @@ from measure.model import Image
 from measure.session import decode_picture, is_complete_jpeg
 from measure.session.pictures import jpeg_size_wh
 
-PATIENCE_S = 5.0
-"""A camera that has said nothing for so long is taken to be gone."""
+PATIENCE_S = 5.0  # A camera that has said nothing for so long is taken to be gone
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -29,12 +29,9 @@ _SEARCHED = (
 )
 _SIGMAS, _RANGE_RATIO = 4.0, 2.5
 _FEWEST_FRAMES = 6
-_LEAST_SHARE = 0.3
-"""Of the frame sets, in which a ball must be located."""
-_ALIKE = 0.2
-"""Relative difference of outlines up to which they are of balls of one size."""
-_RIGID_RADII = 0.1
-"""Scatter of a distance, in radii, up to which it counts as constant."""
+_LEAST_SHARE = 0.3  # Of the frame sets, in which a ball must be located
+_ALIKE = 0.2  # Relative difference of outlines up to which they are of balls of one size
+_RIGID_RADII = 0.1  # Scatter of a distance, in radii, up to which it counts as constant
 _LEAST_SIZE_SD, _SIZE_SIGMAS = 0.015, 4.0
 """Relative standard deviation of a ball's size by its outlines at best; how far off is wrong."""
 _TWINS = 0.5

@@ -7,18 +7,11 @@ from measure.geometry.covariance import (
     propagate,
     squared_mahalanobis,
 )
-from measure.geometry.rays import (
-    Midpoints,
-    Rays,
-    common_perpendicular,
-    midpoints,
-    nearest_point,
-    usable_pairs,
-)
+from measure.geometry.rays import Midpoints, Rays, midpoints, nearest_point, usable_pairs
 from measure.geometry.transform import RigidTransform, align_points, skew
 
 __all__ = [
     "Cone", "Midpoints", "Rays", "RigidTransform", "UncertainTransform", "align_points",
-    "chi_square_quantile", "common_perpendicular", "fit_cone", "midpoints",
+    "chi_square_quantile", "fit_cone", "midpoints",
     "nearest_point", "propagate", "skew", "squared_mahalanobis", "tangent_cone", "usable_pairs",
 ]  # fmt: skip

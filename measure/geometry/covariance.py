@@ -73,3 +73,8 @@ class UncertainTransform:
         right[:3, :3] = right[3:, 3:] = rotation
         covariance = propagate(left, self.covariance) + propagate(right, other.covariance)
         return UncertainTransform(self.transform @ other.transform, covariance)
+
+    def point_covariance(self, point: Floats) -> Floats:
+        """Covariance (3, 3) in mm^2 of where an exact source point (3,) lands."""
+        jacobian = np.hstack([np.eye(3), -skew(self.transform.rotate(point))])
+        return propagate(jacobian, self.covariance)

@@ -44,25 +44,6 @@ class Rays:
         return np.linalg.norm(np.cross(points - self.origins, self.directions), axis=-1)
 
 
-def common_perpendicular(rays: Rays) -> tuple[Floats, float]:
-    """The two feet (2, 3) of the common perpendicular of two lines, and its length in mm.
-
-    Raises:
-        DegenerateGeometryError: the lines are parallel.
-    """
-    (o1, o2), (d1, d2) = rays.origins, rays.directions
-    normal = np.cross(d1, d2)
-    sine2 = float(normal @ normal)
-    if sine2 < MIN_PARALLAX_RAD**2:
-        raise DegenerateGeometryError(
-            f"two rays are parallel within {np.sqrt(sine2):.1e} rad: they do not meet in one point"
-        )
-    between = o2 - o1
-    foot1 = o1 + d1 * (np.cross(between, d2) @ normal / sine2)
-    foot2 = o2 + d2 * (np.cross(between, d1) @ normal / sine2)
-    return np.stack([foot1, foot2]), float(np.linalg.norm(foot2 - foot1))
-
-
 def nearest_point(rays: Rays, weights: Floats | None = None) -> Floats:
     """The point (3,) with the least (weighted) sum of squared distances from n >= 2 lines.
 

@@ -11,8 +11,7 @@ from contextlib import suppress
 from measure.errors import EstimatorError
 from measure.learning.packets import LARGEST
 
-Sender = tuple[str, int]
-"""Address and port."""
+Sender = tuple[str, int]  # Address and port
 
 _BUFFER_BYTES = 4 << 20
 _BATCH = 32  # Datagrams taken from the common socket before the lanes are looked at again

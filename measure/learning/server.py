@@ -19,8 +19,7 @@ from measure.learning.packets import LARGEST, AnswerPacket, StatePacket
 from measure.learning.zeroing import Zeroing
 
 DEFAULT_ADDRESS = ("127.0.0.1", 47_118)
-MOST_SENDERS = 16
-"""Largest number of senders whose histories are kept."""
+MOST_SENDERS = 16  # Largest number of senders whose histories are kept
 SILENT_S = 60.0
 """A sender that has sent no valid state for so long gives way to a new one, if there is no room."""
 _MAX_STRANGERS_HZ = 1000  # Refusals sent in a second to senders without a history

@@ -14,8 +14,7 @@ from typing import NamedTuple
 from measure.measuring.measurement import Draft, Status
 from measure.model import FrameSet
 
-MAX_WAITING = 4
-"""Frame sets that wait with their images in memory."""
+MAX_WAITING = 4  # Frame sets that wait with their images in memory
 
 
 class ProcessedFrameSet(NamedTuple):

@@ -29,8 +29,7 @@ from measure.model import Body, Camera, FrameSet
 
 _FRAME_SETS_WITH_BODY = 16
 """Frame sets with a pose after which every camera has seen enough balls, if it ever will."""
-_MAX_FRAME_SETS = 64
-"""Two seconds of most recordings."""
+_MAX_FRAME_SETS = 64  # Two seconds of most recordings
 _FRAME_SETS_FOR_RADII = 8
 """Detectors know their images from the burn-in, and learn nothing new from them."""
 

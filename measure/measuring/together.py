@@ -15,8 +15,7 @@ from measure.model import Body, FrameSet, Pose
 
 _OVERLAP = 0.8
 """Share of the radii's sum; two balls are never nearer than the sum, but poses have errors."""
-_NEAR_MM = 30.0
-"""How far from a declared body's balls evidence of a second body is still that body."""
+_NEAR_MM = 30.0  # How far from a declared body's balls evidence of a second body is still that body
 
 
 def measure_together(

@@ -20,14 +20,10 @@ from measure.metrology.poses import PoseTable, SharedErrors
 _FEWEST = 10
 _LEAST_SWING_DEG = 15.0
 """Within fewer degrees the errors of a pose by light stay alike, and turning averages nothing."""
-_WORST_TIP_SD_MM = 0.5
-"""A tip that is known worse, along any axis, is none."""
-_TUKEY = 6.0
-"""A pose this many standard deviations off has no weight at all."""
-_LEAST_USED = 0.6
-"""Share of the poses that must agree on the point."""
-_SLIPPING = 3.0
-"""Times what the poses state, from which the tip itself is taken to have moved."""
+_WORST_TIP_SD_MM = 0.5  # A tip that is known worse, along any axis, is none
+_TUKEY = 6.0  # A pose this many standard deviations off has no weight at all
+_LEAST_USED = 0.6  # Share of the poses that must agree on the point
+_SLIPPING = 3.0  # Times what the poses state, from which the tip itself is taken to have moved
 _STEPS = 30
 
 

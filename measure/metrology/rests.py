@@ -26,18 +26,13 @@ from measure.metrology.poses import (
 )
 
 SHORTEST_S = 0.5
-_FEWEST = 5
-"""Poses, of which at least this many make a window."""
-_STILL_RATIO = 4.0
-"""Variance of a window over that of the quietest, up to which it is still."""
+_FEWEST = 5  # Poses, of which at least this many make a window
+_STILL_RATIO = 4.0  # Variance of a window over that of the quietest, up to which it is still
 _LEAST_SHARE = 0.05**2
 """Poses that scatter by less than a twentieth of what is stated count as that quiet."""
-_MOST_SHARE = 2.0
-"""Poses that scatter by more than 1.4 times what is stated are moving."""
-_QUIETEST = 0.05
-"""The quietest windows are this quantile of those that scatter less than that."""
-_PAUSE_STEPS = 10.0
-"""A rest ends where no pose comes for so many usual steps."""
+_MOST_SHARE = 2.0  # Poses that scatter by more than 1.4 times what is stated are moving
+_QUIETEST = 0.05  # The quietest windows are this quantile of those that scatter less than that
+_PAUSE_STEPS = 10.0  # A rest ends where no pose comes for so many usual steps
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,11 +75,7 @@ class Rests:
         return len(self.rests)
 
     def rest(self, number: int) -> Rest:
-        """A rest by its number, which counts from 0.
-
-        Raises:
-            DegenerateGeometryError: there is none.
-        """
+        """A rest by its number, which counts from 0; DegenerateGeometryError: there is none."""
         if not 0 <= number < len(self):
             raise DegenerateGeometryError(f"there is no rest {number}: {self.told()}")
         return self.rests[number]

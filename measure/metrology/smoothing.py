@@ -22,8 +22,7 @@ from measure.metrology.poses import (
 )
 
 _DEGREE = 3
-_FEWEST = 2 * _DEGREE + 1
-"""Poses in a window: fewer show no misfit."""
+_FEWEST = 2 * _DEGREE + 1  # Poses in a window: fewer show no misfit
 _MISFIT_SIGMAS = 4.0
 """Standard deviations by which residuals exceed noise, from which a cubic is not the motion."""
 _NOISE_WINDOWS = 100

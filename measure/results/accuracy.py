@@ -14,8 +14,7 @@ from measure.results.run import Run
 _STEPS = 11
 _SAMPLES = 30
 _MIN_REACH_MM = 60.0
-_MAP_SIZE_RATIO = 1.5
-"""How far the map goes beyond the places where the body was."""
+_MAP_SIZE_RATIO = 1.5  # How far the map goes beyond the places where the body was
 
 
 @dataclass(frozen=True, eq=False)

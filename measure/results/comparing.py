@@ -51,11 +51,7 @@ class Comparison:
 
 
 def compare(first: Run, second: Run) -> Comparison:
-    """Compare two runs of one body.
-
-    Raises:
-        RunError: one of them holds no unflagged pose.
-    """
+    """Compare two runs of one body; RunError: one of them holds no unflagged pose."""
     for run in (first, second):
         if not len(poses_of(run)):
             raise RunError(f"{run.path} holds no unflagged pose: there is nothing to compare")

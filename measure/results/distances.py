@@ -24,10 +24,8 @@ from measure.model import Body, Camera, Detection
 from measure.results.columns import matrices, numbers
 from measure.results.tables import PLACE
 
-MIN_FRAME_SETS = 5
-"""Of fewer frame sets the scatter is not known well enough."""
-_MOST_VIEWS = 1500
-"""Ball-views, evenly spread: their errors are alike, so that more say no more."""
+MIN_FRAME_SETS = 5  # Of fewer frame sets the scatter is not known well enough
+_MOST_VIEWS = 1500  # Ball-views, evenly spread: their errors are alike, so that more say no more
 
 
 @dataclass(frozen=True, eq=False)

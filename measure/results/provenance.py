@@ -83,11 +83,7 @@ def changed_versions(written: Mapping[str, Any]) -> list[str]:
 
 
 def read_provenance(file: Path) -> dict[str, Any]:
-    """The values of a run's `run.toml`.
-
-    Raises:
-        RunError: it is torn, or holds what no run writes.
-    """
+    """The values of a run's `run.toml`; RunError: it is torn, or holds what no run writes."""
     try:
         values = parse_toml(read_toml_text(file, RunError))
         _RunFile.model_validate(values)

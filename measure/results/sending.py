@@ -20,11 +20,7 @@ class PoseSender:
     """
 
     def __init__(self, address: tuple[str, int]) -> None:
-        """Make one.
-
-        Raises:
-            ConfigError: there is no such host.
-        """
+        """Make one; ConfigError: there is no such host."""
         try:
             places = socket.getaddrinfo(*address, type=socket.SOCK_DGRAM)
         except (OSError, UnicodeError, OverflowError) as problem:

@@ -18,11 +18,9 @@ from measure.results.files import MEND
 from measure.results.journal import is_missing, read_table
 from measure.results.tables import BODY, PLACE, schemas
 
-_Known = tuple[str, Sequence[str]]
-"""Words, and what they are: `in body.toml`."""
+_Known = tuple[str, Sequence[str]]  # Words, and what they are: `in body.toml`
 _ANY: _Known = ("a text", ())
-_UNIT = 1e-3
-"""By how much a quaternion's length may differ from one."""
+_UNIT = 1e-3  # By how much a quaternion's length may differ from one
 
 
 def read_tables(

@@ -27,8 +27,8 @@ WHICH_ACCURACY = {
         "forecasts from coarser detections, and `measure evaluate` compares with a truth"
     ),
     "measured": (
-        "these are differences from the truth; poses may state more, as they count what "
-        "calibration and body could err by, and here erred by less"
+        "these are differences from the truth; what poses state counts all that calibration, body "
+        "and light may err by, of which one recording shows one case"
     ),
 }
 """Which accuracy a command tells: three questions, so three figures for one rig."""

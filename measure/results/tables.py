@@ -14,8 +14,7 @@ from measure.measuring import Measurement
 from measure.model import BallView
 
 _F, _I, _S = pa.float64(), pa.int32(), pa.string()
-_FRAME = pa.int64()
-"""Pictures may be numbered by the microseconds since 1970."""
+_FRAME = pa.int64()  # Pictures may be numbered by the microseconds since 1970
 _WORDS = pa.list_(pa.string())
 
 PLACE = ("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz")
@@ -67,8 +66,7 @@ SCHEMAS = {
 }
 """By table. `covariance` is the 6x6 of docs/conventions.md, row by row: mm^2, mm rad, rad^2."""
 
-BODY = "body"
-"""The column that a run of several bodies has besides, in every table."""
+BODY = "body"  # The column that a run of several bodies has besides, in every table
 
 CSV_COLUMNS = (
     *("frame", "time_s", *PLACE, "position_sd_mm", "rotation_sd_deg", "rms_px"),

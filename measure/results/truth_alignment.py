@@ -19,8 +19,7 @@ from measure.results.run import Run
 from measure.session import Trajectory
 
 _STEP_S, _LEAST_COMMON_S, _MARGIN_S = 0.02, 0.5, 0.02
-_ARM_MM = 40.0
-"""A rotation counts with what it displaces a ball."""
+_ARM_MM = 40.0  # A rotation counts with what it displaces a ball
 _LEAST_MOTION_MM, _FEW_POSES, _BLOCKS = 2.0, 60, 8
 _TRIED, _FEW_STEPS = 5, 10
 """Offsets from which all is fitted, and with how many steps the best is known."""

@@ -35,8 +35,7 @@ from measure.results.tables import (
 )
 from measure.session import Calibration, dump_toml, write_bodies, write_body, write_calibration
 
-FLUSH_EVERY_S = 0.5
-"""How much of the work a kill may cost; `poses.csv` loses nothing."""
+FLUSH_EVERY_S = 0.5  # How much of the work a kill may cost; `poses.csv` loses nothing
 
 
 class RunWriter:

@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from measure.robots.tables import Columns
 
 TIME = "time_s"
-ROBOT_KEY = b"measure.robot"
-"""Under which a Parquet file of states names its robot."""
+ROBOT_KEY = b"measure.robot"  # Under which a Parquet file of states names its robot
 SCHEMAS: dict[str, Callable[[], StateSchema]] = {
     "raven": lambda: raven_schema("left"),
     "raven-right": lambda: raven_schema("right"),

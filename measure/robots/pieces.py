@@ -14,8 +14,7 @@ from measure.errors import EstimatorError
 from measure.reading import check_ordinary
 from measure.robots.tables import Columns, Table, is_number, reading
 
-PIECE_ROWS = 1 << 16
-"""Rows in memory at a time."""
+PIECE_ROWS = 1 << 16  # Rows in memory at a time
 _BUFFER_BYTES = 1 << 20
 _BLOCK_BYTES = 16 << 20
 

@@ -29,8 +29,7 @@ Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Row = list[FiniteFloat]
 NO_CAMERA_MATRIX = "not a camera matrix [[fx, skew, cx], [0, fy, cy], [0, 0, 1]]"
 LONGEST_READOUT_S = 0.2
-UNIT_TOLERANCE = 1e-3
-"""How far the length of a written quaternion may be from 1."""
+UNIT_TOLERANCE = 1e-3  # How far the length of a written quaternion may be from 1
 
 
 @dataclass(frozen=True, eq=False)

@@ -189,8 +189,7 @@ def _cell(row: list[str], index: int) -> str:
     return row[index].strip() if index < len(row) else ""
 
 
-TIME = "time_s"
-"""Our own heading."""
+TIME = "time_s"  # Our own heading
 _SECONDS_AND_NANOSECONDS = (
     ("secs", "nsecs"),
     ("sec", "nanosec"),

@@ -18,8 +18,7 @@ from measure.processes import usable_cores
 from measure.session.pairing import Pairing, pair_nearest, seldom_paired
 from measure.session.streams import Stream
 
-DEFAULT_PREFETCH = 3
-"""Frame sets decoded ahead of the one in use."""
+DEFAULT_PREFETCH = 3  # Frame sets decoded ahead of the one in use
 
 
 @dataclass(frozen=True, eq=False)

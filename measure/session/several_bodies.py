@@ -14,8 +14,7 @@ from measure.model import Ball, Body, ColorRange
 _MOST_BODIES = 6
 _ALIKE_MM = 3.0
 """Bodies whose balls can be laid on each other this closely are told apart by colours alone."""
-_NO_NAME = set('/\\:,"\n\r\t')
-"""A body's name stands in file names, entity paths and tables."""
+_NO_NAME = set('/\\:,"\n\r\t')  # A body's name stands in file names, entity paths and tables
 _HUES = 180
 
 

@@ -15,8 +15,7 @@ from measure.errors import SessionError
 from measure.reading import read_text
 from measure.session.number_table import read_number_table
 
-LATEST_S = 1e11
-"""Latest time of a recording, seconds after 1970."""
+LATEST_S = 1e11  # Latest time of a recording, seconds after 1970
 _MAX_FRAME_NUMBER = 2.0**53  # Largest whole number that is exact in double precision
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cached_property
 
 import cv2
@@ -16,8 +15,7 @@ from measure.simulation.scene import Scene
 from measure.simulation.sensor import Linear, develop
 from measure.simulation.shapes import Shape
 
-SAMPLES = 89
-"""Rays through a pixel that an edge crosses."""
+SAMPLES = 89  # Rays through a pixel that an edge crosses
 _BACKDROP_SAMPLES = 16
 _FEWEST_SAMPLES = 16
 _STEP_PX = 0.35
@@ -38,12 +36,6 @@ class Renderer:
         self._lighting = scene.lighting.seen_from(self.camera.camera_from_world)
         self._focal_px = self.camera.intrinsics.focal_px
         self._fisheye = self.camera.intrinsics.model == "fisheye"
-
-    def with_fixed(self, fixed: tuple[Shape, ...]) -> Renderer:
-        """A renderer of the same scene with other fixed shapes; it shares the backdrop."""
-        other = Renderer(replace(self.scene, fixed=fixed), self.camera.name, self.samples)
-        other.__dict__.update(_canvas=self._canvas, _backdrop=self._backdrop)
-        return other
 
     def picture(self, time_s: float, frame: int = 0) -> Bytes:
         """The 8-bit picture (h, w, 3), B G R, whose exposure is centred on `time_s`.

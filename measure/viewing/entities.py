@@ -35,32 +35,23 @@ _LINES = (
 )  # fmt: skip
 
 # Of the names below, each is a function that puts in what it is called by.
-camera = "world/cameras/{}".format
-"""A camera's pinhole and pose."""
-image = "world/cameras/{}/image".format
-"""A camera's picture."""
-centers = "world/cameras/{}/image/centers".format
-"""Detected centres in a camera's picture."""
+camera = "world/cameras/{}".format  # A camera's pinhole and pose
+image = "world/cameras/{}/image".format  # A camera's picture
+centers = "world/cameras/{}/image/centers".format  # Detected centres in a camera's picture
 outlines = "world/cameras/{}/image/outlines".format
 """Detected circles in a camera's picture, in the colour of their state."""
 edges = "world/cameras/{}/image/edges".format
 """Outline points the detector measured in a camera's picture."""
 suspended = "world/cameras/{}/image/suspended".format
 """Balls that are not used in a camera's picture, with the reason."""
-ball = "world/balls/{}".format
-"""A ball's position."""
-rays = "world/rays/{}".format
-"""The rays of a ball's effective detections."""
-residual = "plots/residual_px/{}".format
-"""RMS reprojection residual of a camera."""
+ball = "world/balls/{}".format  # A ball's position
+rays = "world/rays/{}".format  # The rays of a ball's effective detections
+residual = "plots/residual_px/{}".format  # RMS reprojection residual of a camera
 distance = "plots/distance_mm/{}-{}".format
 """Measured minus nominal distance of two balls, the first and the second."""
-error = "plots/error_mm/{}".format
-"""Position error against truth: x, y, z or 3d."""
-robot = "robot/{}".format
-"""The tip's way as reported by the robot, measured, or corrected."""
-robot_position = "plots/robot_mm/{}/{}".format
-"""One coordinate of it: by axis and kind."""
+error = "plots/error_mm/{}".format  # Position error against truth: x, y, z or 3d
+robot = "robot/{}".format  # The tip's way as reported by the robot, measured, or corrected
+robot_position = "plots/robot_mm/{}/{}".format  # One coordinate of it: by axis and kind
 robot_error = "plots/robot_error_mm/{}".format
 """Distance of the reported or corrected position from the measured one."""
 CORRECTED_SD = "plots/correction/sd_mm"

@@ -27,8 +27,7 @@ HELD_SETS = 120
 """Frame sets held back at most: sent together they cost a fraction of what each would."""
 PERIOD_S, WORTH_SENDING = 2.0, 30
 """So many are not held back longer: what a kill may cost. Fewer at a time would swell the file."""
-LIVE_PERIOD_S = 0.2
-"""Where somebody watches nothing is held back longer, be it only one frame set."""
+LIVE_PERIOD_S = 0.2  # Where somebody watches nothing is held back longer, be it only one frame set
 _LEVELS = {Status.OK: "INFO", Status.FLAGGED: "WARN", Status.LOST: "ERROR", Status.SKIPPED: "WARN"}
 
 
@@ -144,8 +143,7 @@ class RunRecording:
             self._stream.log(entities.image(name), shown)
 
 
-CONNECT_WITHIN_S = 5.0
-"""How long a viewer that was just started may take to listen."""
+CONNECT_WITHIN_S = 5.0  # How long a viewer that was just started may take to listen
 
 
 def open_recording(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from hypothesis import given
-from strategies import covariances, numeric_jacobian, transforms
+from strategies import covariances, numeric_jacobian, transforms, vectors
 
 from measure.geometry import (
     RigidTransform,
@@ -33,6 +33,13 @@ def test_the_covariance_of_a_composition_is_that_of_its_derivatives(a, b, cov_a,
     expected = propagate(by_a, cov_a) + propagate(by_b, cov_b)
     composed = UncertainTransform(a, cov_a) @ UncertainTransform(b, cov_b)
     np.testing.assert_allclose(composed.covariance, expected, atol=1e-6 * np.abs(expected).max())
+
+
+@given(transforms(), covariances(), vectors(100))
+def test_the_covariance_of_a_point_is_that_of_its_derivative(a, covariance, point):
+    jacobian = numeric_jacobian(lambda d: a.perturb(d).apply(point), np.zeros(6), 1e-5)
+    actual = UncertainTransform(a, covariance).point_covariance(point)
+    np.testing.assert_allclose(actual, propagate(jacobian, covariance), atol=1e-4)
 
 
 @given(transforms(), covariances())

@@ -157,6 +157,13 @@ def _pictures(scene: CaptureScene, camera: Camera) -> dict[str, tuple[Shape, ...
     }
 
 
+def _with_fixed(renderer: Renderer, fixed: tuple[Shape, ...]) -> Renderer:
+    """A renderer of the same scene with other fixed shapes; it shares the backdrop."""
+    other = Renderer(replace(renderer.scene, fixed=fixed), renderer.camera.name, renderer.samples)
+    other.__dict__.update(_canvas=renderer._canvas, _backdrop=renderer._backdrop)
+    return other
+
+
 def _shoot(scene: CaptureScene, camera: Camera, folder: Path) -> None:
     stage = Scene(
         scene.name,
@@ -171,7 +178,7 @@ def _shoot(scene: CaptureScene, camera: Camera, folder: Path) -> None:
     )
     empty = Renderer(stage, camera.name, _SAMPLES)
     for number, (path, shapes) in enumerate(_pictures(scene, camera).items()):
-        picture = empty.with_fixed(shapes).picture(0.0, number)
+        picture = _with_fixed(empty, shapes).picture(0.0, number)
         data = encode(picture, scene.sensor)
         (folder / f"{path}.{scene.sensor.encoding}").write_bytes(data)
 

@@ -15,8 +15,7 @@ MAX_POINTS = 2000
 """Longer curves are thinned for drawing; extremes and gaps survive. They are drawn without WebGL,
 of which browsers grant a page only a few."""
 
-ARROW_SCALE = 60.0
-"""How much residual arrows are magnified."""
+ARROW_SCALE = 60.0  # How much residual arrows are magnified
 
 
 def over_time(

@@ -56,8 +56,7 @@ def run_report(runs: Sequence[Run], errors: Sequence[Floats | None] = ()) -> str
     return page.render("Made by measure report. Everything on this page is inside this file.")
 
 
-_DATED_S = 1e9
-"""Times from here on are seconds since 1970, and not since a camera was switched on."""
+_DATED_S = 1e9  # Times from here on are seconds since 1970, and not since a camera was switched on
 
 
 def since_start(run: Run) -> Floats:
@@ -190,21 +189,7 @@ def _add_views(page: Page, run: Run) -> None:
         figures.state_timeline(since_start(run), codes, views, reasons),
     )
     seen = {name: run.detections[name].to_numpy(zero_copy_only=False) for name in _RESIDUAL}
-    maps = []
-    for camera in run.cameras:
-        mine = (seen["camera"] == camera.name) & np.isfinite(seen["residual_u_px"])
-        if mine.any():
-            center = np.column_stack([seen["u_px"][mine], seen["v_px"][mine]])
-            off = np.column_stack([seen["residual_u_px"][mine], seen["residual_v_px"][mine]])
-            maps.append(figures.residual_map(center, off, camera.intrinsics.size_wh, camera.name))
     _add_residuals(page, run, seen)
-    if maps:
-        page.figures(
-            "Residuals in the images",
-            f"Detected minus predicted ball centres, arrows {figures.ARROW_SCALE:.0f} times longer "
-            "than they are. A pattern that stays is systematic: calibration, body or light.",
-            *maps,
-        )
 
 
 def _add_residuals(page: Page, run: Run, seen: Mapping[str, Any]) -> None:
@@ -243,7 +228,7 @@ def _add_residuals(page: Page, run: Run, seen: Mapping[str, Any]) -> None:
 
 _MOST_REASONS = 12
 _PLANES = ((0, 1), (0, 2), (1, 2))
-_RESIDUAL = ("camera", "u_px", "v_px", "residual_u_px", "residual_v_px")
+_RESIDUAL = ("camera", "residual_u_px", "residual_v_px")
 
 
 def _states(run: Run) -> tuple[Ints, list[str], list[str]]:

@@ -11,8 +11,7 @@ from measure.geometry.covariance import chi_square_quantile
 from measure.results import Run
 from measure.results.statistics import consistency
 
-SUB_MM = 1.0
-"""A position known worse than this (95 %, mm) makes the verdict doubtful."""
+SUB_MM = 1.0  # A position known worse than this (95 %, mm) makes the verdict doubtful
 _MIN_UNFLAGGED_SHARE = 0.5
 """Fewer unflagged poses than this share of the frame sets, and the run is bad."""
 _MIN_INSIDE_95 = 0.8

@@ -8,8 +8,8 @@ import pytest
 from measure.errors import DegenerateGeometryError
 from measure.geometry import (
     RigidTransform,
-    common_perpendicular,
     midpoints,
+    nearest_point,
     squared_mahalanobis,
     usable_pairs,
 )
@@ -46,7 +46,7 @@ def test_the_mean_is_taken_over_all_pairs():
     expected = []
     for first, second in pairs:
         two = Rays(rays.origins[[first, second]], rays.directions[[first, second]])
-        expected.append(common_perpendicular(two)[0].mean(axis=0))
+        expected.append(nearest_point(two))
     found = midpoints(rays.origins, rays.directions, pairs)
     np.testing.assert_allclose(found.points, expected, atol=1e-9)
     np.testing.assert_allclose(found.mean, np.mean(expected, axis=0), atol=1e-9)
