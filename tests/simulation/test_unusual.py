@@ -39,7 +39,7 @@ def outline_px(scene: Scene) -> float:
 
 
 def test_none_is_called_like_a_usual_one() -> None:
-    assert 8 <= len(SCENES) <= 14
+    assert 8 <= len(SCENES) <= 16
     assert not set(SCENES) & set(scene_catalogue())
     assert all(name == scene.name and scene.description for name, scene in SCENES.items())
     assert len({scene.seed for scene in SCENES.values()}) == len(SCENES)
