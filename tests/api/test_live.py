@@ -116,7 +116,7 @@ def test_poses_are_there_while_the_cameras_deliver(session, tmp_path, capsys):
     with ExitStack() as stack:
         receiver = Receiver(stack)
         addresses = stack.enter_context(serving(cameras))
-        more = ("--seconds", "9", "--send", f"127.0.0.1:{receiver.port}", "--record", kept)
+        more = ("--seconds", "12", "--send", f"127.0.0.1:{receiver.port}", "--record", kept)
         assert main([*words("live", session, addresses, run, *more), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["frame_sets"] >= 15
