@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from measure.measuring.measurement import Measurement, Status
+from measure.measuring.measurement import Measurement
 from measure.model import BallPosition, Body, Pose
 from measure.model.observations import stacked_positions
 
@@ -59,8 +59,7 @@ class ScaleMonitor:
             f"the balls are {1 + off:.4f} +- {sd:.4f} times as far apart as the body file says: "
             "the body file or the calibration is off"
         )
-        pose = replace(pose, flags=(*pose.flags, flag))
-        return replace(measured, pose=pose, status=Status.FLAGGED)
+        return replace(measured, pose=pose).flagged(flag)
 
     def _take(self, pose: Pose, positions: Sequence[BallPosition]) -> None:
         """Add one frame set to the mean, and let the older ones count a little less."""

@@ -42,6 +42,13 @@ class Measurement:
     # names of the cameras in which the whole frame was searched for some ball.
     searched: tuple[str, ...] = ()
 
+    def flagged(self, flag: str) -> Measurement:
+        """The same with one more flag of its pose, if it has one."""
+        if self.pose is None:
+            return self
+        pose = replace(self.pose, flags=(*self.pose.flags, flag))
+        return replace(self, pose=pose, status=Status.FLAGGED)
+
     def with_tolerance(self, body: Body) -> Measurement:
         """The same, with the body's tolerance added to the pose's covariance: no image shows it."""
         pose = self.pose
@@ -64,9 +71,7 @@ class Draft:
 
     def flagged(self, flag: str) -> Draft:
         """The same with one more flag of its pose, if it has one."""
-        measured = self.measurement
-        if measured.pose is None:
+        if self.measurement.pose is None:
             return self
-        pose = replace(measured.pose, flags=(*measured.pose.flags, flag))
-        measured = replace(measured, pose=pose, status=Status.FLAGGED)
-        return replace(self, measurement=measured, tracker_flags=(*self.tracker_flags, flag))
+        flags = (*self.tracker_flags, flag)
+        return replace(self, measurement=self.measurement.flagged(flag), tracker_flags=flags)

@@ -51,17 +51,13 @@ def _reconciled(
         explained: flags of a second body that was a declared one; they hold on for a while, and
             are dropped then as well.
     """
-    out = [
-        _known(
-            one, [(b, m.pose) for b, m in zip(bodies, row, strict=True) if m is not one], explained
-        )
-        for one in row
-    ]
+    poses = [(body, one.pose) for body, one in zip(bodies, row, strict=True)]
+    out = [_known(one, poses[:k] + poses[k + 1 :], explained) for k, one in enumerate(row)]
     for i, j in combinations(range(len(row)), 2):
         one, other = row[i].pose, row[j].pose
         if one is not None and other is not None and _overlap(bodies[i], one, bodies[j], other):
-            out[i] = _flagged(out[i], f"a ball of it lies in one of body '{bodies[j].name}'")
-            out[j] = _flagged(out[j], f"a ball of it lies in one of body '{bodies[i].name}'")
+            out[i] = out[i].flagged(f"a ball of it lies in one of body '{bodies[j].name}'")
+            out[j] = out[j].flagged(f"a ball of it lies in one of body '{bodies[i].name}'")
     return tuple(out)
 
 
@@ -91,9 +87,3 @@ def _overlap(body: Body, pose: Pose, other: Body, its: Pose) -> bool:
         axis=2,
     )
     return bool(np.any(apart < _OVERLAP * (body.radii[:, None] + other.radii)))
-
-
-def _flagged(measured: Measurement, flag: str) -> Measurement:
-    assert measured.pose is not None
-    pose = replace(measured.pose, flags=(*measured.pose.flags, flag))
-    return replace(measured, pose=pose, status=Status.FLAGGED)

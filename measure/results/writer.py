@@ -153,7 +153,10 @@ class RunWriter:
             rows: dict[str, list[dict[str, Any]]] = {name: [] for name in self._journals}
             for body, one in zip(self._bodies, measured, strict=True):
                 for name, some in rows_of(one).items():
-                    rows[name] += [{BODY: body.name, **row} for row in some]
+                    rows[name] += some
+                    if len(self._bodies) > 1:
+                        for row in some:
+                            row[BODY] = body.name
             if self._reference is not None:
                 rows["relative"] = self._relative_rows(measured, self._reference)
             for name, journal in self._journals.items():
