@@ -16,7 +16,7 @@ from measure.errors import ConfigError
 from measure.host import Registry
 from measure.measuring import Profile
 from measure.processes import Progress
-from measure.results import RunEvaluation, Summary, read_run
+from measure.results import RunEvaluation, Summary, read_runs
 from measure.session import open_session
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ def demo(
     summary = run(session, folder / "run", profile, registry, options, measured)
     picture = folder / "demo.png"
     with open_session(session) as opened:
-        write_mosaic(opened, read_run(folder / "run"), frames // 2, picture)
+        write_mosaic(opened, read_runs(folder / "run"), frames // 2, picture)
     correction = correct_simulated_robot(ROBOT_S)
     return Demo(session, folder / "run", picture, summary, evaluate(folder / "run"), correction)
 

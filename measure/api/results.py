@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
 from measure.api.outputs import check_page_writable
-from measure.errors import RunError
+from measure.errors import MeasureError, RunError
 from measure.results import Run, RunEvaluation, read_marks, read_run, read_runs
 from measure.results import evaluate as evaluate_run
 from measure.results.comparing import Comparison
 from measure.results.comparing import compare as compare_runs
 from measure.results.evaluation import pose_errors
 from measure.results.exports import export_run
-from measure.session import read_calibration, read_trajectory, session_truth
+from measure.session import open_session, read_calibration, read_trajectory, session_truth
+
+_log = logging.getLogger(__name__)
 
 
 def evaluate(
@@ -80,7 +87,7 @@ def report(
         RunError: the folder is no run, or the truth cannot be read or is not the run's.
         ConfigError: the file cannot be written, or is there and no page.
     """
-    from measure.viewing.report.run_report import write_report
+    from measure.viewing.report.run_report import run_report
 
     runs = _chosen(run_path, body)
     errors = []
@@ -90,8 +97,29 @@ def report(
         errors.append(None if known is None else pose_errors(run, known))
     path = out or run_path / "report.html"
     check_page_writable(path)
-    write_report(runs, path, errors)
+    # A folder may have a name that is no text.
+    page = run_report(runs, errors, _picture(runs))
+    path.write_text(page, encoding="utf-8", errors="backslashreplace")
     return path
+
+
+def _picture(runs: list[Run]) -> tuple[int, bytes] | None:
+    """The frame set in which most views were used, as the cameras saw it; None if that is gone."""
+    from measure.viewing.drawings import draw_mosaic, jpeg_of
+
+    run, states = runs[0], pa.concat_tables([run.detections for run in runs])
+    used = states.filter(pc.equal(states["state"], "effective"))["index"].to_numpy()
+    if run.session is None or not len(used):
+        return None
+    most = np.bincount(used)
+    best = np.flatnonzero(most == most.max())
+    index = int(best[len(best) // 2])
+    try:
+        with open_session(run.session, run.path / "calibration.toml", run.body) as session:
+            return index, jpeg_of(draw_mosaic(session, runs, index))
+    except MeasureError as problem:
+        _log.warning("no pictures in the report: %s", problem)
+        return None
 
 
 def export(

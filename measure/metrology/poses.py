@@ -145,16 +145,16 @@ def unexplained(stated: Floats, known: Floats) -> Floats:
     return np.asarray((axes * kept[..., None, :]) @ np.swapaxes(axes, -1, -2) * outer)
 
 
-def scatter_share(deviations: Floats, covariance: Floats, spent: float = 1.0) -> float:
-    """Variance of deviations (n, 6) over that of a covariance (6, 6), the mean of six directions.
+def scatter_share(deviations: Floats, covariance: Floats, spent: float = 1.0) -> Floats:
+    """Variance of deviations (..., n, 6) over that of covariances (..., 6, 6), mean of directions.
 
     Args:
         deviations: from their mean or from a curve.
         covariance: what is stated of them.
         spent: how many of the n went into the mean or the curve.
     """
-    whole = _mean_ratio(deviations.T @ deviations, covariance)
-    return float(whole / max(len(deviations) - spent, 1.0))
+    whole = _mean_ratio(np.swapaxes(deviations, -1, -2) @ deviations, covariance)
+    return np.asarray(whole / max(deviations.shape[-2] - spent, 1.0))
 
 
 def alike_part(scatter: float, stated: Floats, known: Floats) -> Floats:

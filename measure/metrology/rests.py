@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from measure.arrays import Floats
+from measure.arrays import Floats, Ints
 from measure.errors import DegenerateGeometryError
 from measure.geometry import RigidTransform, chi_square_quantile
 from measure.geometry.covariance import TUKEY_SIGMAS
@@ -32,6 +32,7 @@ _LEAST_SHARE = 0.05**2
 """Poses that scatter by less than a twentieth of what is stated count as that quiet."""
 _MOST_SHARE = 2.0  # Poses that scatter by more than 1.4 times what is stated are moving
 _QUIETEST = 0.05  # The quietest windows are this quantile of those that scatter less than that
+_AT_ONCE = 100_000  # Poses that are compared at once
 _PAUSE_STEPS = 10.0  # A rest ends where no pose comes for so many usual steps
 
 
@@ -124,9 +125,9 @@ class Rests:
 def find_rests(poses: PoseTable, shared: SharedErrors, shortest_s: float = SHORTEST_S) -> Rests:
     """The stretches of at least `shortest_s` in which the body stands still."""
     windows = _windows(poses.times_s, shortest_s)
-    shares = np.array([_share(poses, a, b) for a, b in windows])
-    if not len(windows):
+    if not windows:
         return Rests((), np.zeros((0, 0)), np.nan, np.nan)
+    shares = _shares(poses, np.array(windows))
     quiet = shares[shares <= _MOST_SHARE]
     floor = max(float(np.quantile(quiet, _QUIETEST)), _LEAST_SHARE) if len(quiet) else np.nan
     limit = _STILL_RATIO * floor
@@ -155,11 +156,19 @@ def _windows(times_s: Floats, shortest_s: float) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in zip(starts[whole], ends[whole], strict=True)][::apart]
 
 
-def _share(poses: PoseTable, start: int, end: int) -> float:
-    """Scatter of a stretch of poses about their mean, over the stated variance."""
-    deltas = poses.world_from_body[start:end].difference(poses.world_from_body[start])
-    stated = poses.covariances[start:end].mean(axis=0)
-    return scatter_share(deltas - deltas.mean(axis=0), stated)
+def _shares(poses: PoseTable, windows: Ints) -> Floats:
+    """Scatter of stretches (k, 2) of poses about their means, over the stated variances."""
+    out, sizes = np.zeros(len(windows)), np.diff(windows)[:, 0]
+    for size in np.unique(sizes):
+        which = np.flatnonzero(sizes == size)
+        for few in np.array_split(which, 1 + len(which) * size // _AT_ONCE):
+            starts = windows[few, :1]
+            rows, at = starts + np.arange(size), poses.world_from_body
+            start = RigidTransform(at.rotation[starts], at.translation[starts])
+            deltas = RigidTransform(at.rotation[rows], at.translation[rows]).difference(start)
+            deltas -= deltas.mean(axis=1, keepdims=True)
+            out[few] = scatter_share(deltas, poses.covariances[rows].mean(axis=1))
+    return out
 
 
 def _merged(windows: list[tuple[int, int]]) -> list[tuple[int, int]]:
@@ -176,7 +185,7 @@ def _split(poses: PoseTable, start: int, end: int, limit: float) -> list[tuple[i
     """A stretch, in parts where it scatters too much as a whole: it stepped or crept."""
     if end - start < _FEWEST:
         return []
-    if _share(poses, start, end) <= limit:
+    if _shares(poses, np.array([[start, end]]))[0] <= limit:
         return [(start, end)]
     x = poses.world_from_body[start:end].difference(poses.world_from_body[start])
     x = x / np.sqrt(np.diag(poses.covariances[start:end].mean(axis=0)))
@@ -208,7 +217,7 @@ def _averaged(poses: PoseTable, shared: SharedErrors) -> Rest:
     scatter = off.T @ off / len(off) * independent / (independent - 1)
     pose = centre.perturb(mean)
     (factors,) = shared.factors(_table([pose], [stated]))
-    share = scatter_share(off, stated, len(off) / independent)
+    share = float(scatter_share(off, stated, len(off) / independent))
     light = alike_part(share, stated, factors @ factors.T)
     first, last = poses.times_s[used][[0, -1]].tolist()
     noise = scatter / independent

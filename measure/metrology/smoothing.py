@@ -92,7 +92,7 @@ def _window(poses: PoseTable, k: int, seconds: float) -> _Window | None:
     inverse = np.linalg.pinv(powers)
     path = poses.world_from_body[rows].difference(poses.world_from_body[k])
     residuals = path - powers @ (inverse @ path)
-    share = scatter_share(residuals, poses.covariances[rows].mean(axis=0), _DEGREE + 1)
+    share = float(scatter_share(residuals, poses.covariances[rows].mean(axis=0), _DEGREE + 1))
     about = residuals.T @ residuals / (len(lead) - _DEGREE - 1)
     weights = inverse[:2] / [[1.0], [seconds]]
     finer = np.linalg.pinv(np.vander(lead, _DEGREE + 3, increasing=True))[:2] / [[1.0], [seconds]]

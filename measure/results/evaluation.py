@@ -10,9 +10,11 @@ import numpy as np
 from measure.arrays import Bools, Floats
 from measure.errors import DegenerateGeometryError, RunError
 from measure.geometry import RigidTransform, align_points
+from measure.metrology.noise import Noise
 from measure.model import Camera
 from measure.results.columns import integers, matrices, numbers, texts
 from measure.results.marks import Marks, passed_over
+from measure.results.pose_table import noise_about
 from measure.results.run import Run
 from measure.results.single_errors import (
     SingleErrors,
@@ -72,6 +74,7 @@ class RunEvaluation:
     # how the truth's clock was found, where that was asked for.
     truth_offset: TruthOffset | None = None
     notes: tuple[str, ...] = ()  # what to doubt about this comparison
+    noise: Noise | None = None  # of the unflagged poses about the truth, and their drift
 
 
 def evaluate(
@@ -131,6 +134,7 @@ def evaluate(
             *(() if offset is None else (offset.note(),)),
             *_notes(run, errors, missing, marks, cameras is None),
         ),
+        noise=noise_about(run, _of_all(here, errors)),
     )
 
 
@@ -157,11 +161,15 @@ def pose_errors(run: Run, truth: Trajectory) -> Floats:
         RunError: the truth is of another time or in another unit.
     """
     here = _covered(run, truth) & run.has_pose
-    errors = np.full((len(here), 6), np.nan)
-    if here.any():
-        measured, true = _pairs(run, truth, here)
-        errors[here] = measured.difference(true)
-    return errors
+    measured, true = _pairs(run, truth, here)
+    return _of_all(here, measured.difference(true))
+
+
+def _of_all(here: Bools, errors: Floats) -> Floats:
+    """Errors (n, 6) of all frame sets by those of the ones `here` (n,); NaN for the others."""
+    out = np.full((len(here), 6), np.nan)
+    out[here] = errors
+    return out
 
 
 def _pairs(run: Run, truth: Trajectory, here: Bools) -> tuple[RigidTransform, RigidTransform]:

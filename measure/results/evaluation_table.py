@@ -22,7 +22,7 @@ class TextTable:
 
 def evaluation_tables(found: RunEvaluation) -> list[TextTable]:
     """The paper's Table I first, then what it leaves out."""
-    kinds = (_table_one, _completeness, _rotation, _single_errors, _consistency)
+    kinds = (_table_one, _completeness, _rotation, _single_errors, _consistency, _noise)
     tables = [kind(found) for kind in kinds]
     return [table for table in tables if table.rows]
 
@@ -89,6 +89,13 @@ def _consistency(found: RunEvaluation) -> TextTable:
     ]
     columns = ("covariance of", "count", "in 95 % region", "normalised error^2 (1 is right)")
     return TextTable("Do the reported covariances hold?", columns, rows)
+
+
+def _noise(found: RunEvaluation) -> TextTable:
+    noise = found.noise
+    title = "Noise and drift" if noise is None else f"Noise and drift about {noise.about}"
+    rows: list[tuple[Cell, ...]] = [] if noise is None else [*noise.rows()]
+    return TextTable(title, ("unflagged poses", "position mm", "rotation deg"), rows)
 
 
 def _axis(errors: PositionErrors | None, axis: str) -> tuple[float | None, float | None]:

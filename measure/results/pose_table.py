@@ -11,10 +11,11 @@ import pyarrow as pa
 from measure.arrays import Floats, Ints
 from measure.errors import ConfigError
 from measure.geometry import RigidTransform
+from measure.metrology.noise import Noise, noise_of
 from measure.metrology.poses import PoseTable, SharedErrors
 from measure.metrology.rests import SHORTEST_S, Rests, find_rests
 from measure.metrology.smoothing import SmoothMotion, smooth_motion
-from measure.results.columns import matrices, numbers, texts
+from measure.results.columns import matrices, numbers
 from measure.results.run import Run
 from measure.results.tables import PLACE
 
@@ -34,7 +35,7 @@ class Velocities:
 
 def poses_of(run: Run) -> PoseTable:
     """The poses of a run that are not flagged."""
-    return _table(run, _unflagged(run))
+    return _table(run, np.flatnonzero(run.unflagged))
 
 
 def rests_of(run: Run, shortest_s: float = SHORTEST_S) -> Rests:
@@ -47,6 +48,28 @@ def rests_of(run: Run, shortest_s: float = SHORTEST_S) -> Rests:
         _log.warning("%s: most poses are flagged, and rests are of poses in doubt", run.path)
         poses = _table(run, np.flatnonzero(run.has_pose))
     return find_rests(poses, shared_errors(run), shortest_s)
+
+
+def noise_at_rest(run: Run) -> Noise | None:
+    """Noise of the unflagged poses about the means of their rests; None if the body never rests."""
+    poses, deviations, groups = poses_of(run), [], []
+    for n, rest in enumerate(find_rests(poses, shared_errors(run)).rests):
+        here = (poses.times_s >= rest.start_s) & (poses.times_s <= rest.end_s)
+        rows = np.flatnonzero(here)
+        deviations.append(poses.take(rows).world_from_body.difference(rest.world_from_body))
+        groups.append(np.column_stack([rows, np.full(len(rows), n)]))
+    if not groups:
+        return None
+    rows, which = np.concatenate(groups).T
+    at = poses.times_s[rows]
+    return noise_of(at, np.concatenate(deviations), which, "the means of the rests")
+
+
+def noise_about(run: Run, errors: Floats) -> Noise | None:
+    """Noise of the unflagged poses about a truth, by the errors (n, 6) of all frame sets."""
+    rows = np.flatnonzero(run.unflagged)
+    rows = rows[np.isfinite(errors[rows]).all(axis=1)]
+    return noise_of(run.times_s[rows], errors[rows], np.zeros(len(rows), np.int64), "the truth")
 
 
 def shared_errors(run: Run) -> SharedErrors:
@@ -64,7 +87,7 @@ def smooth_run(run: Run, smooth_s: float | None) -> tuple[Run, Velocities]:
     """
     if smooth_s is not None and not 0 < smooth_s < np.inf:
         raise ConfigError(f"--smooth {smooth_s:g}: give the seconds on either side of a pose")
-    rows = _unflagged(run)
+    rows = np.flatnonzero(run.unflagged)
     steps = np.diff(run.times_s)
     reach_s = _FEWEST_STEPS * float(np.median(steps)) if len(steps) else 1.0
     motion = smooth_motion(_table(run, rows), shared_errors(run), smooth_s or 1.01 * reach_s)
@@ -73,10 +96,6 @@ def smooth_run(run: Run, smooth_s: float | None) -> tuple[Run, Velocities]:
     velocities.values[rows], velocities.covariances[rows] = motion.velocities, motion.covariances
     smoothed = run if smooth_s is None else replace(run, poses=_with(run.poses, rows, motion))
     return smoothed, velocities
-
-
-def _unflagged(run: Run) -> Ints:
-    return np.flatnonzero(run.has_pose & (texts(run.poses, "status") == "ok"))
 
 
 def _table(run: Run, rows: Ints) -> PoseTable:

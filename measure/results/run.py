@@ -15,7 +15,7 @@ from measure.arrays import Bools, Floats
 from measure.errors import RunError
 from measure.geometry import RigidTransform
 from measure.model import Body, Camera
-from measure.results.columns import matrices, numbers
+from measure.results.columns import matrices, numbers, texts
 from measure.results.distances import BallDistance, ball_distances, body_notes, contradictions
 from measure.results.provenance import read_provenance
 from measure.results.stored import read_tables, rows_of_body
@@ -70,6 +70,11 @@ class Run:
     def has_pose(self) -> Bools:
         """Which frame sets (n,) have a pose."""
         return np.isfinite(numbers(self.poses, "x_mm"))
+
+    @cached_property
+    def unflagged(self) -> Bools:
+        """Which frame sets (n,) have a pose to rely on."""
+        return np.asarray(self.has_pose & (texts(self.poses, "status") == "ok"))
 
     @cached_property
     def world_from_body(self) -> RigidTransform:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+import pyarrow.compute as pc
 
 from measure.arrays import Bytes, Floats
 from measure.errors import ConfigError, DegenerateGeometryError, RunError
@@ -22,8 +24,8 @@ _AXIS_COLOURS = ((80, 80, 255), (90, 220, 90), (255, 150, 80))
 _FOUND, _NOT_FOUND, _DARK = (255, 255, 255), (150, 150, 150), (0, 0, 0)
 
 
-def draw_mosaic(session: Session, run: Run, index: int) -> Bytes:
-    """The views of one frame set, two a row, as BGR pixels.
+def draw_mosaic(session: Session, runs: Sequence[Run], index: int) -> Bytes:
+    """The views of one frame set with all bodies measured, two a row, as BGR pixels.
 
     White: the outline of each ball that was used, as the measured pose puts it; grey and dashed:
     a ball that was not used in that view. The axes are the body's, x red, y green, z blue.
@@ -32,31 +34,45 @@ def draw_mosaic(session: Session, run: Run, index: int) -> Bytes:
         RunError: the run has no such frame set.
         SessionError: a picture that cannot be read.
     """
-    indices = run.poses["index"].to_pylist()
-    if index not in indices:
-        raise RunError(f"{run.path} has no frame set {index}; it has {len(indices)}")
-    row = indices.index(index)
-    pose = None
-    if run.has_pose[row]:
-        pose = run.world_from_body[int(np.count_nonzero(run.has_pose[:row]))]
-    views = [r for r in run.detections.to_pylist() if r["index"] == index]
+    found = [(run.body, _pose(run, index), _views(run, index)) for run in runs]
     tiles = []
-    for camera in run.cameras:
-        seen = {r["ball"]: r for r in views if r["camera"] == camera.name}
-        frames = [r["frame"] for r in seen.values() if r["frame"] >= 0]
+    for camera in runs[0].cameras:
+        seen = [[v for v in views if v["camera"] == camera.name] for _, _, views in found]
+        frames = [v["frame"] for views in seen for v in views if v["frame"] >= 0]
         picture = _picture(session, camera, frames[0] if frames else None)
-        used = {ball for ball, r in seen.items() if r["state"] == "effective"}
-        if pose is not None:
-            _draw_body(picture, camera, run.body, pose, used)
+        for (body, pose, _), views in zip(found, seen, strict=True):
+            used = {v["ball"] for v in views if v["state"] == "effective"}
+            if pose is not None:
+                _draw_body(picture, camera, body, pose, used)
         tiles.append(_tile(picture, camera.name))
     if len(tiles) % 2:
         tiles.append(np.zeros_like(tiles[0]))
     return np.vstack([np.hstack(tiles[k : k + 2]) for k in range(0, len(tiles), 2)])
 
 
-def write_mosaic(session: Session, run: Run, index: int, path: Path) -> None:
+def _pose(run: Run, index: int) -> RigidTransform | None:
+    indices = run.poses["index"].to_pylist()
+    if index not in indices:
+        raise RunError(f"{run.path} has no frame set {index}; it has {len(indices)}")
+    row = indices.index(index)
+    if not run.has_pose[row]:
+        return None
+    return run.world_from_body[int(np.count_nonzero(run.has_pose[:row]))]
+
+
+def _views(run: Run, index: int) -> list[dict[str, Any]]:
+    table = run.detections
+    return table.filter(pc.equal(table["index"], index)).to_pylist()
+
+
+def jpeg_of(pixels: Bytes) -> bytes:
+    """BGR pixels as the bytes of a JPEG file."""
+    return cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()
+
+
+def write_mosaic(session: Session, runs: Sequence[Run], index: int, path: Path) -> None:
     """`draw_mosaic` into a PNG file, smoothed a little and in 64 levels: noise would swell it."""
-    smooth = cv2.bilateralFilter(draw_mosaic(session, run, index), 9, 18, 5)
+    smooth = cv2.bilateralFilter(draw_mosaic(session, runs, index), 9, 18, 5)
     mosaic = np.asarray(smooth // 4 * 4 + 2, dtype=np.uint8)
     _write(mosaic, path, [cv2.IMWRITE_PNG_COMPRESSION, 9])
 

@@ -114,6 +114,7 @@ def test_what_reads_runs_knows_bodies(run, tmp_path, capsys):
     page = (tmp_path / "r.html").read_text()
     assert "tool: Trajectory" in page
     assert "base: Trajectory" in page
+    assert page.count('src="data:image/jpeg') == 1
     for file_format in ("csv", "trc"):
         out = tmp_path / f"x.{file_format}"
         assert main(["export", str(run), "-f", file_format, "-o", str(out)]) == 0

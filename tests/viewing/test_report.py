@@ -15,6 +15,7 @@ import pytest
 from measurements import BODY, CAMERAS, measurement
 
 from measure.api.profiles import load_profile
+from measure.api.results import report
 from measure.api.run import resolved
 from measure.geometry import RigidTransform
 from measure.host import Registry
@@ -23,7 +24,7 @@ from measure.results import Provenance, RunWriter, read_run
 from measure.results.accuracy import accuracy_map
 from measure.session import read_body
 from measure.viewing import state_colors
-from measure.viewing.report.run_report import run_report, write_report
+from measure.viewing.report.run_report import run_report
 from measure.viewing.report.verdict import verdict
 
 PROVENANCE = Provenance("/data/s", "a", "calibration.toml", "b", "c", {"name": "precise"}, {})
@@ -46,7 +47,7 @@ def test_a_good_run_says_how_well_the_position_is_known(tmp_path):
     page = run_report([_run(tmp_path / "run", 40)], [np.full((40, 6), 0.01)])
     assert "Position known to 0.028 mm (95 %), 2 of 2 cameras carry it." in page
     assert 'class="verdict good"' in page
-    for heading in ("Error against truth", "Trajectory", "Who saw what when", "Ball distances"):
+    for heading in ("Error against truth", "Trajectory", "Rotation and speed", "Ball distances"):
         assert f"<h2>{heading}</h2>" in page
     assert _figures(page) >= 12
 
@@ -67,7 +68,7 @@ def test_a_run_in_a_folder_whose_name_is_no_text_has_a_report(tmp_path):
         run = _run(folder, 5)
     except OSError:
         pytest.skip("this file system knows no such names")
-    write_report([run], folder / "report.html")
+    assert report(run.path) == folder / "report.html"
     assert r"<title>Run s\udcff of s</title>" in (folder / "report.html").read_text("utf-8")
 
 

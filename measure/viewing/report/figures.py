@@ -46,19 +46,31 @@ def over_time(
     return figure
 
 
+def log_log(
+    across: Floats, curves: Mapping[str, Floats], label: str, other_label: str
+) -> go.Figure:
+    """Curves (n,) by name over positive values (n,), both axes logarithmic."""
+    figure = style.figure()
+    for (name, values), color in zip(curves.items(), style.PALETTE, strict=False):
+        line = {"color": color}
+        figure.add_trace(go.Scatter(x=across, y=values, name=name, mode="lines", line=line))
+    figure.update_xaxes(title=label, type="log")
+    figure.update_yaxes(title=other_label, type="log", exponentformat="power")
+    return figure
+
+
 def histograms(
     values: Floats, names: Sequence[str], label: str, counted: str = "frame sets"
 ) -> go.Figure:
     """One histogram per column of values (n, k), overlaid; `counted` names the rows."""
     figure = style.figure(barmode="overlay")
+    known = values[np.isfinite(values)]
+    # Few values in narrow bins look like a comb.
+    bins = int(np.clip(2 * np.sqrt(len(known) / max(len(names), 1)), 8, 40))
+    edges = np.histogram_bin_edges(known, bins)
     for index, (column, name) in enumerate(zip(values.T, names, strict=True)):
         color = style.AXIS_COLORS.get(name, style.PALETTE[index % len(style.PALETTE)])
-        finite = column[np.isfinite(column)]
-        # Few values in narrow bins look like a comb.
-        bins = int(np.clip(2 * np.sqrt(len(finite)), 8, 40))
-        counts, edges = (
-            np.histogram(finite, bins=bins) if len(finite) else (np.zeros(1), np.arange(2))
-        )
+        counts, _ = np.histogram(column[np.isfinite(column)], edges)
         figure.add_trace(
             go.Bar(
                 x=(edges[:-1] + edges[1:]) / 2,

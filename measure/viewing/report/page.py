@@ -24,7 +24,7 @@ main { max-width:1120px; margin:0 auto; padding:20px 16px 60px; }
 h1 { font-size:1.5rem; margin:.2em 0; overflow-wrap:anywhere; }
 h2 { font-size:1.1rem; margin:0 0 .5em; }
 .verdict { font-size:1.15rem; margin:.4em 0 1em; padding:.7em 1em;
-  border-left:4px solid var(--soft);
+  border-left:4px solid var(--soft); white-space:pre-line;
   background:var(--card); border-radius:0 8px 8px 0; }
 .good { border-color:var(--good); } .doubtful { border-color:var(--doubtful); }
 .bad { border-color:var(--bad); }
@@ -44,6 +44,7 @@ pre { white-space:pre-wrap; overflow-wrap:anywhere; background:var(--paper); pad
 .pair { display:grid; gap:10px;
   grid-template-columns:repeat(auto-fit,minmax(min(100%,420px),1fr)); }
 .pair > * { min-width:0; } .pair > :last-child:nth-child(odd) { grid-column:1/-1; }
+img { max-width:100%; height:auto; display:block; }
 footer { color:var(--soft); font-size:.85rem; margin-top:24px; }
 """
 
@@ -93,6 +94,11 @@ class Page:
         drawn = "".join(f"<div>{self._draw(figure)}</div>" for figure in figures)
         body = f'<div class="pair">{drawn}</div>' if len(figures) > 1 else drawn
         self._section(heading, words, body)
+
+    def picture(self, heading: str, words: str, jpeg: bytes) -> None:
+        """A section with one picture."""
+        packed = base64.b64encode(jpeg).decode()
+        self._section(heading, words, f'<img alt="" src="data:image/jpeg;base64,{packed}">')
 
     def table(
         self, heading: str, words: str, columns: Sequence[str], rows: Iterable[Sequence[object]]

@@ -13,23 +13,28 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from measure.arrays import Bools, Floats, Ints
+from measure.arrays import Floats, Ints
 from measure.results import Run, Summary
 from measure.results.accuracy import accuracy_map
 from measure.results.columns import texts
 from measure.results.summary import WHICH_ACCURACY
 from measure.session import dump_toml
-from measure.viewing.report import figures, places, style
+from measure.viewing.report import figures, motion, places, style
 from measure.viewing.report.page import Page
 from measure.viewing.report.verdict import verdict
 
 
-def run_report(runs: Sequence[Run], errors: Sequence[Floats | None] = ()) -> str:
+def run_report(
+    runs: Sequence[Run],
+    errors: Sequence[Floats | None] = (),
+    picture: tuple[int, bytes] | None = None,
+) -> str:
     """The report as HTML.
 
     Args:
         runs: of each body, finished or not; one without any pose has a report too.
         errors: of each (n, 6) of the poses against truth in the `perturb` chart, NaN where unknown.
+        picture: a frame set, and a JPEG file of its views with what was found drawn in.
     """
     errors = errors or [None] * len(runs)
     verdicts = [verdict(run, off) for run, off in zip(runs, errors, strict=True)]
@@ -39,7 +44,7 @@ def run_report(runs: Sequence[Run], errors: Sequence[Floats | None] = ()) -> str
         f"{run.body.name}: {text}" if several else text
         for run, (_, text) in zip(runs, verdicts, strict=True)
     ]
-    page = Page(_title(runs[0]), " ".join(said), tone)
+    page = Page(_title(runs[0]), "\n".join(said), tone)
     for run, off in zip(runs, errors, strict=True):
         page.about = f"{run.body.name}: " if several else ""
         page.facts(_facts(run))
@@ -47,15 +52,24 @@ def run_report(runs: Sequence[Run], errors: Sequence[Floats | None] = ()) -> str
             _add_errors(page, run, off)
         if run.has_pose.any():
             _add_poses(page, run)
+            motion.add_motion(page, run, since_start(run))
+            motion.add_noise(page, run, off)
             _add_accuracy(page, run)
         if run.detections.num_rows:
             _add_views(page, run)
         _add_distances(page, run)
     page.about = ""
+    if picture is not None:
+        index, jpeg = picture
+        page.picture("As the cameras saw it", f"Frame set {index}. {_DRAWN}", jpeg)
     _add_provenance(page, runs)
     return page.render("Made by measure report. Everything on this page is inside this file.")
 
 
+_DRAWN = (
+    "White: the outline of each ball used, as the measured pose puts it; grey and dashed: a ball "
+    "not used in that view. The body's axes are x red, y green, z blue."
+)
 _DATED_S = 1e9  # Times from here on are seconds since 1970, and not since a camera was switched on
 
 
@@ -71,12 +85,6 @@ def _title(run: Run) -> str:
     recording = session.get("name") or Path(session.get("path", "")).name
     title = "Run" if name == "run" else f"Run {name}"
     return title if recording in ("", name) else f"{title} of {recording}"
-
-
-def write_report(runs: Sequence[Run], path: Path, errors: Sequence[Floats | None] = ()) -> None:
-    """Write the report to a file."""
-    # A folder may have a name that is no text.
-    path.write_text(run_report(runs, errors), encoding="utf-8", errors="backslashreplace")
 
 
 def _facts(run: Run) -> Iterator[tuple[str, str]]:
@@ -148,13 +156,9 @@ def _add_poses(page: Page, run: Run) -> None:
 
 def _sure_and_doubtful(run: Run) -> tuple[Floats, Floats]:
     """Positions (n, 3), NaN where there is no pose or a flagged one; and those flagged (k, 3)."""
-    flagged, xyz = _flagged(run), np.full((run.poses.num_rows, 3), np.nan)
+    flagged, xyz = run.has_pose & ~run.unflagged, np.full((run.poses.num_rows, 3), np.nan)
     xyz[run.has_pose] = run.world_from_body.translation
     return np.where(flagged[:, None], np.nan, xyz), xyz[flagged]
-
-
-def _flagged(run: Run) -> Bools:
-    return np.asarray(texts(run.poses, "status") == "flagged")
 
 
 def _by_axis(values: Floats) -> dict[str, Floats]:
@@ -214,9 +218,10 @@ def _add_residuals(page: Page, run: Run, seen: Mapping[str, Any]) -> None:
         names, label = [camera.name for camera in run.cameras], "residual [px]"
         drawn = figures.histograms(np.column_stack(columns), names, label, "balls")
         page.figures("How large residuals are", "", drawn)
-    why = texts(run.poses, "reason")[_flagged(run)]
+    flagged = run.has_pose & ~run.unflagged
+    why = texts(run.poses, "reason")[flagged]
     if len(why):
-        begun = since_start(run)[_flagged(run)]
+        begun = since_start(run)[flagged]
         counted = Counter(why.tolist()).most_common(_MOST_REASONS)
         page.table(
             "Flagged frame sets",

@@ -20,7 +20,7 @@ _MIN_INSIDE_95 = 0.8
 
 def verdict(run: Run, errors: Floats | None) -> tuple[str, str]:
     """Tone ("good", "doubtful" or "bad") and sentence, by the errors (n, 6) against truth."""
-    summary, unflagged = run.summary, _unflagged(run)
+    summary, unflagged = run.summary, run.unflagged
     if not run.has_pose.any():
         return "bad", f"No pose in {_sets(summary.frame_sets)}{_because(run, ~run.has_pose)}."
     if not unflagged.any():
@@ -41,11 +41,6 @@ def verdict(run: Run, errors: Floats | None) -> tuple[str, str]:
     return tone, " ".join(words)
 
 
-def _unflagged(run: Run) -> Bools:
-    """Which frame sets (n,) have a pose that is not flagged."""
-    return run.has_pose & (np.array(run.poses["status"].to_pylist(), dtype=object) == "ok")
-
-
 def _radius_95(covariances: Floats) -> float:
     """Median radius in mm that holds 95 % of a 3-D Gaussian, its longest axis taken all round."""
     longest = np.linalg.eigvalsh(covariances[:, :3, :3])[:, -1]
@@ -62,7 +57,7 @@ def _who_carries(run: Run) -> str:
 
 
 def _what_is_missing(run: Run) -> list[str]:
-    total, flagged = run.summary.frame_sets, run.has_pose & ~_unflagged(run)
+    total, flagged = run.summary.frame_sets, run.has_pose & ~run.unflagged
     parts = []
     if not run.has_pose.all():
         count = int((~run.has_pose).sum())
