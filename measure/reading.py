@@ -1,11 +1,13 @@
-"""The one door to files that others wrote: ordinary ones, of a size that can be held in memory."""
+"""The one door to files that others wrote: ordinary ones that memory holds; headings of times."""
 
 from __future__ import annotations
 
 import codecs
 import difflib
+import re
 import stat
 import tomllib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -136,3 +138,58 @@ def missing_message(path: Path) -> str:
 
 def _reason(problem: Exception) -> str:
     return getattr(problem, "strerror", None) or str(problem)
+
+
+TIME = "time_s"  # Our own heading
+_SECONDS_AND_NANOSECONDS = (
+    ("secs", "nsecs"),
+    ("sec", "nanosec"),
+    ("header.stamp.secs", "header.stamp.nsecs"),
+    ("header.stamp.sec", "header.stamp.nanosec"),
+)
+"""What ROS 1 and ROS 2 call the parts of a stamp."""
+_ROSTOPIC = "field.header.stamp"  # In what `rostopic echo -p` writes: nanoseconds
+_UNITS = {
+    r"s|secs?|seconds?": 1.0,
+    r"ms|msecs?|millis|milliseconds?": 1e-3,
+    r"[uµμ]s|usecs?|micros|microseconds?": 1e-6,
+    r"ns|nsecs?|nanos|nanoseconds?": 1e-9,
+}
+_WHOSE = (
+    "frame|image|capture|exposure|sensor|camera|device|host|system|recording|elapsed|unix|epoch|"
+    "robot|controller|header"
+)
+_HEADING = re.compile(
+    rf"((?:{_WHOSE})[ _.]?)*(?:time[ _]?stamps?|times?|stamps?|ts?)"
+    rf"(?:[ _]*[(\[]?(?P<unit>{'|'.join(_UNITS)})[)\]]?)?"
+)
+
+
+TimeColumns = tuple[tuple[int, float], ...]
+"""Where the time stands: the sum of columns, each with its position and its unit in s."""
+
+
+def time_columns(header: Sequence[str], named: str | None = None) -> TimeColumns | None:
+    """Find the time by the headings, or by its `named` one; None if none, or several, may be it."""
+    if named is not None or TIME in header:
+        name = TIME if named is None else named
+        return ((header.index(name), stated_unit_s(name) or 1.0),) if name in header else None
+    if _ROSTOPIC in header:
+        return ((header.index(_ROSTOPIC), 1e-9),)
+    for pair in _SECONDS_AND_NANOSECONDS:
+        if all(name in header for name in pair):
+            return (header.index(pair[0]), 1.0), (header.index(pair[1]), 1e-9)
+    found = candidates(header)
+    return ((header.index(found[0]), stated_unit_s(found[0]) or 1.0),) if len(found) == 1 else None
+
+
+def candidates(header: Sequence[str]) -> list[str]:
+    """The headings that may be of times."""
+    return [name for name in header if _HEADING.fullmatch(name.lower())]
+
+
+def stated_unit_s(heading: str) -> float | None:
+    """The unit of time that a heading states; None if it states none."""
+    found = re.search(r"(?:[ _(\[]|time|stamp|ts?)([a-zµμ]+)[)\]]?$", heading.lower())
+    unit = found.group(1) if found else ""
+    return next((s for names, s in _UNITS.items() if re.fullmatch(names, unit)), None)

@@ -22,9 +22,10 @@ class _RobotOptions:
     """The robot and its log.
 
     Attributes:
-        robot_log: the robot's log (.parquet, .csv, .bag, .mcap); one for all runs, or one each.
-        robot: what its states are: raven, raven-right, dvrk-psm, or a robot.toml.
-        topic: of the state messages in a bag.
+        robot_log: the robot's log: Parquet, text or a bag; one for all runs, or one each.
+        robot: a known one (raven, raven-right, dvrk-psm, ur5e, ur10e, franka, xarm6, kuka-iiwa), a
+            robot.toml or a .urdf.
+        topic: of the robot's states in a bag.
     """
 
     robot_log: Annotated[tuple[Path, ...], Parameter(name="--robot-log")] = ()

@@ -36,7 +36,7 @@ def estimate(
 
     Args:
         model: an ONNX file made by `measure train`, or `shipped` for the one that comes along.
-        input_: recorded states (.parquet, .csv, .bag, .mcap).
+        input_: recorded states: Parquet, text or a bag.
         output: where to write the errors (.parquet or .csv): run, i, ex, ey, ez in mm, and more.
         rezero: a short measured data set of today: finds how the joints were homed, and says
             whether the cables have changed.

@@ -27,8 +27,8 @@ def view(
         web: serve the viewer for a browser and print the address, instead of opening a window.
         bind: address to listen on; other machines can look only if you change it.
         robot: show a robot's reported position beside the measured one, in a recording of its own
-            (robot.rrd in the run's folder). What its states are: raven, raven-right, dvrk-psm, or a
-            robot.toml.
+            (robot.rrd in the run's folder): a known one (see `measure dataset`), a robot.toml or a
+            .urdf.
         robot_log: the robot's log; the one that the session names if omitted.
         model: an estimator (.onnx): its corrected position is shown too.
     """

@@ -164,6 +164,7 @@ class OnnxEstimator(Estimator):
             "estimator": self.name,
             "settings": self.config.model_dump(mode="json"),
             "robot": self._schema.robot,
+            "schema": self._schema.to_dict(),
             "features": [[f.name, f.unit] for f in self._schema.features],
             "position_mm": self._schema.reading_matrix(self._schema.position).tolist(),
             "period_s": self._period_s,

@@ -7,6 +7,7 @@ reset; `tick` (N, 1), one if slow memory shall advance. Outputs: `error_mm` (N, 
 
 - `format`: 1; `estimator`: its name; `settings`: as they were;
 - `robot`: its name; `features`: [name, unit] of each, in order;
+- `schema`: `StateSchema.to_dict`, with the joints and how logs name them; older files have none;
 - `position_mm`: a matrix (F, 3): a state times it is the reported position;
 - `period_s`: of the states learnt from; `memory`: S, at least 1; `memoryless`: whether the memory
   may be left at zeros.

@@ -16,7 +16,7 @@ from measure.host import Dataset
 from measure.learning.assemble import PoseTrack, TrajectoryFacts
 from measure.learning.scores import Score
 from measure.results import read_run
-from measure.robots import ROBOT_KEY, StateSchema
+from measure.robots import ROBOT_KEY, StateSchema, feature_columns
 from measure.robots.tables import Table
 
 _KEY = b"measure.schema"
@@ -95,14 +95,16 @@ def read_dataset(path: Path) -> Dataset:
 def read_labelled(path: Path, schema: StateSchema, *, label_sd_mm: float = 0.1) -> Dataset:
     """A table that already pairs states with errors.
 
-    Needs the columns `run`, `t_s`, `ex`, `ey`, `ez` (mm) and the schema's features; rows whose
+    Needs the columns `run`, `t_s`, `ex`, `ey`, `ez` (mm) and the schema's features, or others that
+    hold them (`find_columns`); rows whose
     `quality`, if there is such a column, is not "ok" belong to the history only.
 
     Raises:
         EstimatorError: columns are missing, or the labels look like metres.
     """
     table = Table.read(path)
-    table.require(("run", "t_s", *_LABELS, *schema.names))
+    table.require(("run", "t_s", *_LABELS))
+    found = feature_columns(path, schema, table.schema.names)
     names, trajectory = _encode(table.labels("run"))
     errors = table.numbers(*_LABELS)
     usable: Any = np.isfinite(errors).all(axis=1)
@@ -116,7 +118,7 @@ def read_labelled(path: Path, schema: StateSchema, *, label_sd_mm: float = 0.1) 
         )
     data = Dataset(
         schema,
-        table.numbers(*schema.names),
+        found.states(str(path), table.numbers(*found.columns)),
         table.numbers("t_s")[:, 0],
         trajectory,
         names,

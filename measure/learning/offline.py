@@ -17,7 +17,17 @@ from measure.errors import EstimatorError
 from measure.host import Correction, Dataset, OnnxModel
 from measure.learning.guard import DriftMonitor, GuardedModel
 from measure.learning.zeroing import Zeroing, fit_zeroing
-from measure.robots import Feature, Reading, StateSchema, check_robot, log_pieces
+from measure.reading import candidates, time_columns
+from measure.robots import (
+    Feature,
+    Reading,
+    StateSchema,
+    check_robot,
+    feature_columns,
+    is_table,
+    log_pieces,
+)
+from measure.robots.columns import Clock
 from measure.robots.pieces import TableFile
 
 
@@ -52,11 +62,11 @@ def read_states(path: Path, model: OnnxModel) -> Iterator[StateTable]:
     """
     if not path.exists():
         raise EstimatorError(f"{path}: no such file of states")
-    if path.suffix in (".parquet", ".csv"):
-        file = TableFile.open(path)
+    if is_table(path):
+        schema = schema_of(model)
+        file = TableFile.open(path, schema.log.delimiter)
         check_robot(file, model.robot)
-        file.require(model.features)
-        return _tables(file, model)
+        return _tables(file, schema)
     return _bagged(path, model)
 
 
@@ -68,14 +78,17 @@ def _bagged(path: Path, model: OnnxModel) -> Iterator[StateTable]:
         row += len(times)
 
 
-def _tables(file: TableFile, model: OnnxModel) -> Iterator[StateTable]:
+def _tables(file: TableFile, schema: StateSchema) -> Iterator[StateTable]:
     """The last of several names of a column counts."""
+    there, where = file.schema.names, str(file.path)
+    found = feature_columns(file.path, schema, there)
     run = next((name for name in ("run", "trajectory") if name in file), None)
-    time = next((name for name in ("t_s", "time_s") if name in file), None)
+    timed = time_columns(there) or candidates(there) or schema.log.time
+    clock = Clock(where, there, schema) if timed else None
     labels = [name for name in (run, "i") if name is not None and name in file]
-    numbers = model.features if time is None else (*model.features, time)
+    times = clock.columns if clock else ()
     empty = True
-    for table in file.pieces(numbers, labels):
+    for table in file.pieces((*times, *found.columns), labels):
         empty = False
         count = len(table)
         yield StateTable(
@@ -83,8 +96,8 @@ def _tables(file: TableFile, model: OnnxModel) -> Iterator[StateTable]:
             np.arange(table.first_row, table.first_row + count)
             if "i" not in file
             else np.array(table.labels("i")),
-            np.full(count, np.nan) if time is None else table.numbers(time)[:, 0],
-            table.numbers(*model.features),
+            clock.seconds(table.numbers(*times)) if clock else np.full(count, np.nan),
+            found.states(where, table.numbers(*found.columns)),
         )
     if empty:
         raise EstimatorError(f"{file.path}: holds no states")
@@ -201,7 +214,21 @@ def rezero(
 
 
 def schema_of(model: OnnxModel) -> StateSchema:
-    """A schema from the metadata of a model file: enough to read its features from a log."""
+    """The schema that a model file holds; of an older one enough to read its features from a log.
+
+    Raises:
+        EstimatorError: the file holds another thing in its place.
+    """
+    if "schema" in model.facts:
+        try:
+            schema = StateSchema.from_dict(model.facts["schema"])
+            if schema.names != model.features:
+                raise ValueError
+            return schema
+        except (KeyError, TypeError, ValueError, AttributeError):
+            raise EstimatorError(
+                f"{model.where}: its metadata hold no schema that can be read: train it again"
+            ) from None
     matrix = np.array(model.facts["position_mm"])
     x, y, z = (
         Reading(tuple((model.features[i], float(column[i])) for i in np.flatnonzero(column)))

@@ -1,21 +1,22 @@
 """Robots: what their states mean, their kinematics, and a simulated cable-driven arm."""
 
 from measure.robots.chain import Joint, SerialChain, dh_link
+from measure.robots.library import find_schema, robot_names
 from measure.robots.logs import (
     ROBOT_KEY,
     LogFile,
     check_robot,
-    find_schema,
+    feature_columns,
+    is_table,
     log_pieces,
     read_log,
     write_log,
 )
-from measure.robots.psm import psm_schema
 from measure.robots.raven import raven_chain, raven_schema
 from measure.robots.schema import Feature, Reading, RobotLog, StateLog, StateSchema
 
 __all__ = [
     "ROBOT_KEY", "Feature", "Joint", "LogFile", "Reading", "RobotLog", "SerialChain", "StateLog",
-    "StateSchema", "check_robot", "dh_link", "find_schema", "log_pieces", "psm_schema",
-    "raven_chain", "raven_schema", "read_log", "write_log",
+    "StateSchema", "check_robot", "dh_link", "feature_columns", "find_schema", "is_table",
+    "log_pieces", "raven_chain", "raven_schema", "read_log", "robot_names", "write_log",
 ]  # fmt: skip

@@ -1,4 +1,8 @@
-"""`raven_state` messages in ROS 1 bags, ROS 2 bags and MCAP files, without ROS."""
+"""States in ROS 1 bags, ROS 2 bags and MCAP files, without ROS.
+
+RAVEN-II's are `raven_state` messages; other robots' joints are `sensor_msgs/JointState`, and their
+tip is a `PoseStamped` or `TransformStamped` topic, comes from /tf, or is computed.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +16,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.reading import check_ordinary
+from measure.robots.joint_topics import described, joint_rows
 from measure.robots.pieces import PIECE_ROWS
 from measure.robots.raven import FIELDS, raven_schema
 from measure.robots.schema import StateSchema
@@ -71,54 +76,60 @@ def bag_pieces(
     """States of one arm from a bag, piece by piece.
 
     Yields:
-        Stamps (n,) from the message headers, in s, and states (n, 118).
+        Stamps (n,) from the message headers, in s, and states (n, features).
 
     Raises:
-        EstimatorError: no or several topics of `raven_state`, fields missing, a schema that is not
-            a RAVEN-II's, or a file that cannot be read.
+        EstimatorError: no or several topics hold the states, fields are missing, or a file that
+            cannot be read.
     """
-    arm = {raven_schema("left").robot: 0, raven_schema("right").robot: 1}.get(schema.robot)
-    if arm is None:
-        raise EstimatorError(f"{path}: bags hold RAVEN-II states, not those of {schema.robot}")
     if not path.is_dir():
         check_ordinary(path, EstimatorError)
-    states = _bag_states(path, arm, topic)
+    states = _bag_states(path, schema, topic)
     while some := list(itertools.islice(states, PIECE_ROWS)):
         times, rows = zip(*some, strict=True)
         yield np.array(times), np.array(rows)
 
 
-def _bag_states(path: Path, arm: int, topic: str | None) -> Iterator[tuple[float, Floats]]:
+def _bag_states(
+    path: Path, schema: StateSchema, topic: str | None
+) -> Iterator[tuple[float, Floats]]:
+    arm = {raven_schema("left").robot: 0, raven_schema("right").robot: 1}.get(schema.robot)
     count = 0
     try:
         with _rosbags().highlevel.AnyReader([path], default_typestore=_types()) as reader:
-            connection = _choose(path, reader.connections, topic)
-            for _, _, raw in reader.messages(connections=[connection]):
-                message = reader.deserialize(raw, connection.msgtype)
-                stamp = message.hdr.stamp
-                yield stamp.sec + 1e-9 * stamp.nanosec, _row(path, message, arm)
+            if arm is None:
+                rows = joint_rows(path, reader, schema, topic)
+            else:
+                rows = _raven_rows(path, reader, arm, topic)
+            for row in rows:
+                yield row
                 count += 1
     except EstimatorError:
         raise
     except Exception as error:  # rosbags raises many kinds; all mean the file
-        raise EstimatorError(f"{path}: cannot be read as a bag: {error}") from None
+        hint = ": give the bag's folder" if path.suffix == ".db3" else ""
+        raise EstimatorError(f"{path}: cannot be read as a bag: {error}{hint}") from None
     if not count:
-        raise EstimatorError(f"{path}: holds no message of the topic {connection.topic}")
+        raise EstimatorError(f"{path}: holds no message of the robot's topic")
 
 
-def _choose(path: Path, connections: list[Any], topic: str | None) -> Any:
+def _raven_rows(
+    path: Path, reader: Any, arm: int, topic: str | None
+) -> Iterator[tuple[float, Floats]]:
     found = [
         c
-        for c in connections
+        for c in reader.connections
         if (c.topic == topic if topic else c.msgtype.lower().endswith("raven_state"))
     ]
     if len(found) != 1:
-        seen = ", ".join(sorted({f"{c.topic} ({c.msgtype})" for c in connections}))
-        what = topic or "raven_state"
         raise EstimatorError(
-            f"{path}: {len(found)} topics match {what}; it has {seen}: name one with --topic"
+            f"{path}: {len(found)} topics match {topic or 'raven_state'}; it has "
+            f"{described(reader.connections)}: name one with --topic, or the robot with --robot"
         )
-    return found[0]
+    for _, _, raw in reader.messages(connections=found):
+        message = reader.deserialize(raw, found[0].msgtype)
+        stamp = message.hdr.stamp
+        yield stamp.sec + 1e-9 * stamp.nanosec, _row(path, message, arm)
 
 
 def _row(path: Path, message: Any, arm: int) -> Floats:

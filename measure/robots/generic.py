@@ -1,10 +1,11 @@
-"""Any robot, described by a small TOML file: features, position, joints, and its chain if known."""
+"""Robots described by a small TOML file: features, position, joints, chain and logs."""
 
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import (
@@ -18,9 +19,19 @@ from pydantic import (
 )
 
 from measure.errors import EstimatorError
+from measure.geometry import RigidTransform
 from measure.reading import parse_toml, read_toml_text
 from measure.robots.chain import Joint, SerialChain, dh_link
-from measure.robots.schema import Feature, Reading, StateSchema
+from measure.robots.columns import UNITS_S
+from measure.robots.schema import Feature, LogFormat, OtherNames, Reading, StateSchema
+from measure.robots.urdf import read_urdf
+
+BUILTIN = Path(__file__).with_name("builtin")
+_FACTORS = {"rad": 1.0, "deg": np.pi / 180, "m": 1e3, "cm": 10.0, "mm": 1.0, "um": 1e-3}
+_SMALLEST_REACH_MM, _LARGEST_REACH_MM = 5.0, 2e4
+# Names that many programs give to joint positions, counted from 0 or 1; with their unit behind.
+_JOINT_NAMES = ("q[{0}]", "q{1}", "q_{1}", "q_{0}", "joint_{1}", "joint{1}", "joint_{0}", "j{1}")
+_POSITION_NAMES = (("x_mm", "y_mm", "z_mm"), ("x_m", "y_m", "z_m"))
 
 
 class _File(BaseModel):
@@ -39,50 +50,86 @@ def _not_zero(factor: float) -> float:
 
 
 _Factor = Annotated[FiniteFloat, AfterValidator(_not_zero)]
-_Size = Annotated[FiniteFloat, Field(ge=-1e6, le=1e6)]
+_Length = Annotated[FiniteFloat, Field(ge=-1e4, le=1e4)]
+_Angle = Annotated[FiniteFloat, Field(ge=-360, le=360)]
 
 
 class _JointTable(_File):
-    """A joint and its Craig link: alpha and a before it, offset and d along it."""
+    """A joint and its Denavit-Hartenberg link."""
 
     feature: str
-    scale: _Factor = Field(1.0, description="to rad or mm")
+    scale: _Factor | None = None  # to rad or mm; that of the feature's unit if absent
     kind: Literal["turns", "slides"] = "turns"
-    alpha_deg: _Size | None = None
-    a_mm: _Size = 0.0
-    offset_deg: _Size = 0.0
-    d_mm: _Size = 0.0
+    alpha_deg: _Angle | None = None
+    a_mm: _Length = 0.0
+    offset_deg: _Angle = 0.0
+    d_mm: _Length = 0.0
+
+
+class _Names(_File):
+    """Columns of a log, for all joints or the three coordinates; {0} and {1} count from there."""
+
+    names: str | list[str]
+    scale: _Factor = 1.0
+
+
+class _Log(_File):
+    joints: list[_Names] = []
+    position: list[_Names] = []
+    time: str | None = None
+    time_unit: Literal["s", "ms", "us", "ns"] | None = None
+    delimiter: Annotated[str, Field(min_length=1, max_length=1)] | None = None
+    topics: list[str] = []
+    tip_topics: list[str] = []
+    frames: tuple[str, str] | None = None
 
 
 class _Robot(_File):
     robot: str
-    features: list[_Column] = Field(min_length=1)
-    position: list[str] = Field(min_length=3, max_length=3)
-    position_to_mm: Annotated[FiniteFloat, Field(ge=1e-9, le=1e9)] = 1.0
+    features: list[_Column] = []
+    position: Annotated[list[str], Field(min_length=3, max_length=3)] | None = None
+    position_to_mm: Annotated[FiniteFloat, Field(ge=1e-9, le=1e9)] | None = None
     joints: list[_JointTable] = []
+    dh: Literal["craig", "standard"] = "craig"
+    urdf: str | None = None
+    base: str | None = None
+    tip: str | None = None
     coupled: list[int] = []
-    tool_mm: tuple[_Size, _Size, _Size] = (0.0, 0.0, 0.0)
+    tool_mm: tuple[_Length, _Length, _Length] = (0.0, 0.0, 0.0)
+    tool_rotvec_deg: tuple[_Angle, _Angle, _Angle] = (0.0, 0.0, 0.0)
+    log: _Log = _Log()
 
     @model_validator(mode="after")
-    def _coupled_joints_exist(self) -> _Robot:
-        for index in self.coupled:
-            if not 0 <= index < len(self.joints):
-                raise ValueError(
-                    f"coupled names joint {index}; there are {len(self.joints)}, from 0 on"
-                )
+    def _fits_together(self) -> _Robot:
+        if self.urdf is not None and self.joints:
+            raise ValueError("the joints are those of the urdf: leave joints out")
+        known = [joint.alpha_deg is not None for joint in self.joints]
+        if any(known) and not all(known):
+            which = self.joints[known.index(False)].feature
+            raise ValueError(f"joint '{which}' has no alpha_deg: give it for all joints, or none")
+        for joint in self.joints:
+            for angle in (joint.alpha_deg or 0.0, joint.offset_deg):
+                quarters = abs(angle) / (np.pi / 2)
+                if 0.9 < quarters < 3.1 and abs(quarters - round(quarters)) < 1e-3:
+                    raise ValueError(
+                        f"joint '{joint.feature}' has an angle of {angle:g} deg, which is a right "
+                        "angle in rad: give degrees"
+                    )
         return self
 
 
 def read_schema(path: Path) -> StateSchema:
-    """Read a `robot.toml`.
+    """Read a `robot.toml`, or a `.urdf` whose joints a log holds by their names.
 
-    Joints that all carry `alpha_deg` make a kinematic chain; otherwise the chain is unknown.
+    Joints that carry `alpha_deg` make a kinematic chain, and so does a URDF; otherwise the chain is
+    unknown. `like` takes what is not said from a known robot.
 
     Raises:
         EstimatorError: the file is missing or does not fit; the message says where.
     """
     try:
-        file = _Robot.model_validate(parse_toml(read_toml_text(path, EstimatorError)))
+        file = _Robot.model_validate(_values(path))
+        return _schema(path, file)
     except tomllib.TOMLDecodeError as error:
         raise EstimatorError(f"{path}: not TOML: {error}") from None
     except ValidationError as error:
@@ -90,30 +137,132 @@ def read_schema(path: Path) -> StateSchema:
         where = ".".join(str(part) for part in first["loc"])
         place = f"'{where}': " if where else ""
         raise EstimatorError(f"{path}: {place}{first['msg']}") from None
-    x, y, z = (Reading.of(name, file.position_to_mm) for name in file.position)
+
+
+def _values(path: Path) -> dict[str, Any]:
+    if path.suffix == ".urdf":
+        return {"robot": path.stem, "urdf": path.name}
+    values = parse_toml(read_toml_text(path, EstimatorError))
+    like = values.pop("like", None)
+    if like is None:
+        return values
+    known = BUILTIN / f"{like}.toml"
+    if not known.exists():
+        names = ", ".join(sorted(one.stem for one in BUILTIN.glob("*.toml")))
+        raise EstimatorError(f"{path}: like = {like!r:.40} is no robot; there is {names}")
+    base = _values(known)
+    if isinstance(log := values.get("log", {}), dict):
+        values["log"] = base.get("log", {}) | log
+    return base | values
+
+
+def _schema(path: Path, file: _Robot) -> StateSchema:
+    names, chain = _chain(path, file)
+    if chain is None and (file.position is None or not file.features):
+        raise EstimatorError(
+            f"{path}: name the features and the position, or give the joints' links or a urdf"
+        )
+    position = tuple(file.position or ("x_mm", "y_mm", "z_mm"))
+    features = [Feature(column.name, column.unit) for column in file.features]
+    if chain is not None and not file.features:
+        units = ("m" if joint.prismatic else "rad" for joint in chain.joints)
+        features = [Feature(name, unit) for name, unit in zip(names, units, strict=True)]
+    if file.position is None:
+        features += [Feature(name, "mm") for name in position]
+    units_of = {feature.name: feature.unit for feature in features}
+    x, y, z = (
+        Reading.of(name, file.position_to_mm or _FACTORS.get(units_of.get(name, ""), 1.0))
+        for name in position
+    )
     schema = StateSchema(
         robot=file.robot,
-        features=tuple(Feature(column.name, column.unit) for column in file.features),
+        features=tuple(features),
         position=(x, y, z),
-        joints=tuple(Reading.of(joint.feature, joint.scale) for joint in file.joints),
+        joints=_readings(path, file, names, units_of),
         coupled=tuple(file.coupled),
-        chain=_chain(file),
+        chain=chain,
+        groups={key: v for key, v in (("joints", names), ("position", position)) if v},
+        log=_log(file, names, position),
     )
-    schema.index([*file.position, *(joint.feature for joint in file.joints)])
+    schema.index([*position, *names])
+    if wrong := [index for index in file.coupled if not 0 <= index < len(names)]:
+        raise EstimatorError(
+            f"{path}: coupled names joint {wrong[0]}; there are {len(names)}, from 0 on"
+        )
     return schema
 
 
-def _chain(file: _Robot) -> SerialChain | None:
-    if not file.joints or any(joint.alpha_deg is None for joint in file.joints):
-        return None
+def _readings(
+    path: Path, file: _Robot, names: Sequence[str], units_of: dict[str, str]
+) -> tuple[Reading, ...]:
+    """Joints from their features: by the stated scales, else by the features' units."""
+    scales = [joint.scale for joint in file.joints] or [None] * len(names)
+    out = []
+    for name, scale in zip(names, scales, strict=True):
+        factor = _FACTORS.get(units_of.get(name, ""))
+        if scale and factor and not 0.99 < scale / factor < 1.01:
+            raise EstimatorError(
+                f"{path}: the scale {scale:g} of joint '{name}' is not that of its unit "
+                f"{units_of[name]}, {factor:.6g}: leave one of them out"
+            )
+        out.append(Reading.of(name, scale or factor or 1.0))
+    return tuple(out)
+
+
+def _log(file: _Robot, names: tuple[str, ...], position: tuple[str, ...]) -> LogFormat:
+    log = file.log
+    others = [_named(names, given.names, given.scale) for given in log.joints]
+    others += [_named(position, given.names, given.scale) for given in log.position]
+    if not file.features:
+        for unit, scale in (("", 1.0), ("_rad", 1.0), ("_deg", _FACTORS["deg"])):
+            others += [_named(names, name + unit, scale) for name in _JOINT_NAMES]
+    if file.position is None:
+        others += [
+            OtherNames(position, n, f) for n, f in zip(_POSITION_NAMES, (1.0, 1e3), strict=True)
+        ]
+    return LogFormat(
+        names=tuple(others),
+        time=log.time,
+        time_unit_s=None if log.time_unit is None else UNITS_S[log.time_unit],
+        delimiter=log.delimiter,
+        topics=tuple(log.topics),
+        tip_topics=tuple(log.tip_topics),
+        frames=log.frames,
+    )
+
+
+def _named(features: tuple[str, ...], names: str | list[str], scale: float) -> OtherNames:
+    if not isinstance(names, str):
+        return OtherNames(features, tuple(names), scale)
+    *columns, more = (names.format(index, index + 1) for index in range(len(features) + 1))
+    return OtherNames(features, tuple(columns), scale, more)
+
+
+def _chain(path: Path, file: _Robot) -> tuple[tuple[str, ...], SerialChain | None]:
+    """Names of the joints' features, and the chain, if it is known."""
+    names = tuple(joint.feature for joint in file.joints)
+    tool = RigidTransform.from_rotvec(np.deg2rad(file.tool_rotvec_deg), file.tool_mm).matrix
+    if file.urdf is not None:
+        names, chain = read_urdf(path.with_name(file.urdf), file.base, file.tip)
+        return names, SerialChain(chain.joints, chain.tool @ tool)
+    if not file.joints or file.joints[0].alpha_deg is None:
+        return names, None
+    # The standard table says of a link what Craig's says before the next joint.
+    before = [(np.deg2rad(joint.alpha_deg or 0.0), joint.a_mm) for joint in file.joints]
+    if file.dh == "standard":
+        tool = dh_link(*before[-1]) @ tool
+        before = [(0.0, 0.0), *before[:-1]]
     joints = tuple(
         Joint(
-            dh_link(np.deg2rad(j.alpha_deg or 0.0), j.a_mm, np.deg2rad(j.offset_deg), j.d_mm),
+            dh_link(alpha, a, np.deg2rad(j.offset_deg), j.d_mm),
             np.array([0.0, 0.0, 1.0]),
             j.kind == "slides",
         )
-        for j in file.joints
+        for j, (alpha, a) in zip(file.joints, before, strict=True)
     )
-    tool = np.eye(4)
-    tool[:3, 3] = file.tool_mm
-    return SerialChain(joints, tool)
+    reach = float(sum(np.linalg.norm(link[:3, 3]) for link in (*(j.link for j in joints), tool)))
+    if not _SMALLEST_REACH_MM <= reach <= _LARGEST_REACH_MM:
+        raise EstimatorError(
+            f"{path}: its links are {reach:g} mm long together, no robot's: are they in mm?"
+        )
+    return names, SerialChain(joints, tool)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,41 +10,23 @@ import numpy as np
 
 from measure.arrays import Bools, Floats, Ints
 from measure.errors import EstimatorError
-from measure.robots.psm import psm_schema
-from measure.robots.raven import raven_schema
+from measure.reading import TIME
+from measure.robots.columns import Clock, FeatureColumns, find_columns
+from measure.robots.library import misfit
 from measure.robots.schema import RobotLog, StateSchema, reported_mm
 
 if TYPE_CHECKING:
     from measure.robots.tables import Columns
 
-TIME = "time_s"
 ROBOT_KEY = b"measure.robot"  # Under which a Parquet file of states names its robot
-SCHEMAS: dict[str, Callable[[], StateSchema]] = {
-    "raven": lambda: raven_schema("left"),
-    "raven-right": lambda: raven_schema("right"),
-    "dvrk-psm": psm_schema,
-}
-
-
-def find_schema(name: str) -> StateSchema:
-    """The schema called `raven`, `raven-right`, `dvrk-psm`, or described by a TOML file."""
-    if name in SCHEMAS:
-        return SCHEMAS[name]()
-    if name.endswith(".toml"):
-        from measure.robots.generic import read_schema
-
-        return read_schema(Path(name))
-    raise EstimatorError(
-        f"no robot schema '{name}': there is {', '.join(SCHEMAS)}, or give a robot.toml"
-    )
 
 
 def read_log(path: Path, schema: StateSchema, *, topic: str | None = None) -> RobotLog:
     """Read a log into memory; `open_log` reads one of any length.
 
     Args:
-        path: `.parquet`, `.csv`, `.bag`, `.mcap`, or a ROS 2 bag folder.
-        topic: of the state messages in a bag; the only `raven_state` topic if absent.
+        path: Parquet, text, a bag of ROS 1, MCAP, or the folder of a ROS 2 bag.
+        topic: of the state messages in a bag; found if absent.
 
     Raises:
         EstimatorError: the file is missing or unreadable, lacks features (they are named), or its
@@ -60,7 +42,7 @@ def log_pieces(
     """Times (n,) and states (n, features) of a log in order, piece by piece; see `read_log`."""
     if not path.exists():
         raise EstimatorError(f"{path}: no such robot log")
-    if path.suffix in (".parquet", ".csv"):
+    if is_table(path):
         pieces = _table_pieces(path, schema)
     else:
         from measure.robots.bags import bag_pieces
@@ -116,14 +98,31 @@ def check_robot(table: Columns, robot: str) -> None:
         raise EstimatorError(f"{table.path}: holds states of robot '{named}', not of '{robot}'")
 
 
+def is_table(path: Path) -> bool:
+    """Whether a log is Parquet or text, by its content, and not a bag."""
+    from measure.robots.tables import kind_of
+
+    return not path.is_dir() and kind_of(path) in (".parquet", ".csv")
+
+
+def feature_columns(where: Path, schema: StateSchema, there: Sequence[str]) -> FeatureColumns:
+    """Where a log with the columns `there` holds the features; EstimatorError if some are not."""
+    found = find_columns(schema, there)
+    if isinstance(found, list):
+        raise EstimatorError(misfit(str(where), schema, found, there))
+    return found
+
+
 def _table_pieces(path: Path, schema: StateSchema) -> Iterator[tuple[Floats, Floats]]:
     from measure.robots.pieces import TableFile
 
-    file = TableFile.open(path)
+    file = TableFile.open(path, schema.log.delimiter)
     check_robot(file, schema.robot)
-    for table in file.pieces((TIME, *schema.names)):
-        columns = table.numbers(TIME, *schema.names)
-        yield columns[:, 0], columns[:, 1:]
+    found = feature_columns(path, schema, file.schema.names)
+    clock = Clock(str(path), file.schema.names, schema)
+    for table in file.pieces((*clock.columns, *found.columns)):
+        states = found.states(str(path), table.numbers(*found.columns))
+        yield clock.seconds(table.numbers(*clock.columns)), states
 
 
 class LogFile:

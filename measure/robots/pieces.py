@@ -10,9 +10,7 @@ import pyarrow as pa
 from pyarrow import csv, parquet
 from pyarrow import types as kinds
 
-from measure.errors import EstimatorError
-from measure.reading import check_ordinary
-from measure.robots.tables import Columns, Table, is_number, reading
+from measure.robots.tables import Columns, Dialect, Table, is_number, kind_of, reading
 
 PIECE_ROWS = 1 << 16  # Rows in memory at a time
 _BUFFER_BYTES = 1 << 20
@@ -22,18 +20,23 @@ _BLOCK_BYTES = 16 << 20
 class TableFile(Columns):
     """A Parquet or CSV file that is read as often as needed, a piece at a time."""
 
-    def __init__(self, path: Path, schema: pa.Schema) -> None:
-        self.path, self.schema = path, schema
+    def __init__(self, path: Path, schema: pa.Schema, dialect: Dialect | None = None) -> None:
+        self.path, self.schema, self._dialect = path, schema, dialect
 
     @classmethod
-    def open(cls, path: Path) -> Self:
-        """Read names and types of the columns: CSV by its name, else Parquet; or EstimatorError."""
-        check_ordinary(path, EstimatorError)
+    def open(cls, path: Path, delimiter: str | None = None) -> Self:
+        """Read names and types of the columns, of Parquet or text; EstimatorError if neither.
+
+        Args:
+            delimiter: between the cells of text; found if absent.
+        """
+        text = kind_of(path) == ".csv"
         with reading(path):
-            if path.suffix != ".csv":
+            if not text:
                 return cls(path, parquet.read_schema(path))
-            with csv.open_csv(path, read_options=_blocks()) as reader:
-                return cls(path, reader.schema)
+            dialect = Dialect.of(path, delimiter)
+            with csv.open_csv(path, **dialect.options(block_size=_BLOCK_BYTES)) as reader:
+                return cls(path, reader.schema, dialect)
 
     def pieces(self, numbers: Sequence[str], labels: Sequence[str] = ()) -> Iterator[Table]:
         """The rows of some columns, in order.
@@ -46,8 +49,8 @@ class TableFile(Columns):
         """
         names = list(dict.fromkeys((*numbers, *labels)))
         self.require(names)
-        if self.path.suffix == ".csv":
-            batches = self._csv_batches(names, numbers, labels)
+        if self._dialect is not None:
+            batches = self._csv_batches(self._dialect, names, numbers, labels)
         else:
             batches = self._parquet_batches(names)
         row = 0
@@ -64,18 +67,18 @@ class TableFile(Columns):
             yield from file.iter_batches(PIECE_ROWS, columns=names, use_threads=False)
 
     def _csv_batches(
-        self, names: Sequence[str], numbers: Sequence[str], labels: Sequence[str]
+        self, dialect: Dialect, names: Sequence[str], numbers: Sequence[str], labels: Sequence[str]
     ) -> Iterator[pa.RecordBatch]:
         """Types are those of the whole file: its begin may be whole numbers or empty."""
         types = {name: pa.float64() for name in numbers if self._may_be_number(name)}
         with reading(self.path):
             for name in labels:
-                only = csv.ConvertOptions(include_columns=[name])
-                types[name] = csv.read_csv(self.path, convert_options=only).schema.field(0).type
+                only = dialect.options({"include_columns": [name]})
+                types[name] = csv.read_csv(self.path, **only).schema.field(0).type
         try:
-            yield from _csv_batches(self.path, names, types)
+            yield from self._text(dialect, names, types)
         except pa.ArrowInvalid as error:
-            self._refuse_text([name for name in numbers if name in types])
+            self._refuse_text(dialect, [name for name in numbers if name in types])
             with reading(self.path):
                 raise error from None
 
@@ -83,27 +86,29 @@ class TableFile(Columns):
         kind = self.schema.field(name).type
         return kinds.is_integer(kind) or kinds.is_floating(kind) or kinds.is_null(kind)
 
-    def _refuse_text(self, names: Sequence[str]) -> None:
+    def _refuse_text(self, dialect: Dialect, names: Sequence[str]) -> None:
         """Name the first cell that is no number."""
         row = 0
         with reading(self.path):
             texts = dict.fromkeys(names, pa.string())
-            for batch in _csv_batches(self.path, names, texts, empty=True):
+            for batch in self._text(dialect, names, texts, empty=True):
                 for name in names:
                     if not all(map(is_number, batch[name].to_pylist())):
                         Table(self.path, pa.Table.from_batches([batch]), row).numbers(name)
                 row += batch.num_rows
 
-
-def _csv_batches(
-    path: Path, names: Sequence[str], types: dict[str, pa.DataType], *, empty: bool = False
-) -> Iterator[pa.RecordBatch]:
-    options = csv.ConvertOptions(
-        include_columns=list(names), column_types=types, strings_can_be_null=empty
-    )
-    with csv.open_csv(path, read_options=_blocks(), convert_options=options) as reader:
-        yield from reader
-
-
-def _blocks() -> csv.ReadOptions:
-    return csv.ReadOptions(block_size=_BLOCK_BYTES)
+    def _text(
+        self,
+        dialect: Dialect,
+        names: Sequence[str],
+        types: dict[str, pa.DataType],
+        *,
+        empty: bool = False,
+    ) -> Iterator[pa.RecordBatch]:
+        convert = {
+            "include_columns": list(names),
+            "column_types": types,
+            "strings_can_be_null": empty,
+        }
+        with csv.open_csv(self.path, **dialect.options(convert, block_size=_BLOCK_BYTES)) as reader:
+            yield from reader

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
@@ -34,6 +34,29 @@ class Reading:
         return cls(((feature, scale),))
 
 
+@dataclass(frozen=True)
+class OtherNames:
+    """Columns under which a log may hold some features, all of them or none."""
+
+    features: tuple[str, ...]
+    columns: tuple[str, ...]
+    scale: float = 1.0  # a column's number times this is the feature's
+    unless: str = ""  # a column that a log of such names must not have
+
+
+@dataclass(frozen=True)
+class LogFormat:
+    """Where the logs of a robot hold its features, and what else must be known to read them."""
+
+    names: tuple[OtherNames, ...] = ()  # tried in order where a feature's own name is not there
+    time: str | None = None  # column of the time; found if absent
+    time_unit_s: float | None = None  # found if absent
+    delimiter: str | None = None  # of text; found if absent
+    topics: tuple[str, ...] = ()  # ends of names of joint topics in bags, the preferred first
+    tip_topics: tuple[str, ...] = ()  # topics of poses of the tip
+    frames: tuple[str, str] | None = None  # of base and tip in /tf
+
+
 @dataclass(frozen=True, eq=False)
 class StateSchema:
     """A robot's state."""
@@ -48,6 +71,7 @@ class StateSchema:
     torques: tuple[Reading, ...] = ()  # readings of the motors' torques, one per joint, if reported
     # names of groups of features, for ablation.
     groups: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    log: LogFormat = LogFormat()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -102,6 +126,7 @@ class StateSchema:
             "coupled": list(self.coupled),
             "chain": chain,
             "groups": {name: list(members) for name, members in self.groups.items()},
+            "log": asdict(self.log),
         }
 
     @classmethod
@@ -119,6 +144,12 @@ class StateSchema:
             np.array(values["chain"]["tool"]),
         )
         x, y, z = readings(values["position"])
+        log = dict(values.get("log", {}))  # data sets and models of old have none
+        names = (
+            OtherNames(tuple(n["features"]), tuple(n["columns"]), n["scale"], n["unless"])
+            for n in log.pop("names", ())
+        )
+        rest: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in log.items()}
         return cls(
             robot=values["robot"],
             features=tuple(Feature(name, unit) for name, unit in values["features"]),
@@ -128,6 +159,7 @@ class StateSchema:
             coupled=tuple(values["coupled"]),
             chain=chain,
             groups={name: tuple(members) for name, members in values["groups"].items()},
+            log=LogFormat(tuple(names), **rest),
         )
 
 

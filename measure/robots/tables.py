@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import codecs
+import csv as text_csv
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
@@ -15,8 +18,11 @@ from pyarrow import types as kinds
 from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.reading import check_ordinary
+from measure.robots.columns import lacking
 
-_SHOWN = 12
+_SNIFFED_BYTES = 1 << 16
+_BINARY = (".parquet", ".bag", ".mcap", ".db3")
+_KINDS = {b"PAR1": ".parquet", b"#ROSBAG": ".bag", b"\x89MCAP": ".mcap", b"SQLite format 3": ".db3"}
 
 
 class Columns:
@@ -36,11 +42,7 @@ class Columns:
         """Refuse (EstimatorError) a table that lacks one of these columns, or holds it twice."""
         there = self.schema.names
         if missing := [name for name in names if name not in there]:
-            raise EstimatorError(
-                f"{self.path}: lacks {len(missing)} of {len(names)} columns: "
-                f"{', '.join(missing[:_SHOWN])}{', ...' if len(missing) > _SHOWN else ''}; it has "
-                f"{', '.join(there[:8])}"
-            )
+            raise lacking(str(self.path), missing, len(names), there)
         if twice := [name for name in names if there.count(name) > 1]:
             raise EstimatorError(f"{self.path}: column '{twice[0]}' is there twice")
 
@@ -58,10 +60,14 @@ class Table(Columns):
 
     @classmethod
     def read(cls, path: Path) -> Self:
-        """Read a file, CSV if its name ends so, else Parquet; EstimatorError if it cannot be."""
-        check_ordinary(path, EstimatorError)
+        """Read a file of Parquet or text, whatever its name; EstimatorError if it cannot be."""
+        text = kind_of(path) == ".csv"
         with reading(path):
-            content = csv.read_csv(path) if path.suffix == ".csv" else parquet.read_table(path)
+            content = (
+                csv.read_csv(path, **Dialect.of(path).options())
+                if text
+                else parquet.read_table(path)
+            )
         return cls(path, content)
 
     def __len__(self) -> int:
@@ -113,6 +119,68 @@ def is_number(text: str | None) -> bool:
     except ValueError:
         return False
     return True
+
+
+def kind_of(path: Path) -> str:
+    """`.parquet`, `.bag`, `.mcap`, `.db3` or `.csv` (any text), by a file's first bytes."""
+    check_ordinary(path, EstimatorError)
+    start = _first_bytes(path)
+    for magic, kind in _KINDS.items():
+        if start.startswith(magic):
+            if kind != path.suffix and kind != ".parquet":
+                raise EstimatorError(f"{path}: is a bag: rename it to {path.stem}{kind}")
+            return kind
+    if path.suffix not in _BINARY:
+        return ".csv"
+    what = "Parquet" if path.suffix == ".parquet" else "a bag"
+    why = f"is text that begins {start[:20].decode()!r}" if start.isascii() else "is damaged"
+    raise EstimatorError(f"{path}: cannot be read as {what}: it {why if start else 'is empty'}")
+
+
+def _first_bytes(path: Path) -> bytes:
+    with reading(path), path.open("rb") as file:
+        return file.read(_SNIFFED_BYTES)
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """How a table is written as text."""
+
+    names: tuple[str, ...]  # of the columns
+    head: int  # lines before the first row
+    delimiter: str
+    decimal: str
+    encoding: str
+
+    @classmethod
+    def of(cls, path: Path, delimiter: str | None = None) -> Dialect:
+        """Found by the first lines.
+
+        Lines that begin with # stand before the header; the last is the header, if numbers follow.
+        """
+        start = _first_bytes(path)
+        wide = start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+        encoding = "utf-16" if wide else "utf-8"
+        text = start.decode("utf-16" if wide else "utf-8-sig", "replace")
+        lines = [*text.splitlines(), "", ""]
+        at = next((i for i, line in enumerate(lines) if not line.startswith("#")), 0)
+        if at and all(map(is_number, lines[at].replace(",", " ").replace(";", " ").split())):
+            at -= 1
+        header = lines[at].lstrip("#% ").rstrip()
+        mark = delimiter or next((m for m in "\t;, " if m in header), ",")
+        row = next(text_csv.reader([header], delimiter=mark, skipinitialspace=True), [])
+        comma = mark != "," and "," in lines[at + 1] and "." not in lines[at + 1]
+        names = tuple(name.strip() for name in row)
+        return cls(names, at + 1, mark, "," if comma else ".", encoding)
+
+    def options(self, convert: dict[str, Any] | None = None, **read: Any) -> dict[str, Any]:
+        """What pyarrow's readers need."""
+        given = {"column_names": self.names, "skip_rows": self.head} if self.names else {}
+        return {
+            "read_options": csv.ReadOptions(encoding=self.encoding, **given, **read),
+            "parse_options": csv.ParseOptions(delimiter=self.delimiter),
+            "convert_options": csv.ConvertOptions(decimal_point=self.decimal, **(convert or {})),
+        }
 
 
 @contextmanager

@@ -203,7 +203,7 @@ def test_files_that_do_not_fit_are_refused(
     cases = [
         (
             ["dataset", at["poses.csv"], "--robot-log", at["lacking.csv"], "-o", made],
-            "lacking.csv: lacks 2 of 119 columns: tau_0, jpos_1",
+            "lacking.csv: lacks 2 of 118 columns: tau_0, jpos_1",
         ),
         (
             ["estimate", at["good.onnx"], "--input", at["lacking.csv"], "--output", out],

@@ -11,7 +11,7 @@ import pytest
 from measure.errors import EstimatorError
 from measure.host import Dataset
 from measure.learning import files, join, same_robot, split_by_rows, split_by_trajectory
-from measure.robots import psm_schema
+from measure.robots import find_schema
 
 
 def test_a_data_set_is_written_and_read(small: Dataset, tmp_path: Path) -> None:
@@ -64,7 +64,7 @@ def test_files_that_are_no_data_sets(small: Dataset, tmp_path: Path) -> None:
     (tmp_path / "junk.parquet").write_bytes(b"junk")
     with pytest.raises(EstimatorError, match="cannot be read"):
         files.read_dataset(tmp_path / "junk.parquet")
-    schema = psm_schema()
+    schema = find_schema("dvrk-psm")
     columns = {name: np.zeros(20) for name in schema.names}
     labels = {
         "run": ["a"] * 20,

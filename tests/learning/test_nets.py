@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from measure.host import Dataset, Graph
-from measure.robots import psm_schema
+from measure.robots import find_schema
 from measure_plugins.estimators import _nets, _training, mlp
 from measure_plugins.estimators._kinematics import TorchTip, tip_change
 from measure_plugins.estimators._play import PlayBank
@@ -80,7 +80,7 @@ def test_batch_normalisation_folds_into_dense_layers() -> None:
 
 
 def test_kinematics_in_torch_and_onnx() -> None:
-    schema = psm_schema()
+    schema = find_schema("dvrk-psm")
     assert schema.chain is not None
     rng = np.random.default_rng(3)
     states = rng.uniform(-0.6, 0.6, (20, 9))

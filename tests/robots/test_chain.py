@@ -9,10 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from measure.errors import DegenerateGeometryError
-from measure.robots import SerialChain, psm_schema, raven_chain
+from measure.robots import SerialChain, find_schema, raven_chain
 from measure.robots.raven import LIMITS, drives_from_motors, joints_from_drives, motors_from_drives
 
-CHAINS = {"left": raven_chain("left"), "right": raven_chain("right"), "psm": psm_schema().chain}
+CHAINS = {
+    "left": raven_chain("left"),
+    "right": raven_chain("right"),
+    "psm": find_schema("dvrk-psm").chain,
+}
 
 
 def _joints(draw_from: np.random.Generator, count: int) -> np.ndarray:
@@ -47,7 +51,7 @@ def test_inverse_kinematics_returns_to_the_tip(name: str) -> None:
 
 
 def test_a_tip_out_of_reach_is_refused() -> None:
-    chain = psm_schema().chain
+    chain = find_schema("dvrk-psm").chain
     assert chain is not None
     short = SerialChain(chain.joints[:2] + chain.joints[3:], chain.tool)
     with pytest.raises(DegenerateGeometryError, match="1 of 1 tip positions cannot be reached"):
@@ -94,6 +98,6 @@ def test_psm_chain_agrees_with_the_data_sets_own_kinematics(shared: Path) -> Non
     q = np.random.default_rng(4).uniform(-0.7, 0.7, (40, 6))
     metres = q.copy()
     q[:, 2] *= 1000.0
-    chain = psm_schema().chain
+    chain = find_schema("dvrk-psm").chain
     assert chain is not None
     np.testing.assert_allclose(chain.tip_mm(q), fk.tip_mm(metres), atol=1e-9)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from measure.errors import EstimatorError
-from measure.robots import LogFile, RobotLog, log_pieces, psm_schema, read_log, write_log
+from measure.robots import LogFile, RobotLog, find_schema, log_pieces, read_log, write_log
 from measure.robots import pieces as module
 from measure.robots.pieces import TableFile
 
-SCHEMA = psm_schema()
+SCHEMA = find_schema("dvrk-psm")
 
 
 @pytest.fixture(autouse=True)

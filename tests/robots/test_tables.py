@@ -11,7 +11,7 @@ import pytest
 from pyarrow import parquet
 
 from measure.errors import EstimatorError
-from measure.robots import psm_schema, read_log
+from measure.robots import find_schema, read_log
 from measure.robots.tables import Table
 
 
@@ -66,7 +66,7 @@ def test_labels_are_words_in_every_row(tmp_path: Path) -> None:
 
 
 def test_a_log_with_a_row_without_time(tmp_path: Path) -> None:
-    columns = {name: np.zeros(4) for name in psm_schema().names}
+    columns = {name: np.zeros(4) for name in find_schema("dvrk-psm").names}
     table(tmp_path, time_s=[0.0, 1.0, None, 3.0], **columns)
     with pytest.raises(EstimatorError, match=r"table.parquet: row 3 has no time"):
-        read_log(tmp_path / "table.parquet", psm_schema())
+        read_log(tmp_path / "table.parquet", find_schema("dvrk-psm"))
