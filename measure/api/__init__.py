@@ -16,7 +16,7 @@ from measure.api.correcting import (
 )
 from measure.api.demo import Demo, demo, render_demo
 from measure.api.detecting import Lens, SeenPicture, detect, parse_expectation
-from measure.api.framing import world
+from measure.api.framing import world, world_by_board
 from measure.api.live import LiveEnd, LiveOptions, LiveState, live
 from measure.api.many import Outcome, run_many
 from measure.api.measuring import measure_bodies, measure_session
@@ -112,5 +112,6 @@ __all__ = [
     "sync",
     "train",
     "world",
+    "world_by_board",
     "write_sampled_body",
 ]  # fmt: skip

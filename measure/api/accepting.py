@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +12,13 @@ from scipy.linalg import block_diag
 
 from measure.api.metrology import told_of
 from measure.api.outputs import check_page_writable
+from measure.arrays import Floats
 from measure.errors import DegenerateGeometryError, RunError
 from measure.metrology.lengths import Acceptance, MeasuredLengths, between_rests, judge
 from measure.metrology.rests import Rests
 from measure.reading import read_text
-from measure.results import Run, read_run
-from measure.results.distances import BallDistance
+from measure.results import Run, read_run, read_runs
+from measure.results.distances import BallDistance, origin_distance
 from measure.results.pose_table import rests_of
 from measure.session.number_table import NumberTable, read_number_table
 
@@ -37,8 +38,9 @@ def accept(
 
     Args:
         run: the run's folder.
-        lengths: a table `from,to,length_mm` and perhaps `sd_mm`, between rests by their numbers or
-            between two balls of the body by their names.
+        lengths: a table `from,to,length_mm` and perhaps `sd_mm`, between rests by their numbers,
+            between two balls of the body by their names, or between the origins of two bodies by
+            theirs, one of which is the run's reference.
         page: a report to write.
         body: the name of the body that rests, in a run of several.
 
@@ -47,27 +49,19 @@ def accept(
         ConfigError: the page cannot be written.
     """
     path = Path(lengths)
-    opened, table = read_run(Path(run), body), _read(path)
+    table, runs = _read(path), read_runs(Path(run))
+    ends = [*zip(table.words["from"], table.words["to"], strict=True)]
+    bodies = frozenset(one.body.name for one in runs if one.several)
+    only_bodies = all({*pair} <= bodies for pair in ends)
+    opened = runs[0] if only_bodies and body is None else read_run(Path(run), body)
     if page is not None:
         check_page_writable(page)
     rests = rests_of(opened)
-    balls = {frozenset(one.balls): one for one in opened.distances if one.count}
-    pairs: list[tuple[int, int]] = []
-    seen, order = [], []
-    rows = zip(table.lines, table.words["from"], table.words["to"], strict=True)
-    for row, (line, *ends) in enumerate(rows):
-        with told_of(f"{path}:{line}"):
-            if frozenset(ends) in balls:
-                seen.append(balls[frozenset(ends)])
-                order.append(row)
-            else:
-                order.insert(len(pairs), row)
-                pairs.append(_numbers(ends, rests, opened))
-    names = [f"{table.words['from'][k]} - {table.words['to'][k]}" for k in order]
+    order, measured = _measure(path, zip(table.lines, ends, strict=True), opened, rests, bodies)
     known = table.columns["length_mm"]
     sd = table.columns.get("sd_mm", np.zeros(len(known)))
-    found = _with_balls(between_rests(rests, pairs), opened, seen)
-    judged = judge(names, found, known[order], sd[order], opened.contradictions)
+    names = [" - ".join(ends[k]) for k in order]
+    judged = judge(names, measured, known[order], sd[order], opened.contradictions)
     promises = _promises(judged, opened, rests)
     if page is not None:
         from measure.viewing.report.acceptance_report import acceptance_report
@@ -88,12 +82,39 @@ def _read(path: Path) -> NumberTable:
     return table
 
 
-def _numbers(ends: list[str], rests: Rests, run: Run) -> tuple[int, int]:
+def _measure(
+    path: Path,
+    rows: Iterable[tuple[int, tuple[str, str]]],
+    run: Run,
+    rests: Rests,
+    bodies: frozenset[str],
+) -> tuple[list[int], MeasuredLengths]:
+    """The lengths of a table's rows (line, ends), and of each its row: between rests first."""
+    balls = {frozenset(one.balls): one for one in run.distances if one.count}
+    pairs: list[tuple[int, int]] = []
+    seen: list[_Seen] = []
+    order: list[int] = []
+    for row, (line, ends) in enumerate(rows):
+        with told_of(f"{path}:{line}"):
+            if frozenset(ends) in balls:
+                found = [_Seen.whole(balls[frozenset(ends)], run)]
+            elif {*ends} <= bodies:
+                found = _of_bodies(ends, run, rests)
+            else:
+                order.insert(len(pairs), row)
+                pairs.append(_numbers(ends, rests, run))
+                continue
+        seen += found
+        order += [row] * len(found)
+    return order, _with_seen(between_rests(rests, pairs), seen)
+
+
+def _numbers(ends: tuple[str, str], rests: Rests, run: Run) -> tuple[int, int]:
     """The numbers of two rests."""
     if not all(end.isdigit() for end in ends):
         raise DegenerateGeometryError(
             f"'{ends[0]}' to '{ends[1]}' are no two rests (numbers, see measure rests) and no two "
-            f"balls that were seen (of {', '.join(run.body.names)})"
+            f"balls or bodies that were seen (of {', '.join(run.body.names)})"
         )
     first, second = map(int, ends)
     if rests.rest(first) is rests.rest(second):
@@ -101,18 +122,53 @@ def _numbers(ends: list[str], rests: Rests, run: Run) -> tuple[int, int]:
     return first, second
 
 
-def _with_balls(found: MeasuredLengths, run: Run, seen: Sequence[BallDistance]) -> MeasuredLengths:
-    """The lengths, and behind them distances between balls by rays alone."""
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """A length that is seen at every instant: between two balls, or two bodies."""
+
+    distance: BallDistance
+    middle_mm: Floats  # (3,) where, in the world
+
+    @classmethod
+    def whole(cls, distance: BallDistance, run: Run) -> _Seen:
+        """Over a whole run."""
+        return cls(distance, np.mean(run.world_from_body.apply(run.body.middle), axis=0))
+
+
+def _of_bodies(ends: tuple[str, str], run: Run, rests: Rests) -> list[_Seen]:
+    """The distance of two bodies' origins at every rest; over the whole run if there is none."""
+    table = run.relative()
+    pairs = (ends, ends[::-1])
+    found = next((d for a, b in pairs if (d := origin_distance(table, a, b)).count), None)
+    if found is None:
+        raise DegenerateGeometryError(
+            f"'{ends[0]}' and '{ends[1]}' have no relative pose to rely on: one must be the run's "
+            "reference, and both unflagged"
+        )
+    parts = []
+    for rest in rests.rests:
+        here = (run.times_s >= rest.start_s) & (run.times_s <= rest.end_s)
+        measured = np.where(here, found.measured_mm, np.nan)
+        if np.isfinite(measured).any():
+            part = replace(found, measured_mm=measured, sd_mm=np.where(here, found.sd_mm, np.nan))
+            parts.append(_Seen(part, rest.world_from_body.translation))
+    return parts or [_Seen.whole(found, run)]
+
+
+def _with_seen(found: MeasuredLengths, seen: Sequence[_Seen]) -> MeasuredLengths:
+    """The lengths, and behind them those that are seen at every instant."""
     if not seen:
         return found
     # They share balls, light and rays: half of their variance counts as common.
-    sd = np.array([one.uncertainty_mm for one in seen])
-    middle = np.mean(run.world_from_body.apply(run.body.middle), axis=0)
+    sd = np.array([one.distance.uncertainty_mm for one in seen])
+    middles, single = zip(
+        *((one.middle_mm, np.nanstd(one.distance.measured_mm)) for one in seen), strict=True
+    )
     return MeasuredLengths(
-        np.concatenate([found.lengths_mm, [one.mean_mm for one in seen]]),
+        np.concatenate([found.lengths_mm, [one.distance.mean_mm for one in seen]]),
         block_diag(found.covariance, np.outer(sd, sd) * (1 + np.eye(len(sd))) / 2),
-        np.concatenate([found.middles_mm, np.tile(middle, (len(seen), 1))]),
-        np.concatenate([found.single_sd_mm, [np.nanstd(one.measured_mm) for one in seen]]),
+        np.concatenate([found.middles_mm, middles]),
+        np.concatenate([found.single_sd_mm, single]),
     )
 
 

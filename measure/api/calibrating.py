@@ -70,7 +70,7 @@ def draw_target(target: Path | str, output: Path | str | None = None) -> tuple[S
     """
     from measure.calibration import target_sheet, write_sheet
 
-    path = _find_target(Path(target))
+    path = find_target(Path(target))
     written = Path(f"{path.stem}.pdf") if output is None else Path(output)
     sheet = target_sheet(path)
     write_sheet(sheet, written)
@@ -85,7 +85,7 @@ def shipped_targets() -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.toml"))}
 
 
-def _find_target(path: Path) -> Path:
+def find_target(path: Path) -> Path:
     """The file at this path, else the shipped target of this name, with or without its suffix."""
     if path.exists() or path.parent != Path():
         return path

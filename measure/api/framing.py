@@ -1,4 +1,4 @@
-"""A calibration's world put where a body is, or where a tip touched."""
+"""A calibration's world put where a body or a board is, or where a tip touched."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from measure.api.calibrating import find_target
 from measure.api.metrology import told_of
 from measure.arrays import Floats
 from measure.errors import CalibrationError, ConfigError, DegenerateGeometryError, RunError
@@ -16,7 +17,7 @@ from measure.metrology.rests import Rests
 from measure.model import Camera
 from measure.results import Run, read_run
 from measure.results.pose_table import poses_of, rests_of
-from measure.session import Calibration, read_calibration
+from measure.session import Calibration, matching_files, read_calibration, read_picture
 
 _SAME_MM = 1e-3  # Cameras further apart than this are not those of the same calibration
 _LEAST_SINE = 0.05  # Of the angle between the two edges that three touched points span
@@ -59,6 +60,36 @@ def world(
         else:
             place = _of_rests(rests_of(opened), rest, points)
     return _moved(given, place, str(run)), place
+
+
+def world_by_board(
+    calibration: Path | str, board: Path | str, pictures: Path | str
+) -> tuple[Calibration, UncertainTransform]:
+    """A calibration whose world is the frame of a board, its z axis towards the cameras.
+
+    Args:
+        calibration: of the cameras, in the world as it is.
+        board: its target file, or the name of one that comes with the program.
+        pictures: a folder with a picture of the board by each camera that sees it, named like the
+            camera (cam0.png).
+
+    Raises:
+        CalibrationError: no board in the pictures, or pictures that contradict each other.
+        SessionError: a picture that cannot be read.
+    """
+    from measure.calibration import read_board
+    from measure.calibration.board_frame import board_frame
+
+    given, folder = read_calibration(calibration), Path(pictures)
+    found = {}
+    for camera in given.cameras:
+        if files := matching_files(folder, f"{camera.name}.*", CalibrationError):
+            found[camera.name] = read_picture(files[0])
+    if not found:
+        names = ", ".join(c.name for c in given.cameras)
+        raise CalibrationError(f"{folder} holds no picture named like a camera: {names}")
+    place = board_frame(read_board(find_target(Path(board))), given.cameras, found)
+    return _moved(given, place, str(folder)), place
 
 
 def _refuse_others(given: Calibration, run: Run, folder: Path | str) -> None:
@@ -114,7 +145,7 @@ def _frame(points: Floats) -> RigidTransform:
     return RigidTransform(np.stack([x, np.cross(z, x), z], axis=1), points[0])
 
 
-def _moved(given: Calibration, place: UncertainTransform, run: str) -> Calibration:
+def _moved(given: Calibration, place: UncertainTransform, origin: str) -> Calibration:
     """The calibration with its world at `place`.
 
     The frame is that of the pose as measured, an exact change of coordinates: covariances turn with
@@ -132,7 +163,7 @@ def _moved(given: Calibration, place: UncertainTransform, run: str) -> Calibrati
                 turn[at : at + 3, at : at + 3] = new_from_old.rotation
         notes["joint_covariance"] = turn @ np.asarray(joint) @ turn.T
     notes["world"] = {
-        "from_run": run,
+        "from": origin,
         "quat_wxyz": place.transform.quat_wxyz,
         "translation_mm": place.transform.translation,
         "covariance": place.covariance,

@@ -27,7 +27,8 @@ def accept(
     Args:
         run: a run in which the body stood still at the ends of known lengths.
         lengths: table from,to,length_mm between rests by their numbers (`measure rests`) or between
-            two balls by their names; perhaps with sd_mm, how exactly a length is known.
+            two balls by their names or two bodies by theirs (a ball bar); perhaps with sd_mm, how
+            exactly a length is known.
         output: report to write, one HTML file.
         body: which body, of a run of several.
     """

@@ -10,13 +10,16 @@ from cyclopts import Parameter
 
 from measure.cli import console
 from measure.cli.console import JsonFlag
+from measure.errors import ConfigError
 
 
 def world(
     calibration: Path,
     /,
     *,
-    run: Path,
+    run: Path | None = None,
+    board: Path | None = None,
+    pictures: Path | None = None,
     at: float | None = None,
     rest: int | None = None,
     points: tuple[int, int, int] | None = None,
@@ -24,14 +27,16 @@ def world(
     body: str | None = None,
     json: JsonFlag = False,
 ) -> None:
-    """Put a calibration's world where a body is, or through three touched points.
+    """Put a calibration's world where a body or a board is, or through three touched points.
 
-    The world becomes the frame of the body at that instant or rest, or a frame through three rests
-    of a tip. Covariances of the cameras are carried along.
+    The world becomes the frame of the body at that instant or rest, a frame through three rests of
+    a tip, or that of a board, z up from the paper. Covariances of the cameras are carried along.
 
     Args:
         calibration: that the run was measured with.
         run: a run with the body where the world shall be.
+        board: instead of a run, a target file of a board that lies there.
+        pictures: folder with a picture of the board by each camera, named like the camera.
         at: time of the pose, in seconds as in poses.csv.
         rest: number of a rest (`measure rests`); the longest, if no place is given.
         points: three rests of a pivoted tip instead: at the origin, on the x axis, and beside it
@@ -44,7 +49,12 @@ def world(
     from measure.session import read_calibration, write_calibration
 
     check_replaceable(output, read_calibration, "calibration")
-    found, place = api.world(calibration, run, at, rest, points, body)
+    if run is not None and board is None and pictures is None:
+        found, place = api.world(calibration, run, at, rest, points, body)
+    elif run is None and board is not None and pictures is not None:
+        found, place = api.world_by_board(calibration, board, pictures)
+    else:
+        raise ConfigError("say where the world is: --run RUN, or --board FILE --pictures FOLDER")
     write_calibration(output, found)
     sd = np.sqrt(np.diag(place.covariance))
     if json:

@@ -30,10 +30,10 @@ _MOST_VIEWS = 1500  # Ball-views, evenly spread: their errors are alike, so that
 
 @dataclass(frozen=True, eq=False)
 class BallDistance:
-    """One pair of balls over a run."""
+    """One pair of balls over a run, or of bodies' origins."""
 
     balls: tuple[str, str]  # their names
-    nominal_mm: float  # by the body file
+    nominal_mm: float  # by the body file; NaN of bodies
     measured_mm: Floats  # (n,) in every frame set; NaN where one of them has no position
     # (n,) standard deviations by the positions' covariances, which hold what all frame sets err by
     # alike; NaN likewise.
@@ -79,6 +79,16 @@ def ball_distances(body: Body, balls: pa.Table, poses: pa.Table) -> list[BallDis
         BallDistance((a, b), nominal, *_lengths(at[b] - at[a], spread[a] + spread[b]))
         for (a, b), nominal in body.distances().items()
     ]
+
+
+def origin_distance(relative: pa.Table, body: str, reference: str) -> BallDistance:
+    """Of two bodies' origins over a run, from its relative poses that are not flagged."""
+    mine = pc.and_(pc.equal(relative["body"], body), pc.equal(relative["reference"], reference))
+    table = relative.filter(mine)
+    place = numbers(table, *PLACE[:3])
+    place[table["status"].to_numpy() != "ok"] = np.nan
+    covariances = matrices(table, "covariance", 6)[:, :3, :3]
+    return BallDistance((body, reference), np.nan, *_lengths(place, covariances))
 
 
 def _lengths(apart: Floats, covariances: Floats) -> tuple[Floats, Floats]:

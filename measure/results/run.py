@@ -17,10 +17,11 @@ from measure.geometry import RigidTransform
 from measure.model import Body, Camera
 from measure.results.columns import matrices, numbers, texts
 from measure.results.distances import BallDistance, ball_distances, body_notes, contradictions
+from measure.results.journal import is_missing, read_table
 from measure.results.provenance import read_provenance
 from measure.results.stored import read_tables, rows_of_body
 from measure.results.summary import Summary, summarise
-from measure.results.tables import PLACE, SCHEMAS
+from measure.results.tables import PLACE, RELATIVE_SCHEMA, SCHEMAS
 from measure.session import read_bodies, read_body, read_calibration
 
 
@@ -37,6 +38,14 @@ class Run:
     poses: pa.Table  # one row per frame set, also where there is no pose
     finished: bool  # whether it came to its end
     several: bool = False  # whether other bodies were measured with it
+
+    def relative(self) -> pa.Table:
+        """The poses of bodies relative to the reference; RunError: the run has none."""
+        if is_missing(self.path, "relative"):
+            raise RunError(
+                f"{self.path} holds no relative poses: measure the recording with --reference NAME"
+            )
+        return read_table(self.path, "relative", RELATIVE_SCHEMA)
 
     @cached_property
     def summary(self) -> Summary:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
@@ -12,8 +13,9 @@ import pytest
 
 from benchmarks.acceptance import PAIRS, PLACES, accepted
 from measure.cli import main
+from measure.geometry import RigidTransform
 from measure.results import RunWriter
-from tests.metrology.recordings import Errors, poses_of, with_rests, write_run
+from tests.metrology.recordings import Errors, measured, poses_of, with_rests, write_run
 from tests.results.conftest import BODY, CAMERAS, made_from, measurement
 
 TABLE = "from,to,length_mm,sd_mm\n" + "".join(
@@ -125,3 +127,43 @@ def test_a_rig_whose_poses_are_all_flagged_is_judged_all_the_same(tmp_path, rng,
     assert main(["accept", str(run), "--lengths", str(table)]) == 3
     assert "wrong: scale: lengths are +1.0" in capsys.readouterr().out
     assert "most poses are flagged" in caplog.text
+
+
+def write_bar(folder: Path, truth, rng, reference: str = "near") -> Path:
+    """Two bodies on a bar of 150 mm along x, carried from place to place."""
+    near, far = (replace(BODY, name=name) for name in ("near", "far"))
+    ends = [poses_of(truth @ RigidTransform(np.eye(3), np.array([x, 0.0, 0.0])), Errors(), rng)
+            for x in (0.0, 150.0)]  # fmt: skip
+    with RunWriter(folder, made_from(), [near, far], CAMERAS, reference=reference) as writer:
+        for k in range(len(truth.translation)):
+            writer.append(
+                *(measured(k, float(end.times_s[k]), end.world_from_body[k], end.covariances[k],
+                           BODY.names) for end in ends)
+            )  # fmt: skip
+        writer.finish()
+    return folder
+
+
+def test_two_bodies_are_a_ball_bar_at_every_rest(tmp_path: Path, rng, capsys):
+    run = write_bar(tmp_path / "run", with_rests(PLACES), rng)
+    table = tmp_path / "bar.csv"
+    table.write_text("from,to,length_mm\nnear,far,150\n")
+    command = ["accept", str(run), "--lengths", str(table), "--json"]
+    assert main(command) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert len(told["length_errors_mm"]) == len(PLACES)
+    assert told["max_mm"] < 0.1
+    assert np.ptp(told["middles_mm"], axis=0) == pytest.approx(np.ptp(PLACES, axis=0), abs=0.2)
+    table.write_text("from,to,length_mm\nnear,far,150.6\n")
+    assert main(command) == 3
+    table.write_text("from,to,length_mm\nnear,far,150\n0,1,100\n")
+    assert main(command) == 2
+    assert "choose one with --body" in capsys.readouterr().err
+
+
+def test_two_bodies_without_a_reference_are_no_ball_bar(tmp_path: Path, rng, capsys):
+    run = write_bar(tmp_path / "run", with_rests(PLACES), rng, reference="")
+    table = tmp_path / "bar.csv"
+    table.write_text("from,to,length_mm\nnear,far,150\n")
+    assert main(["accept", str(run), "--lengths", str(table)]) == 2
+    assert "measure the recording with --reference" in capsys.readouterr().err

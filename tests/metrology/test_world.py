@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from measure import api
+from measure.calibration import Charuco
 from measure.cli import main
 from measure.errors import CalibrationError, ConfigError, RunError
 from measure.estimation.pose_fit import PoseObservations, fit_pose
@@ -136,3 +138,99 @@ def test_mistakes_are_told(made, tmp_path, capsys):
     assert main(["world", str(file), "--run", str(run), "-o", str(own)]) == 2
     assert own.read_text() == "mine = 1\n"
     assert "no calibration" in capsys.readouterr().err
+
+
+CHARUCO = Charuco((8, 5), 27.0, 20.0, "DICT_4X4_50")
+
+
+def photographed(camera, world_from_board):
+    """The board as a camera sees it, on grey; its plane's homography, four pixels to a mm."""
+    width, height = (27 * n for n in CHARUCO.squares)
+    printed = CHARUCO.pattern.generateImage((4 * width, 4 * height))
+    place = camera.camera_from_world @ world_from_board
+    flat = np.column_stack([place.rotation[:, :2], place.translation])
+    mm_from_print = np.array([[0.25, 0, 0.125], [0, 0.25, 0.125], [0, 0, 1]])
+    return cv2.warpPerspective(
+        printed, camera.intrinsics.matrix @ flat @ mm_from_print, camera.intrinsics.size_wh,
+        flags=cv2.INTER_AREA, borderValue=150,
+    )  # fmt: skip
+
+
+def write_board(folder, cameras, places):
+    folder.mkdir()
+    for camera, place in zip(cameras, places, strict=True):
+        cv2.imwrite(str(folder / f"{camera.name}.png"), photographed(camera, place))
+    return folder
+
+
+# Lying flat below the cameras: the board's z points into the table.
+ON_TABLE = RigidTransform.from_rotvec([np.pi - 0.05, 0.1, 0.2], [-60.0, 90.0, 10.0])
+
+
+def test_the_world_of_a_board_has_its_corner_its_x_and_z_upwards(tmp_path, made, uncertain):
+    _, file = made
+    given, place = api.world_by_board(
+        file, "charuco_8x5_27", write_board(tmp_path / "b", uncertain, [ON_TABLE] * 3)
+    )
+    off = place.transform.difference(ON_TABLE @ RigidTransform(np.diag([1.0, -1, -1]), np.zeros(3)))
+    assert np.linalg.norm(off[:3]) < 0.2
+    assert np.degrees(np.linalg.norm(off[3:])) < 0.1
+    assert place.transform.rotation[2, 2] > 0.9
+    new, old = given.cameras[0], read_calibration(file).cameras[0]
+    point = np.array([5.0, 6.0, 7.0])
+    same = new.project(place.transform.inverse().apply(point)[None])
+    assert same == pytest.approx(old.project(point[None]), abs=1e-6)
+
+
+def shifted(camera, off):
+    """A camera whose pose and camera matrix are less by (18,)."""
+    lens = camera.intrinsics
+    matrix = lens.matrix - [[off[6], 0, off[8]], [0, off[7], off[9]], [0, 0, 0]]
+    pose = camera.world_from_camera.perturb(-off[:6])
+    return replace(camera, world_from_camera=pose, intrinsics=replace(lens, matrix=matrix))
+
+
+def test_a_boards_frame_states_what_uncertain_cameras_do_to_it(tmp_path, made, uncertain, rng):
+    """Pictures by cameras off by draws from their covariance: errors are as large as stated."""
+    _, file = made
+    truth = ON_TABLE @ RigidTransform(np.diag([1.0, -1, -1]), np.zeros(3))
+    squares = []
+    for draw in range(8):
+        off = [rng.multivariate_normal(np.zeros(18), c.covariance) for c in uncertain]
+        true = [shifted(c, d) for c, d in zip(uncertain, off, strict=True)]
+        folder = write_board(tmp_path / f"b{draw}", true, [ON_TABLE] * 3)
+        _, place = api.world_by_board(file, "charuco_8x5_27", folder)
+        error = place.transform.difference(truth)
+        squares.append(error @ np.linalg.solve(place.covariance, error) / 6)
+    assert 0.3 < np.mean(squares) < 2.0
+
+
+@pytest.mark.parametrize(
+    ("board", "change", "said"),
+    [
+        ("charuco_8x5_27", "moved", "did the board or a camera move"),
+        ("charuco_8x5_27", "blank", "no board found in any of 3 pictures"),
+        ("charuco_8x5_27", "renamed", "no picture named like a camera"),
+        ("plain.toml", "", "looks the same after half a turn"),
+    ],
+)
+def test_boards_that_tell_no_frame(tmp_path, made, capsys, board, change, said):
+    _, file = made
+    places = [ON_TABLE] * 3
+    if change == "moved":
+        places[1] = RigidTransform(np.eye(3), np.array([25.0, 0, 0])) @ ON_TABLE
+    folder = write_board(tmp_path / "b", CAMERAS, places)
+    for picture in folder.iterdir():
+        if change == "blank":
+            cv2.imwrite(str(picture), np.full((720, 1280), 150, np.uint8))
+        elif change == "renamed":
+            picture.rename(folder / f"x{picture.name}")
+    (tmp_path / "plain.toml").write_text(
+        'kind = "chessboard"\nname = "p"\ninner_corners = [8, 6]\nsquare_mm = 25.0\n'
+    )
+    named = str(tmp_path / board) if board.endswith("toml") else board
+    out = tmp_path / "new.toml"
+    command = ["world", str(file), "--board", named, "--pictures", str(folder), "-o", str(out)]
+    assert main(command) == 2
+    assert said in capsys.readouterr().err
+    assert not out.exists()
