@@ -60,7 +60,7 @@ SAME = re.compile(r"<!-- same as: (\S+) -->\n```(\w+)\n(.*?)```\n", re.DOTALL)
 def command_line_page() -> str:
     """The text of `docs/cli.md`."""
     app = build_app()
-    names = [c.name for commands in GROUPS.values() for c in commands if c.name in app]
+    names = [name for commands in GROUPS.values() for name in commands if name in app]
     pages = [((), "measure")]
     for name in names:
         pages.append(((name,), f"measure {name}"))

@@ -5,7 +5,7 @@ its parameters are the arguments::
 
     def evaluate(run: Path, /, *, truth: Path | None = None, json: JsonFlag = False) -> None:
 
-- The line that lists it in `measure --help` stands in `measure/cli/commands.py`, so that no
+- The line that lists it in `measure --help` stands in `measure/cli/app.py`, so that no
   command is imported before it is chosen.
 - The work is one call into `measure.api`, so that a notebook can do the same. It takes a
   `progress` callback: `with console.progress("evaluating") as report: ...`.

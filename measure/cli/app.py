@@ -8,7 +8,6 @@ import os
 import re
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from importlib import metadata
 from io import TextIOWrapper
 from pathlib import Path
@@ -18,66 +17,48 @@ from cyclopts import App, CycloptsError, Group, MissingArgumentError, Parameter,
 
 from measure.errors import MeasureError
 
-
-@dataclass(frozen=True)
-class Command:
-    """One sub-command.
-
-    Attributes:
-        name: as typed; `measure/cli/NAME.py` holds the function (or cyclopts App) `NAME`.
-        summary: its line in `measure --help`, the first line of its docstring.
-    """
-
-    name: str
-    summary: str
-
-
-GROUPS: dict[str, tuple[Command, ...]] = {
-    "First steps": (
-        Command(
-            "demo",
-            "Render a session, measure it, compare with the truth; correct a simulated robot.",
-        ),
-    ),
-    "Set up": (
-        Command("detect", "Show what the detector sees in single pictures."),
-        Command("target", "Draw a printable board, marker field or body."),
-        Command("record", "Record cameras into a session."),
-        Command("calibrate", "Calibrate cameras from pictures of boards and markers."),
-        Command("body", "Write a body file from a recording in which the balls are seen."),
-        Command("refine", "Refine a calibration from the moving balls themselves."),
-        Command("sync", "Bring recordings started by hand together, by the balls' motion."),
-        Command("check", "Say what is wrong or weak in a session before it is measured."),
-    ),
-    "Measure": (
-        Command("run", "Measure a recorded session."),
-        Command("live", "Measure cameras while they deliver."),
-        Command("view", "Show a run in the viewer."),
-        Command("report", "Write a run's report as one HTML file."),
-        Command("evaluate", "Compare a run with the truth."),
-        Command("export", "Write a run in another program's format."),
-    ),
-    "Use the poses": (
-        Command("rests", "List where the body stood still, with the displacements between."),
-        Command("pivot", "Find a tool's tip from a run in which it is turned about it."),
-        Command(
-            "world", "Put a calibration's world where a body is, or through three touched points."
-        ),
-        Command("accept", "Test a rig by known lengths: its errors against what it states."),
-        Command("compare", "Say what differs between two runs, and by how many deviations."),
-    ),
-    "Correct a robot": (
-        Command(
-            "simulate", "Render a recording of the simulated RAVEN-II, with its log and its truth."
-        ),
-        Command("dataset", "Pair a robot's states with measured position errors."),
-        Command("train", "Train an estimator of a robot's position error."),
-        Command("sweep", "Search an estimator's settings, on many machines if there are."),
-        Command("ablate", "Find out which inputs an estimator needs."),
-        Command("estimate", "Correct a robot's positions, live or from a file."),
-    ),
-    "Extend": (Command("plugins", "List and describe the installed plugins."),),
+GROUPS: dict[str, dict[str, str]] = {
+    "First steps": {
+        "demo": "Render a session, measure it, compare with the truth; correct a simulated robot."
+    },
+    "Set up": {
+        "detect": "Show what the detector sees in single pictures.",
+        "target": "Draw a printable board, marker field or body.",
+        "record": "Record cameras into a session.",
+        "calibrate": "Calibrate cameras from pictures of boards and markers.",
+        "body": "Write a body file from a recording in which the balls are seen.",
+        "refine": "Refine a calibration from the moving balls themselves.",
+        "sync": "Bring recordings started by hand together, by the balls' motion.",
+        "check": "Say what is wrong or weak in a session before it is measured.",
+    },
+    "Measure": {
+        "run": "Measure a recorded session.",
+        "live": "Measure cameras while they deliver.",
+        "view": "Show a run in the viewer.",
+        "report": "Write a run's report as one HTML file.",
+        "evaluate": "Compare a run with the truth.",
+        "export": "Write a run in another program's format.",
+    },
+    "Use the poses": {
+        "rests": "List where the body stood still, with the displacements between.",
+        "pivot": "Find a tool's tip from a run in which it is turned about it.",
+        "world": "Put a calibration's world where a body is, or through three touched points.",
+        "accept": "Test a rig by known lengths: its errors against what it states.",
+        "compare": "Say what differs between two runs, and by how many deviations.",
+    },
+    "Correct a robot": {
+        "simulate": "Render a recording of the simulated RAVEN-II, with its log and its truth.",
+        "dataset": "Pair a robot's states with measured position errors.",
+        "train": "Train an estimator of a robot's position error.",
+        "sweep": "Search an estimator's settings, on many machines if there are.",
+        "ablate": "Find out which inputs an estimator needs.",
+        "estimate": "Correct a robot's positions, live or from a file.",
+    },
+    "Extend": {"plugins": "List and describe the installed plugins."},
 }
+"""Commands as typed, each with its line in `measure --help`, the first of its docstring.
+
+`measure/cli/NAME.py` holds the function (or cyclopts App) `NAME`."""
 
 
 DONE, DEFECT, MISTAKE, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 130, 141
@@ -183,9 +164,8 @@ def build_app() -> App:
     )
     for title, commands in GROUPS.items():
         group = Group.create_ordered(title)
-        for command in commands:
-            path = f"measure.cli.{command.name}:{command.name}"
-            app.command(path, name=command.name, help=command.summary, group=group)
+        for name, summary in commands.items():
+            app.command(f"measure.cli.{name}:{name}", name=name, help=summary, group=group)
     app["--help"].group = app["--version"].group = Group.create_ordered("Options")
     app.meta.group_parameters = Group.create_ordered("Options")
     app.meta.suppress_keyboard_interrupt = False
@@ -234,7 +214,7 @@ def _explain(error: CycloptsError, tokens: Sequence[str]) -> str:
     chain = " ".join(error.command_chain or ())
     if isinstance(error, UnknownCommandError) and not chain:
         # Not str(error): it imports every command to list them.
-        known = [command.name for commands in GROUPS.values() for command in commands]
+        known = [name for commands in GROUPS.values() for name in commands]
         known += ["--disable", "--help", "--version"]
         unknown = (error.unused_tokens or list(tokens))[0]
         near = difflib.get_close_matches(unknown, known, n=3)

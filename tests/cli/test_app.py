@@ -229,11 +229,12 @@ def test_a_name_that_is_no_text_is_a_mistake(monkeypatch, tmp_path, capsys):
     assert r"s\udcff: a name that is not in UTF-8 cannot be" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("command", [c for commands in GROUPS.values() for c in commands])
+@pytest.mark.parametrize("command", [c for commands in GROUPS.values() for c in commands.items()])
 def test_a_command_says_of_itself_what_the_table_says(command):
-    target = getattr(importlib.import_module(f"measure.cli.{command.name}"), command.name)
+    name, summary = command
+    target = getattr(importlib.import_module(f"measure.cli.{name}"), name)
     own = target.help if isinstance(target, App) else target.__doc__
-    assert own.partition("\n")[0] == command.summary
+    assert own.partition("\n")[0] == summary
 
 
 @pytest.mark.parametrize("asked", [None, "3"])

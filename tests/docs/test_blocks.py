@@ -19,7 +19,7 @@ LANGUAGES = {"bash", "toml", "python", "pycon", "text"}
 DEMO = "measure demo --out triball-demo"
 ELSEWHERE = ("demo-command", "test-command")
 """Blocks with these marks are whole installations: `.ci/run` runs them."""
-COMMANDS = {command.name for commands in GROUPS.values() for command in commands}
+COMMANDS = {name for commands in GROUPS.values() for name in commands}
 
 pytestmark = pytest.mark.timeout(900)
 """The first page's commands compile everything on a machine that has just been set up."""
