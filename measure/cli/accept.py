@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
-
-from cyclopts import Parameter
 
 from measure.cli import console
-from measure.cli.console import JsonFlag
+from measure.cli.console import JsonFlag, OutputFile
 
 
 def accept(
@@ -16,7 +13,7 @@ def accept(
     /,
     *,
     lengths: Path,
-    output: Annotated[Path | None, Parameter(name=("--output", "-o"))] = None,
+    output: OutputFile | None = None,
     body: str | None = None,
     json: JsonFlag = False,
 ) -> int:

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
-
-from cyclopts import Parameter
 
 from measure.cli import console
-from measure.cli.console import JsonFlag
+from measure.cli.console import JsonFlag, OutputFile
 from measure.cli.options import InjectedRegistry
 
 
@@ -19,7 +16,7 @@ def body(
     radius_mm: float,
     like: Path | None = None,
     origin: str | None = None,
-    output: Annotated[Path, Parameter(name=("--output", "-o"))],
+    output: OutputFile,
     calibration: Path | None = None,
     profile: str = "precise",
     json: JsonFlag = False,

@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
-
-from cyclopts import Parameter
+from typing import Literal
 
 from measure.cli import console
-from measure.cli.console import JsonFlag
+from measure.cli.console import CalibrationFormat, JsonFlag, OutputFile
 
 
 def calibrate(
     capture: Path,
     /,
     *,
-    output: Annotated[Path, Parameter(name=("--output", "-o"))],
+    output: OutputFile,
     method: Literal["joint", "paper"] = "joint",
     body: Path | None = None,
-    file_format: Annotated[
-        Literal["triball", "anipose", "caliscope", "opencv"], Parameter(name="--format")
-    ] = "triball",
+    file_format: CalibrationFormat = "triball",
     report: Path | None = None,
     json: JsonFlag = False,
 ) -> int:

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json as json_library
-import math
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from pathlib import PurePath
-from typing import Annotated, Any, TextIO
+from pathlib import Path
+from typing import Annotated, Any, Literal, TextIO
 
 from cyclopts import Parameter
+from pydantic_core import to_jsonable_python
 from rich.console import Console
 from rich.table import Table
 
@@ -20,6 +19,12 @@ from measure.processes import Progress
 
 JsonFlag = Annotated[bool, Parameter(name="--json", help="Print one JSON object and nothing else.")]
 """Type of every command's `json` option."""
+OutFile = Annotated[Path, Parameter(name=("--out", "-o"))]
+OutputFile = Annotated[Path, Parameter(name=("--output", "-o"))]
+CalibrationFormat = Annotated[
+    Literal["triball", "anipose", "caliscope", "opencv"], Parameter(name="--format")
+]
+"""Types of options that several commands have."""
 
 UNBELIEVABLE = 3
 """Exit code of `check`, `calibrate` and `accept` where they find what must not be believed."""
@@ -29,8 +34,9 @@ _PIPE_WIDTH = 120
 
 def print_json(value: Any) -> None:
     """Print one JSON object; arrays become lists, NaN becomes null, dataclasses objects."""
+    plain = to_jsonable_python(value, inf_nan_mode="null", fallback=_known_to_json)
     ascii_only = str(sys.stdout.encoding).lower() != "utf-8"
-    print(json_library.dumps(_plain(value), allow_nan=False, ensure_ascii=ascii_only, indent=2))
+    print(json_library.dumps(plain, allow_nan=False, ensure_ascii=ascii_only, indent=2))
 
 
 def print_text(text: str) -> None:
@@ -153,22 +159,10 @@ def _cell(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def _plain(value: Any) -> Any:
-    """Turn a result into what JSON knows."""
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {f.name: _plain(getattr(value, f.name)) for f in dataclasses.fields(value)}
-    if hasattr(value, "model_dump"):
-        return _plain(value.model_dump())
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+def _known_to_json(value: Any) -> Any:
+    """What pydantic does not know: arrays, views, mappings of other kinds."""
     if hasattr(value, "tolist"):
-        return _plain(value.tolist())
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if value is None or isinstance(value, str | bool | int):
-        return value
-    if isinstance(value, PurePath):
-        return str(value)
+        return value.tolist()
     if isinstance(value, Iterable):
-        return [_plain(item) for item in value]
+        return dict(value) if isinstance(value, Mapping) else list(value)
     raise TypeError(f"{type(value).__name__} has no form in JSON")

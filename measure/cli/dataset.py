@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from measure.cli import console
-from measure.cli.console import JsonFlag, shares
+from measure.cli.console import JsonFlag, OutFile, shares
 
 if TYPE_CHECKING:
     from measure.host import Dataset
@@ -77,7 +77,7 @@ def dataset(
     runs: tuple[Path, ...] = (),
     /,
     *,
-    out: Annotated[Path, Parameter(name=("--out", "-o"))],
+    out: OutFile,
     source: _RobotOptions = _RobotOptions(),
     assembly: _AssemblyOptions = _AssemblyOptions(),
     simulation: _SimulationOptions = _SimulationOptions(),

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING
 
 from measure.cli import console
-from measure.cli.console import JsonFlag
+from measure.cli.console import JsonFlag, OutFile
 from measure.cli.options import InjectedRegistry
 
 if TYPE_CHECKING:
@@ -18,7 +16,7 @@ if TYPE_CHECKING:
 
 def demo(
     *,
-    out: Annotated[Path, Parameter(name=("--out", "-o"))] = Path("triball-demo"),
+    out: OutFile = Path("triball-demo"),
     profile: str = "precise",
     frames: int = 30,
     json: JsonFlag = False,

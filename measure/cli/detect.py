@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING
 
 from measure.cli import console
-from measure.cli.console import JsonFlag
+from measure.cli.console import JsonFlag, OutFile
 from measure.cli.options import InjectedRegistry, SettingTexts
 
 if TYPE_CHECKING:
@@ -26,7 +24,7 @@ def detect(
     profile: str = "precise",
     detector: str | None = None,
     set_: SettingTexts = (),
-    out: Annotated[Path | None, Parameter(name=("--out", "-o"))] = None,
+    out: OutFile | None = None,
     sample: tuple[str, ...] = (),
     write_body: Path | None = None,
     json: JsonFlag = False,

@@ -8,7 +8,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from measure.cli import console
-from measure.cli.console import JsonFlag
+from measure.cli.console import JsonFlag, OutFile
 
 
 def export(
@@ -16,7 +16,7 @@ def export(
     /,
     *,
     format_: Annotated[str, Parameter(name=("--format", "-f"))],
-    out: Annotated[Path | None, Parameter(name=("--out", "-o"))] = None,
+    out: OutFile | None = None,
     overwrite: bool = False,
     body: str | None = None,
     smooth: float | None = None,

@@ -6,12 +6,12 @@ import math
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 from cyclopts import Parameter
 
 from measure.cli import console
-from measure.cli.console import JsonFlag
+from measure.cli.console import JsonFlag, OutFile
 from measure.cli.options import (
     BodyOptions,
     CaptureOptions,
@@ -42,7 +42,7 @@ class _DestinationOptions:
         send: HOST:PORT that every pose is sent to by UDP, as a JSON object.
     """
 
-    out: Annotated[Path, Parameter(name=("--out", "-o"))]
+    out: OutFile
     overwrite: bool = False
     record: Path | None = None
     send: str | None = None

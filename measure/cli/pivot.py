@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING, Any
 
 from measure.cli import console
-from measure.cli.console import JsonFlag
+from measure.cli.console import JsonFlag, OutputFile
 
 if TYPE_CHECKING:
     from measure.api import TipResult
@@ -18,7 +16,7 @@ def pivot(
     run: Path,
     /,
     *,
-    output: Annotated[Path | None, Parameter(name=("--output", "-o"))] = None,
+    output: OutputFile | None = None,
     spin: Path | None = None,
     body: str | None = None,
     json: JsonFlag = False,

@@ -6,12 +6,10 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING
 
 from measure.cli import console
-from measure.cli.console import JsonFlag
+from measure.cli.console import JsonFlag, OutFile
 from measure.cli.options import BodyOptions, CaptureOptions
 
 if TYPE_CHECKING:
@@ -23,7 +21,7 @@ _LISTED = 10  # Outages of a camera that are listed at the end; of more, the lat
 
 def record(
     *cameras: str,
-    out: Annotated[Path, Parameter(name=("--out", "-o"))],
+    out: OutFile,
     calibration: Path | None = None,
     bodies: BodyOptions = BodyOptions(),
     capture: CaptureOptions = CaptureOptions(),

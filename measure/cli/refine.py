@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from cyclopts import Parameter
 
 from measure.cli import console
-from measure.cli.console import JsonFlag
+from measure.cli.console import CalibrationFormat, JsonFlag, OutputFile
 from measure.cli.options import InjectedRegistry
 from measure.errors import ConfigError
 
@@ -31,10 +31,8 @@ class _OutputOptions:
         body_output: body file to write, with the balls where the recording puts them.
     """
 
-    output: Annotated[Path, Parameter(name=("--output", "-o"))]
-    file_format: Annotated[
-        Literal["triball", "anipose", "caliscope", "opencv"], Parameter(name="--format")
-    ] = "triball"
+    output: OutputFile
+    file_format: CalibrationFormat = "triball"
     body_output: Path | None = None
 
 

@@ -3,20 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
-
-from cyclopts import Parameter
 
 from measure.cli import console
+from measure.cli.console import OutFile
 
 
 def report(
-    run: Path,
-    /,
-    *,
-    out: Annotated[Path | None, Parameter(name=("--out", "-o"))] = None,
-    truth: Path | None = None,
-    body: str | None = None,
+    run: Path, /, *, out: OutFile | None = None, truth: Path | None = None, body: str | None = None
 ) -> None:
     """Write a run's report as one HTML file.
 

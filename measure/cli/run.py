@@ -6,12 +6,12 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 from cyclopts import Parameter
 
 from measure.cli import console
-from measure.cli.console import JsonFlag
+from measure.cli.console import JsonFlag, OutFile
 from measure.cli.options import BodyOptions, InjectedRegistry, ProfileOptions, ViewerOptions
 from measure.errors import ConfigError
 
@@ -52,7 +52,7 @@ class _ExecutionOptions:
 
 def run(
     *sessions: Path,
-    out: Annotated[Path, Parameter(name=("--out", "-o"))],
+    out: OutFile,
     method: ProfileOptions = ProfileOptions(),
     inputs: _InputOptions = _InputOptions(),
     bodies: BodyOptions = BodyOptions(),

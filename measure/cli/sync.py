@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
-
-from cyclopts import Parameter
 
 from measure.cli import console
-from measure.cli.console import JsonFlag
+from measure.cli.console import JsonFlag, OutputFile
 from measure.cli.options import InjectedRegistry
 
 
@@ -16,7 +13,7 @@ def sync(
     session: Path,
     /,
     *,
-    output: Annotated[Path | None, Parameter(name=("--output", "-o"))] = None,
+    output: OutputFile | None = None,
     overwrite: bool = False,
     seconds: float = 120.0,
     profile: str = "precise",

@@ -3,20 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
-
-from cyclopts import Parameter
 
 from measure.cli import console
-from measure.cli.console import JsonFlag
+from measure.cli.console import JsonFlag, OutputFile
 
 
 def target(
-    target_file: Path,
-    /,
-    *,
-    output: Annotated[Path | None, Parameter(name=("--output", "-o"))] = None,
-    json: JsonFlag = False,
+    target_file: Path, /, *, output: OutputFile | None = None, json: JsonFlag = False
 ) -> None:
     """Draw a printable board, marker field or body.
 

@@ -6,12 +6,11 @@ import shlex
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated
 
 from cyclopts import Parameter
 
 from measure.cli import console
-from measure.cli.console import JsonFlag, shares
+from measure.cli.console import JsonFlag, OutFile, shares
 from measure.cli.options import InjectedRegistry, SettingTexts
 
 
@@ -57,7 +56,7 @@ def train(
     data: tuple[Path, ...],
     /,
     *,
-    out: Annotated[Path, Parameter(name=("--out", "-o"))],
+    out: OutFile,
     fit: _FitOptions = _FitOptions(),
     split: _SplitOptions = _SplitOptions(),
     about: str = "",

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
-from cyclopts import Parameter
 
 from measure.cli import console
-from measure.cli.console import JsonFlag
+from measure.cli.console import JsonFlag, OutputFile
 from measure.errors import ConfigError
 
 
@@ -23,7 +21,7 @@ def world(
     at: float | None = None,
     rest: int | None = None,
     points: tuple[int, int, int] | None = None,
-    output: Annotated[Path, Parameter(name=("--output", "-o"))],
+    output: OutputFile,
     body: str | None = None,
     json: JsonFlag = False,
 ) -> None:
