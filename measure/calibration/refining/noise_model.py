@@ -17,6 +17,7 @@ from measure.calibration.refining.recording import Track
 _MAX_LAG_FRAMES = 30
 _MIN_CORRELATION = 0.05
 _MEDIAN_OF_RAYLEIGH = 1.1774
+_USUAL_COUNTS = 4.0  # How many observations a usual variance is worth
 
 
 @dataclass(frozen=True)
@@ -41,9 +42,9 @@ class NoiseModel:
         return np.array(astuple(self))
 
 
-def shrunken_variance(squares: float, determined: float, usual: float, count: float) -> float:
+def shrunken_variance(squares: float, determined: float, usual: float) -> float:
     """A variance from the squares of random effects and how many the data determined."""
-    return (squares + count * usual) / (max(determined, 0.0) + count)
+    return (squares + _USUAL_COUNTS * usual) / (max(determined, 0.0) + _USUAL_COUNTS)
 
 
 def with_view_noise(
@@ -75,18 +76,17 @@ def with_view_noise(
 
 
 def _extra_px(residuals: Floats, stated: Floats, freedom: float) -> float:
-    """What must be added to stated covariances so that the median residual fits (bisection)."""
+    """What must be added to stated covariances so that the median residual fits."""
+    from scipy.optimize import brentq
+
     variances, axes = np.linalg.eigh(stated)
     squares = np.einsum("nij,ni->nj", axes, residuals) ** 2 / freedom
-    low, high = 0.0, float(np.sqrt(np.max(squares)) + 1e-9)
-    for _ in range(25):
-        middle = (low + high) / 2
-        lengths = np.sqrt(np.sum(squares / (variances + middle**2), axis=1))
-        if np.median(lengths) > _MEDIAN_OF_RAYLEIGH:
-            low = middle
-        else:
-            high = middle
-    return high
+
+    def excess(extra: float) -> float:
+        lengths = np.sqrt(np.sum(squares / (variances + extra**2), axis=1))
+        return float(np.median(lengths)) - _MEDIAN_OF_RAYLEIGH
+
+    return float(brentq(excess, 0.0, 2 * np.sqrt(np.max(squares)))) if excess(0.0) > 0 else 0.0
 
 
 def _correlation(

@@ -7,7 +7,6 @@ because a camera that stands elsewhere and is turned accordingly has nearly the 
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from dataclasses import replace
 
 import numpy as np
@@ -19,55 +18,19 @@ from measure.calibration.refining.noise_model import NoiseModel, shrunken_varian
 from measure.model import Camera
 
 _JITTER = 1e-12  # Keeps covariances of rank one less than their size invertible
+USUAL_POSITION_MM = 0.5
+"""Where cameras usually stand elsewhere than a calibration without a joint covariance says, by
+axis (a standard deviation)."""
+_USUAL_IMAGE_PX = 0.1  # By how much such a calibration usually misses
 _POINTS_PER_SIDE = 4  # Points a side of the grid at which misses are counted
 
 
-class CameraPrior(ABC):
-    """A normal distribution of the cameras about the first calibration."""
-
-    def __init__(self, first: tuple[Camera, ...]) -> None:
-        self.first = first
-
-    @abstractmethod
-    def root(self, noise: NoiseModel) -> Floats:
-        """R (m, p) with R^T R the inverse covariance of all poses and free lens parameters."""
-
-    @abstractmethod
-    def covariance_at(self, noise: NoiseModel) -> Floats:
-        """The covariance (p, p) itself."""
-
-    def change(self, cameras: tuple[Camera, ...], free: tuple[Ints, ...]) -> Floats:
-        """How far cameras are from the first ones (p,), camera after camera: pose, then lens."""
-        parts = []
-        for first, now, own in zip(self.first, cameras, free, strict=True):
-            parts.append(now.world_from_camera.difference(first.world_from_camera))
-            parts.append(lens_change(first, now)[own])
-        return np.concatenate(parts)
-
-
-class JointPrior(CameraPrior):
-    """The covariance of all cameras together, as the first calibration states it."""
-
-    def __init__(self, first: tuple[Camera, ...], covariance: Floats) -> None:
-        super().__init__(first)
-        self.covariance = covariance
-        self._root = root_information(covariance, _JITTER)
-
-    def root(self, noise: NoiseModel) -> Floats:
-        """See `CameraPrior`; the scatter plays no part."""
-        del noise
-        return self._root
-
-    def covariance_at(self, noise: NoiseModel) -> Floats:
-        """See `CameraPrior`; the scatter plays no part."""
-        del noise
-        return self.covariance
-
-
-class EstimatedPrior(CameraPrior):
-    """Errors of the cameras by kind, the variance of each kind estimated.
+class CameraPrior:
+    """A normal distribution of the cameras about the first calibration.
 
     Attributes:
+        joint: the covariance of all cameras together as the first calibration states it, or None:
+            then the errors are of several kinds, and the variance of each kind is estimated.
         position: (p, p) with change @ position @ change the squared displacements, mm^2, of
             cameras of which nothing is stated.
         image: (p, p) the same of the misses in the workspace, px^2, as if three points were seen.
@@ -75,10 +38,15 @@ class EstimatedPrior(CameraPrior):
     """
 
     def __init__(
-        self, first: tuple[Camera, ...], free: tuple[Ints, ...], points_world: Floats
+        self,
+        first: tuple[Camera, ...],
+        free: tuple[Ints, ...],
+        points_world: Floats,
+        joint: Floats | None = None,
     ) -> None:
-        super().__init__(first)
         size = sum(6 + len(own) for own in free)
+        self.first = first
+        self.joint = joint if joint is not None and joint.shape == (size, size) else None
         self.position, self.image, self.stated = np.zeros((3, size, size))
         row = 0
         for camera, own in zip(first, free, strict=True):
@@ -95,53 +63,57 @@ class EstimatedPrior(CameraPrior):
                 self.stated[rest, rest] = _information(lens[np.ix_(own, own)])
             row = at.stop
 
-    def information(self, noise: NoiseModel) -> Floats:
-        """Inverse covariance (p, p)."""
-        return np.asarray(
-            self.position / noise.position_mm**2 + self.image / noise.image_px**2 + self.stated
-        )
+    def change(self, cameras: tuple[Camera, ...], free: tuple[Ints, ...]) -> Floats:
+        """How far cameras are from the first ones (p,), camera after camera: pose, then lens."""
+        parts = []
+        for first, now, own in zip(self.first, cameras, free, strict=True):
+            parts.append(now.world_from_camera.difference(first.world_from_camera))
+            parts.append(lens_change(first, now)[own])
+        return np.concatenate(parts)
 
     def root(self, noise: NoiseModel) -> Floats:
-        """See `CameraPrior`."""
-        information = self.information(noise)
+        """R (p, p) with R^T R the inverse covariance of all poses and free lens parameters."""
+        if self.joint is not None:
+            return root_information(self.joint, _JITTER)
+        information = self._information(noise)
         scale = np.sqrt(np.diag(information))
         return np.asarray(np.linalg.cholesky(information / scale[:, None] / scale).T * scale)
 
     def covariance_at(self, noise: NoiseModel) -> Floats:
-        """See `CameraPrior`."""
-        information = self.information(noise)
+        """The covariance (p, p) itself."""
+        if self.joint is not None:
+            return self.joint
+        information = self._information(noise)
         scale = 1 / np.sqrt(np.diag(information))
         return np.linalg.inv(information * scale[:, None] * scale) * scale[:, None] * scale
 
-    def estimate(
-        self,
-        noise: NoiseModel,
-        change: Floats,
-        posterior: Floats,
-        image_px: float,
-        position_mm: float,
-        count: float,
-    ) -> NoiseModel:
+    def _information(self, noise: NoiseModel) -> Floats:
+        return np.asarray(
+            self.position / noise.position_mm**2 + self.image / noise.image_px**2 + self.stated
+        )
+
+    def estimate(self, noise: NoiseModel, change: Floats, posterior: Floats) -> NoiseModel:
         """The noise model with the variances of the cameras' errors, from their change.
+
+        Of a joint covariance none is unknown.
 
         Args:
             change: (p,) of the cameras.
             posterior: (p, p) their covariance.
-            image_px: usual standard deviation.
-            position_mm: usual standard deviation.
-            count: how many observations the usual values are worth.
         """
+        if self.joint is not None:
+            return noise
         prior = self.covariance_at(noise)
 
         def estimated(kind: Floats, now: float, usual: float) -> float:
             determined = float(np.sum(kind * (prior - posterior))) / now**2
             squares = float(change @ kind @ change)
-            return float(np.sqrt(shrunken_variance(squares, determined, usual**2, count)))
+            return float(np.sqrt(shrunken_variance(squares, determined, usual**2)))
 
         return replace(
             noise,
-            image_px=estimated(self.image, noise.image_px, image_px),
-            position_mm=estimated(self.position, noise.position_mm, position_mm),
+            image_px=estimated(self.image, noise.image_px, _USUAL_IMAGE_PX),
+            position_mm=estimated(self.position, noise.position_mm, USUAL_POSITION_MM),
         )
 
 

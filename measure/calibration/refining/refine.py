@@ -16,12 +16,7 @@ from measure.arrays import Floats, Ints, rms_length
 from measure.calibration.least_squares import LeastSquaresSolution
 from measure.calibration.lens import with_covariance
 from measure.calibration.refining.noise_model import NoiseModel, shrunken_variance, with_view_noise
-from measure.calibration.refining.priors import (
-    CameraPrior,
-    EstimatedPrior,
-    JointPrior,
-    workspace_grid,
-)
+from measure.calibration.refining.priors import USUAL_POSITION_MM, CameraPrior, workspace_grid
 from measure.calibration.refining.problem import RefinedState, RefineLayout, RefineProblem
 from measure.calibration.refining.recording import MIN_FRAMES, Recording, ball_places
 from measure.errors import CalibrationError
@@ -33,7 +28,6 @@ _SETTLED_MM = 1e-3
 _START_IMAGE_SD_PX = 5.0
 """Cameras start free, so that their errors are not attributed to the balls' constant shifts."""
 _USUAL_TOLERANCE_MM = 0.05
-_PRIOR_OBSERVATIONS = 4.0  # How many observations the usual values are worth
 
 
 @dataclass(frozen=True)
@@ -43,10 +37,6 @@ class RefineSettings:
     # of each coordinate of a ball's centre in the body; 0 keeps the body. If None, what the body
     # states, or what is usual.
     body_tolerance_mm: float | None = None
-    # where cameras usually stand elsewhere than a calibration without a joint covariance says, by
-    # axis; that of these ones is estimated.
-    position_tolerance_mm: float = 0.5
-    image_tolerance_px: float = 0.1  # by how much such a calibration usually misses
     # how far a ball's centre usually sits off all through a recording, by axis.
     constant_px: float = 0.15
     least_sd_px: float = 0.02  # lower bound of a ball centre's standard deviation
@@ -106,7 +96,8 @@ def refine_rig(
     if tolerance_mm is None:
         tolerance_mm = body.tolerance_mm or _USUAL_TOLERANCE_MM
     layout = RefineLayout.of(cameras, len(body.balls), tolerance_mm == 0, clocks_are_exact)
-    prior = _prior(cameras, layout, body, recording, joint_covariance)
+    places = ball_places(recording.world_from_body, body.centers)
+    prior = CameraPrior(cameras, layout.free, workspace_grid(places), joint_covariance)
     problem = RefineProblem(layout, body, tolerance_mm, recording)
     return _settled(problem, prior, problem.start(cameras), settings, variance_factor)
 
@@ -120,9 +111,7 @@ def _settled(
 ) -> Refinement:
     """Alternate solving and estimating the noise until neither changes."""
     noise = NoiseModel(
-        constant_px=settings.constant_px,
-        image_px=_START_IMAGE_SD_PX,
-        position_mm=settings.position_tolerance_mm,
+        constant_px=settings.constant_px, image_px=_START_IMAGE_SD_PX, position_mm=USUAL_POSITION_MM
     )
     before = _rms(problem.residuals_px(problem.solve(first, None, noise).state))
     state = first
@@ -158,20 +147,6 @@ def _check_seen(cameras: tuple[Camera, ...], recording: Recording) -> None:
             )
 
 
-def _prior(
-    cameras: tuple[Camera, ...],
-    layout: RefineLayout,
-    body: Body,
-    recording: Recording,
-    joint: Floats | None,
-) -> CameraPrior:
-    size = sum(len(columns) for columns in layout.cameras)
-    if joint is not None and joint.shape == (size, size):
-        return JointPrior(cameras, joint)
-    places = ball_places(recording.world_from_body, body.centers)
-    return EstimatedPrior(cameras, layout.free, workspace_grid(places))
-
-
 def _largest_step(old: RefinedState, new: RefinedState) -> float:
     """How far cameras moved, mm (a radian counts as the 100 mm by which it shifts what is seen).
 
@@ -203,25 +178,12 @@ def _estimated_noise(
     )
     at = layout.shifts.reshape(-1)
     known = 1 - np.diag(P)[at] / noise.constant_px**2
-    constant = shrunken_variance(
-        float(np.sum(state.shifts_px**2)),
-        float(np.sum(known)),
-        settings.constant_px**2,
-        _PRIOR_OBSERVATIONS,
-    )
+    squares = float(np.sum(state.shifts_px**2))
+    constant = shrunken_variance(squares, float(np.sum(known)), settings.constant_px**2)
     noise = replace(noise, constant_px=float(np.sqrt(constant)))
-    if isinstance(prior, EstimatedPrior):
-        own = np.concatenate(layout.cameras)
-        change = prior.change(state.cameras, layout.free)
-        noise = prior.estimate(
-            noise,
-            change,
-            P[np.ix_(own, own)],
-            settings.image_tolerance_px,
-            settings.position_tolerance_mm,
-            _PRIOR_OBSERVATIONS,
-        )
-    return noise
+    own = np.concatenate(layout.cameras)
+    change = prior.change(state.cameras, layout.free)
+    return prior.estimate(noise, change, P[np.ix_(own, own)])
 
 
 def _rms(residuals: dict[str, Floats]) -> dict[str, float]:
@@ -259,5 +221,5 @@ def _answer(
         prior.covariance_at(noise),
         {c.name: columns for c, columns in zip(cameras, layout.cameras, strict=True)},
         len(problem.recording.times_s),
-        isinstance(prior, JointPrior),
+        prior.joint is not None,
     )

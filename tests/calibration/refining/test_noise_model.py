@@ -36,8 +36,8 @@ def test_stated_scatter_that_is_too_large_is_left() -> None:
 
 
 def test_a_variance_is_between_what_is_seen_and_what_is_usual() -> None:
-    assert shrunken_variance(0.0, 0.0, 2.0, 4.0) == 2.0
-    assert shrunken_variance(1000.0, 1000.0, 2.0, 4.0) == pytest.approx(1.0, rel=0.01)
+    assert shrunken_variance(0.0, 0.0, 2.0) == 2.0
+    assert shrunken_variance(1000.0, 1000.0, 2.0) == pytest.approx(1.0, rel=0.01)
 
 
 def test_half_the_way_between_two() -> None:
