@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -26,6 +24,7 @@ from measure.calibration.boards import Board, Charuco, Chessboard
 from measure.errors import CalibrationError
 from measure.reading import read_text
 from measure.session import FileModel, Length, Name, Position, load_toml
+from measure.session.number_table import read_number_table
 
 Count = Annotated[int, Field(ge=2, le=100)]
 
@@ -218,9 +217,9 @@ def read_markers(path: Path, tolerance_mm: float | None = None) -> MarkerField:
         points = np.array([row.position_mm for row in given.markers])
         stated = given.tolerance_mm if tolerance_mm is None else tolerance_mm
     else:
-        rows = read_rows(path, ("name", "x_mm", "y_mm", "z_mm"))
-        names = tuple(row[0] for _, row in rows)
-        points = np.array([_numbers(path, line, row[1:]) for line, row in rows]).reshape(-1, 3)
+        rows = _read_rows(path, ("name",), ("x_mm", "y_mm", "z_mm"))
+        names = tuple(name for _, (name,), _ in rows)
+        points = np.stack([place for *_, place in rows])
         stated = 0.1 if tolerance_mm is None else tolerance_mm
     for name in names:
         if names.count(name) > 1:
@@ -231,36 +230,24 @@ def read_markers(path: Path, tolerance_mm: float | None = None) -> MarkerField:
 def read_marks(path: Path, markers: MarkerField) -> dict[str, dict[str, Floats]]:
     """Hand marks (camera,name,u_px,v_px) by both names, (2,) px; CalibrationError with line."""
     marks: dict[str, dict[str, Floats]] = {}
-    for line, (camera, name, *rest) in read_rows(path, ("camera", "name", "u_px", "v_px")):
+    for line, (camera, name), pixel in _read_rows(path, ("camera", "name"), ("u_px", "v_px")):
         if name not in markers.names:
             raise CalibrationError(
                 f"{path}:{line}: no marker is called '{name}'; there is {', '.join(markers.names)}"
             )
         if name in marks.setdefault(camera, {}):
             raise CalibrationError(f"{path}:{line}: {camera} marks '{name}' twice")
-        marks[camera][name] = np.array(_numbers(path, line, rest))
+        marks[camera][name] = pixel
     return marks
 
 
-def read_rows(path: Path, columns: tuple[str, ...]) -> list[tuple[int, list[str]]]:
-    """Lines of a CSV with exactly these columns: number and cells; CalibrationError otherwise."""
-    text = read_text(path, CalibrationError)
-    lines = [(i, row) for i, row in enumerate(csv.reader(io.StringIO(text)), start=1) if row]
-    if not lines or tuple(cell.strip() for cell in lines[0][1]) != columns:
-        raise CalibrationError(f"{path}:1: expected the header {','.join(columns)}")
-    for number, row in lines[1:]:
-        if len(row) != len(columns):
-            raise CalibrationError(
-                f"{path}:{number}: expected {len(columns)} cells, got {len(row)}"
-            )
-    return [(number, [cell.strip() for cell in row]) for number, row in lines[1:]]
-
-
-def _numbers(path: Path, line: int, cells: list[str]) -> list[float]:
-    try:
-        values = [float(cell) for cell in cells]
-    except ValueError:
-        values = [np.nan]
-    if not np.all(np.isfinite(values)):
-        raise CalibrationError(f"{path}:{line}: expected numbers, got {','.join(cells)}")
-    return values
+def _read_rows(
+    path: Path, words: tuple[str, ...], numbers: tuple[str, ...]
+) -> list[tuple[int, tuple[str, ...], Floats]]:
+    """Line, words and finite numbers of each row of a table; CalibrationError otherwise."""
+    table = read_number_table(path, numbers, error=CalibrationError, words=words)
+    values = np.column_stack([table.columns[name] for name in numbers])
+    for i in np.flatnonzero(~np.isfinite(values).all(axis=1)):
+        raise CalibrationError(f"{path}:{table.lines[i]}: {','.join(numbers)} must be finite")
+    texts = zip(*(table.words[name] for name in words), strict=True)
+    return list(zip(table.lines, texts, values, strict=True))
