@@ -9,8 +9,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from measure.arrays import Bytes, Floats, rms_length
+from measure.calibration.board_views import board_pose
 from measure.calibration.boards import Board, Corners, same_after
-from measure.calibration.single_camera import board_pose
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform, UncertainTransform, skew
 from measure.model import Camera

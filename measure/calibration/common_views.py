@@ -4,25 +4,18 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from measure.arrays import Floats, Ints, rms_length
+from measure.calibration.board_views import BoardProblem, BoardState, CameraViews, board_pose
 from measure.calibration.boards import Board, Corners, same_after
 from measure.calibration.intrinsics import LensCalibration
-from measure.calibration.least_squares import (
-    Columns,
-    Group,
-    Huber,
-    LeastSquaresSolution,
-    Linearised,
-    solve,
-)
-from measure.calibration.lens import changed, stack, with_covariance
-from measure.calibration.single_camera import board_pose
+from measure.calibration.least_squares import LeastSquaresSolution
+from measure.calibration.lens import stack, with_covariance
 from measure.errors import CalibrationError
-from measure.geometry import RigidTransform, skew
+from measure.geometry import RigidTransform
 from measure.model import Camera
 
 _HUBER_REACH = 4.0
@@ -33,12 +26,6 @@ diagonal, and alone about it if they differ so much more about any pose that is 
 _APART_SHARE = 0.1  # Views that disagree by more were not taken together
 _NOT_TOGETHER = "do pictures (video frames) of one number show one instant?"
 _ONE_INSTANT_PX = 3.0  # Cameras that miss common views by more than this did not take them together
-
-
-@dataclass(frozen=True, eq=False)
-class _CommonViewsState:
-    cameras: tuple[Camera, ...]
-    world_from_board: RigidTransform  # a batch, one an instant
 
 
 def fit_common_views(
@@ -59,17 +46,18 @@ def fit_common_views(
     views = {
         name: {_instant(v.source): v for v in lens.views.views} for name, lens in lenses.items()
     }
-    points = board.points
     cameras, boards = _start(board, lenses, views)
-    instants = sorted(boards)
-    sds = {name: lens.fit.sd_px for name, lens in lenses.items()}
-    free = {name: np.array(lens.model.free, dtype=np.int64) for name, lens in lenses.items()}
-    order = {instant: number for number, instant in enumerate(instants)}
-    problem = _CommonViewsProblem(points, views, sds, free, _columns(cameras, free), order)
-    start = _CommonViewsState(cameras, stack([boards[i] for i in instants]))
-    solution = solve(problem.linearise, problem.step, start, Huber(_HUBER_REACH))
+    order = {instant: number for number, instant in enumerate(sorted(boards))}
+    seen = []
+    for name, lens in lenses.items():
+        mine = dict(sorted(views[name].items()))
+        instants = [order[instant] for instant in mine]
+        seen.append(CameraViews.of([*mine.values()], instants, lens.fit.sd_px, lens.model.free))
+    problem = BoardProblem(board.points, seen)
+    start = BoardState(cameras, stack([boards[instant] for instant in order]))
+    solution = problem.solve(start, _HUBER_REACH)
     poses = solution.state.world_from_board
-    corners = np.einsum("fij,nj->fni", poses.rotation, points) + poses.translation[:, None]
+    corners = np.einsum("fij,nj->fni", poses.rotation, board.points) + poses.translation[:, None]
     found = _answer(solution, problem)
     _check_instants(found, lenses)
     return found, corners.reshape(-1, 3)
@@ -167,71 +155,18 @@ def _turned(points: Floats, turn: Ints) -> RigidTransform:
     return RigidTransform(turned.rotation, middle - turned.rotation @ middle)
 
 
-@dataclass(frozen=True, eq=False)
-class _CommonViewsProblem:
-    """Boards seen by several cameras at the same instants; the first camera is the world."""
-
-    points: Floats  # (n, 3) of the board
-    views: Mapping[str, Mapping[int, Corners]]  # by camera name and instant
-    sds: Mapping[str, float]  # of a corner, by camera name, px
-    free: Mapping[str, Ints]  # by camera name, which lens parameters are free
-    columns: Mapping[str, Ints]  # by camera name, its unknowns' columns
-    order: Mapping[int, int]  # number of each instant's board
-
-    def linearise(self, state: _CommonViewsState) -> Linearised:
-        groups = tuple(self._group(n, state) for n in range(len(state.cameras)))
-        size = sum(len(c) for c in self.columns.values())
-        return Linearised(groups, size, len(self.order), np.zeros(0), np.zeros((0, size)))
-
-    def step(self, state: _CommonViewsState, shared: Floats, blocks: Floats) -> _CommonViewsState:
-        cameras = []
-        for number, camera in enumerate(state.cameras):
-            part = shared[self.columns[camera.name]]
-            part = np.concatenate([np.zeros(6), part]) if number == 0 else part
-            cameras.append(changed(camera, part, self.free[camera.name]))
-        return _CommonViewsState(tuple(cameras), state.world_from_board.perturb(blocks))
-
-    def _group(self, number: int, state: _CommonViewsState) -> Group:
-        camera, poses = state.cameras[number], state.world_from_board
-        mine = sorted(self.views[camera.name].items())
-        block = np.concatenate([np.full(len(v.ids), self.order[i]) for i, v in mine])
-        ids = np.concatenate([v.ids for _, v in mine])
-        pixels = np.concatenate([v.pixels for _, v in mine])
-        turned = np.einsum("nij,nj->ni", poses.rotation[block], self.points[ids])
-        placed = turned + poses.translation[block]
-        predicted, by_world, by_pose, by_lens = camera.project_with_jacobians(placed)
-        shared = [by_lens[:, :, self.free[camera.name]]]
-        if number > 0:
-            shared = [by_pose, *shared]
-        own = np.concatenate([by_world, -by_world @ skew(turned)], axis=2)
-        sd = self.sds[camera.name]
-        return Group(
-            (pixels - predicted) / sd,
-            self.columns[camera.name],
-            np.concatenate(shared, axis=2) / sd,
-            block,
-            own / sd,
-        )
-
-
-def _columns(cameras: tuple[Camera, ...], free: Mapping[str, Ints]) -> dict[str, Ints]:
-    take = Columns()
-    poses = [0, *[6] * (len(cameras) - 1)]  # the first camera is the world
-    return {c.name: take(pose + len(free[c.name])) for c, pose in zip(cameras, poses, strict=True)}
-
-
 def _answer(
-    solution: LeastSquaresSolution[_CommonViewsState], problem: _CommonViewsProblem
+    solution: LeastSquaresSolution[BoardState], problem: BoardProblem
 ) -> tuple[Camera, ...]:
     factor = max(solution.variance_factor, 1.0)
     out = []
-    for number, (camera, group) in enumerate(
-        zip(solution.state.cameras, solution.linearised.groups, strict=True)
+    for camera, group, seen in zip(
+        solution.state.cameras, solution.linearised.groups, problem.views, strict=True
     ):
-        own, lens = problem.columns[camera.name], problem.free[camera.name]
-        P = np.zeros((6 + len(lens), 6 + len(lens)))
-        known = slice(6, None) if number == 0 else slice(None)
-        P[known, known] = solution.covariance[np.ix_(own, own)] * factor
-        rms = rms_length(group.residuals * problem.sds[camera.name])
-        out.append(with_covariance(camera, P, lens, rms))
+        P = np.zeros((6 + len(seen.free), 6 + len(seen.free)))
+        # The first camera is the world: of its pose nothing is unknown.
+        known = slice(len(P) - len(group.columns), None)
+        P[known, known] = solution.covariance[np.ix_(group.columns, group.columns)] * factor
+        rms = rms_length(group.residuals * seen.sd_px)
+        out.append(with_covariance(camera, P, seen.free, rms))
     return tuple(out)

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from measure.calibration.board_views import board_pose
 from measure.calibration.boards import Board, Corners
 from measure.calibration.markers import assign
 from measure.calibration.observations import MarkerObservation
-from measure.calibration.single_camera import board_pose
 from measure.calibration.starts import CONTRADICTION_PX, DetectedBoard, mark_rms, mm_per_px
 from measure.calibration.targets import MarkerField
 from measure.errors import CalibrationError

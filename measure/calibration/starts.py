@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from measure.arrays import Floats, rms_length
+from measure.calibration.board_views import board_pose
 from measure.calibration.boards import Board, Corners, same_after
 from measure.calibration.capture import CameraCapture, Capture
 from measure.calibration.extrinsics import located_by_marks
 from measure.calibration.intrinsics import fit_pose_only
 from measure.calibration.markers import FoundMarkers, find_markers
 from measure.calibration.observations import BoardObservation, MarkerObservation
-from measure.calibration.single_camera import board_pose
 from measure.calibration.targets import MarkerField
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from measure.calibration import Chessboard, Corners, calibrate_lens, choose_views
+from measure.calibration.board_views import fit_lens, start_intrinsics
 from measure.calibration.lens import LENS_MODELS, intrinsics_vector
-from measure.calibration.single_camera import fit_lens, start_intrinsics
 from measure.calibration.views import ViewSet
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from measure.calibration import Board, Capture, Chessboard, Corners, MarkerField
+from measure.calibration.board_views import fit_lens
 from measure.calibration.capture import CameraCapture, CaptureTable
 from measure.calibration.common_views import fit_common_views
 from measure.calibration.intrinsics import LensCalibration
 from measure.calibration.lens import LENS_MODELS
-from measure.calibration.single_camera import fit_lens
 from measure.calibration.starts import DetectedBoard, oriented_board
 from measure.calibration.views import ViewSet
 from measure.errors import CalibrationError

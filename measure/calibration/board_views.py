@@ -1,19 +1,24 @@
-"""One camera and many views of a flat board: pose starts, the least-squares problem, its answer."""
+"""Views of a flat board: its pose in each, the least-squares problem, and a lens fitted by it.
+
+Unknown are the free lens parameters of all cameras, the poses of all but the first, whose frame is
+the world, and one pose of the board an instant. One camera by itself is the simplest case.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from measure.arrays import Floats, Ints, rms_length
+from measure.calibration import least_squares
 from measure.calibration.boards import Corners
-from measure.calibration.least_squares import Group, Huber, LeastSquaresSolution, Linearised, solve
-from measure.calibration.lens import LensModel, shifted, stack
+from measure.calibration.lens import LensModel, changed, stack
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform, skew
-from measure.model import Intrinsics, Projection
+from measure.model import Camera, Intrinsics, Projection
 
 _FISHEYE_WIDTHS_RAD = (0.6, 0.9, 1.3, 1.8, 2.4, 3.1)
 """Angles over the image's longer side that are tried to begin with."""
@@ -118,9 +123,85 @@ def _start_pinhole(
 
 
 @dataclass(frozen=True, eq=False)
-class _LensState:
-    intrinsics: Intrinsics
-    camera_from_board: RigidTransform  # a batch, one a view
+class CameraViews:
+    """The board as one camera saw it."""
+
+    block: Ints  # (n,) number of each corner's instant
+    ids: Ints  # (n,) which of the board's corners
+    pixels: Floats  # (n, 2) where they appear
+    sd_px: float  # standard deviation of a corner's coordinate
+    free: Ints  # which lens parameters are unknown
+
+    @classmethod
+    def of(
+        cls, views: Sequence[Corners], instants: Sequence[int], sd_px: float, free: Sequence[int]
+    ) -> CameraViews:
+        """Stack views, each of the instant of that number."""
+        return cls(
+            np.repeat(np.array(instants, dtype=np.int64), [len(view.ids) for view in views]),
+            np.concatenate([view.ids for view in views]),
+            np.concatenate([view.pixels for view in views]),
+            sd_px,
+            np.array(free, dtype=np.int64),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class BoardState:
+    """The unknowns."""
+
+    cameras: tuple[Camera, ...]
+    world_from_board: RigidTransform  # a batch, one an instant
+
+
+class BoardProblem:
+    """Least squares over all cameras and instants.
+
+    Attributes:
+        views: what each camera saw, in the order of the state's cameras.
+        columns: which shared unknowns are each camera's pose (of the first: none) and free lens
+            parameters.
+    """
+
+    def __init__(self, points: Floats, views: Sequence[CameraViews]) -> None:
+        take = least_squares.Columns()
+        self._points, self.views = points, views
+        self.columns = [take(6 * (k > 0) + len(seen.free)) for k, seen in enumerate(views)]
+        self._size = take.size
+
+    def solve(
+        self, start: BoardState, huber: float
+    ) -> least_squares.LeastSquaresSolution[BoardState]:
+        """Fit; the robust loss reaches to `huber` standard deviations, squares if infinite."""
+        loss = least_squares.Huber(huber)
+        return least_squares.solve(self._linearise, self._step, start, loss)
+
+    def _linearise(self, state: BoardState) -> least_squares.Linearised:
+        groups = tuple(self._group(number, state) for number in range(len(self.views)))
+        blocks = len(state.world_from_board.translation)
+        none = np.zeros(0), np.zeros((0, self._size))
+        return least_squares.Linearised(groups, self._size, blocks, *none)
+
+    def _step(self, state: BoardState, shared: Floats, blocks: Floats) -> BoardState:
+        parts = [shared[columns] for columns in self.columns]
+        parts[0] = np.concatenate([np.zeros(6), parts[0]])
+        own = zip(state.cameras, parts, self.views, strict=True)
+        cameras = tuple(changed(camera, part, seen.free) for camera, part, seen in own)
+        return BoardState(cameras, state.world_from_board.perturb(blocks))
+
+    def _group(self, number: int, state: BoardState) -> least_squares.Group:
+        seen, poses = self.views[number], state.world_from_board
+        turned = np.einsum("nij,nj->ni", poses.rotation[seen.block], self._points[seen.ids])
+        placed = turned + poses.translation[seen.block]
+        predicted, by_world, by_pose, by_lens = state.cameras[number].project_with_jacobians(placed)
+        shared = np.concatenate([by_pose, by_lens[:, :, seen.free]], axis=2)
+        return least_squares.Group(
+            (seen.pixels - predicted) / seen.sd_px,
+            self.columns[number],
+            (shared if number else shared[:, :, 6:]) / seen.sd_px,
+            seen.block,
+            np.concatenate([by_world, -by_world @ skew(turned)], axis=2) / seen.sd_px,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,43 +239,15 @@ def fit_lens(
         huber: reach of the robust loss in px; squares if infinite.
     """
     poses = stack([board_pose(start, points[v.ids], v.pixels) for v in views])
-    ids = np.concatenate([v.ids for v in views])
-    pixels = np.concatenate([v.pixels for v in views])
-    view_of = np.repeat(np.arange(len(views)), [len(v.ids) for v in views])
-    free = np.array(model.free, dtype=np.int64)
-
-    def linearise(state: _LensState) -> Linearised:
-        group = _group(state, points[ids], pixels, view_of, free)
-        return Linearised((group,), len(free), len(views), np.zeros(0), np.zeros((0, len(free))))
-
-    def step(state: _LensState, shared: Floats, blocks: Floats) -> _LensState:
-        return _LensState(
-            shifted(state.intrinsics, free, shared), state.camera_from_board.perturb(blocks)
-        )
-
-    solution = solve(linearise, step, _LensState(start, poses), Huber(huber))
-    return _answer(solution, view_of, free)
-
-
-def _group(state: _LensState, points: Floats, pixels: Floats, view_of: Ints, free: Ints) -> Group:
-    poses = state.camera_from_board
-    turned = np.einsum("nij,nj->ni", poses.rotation[view_of], points)
-    predicted, by_point, by_lens = state.intrinsics.project_with_jacobians(
-        turned + poses.translation[view_of]
-    )
-    by_pose = np.concatenate([by_point, -by_point @ skew(turned)], axis=2)
-    return Group(pixels - predicted, np.arange(len(free)), by_lens[:, :, free], view_of, by_pose)
-
-
-def _answer(
-    solution: LeastSquaresSolution[_LensState], view_of: Ints, free: Ints
-) -> SingleCameraFit:
+    seen = CameraViews.of(views, range(len(views)), 1.0, model.free)
+    camera = Camera("", start, RigidTransform.identity())
+    solution = BoardProblem(points, [seen]).solve(BoardState((camera,), poses), huber)
     sd = float(np.sqrt(solution.variance_factor))
     covariance = np.zeros((12, 12))
-    covariance[np.ix_(free, free)] = solution.covariance * sd**2
+    covariance[np.ix_(seen.free, seen.free)] = solution.covariance * sd**2
     return SingleCameraFit(
-        replace(solution.state.intrinsics, covariance=covariance),
+        replace(solution.state.cameras[0].intrinsics, covariance=covariance),
         solution.linearised.groups[0].residuals,
-        view_of,
+        seen.block,
         sd,
     )
