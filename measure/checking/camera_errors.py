@@ -17,7 +17,13 @@ from typing import NamedTuple
 import numpy as np
 
 from measure.arrays import Floats, Ints
-from measure.checking.clock_system import Instant, linearise, robust_weights, symmetric_inverse
+from measure.checking.clock_system import (
+    Instant,
+    Reduced,
+    eliminate_pose,
+    linearise,
+    symmetric_inverse,
+)
 from measure.checking.finding import Finding, Level
 from measure.geometry import chi_square_quantile
 from measure.model import Body, Camera
@@ -133,7 +139,7 @@ class _System:
             right[block] += part.right
             views = instant.cameras * balls + instant.sightings.balls
             np.add.at(by_bias, views, part.by_residual)
-            square, degrees = square + part.square, degrees + part.degrees
+            square, degrees = square + part.chi_square, degrees + part.degrees
         scale = max(1.0, square / max(degrees, 1.0))
         return cls(normal, right, by_bias.reshape(-1, size), scale)
 
@@ -195,32 +201,13 @@ def _amount(kind: Kind, values: Floats, covariance: Floats) -> tuple[float, floa
     return float(np.degrees(angle)), float(np.degrees(np.sqrt(axis @ covariance @ axis)))
 
 
-class _Reduced(NamedTuple):
-    """One instant's part of the normal equations, its pose eliminated."""
-
-    normal: Floats  # (p, p)
-    right: Floats  # (p,)
-    by_residual: Floats  # (n, 2, p) the right side's derivative by the residuals
-    square: float  # weighted sum of squared residuals
-    degrees: int  # of freedom
-
-
-def _reduced(instant: Instant, cameras: Sequence[Camera]) -> _Reduced:
+def _reduced(instant: Instant, cameras: Sequence[Camera]) -> Reduced:
     residuals, by_pose, flow, points = linearise(instant, np.zeros((len(cameras), 2)))
     by_error = np.zeros((len(points), 2, _SIZE * len(cameras) + 1))
     _fill_by_cameras(by_error, points, instant.cameras, flow, cameras)
     arms = points - instant.pose.translation
     by_error[:, :, -1] = np.einsum("nij,nj->ni", by_pose[:, :, :3], arms)
-    weight = robust_weights(residuals, instant.sightings.noise)
-    n = len(residuals)
-    pose, error = by_pose.reshape(2 * n, 6), by_error.reshape(2 * n, -1)
-    weighted_pose, weighted = (weight @ by_pose).reshape(2 * n, 6), (weight @ by_error)
-    weighted = weighted.reshape(2 * n, -1)
-    adapts = symmetric_inverse(pose.T @ weighted_pose) @ (pose.T @ weighted)
-    own = weighted - weighted_pose @ adapts
-    square = float(np.einsum("ni,nij,nj->", residuals, weight, residuals))
-    right = own.T @ residuals.reshape(-1)
-    return _Reduced(error.T @ own, right, own.reshape(n, 2, -1), square, 2 * n - 6)
+    return eliminate_pose(residuals, by_pose, by_error, instant.sightings.noise)
 
 
 def _fill_by_cameras(

@@ -90,19 +90,33 @@ def relative_to_median(offsets_s: Floats, observable: Bools) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Reduced:
-    """The normal equations of one instant for the clocks, its pose eliminated."""
+    """One instant's normal equations for p parameters, its pose eliminated."""
 
-    normal: Floats
-    right: Floats
-    chi_square: float
-    degrees: int
-    pose_pose: Floats
-    pose_clock: Floats
-    pose_right: Floats
+    normal: Floats  # (p, p)
+    right: Floats  # (p,)
+    by_residual: Floats  # (n, 2, p) the right side's derivative by the residuals
+    chi_square: float  # weighted sum of squared residuals
+    degrees: int  # of freedom
+    pose: Floats  # (6,) step of the pose alone
+    adapts: Floats  # (6, p) how that follows the parameters
 
     def pose_step(self, step: Floats) -> Floats:
-        """The pose's step (6,) for a step of the clocks (c, 2)."""
-        return np.asarray(self.pose_pose @ (self.pose_right - self.pose_clock @ step.reshape(-1)))
+        """The pose's step (6,) for a step of the parameters."""
+        return np.asarray(self.pose - self.adapts @ step.reshape(-1))
+
+
+def eliminate_pose(residuals: Floats, by_pose: Floats, by_others: Floats, noise: Floats) -> Reduced:
+    """Weight n residuals robustly, and solve for the pose as a function of the other parameters."""
+    weight, n = robust_weights(residuals, noise), len(residuals)
+    pose, others, off = by_pose.reshape(2 * n, 6), by_others.reshape(2 * n, -1), residuals.ravel()
+    weighted_pose, weighted = ((weight @ by).reshape(2 * n, -1) for by in (by_pose, by_others))
+    inverse = symmetric_inverse(pose.T @ weighted_pose)
+    adapts = inverse @ (pose.T @ weighted)
+    own = weighted - weighted_pose @ adapts
+    square = float(np.einsum("ni,nij,nj->", residuals, weight, residuals))
+    step = inverse @ (weighted_pose.T @ off)
+    by_residual = own.reshape(n, 2, -1)
+    return Reduced(others.T @ own, own.T @ off, by_residual, square, 2 * n - 6, step, adapts)
 
 
 def reduce_instant(instant: Instant, clocks: Floats, readout: Bools) -> Reduced:
@@ -113,22 +127,7 @@ def reduce_instant(instant: Instant, clocks: Floats, readout: Bools) -> Reduced:
     by_clock[rows, :, 2 * instant.cameras] = flow
     rolling = readout[instant.cameras] * instant.rows
     by_clock[rows, :, 2 * instant.cameras + 1] = flow * rolling[:, None]
-    weight = robust_weights(residuals, instant.sightings.noise)
-    weighted_pose = np.swapaxes(by_pose, 1, 2) @ weight
-    weighted_clock = np.swapaxes(by_clock, 1, 2) @ weight
-    pose_pose = symmetric_inverse((weighted_pose @ by_pose).sum(axis=0))
-    pose_clock = (weighted_pose @ by_clock).sum(axis=0)
-    pose_right = np.einsum("nij,nj->i", weighted_pose, residuals)
-    back = pose_clock.T @ pose_pose
-    return Reduced(
-        (weighted_clock @ by_clock).sum(axis=0) - back @ pose_clock,
-        np.einsum("nij,nj->i", weighted_clock, residuals) - back @ pose_right,
-        float(np.einsum("ni,nij,nj->", residuals, weight, residuals)),
-        2 * len(residuals) - 6,
-        pose_pose,
-        pose_clock,
-        pose_right,
-    )
+    return eliminate_pose(residuals, by_pose, by_clock, instant.sightings.noise)
 
 
 def solve_clocks(

@@ -157,16 +157,15 @@ def _consistent(residuals: Floats) -> bool:
 
 def _step(shifts: Floats, prediction_sd_px: float) -> int | None:
     """The index of a step in (k, 2), by least absolute deviations; None if none is significant."""
-    best: tuple[float, int] | None = None
-    for split in range(_MIN_INSTANTS, len(shifts) - _MIN_INSTANTS + 1):
-        before, after = shifts[:split], shifts[split:]
-        left = np.sum(np.abs(before - np.median(before, axis=0)))
-        left += np.sum(np.abs(after - np.median(after, axis=0)))
-        if best is None or left < best[0]:
-            best = (float(left), split)
-    if best is None:
+    splits = range(_MIN_INSTANTS, len(shifts) - _MIN_INSTANTS + 1)
+    if not splits:
         return None
-    split = best[1]
+
+    def left(split: int) -> float:
+        parts = shifts[:split], shifts[split:]
+        return float(sum(np.sum(np.abs(part - np.median(part, axis=0))) for part in parts))
+
+    split = min(splits, key=left)
     before, after = shifts[:split], shifts[split:]
     step = float(np.linalg.norm(np.median(after, axis=0) - np.median(before, axis=0)))
     noise = np.hypot(_spread(before) / np.sqrt(len(before)), _spread(after) / np.sqrt(len(after)))
