@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ _POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 _TWIST = "geometry_msgs/msg/TwistWithCovarianceStamped"
 _POINT = "geometry_msgs/msg/PointStamped"
 _TF = "tf2_msgs/msg/TFMessage"
+_TRANSFORM = "geometry_msgs/msg/TransformStamped"
 _END_S = 2**31
 _METRES = np.array([1e-3] * 3 + [1.0] * 3)
 
@@ -55,21 +56,20 @@ class _Topics:
     def __init__(self, writer: Any, store: Any) -> None:
         self._writer, self._store, self._open = writer, store, {}  # type: ignore[var-annotated]
 
-    def message(self, kind: str, **fields: Any) -> Any:
-        """A message of a type such as "geometry_msgs/msg/Point"."""
-        return self._store.types[kind](**fields)
+    def message(self, kind: str, values: Mapping[str, Any]) -> Any:
+        """A message of a type such as "geometry_msgs/msg/Pose"; parts of it may be mappings too."""
+        kinds = dict(self._store.get_msgdef(kind).fields)
+        made = {
+            name: self.message(kinds[name][1], value) if isinstance(value, Mapping) else value
+            for name, value in values.items()
+        }
+        return self._store.types[kind](**made)
 
-    def header(self, time_s: float) -> Any:
-        """A header in the world frame."""
-        sec, nanosec = divmod(_nanoseconds(time_s), 10**9)
-        stamp = self.message("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
-        return self.message("std_msgs/msg/Header", stamp=stamp, frame_id=WORLD)
-
-    def send(self, topic: str, kind: str, time_s: float, message: Any) -> None:
+    def send(self, topic: str, kind: str, time_s: float, values: Mapping[str, Any]) -> None:
         """Append a message."""
         if topic not in self._open:
             self._open[topic] = self._writer.add_connection(topic, kind, typestore=self._store)
-        data = self._store.serialize_cdr(message, kind)
+        data = self._store.serialize_cdr(self.message(kind, values), kind)
         self._writer.write(self._open[topic], _nanoseconds(time_s), data)
 
 
@@ -77,34 +77,24 @@ def _write_poses(run: Run, out: _Topics, body: str) -> None:
     poses = run.world_from_body
     quats, covariances = poses.quat_wxyz, run.covariances * np.outer(_METRES, _METRES)
     for k, time_s in enumerate(run.times_s[run.has_pose].tolist()):
-        position, quat = poses.translation[k] / 1000, quats[k]
-        turn = _parts(out, "Quaternion", "wxyz", quat)
-        point = _parts(out, "Point", "xyz", position)
-        pose = out.message("geometry_msgs/msg/Pose", position=point, orientation=turn)
-        uncertain = out.message(
-            "geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=covariances[k].reshape(36)
-        )
-        stamped = out.message(_POSE, header=out.header(time_s), pose=uncertain)
-        out.send(f"/{body}/pose", _POSE, time_s, stamped)
-        out.send(TF_TOPIC, _TF, time_s, _transform(out, body, time_s, position, turn))
+        header, covariance = _header(time_s), covariances[k].reshape(36)
+        place, turn = _letters("xyz", poses.translation[k] / 1000), _letters("wxyz", quats[k])
+        pose = {"pose": {"position": place, "orientation": turn}, "covariance": covariance}
+        out.send(f"/{body}/pose", _POSE, time_s, {"header": header, "pose": pose})
+        moved = {"translation": place, "rotation": turn}
+        frame = {"header": header, "child_frame_id": body, "transform": moved}
+        out.send(TF_TOPIC, _TF, time_s, {"transforms": [out.message(_TRANSFORM, frame)]})
 
 
 def _write_velocities(run: Run, velocities: Velocities, out: _Topics, body: str) -> None:
-    values, spread = (
-        velocities.values * _METRES,
-        velocities.covariances * np.outer(_METRES, _METRES),
-    )
+    values = velocities.values * _METRES
+    spread = velocities.covariances * np.outer(_METRES, _METRES)
     for k in np.flatnonzero(np.isfinite(values).all(axis=1)).tolist():
-        linear, angular = (
-            _parts(out, "Vector3", "xyz", part) for part in (values[k, :3], values[k, 3:])
-        )
-        twist = out.message("geometry_msgs/msg/Twist", linear=linear, angular=angular)
-        uncertain = out.message(
-            "geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=spread[k].reshape(36)
-        )
+        linear, angular = _letters("xyz", values[k, :3]), _letters("xyz", values[k, 3:])
+        moving = {"twist": {"linear": linear, "angular": angular}}
+        twist = moving | {"covariance": spread[k].reshape(36)}
         time_s = float(run.times_s[k])
-        stamped = out.message(_TWIST, header=out.header(time_s), twist=uncertain)
-        out.send(f"/{body}/twist", _TWIST, time_s, stamped)
+        out.send(f"/{body}/twist", _TWIST, time_s, {"header": _header(time_s), "twist": twist})
 
 
 def _write_balls(run: Run, out: _Topics, above: str) -> None:
@@ -113,28 +103,19 @@ def _write_balls(run: Run, out: _Topics, above: str) -> None:
     times, names = numbers(table, "time_s"), texts(table, "ball")
     topics = _topics(run.body.names, above)
     for time_s, name, center in zip(times.tolist(), names.tolist(), centers, strict=True):
-        point = _parts(out, "Point", "xyz", center)
-        stamped = out.message(_POINT, header=out.header(time_s), point=point)
-        out.send(topics[name], _POINT, time_s, stamped)
+        point = {"header": _header(time_s), "point": _letters("xyz", center)}
+        out.send(topics[name], _POINT, time_s, point)
 
 
-def _transform(out: _Topics, body: str, time_s: float, position: Floats, turn: Any) -> Any:
-    shift = _parts(out, "Vector3", "xyz", position)
-    transform = out.message("geometry_msgs/msg/Transform", translation=shift, rotation=turn)
-    stamped = out.message(
-        "geometry_msgs/msg/TransformStamped",
-        header=out.header(time_s),
-        child_frame_id=body,
-        transform=transform,
-    )
-    return out.message(_TF, transforms=[stamped])
+def _header(time_s: float) -> dict[str, Any]:
+    """A header in the world frame."""
+    sec, nanosec = divmod(_nanoseconds(time_s), 10**9)
+    return {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": WORLD}
 
 
-def _parts(out: _Topics, kind: str, names: str, values: Floats) -> Any:
-    """A message of numbers that are called by single letters."""
-    return out.message(
-        f"geometry_msgs/msg/{kind}", **dict(zip(names, values.tolist(), strict=True))
-    )
+def _letters(names: str, values: Floats) -> dict[str, float]:
+    """Numbers that are called by single letters."""
+    return dict(zip(names, values.tolist(), strict=True))
 
 
 def _topics(balls: Sequence[str], above: str) -> dict[str, str]:
