@@ -83,8 +83,7 @@ def _settings(first: Run, second: Run) -> dict[str, tuple[str, str]]:
 def _both(first: Run, second: Run) -> Bools:
     """Which frame sets (n,), the first that both have, have an unflagged pose in both."""
     n = min(first.poses.num_rows, second.poses.num_rows)
-    ok = [(texts(run.poses, "status") == "ok")[:n] for run in (first, second)]
-    return np.asarray(ok[0] & ok[1])
+    return np.asarray(first.unflagged[:n] & second.unflagged[:n])
 
 
 def _paired(first: Run, second: Run, both: Bools) -> Iterator[Figure]:
@@ -108,10 +107,10 @@ def _paired(first: Run, second: Run, both: Bools) -> Iterator[Figure]:
 
 def _unpaired(first: Run, second: Run) -> Iterator[Figure]:
     """Figures of quality over the unflagged poses of each."""
-    oks = [texts(run.poses, "status") == "ok" for run in (first, second)]
-    yield _figure("share_ok", oks[0].astype(np.float64), oks[1].astype(np.float64), False)
+    shares = [run.unflagged.astype(np.float64) for run in (first, second)]
+    yield _figure("share_ok", shares[0], shares[1], False)
     for what in QUALITY:
-        values = [numbers(r.poses, what)[ok] for r, ok in zip((first, second), oks, strict=True)]
+        values = [numbers(run.poses, what)[run.unflagged] for run in (first, second)]
         yield _figure(what, values[0], values[1], False)
 
 

@@ -105,7 +105,6 @@ def evaluate(
     errors = measured.difference(true)
     covariances = run.covariances[here[run.has_pose]]
     missing = int((covered & ~run.has_pose).sum())
-    unflagged = texts(run.poses, "status")[here] == "ok"
     ball_names, ball_errors, ball_covariances = _ball_errors(run, truth)
     body = position_errors(errors[:, :3])
     cameras = _checked_cameras(run, true_cameras)
@@ -117,7 +116,7 @@ def evaluate(
         failure_rate=missing / int(covered.sum()),
         rms_all_frames_mm=float("inf") if missing or body is None else body.rms_3d_mm,
         body=body,
-        body_ok=position_errors(errors[unflagged, :3]),
+        body_ok=position_errors(errors[run.unflagged[here], :3]),
         ball=position_errors(ball_errors),
         balls={n: position_errors(ball_errors[ball_names == n]) for n in run.body.names},
         rotation=rotation_errors(errors[:, 3:]),
