@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import Self
 
@@ -14,7 +15,6 @@ import numpy as np
 
 from measure.errors import SessionError
 from measure.model import Body, Camera, FrameSet, Image
-from measure.processes import usable_cores
 from measure.session.pairing import Pairing, pair_nearest, seldom_paired
 from measure.session.streams import Stream
 
@@ -136,6 +136,7 @@ def stream_frame_sets(
 ) -> Iterator[FrameSet]:
     """Yield frame sets in order; at most `prefetch` + 1 sets are held here at any time.
 
+    Each camera has a thread that reads its frames one after the other, as suits a video best.
     A picture that cannot be read raises when its own frame set is due, not earlier.
 
     Args:
@@ -147,15 +148,16 @@ def stream_frame_sets(
             images = {s.name: s.read(p) for s, p in _members(streams, pairing, index)}
             yield FrameSet(index, float(pairing.times_s[index]), images)
         return
-    pool = ThreadPoolExecutor(min(usable_cores(), 8), thread_name_prefix="decode")
+    pools = {stream.name: ThreadPoolExecutor(1, "decode") for stream in streams}
     ahead: deque[tuple[int, dict[str, Future[Image]]]] = deque()
-    last: dict[str, Future[Image]] = {}
-    due = start
+    due = iter(range(start, len(pairing.times_s)))
     try:
         while True:
-            while due < len(pairing.times_s) and len(ahead) < prefetch:
-                ahead.append((due, _submit(pool, streams, pairing, due, last)))
-                due += 1
+            for index in islice(due, prefetch - len(ahead)):
+                members = _members(streams, pairing, index)
+                ahead.append(
+                    (index, {s.name: pools[s.name].submit(_read, s, p) for s, p in members})
+                )
             if not ahead:
                 return
             index, futures = ahead.popleft()
@@ -164,7 +166,8 @@ def stream_frame_sets(
             yield FrameSet(index, float(pairing.times_s[index]), images)
             del images
     finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+        for pool in pools.values():
+            pool.shutdown(cancel_futures=True)
 
 
 def _members(
@@ -175,27 +178,7 @@ def _members(
             yield stream, int(position)
 
 
-def _submit(
-    pool: ThreadPoolExecutor,
-    streams: Sequence[Stream],
-    pairing: Pairing,
-    index: int,
-    last: dict[str, Future[Image]],
-) -> dict[str, Future[Image]]:
-    futures = {}
-    for stream, position in _members(streams, pairing, index):
-        before = last.get(stream.name) if stream.serial else None
-        futures[stream.name] = pool.submit(_read, stream, position, before)
-        if stream.serial:
-            last[stream.name] = futures[stream.name]
-    return futures
-
-
-def _read(stream: Stream, position: int, before: Future[Image] | None) -> Image:
-    # A video is read in order. Waiting here cannot lock: the pool starts tasks in the order they
-    # were given, so the one waited for is running or done.
-    if before is not None:
-        before.exception()
+def _read(stream: Stream, position: int) -> Image:
     image = stream.read(position)
     _ = image.pixels
     return image

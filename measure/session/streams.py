@@ -22,12 +22,9 @@ class Stream(ABC):
         size_wh: width and height of its images in px.
         frames: (n,) frame numbers.
         times_s: (n,) middles of the exposures on the session's clock, increasing.
-        serial: frames are best read in order (video); else any thread may read any frame.
         stamps: how wrong the times are, as far as they show it.
         notes: what a user should know: missing frames and the like.
     """
-
-    serial = False
 
     def __init__(
         self,

@@ -18,8 +18,6 @@ from measure.session.video_file import VideoIndex, VideoReader, index_video
 class VideoStream(Stream):
     """A video: its own presentation times, or stamps from a file beside it."""
 
-    serial = True
-
     def __init__(
         self, name: str, path: Path, index: VideoIndex, stamps: Stamps, offset_s: float
     ) -> None:
