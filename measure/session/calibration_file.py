@@ -121,26 +121,14 @@ class CameraModel(FileModel):
                 raise ValueError("pose_intrinsics_covariance must be 6x12")
             if self.pose_covariance is None or self.intrinsics_covariance is None:
                 raise ValueError("pose_intrinsics_covariance needs the other two covariances")
-            own = [p + c for p, c in zip(self.pose_covariance, cross, strict=True)]
-            _checked_covariance(
-                own
-                + [
-                    list(c) + row
-                    for *c, row in zip(*cross, self.intrinsics_covariance, strict=True)
-                ]
-            )
+            P, C, lens = map(np.array, (self.pose_covariance, cross, self.intrinsics_covariance))
+            _checked_covariance(np.block([[P, C], [C.T, lens]]).tolist())
         return self
 
     def camera(self) -> Camera:
         """As the model's camera."""
-        of_lens, of_pose, of_both = (
-            None if rows is None else np.array(rows)
-            for rows in (
-                self.intrinsics_covariance,
-                self.pose_covariance,
-                self.pose_intrinsics_covariance,
-            )
-        )
+        stated = (self.intrinsics_covariance, self.pose_covariance, self.pose_intrinsics_covariance)
+        of_lens, of_pose, of_both = (None if P is None else np.array(P) for P in stated)
         matrix, distortion = np.array(self.matrix), np.array(self.distortion)
         intrinsics = Intrinsics(
             self.size_wh, matrix, distortion, of_lens, self.model, self.lateral_color

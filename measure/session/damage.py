@@ -92,23 +92,19 @@ def refuse_truncated(
     Raises:
         SessionError: as said.
     """
-    source = f"{where}{path}"
     promised, there = int(stream.frames or 0), len(packets)
     if counted and promised > there:
         there = _count_chunks(path, stream.index)
+    lacks = ""
     if promised > there > 0:
-        raise SessionError(
-            f"{source}: the video is cut off: {there} of {promised} frames are there{_REMEDY}"
-        )
-    if not promised and (missing := _missing_s(container, stream, packets)):
-        raise SessionError(
-            f"{source}: the video is cut off: its last {missing:.2f} s are missing{_REMEDY}"
-        )
+        lacks = f"{there} of {promised} frames are there"
+    elif not promised and (missing := _missing_s(container, stream, packets)):
+        lacks = f"its last {missing:.2f} s are missing"
     # Frames are stored in the order in which they decode: the last ones need not be the latest.
-    if "matroska" in container.format.name and (short := _missing_bytes(path)):
-        raise SessionError(
-            f"{source}: the video is cut off: its last {short} bytes are missing{_REMEDY}"
-        )
+    elif "matroska" in container.format.name and (short := _missing_bytes(path)):
+        lacks = f"its last {short} bytes are missing"
+    if lacks:
+        raise SessionError(f"{where}{path}: the video is cut off: {lacks}{_REMEDY}")
 
 
 def _missing_s(container: Any, stream: Any, packets: list[Any]) -> float:

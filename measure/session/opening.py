@@ -152,24 +152,16 @@ def _calibration(
     """The calibration of the session's cameras, in their order."""
     pictures = {name: stream.size_wh for name, stream in streams.items()}
     calibration = read_calibration(path, given.session.calibration_unit, pictures)
-    cameras = _cameras(given, calibration, path, file)
-    for camera in cameras:
-        _check_size(streams[camera.name], camera, path)
-    return replace(calibration, cameras=cameras)
-
-
-def _cameras(
-    given: SessionModel, calibration: Calibration, path: Path, file: Path
-) -> tuple[Camera, ...]:
-    out = []
-    for table in given.cameras:
-        if table.name not in calibration.names:
+    cameras = []
+    for name, stream in streams.items():
+        if name not in calibration.names:
             raise CalibrationError(
-                f"camera '{table.name}' of {file} has no calibration in {path}; "
+                f"camera '{name}' of {file} has no calibration in {path}; "
                 f"there is one of {', '.join(calibration.names)}"
             )
-        out.append(calibration.camera(table.name))
-    return tuple(out)
+        cameras.append(calibration.camera(name))
+        _check_size(stream, cameras[-1], path)
+    return replace(calibration, cameras=tuple(cameras))
 
 
 def _order_notes(calibration: Calibration, path: Path) -> list[str]:
@@ -181,25 +173,14 @@ def _order_notes(calibration: Calibration, path: Path) -> list[str]:
 def _open_stream(table: CameraTable, folder: Path) -> Stream:
     stamps_path = folder / table.timestamps if table.timestamps else None
     stamps = read_stamps(stamps_path, table.name, table.time_column) if stamps_path else None
-    stream: Stream
+    offset_s = table.time_offset_s
     if table.video is not None:
-        stream = open_video_stream(
-            table.name, folder / table.video, stamps, stamps_path, table.time_offset_s
-        )
-    else:
-        assert table.images is not None
-        assert stamps is not None
-        assert stamps_path is not None
-        stream = open_image_stream(
-            table.name,
-            folder,
-            table.images,
-            stamps,
-            stamps_path,
-            table.time_offset_s,
-            table.bit_depth,
-        )
-    return stream
+        return open_video_stream(table.name, folder / table.video, stamps, stamps_path, offset_s)
+    assert table.images is not None
+    assert stamps is not None
+    assert stamps_path is not None
+    given = table.name, folder, table.images, stamps, stamps_path, offset_s
+    return open_image_stream(*given, table.bit_depth)
 
 
 def _check_size(stream: Stream, camera: Camera, calibrated: Path) -> None:

@@ -136,16 +136,13 @@ class VideoReader:
                 if item is None and not self.index.counted:  # some containers seek beyond it
                     self._seek(0, where, packets)
                     item = self._found(position)
+                if item is None:
+                    raise SessionError("data missing")
             except Exception as problem:
                 self._close()
                 raise SessionError(
                     f"{where}{self.path}: the frame cannot be decoded ({_reason(problem)})"
                 ) from None
-            if item is None:
-                self._close()
-                raise SessionError(
-                    f"{where}{self.path}: the frame cannot be decoded (data missing)"
-                )
             return item
 
     def _found(self, position: int) -> Any:
