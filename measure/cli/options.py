@@ -83,9 +83,9 @@ class ViewerOptions:
 
     def address(self) -> str | None:
         """Address of the viewer, which is opened if `spawn` asks for it."""
-        from measure import api
+        from measure.viewing.viewer import open_viewer
 
-        return api.spawn_viewer() if self.spawn else self.connect
+        return open_viewer([]).listens if self.spawn else self.connect
 
 
 @Parameter(name="*")

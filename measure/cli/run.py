@@ -22,18 +22,6 @@ if TYPE_CHECKING:
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class _InputOptions:
-    """What replaces files of the session.
-
-    Attributes:
-        calibration: a calibration to use instead of the session's.
-    """
-
-    calibration: Path | None = None
-
-
-@Parameter(name="*")
-@dataclass(frozen=True)
 class _ExecutionOptions:
     """What happens to earlier runs, and where the work is done.
 
@@ -54,7 +42,7 @@ def run(
     *sessions: Path,
     out: OutFile,
     method: ProfileOptions = ProfileOptions(),
-    inputs: _InputOptions = _InputOptions(),
+    calibration: Path | None = None,
     bodies: BodyOptions = BodyOptions(),
     viewer: ViewerOptions = ViewerOptions(),
     execution: _ExecutionOptions = _ExecutionOptions(),
@@ -69,6 +57,7 @@ def run(
     Args:
         sessions: the session's folder, or several; they are only read.
         out: the run's folder, made if it is not there; for several sessions, the folder of theirs.
+        calibration: a calibration to use instead of the session's.
     """
     from measure import api
 
@@ -79,7 +68,7 @@ def run(
         viewer=viewer.address(),
         resume=execution.resume,
         overwrite=execution.overwrite,
-        calibration=inputs.calibration,
+        calibration=calibration,
         body=bodies.body or None,
         reference=bodies.reference,
     )
