@@ -1,6 +1,6 @@
 """What a notebook calls; the command line calls nothing else.
 
-Heavy libraries load when an action is called, not with this package.
+What learns and what draws loads when an action is called, not with this package.
 """
 
 from measure.api.accepting import Accepted, accept
@@ -37,7 +37,7 @@ from measure.api.run import RunOptions, parse_images, run
 from measure.api.sampling import check_new_body, parse_click, write_sampled_body
 from measure.api.synchronising import SyncedClock, sync
 from measure.api.training import SweepOptions, TrainOptions, ablate, parse_settings, sweep, train
-from measure.api.watch import robot_recording, spawn_viewer
+from measure.api.watch import robot_recording
 from measure.capture import parse_cameras
 from measure.results.evaluation_table import evaluation_tables
 
@@ -52,6 +52,6 @@ __all__ = [
     "parse_cameras", "parse_click", "parse_expectation", "parse_images", "parse_receiver",
     "parse_settings", "parse_size", "pivot", "record", "refine", "render_demo", "report", "rests",
     "rezero", "robot_recording", "run", "run_many", "shipped_model", "shipped_targets",
-    "simulate_dataset", "simulate_recording", "spawn_viewer", "sweep", "sync", "train", "world",
-    "world_by_board", "write_sampled_body",
+    "simulate_dataset", "simulate_recording", "sweep", "sync", "train", "world", "world_by_board",
+    "write_sampled_body",
 ]  # fmt: skip

@@ -3,26 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from measure.api.measuring import search_frame_sets
+from measure.api.profiles import build_detectors, load_profile
+from measure.api.refining import joint_covariance, lenient, measure_all
 from measure.arrays import Floats
+from measure.calibration import RefineSettings, refine_rig
+from measure.calibration.refining.recording import recording_of
+from measure.checking.unknown_body import PALETTES, SeenBall, find_layout, locate, probe
 from measure.errors import ConfigError
 from measure.geometry import RigidTransform, align_points
 from measure.host import Registry
-from measure.model import Body
+from measure.measuring import Profile
+from measure.measuring.association import associate
+from measure.model import Body, Detection
 from measure.processes import Progress
 from measure.session import Session, open_session, read_body
-
-if TYPE_CHECKING:
-    from measure.checking.unknown_body import SeenBall
-    from measure.measuring import Profile
-    from measure.model import Detection
 
 _SEARCHED = 24  # Frame sets, spread over the recording, in which whole pictures are searched
 _ROUGH_MM, _FREE_MM = 0.5, 5.0
@@ -68,30 +69,25 @@ def find_body(
         CalibrationError: too few frame sets in which they are measured.
         MeasureError: the recording cannot be opened.
     """
-    from measure.api.profiles import load_profile
-    from measure.checking import unknown_body
-
     if not 0 < radius_mm < np.inf:
         raise ConfigError(f"--radius-mm {radius_mm:g}: expected a length in mm above 0")
     pattern = None if like is None else _of_size(read_body(like), radius_mm)
-    chosen, palettes = load_profile(profile), unknown_body.PALETTES
-    probes = [pattern] if pattern else [unknown_body.probe(p, radius_mm) for p in palettes]
+    chosen = load_profile(profile)
+    probes = [pattern] if pattern else [probe(p, radius_mm) for p in PALETTES]
     with open_session(session, calibration, probes[0]) as opened:
         frames = list(_searched(opened, probes, pattern, chosen, registry, progress))
-        every = pattern or unknown_body.probe([c for p in palettes for c in p], radius_mm)
-        rough = unknown_body.find_layout(frames, every, pick=pattern is None)
+        every = pattern or probe([c for p in PALETTES for c in p], radius_mm)
+        rough = find_layout(frames, every, pick=pattern is None)
         if origin is not None and origin not in rough.names:
-            raise ConfigError(f"--origin {origin}: there is no such ball, but {_names(rough)}")
+            raise ConfigError(
+                f"--origin {origin}: there is no such ball, but {', '.join(rough.names)}"
+            )
         rough = replace(rough, name="body" if pattern is None else pattern.name)
         return _adjusted(opened, rough, pattern, origin, chosen, registry, progress)
 
 
 def _of_size(body: Body, radius_mm: float) -> Body:
     return replace(body, balls=tuple(replace(ball, radius_mm=radius_mm) for ball in body.balls))
-
-
-def _names(body: Body) -> str:
-    return ", ".join(body.names)
 
 
 def _searched(
@@ -103,38 +99,27 @@ def _searched(
     progress: Progress | None,
 ) -> Iterator[dict[str, SeenBall]]:
     """The balls located in frame sets spread over the recording, by whole pictures."""
-    from measure.checking.unknown_body import locate
-
-    settings = profile.settings.get("detector", {})
-    detectors = [
-        {c.name: registry.detector(profile.detector, settings, body, c) for c in session.cameras}
-        for body in probes
-    ]
+    searches = [build_detectors(profile, registry, body, session.cameras) for body in probes]
     total = len(session.pair().times_s)
     chosen = np.unique(np.linspace(0, total - 1, min(_SEARCHED, total)).round().astype(int))
-    with ThreadPoolExecutor(len(session.cameras)) as pool:
-        for done, index in enumerate(chosen.tolist(), 1):
-            images = next(iter(session.frame_sets(start=index, prefetch=1))).images
-            located: dict[str, SeenBall] = {}
-            for body, by_camera in zip(probes, detectors, strict=True):
-                found = pool.map(lambda n, d=by_camera, i=images: d[n].detect(i[n], ()), images)
-                seen: Mapping[str, list[Detection]] = dict(zip(images, found, strict=True))
-                if body is pattern:
-                    seen = _of_this_body(seen, body, session)
+    for done, (_, found) in enumerate(search_frame_sets(session, searches, chosen.tolist()), 1):
+        located: dict[str, SeenBall] = {}
+        for body, seen in zip(probes, found, strict=True):
+            if body is pattern:
                 # A known layout has told other things of these colours apart: two rays will do.
-                least = 2 if body is pattern else 3
-                located |= locate(seen, body, session.cameras, least)
-            if progress is not None:
-                progress(done, len(chosen))
-            yield located
+                mine = _of_this_body(seen, body, session)
+                located |= locate(mine, body, session.cameras, 2)
+            else:
+                located |= locate(seen, body, session.cameras)
+        if progress is not None:
+            progress(done, len(chosen))
+        yield located
 
 
 def _of_this_body(
     seen: Mapping[str, list[Detection]], body: Body, session: Session
 ) -> Mapping[str, list[Detection]]:
     """Those that lie as in a file with this layout; all if none do, and no colour repeats."""
-    from measure.measuring.association import associate
-
     found = associate(body, session.cameras, seen)
     if found.world_from_body is None and len({b.color for b in body.balls}) == len(body.balls):
         return seen
@@ -154,10 +139,6 @@ def _adjusted(
     progress: Progress | None,
 ) -> FoundBody:
     """Measure the recording with a rough body, and adjust that by bundle adjustment."""
-    from measure.api.refining import joint_covariance, lenient, measure_all
-    from measure.calibration import RefineSettings, refine_rig
-    from measure.calibration.refining.recording import recording_of
-
     first = replace(rough, tolerance_mm=_ROUGH_MM)
     measured, sized = measure_all(
         replace(session, body=first), lenient(profile), registry, progress
@@ -207,20 +188,12 @@ def _frame(
         if origin is None:
             return like, "origin and axes as in the file of --like, fitted to all balls"
         return RigidTransform(like.rotation, at), f"origin at {where}, axes as in that of --like"
-    one, other, third = _apart_from_a_line(centers)
-    x = centers[other] - centers[one]
-    x /= np.linalg.norm(x)
-    z = np.cross(x, centers[third] - centers[one])
-    z /= np.linalg.norm(z)
+    x = (centers[1] - centers[0]) / np.linalg.norm(centers[1] - centers[0])
+    normals = np.cross(x, centers - centers[0])
+    third = int(np.argmax(np.linalg.norm(normals, axis=1)))
+    z = normals[third] / np.linalg.norm(normals[third])
     words = (
-        f"origin at {where}, x along the way from {names[one]} to {names[other]}, y in the plane "
+        f"origin at {where}, x along the way from {names[0]} to {names[1]}, y in the plane "
         f"of these and {names[third]}, towards it"
     )
     return RigidTransform(np.stack([x, np.cross(z, x), z], axis=1), at), words
-
-
-def _apart_from_a_line(centers: Floats) -> tuple[int, int, int]:
-    """The first two balls, and of the others the furthest from their line."""
-    x = centers[1] - centers[0]
-    off = np.linalg.norm(np.cross(centers - centers[0], x), axis=1)
-    return 0, 1, int(np.argmax(off))

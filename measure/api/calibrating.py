@@ -6,8 +6,20 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import measure
-from measure.calibration import Method, RigCalibration, Sheet, Verdict
+from measure.calibration import (
+    Method,
+    RigCalibration,
+    Sheet,
+    Verdict,
+    calibrate_capture,
+    judge,
+    open_capture,
+    provenance,
+    target_sheet,
+    write_sheet,
+)
 from measure.errors import ConfigError
+from measure.model import paper_body
 from measure.processes import Progress
 from measure.session import Calibration, check_unit, read_body
 
@@ -38,9 +50,6 @@ def calibrate(
         SessionError: a picture, video or body file that cannot be read.
         ConfigError: an unknown method.
     """
-    from measure.calibration import calibrate_capture, judge, open_capture, provenance
-    from measure.model import paper_body
-
     if method not in ("joint", "paper"):
         raise ConfigError(f"no calibration method is called '{method}'; there is joint and paper")
     opened = open_capture(capture)
@@ -68,8 +77,6 @@ def draw_target(target: Path | str, output: Path | str | None = None) -> tuple[S
         CalibrationError: the target file cannot be used.
         ConfigError: no such target; or an output of another kind.
     """
-    from measure.calibration import target_sheet, write_sheet
-
     path = find_target(Path(target))
     written = Path(f"{path.stem}.pdf") if output is None else Path(output)
     sheet = target_sheet(path)

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import count, islice
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from measure.api.measuring import measure_session
-from measure.api.profiles import load_profile
+from measure.api.measuring import measure_session, search_frame_sets
+from measure.api.profiles import build_detectors, load_profile
 from measure.api.synchronising import find_offsets, shift_clocks
 from measure.api.warming_up import warm_pipeline
 from measure.arrays import Floats
@@ -47,9 +45,6 @@ from measure.host import Registry
 from measure.measuring import Measurement, Profile
 from measure.processes import Progress
 from measure.session import Session, check_overlap, damaged_frames, holds_jpeg, open_session
-
-if TYPE_CHECKING:
-    from measure.model import Detection, FrameSet
 
 _REACH_MM = 40.0
 _LEAST_NOISE_PX = 0.1
@@ -288,7 +283,8 @@ class _Looking:
         session = self.session
         searched, located, duplicates, colorless = [], [], DuplicateCount(), ColorlessCount()
         overexposed = OverexposedCount()
-        for frame_set, seen in self._search():
+        detectors = build_detectors(self.profile, self.registry, session.body, session.cameras)
+        for frame_set, (seen,) in search_frame_sets(session, [detectors], self._chosen):
             searched.append(search_sample(seen, session.body, session.cameras, frame_set.time_s))
             duplicates.add(frame_set)
             colorless.add(frame_set)
@@ -317,21 +313,6 @@ class _Looking:
         measured = min(self.clock_samples, self._total)
         self._steps = len(self._chosen) + measured + max(jpeg, default=0)
         self._done = count(1)
-
-    def _search(self) -> Iterator[tuple[FrameSet, Mapping[str, Sequence[Detection]]]]:
-        """Search whole pictures of some frame sets, the cameras side by side."""
-        profile, session = self.profile, self.session
-        settings = profile.settings.get("detector", {})
-        detectors = {
-            c.name: self.registry.detector(profile.detector, settings, session.body, c)
-            for c in session.cameras
-        }
-        with ThreadPoolExecutor(len(detectors)) as pool:
-            for index in self._chosen:
-                frame_set = next(iter(session.frame_sets(start=index, prefetch=1)))
-                names = list(frame_set.images)
-                found = pool.map(lambda n, f=frame_set: detectors[n].detect(f.images[n], ()), names)
-                yield frame_set, dict(zip(names, found, strict=True))
 
     def _motion(self, searched: Sequence[SearchSample], duplicates: DuplicateCount) -> MotionCheck:
         """Measure frame sets in a row, if the body can be followed at all."""

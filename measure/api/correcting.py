@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from measure.api.outputs import check_writable, is_one_of
 from measure.errors import ConfigError, EstimatorError
+from measure.host import OnnxModel
 
 if TYPE_CHECKING:
     from measure.learning import DriftMonitor, EstimateServer, EstimatorEvaluation, Zeroing
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
 def rezero(model_path: Path, stretch: Path) -> tuple[Zeroing, DriftMonitor]:
     """What a restart left, from a short measured data set, and what that says of drift."""
     from measure import learning
-    from measure.host import OnnxModel
 
     return learning.rezero(OnnxModel.load(model_path), learning.files.read_dataset(stretch))
 
@@ -43,7 +43,6 @@ def estimate_file(
         ConfigError: `out` cannot be written.
     """
     from measure import learning
-    from measure.host import OnnxModel
 
     _check_output(out, [states, model_path, *([stretch] if stretch else [])])
     return learning.correct_file(states, OnnxModel.load(model_path), out, zeroing)
@@ -73,7 +72,6 @@ def estimate_online(
         EstimatorError: the model cannot be read, or the address not be listened on.
     """
     from measure import learning
-    from measure.host import OnnxModel
 
     if seconds is not None and not seconds >= 0:
         raise ConfigError(f"--seconds {seconds:g}: expected a number that is not negative")
@@ -96,7 +94,6 @@ def shipped_model() -> Path:
 def correct_simulated_robot(seconds: float = 60.0, seed: int = 7) -> EstimatorEvaluation:
     """What the shipped network, trained on seed 1, does for a restart that it has not seen."""
     from measure import learning
-    from measure.host import OnnxModel
 
     pairs = round(seconds * learning.PAPER_PAIRS / learning.PAPER_MINUTES / 60.0)
     data, _ = learning.simulated_dataset(minutes=seconds / 60.0, pairs=pairs, restarts=1, seed=seed)

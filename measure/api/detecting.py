@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from measure.api.outputs import check_apart, check_writable
+from measure.api.profiles import build_detectors
 from measure.arrays import Floats
 from measure.errors import ConfigError
 from measure.geometry import RigidTransform
@@ -103,8 +104,7 @@ def detect(
         image = Image(camera.name, index, 0.0, partial(np.asarray, pixels))
         (camera,) = with_lateral_color([camera], [FrameSet(index, 0.0, {camera.name: image})])
         where = [_expectation(ball, at, body, camera) for ball, at in asked.items()]
-        settings = profile.settings.get("detector", {})
-        detector = registry.detector(profile.detector, settings, body, camera)
+        (detector,) = build_detectors(profile, registry, body, [camera]).values()
         found = plugin_calls.detections(detector, image, where, body)
         kept = [d for d in found if not asked or d.ball in asked]
         seen.append(SeenPicture(path, tuple(sorted(kept, key=lambda d: -d.score))))

@@ -8,13 +8,14 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from threading import Event
 
 import numpy as np
 
-from measure.api.measuring import burnt_in, measure_frame_sets
-from measure.api.profiles import RUN_FILE
+from measure.api.measuring import measure_frame_sets
+from measure.api.profiles import RUN_FILE, build_pipeline
 from measure.api.recording import (
     CaptureRequest,
     calibrated_cameras,
@@ -31,8 +32,7 @@ from measure.api.warming_up import warm_pipeline
 from measure.capture import CameraAddress, CameraCount, Cameras, Gathering, Outage, check_new
 from measure.errors import ConfigError, RunError
 from measure.host import Registry
-from measure.measuring import Measurement, Profile
-from measure.measuring.burn_in import enter_realtime
+from measure.measuring import Measurement, Profile, burn_in
 from measure.model import Body, Camera, FrameSet
 from measure.processes import share_heaps
 from measure.results import PoseSender, Provenance, RunWriter, Summary, refuse_other_writer
@@ -127,7 +127,17 @@ def live(
         raise RunError(f"{out} holds a run already: --overwrite throws it away")
     options.check_viewer()
     warm = [warm_pipeline(profile, registry, body, calibrated) for body in measured]
-    made_from = _provenance(options.record, calibration, measured, profile, registry)
+    record = None if options.record is None else options.record.resolve()
+    made_from = provenance(
+        calibration,
+        measured,
+        profile,
+        registry,
+        session="" if record is None else str(record / "session.toml"),
+        session_digest="",  # of pictures that are yet to come
+        session_name="live" if record is None else record.name,
+        notes=("measured live",),
+    )
     rig = Cameras(sources, sizes_of(calibrated), on_outage)
     gathering = Gathering([camera.name for camera in calibrated], on_read=rig.note_read)
     with ExitStack() as stack:
@@ -140,9 +150,10 @@ def live(
         outputs = _LiveOutputs(stack, out, made_from, measured, calibrated, options)
         rig.begin(sinks)
         frame_sets = _frame_sets(gathering, rig, stop, options.seconds)
-        pipelines = [burnt_in(one, profile, registry, frame_sets) for one in warm]
+        build = partial(build_pipeline, profile, registry)
+        pipelines = [burn_in.calibrated(one, build, frame_sets) for one in warm]
         for one in pipelines:
-            enter_realtime(one.stages.detectors)
+            burn_in.enter_realtime(one.stages.detectors)
         state, watch = None, _PaceMeter(gathering, rig)
         for frame_set, found in measure_frame_sets(pipelines, frame_sets()):
             known = [_with_away(each, rig.away) for each in found]
@@ -248,23 +259,3 @@ class _PaceMeter:
             self._rig.counts,
             self._rig.away,
         )
-
-
-def _provenance(
-    record: Path | None,
-    calibration: Path,
-    bodies: Sequence[Body],
-    profile: Profile,
-    registry: Registry,
-) -> Provenance:
-    """What a live run is made from: pictures that are kept, or gone."""
-    return provenance(
-        calibration,
-        bodies,
-        profile,
-        registry,
-        session="" if record is None else str((record / "session.toml").resolve()),
-        session_digest="",
-        session_name="live" if record is None else record.resolve().name,
-        notes=("measured live",),
-    )

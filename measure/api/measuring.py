@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
+from measure.api.profiles import build_pipeline
 from measure.api.warming_up import warm_pipeline
-from measure.host import Registry
+from measure.host import Detector, Registry
 from measure.measuring import Measurement, Pipeline, Profile, measure_together
-from measure.model import Body, FrameSet
+from measure.measuring.burn_in import calibrated
+from measure.model import Body, Detection, FrameSet
 from measure.session import Session
 
 
@@ -78,24 +81,27 @@ def calibrated_pipeline(
         SessionError: no two cameras have images close enough in time.
     """
     pipeline = warm_pipeline(profile, registry, body or session.body, session.cameras)
-    return burnt_in(pipeline, profile, registry, partial(session.frame_sets, start=start))
+    build = partial(build_pipeline, profile, registry)
+    return calibrated(pipeline, build, partial(session.frame_sets, start=start))
 
 
-def burnt_in(
-    pipeline: Pipeline,
-    profile: Profile,
-    registry: Registry,
-    frame_sets: Callable[[], Iterable[FrameSet]],
-) -> Pipeline:
-    """A pipeline to measure with: its detectors have calibrated themselves, if any needs that.
+def search_frame_sets(
+    session: Session, searches: Sequence[Mapping[str, Detector]], chosen: Iterable[int]
+) -> Iterator[tuple[FrameSet, list[dict[str, list[Detection]]]]]:
+    """Search whole pictures of some frame sets, the cameras side by side.
 
     Args:
-        pipeline: built from profile and registry.
-        profile: the stages and their settings.
-        registry: where the plugins come from.
-        frame_sets: the first ones, at every call.
-    """
-    from measure.api.profiles import build_pipeline
-    from measure.measuring.burn_in import calibrated
+        searches: a detector for each camera, by name; perhaps several of each.
 
-    return calibrated(pipeline, partial(build_pipeline, profile, registry), frame_sets)
+    Yields:
+        Each frame set with what each of the searches found, by camera.
+    """
+    with ThreadPoolExecutor(len(session.cameras)) as pool:
+        for index in chosen:
+            frame_set = next(iter(session.frame_sets(start=index, prefetch=1)))
+            images = frame_set.images
+            found = []
+            for by_camera in searches:
+                some = pool.map(lambda n, d=by_camera, i=images: d[n].detect(i[n], ()), images)
+                found.append(dict(zip(images, some, strict=True)))
+            yield frame_set, found

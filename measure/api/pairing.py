@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING
 from measure.api.outputs import check_writable, is_one_of
 from measure.api.training import check_seeds
 from measure.errors import ConfigError, EstimatorError
+from measure.host import Dataset, Report
 from measure.processes import Progress
+from measure.robots import LogFile, StateSchema, find_schema
+from measure.robots.simulator import Cables
 
 if TYPE_CHECKING:
-    from measure.host import Dataset, Report
     from measure.learning import AssemblySettings, TrajectoryFacts
-    from measure.robots import StateSchema
 
 
 def make_dataset(
@@ -41,7 +42,6 @@ def make_dataset(
         ConfigError: `out` cannot be written.
     """
     from measure.learning import files
-    from measure.robots import find_schema
 
     if is_one_of(out, (*runs, *logs, Path(robot))):
         raise EstimatorError(f"{out}: is one of the files to be read: choose another --out")
@@ -71,7 +71,6 @@ def _paired(
     topic: str | None,
 ) -> tuple[Dataset, list[TrajectoryFacts]]:
     from measure.learning import assemble, files
-    from measure.robots import LogFile
 
     if len(logs) not in (1, len(runs)):
         raise EstimatorError(
@@ -113,7 +112,6 @@ def simulate_dataset(
         EstimatorError: the name of `out` is not a data set's.
     """
     from measure.learning import PAPER_MINUTES, PAPER_PAIRS, files, simulated_dataset
-    from measure.robots.simulator import Cables
 
     _check_out(out)
     check_seeds(seed=seed)
@@ -153,7 +151,6 @@ def simulate_recording(
         ConfigError: a length, a rate, an offset, a seed or a wear that makes no recording.
     """
     from measure.learning.rendering import render_recording
-    from measure.robots.simulator import Cables
 
     if not (0 < seconds < math.inf and 0 < frame_hz < math.inf and seconds * frame_hz >= 1):
         raise ConfigError(

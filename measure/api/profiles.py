@@ -12,7 +12,7 @@ from typing import Any, get_args
 from pydantic import BaseModel
 
 from measure.errors import ConfigError
-from measure.host import Registry
+from measure.host import Detector, Registry
 from measure.host.settings import read_settings
 from measure.measuring import Pipeline, Profile, Stages
 from measure.measuring.profile import Stage
@@ -110,6 +110,14 @@ def find_tracker(name: str) -> type[Any]:
     return TRACKERS[name]
 
 
+def build_detectors(
+    profile: Profile, registry: Registry, body: Body, cameras: Sequence[Camera]
+) -> dict[str, Detector]:
+    """The detector of a profile for each camera, by name; raises as `build_pipeline` does."""
+    settings = profile.settings.get("detector", {})
+    return {c.name: registry.detector(profile.detector, settings, body, c) for c in cameras}
+
+
 def build_pipeline(
     profile: Profile, registry: Registry, body: Body, cameras: Sequence[Camera]
 ) -> Pipeline:
@@ -124,10 +132,7 @@ def build_pipeline(
     tracking = read_settings(
         tracker.Config, settings.get("tracking", {}), f"tracking '{profile.tracking}'"
     )
-    detectors = {
-        camera.name: registry.detector(profile.detector, settings.get("detector", {}), body, camera)
-        for camera in cameras
-    }
+    detectors = build_detectors(profile, registry, body, cameras)
     solver = registry.solver(profile.solver, settings.get("solver", {}), body)
     if solver.requires_outlines and any(d.provides_outlines is False for d in detectors.values()):
         others = " or ".join(name for name in registry.names("solver") if name != profile.solver)

@@ -11,15 +11,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING
 
 from measure.capture import CameraAddress, CameraCount, Cameras, Outage, Recorder, check_new
+from measure.capture.sources import Source
 from measure.errors import ConfigError
+from measure.model import Body, Camera
 from measure.session import check_bodies, read_body, read_calibration
-
-if TYPE_CHECKING:
-    from measure.capture.sources import Source
-    from measure.model import Body, Camera
 
 _POLL_S = 0.1
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)

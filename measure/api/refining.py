@@ -6,20 +6,18 @@ import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from measure.api.measuring import calibrated_pipeline
+from measure.api.profiles import load_profile
 from measure.arrays import Floats
+from measure.calibration import RefinedRig, RefineSettings, refine_measured, rough_cameras
 from measure.host import Registry
+from measure.measuring import Measurement, Profile
+from measure.model import Body
 from measure.processes import Progress
-from measure.session import Calibration, clock_values, read_calibration
-
-if TYPE_CHECKING:
-    from measure.calibration import RefinedRig, RefineSettings
-    from measure.measuring import Measurement, Profile
-    from measure.model import Body
-    from measure.session import Session
+from measure.session import Calibration, Session, clock_values, open_session, read_calibration
 
 _log = logging.getLogger(__name__)
 
@@ -63,10 +61,6 @@ def refine(
         CalibrationError: too little motion, or a result that is worse than the first calibration.
         SessionError, PluginError, ConfigError: as when measuring.
     """
-    from measure.api.profiles import load_profile
-    from measure.calibration import refine_measured, rough_cameras
-    from measure.session import open_session
-
     chosen = lenient(load_profile(profile))
     with open_session(session, calibration=calibration) as opened:
         joint = joint_covariance(opened)
@@ -104,8 +98,6 @@ def measure_all(
     opened: Session, profile: Profile, registry: Registry, progress: Progress | None
 ) -> tuple[list[Measurement], Body]:
     """Every frame set measured, and the body with the radii that its outlines show."""
-    from measure.api.measuring import calibrated_pipeline
-
     pipeline, measured = calibrated_pipeline(opened, profile, registry), []
     for measurement in pipeline.measure(opened.frame_sets()):
         measured.append(measurement)

@@ -13,6 +13,7 @@ import numpy as np
 
 from measure.api.measuring import calibrated_pipeline, measure_frame_sets
 from measure.api.outputs import check_writable
+from measure.api.profiles import build_detectors
 from measure.api.warming_up import warm_pipeline
 from measure.arrays import Floats
 from measure.checking.clocks import CameraClock, estimate_clocks
@@ -54,13 +55,13 @@ def find_offsets(
     chosen = {name: _spaced(s.times_s, seconds) for name, s in session.streams.items()}
     total = sum(map(len, chosen.values()))
     done = count(1)
-    settings = profile.settings.get("detector", {})
+    detectors = build_detectors(profile, registry, session.body, session.cameras)
 
     def tracks(camera: Camera) -> BallTracks:
-        detector = registry.detector(profile.detector, settings, session.body, camera)
         found = []
         for position in chosen[camera.name]:
-            found.append(detector.detect(session.streams[camera.name].read(position), ()))
+            image = session.streams[camera.name].read(position)
+            found.append(detectors[camera.name].detect(image, ()))
             if progress is not None:
                 progress(next(done), total)
         return BallTracks.of(camera, session.body, found)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 from measure.api.outputs import check_writable, is_one_of
 from measure.api.profiles import parse_value
 from measure.errors import ConfigError, EstimatorError
+from measure.host import OnnxModel, Registry, Report
 
 if TYPE_CHECKING:
-    from measure.host import Registry, Report
     from measure.learning import Importance, Split, SweepState, Trained
 
 
@@ -43,8 +44,6 @@ def train(
         EstimatorError: data that cannot be learnt from.
         PluginError, ConfigError: the estimator or its settings, a seed, or `out`.
     """
-    import json
-
     from measure import learning
     from measure.viewing.report.estimator_report import estimator_report
 
@@ -160,7 +159,6 @@ def ablate(
         ConfigError: a seed that cannot be used.
     """
     from measure import learning
-    from measure.host import OnnxModel
 
     check_seeds(split_seed=split_seed or 0)
     model = OnnxModel.load(model_path)

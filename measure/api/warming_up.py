@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
+from measure.api.profiles import build_pipeline
 from measure.host import Registry
 from measure.measuring import Pipeline, Profile
 from measure.model import Body, Camera
@@ -37,7 +38,6 @@ def compile_pipeline(
     profile: Profile, registry: Registry, body: Body, cameras: Sequence[Camera]
 ) -> Pipeline:
     """`warm_pipeline` without the notice; a second process compiles the later stages."""
-    from measure.api.profiles import build_pipeline
     from measure.api.second_compiler import second_compiler
 
     pipeline = build_pipeline(profile, registry, body, cameras)

@@ -1,30 +1,18 @@
-"""Recordings for the viewer: a measurement while it runs, a robot beside its measurement."""
+"""A recording for the viewer of a robot beside its measurement."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+import numpy as np
 
 from measure.api.outputs import check_writable
+from measure.arrays import Floats, Ints
 from measure.errors import ConfigError
-
-if TYPE_CHECKING:
-    from measure.arrays import Floats, Ints
-    from measure.results import Run
-
-
-def spawn_viewer() -> str:
-    """Open the viewer's window; it stays when the measurement is done.
-
-    Returns:
-        The address to send a recording to.
-
-    Raises:
-        RunError: the viewer is not installed.
-    """
-    from measure.viewing.viewer import open_viewer
-
-    return open_viewer([]).listens
+from measure.host import OnnxModel
+from measure.results import Run, read_run
+from measure.robots import find_schema
+from measure.session import open_session
 
 
 def robot_recording(
@@ -45,11 +33,8 @@ def robot_recording(
         ConfigError: there is no log.
         EstimatorError: log, model and poses do not fit together.
     """
-    from measure.host import OnnxModel
     from measure.learning import files
     from measure.learning.traces import robot_traces
-    from measure.results import read_run
-    from measure.robots import find_schema
     from measure.viewing.robot_recording import write_robot_recording
 
     check_writable(run / "robot.rrd")
@@ -67,8 +52,6 @@ def robot_recording(
 
 def _nearest(times_s: Floats, at_s: Floats) -> Ints:
     """Which of increasing times (n,) is nearest to each of others (m,); the earlier of two."""
-    import numpy as np
-
     # Not by all differences: robots report a thousand states a second.
     right = np.minimum(np.searchsorted(times_s, at_s), len(times_s) - 1)
     left = np.maximum(right - 1, 0)
@@ -77,8 +60,6 @@ def _nearest(times_s: Floats, at_s: Floats) -> Ints:
 
 def _log_of(run: Run) -> Path | None:
     """The robot log that a run's session names, if the session is still there."""
-    from measure.session import open_session
-
     if run.session is None:
         return None
     with open_session(run.session) as opened:
