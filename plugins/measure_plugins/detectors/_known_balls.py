@@ -102,7 +102,6 @@ class KnownBalls:
             appearance.sensor,
             self._lens,
             appearance.point_lights,
-            appearance.environment,
             appearance.correction_weight,
         )
 

@@ -1,4 +1,4 @@
-"""How a camera shows balls: tone curve, blur, surface, lights and surroundings.
+"""How a camera shows balls: tone curve, blur, surface and lights.
 
 See docs/explanation/outline.md, formula 10.
 """
@@ -13,7 +13,6 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.errors import ConfigError
-from measure_plugins._outline.appearance.environment_map import EnvironmentMap, no_environment
 from measure_plugins._outline.appearance.point_lights import no_point_lights
 from measure_plugins._outline.appearance.radial_basis import (
     BLUR_PX,
@@ -46,7 +45,6 @@ class Appearance:
     mirrors: bool = True
     # (k, 4) in the camera frame, see `point_lights`; none if not known.
     point_lights: Floats = field(default_factory=no_point_lights)
-    environment: EnvironmentMap = field(default_factory=no_environment)
     # share of the predicted bias of edges that is subtracted, see `trust`.
     correction_weight: float = DEFAULT_CORRECTION_WEIGHT
 

@@ -36,8 +36,6 @@ class Ambient(NamedTuple):
     # (m, n) diffuse light by the point lights, see `shade_by_lights`; empty if none are known:
     # shading is then a polynomial.
     light_shading: Floats
-    # (3, m, n) reflection of the surroundings, see `environment_reflection`; empty if unknown.
-    mirrored: Floats
     # (k, n) share of the mirrored light that is a ball's, see `ball_reflection_shares`.
     ball_shares: Floats
 
@@ -66,8 +64,8 @@ def predict_light(
         first: the step at which the prediction begins.
     """
     used = int(np.searchsorted(steps, FIT_LAST_PX, side="right"))
-    lighted, shown = ambient.light_shading, _without(profiles, ambient.mirrored, used)
-    own, amounts, grey, behind_grey = split_light(shown, status, background, steps, tables, used)
+    lighted = ambient.light_shading
+    own, amounts, grey, behind_grey = split_light(profiles, status, background, steps, tables, used)
     if lighted.size > 0:
         fitted = fit_light_shading(amounts, status, around, tables.diffuse, lighted, used)
         body = shaded_body(fitted, around, tables.diffuse, lighted, first)
@@ -82,31 +80,7 @@ def predict_light(
             reflected[k, i] = max(tied, 0.0)
     out = _compose(own, body, reflected, background, behind_grey, tables, first)
     add_ball_reflection(ambient.ball_shares, background, behind_grey, tables, first, out)
-    _add(ambient.mirrored, first, out)
     return out
-
-
-@compiled
-def _without(profiles: Floats, mirrored: Floats, used: int) -> Floats:
-    """Profiles (3, m, n), at least the first `used` steps, less the mirrored light, if known."""
-    if mirrored.size == 0:
-        return profiles
-    out = np.empty((3, used, profiles.shape[2]))
-    for c in range(3):
-        for j in range(used):
-            for i in range(profiles.shape[2]):
-                out[c, j, i] = profiles[c, j, i] - mirrored[c, j, i]
-    return out
-
-
-@compiled
-def _add(mirrored: Floats, first: int, out: Floats) -> None:
-    """Add mirrored light (3, m, n), if known, to light (3, m - first, n)."""
-    if mirrored.size > 0:
-        for c in range(3):
-            for j in range(out.shape[1]):
-                for i in range(out.shape[2]):
-                    out[c, j, i] = max(out[c, j, i] + mirrored[c, first + j, i], 0.0)
 
 
 @compiled

@@ -8,10 +8,6 @@ import numpy as np
 
 from measure.arrays import Bytes, Floats
 from measure.compiling import compiled
-from measure_plugins._outline.appearance.environment_map import (
-    EnvironmentMap,
-    environment_reflection,
-)
 from measure_plugins._outline.appearance.interreflection import ball_reflection_shares
 from measure_plugins._outline.appearance.point_lights import lights_about, shade_by_lights
 from measure_plugins._outline.appearance.radial_basis import RadialTables
@@ -54,7 +50,6 @@ class CameraImage(NamedTuple):
     sensor: Sensor
     lens: Floats  # (14,) lens row
     point_lights: Floats  # (k, 4) in the camera frame, see `appearance.point_lights`
-    environment: EnvironmentMap
     correction_weight: float  # see `Appearance`
 
 
@@ -146,13 +141,12 @@ def ambient_light(
 ) -> Ambient:
     """The light on a ball, along its groups of rays, as far as it is known.
 
-    It holds for scans a few pixels away too, because lights and walls are far away.
+    It holds for scans a few pixels away too, because lights are far away.
     """
     frame, around = frame_about(axis), middle_angles(angles_around(search.rays))
     point_lights = lights_about(view.point_lights, frame, search.distance)
     return Ambient(
         shade_by_lights(tables.diffuse, tables.fresnel_loss[0], around, point_lights),
-        environment_reflection(view.environment, tables.grey, frame, search.half_angle, around),
         ball_reflection_shares(search.behind, frame, search.half_angle, around),
     )
 

@@ -1,6 +1,6 @@
 """One estimate of a camera's tone curve, blur and lights, and of the surface of the balls.
 
-See docs/explanation/outline.md, formula 23.
+See docs/explanation/outline.md, formula 22.
 """
 
 from __future__ import annotations
@@ -12,10 +12,6 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure_plugins._outline.appearance.model import Appearance
-from measure_plugins._outline.self_calibration.environment_map import (
-    BackgroundAccumulator,
-    with_environment,
-)
 from measure_plugins._outline.self_calibration.patch import BallPatch
 from measure_plugins._outline.self_calibration.point_lights import (
     LightEquations,
@@ -75,7 +71,6 @@ def estimate_appearance(
     now: Appearance,
     world_from_camera: Floats,
     assume_bent: bool = False,
-    backgrounds: Sequence[BackgroundAccumulator] = (),
 ) -> AppearanceEstimate | None:
     """The appearance that fits the patches best; None if there are too few.
 
@@ -85,7 +80,6 @@ def estimate_appearance(
     Args:
         world_from_camera: (3, 3) rotation of the camera.
         assume_bent: whether the cameras together have shown that their common curve is bent.
-        backgrounds: the pictures without the balls.
     """
     useful = useful_patches(patches)
     if not useful:
@@ -104,8 +98,7 @@ def estimate_appearance(
         bent = with_point_lights(clear, bent, light_if_bent)
         ratio = residual_ratio(bent, straight, clear)
     is_bent = ratio < (_BENT_BELOW_TOGETHER if assume_bent else _BENT_BELOW)
-    with_map = with_environment(useful, bent if is_bent else straight, backgrounds)
-    chosen = choose_grazing_reflection(useful, with_map)
+    chosen = choose_grazing_reflection(useful, bent if is_bent else straight)
     agreement = prediction_agreement(useful, chosen)
     appearance = replace(chosen, correction_weight=correction_weight_of([agreement]))
     return AppearanceEstimate(
@@ -121,7 +114,7 @@ a mild bend in a cluttered room, which stays unnoticed."""
 
 
 def has_common_response(estimates: Sequence[AppearanceEstimate]) -> bool:
-    """Whether the cameras have a common response curve other than the standard's (formula 23).
+    """Whether the cameras have a common response curve other than the standard's (formula 22).
 
     That is tested where every camera's curve is nearer to their median than that is to the
     standard's.

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from measure.arrays import Bytes, Floats
-from measure_plugins._outline.appearance.environment_map import environment_reflection
 from measure_plugins._outline.appearance.model import Appearance
 from measure_plugins._outline.appearance.point_lights import lights_about, shade_by_lights
 from measure_plugins._outline.appearance.radial_basis import RadialTables
@@ -59,8 +58,5 @@ def _ambient(
     point_lights = lights_about(appearance.point_lights, patch.frame, patch.distance)
     return Ambient(
         shade_by_lights(tables.diffuse, tables.fresnel_loss[0], around, point_lights),
-        environment_reflection(
-            appearance.environment, tables.grey, patch.frame, patch.half_angle, around
-        ),
         behind,
     )

@@ -13,7 +13,6 @@ from dataclasses import replace
 import numpy as np
 
 from measure.arrays import Floats
-from measure_plugins._outline.appearance.environment_map import no_environment
 from measure_plugins._outline.appearance.model import BENDS, GLOSSY, MATT, Appearance
 from measure_plugins._outline.appearance.point_lights import no_point_lights
 from measure_plugins._outline.appearance.sensor import CHROMA_PX
@@ -63,13 +62,7 @@ Bounds = tuple[float, float]
 
 def as_stated(now: Appearance) -> Appearance:
     """The appearance with all parameters reset that are estimated anew."""
-    return replace(
-        now,
-        bends=np.zeros(BENDS),
-        mirrors=True,
-        point_lights=no_point_lights(),
-        environment=no_environment(),
-    )
+    return replace(now, bends=np.zeros(BENDS), mirrors=True, point_lights=no_point_lights())
 
 
 def straight_appearance(
@@ -121,7 +114,7 @@ def choose_grazing_reflection(patches: Sequence[BallPatch], appearance: Appearan
     useful = useful_patches(patches)
     if not useful or appearance.index != GLOSSY:
         return appearance
-    without = replace(appearance, mirrors=False, environment=no_environment())
+    without = replace(appearance, mirrors=False)
     ratios = [_plain_misfit(s, appearance) / _plain_misfit(s, without) for s in useful]
     return without if float(np.mean(np.log(ratios))) > _WORSE_WITH_GRAZING else appearance
 

@@ -18,11 +18,6 @@ from measure_plugins._outline.appearance.interreflection import (
 from measure_plugins._outline.appearance.model import Appearance
 from measure_plugins._outline.fitting.edges import INSIDE_PX, OUTSIDE_PX
 from measure_plugins._outline.sampling.rays import STEPS, cast_rays, frame_about, mark_occluded
-from measure_plugins._outline.self_calibration.environment_map import (
-    BackgroundAccumulator,
-    background_of,
-    environment_of,
-)
 from measure_plugins._outline.self_calibration.estimate import (
     AppearanceEstimate,
     estimate_appearance,
@@ -63,7 +58,6 @@ class SelfCalibration:
         self._rays, self._margin_px = rays, margin_px
         self._count, self._kept, self._due = 0, 1, _FIRST_ESTIMATE
         self._patches: deque[list[BallPatch]] = deque(maxlen=_KEPT_IMAGES)
-        self._backgrounds: deque[BackgroundAccumulator] = deque(maxlen=_KEPT_IMAGES)
         self._estimates, self._latest_s = 0, -np.inf
         self._estimate: AppearanceEstimate | None = None
         self._assume_bent = False
@@ -121,7 +115,6 @@ class SelfCalibration:
             others: outlines of balls that are there but were not found.
         """
         self._kept = 2 * self._count
-        self._backgrounds.append(self._background(pixels, (*seen, *others)))
         self._patches.append([self._patch(pixels, cone, (*seen, *others)) for cone in seen])
         if self._count < self._due:
             return None
@@ -130,11 +123,10 @@ class SelfCalibration:
 
     def _estimation(self, now: Appearance) -> Callable[[], Appearance]:
         patches = [patch for picture in self._patches for patch in picture]
-        backgrounds = list(self._backgrounds)
 
         def run() -> Appearance:
             self._estimate = estimate_appearance(
-                patches, now, self._world_from_camera, self._assume_bent, backgrounds
+                patches, now, self._world_from_camera, self._assume_bent
             )
             return now if self._estimate is None else self._fused(self._estimate)
 
@@ -154,12 +146,6 @@ class SelfCalibration:
         misfits(patches, now)
         prediction_agreement(patches, now)
         solve_point_lights([light_equations(patches, now, self._world_from_camera)])
-        background = self._background(pixels, [cone])
-        misfits(patches, replace(now, environment=environment_of([background], now.table)))
-
-    def _background(self, pixels: Bytes, balls: Sequence[Cone]) -> BackgroundAccumulator:
-        rows = np.array([[*axis, half_angle] for axis, half_angle, _ in balls])
-        return background_of(pixels, self._lens, rows.reshape(-1, 4))
 
     def _patch(self, pixels: Bytes, cone: Cone, all_cones: Sequence[Cone]) -> BallPatch:
         axis, half_angle, distance = cone
