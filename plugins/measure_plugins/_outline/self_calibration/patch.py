@@ -57,6 +57,5 @@ def _ambient(
         around, behind = middle_angles(around), np.ascontiguousarray(behind[:, ::TOGETHER])
     point_lights = lights_about(appearance.point_lights, patch.frame, patch.distance)
     return Ambient(
-        shade_by_lights(tables.diffuse, tables.fresnel_loss[0], around, point_lights),
-        behind,
+        shade_by_lights(tables.diffuse, tables.fresnel_loss[0], around, point_lights), behind
     )
