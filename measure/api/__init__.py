@@ -32,6 +32,7 @@ from measure.api.recording import (
     record,
 )
 from measure.api.refining import RefineResult, refine
+from measure.api.registering import register
 from measure.api.results import body_names, compare, evaluate, export, report
 from measure.api.run import RunOptions, parse_images, run
 from measure.api.sampling import check_new_body, parse_click, write_sampled_body
@@ -47,11 +48,11 @@ __all__ = [
     "SeenPicture", "SessionCheck", "SweepOptions", "SyncedClock", "TipResult", "TrainOptions",
     "ablate", "accept", "body_names", "build_pipeline", "calibrate", "camera_names", "check",
     "check_new_body", "choose", "compare", "correct_simulated_robot", "demo", "detect",
-    "draw_target", "estimate_file", "estimate_online", "evaluate", "evaluation_tables", "export",
-    "find_body", "live", "load_profile", "make_dataset", "measure_bodies", "measure_session",
-    "parse_cameras", "parse_click", "parse_expectation", "parse_images", "parse_receiver",
-    "parse_settings", "parse_size", "pivot", "record", "refine", "render_demo", "report", "rests",
-    "rezero", "robot_recording", "run", "run_many", "shipped_model", "shipped_targets",
-    "simulate_dataset", "simulate_recording", "sweep", "sync", "train", "world", "world_by_board",
-    "write_sampled_body",
+    "draw_target", "estimate_file", "estimate_online", "evaluate", "evaluation_tables",
+    "export", "find_body", "live", "load_profile", "make_dataset", "measure_bodies",
+    "measure_session", "parse_cameras", "parse_click", "parse_expectation", "parse_images",
+    "parse_receiver", "parse_settings", "parse_size", "pivot", "record", "refine", "register",
+    "render_demo", "report", "rests", "rezero", "robot_recording", "run", "run_many",
+    "shipped_model", "shipped_targets", "simulate_dataset", "simulate_recording", "sweep",
+    "sync", "train", "world", "world_by_board", "write_sampled_body",
 ]  # fmt: skip

@@ -16,7 +16,7 @@ from measure.robots import LogFile, StateSchema, find_schema
 from measure.robots.simulator import Cables
 
 if TYPE_CHECKING:
-    from measure.learning import AssemblySettings, TrajectoryFacts
+    from measure.learning import AssemblySettings, PoseTrack, TrajectoryFacts
 
 
 def make_dataset(
@@ -27,6 +27,7 @@ def make_dataset(
     settings: AssemblySettings,
     *,
     topic: str | None = None,
+    frame: Path | None = None,
 ) -> tuple[Dataset, list[TrajectoryFacts]]:
     """Pair runs with robot logs, or take tables that already hold labels, and write a data set.
 
@@ -36,24 +37,49 @@ def make_dataset(
         robot: name of a state schema, or a robot.toml.
         out: the Parquet file; its data card goes beside it.
         topic: of the state messages, if a log is a bag.
+        frame: where the robot is, by `register`; its base is the cameras' world if omitted.
 
     Raises:
-        EstimatorError: files that do not fit; the message says which.
+        EstimatorError: files that do not fit, the message says which; labels that a frame, a tool
+            or a clock explains, unless `settings` keep them.
         ConfigError: `out` cannot be written.
     """
-    from measure.learning import files
+    from measure.learning import assemble, files
 
-    if is_one_of(out, (*runs, *logs, Path(robot))):
+    if is_one_of(out, (*runs, *logs, Path(robot), *([frame] if frame else []))):
         raise EstimatorError(f"{out}: is one of the files to be read: choose another --out")
     _check_out(out)
     schema = find_schema(robot)
     facts: list[TrajectoryFacts] = []
     if logs:
-        data, facts = _paired(runs, logs, schema, settings, topic)
+        tracks = read_tracks(runs, frame, schema.robot)
+        each = open_logs(runs, logs, schema, topic)
+        data, facts = assemble(list(zip(tracks, each, strict=True)), settings)
     else:
-        data = _labelled(runs, schema)
+        data = _labelled(runs, schema, settings.as_it_is)
     files.write_dataset(out, data, facts, ", ".join(map(str, [*runs, *logs])))
     return data, facts
+
+
+def read_tracks(runs: Sequence[Path], frame: Path | None, robot: str) -> list[PoseTrack]:
+    """Measured positions of runs or files of poses: of the reported point in the robot's base.
+
+    Args:
+        frame: where these are; the body's origin in the cameras' world if omitted.
+
+    Raises:
+        EstimatorError: no poses, or a frame of another robot.
+    """
+    from measure.learning import files
+    from measure.learning.frames import read_frame
+
+    tracks = [files.read_poses(path) for path in runs]
+    if frame is None:
+        return tracks
+    known = read_frame(frame)
+    if known.robot != robot:
+        raise EstimatorError(f"{frame}: is the frame of robot '{known.robot}', not of '{robot}'")
+    return [known.to_base(track) for track in tracks]
 
 
 def _check_out(out: Path) -> None:
@@ -63,27 +89,25 @@ def _check_out(out: Path) -> None:
         check_writable(file, folder_is_made=True)
 
 
-def _paired(
-    runs: Sequence[Path],
-    logs: Sequence[Path],
-    schema: StateSchema,
-    settings: AssemblySettings,
-    topic: str | None,
-) -> tuple[Dataset, list[TrajectoryFacts]]:
-    from measure.learning import assemble, files
+def open_logs(
+    runs: Sequence[Path], logs: Sequence[Path], schema: StateSchema, topic: str | None
+) -> list[LogFile]:
+    """A log for each run; EstimatorError unless there is one for all, or one each."""
+    from measure.robots import LogFile
 
     if len(logs) not in (1, len(runs)):
         raise EstimatorError(
             f"{len(runs)} runs and {len(logs)} robot logs: give one log for all, or one each"
         )
     read = [LogFile(path, schema, topic) for path in logs]
-    each = read * len(runs) if len(read) == 1 else read
-    tracks = [files.read_poses(path) for path in runs]
-    return assemble(list(zip(tracks, each, strict=True)), settings)
+    return read * len(runs) if len(read) == 1 else read
 
 
-def _labelled(tables: Sequence[Path], schema: StateSchema) -> Dataset:
+def _labelled(tables: Sequence[Path], schema: StateSchema, as_it_is: bool) -> Dataset:
+    import numpy as np
+
     from measure.learning import files, join
+    from measure.learning.labels import check_labels, label_doubts
 
     bare = [path for path in tables if path.is_dir() or not files.has_labels(path)]
     if bare:
@@ -91,7 +115,12 @@ def _labelled(tables: Sequence[Path], schema: StateSchema) -> Dataset:
             f"{bare[0]}: has no labels (run, ex, ey, ez) of its own: give the robot's log "
             "with --robot-log"
         )
-    return join([files.read_labelled(path, schema) for path in tables])
+    data = join([files.read_labelled(path, schema) for path in tables])
+    for name, rows in data.runs():
+        used = np.flatnonzero(data.usable[rows]) + rows.start
+        doubts = label_doubts(schema, data.states[used], data.errors_mm[used], None)
+        check_labels(name, doubts, as_it_is=as_it_is)
+    return data
 
 
 def simulate_dataset(

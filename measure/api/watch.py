@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from measure.api.outputs import check_writable
+from measure.api.pairing import read_tracks
 from measure.arrays import Floats, Ints
 from measure.errors import ConfigError
 from measure.host import OnnxModel
@@ -16,7 +17,11 @@ from measure.session import open_session
 
 
 def robot_recording(
-    run: Path, robot: str, log: Path | None = None, model: Path | None = None
+    run: Path,
+    robot: str,
+    log: Path | None = None,
+    model: Path | None = None,
+    frame: Path | None = None,
 ) -> Path:
     """Write a robot's reported, measured and corrected positions into the run's `robot.rrd`.
 
@@ -24,6 +29,7 @@ def robot_recording(
         robot: name of a state schema, or a robot.toml.
         log: the robot's log; the session's own if omitted.
         model: an estimator (.onnx) that corrects the reported positions.
+        frame: where the robot is, by `register`; its base is the cameras' world if omitted.
 
     Returns:
         The recording.
@@ -33,7 +39,6 @@ def robot_recording(
         ConfigError: there is no log.
         EstimatorError: log, model and poses do not fit together.
     """
-    from measure.learning import files
     from measure.learning.traces import robot_traces
     from measure.viewing.robot_recording import write_robot_recording
 
@@ -43,7 +48,9 @@ def robot_recording(
     if log is None:
         raise ConfigError(f"the session of {run} names no robot log: give it with --robot-log")
     estimator = None if model is None else OnnxModel.load(model)
-    traces = robot_traces(files.read_poses(run), log, find_schema(robot), estimator)
+    schema = find_schema(robot)
+    (track,) = read_tracks([run], frame, schema.robot)
+    traces = robot_traces(track, log, schema, estimator)
     frames = measured.poses["index"].to_numpy()[_nearest(measured.times_s, traces.times_s)]
     path = run / "robot.rrd"
     write_robot_recording(path, f"{run.resolve().name}: robot", frames, traces)

@@ -48,6 +48,7 @@ GROUPS: dict[str, dict[str, str]] = {
     },
     "Correct a robot": {
         "simulate": "Render a recording of the simulated RAVEN-II, with its log and its truth.",
+        "register": "Find where a robot stands in the cameras' world, and the body on its tool.",
         "dataset": "Pair a robot's states with measured position errors.",
         "train": "Train an estimator of a robot's position error.",
         "sweep": "Search an estimator's settings, on many machines if there are.",

@@ -10,27 +10,12 @@ from cyclopts import Parameter
 
 from measure.cli import console
 from measure.cli.console import JsonFlag, OutFile, shares
+from measure.cli.options import RobotOptions
 
 if TYPE_CHECKING:
     from measure.host import Dataset
     from measure.learning import TrajectoryFacts
-
-
-@Parameter(name="*")
-@dataclass(frozen=True)
-class _RobotOptions:
-    """The robot and its log.
-
-    Attributes:
-        robot_log: the robot's log: Parquet, text or a bag; one for all runs, or one each.
-        robot: a known one (raven, raven-right, dvrk-psm, ur5e, ur10e, franka, xarm6, kuka-iiwa), a
-            robot.toml or a .urdf.
-        topic: of the robot's states in a bag.
-    """
-
-    robot_log: Annotated[tuple[Path, ...], Parameter(name="--robot-log")] = ()
-    robot: str = "raven"
-    topic: str | None = None
+    from measure.learning.labels import LabelFacts
 
 
 @Parameter(name="*")
@@ -44,6 +29,7 @@ class _AssemblyOptions:
         history_hz: add unlabelled states between the labels at this rate.
         cut_s: cut recordings into trajectories of this length.
         largest_sd_mm: do not learn from labels less certain than this.
+        as_it_is: keep labels that a frame, a tool or a clock explains, with a warning.
     """
 
     clock_offset_s: float | None = None
@@ -51,6 +37,7 @@ class _AssemblyOptions:
     history_hz: float = 0.0
     cut_s: float = 0.0
     largest_sd_mm: float = 3.0
+    as_it_is: Annotated[bool, Parameter(negative="")] = False
 
 
 @Parameter(name="*")
@@ -78,7 +65,8 @@ def dataset(
     /,
     *,
     out: OutFile,
-    source: _RobotOptions = _RobotOptions(),
+    frame: Path | None = None,
+    source: RobotOptions = RobotOptions(),
     assembly: _AssemblyOptions = _AssemblyOptions(),
     simulation: _SimulationOptions = _SimulationOptions(),
     json: JsonFlag = False,
@@ -91,9 +79,12 @@ def dataset(
     Args:
         runs: run folders, or files of poses; without a log, tables that already hold errors.
         out: the data set's file (.parquet).
+        frame: where the robot is, written by `measure register`; its base is the cameras' world
+            and its tip the body's origin if omitted.
     """
     from measure import api
     from measure.errors import ConfigError
+    from measure.learning.labels import LabelFacts
 
     if bool(runs) == (simulation.simulate_min is not None):
         raise ConfigError("give runs, or --simulate-min MINUTES, but not both")
@@ -109,12 +100,18 @@ def dataset(
 
         settings = AssemblySettings(**asdict(assembly))
         data, facts = api.make_dataset(
-            runs, source.robot_log, source.robot, out, settings, topic=source.topic
+            runs, source.robot_log, source.robot, out, settings, topic=source.topic, frame=frame
         )
+    labels = LabelFacts.of(data)
+    for fact in facts:
+        for doubt in fact.doubts:
+            console.note(f"warning: {fact.name}: {doubt}")
     if json:
-        console.print_json({"data": str(out), "rows": len(data), "recordings": facts})
+        values = {"data": str(out), "rows": len(data), "labels": labels, "recordings": facts}
+        console.print_json(values)
     else:
         _conclude(data, facts, assembly.clock_offset_s, out)
+        _tell_labels(labels)
 
 
 _COLUMNS = ("recording", "rows", "usable", "not measured", "no state", "outliers", "uncertain")
@@ -141,4 +138,17 @@ def _conclude(
             )
     console.print_text(
         f"{int(data.usable.sum())} labels in {len(data.present())} trajectories written to {out}"
+    )
+
+
+def _tell_labels(labels: LabelFacts | None) -> None:
+    if labels is None:
+        return
+    mean, sd, largest = (
+        " ".join(f"{value:.2f}" for value in values)
+        for values in (labels.mean_mm, labels.sd_mm, labels.largest_mm)
+    )
+    console.print_text(
+        f"labels, measured minus reported: {labels.rms_mm:.2f} mm RMS (3-D); in x y z mean {mean}, "
+        f"SD {sd}, largest {largest} mm"
     )

@@ -110,3 +110,20 @@ class CaptureOptions:
         return api.CaptureRequest(
             None if self.size is None else api.parse_size(self.size), self.rate
         )
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class RobotOptions:
+    """The robot and its log.
+
+    Attributes:
+        robot_log: the robot's log: Parquet, text or a bag; one for all runs, or one each.
+        robot: a known one (raven, raven-right, dvrk-psm, ur5e, ur10e, franka, xarm6, kuka-iiwa), a
+            robot.toml or a .urdf.
+        topic: of the robot's states in a bag.
+    """
+
+    robot_log: Annotated[tuple[Path, ...], Parameter(name="--robot-log")] = ()
+    robot: str = "raven"
+    topic: str | None = None

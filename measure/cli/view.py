@@ -19,6 +19,7 @@ def view(
     robot: str | None = None,
     robot_log: Path | None = None,
     model: Path | None = None,
+    frame: Path | None = None,
 ) -> None:
     """Show a run in the viewer.
 
@@ -31,16 +32,17 @@ def view(
             .urdf.
         robot_log: the robot's log; the one that the session names if omitted.
         model: an estimator (.onnx): its corrected position is shown too.
+        frame: where the robot is, written by `measure register`.
     """
     from measure.viewing.viewer import open_viewer, recording_of
 
-    if robot is None and (robot_log or model):
+    if robot is None and (robot_log or model or frame):
         raise ConfigError("say with --robot what the robot's states are, such as --robot raven")
     recordings = [recording_of(run)]
     if robot is not None:
         from measure import api
 
-        recordings.append(api.robot_recording(run, robot, robot_log, model))
+        recordings.append(api.robot_recording(run, robot, robot_log, model, frame))
     # Ended by a service manager or a closed terminal, the viewer must end too.
     for ending in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
         signal.signal(ending, lambda number, _: sys.exit(128 + number))

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from measure.arrays import Bools, Floats, Ints
 from measure.errors import EstimatorError
+from measure.geometry import RigidTransform
 from measure.geometry.covariance import MAD_TO_SD
 from measure.host import Dataset
 from measure.learning.agreement import check_frames, check_units
 from measure.learning.clock import ClockOffset, estimate_offset
+from measure.learning.labels import check_labels, label_doubts
 from measure.learning.splits import join
+from measure.metrology.poses import PoseTable
 from measure.robots import StateLog
 
 _LARGEST_OFFSET_S = 3600.0
@@ -28,6 +31,25 @@ class PoseTrack:
     times_s: Floats  # (n,) increasing
     positions_mm: Floats  # (n, 3), in the robot's base frame; NaN where not measured
     covariances: Floats  # (n, 3, 3) in mm^2
+    rotations: Floats | None = None  # (n, 3, 3) of the body, if they are measured too
+    pose_covariances: Floats | None = None  # (n, 6, 6) in the `perturb` chart, then
+
+    def measured(self) -> PoseTrack:
+        """The rows in which a pose was measured."""
+        rows = np.isfinite(self.positions_mm).all(axis=1)
+        arrays = {
+            name: value[rows]
+            for name, value in vars(self).items()
+            if name != "name" and value is not None
+        }
+        return replace(self, **arrays)
+
+    def table(self) -> PoseTable:
+        """The same with rotations, which must be measured."""
+        assert self.rotations is not None
+        assert self.pose_covariances is not None
+        poses = RigidTransform(self.rotations, self.positions_mm)
+        return PoseTable(self.times_s, poses, self.pose_covariances)
 
 
 @dataclass(frozen=True)
@@ -43,6 +65,7 @@ class AssemblySettings:
     largest_sd_mm: float = 3.0  # a label less certain than this (3-D) is unusable
     history_hz: float = 0.0  # add unlabelled states between the labels at this rate; 0 adds none
     cut_s: float = 0.0  # cut recordings into trajectories of this length; 0 keeps them whole
+    as_it_is: bool = False  # keep labels that a frame, a tool or a clock explains
 
     def __post_init__(self) -> None:
         for name in ("largest_offset_s", "largest_sd_mm", "history_hz", "cut_s"):
@@ -76,6 +99,7 @@ class TrajectoryFacts:
     bad_states: int
     duration_s: float
     clock: ClockOffset | None = field(default=None)
+    doubts: tuple[str, ...] = ()  # why the labels may be no errors of the robot
 
 
 def assemble(
@@ -123,11 +147,11 @@ class _Marks:
 def _assemble_one(
     track: PoseTrack, log: StateLog, settings: AssemblySettings
 ) -> tuple[Dataset, TrajectoryFacts]:
-    finite = _complete_states(track.name, log)
+    finite = complete_states(track.name, log)
     clock = _clock(track, finite, settings)
     offset = clock.offset_s if clock else settings.clock_offset_s or 0.0
     times, row_of_pose = _row_times(track.times_s + offset, finite, settings.history_hz)
-    states, near = _interpolate(finite, times, settings.longest_gap_s)
+    states, near = interpolate(finite, times, settings.longest_gap_s)
     positions = np.full((len(times), 3), np.nan)
     covariances = np.tile(np.eye(3), (len(times), 1, 1))
     positions[row_of_pose] = track.positions_mm
@@ -140,7 +164,11 @@ def _assemble_one(
     outlier[row_of_pose] = _outliers(errors[row_of_pose], settings.outlier_sds)
     sd = np.sqrt(np.trace(covariances, axis1=1, axis2=2))
     marks = _Marks(measured, near, outlier, measured & (sd > settings.largest_sd_mm))
-    check_frames(track.name, positions[marks.usable], reported[marks.usable])
+    used = marks.usable
+    check_frames(track.name, positions[used], reported[used])
+    velocity = np.gradient(reported, times, axis=0)[used] if clock is None else None
+    doubts = label_doubts(log.schema, states[used], errors[used], velocity)
+    doubts = check_labels(track.name, doubts, as_it_is=settings.as_it_is)
     kept = marks.kept
     trajectory, names = _cut(track.name, times[kept], settings.cut_s)
     part = Dataset(
@@ -155,11 +183,13 @@ def _assemble_one(
     )
     during = (log.times_s >= times[0]) & (log.times_s <= times[-1])
     bad = int((~log.complete[during]).sum())
-    return part, _facts(track, marks, bad, float(times[-1] - times[0]), clock)
+    return part, replace(
+        _facts(track, marks, bad, float(times[-1] - times[0]), clock), doubts=doubts
+    )
 
 
 @dataclass(frozen=True, eq=False)
-class _Complete:
+class CompleteStates:
     """The states that are all numbers: times (n,), reported positions (n, 3), rows (n,)."""
 
     log: StateLog
@@ -168,7 +198,7 @@ class _Complete:
     rows: Ints
 
 
-def _complete_states(name: str, log: StateLog) -> _Complete:
+def complete_states(name: str, log: StateLog) -> CompleteStates:
     """The log without the states that are not all numbers."""
     good = log.complete
     if good.sum() < 2:
@@ -178,10 +208,10 @@ def _complete_states(name: str, log: StateLog) -> _Complete:
             f"'{log.schema.names[worst]}' is none in {int(log.broken[worst])} of {len(good)}"
         )
     kept = slice(None) if good.all() else good  # a copy of a long log is large
-    return _Complete(log, log.times_s[kept], log.reported_mm[kept], np.flatnonzero(good))
+    return CompleteStates(log, log.times_s[kept], log.reported_mm[kept], np.flatnonzero(good))
 
 
-def _clock(track: PoseTrack, log: _Complete, settings: AssemblySettings) -> ClockOffset | None:
+def _clock(track: PoseTrack, log: CompleteStates, settings: AssemblySettings) -> ClockOffset | None:
     """The offset estimated from the motion, or None if it was given."""
     seen = np.isfinite(track.positions_mm).all(axis=1)
     if seen.sum() < 10:
@@ -198,7 +228,7 @@ def _clock(track: PoseTrack, log: _Complete, settings: AssemblySettings) -> Cloc
 
 
 def _check_common(
-    track: PoseTrack, log: _Complete, offset_s: float, measured_mm: Floats, reported_mm: Floats
+    track: PoseTrack, log: CompleteStates, offset_s: float, measured_mm: Floats, reported_mm: Floats
 ) -> None:
     """Refuse positions (n, 3) of the same instants if there are none, or not in one unit."""
     if not len(measured_mm):
@@ -229,7 +259,7 @@ def _facts(
     )
 
 
-def _row_times(pose_times: Floats, log: _Complete, history_hz: float) -> tuple[Floats, Ints]:
+def _row_times(pose_times: Floats, log: CompleteStates, history_hz: float) -> tuple[Floats, Ints]:
     if history_hz <= 0:
         return pose_times, np.arange(len(pose_times))
     start, stop = max(pose_times[0], log.times_s[0]), min(pose_times[-1], log.times_s[-1])
@@ -237,7 +267,8 @@ def _row_times(pose_times: Floats, log: _Complete, history_hz: float) -> tuple[F
     return times, np.searchsorted(times, pose_times)
 
 
-def _interpolate(log: _Complete, at: Floats, longest_gap_s: float) -> tuple[Floats, Bools]:
+def interpolate(log: CompleteStates, at: Floats, longest_gap_s: float) -> tuple[Floats, Bools]:
+    """States (n, features) at instants (n,), and whether the log has one as near as that."""
     right = np.clip(np.searchsorted(log.times_s, at), 1, len(log.times_s) - 1)
     before, after = log.times_s[right - 1], log.times_s[right]
     share = np.clip((at - before) / (after - before), 0.0, 1.0)[:, None]

@@ -76,7 +76,8 @@ def estimate_offset(
         raise EstimatorError(
             f"no clock offset within {largest_s:g} s makes the measured and the reported velocity "
             f"agree (best correlation {scores[best]:.2f}): is this the log of this recording, "
-            "and no axis reversed?" + (hint if step > _SPARSE_POSES_S else "")
+            "no axis reversed, and the tip the body's origin (else `measure register`)?"
+            + (hint if step > _SPARSE_POSES_S else "")
         )
     rival = int(np.argmax(np.where(np.abs(lags - lags[best]) > _MIN_RIVAL_DISTANCE_S, scores, 0.0)))
     if 1 - scores[rival] ** 2 < _MIN_RESIDUAL_RATIO * (1 - scores[best] ** 2):

@@ -12,10 +12,12 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.errors import EstimatorError
+from measure.geometry import RigidTransform
 from measure.host import Dataset
 from measure.learning.assemble import PoseTrack, TrajectoryFacts
 from measure.learning.scores import Score
 from measure.results import read_run
+from measure.results.tables import PLACE
 from measure.robots import ROBOT_KEY, StateSchema, feature_columns
 from measure.robots.tables import Table
 
@@ -164,9 +166,9 @@ def has_labels(path: Path) -> bool:
 def read_poses(path: Path) -> PoseTrack:
     """Measured positions of a run folder, or of a `.csv` or `.parquet` file of positions.
 
-    A file needs `time_s`, `x_mm`, `y_mm`, `z_mm`, and may give `position_sd_mm` (3-D), else 0.1 mm
-    per axis is assumed. Poses whose `status`, which runs have and files may have, is not "ok" count
-    as not measured.
+    A file needs `time_s`, `x_mm`, `y_mm`, `z_mm`, and may give `qw`, `qx`, `qy`, `qz`, and
+    `position_sd_mm` and `rotation_sd_deg` (3-D), else 0.1 mm and 0.3 deg per axis are assumed.
+    Poses whose `status`, which runs have and files may have, is not "ok" count as not measured.
 
     Raises:
         EstimatorError: there is no such file, or columns are missing.
@@ -178,28 +180,46 @@ def read_poses(path: Path) -> PoseTrack:
         raise EstimatorError(f"{path}: no such run or file of poses")
     table = Table.read(path)
     columns = table.numbers("time_s", "x_mm", "y_mm", "z_mm")
-    variance = np.full(len(table), 0.1**2)
-    if "position_sd_mm" in table:
-        sd = table.numbers("position_sd_mm")[:, 0]
-        variance = np.where(np.isfinite(sd), sd, np.sqrt(3.0)) ** 2 / 3.0
-    covariances = variance[:, None, None] * np.eye(3)
+    variances = [
+        _variance(table, "position_sd_mm", 0.1),
+        np.deg2rad(_variance(table, "rotation_sd_deg", 0.3) ** 0.5) ** 2,
+    ]
+    P = np.repeat(np.stack(variances, axis=1), 3, axis=1)[:, :, None] * np.eye(6)
+    turns = None
+    if all(name in table for name in PLACE[3:]):
+        quats = table.numbers(*PLACE[3:])
+        known = np.linalg.norm(quats, axis=1) > 0.5  # not where it is NaN
+        columns[~known, 1:] = np.nan
+        turns = RigidTransform.from_quat_wxyz(
+            np.where(known[:, None], quats, [1.0, 0, 0, 0]), np.zeros(3)
+        ).rotation
     if not np.isfinite(columns[:, 0]).all():
         row = int(np.argmin(np.isfinite(columns[:, 0]))) + 1
         raise EstimatorError(f"{path}: row {row} has no time")
     positions = columns[:, 1:]
     if "status" in table:
         positions = _where_ok(positions, table.labels("status"))
-    return _ordered(path.stem, columns[:, 0], positions, covariances)
+    return _ordered(path.stem, columns[:, 0], positions, P, turns)
+
+
+def _variance(table: Table, name: str, usual_sd: float) -> Floats:
+    """Per axis (n,) of a 3-D standard deviation; that of `usual_sd` if there is no such column."""
+    if name not in table:
+        return np.full(len(table), usual_sd**2)
+    sd = table.numbers(name)[:, 0]
+    return np.asarray(np.where(np.isfinite(sd), sd, np.sqrt(3.0)) ** 2 / 3.0)
 
 
 def _run_poses(path: Path) -> PoseTrack:
     run = read_run(path)
     count = len(run.times_s)
-    positions, covariances = np.full((count, 3), np.nan), np.tile(np.eye(3), (count, 1, 1))
+    positions, P = np.full((count, 3), np.nan), np.tile(np.eye(6), (count, 1, 1))
+    turns = np.tile(np.eye(3), (count, 1, 1))
     positions[run.has_pose] = run.world_from_body.translation
-    covariances[run.has_pose] = run.covariances[:, :3, :3]
+    turns[run.has_pose] = run.world_from_body.rotation
+    P[run.has_pose] = run.covariances
     positions = _where_ok(positions, run.poses["status"].to_pylist())
-    return _ordered(path.name, run.times_s, positions, covariances)
+    return _ordered(path.name, run.times_s, positions, P, turns)
 
 
 def _where_ok(positions: Floats, statuses: Sequence[str]) -> Floats:
@@ -207,9 +227,14 @@ def _where_ok(positions: Floats, statuses: Sequence[str]) -> Floats:
     return np.where(sure[:, None], positions, np.nan)
 
 
-def _ordered(name: str, times: Floats, positions: Floats, covariances: Floats) -> PoseTrack:
+def _ordered(
+    name: str, times: Floats, positions: Floats, covariances: Floats, turns: Floats | None
+) -> PoseTrack:
+    """Rows in the order of time; covariances are (n, 6, 6)."""
     order = np.argsort(times, kind="stable")
-    return PoseTrack(name, times[order], positions[order], covariances[order])
+    P = covariances[order]
+    poses = (None, None) if turns is None else (turns[order], P)
+    return PoseTrack(name, times[order], positions[order], P[:, :3, :3], *poses)
 
 
 def _encode(labels: Sequence[str]) -> tuple[tuple[str, ...], np.ndarray]:

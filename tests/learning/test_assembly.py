@@ -219,9 +219,9 @@ def test_other_units_are_noticed(
     [
         (np.diag([1.0, 1, -1]), 0, "are mirror images of each other"),
         (np.eye(3)[[1, 0, 2]], 0, "are mirror images of each other"),
-        (np.diag([1.0, -1, -1]), 0, "are turned by 1[78]. degrees"),
-        (np.eye(3)[[2, 0, 1]], 0, "are turned by 1[12]. degrees"),
-        (np.eye(3), 150, "lie 2[56]. mm apart"),
+        (np.diag([1.0, -1, -1]), 0, r"a world turned by 1[78]\d\.\d deg .* `measure register"),
+        (np.eye(3)[[2, 0, 1]], 0, r"a world turned by 1[12]\d\.\d deg .* explains them but for"),
+        (np.eye(3), 150, r"shifted by 2[56]\d\.\d mm explains them .* --frame frame.toml"),
     ],
 )
 def test_positions_in_another_frame_are_refused(

@@ -1,0 +1,96 @@
+"""`measure register`: where a robot's base, the body on its tool and its clock are."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+from cyclopts import Parameter
+
+from measure.cli import console
+from measure.cli.console import JsonFlag, OutputFile
+from measure.cli.options import RobotOptions
+
+if TYPE_CHECKING:
+    from measure.arrays import Floats
+    from measure.geometry import RigidTransform
+    from measure.learning.frames import RobotFrame
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class _RegisterOptions:
+    """What is fitted; fields of `measure.learning.registration.RegisterOptions`.
+
+    Attributes:
+        kinematics: also fit the errors of the robot's links, each near its usual size.
+        clock_offset_s: robot time minus camera time, if known; else estimated from the motion.
+        largest_offset_s: search the offset within plus and minus this.
+    """
+
+    kinematics: Annotated[bool, Parameter(negative="")] = False
+    clock_offset_s: float | None = None
+    largest_offset_s: float = 5.0
+
+
+def register(
+    runs: tuple[Path, ...] = (),
+    /,
+    *,
+    output: OutputFile,
+    source: RobotOptions = RobotOptions(),
+    options: _RegisterOptions = _RegisterOptions(),
+    json: JsonFlag = False,
+) -> None:
+    """Find where a robot stands in the cameras' world, and the body on its tool.
+
+    From recordings of the moving robot: world_from_base, flange_from_body and the offset between
+    the clocks, each with its uncertainty, and what the motion or the robot cannot separate. A
+    motion that shows too little is refused with what it lacks.
+
+    Args:
+        runs: run folders, or tables of poses; the cameras and the body stayed where they were.
+        output: the frame to write, for `measure dataset --frame`.
+    """
+    from measure import api
+    from measure.api.outputs import check_replaceable
+    from measure.learning.frames import read_frame, write_frame
+    from measure.learning.registration import RegisterOptions
+
+    check_replaceable(output, read_frame, "frame")
+    found = api.register(
+        runs, source.robot_log, source.robot, RegisterOptions(**asdict(options)), topic=source.topic
+    )
+    write_frame(output, found)
+    if json:
+        console.print_json({"output": output, **found.values()})
+    else:
+        _print(found, output)
+
+
+def _print(found: RobotFrame, output: Path) -> None:
+    sd = np.sqrt(np.diag(found.covariance))
+    for k, name in enumerate(("world_from_base", "flange_from_body")):
+        pose: RigidTransform = getattr(found, name)
+        place, turn = sd[6 * k : 6 * k + 3], np.degrees(sd[6 * k + 3 : 6 * k + 6])
+        console.print_text(
+            f"{name}: ({_words(pose.translation)}) mm, quat_wxyz ({_words(pose.quat_wxyz)}), "
+            f"SD {np.linalg.norm(place):.2f} mm and {np.linalg.norm(turn):.3f} deg (3-D)"
+        )
+    for (name, offset), error in zip(found.clock_offsets_s.items(), sd[12:], strict=False):
+        console.print_text(f"clock of {name}: robot - camera {offset:.5f} s, SD {error:.1g} s")
+    facts = found.judgement
+    left, held_out = facts["rms_mm"], facts["held_out_rms_mm"]
+    console.print_text(
+        f"{facts['poses']} poses; {left:.3f} mm RMS are left, {held_out:.3f} mm on halves held "
+        f"out; the poses state {facts['stated_noise_mm']:.3f} mm"
+    )
+    for sentence in facts["not_separable"]:
+        console.print_text(sentence)
+    console.print_text(f"wrote {output}: pair with `measure dataset --frame {output}`")
+
+
+def _words(values: Floats) -> str:
+    return ", ".join(f"{value:.4f}" for value in values)

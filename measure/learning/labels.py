@@ -1,0 +1,210 @@
+"""What labels are, and whether they are the robot's errors or a frame, a tool or a clock."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from measure.arrays import Floats, rms_length
+from measure.errors import EstimatorError
+from measure.geometry import RigidTransform, align_points, skew
+from measure.host import Dataset
+from measure.robots import SerialChain, StateSchema
+
+_LEAST_ROWS, _LEAST_SPREAD_MM = 20, 10.0
+"""Fewer labels, or labels nearer to one line, do not determine a frame."""
+_LEAST_RMS_MM = 3.0  # Of labels, from which they are called something else than errors
+_MOST = 0.5  # Share of their RMS that may be left where most of them is explained
+_OWN_TURN_RAD, _OWN_SLIDE_MM, _OWN_SHIFT_MM = np.deg2rad(5.0), 10.0, 20.0
+"""Joints homed wrongly by so much are a robot's own error, and so is what they do to its frame."""
+_OWN_RATIO = 1.5  # Of what these leave to what a frame leaves, up to which they explain as much
+_CHAIN_MM = 5.0  # RMS by which a calibrated controller differs from published kinematics, at most
+_STEPS = 8
+_CURE = (
+    "find it with `measure register RUN --robot-log LOG --robot SCHEMA -o frame.toml`, and give "
+    "--frame frame.toml"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class LabelFacts:
+    """Labels (usable ones) in mm, per axis where there are three."""
+
+    rms_mm: float  # 3-D
+    mean_mm: Floats  # (3,)
+    sd_mm: Floats  # (3,)
+    largest_mm: Floats  # (3,) absolute values
+
+    @classmethod
+    def of(cls, data: Dataset) -> LabelFacts | None:
+        """None if there is no usable label."""
+        e = data.errors_mm[data.usable]
+        if not len(e):
+            return None
+        return cls(rms_length(e), e.mean(axis=0), e.std(axis=0), np.abs(e).max(axis=0))
+
+
+@dataclass(frozen=True, eq=False)
+class Paired:
+    """Measured and reported positions of the same n instants, in mm."""
+
+    measured_mm: Floats  # (n, 3)
+    reported_mm: Floats  # (n, 3)
+    velocity_mm_s: Floats | None  # (n, 3) as reported; None if the clock is not in question
+    joints: Floats  # (n, joints), of the chain
+    chain: SerialChain | None
+
+    def enough(self) -> bool:
+        """Whether they determine a frame."""
+        if len(self.reported_mm) < _LEAST_ROWS:
+            return False
+        centred = self.reported_mm - self.reported_mm.mean(axis=0)
+        spread = np.linalg.svd(centred, compute_uv=False) / np.sqrt(len(centred))
+        return bool(spread[1] >= _LEAST_SPREAD_MM)
+
+
+@dataclass(frozen=True, eq=False)
+class _Cause:
+    """What labels may be instead of errors: measured = frame(reported + R tool + v delay)."""
+
+    frame: RigidTransform
+    tool_mm: Floats
+    delay_s: float
+    left_mm: float
+
+
+def not_the_robot(pairs: Paired) -> str | None:
+    """What explains most of the labels and is no error of the robot, with the figure; or None."""
+    errors = pairs.measured_mm - pairs.reported_mm
+    size = rms_length(errors)
+    if size < _LEAST_RMS_MM or not pairs.enough():
+        return None
+    groups = {"frame": range(6)}
+    if pairs.chain is not None:
+        groups["tool"] = range(6, 9)
+    if pairs.velocity_mm_s is not None:
+        groups["clock"] = range(9, 10)
+    every = _explain(pairs, [c for columns in groups.values() for c in columns])
+    if every.left_mm > _MOST * size or _own(pairs, every):
+        return None
+    single = {name: _explain(pairs, list(columns)) for name, columns in groups.items()}
+    name, best = min(single.items(), key=lambda item: item[1].left_mm)
+    if best.left_mm > max(_MOST * size, 2 * every.left_mm):
+        name, best = "all", every
+    return f"labels of {size:.1f} mm RMS are no errors of the robot: {_words(name, best)}"
+
+
+def check_labels(name: str, doubts: Sequence[str], *, as_it_is: bool) -> tuple[str, ...]:
+    """The doubts of a recording, for a warning; EstimatorError with the first of them otherwise."""
+    if doubts and not as_it_is:
+        raise EstimatorError(f"{name}: {doubts[0]}; or keep them with --as-it-is")
+    return tuple(doubts)
+
+
+def label_doubts(
+    schema: StateSchema, states: Floats, errors_mm: Floats, velocity_mm_s: Floats | None
+) -> tuple[str, ...]:
+    """Why labels (n, 3) of states (n, features) may be no errors of the robot, and what to do.
+
+    Args:
+        velocity_mm_s: (n, 3) of the reported position, if the clock is in question.
+    """
+    joints, reported = schema.joint_positions(states), schema.position_mm(states)
+    pairs = Paired(reported + errors_mm, reported, velocity_mm_s, joints, schema.chain)
+    cause, chain = not_the_robot(pairs), chain_doubt(schema.chain, joints, reported)
+    return tuple(
+        f"{doubt}: {cure}"
+        for doubt, cure in ((chain, "describe the robot as it is"), (cause, _CURE))
+        if doubt is not None
+    )
+
+
+def _words(name: str, cause: _Cause) -> str:
+    turn = np.degrees(np.linalg.norm(cause.frame.rotvec))
+    shift = np.linalg.norm(cause.frame.translation)
+    tool = ", ".join(f"{value:.1f}" for value in cause.tool_mm)
+    parts = []
+    if name in ("frame", "all"):
+        parts.append(f"a world turned by {turn:.1f} deg and shifted by {shift:.1f} mm")
+    if name in ("tool", "all"):
+        parts.append(f"a tool offset of ({tool}) mm")
+    if name == "clock" or (name == "all" and abs(cause.delay_s) > 1e-3):
+        parts.append(f"a clock that is {1e3 * cause.delay_s:+.1f} ms off")
+    verb = "explain" if len(parts) > 1 else "explains"
+    return f"{' and '.join(parts)} {verb} them but for {cause.left_mm:.2f} mm"
+
+
+def _explain(pairs: Paired, columns: list[int]) -> _Cause:
+    """Least squares over a frame (0 to 5), a tool (6 to 8) and a delay (9), as far as asked for."""
+    n = len(pairs.reported_mm)
+    turn = np.broadcast_to(np.eye(3), (n, 3, 3))
+    if pairs.chain is not None:
+        turn = pairs.chain.pose(pairs.joints).rotation
+    velocity = np.zeros((n, 3)) if pairs.velocity_mm_s is None else pairs.velocity_mm_s
+    frame, rest = RigidTransform.identity(), np.zeros(4)
+    if 0 in columns:
+        frame = align_points(pairs.measured_mm, pairs.reported_mm)
+    for _ in range(_STEPS):
+        place = pairs.reported_mm + turn @ rest[:3] + velocity * rest[3]
+        left = pairs.measured_mm - frame.apply(place)
+        slopes = np.zeros((n, 3, 10))
+        slopes[:, :, :3] = np.eye(3)
+        slopes[:, :, 3:6] = -skew(place @ frame.rotation.T)
+        slopes[:, :, 6:9] = frame.rotation @ turn
+        slopes[:, :, 9] = velocity @ frame.rotation.T
+        chosen = slopes[:, :, columns].reshape(3 * n, -1)
+        x = np.zeros(10)
+        x[columns] = np.linalg.lstsq(chosen, left.ravel())[0]
+        frame, rest = frame.perturb(x[:6]), rest + x[6:]
+    place = pairs.reported_mm + turn @ rest[:3] + velocity * rest[3]
+    return _Cause(
+        frame, rest[:3], float(rest[3]), rms_length(pairs.measured_mm - frame.apply(place))
+    )
+
+
+def _own(pairs: Paired, cause: _Cause) -> bool:
+    """Whether wrongly homed joints explain as much: that is a robot's own error."""
+    from scipy.optimize import lsq_linear  # slow to load
+
+    errors = pairs.measured_mm - pairs.reported_mm
+    if pairs.chain is None:
+        middle = pairs.reported_mm.mean(axis=0)
+        shift = np.linalg.norm(cause.frame.apply(middle) - middle)
+        turned = np.linalg.norm(cause.frame.rotvec) > _OWN_TURN_RAD
+        return not (turned or shift > _OWN_SHIFT_MM)
+    slopes = pairs.chain.jacobian(pairs.joints)[:, :3].reshape(errors.size, -1)
+    most = np.array([_OWN_SLIDE_MM if j.prismatic else _OWN_TURN_RAD for j in pairs.chain.joints])
+    found = lsq_linear(slopes * most, errors.ravel(), (-1, 1))
+    left = float(np.sqrt(2 * found.cost / len(errors)))
+    return left < max(_OWN_RATIO * cause.left_mm, _LEAST_RMS_MM)
+
+
+def chain_doubt(chain: SerialChain | None, joints: Floats, reported_mm: Floats) -> str | None:
+    """How far the chain is from what the robot reports, and what would mend it; None if it fits.
+
+    Args:
+        joints: (n, joints) and
+        reported_mm: (n, 3) of the same instants.
+    """
+    if chain is None or len(joints) < _LEAST_ROWS:
+        return None
+    tip = chain.tip_mm(joints)
+    size = rms_length(reported_mm - tip)
+    if size < _CHAIN_MM:
+        return None
+    other = Paired(reported_mm, tip, None, joints, chain)
+    tool, frame = _explain(other, [6, 7, 8]), _explain(other, list(range(6)))
+    said = f"the kinematics put the tip {size:.1f} mm (RMS) from where the log reports it: "
+    if tool.left_mm < 0.1 * size:
+        add = (chain.tool[:3, 3] + chain.tool[:3, :3] @ tool.tool_mm).round(2) + 0.0  # no -0.0
+        return f"{said}with tool_mm = {add.tolist()} in robot.toml they fit"
+    if frame.left_mm < 0.1 * size:
+        turn = np.degrees(np.linalg.norm(frame.frame.rotvec))
+        shift = np.linalg.norm(frame.frame.translation)
+        return (
+            f"{said}the log's base is turned by {turn:.1f} deg and shifted by {shift:.1f} mm "
+            "against that of the kinematics"
+        )
+    return f"{said}is --robot the right one, and are alpha_deg, a_mm, offset_deg and d_mm right?"
