@@ -23,12 +23,14 @@ class TrainOptions:
 
     estimator: str = "stream"
     settings: Mapping[str, Any] | None = None
-    # a data set of its own that chooses, stops and scores; otherwise trajectories are split off for
-    # that.
+    # data sets of their own: one chooses and stops, one scores; what is absent is split off, but
+    # `validation` scores, too, if it stands alone.
     validation: Path | None = None
+    test: Path | None = None
     test_share: float = 0.1  # of the rows, in whole trajectories
     validation_share: float = 0.1
     split_seed: int = 0
+    folds: int = 4  # groups of recordings left out in turn to judge the covariance
     seed: int = 0
     resume: bool = False  # go on with an interrupted training of the same file
     split_rows: bool = False  # split by random rows: wrong, and only there to show how wrong
@@ -53,7 +55,9 @@ def train(
     page = out.with_suffix(".report.html")
     for beside in (card_path, out.with_suffix(".card.md"), page):
         check_writable(beside, folder_is_made=True)
-    read = [*data, *([options.validation] if options.validation else [])]
+    if options.folds < 0 or options.folds == 1:
+        raise ConfigError(f"--folds {options.folds}: expected 2 groups or more, or 0 for none")
+    read = [*data, *(path for path in (options.validation, options.test) if path)]
     if is_one_of(card_path, [path.with_suffix(".card.json") for path in read if path.name]):
         raise EstimatorError(
             f"--out {out}: its card would replace {card_path}, the card of the data: give the "
@@ -66,6 +70,7 @@ def train(
         seed=options.seed,
         report=report,
         resume=options.resume,
+        folds=options.folds,
         notes=options.notes,
     )
     page.write_text(estimator_report(trained, json.loads(card_path.read_text())), encoding="utf-8")
@@ -76,13 +81,26 @@ def _split(data: Sequence[Path], options: TrainOptions) -> Split:
     from measure import learning
 
     whole = learning.join([learning.files.read_dataset(path) for path in data])
-    if options.validation is not None:
-        other = learning.files.read_dataset(options.validation)
-        learning.same_robot([whole, other])
-        return learning.Split(whole, other, other)
-    cut = learning.split_by_rows if options.split_rows else learning.split_by_trajectory
-    return cut(
-        whole, test=options.test_share, validation=options.validation_share, seed=options.split_seed
+    other, test = (
+        None if path is None else learning.files.read_dataset(path)
+        for path in (options.validation, options.test)
+    )
+    learning.same_robot([whole, *(part for part in (other, test) if part is not None)])
+    if test is not None and (shared := set(test.present()) & set(whole.present())):
+        raise EstimatorError(
+            f"{options.test}: trajectory '{min(shared)}' is among those to learn from: test with "
+            "others"
+        )
+    if other is not None:
+        return learning.Split(whole, other, test or other)
+    if options.split_rows:
+        shares = {"test": options.test_share, "validation": options.validation_share}
+        return learning.split_by_rows(whole, **shares, seed=options.split_seed)
+    return learning.split_by_trajectory(
+        whole,
+        test=test or options.test_share,
+        validation=options.validation_share,
+        seed=options.split_seed,
     )
 
 

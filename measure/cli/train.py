@@ -20,17 +20,22 @@ class _SplitOptions:
     """How labels are kept for validation and test; fields of `measure.api.TrainOptions`.
 
     Attributes:
-        validation: a data set of its own to choose, stop and score by, instead of a split.
+        validation: a data set of its own to choose and stop by, instead of a split.
+        test: a data set of its own to score by.
         test_share: share of the labels kept for the test, in whole trajectories.
         validation_share: likewise for choosing and stopping.
         split_seed: which trajectories those are.
+        folds: groups of recordings left out in turn, in fits of their own, to judge the covariance;
+            0 leaves none out.
         split_rows: split by random rows, which is wrong: to see how wrong.
     """
 
     validation: Path | None = None
+    test: Path | None = None
     test_share: float = 0.1
     validation_share: float = 0.1
     split_seed: int = 0
+    folds: int = 4
     split_rows: bool = False
 
 
@@ -66,7 +71,7 @@ def train(
     """Train an estimator of a robot's position error.
 
     Writes one ONNX file that holds everything needed to run it, and its model card. Whole
-    trajectories are kept for validation and for the test.
+    recordings (trajectories, where there are not three) are kept for validation and for the test.
 
     Args:
         data: data sets made by `measure dataset`.
@@ -88,7 +93,9 @@ def train(
         trained = api.train(data, out, options, registry, shares(report))
     result = trained.evaluation
     if json:
-        console.print_json({"model": str(out), "test": result.to_dict()})
+        known = trained.left_out and asdict(trained.left_out)
+        said = {"model": str(out), "scored_on": trained.scored_on, "left_out": known}
+        console.print_json(said | {"test": result.to_dict()})
         return
     names = ("", "RMS_mm", "SD_mm", "p95_mm", "x_mm", "y_mm", "z_mm")
     rows = [
@@ -97,6 +104,7 @@ def train(
     ]
     console.print_table(names, rows)
     console.print_text(
-        f"test: {result.after.rows} labels, RMS {result.rms_change:+.1%}, SD "
+        f"{trained.scored_on}: {result.after.rows} labels, RMS {result.rms_change:+.1%}, SD "
         f"{result.sd_change:+.1%}; written to {out}, with its card and report beside it"
     )
+    console.note(trained.promise)

@@ -2,7 +2,7 @@
 
 from measure.host.dataset import Dataset
 from measure.host.discovery import Broken, Distribution, Loaded, discover
-from measure.host.estimator import Correction, Epoch, Estimator, Report
+from measure.host.estimator import Correction, Epoch, Estimator, LeftOut, Report
 from measure.host.hooks import ENTRY_POINT_GROUP, hookimpl
 from measure.host.interfaces import (
     Detector,
@@ -11,7 +11,8 @@ from measure.host.interfaces import (
     SelfCalibratingDetector,
     Triangulator,
 )
-from measure.host.onnx_estimator import Core, OnnxEstimator, Scaling
+from measure.host.judging import Scaling
+from measure.host.onnx_estimator import Core, OnnxEstimator
 from measure.host.onnx_graph import Graph, Value, seal
 from measure.host.onnx_model import Estimates, OnnxModel
 from measure.host.registry import Registry
@@ -19,7 +20,8 @@ from measure.host.settings import Setting, Settings, describe_settings, setting
 
 __all__ = [
     "ENTRY_POINT_GROUP", "Broken", "Core", "Correction", "Dataset", "Detector", "Distribution",
-    "Epoch", "Estimates", "Estimator", "Graph", "Loaded", "OnnxEstimator", "OnnxModel", "Plugin",
-    "PoseSolver", "Registry", "Report", "Scaling", "SelfCalibratingDetector", "Setting", "Settings",
-    "Triangulator", "Value", "describe_settings", "discover", "hookimpl", "seal", "setting",
+    "Epoch", "Estimates", "Estimator", "Graph", "LeftOut", "Loaded", "OnnxEstimator",
+    "OnnxModel", "Plugin", "PoseSolver", "Registry", "Report", "Scaling",
+    "SelfCalibratingDetector", "Setting", "Settings", "Triangulator", "Value",
+    "describe_settings", "discover", "hookimpl", "seal", "setting",
 ]  # fmt: skip

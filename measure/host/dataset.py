@@ -16,6 +16,11 @@ from measure.robots import StateSchema
 _BY_ROW = ("states", "times_s", "trajectory", "errors_mm", "covariances", "usable")
 
 
+def recording_of(trajectory: str) -> str:
+    """The recording, restart or day of a trajectory: its name up to the first "/"."""
+    return trajectory.partition("/")[0]
+
+
 @dataclass(frozen=True, eq=False)
 class Dataset:
     """Rows of (state, position error), each trajectory's rows together and in time order.
@@ -81,6 +86,34 @@ class Dataset:
     def present(self) -> tuple[str, ...]:
         """Names of the trajectories that have rows here."""
         return tuple(name for name, _ in self.runs())
+
+    def recordings(self) -> dict[str, list[str]]:
+        """Names of the trajectories that have rows here, by recording (see `recording_of`)."""
+        found: dict[str, list[str]] = {}
+        for name in self.present():
+            found.setdefault(recording_of(name), []).append(name)
+        return found
+
+    def recording_groups(self, most: int, least: int) -> list[list[str]]:
+        """Trajectories of recordings to leave out in turn, in groups of about as many labels.
+
+        Args:
+            most: groups.
+            least: labels of a recording that is left out; the others never are.
+
+        Returns:
+            Names of trajectories; no groups where there are not two such recordings.
+        """
+        counts = {name: int(self.usable[rows].sum()) for name, rows in self.runs()}
+        sizes = {r: sum(counts[n] for n in names) for r, names in self.recordings().items()}
+        order = sorted((r for r in sizes if sizes[r] >= least), key=lambda r: -sizes[r])
+        if min(most, len(order)) < 2:
+            return []
+        groups: list[list[str]] = [[] for _ in range(min(most, len(order)))]
+        for recording in order:
+            lightest = min(groups, key=lambda group: sum(sizes[r] for r in group))
+            lightest.append(recording)
+        return [[n for n in counts if recording_of(n) in group] for group in groups]
 
     def rows(self, keep: Bools) -> Dataset:
         """The data set of some rows only."""

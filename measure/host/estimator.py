@@ -52,15 +52,38 @@ class Epoch:
     validation_mm: float
 
 
+@dataclass(frozen=True)
+class LeftOut:
+    """What the covariance was fitted to.
+
+    Attributes:
+        recordings: how many recordings there were to learn from.
+        groups: how many groups of them were left out in turn; 0 if it was fitted to validation
+            trajectories, which says nothing of a new recording where there is one only.
+        before_mm: RMS error of the rows it was fitted to, mm.
+        after_mm: what fits without them left of it, mm.
+    """
+
+    recordings: int
+    groups: int
+    before_mm: float
+    after_mm: float
+
+
 class Estimator(Plugin):
     """Corrects a robot's reported position from its own state; history is kept inside.
 
     Attributes:
         curve: how the fit went, if it was iterative.
+        left_out: what its covariance was fitted to, if it tells.
+        folds: largest number of groups of recordings that a fit may leave out in turn to judge its
+            covariance; 0 leaves none out.
         checkpoint: a folder where a fit may keep what it has reached, and find it again.
     """
 
     curve: tuple[Epoch, ...] = ()
+    left_out: LeftOut | None = None
+    folds: int = 4
     checkpoint: Path | None = None
 
     def __init__(self, config: Settings) -> None:

@@ -1,4 +1,4 @@
-"""The base of estimators that become one ONNX graph: scaling, covariance, saving, streaming."""
+"""The base of estimators that become one ONNX graph: left-out fits, saving, streaming."""
 
 from __future__ import annotations
 
@@ -12,17 +12,18 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.errors import DivergedError, EstimatorError
-from measure.host.dataset import Dataset
-from measure.host.estimator import Correction, Estimator, Report
+from measure.host.dataset import Dataset, recording_of
+from measure.host.estimator import Correction, Estimator, LeftOut, Report
+from measure.host.judging import DOUBTS, UNJUDGED, Judged, Novelty, Travel, Trust
 from measure.host.onnx_facts import FORMAT
 from measure.host.onnx_graph import Graph, Value
 from measure.host.onnx_model import OnnxModel
 from measure.host.settings import Settings
 from measure.robots import StateSchema
 
-_RANGE_MARGIN = 1.5  # range of familiar states, as a multiple of that in training
 _MAX_CORRECTION_MM = 1e6  # larger corrections mean a diverged fit
-_CLIP_SDS = 8.0  # scaled features are clipped to this many SDs
+_MIN_LABELS = 10
+_END = 2**31 - 1  # of a slice: all that follows
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,41 +43,14 @@ class Core:
     memory_size: int = 0
 
 
-@dataclass(frozen=True, eq=False)
-class Scaling:
-    """Zero mean and unit standard deviation; a feature that never varied is scaled to zero.
-
-    Attributes:
-        mean: (columns,) of the training data.
-        sd: (columns,) standard deviations of the training data.
-    """
-
-    mean: Floats
-    sd: Floats
-
-    @classmethod
-    def of(cls, values: Floats) -> Scaling:
-        """Measured on (n, columns)."""
-        sd = values.std(axis=0)
-        floor = 1e-6 * np.maximum(np.abs(values).max(axis=0), 1e-6)
-        return cls(values.mean(axis=0), np.where(sd > floor, sd, np.inf))
-
-    def apply(self, values: Floats) -> Floats:
-        """Scaled and held within 8 SDs."""
-        return np.clip((values - self.mean) / self.sd, -_CLIP_SDS, _CLIP_SDS)
-
-    def in_graph(self, graph: Graph, x: Value) -> Value:
-        """The same, as operators."""
-        scaled = graph.op("Mul", graph.op("Sub", x, self.mean), 1.0 / self.sd)
-        return graph.op("Clip", scaled, np.float32(-_CLIP_SDS), np.float32(_CLIP_SDS))
-
-
 class OnnxEstimator(Estimator):
     """An estimator whose plugin implements `learn` and `compute`.
 
-    The covariance of a correction is the second moment of the validation residuals, scaled by
-    `a + b strangeness + c spread` with a, b, c >= 0 fitted to those residuals, so that it grows
-    with the distance from the training states.
+    Where there are several recordings, groups of them are left out in turn, and the covariance of
+    a correction and what is called unfamiliar are fitted to what the others' fits leave of them;
+    else to the validation trajectories. The covariance is the second moment of those residuals
+    times a sum of a constant, both distances from the states learnt from, how far the joints
+    moved lately (unless memoryless), and the spread that `compute` states, with factors >= 0.
 
     Attributes:
         memoryless: whether a correction depends on the present state alone.
@@ -88,8 +62,7 @@ class OnnxEstimator(Estimator):
         super().__init__(config)
         self._schema: StateSchema | None = None
         self._period_s = 0.0
-        self._moment = np.eye(3)
-        self._growth = np.array([1.0, 0.0, 0.0])
+        self._trust = UNJUDGED
         self._model: OnnxModel | None = None
 
     @abstractmethod
@@ -104,23 +77,59 @@ class OnnxEstimator(Estimator):
         """Columns that must resemble the training; what the estimator ignores need not."""
         return range(data.states.shape[1])
 
+    def draft(self) -> Settings:
+        """Settings of the fits that leave recordings out; they may be those of a cheaper fit."""
+        return self.config
+
     def fit(self, data: Dataset, validation: Dataset, *, seed: int, report: Report) -> None:
-        """Learn, then fit the covariance to the validation trajectories.
+        """Learn with groups of recordings left out, then from all, and fit the covariance.
 
         Raises:
             EstimatorError: the data cannot be learnt from.
             DivergedError: corrections are not finite, or of kilometres.
         """
         _check_data(data, validation)
+        groups = data.recording_groups(self.folds, _MIN_LABELS)
+        fits = len(groups) + 1
+        judged = [
+            self._left_out(
+                held, data, validation, seed=seed, report=_part(report, index, fits, "left out, ")
+            )
+            for index, held in enumerate(groups)
+        ]
+        self._learn(data, validation, seed=seed, report=_part(report, fits - 1, fits))
+        found = Judged.join(judged) if judged else self.judge(validation)
+        self._trust = Trust.of(found)
+        self.left_out = LeftOut(len(data.recordings()), len(groups), *found.rms_mm())
+        self._model = OnnxModel(self._build({}))
+
+    def _left_out(
+        self, held: Sequence[str], data: Dataset, validation: Dataset, *, seed: int, report: Report
+    ) -> Judged:
+        """What a fit without some trajectories, and others of their recordings, leaves of them."""
+        twin = type(self)(self.draft())
+        twin.folds = 0
+        if self.checkpoint is not None:
+            twin.checkpoint = self.checkpoint / f"without_{held[0].replace('/', '_')}"
+        recordings = {recording_of(name) for name in held}
+        rest, other = (
+            part.select([name for name in part.present() if recording_of(name) not in recordings])
+            for part in (data, validation)
+        )
+        left = data.select(held)
+        too_few = other.usable.sum() < _MIN_LABELS
+        twin.fit(rest, left if too_few else other, seed=seed, report=report)
+        return twin.judge(left)
+
+    def _learn(self, data: Dataset, validation: Dataset, *, seed: int, report: Report) -> None:
         self._schema = data.schema
         steps = np.concatenate([np.diff(data.times_s[rows]) for _, rows in data.runs()])
         known = steps[np.isfinite(steps) & (steps > 0)]
         self._period_s = float(np.median(known)) if len(known) else 0.0
-        self._novelty = _Novelty.of(data, validation, self.watched(data))
-        self._moment, self._growth = np.eye(3), np.array([1.0, 0.0, 0.0])
+        self._novelty = Novelty.of(data, validation, self.watched(data))
+        self._travel = None if self.memoryless else Travel.of(data.schema, data.states)
+        self._trust = UNJUDGED
         self.learn(data, validation, seed=seed, report=report)
-        self._calibrate(validation)
-        self._model = OnnxModel(self._build({}))
 
     def save(self, path: Path, card: Mapping[str, Any]) -> None:
         """Write the ONNX file."""
@@ -148,17 +157,26 @@ class OnnxEstimator(Estimator):
     def _build(self, card: Mapping[str, Any], *, judging: bool = False) -> bytes:
         assert self._schema is not None
         graph = Graph()
-        core = self.compute(graph, "features", "memory", "tick")
-        strangeness = self._novelty.in_graph(graph, "features")
-        size = max(core.memory_size, 1)
-        memory = core.memory or graph.op("Mul", "memory", np.float32(0.0))
-        spread = core.spread or graph.op("Mul", strangeness, np.float32(0.0))
-        parts = graph.op("Concat", strangeness, spread, axis=1)
+        memory, nothing = "memory", graph.op("Mul", "tick", np.float32(0.0))
+        own, travel = None, nothing
+        if self._travel is not None:
+            own, memory = (
+                graph.op("Slice", "memory", *(graph.constant([v], np.int64) for v in (*ends, 1)))
+                for ends in ((0, self._travel.size), (self._travel.size, _END))
+            )
+            travel, own = self._travel.in_graph(graph, "features", own, "tick")
+        core = self.compute(graph, "features", memory, "tick")
+        ranged, distance = self._novelty.in_graph(graph, "features")
+        farther = graph.op("Max", ranged, distance)
+        strangeness = graph.op("Mul", farther, np.float32(1.0 / self._trust.limit))
+        doubts = graph.op("Concat", ranged, distance, travel, core.spread or nothing, axis=1)
         if judging:  # the covariance's nine places carry its ingredients
-            covariance = graph.op("Concat", *[parts] * 4, strangeness, axis=1)
+            covariance = graph.op("Concat", doubts, *[nothing] * (9 - DOUBTS), axis=1)
         else:
-            scale = graph.affine(parts, self._growth[1:, None], self._growth[:1])
-            covariance = graph.op("Mul", scale, self._moment.reshape(1, 9))
+            covariance = self._trust.covariance(graph, doubts)
+        parts = [part for part in (own, core.memory) if part is not None]
+        memory_out = graph.op("Concat", *parts, axis=1) if parts else nothing
+        size = max(core.memory_size + (0 if self._travel is None else self._travel.size), 1)
         facts = {
             "format": FORMAT,
             "estimator": self.name,
@@ -177,83 +195,38 @@ class OnnxEstimator(Estimator):
                 "error_mm": (core.error, (3,)),
                 "covariance": (covariance, (9,)),
                 "strangeness": (strangeness, (1,)),
-                "memory_out": (memory, (size,)),
+                "memory_out": (memory_out, (size,)),
             },
             {"measure": facts, "card": dict(card)},
         )
 
-    def _calibrate(self, validation: Dataset) -> None:
-        from scipy.optimize import nnls  # slow to load
-
+    def judge(self, data: Dataset) -> Judged:
+        """What is left of the errors of other trajectories."""
         with np.errstate(over="ignore"):  # what is too large for float32 is found here
-            estimates = OnnxModel(self._build({}, judging=True)).predict(validation)
+            estimates = OnnxModel(self._build({}, judging=True)).predict(data)
         if not (np.abs(estimates.errors_mm) < _MAX_CORRECTION_MM).all():
             raise DivergedError(
                 f"the fit of estimator '{self.name}' diverged, its corrections are no numbers or "
                 "of kilometres: choose other settings, such as a lower learning rate"
             )
-        used = validation.usable
-        residual = (validation.errors_mm - estimates.errors_mm)[used]
-        noise = validation.covariances[used].mean(axis=0)
-        moment = residual.T @ residual / len(residual)
-        values, axes = np.linalg.eigh(moment - noise)
-        floor = 0.05 * np.linalg.eigvalsh(moment).max() + 1e-6
-        self._moment = (axes * np.maximum(values, floor)) @ axes.T
-        squared = (
-            np.einsum("ni,ij,nj->n", residual, np.linalg.inv(self._moment + noise), residual) / 3.0
-        )
-        ingredients = np.ones((len(residual), 3))
-        ingredients[:, 1:] = estimates.covariances[used].reshape(-1, 9)[:, :2]
-        limit = np.quantile(squared, 0.99)  # outliers of the label must not inflate everything
-        growth, _ = nnls(ingredients, np.minimum(squared, limit))
-        mean = float((ingredients @ growth).mean())
-        self._growth = growth / mean if mean > 0 else np.array([1.0, 0.0, 0.0])
+        used = data.usable
+        errors = data.errors_mm[used]
+        doubts = estimates.covariances[used].reshape(-1, 9)[:, :DOUBTS]
+        left = errors - estimates.errors_mm[used]
+        return Judged(errors, left, data.covariances[used], doubts)
 
 
-@dataclass(frozen=True, eq=False)
-class _Novelty:
-    """Distance of a state from the training states: in range of a feature, and Mahalanobis."""
-
-    middle: Floats
-    half_range: Floats
-    scaling: Scaling
-    whitener: Floats
-    limit: float
-
-    @classmethod
-    def of(cls, data: Dataset, validation: Dataset, watched: Sequence[int]) -> _Novelty:
-        ignored = np.ones(data.states.shape[1], dtype=bool)
-        ignored[list(watched)] = False
-        states = np.concatenate([data.states, validation.states])
-        low, high = states.min(axis=0), states.max(axis=0)
-        middle, half = 0.5 * (low + high), 0.5 * (high - low)
-        floor = np.maximum(1e-3 * np.abs(middle), 1e-2)
-        scaling = Scaling.of(data.states)
-        scaling = Scaling(scaling.mean, np.where(ignored, np.inf, scaling.sd))
-        scaled = scaling.apply(data.states)
-        covariance = scaled.T @ scaled / len(scaled) + 0.05 * np.eye(scaled.shape[1])
-        values, axes = np.linalg.eigh(covariance)
-        whitener = axes / np.sqrt(values)
-        distance = ((scaling.apply(states) @ whitener) ** 2).mean(axis=1)
-        limit = _RANGE_MARGIN * float(np.quantile(distance, 0.999))
-        reach = np.where(ignored, np.inf, np.maximum(half, floor))
-        return cls(middle, reach, scaling, whitener, limit)
-
-    def in_graph(self, graph: Graph, features: Value) -> Value:
-        off = graph.op("Sub", features, self.middle)
-        outside = graph.op("Abs", graph.op("Mul", off, 1.0 / (_RANGE_MARGIN * self.half_range)))
-        farthest = graph.op("ReduceMax", outside, axes=[1], keepdims=1)
-        white = graph.op("MatMul", self.scaling.in_graph(graph, features), self.whitener)
-        squared = graph.op("ReduceMean", graph.op("Mul", white, white), axes=[1], keepdims=1)
-        return graph.op("Max", farthest, graph.op("Mul", squared, np.float32(1.0 / self.limit)))
+def _part(report: Report, index: int, count: int, prefix: str = "") -> Report:
+    """The progress of one of several fits in a row."""
+    return lambda done, what: report((index + done) / count, prefix + what)
 
 
 def _check_data(data: Dataset, validation: Dataset) -> None:
     for what, part in (("training", data), ("validation", validation)):
-        if part.usable.sum() < 10:
+        if part.usable.sum() < _MIN_LABELS:
             raise EstimatorError(
-                f"the {what} part has {int(part.usable.sum())} usable labels, at least 10 are "
-                "needed: record more, or split otherwise"
+                f"the {what} part has {int(part.usable.sum())} usable labels, at least "
+                f"{_MIN_LABELS} are needed: record more, or split otherwise"
             )
         if not np.all(np.isfinite(part.states)):
             row, column = np.argwhere(~np.isfinite(part.states))[0]

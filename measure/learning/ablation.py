@@ -87,5 +87,6 @@ def _removed(estimator: Estimator, split: Split, columns: Sequence[int], seed: i
     train, validation, test = (
         _with(part, columns, middle) for part in (split.train, split.validation, split.test)
     )
+    estimator.folds = 0
     fit(estimator, train, validation, seed=seed, report=quiet)
     return corrected_rms_mm(estimator.model, test)  # type: ignore[attr-defined]

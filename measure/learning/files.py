@@ -98,8 +98,9 @@ def read_labelled(path: Path, schema: StateSchema, *, label_sd_mm: float = 0.1) 
     """A table that already pairs states with errors.
 
     Needs the columns `run`, `t_s`, `ex`, `ey`, `ez` (mm) and the schema's features, or others that
-    hold them (`find_columns`); rows whose
-    `quality`, if there is such a column, is not "ok" belong to the history only.
+    hold them (`find_columns`); rows whose `quality`, if there is such a column, is not "ok" belong
+    to the history only. Runs with one `restart` (or else `day`), where that column is there, count
+    as one recording.
 
     Raises:
         EstimatorError: columns are missing, or the labels look like metres.
@@ -107,7 +108,10 @@ def read_labelled(path: Path, schema: StateSchema, *, label_sd_mm: float = 0.1) 
     table = Table.read(path)
     table.require(("run", "t_s", *_LABELS))
     found = feature_columns(path, schema, table.schema.names)
-    names, trajectory = _encode(table.labels("run"))
+    labels = table.labels("run")
+    if group := next((name for name in ("restart", "day") if name in table), None):
+        labels = [f"{of}/{run}" for of, run in zip(table.labels(group), labels, strict=True)]
+    names, trajectory = _encode(labels)
     errors = table.numbers(*_LABELS)
     usable: Any = np.isfinite(errors).all(axis=1)
     if "quality" in table:

@@ -9,52 +9,77 @@ import numpy as np
 
 from measure.errors import EstimatorError
 from measure.host import Dataset, OnnxModel
+from measure.host.dataset import recording_of
+
+_MIN_RECORDINGS = 3  # from which on whole recordings are kept for validation and test
 
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """Three parts that share no trajectory."""
+    """Three parts that share no trajectory; validation stands for a test where there is none."""
 
     train: Dataset
     validation: Dataset
     test: Dataset
 
+    @property
+    def scored_on(self) -> str:
+        """What the part that scores is."""
+        return "validation" if self.test is self.validation else "test"
+
 
 def split_by_trajectory(
-    data: Dataset, *, test: float = 0.1, validation: float = 0.1, seed: int = 0
+    data: Dataset, *, test: float | Dataset = 0.1, validation: float = 0.1, seed: int = 0
 ) -> Split:
-    """Choose whole trajectories at random until each part has its share of the usable rows.
+    """Choose at random until each part has its share of the usable rows.
 
     Neighbouring rows of a trajectory are almost the same: a random split puts one of them into
-    training and the other into the test, which then measures memory, not prediction.
+    training and the other into the test, which then measures memory, not prediction. Trajectories
+    of one recording share what changes at a restart. So whole recordings are chosen where there
+    are three, and whole trajectories else.
+
+    Args:
+        test: its share, or a data set of its own.
 
     Raises:
         EstimatorError: fewer than three trajectories with labels, or shares that leave nothing.
     """
-    _check_shares(test, validation)
+    shares = [validation] if isinstance(test, Dataset) else [test, validation]
+    _check_shares(*([0.1, validation] if isinstance(test, Dataset) else shares))
     counts = {name: int(data.usable[rows].sum()) for name, rows in data.runs()}
     names = [name for name, count in counts.items() if count]
-    if len(names) < 3:
+    if len(names) <= len(shares):
         raise EstimatorError(
             f"{len(names)} trajector{'y' if len(names) == 1 else 'ies'} cannot be split into "
-            "training, validation and test: record more, or cut long recordings (--cut-s)"
+            f"training, validation{' and test' if shares[1:] else ''}: record more, or cut long "
+            "recordings (--cut-s)"
         )
     order = [names[i] for i in np.random.default_rng(seed).permutation(len(names))]
     total = sum(counts.values())
     chosen: list[list[str]] = []
-    for share in (test, validation):
-        part = [order.pop()]
-        while order[2:] and sum(counts[n] for n in part) < 0.75 * share * total:
-            part.append(order.pop())
+    for share in shares:
+        units, part = _units(order), list[str]()
+        while not part or (units[2:] and sum(counts[n] for n in part) < 0.75 * share * total):
+            part += units.pop()
+        order = [name for unit in units for name in unit]
         chosen.append(part)
-    return Split(data.select(order), data.select(chosen[1]), data.select(chosen[0]))
+    scored = test if isinstance(test, Dataset) else data.select(chosen[0])
+    return Split(data.select(order), data.select(chosen[-1]), scored)
+
+
+def _units(names: Sequence[str]) -> list[list[str]]:
+    """What is chosen as a whole: recordings where there are three, else single trajectories."""
+    found: dict[str, list[str]] = {}
+    for name in names:
+        found.setdefault(recording_of(name), []).append(name)
+    return list(found.values()) if len(found) >= _MIN_RECORDINGS else [[name] for name in names]
 
 
 def split_as_trained(data: Dataset, model: OnnxModel) -> Split:
     """The split a model was trained with, by its card; EstimatorError if the data are others."""
-    parts = []
+    parts, known = [], model.card.get("data", {})
     for what in ("training", "validation", "test"):
-        facts = model.card.get("data", {}).get(what, {"trajectories": (), "rows": None})
+        facts = known.get(what, known.get("validation", {"trajectories": (), "rows": None}))
         part = data.select([name for name in data.names if name in facts["trajectories"]])
         if len(part) != facts["rows"]:
             raise EstimatorError(

@@ -36,7 +36,7 @@ class SweepJob:
 
 
 def run_trial(job: SweepJob, settings: Mapping[str, Any]) -> float:
-    """Fit with some settings; RMS in mm on the validation trajectories.
+    """Fit with some settings; RMS in mm on the validation recordings.
 
     Raises:
         EstimatorError: the data have changed, or the estimator cannot be judged.
@@ -50,6 +50,7 @@ def run_trial(job: SweepJob, settings: Mapping[str, Any]) -> float:
     split = split_by_trajectory(data, seed=job.seed)
     registry = Registry.discover()
     estimator = registry.estimator(job.estimator, {**job.settings, **settings})
+    estimator.folds = 0  # the score is of corrections, not of covariances
     fit(estimator, split.train, split.validation, seed=job.seed, report=quiet)
     model = getattr(estimator, "model", None)
     if model is None:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from measure.errors import EstimatorError
-from measure.host import Dataset, Epoch, Estimates, Estimator, OnnxModel, Report
+from measure.host import Dataset, Epoch, Estimates, Estimator, LeftOut, OnnxModel, Report
 from measure.host.failures import named
 from measure.learning.fitting import fit
 from measure.learning.scores import EstimatorEvaluation, evaluate, speed_range
@@ -26,10 +26,17 @@ class Trained:
     """A fitted estimator on disk."""
 
     path: Path  # the ONNX file; the model card stands beside it
-    evaluation: EstimatorEvaluation  # on the test trajectories
+    evaluation: EstimatorEvaluation  # on the test trajectories, or those of validation
+    scored_on: str  # which of the two
+    left_out: LeftOut | None  # what is known of new recordings
     curve: tuple[Epoch, ...]  # the learning curve, if it was iterative
     test: Dataset
     estimates: Estimates  # of all their rows
+
+    @property
+    def promise(self) -> str:
+        """What was shown of new recordings, in words."""
+        return promise(self.left_out)
 
 
 def train(
@@ -40,6 +47,7 @@ def train(
     seed: int,
     report: Report,
     resume: bool = False,
+    folds: int = 4,
     notes: Mapping[str, str] | None = None,
 ) -> Trained:
     """Fit, evaluate and save.
@@ -49,6 +57,7 @@ def train(
         split: training, validation (chooses and stops) and test trajectories (judged only here).
         out: the ONNX file to write; `OUT.card.md` and `OUT.card.json` go beside it.
         resume: go on from where an interrupted fit to the same `out` got to.
+        folds: groups of recordings left out in turn to judge the covariance; 0 leaves none out.
         notes: further lines of the card.
 
     Raises:
@@ -57,7 +66,7 @@ def train(
     """
     if out.suffix != ".onnx":
         raise EstimatorError(f"{out}: a model's file name must end with .onnx")
-    for what, part in (("training", split.train), ("test", split.test)):
+    for what, part in (("training", split.train), (split.scored_on, split.test)):
         if part.usable.any() and not part.errors_mm[part.usable].any():
             raise EstimatorError(
                 f"all errors of the {what} trajectories are 0: the robot needs no correction, or "
@@ -67,7 +76,7 @@ def train(
     checkpoint = out.with_suffix(".checkpoint")
     if not resume:
         shutil.rmtree(checkpoint, ignore_errors=True)
-    estimator.checkpoint = checkpoint
+    estimator.checkpoint, estimator.folds = checkpoint, folds
     fit(estimator, split.train, split.validation, seed=seed, report=report)
     trained = _save(estimator, split, out, _provenance(estimator, split, seed) | dict(notes or {}))
     shutil.rmtree(checkpoint, ignore_errors=True)
@@ -85,7 +94,9 @@ def _save(estimator: Estimator, split: Split, out: Path, card: dict[str, Any]) -
     full = card | {"features": features, "curve": [asdict(line) for line in estimator.curve]}
     out.with_suffix(".card.json").write_text(json.dumps(full, indent=1) + "\n")
     write_card(out.with_suffix(".card.md"), full)
-    return Trained(out, evaluation, estimator.curve, split.test, estimates)
+    return Trained(
+        out, evaluation, split.scored_on, estimator.left_out, estimator.curve, split.test, estimates
+    )
 
 
 def _write(estimator: Estimator, out: Path, card: dict[str, Any]) -> None:
@@ -103,6 +114,8 @@ def _provenance(estimator: Estimator, split: Split, seed: int) -> dict[str, Any]
         "triball": metadata.version("triball"),
         "revision": revision(),
         "python": platform.python_version(),
+        "scored_on": split.scored_on,
+        "left_out": None if estimator.left_out is None else asdict(estimator.left_out),
         "data": {
             part: {
                 "digest": data.digest(),
@@ -113,7 +126,7 @@ def _provenance(estimator: Estimator, split: Split, seed: int) -> dict[str, Any]
             for part, data in (
                 ("training", split.train),
                 ("validation", split.validation),
-                ("test", split.test),
+                (split.scored_on, split.test),
             )
         },
     }
@@ -140,7 +153,13 @@ def revision() -> str:
 
 def write_card(path: Path, card: Mapping[str, Any]) -> None:
     """Write a model card as Markdown."""
-    parts = (_origin(card), _scores(card["scores"]), _state(card["features"]), _LIMITS)
+    parts = (
+        _origin(card),
+        _promise(card),
+        _scores(card["scores"], card["scored_on"]),
+        _state(card["features"]),
+        _LIMITS,
+    )
     path.write_text("\n\n".join("\n".join(lines) for lines in parts) + "\n", encoding="utf-8")
 
 
@@ -183,9 +202,32 @@ def _origin(card: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _scores(scores: Mapping[str, Any]) -> list[str]:
+def _promise(card: Mapping[str, Any]) -> list[str]:
+    known = card["left_out"]
+    return ["## On a new recording", "", promise(known and LeftOut(**known))]
+
+
+def promise(left_out: LeftOut | None) -> str:
+    """What was shown of a recording that is not among those learnt from, in words."""
+    if left_out is None:
+        return "Nothing was shown: this estimator leaves no recordings out."
+    change = f"{left_out.before_mm:.3f} mm RMS become {left_out.after_mm:.3f} mm"
+    if left_out.groups:
+        return (
+            f"{left_out.recordings} recordings, {left_out.groups} groups of them left out in turn: "
+            f"{change}; the covariance is that of these residuals."
+        )
+    number = "one recording" if left_out.recordings == 1 else f"{left_out.recordings} recordings"
+    return (
+        f"Nothing is promised: learnt from {number}, none left out. On the validation trajectories "
+        f"{change}, and the covariance is theirs: after a restart or on another day errors are "
+        "larger than it says. Record several times, after a restart each."
+    )
+
+
+def _scores(scores: Mapping[str, Any], part: str) -> list[str]:
     return [
-        "## Error on the test trajectories, mm",
+        f"## Error on the {part} trajectories, mm",
         "",
         "| | RMS | SD | 95 % | RMS x | RMS y | RMS z |",
         "|---|---|---|---|---|---|---|",
@@ -198,7 +240,7 @@ def _scores(scores: Mapping[str, Any]) -> list[str]:
         ),
         f"(1 is honest); {scores['unfamiliar']:.2%} of the states were flagged as unlike training.",
         "",
-        "| test trajectory | labels | RMS before | RMS after |",
+        f"| {part} trajectory | labels | RMS before | RMS after |",
         "|---|---|---|---|",
         *(
             f"| {name} | {b['rows']} | {b['rms_mm']:.3f} | {a['rms_mm']:.3f} |"

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
+from measure.host.dataset import recording_of
 from measure.learning import Trained
 from measure.learning.scores import EstimatorEvaluation, Score, speed_range
 from measure.viewing.report import figures, style
@@ -28,11 +29,12 @@ def estimator_report(trained: Trained, card: Mapping[str, Any]) -> str:
     result = trained.evaluation
     judged = judged_on(card["data"])
     tone, sentence = verdict(result, judged)
+    sentence = f"{sentence} {trained.promise}"
     page = Page(f"{card['estimator']} for {card['robot']}", sentence, tone)
     page.facts(
         [
             ("training labels", str(card["data"]["training"]["usable"])),
-            ("test labels", str(result.after.rows)),
+            (f"{trained.scored_on} labels", str(result.after.rows)),
             ("residual over promised SD", f"{result.consistency**0.5:.2f}"),
             ("flagged as unfamiliar", f"{result.unfamiliar:.2%}"),
         ]
@@ -45,7 +47,7 @@ def estimator_report(trained: Trained, card: Mapping[str, Any]) -> str:
     _add_errors(page, trained)
     if np.isfinite(trained.test.times_s).all():
         words = (
-            "Measured, reported and corrected position of one test trajectory, per axis, and how "
+            "Measured, reported and corrected position of one trajectory, per axis, and how "
             "far the latter two are from what was measured."
         )
         page.figures("Over time", words, *_over_time(trained))
@@ -74,11 +76,15 @@ def _tables(page: Page, result: EstimatorEvaluation, judged: str) -> None:
 
 
 def judged_on(data: Mapping[str, Any]) -> str:
-    """What the test data are to the estimator, in words, by the card's data."""
-    if set(data["test"]["trajectories"]) & set(data["training"]["trajectories"]):
+    """What the scored data are to the estimator, in words, by the card's data."""
+    scored = data.get("test", data["validation"])
+    names, learnt = set(scored["trajectories"]), set(data["training"]["trajectories"])
+    if names & learnt:
         return "labels between those learnt from (not on unseen trajectories)"
-    if data["test"]["digest"] == data["validation"]["digest"]:
+    if scored["digest"] == data["validation"]["digest"]:
         return "trajectories that training was stopped by"
+    if set(map(recording_of, names)) & set(map(recording_of, learnt)):
+        return "unseen trajectories of the recordings learnt from"
     return "unseen trajectories"
 
 
@@ -109,7 +115,7 @@ def _add_errors(page: Page, trained: Trained) -> None:
     axes = ("x", "y", "z")
     page.figures(
         "Distribution of the error",
-        "Before the correction, and what is left after it, per axis; all test trajectories.",
+        "Before the correction, and what is left after it, per axis; all scored trajectories.",
         figures.histograms(before, axes, "error before [mm]", "labels"),
         figures.histograms(left, axes, "error after [mm]", "labels"),
     )

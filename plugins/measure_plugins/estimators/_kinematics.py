@@ -35,6 +35,15 @@ class TorchTip:
         return point[..., :3, 0]
 
 
+def tip_error(graph: Graph, schema: StateSchema, features: Value, outputs: Value) -> Value:
+    """Tip error (N, 3) mm of outputs: joint errors where the chain is known, and a direct one."""
+    if schema.chain is None:
+        return outputs
+    joints = schema.chain.size
+    turned = tip_change(graph, schema, features, graph.columns(outputs, range(joints)))
+    return graph.op("Add", turned, graph.columns(outputs, range(joints, joints + 3)))
+
+
 def tip_change(graph: Graph, schema: StateSchema, features: Value, joint_errors: Value) -> Value:
     """FK(q + dq) - FK(q), (N, 3) mm, q read from the raw state."""
     assert schema.chain is not None

@@ -13,6 +13,7 @@ from measure_plugins.estimators._inputs import (
     WithinTrajectoryEstimator,
     informative_features,
 )
+from measure_plugins.estimators._kinematics import tip_error
 from measure_plugins.estimators._play import PlayBank
 
 
@@ -24,11 +25,15 @@ class RidgeSettings(host.Settings):
     )
     window: int = host.setting(12, "Number of states in a window.", ge=2)
     play_widths: int = host.setting(8, "Number of play operators per joint combination.", ge=1)
-    penalty: float = host.setting(1e-3, "Ridge penalty, relative to the features' variance.", ge=0)
+    penalty: float = host.setting(0.03, "Ridge penalty, relative to the features' variance.", gt=0)
 
 
 class RidgeEstimator(WithinTrajectoryEstimator):
-    """Weighted ridge regression on the pose, a window of poses, or play (hysteresis) states."""
+    """Weighted ridge regression on the pose, a window of poses, or play (hysteresis) states.
+
+    Where the robot's chain is known, it is of the joint errors W f that explain the tip error
+    J(q) W f + V f: linear in W and V, hence solved in closed form.
+    """
 
     name = "ridge"
     Config = RidgeSettings
@@ -38,14 +43,19 @@ class RidgeEstimator(WithinTrajectoryEstimator):
         self, data: host.Dataset, validation: host.Dataset, *, seed: int, report: host.Report
     ) -> None:
         """Solve the normal equations."""
+        self._data_schema = data.schema
         self._columns = informative_features(data)
         self._scaling = host.Scaling.of(data.states[:, self._columns])
         self._bank = PlayBank.of(data, self.config.play_widths, 0.01, 0.2)
         self._window = StateWindow(len(self._columns), self.config.window)
         inputs = self._inputs(data)
         used = data.usable
-        self._weight = fit_linear(
-            inputs[used], data.errors_mm[used], data.weights()[used], self.config.penalty
+        levers = np.tile(np.eye(3), (int(used.sum()), 1, 1))
+        if data.schema.chain is not None:
+            jacobian = data.schema.chain.jacobian(data.joints[used])[:, :3]
+            levers = np.concatenate([jacobian, levers], axis=2)
+        self._weight = _fit_outputs(
+            inputs[used], data.errors_mm[used], data.weights()[used], self.config.penalty, levers
         )
         report(1.0, "solved")
 
@@ -62,21 +72,45 @@ class RidgeEstimator(WithinTrajectoryEstimator):
     ) -> host.Core:
         """One matrix product on the chosen features."""
         pose = self._scaling.in_graph(graph, graph.columns(features, self._columns))
-        weight, bias = self._weight[:-1], self._weight[-1:]
-        if self.config.features == "pose":
-            return host.Core(graph.affine(pose, weight, bias))
+        inputs, after, size = pose, None, 0
         if self.config.features == "window":
             inputs, after = self._window.in_graph(graph, pose, memory, tick)
-            return host.Core(
-                graph.affine(inputs, weight, bias), after, memory_size=self._window.size
-            )
-        sizes = graph.constant([1, self._bank.size], np.int64)
-        started, states = graph.ops("Split", 2, memory, sizes, axis=1)
-        play, states = self._bank.in_graph(graph, features, states, started)
-        begun = graph.ones_like(started)
-        inputs = graph.op("Concat", pose, play, axis=1)
-        after = graph.op("Concat", begun, states, axis=1)
-        return host.Core(graph.affine(inputs, weight, bias), after, memory_size=1 + self._bank.size)
+            size = self._window.size
+        elif self.config.features == "play":
+            sizes = graph.constant([1, self._bank.size], np.int64)
+            started, states = graph.ops("Split", 2, memory, sizes, axis=1)
+            play, states = self._bank.in_graph(graph, features, states, started)
+            inputs = graph.op("Concat", pose, play, axis=1)
+            after = graph.op("Concat", graph.ones_like(started), states, axis=1)
+            size = 1 + self._bank.size
+        outputs = graph.affine(inputs, self._weight[:-1], self._weight[-1:])
+        error = tip_error(graph, self._data_schema, features, outputs)
+        return host.Core(error, after, memory_size=size)
+
+
+def _fit_outputs(
+    inputs: Floats, labels: Floats, weights: Floats, penalty: float, levers: Floats
+) -> Floats:
+    """Weights (inputs + 1, outputs) whose outputs, times levers (n, 3, outputs), are the labels.
+
+    The normal equations are put together block by block: J'J varies by row, f f' is common.
+    """
+    scale = np.sqrt((levers**2).sum(axis=1).mean(axis=0))
+    levers = levers / np.where(scale > 0, scale, 1.0)
+    design = np.concatenate([inputs, np.ones((len(inputs), 1))], axis=1)
+    size, outputs = design.shape[1], levers.shape[2]
+    normal = np.empty((outputs, size, outputs, size))
+    for one in range(outputs):
+        for other in range(one, outputs):
+            product = weights * (levers[:, :, one] * levers[:, :, other]).sum(axis=1)
+            normal[one, :, other] = design.T @ (design * product[:, None])
+            normal[other, :, one] = normal[one, :, other].T
+    pulled = np.einsum("nij,ni->nj", levers, labels) * weights[:, None]
+    shrink = np.full((outputs, size), penalty * len(inputs))
+    shrink[-3:, -1] = 0.0  # a constant shift of the tip is free
+    flat = normal.reshape(outputs * size, -1) + np.diag(shrink.ravel())
+    found = np.linalg.solve(flat, (pulled.T @ design).ravel()).reshape(outputs, size)
+    return np.asarray((found / np.where(scale > 0, scale, np.inf)[:, None]).T)
 
 
 def fit_linear(inputs: Floats, labels: Floats, weights: Floats, penalty: float) -> Floats:

@@ -1,0 +1,122 @@
+"""What an estimator promises is what it does on recordings that it has not seen."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from measure.cli import main
+from measure.host import Dataset, Estimator, Registry
+from measure.host.estimator import quiet
+from measure.learning import evaluate, files, split_by_trajectory
+from measure.robots import psm_schema
+
+pytest.importorskip("sklearn", reason="training needs the extra 'train'")
+
+
+def _recordings(names: list[str], seed: int, rows: int = 60) -> Dataset:
+    """Each recording works at a place of its own, with an offset of its own; two pieces each."""
+    rng = np.random.default_rng(seed)
+    count = 2 * rows
+    joints, errors = [], []
+    for _ in names:
+        where = np.array([0.0, 0.0, 0.15, 0.0, 0.0, 0.0]) + rng.uniform(-0.3, 0.3, 6) * [
+            1, 1, 0.1, 1, 1, 1
+        ]  # fmt: skip
+        joints.append(where + rng.uniform(-0.03, 0.03, (count, 6)) * [1, 1, 0.1, 1, 1, 1])
+        errors.append(rng.normal(0, 1.0, 3) + rng.normal(0, 0.2, (count, 3)))
+    q = np.concatenate(joints)
+    schema = psm_schema()
+    assert schema.chain is not None
+    tip = schema.chain.tip_mm(q * [1, 1, 1e3, 1, 1, 1])
+    pieces = tuple(f"{name}/{half}" for name in names for half in range(2))
+    return Dataset(
+        schema,
+        np.concatenate([q, tip], axis=1),
+        np.tile(0.4 * np.arange(rows), len(pieces)),
+        np.repeat(np.arange(len(pieces)), rows),
+        pieces,
+        np.concatenate(errors),
+        np.tile(1e-4 * np.eye(3), (len(q), 1, 1)),
+        np.ones(len(q), dtype=bool),
+    )
+
+
+def _fitted(data: Dataset, folds: int) -> Estimator:
+    """A forest, which remembers a place, stopped by a piece of every recording."""
+    halves = [[name for name in data.names if name.endswith(half)] for half in ("0", "1")]
+    forest = Registry.discover().estimator("forest", {"trees": 5})
+    forest.folds = folds
+    forest.fit(data.select(halves[0]), data.select(halves[1]), seed=0, report=quiet)
+    return forest
+
+
+def test_the_covariance_is_that_of_new_recordings() -> None:
+    known = _recordings([f"day{index}" for index in range(10)], 1)
+    new = _recordings([f"later{index}" for index in range(20)], 2)
+    honest, proud = (_fitted(known, folds) for folds in (5, 0))
+    results = [evaluate(new, e.model.predict(new)) for e in (honest, proud)]  # type: ignore[attr-defined]
+    assert 0.7 < results[0].consistency ** 0.5 < 1.3
+    assert results[1].consistency ** 0.5 > 3.0  # judged by pieces of the recordings learnt from
+    assert honest.left_out is not None
+    assert honest.left_out.recordings == 10
+    assert honest.left_out.groups == 5
+    assert honest.left_out.after_mm > 1.0
+    assert proud.left_out is not None
+    assert proud.left_out.groups == 0
+
+
+def test_whole_recordings_are_kept_for_validation_and_test() -> None:
+    split = split_by_trajectory(_recordings(["a", "b", "c", "d"], 1), seed=2)
+    parts = [set(part.recordings()) for part in (split.train, split.validation, split.test)]
+    assert [len(part) for part in parts] == [2, 1, 1]
+    assert len(set.union(*parts)) == 4
+    assert split.scored_on == "test"
+
+
+def test_groups_of_recordings_hold_about_as_many_labels() -> None:
+    data = _recordings(["a", "b", "c", "few"], 1)
+    data = replace(data, usable=data.usable & ~np.isin(data.trajectory, [6, 7]))
+    assert data.recording_groups(4, 10) == [["a/0", "a/1"], ["b/0", "b/1"], ["c/0", "c/1"]]
+    assert data.recording_groups(2, 10) == [["a/0", "a/1", "c/0", "c/1"], ["b/0", "b/1"]]
+    assert data.select(["a/0", "a/1"]).recording_groups(4, 10) == []
+
+
+def test_one_recording_promises_nothing_and_validation_is_no_test(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    one, other = tmp_path / "one.parquet", tmp_path / "other.parquet"
+    files.write_dataset(one, _recordings(["a"], 1), [], "one")
+    files.write_dataset(other, _recordings(["b"], 2), [], "another")
+    words = ["train", str(one), "--estimator", "offset", "--out", str(tmp_path / "m.onnx")]
+    assert main([*words, "--validation", str(other)]) == 0
+    said = capsys.readouterr()
+    assert "Nothing is promised: learnt from one recording" in said.out + said.err
+    assert "test:" not in said.out
+    card = (tmp_path / "m.card.md").read_text()
+    assert "Nothing is promised" in card
+    assert "Error on the validation trajectories" in card
+    assert "test" not in card.partition("## ")[2]
+    assert "test" not in json.loads((tmp_path / "m.card.json").read_text())["data"]
+    assert main([*words, "--test", str(one)]) == 2
+    assert "'a/0' is among those to learn from" in capsys.readouterr().err
+    assert main([*words, "--test", str(other), "--folds", "1"]) == 2
+    assert "--folds 1: expected 2 groups or more" in capsys.readouterr().err
+
+
+def test_runs_of_one_restart_are_one_recording(tmp_path: Path) -> None:
+    names = psm_schema().names
+    head = ["run", "restart", "t_s", "ex", "ey", "ez", *names]
+    rows = [
+        [run, restart, str(t), "1", "2", "3", *["0.1"] * len(names)]
+        for run, restart in (("a", "mon"), ("b", "mon"), ("c", "tue"))
+        for t in range(3)
+    ]
+    path = tmp_path / "table.csv"
+    path.write_text("\n".join(",".join(row) for row in [head, *rows]) + "\n")
+    data = files.read_labelled(path, psm_schema())
+    assert data.recordings() == {"mon": ["mon/a", "mon/b"], "tue": ["tue/c"]}
