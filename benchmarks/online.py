@@ -12,6 +12,7 @@ import argparse
 import json
 import re
 import resource
+import signal
 import subprocess
 import sys
 import time
@@ -26,6 +27,7 @@ from measure import api
 from measure.arrays import Floats
 from measure.host import Correction, OnnxModel
 from measure.learning import EstimateClient, EstimateServer, StatePacket
+from measure.learning.realtime import claim_realtime
 from measure.robots.simulator import simulate
 
 BLOCKS, BLOCK = 10, 1000
@@ -98,10 +100,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="benchmarks.online", description=__doc__)
     parser.add_argument("model", nargs="?", type=Path, default=api.shipped_model())
     parser.add_argument("--seconds", type=float, default=60.0, help="of states at 1 kHz")
+    parser.add_argument("--realtime", action="store_true", help="server and sender in real time")
     given = parser.parse_args()
     states = simulate(10.0, 5).states
     print(update_line(given.model, states))
-    for line in round_trip_lines(given.model, states, given.seconds):
+    if given.realtime and (refused := claim_realtime()):
+        print(refused)
+    lines = round_trip_lines(given.model, states, given.seconds, realtime=given.realtime)
+    for line in lines:
         print(line)
 
 
@@ -123,10 +129,12 @@ def update_line(path: Path, states: Floats) -> str:
     return f"one update: median {p50:.0f} us, 99 % {p99:.0f} us; best block's median {best:.0f} us"
 
 
-def round_trip_lines(path: Path, states: Floats, seconds: float) -> list[str]:
+def round_trip_lines(
+    path: Path, states: Floats, seconds: float, *, realtime: bool = False
+) -> list[str]:
     """A robot that sends 1000 states a second to `measure estimate`."""
     words = [sys.executable, "-m", "measure", "estimate", str(path), "--port", "0", "--json"]
-    words += ["--seconds", f"{seconds + 3.0:g}"]
+    words += ["--realtime"] if realtime else []
     with subprocess.Popen(
         words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as server:
@@ -134,6 +142,7 @@ def round_trip_lines(path: Path, states: Floats, seconds: float) -> list[str]:
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
         done = time_round_trips(client, states, seconds)
         client.close()
+        server.send_signal(signal.SIGINT)  # however late the last state was sent
         out, _ = server.communicate()
         counts = json.loads(out)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)

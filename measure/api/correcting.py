@@ -29,7 +29,7 @@ def estimate_file(
     *,
     stretch: Path | None = None,
 ) -> dict[str, int]:
-    """Correct recorded states of any number; write `run, i, t_s, ex, ey, ez, sd_mm, unfamiliar`.
+    """Correct recorded states of any number; `measure.learning.correct_file` says what is written.
 
     Args:
         out: `.parquet` or `.csv`.
@@ -62,20 +62,29 @@ def estimate_online(
     *,
     zeroing: Zeroing | None = None,
     seconds: float | None = None,
+    realtime: bool = False,
     on_start: Callable[[EstimateServer], None],
     on_state: Callable[[EstimateServer], None],
+    on_refusal: Callable[[str], None],
 ) -> EstimateServer:
     """Answer states by UDP until the time is over or the process is interrupted.
+
+    Args:
+        realtime: before other processes, with memory that is not swapped; `on_refusal` gets one
+            line if the system does not allow it.
 
     Raises:
         ConfigError: a time that is none.
         EstimatorError: the model cannot be read, or the address not be listened on.
     """
     from measure import learning
+    from measure.learning.realtime import claim_realtime
 
     if seconds is not None and not seconds >= 0:
         raise ConfigError(f"--seconds {seconds:g}: expected a number that is not negative")
     server = learning.EstimateServer(OnnxModel.load(model_path), address, zeroing)
+    if realtime and (refused := claim_realtime()):
+        on_refusal(refused)
     on_start(server)
     try:
         server.serve(seconds, on_state)
@@ -89,6 +98,11 @@ def estimate_online(
 def shipped_model() -> Path:
     """The network that comes with this package, trained on the simulated RAVEN-II."""
     return Path(__file__).parents[1] / "learning" / "models" / "raven_simulated.onnx"
+
+
+def model_file(model: Path) -> Path:
+    """The file of a model; `shipped` stands for the one that comes along."""
+    return shipped_model() if str(model) == "shipped" else model
 
 
 def correct_simulated_robot(seconds: float = 60.0, seed: int = 7) -> EstimatorEvaluation:

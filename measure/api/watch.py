@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from measure.api.correcting import model_file
 from measure.api.outputs import check_writable
 from measure.api.pairing import read_tracks
 from measure.arrays import Floats, Ints
@@ -22,14 +23,16 @@ def robot_recording(
     log: Path | None = None,
     model: Path | None = None,
     frame: Path | None = None,
+    clock_offset_s: float | None = None,
 ) -> Path:
     """Write a robot's reported, measured and corrected positions into the run's `robot.rrd`.
 
     Args:
         robot: name of a state schema, or a robot.toml.
         log: the robot's log; the session's own if omitted.
-        model: an estimator (.onnx) that corrects the reported positions.
+        model: an estimator (.onnx), or `shipped`, that corrects the reported positions.
         frame: where the robot is, by `register`; its base is the cameras' world if omitted.
+        clock_offset_s: robot minus camera time; estimated from the motion if absent.
 
     Returns:
         The recording.
@@ -47,10 +50,10 @@ def robot_recording(
     log = log or _log_of(measured)
     if log is None:
         raise ConfigError(f"the session of {run} names no robot log: give it with --robot-log")
-    estimator = None if model is None else OnnxModel.load(model)
+    estimator = None if model is None else OnnxModel.load(model_file(model))
     schema = find_schema(robot)
     (track,) = read_tracks([run], frame, schema.robot)
-    traces = robot_traces(track, log, schema, estimator)
+    traces = robot_traces(track, log, schema, estimator, clock_offset_s)
     frames = measured.poses["index"].to_numpy()[_nearest(measured.times_s, traces.times_s)]
     path = run / "robot.rrd"
     write_robot_recording(path, f"{run.resolve().name}: robot", frames, traces)

@@ -27,6 +27,7 @@ def estimate(
     host: str = "127.0.0.1",
     port: int = 47118,
     seconds: float | None = None,
+    realtime: bool = False,
     json: JsonFlag = False,
 ) -> None:
     """Correct a robot's positions, live or from a file.
@@ -37,12 +38,14 @@ def estimate(
     Args:
         model: an ONNX file made by `measure train`, or `shipped` for the one that comes along.
         input_: recorded states: Parquet, text or a bag.
-        output: where to write the errors (.parquet or .csv): run, i, ex, ey, ez in mm, and more.
+        output: where to write the errors and the corrected positions with their SDs (.parquet or
+            .csv).
         rezero: a short measured data set of today: finds how the joints were homed, and says
             whether the cables have changed.
         host: address to listen on; other machines can reach it only if it is not the loopback.
         port: to listen on; 0 takes a free one.
         seconds: stop after this long.
+        realtime: before other processes, with memory that is not swapped (Linux, needs rights).
     """
     from measure import api
     from measure.errors import ConfigError
@@ -51,13 +54,13 @@ def estimate(
         raise ConfigError("--output needs --input: live estimates go back by UDP")
     if input_ is not None and output is None:
         raise ConfigError("--input needs --output: where shall the errors go?")
-    path = api.shipped_model() if str(model) == "shipped" else model
+    path = api.model_file(model)
     zeroing = None if rezero is None else _zeroing(path, rezero)
     if input_ is not None and output is not None:
         counts = api.estimate_file(path, input_, output, zeroing, stretch=rezero)
         _conclude(counts, json, f"written to {output}")
     else:
-        _serve(path, (host, port), zeroing, seconds, json)
+        _serve(path, (host, port), zeroing, seconds, json=json, realtime=realtime)
 
 
 def _zeroing(model: Path, stretch: Path) -> Zeroing:
@@ -78,7 +81,9 @@ def _serve(
     address: tuple[str, int],
     zeroing: Zeroing | None,
     seconds: float | None,
+    *,
     json: bool,
+    realtime: bool,
 ) -> None:
     from measure import api
 
@@ -98,7 +103,14 @@ def _serve(
         console.note("listening on udp://{}:{}".format(*server.address))
 
     served = api.estimate_online(
-        model, address, zeroing=zeroing, seconds=seconds, on_start=started, on_state=line
+        model,
+        address,
+        zeroing=zeroing,
+        seconds=seconds,
+        realtime=realtime,
+        on_start=started,
+        on_state=line,
+        on_refusal=console.note,
     )
     latency = served.latency_us()
     counts = served.counters.values()

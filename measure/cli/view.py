@@ -20,6 +20,7 @@ def view(
     robot_log: Path | None = None,
     model: Path | None = None,
     frame: Path | None = None,
+    clock_offset_s: float | None = None,
 ) -> None:
     """Show a run in the viewer.
 
@@ -31,8 +32,9 @@ def view(
             (robot.rrd in the run's folder): a known one (see `measure dataset`), a robot.toml or a
             .urdf.
         robot_log: the robot's log; the one that the session names if omitted.
-        model: an estimator (.onnx): its corrected position is shown too.
+        model: an estimator (.onnx, or `shipped`): its corrected position is shown too.
         frame: where the robot is, written by `measure register`.
+        clock_offset_s: robot time minus camera time, if known.
     """
     from measure.viewing.viewer import open_viewer, recording_of
 
@@ -42,7 +44,8 @@ def view(
     if robot is not None:
         from measure import api
 
-        recordings.append(api.robot_recording(run, robot, robot_log, model, frame))
+        made = api.robot_recording(run, robot, robot_log, model, frame, clock_offset_s)
+        recordings.append(made)
     # Ended by a service manager or a closed terminal, the viewer must end too.
     for ending in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
         signal.signal(ending, lambda number, _: sys.exit(128 + number))

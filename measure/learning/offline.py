@@ -27,7 +27,7 @@ from measure.robots import (
     is_table,
     log_pieces,
 )
-from measure.robots.columns import Clock
+from measure.robots.columns import Clock, FeatureColumns
 from measure.robots.pieces import TableFile
 
 
@@ -43,12 +43,17 @@ class StateTable:
 
 @dataclass(frozen=True, eq=False)
 class Corrected:
-    """Estimated errors (n, 3) mm, NaN where refused; SDs (n,) 3-D; flags; what was counted."""
+    """Estimated errors and their SDs (n, 3) mm, NaN where refused; flags; what was counted."""
 
     errors_mm: Floats
-    sd_mm: Floats
+    axis_sd_mm: Floats
     unfamiliar: Bools
     counts: dict[str, int]
+
+    @property
+    def sd_mm(self) -> Floats:
+        """SDs (n,) in 3-D."""
+        return np.asarray(np.linalg.norm(self.axis_sd_mm, axis=1))
 
 
 def read_states(path: Path, model: OnnxModel) -> Iterator[StateTable]:
@@ -66,7 +71,7 @@ def read_states(path: Path, model: OnnxModel) -> Iterator[StateTable]:
         schema = schema_of(model)
         file = TableFile.open(path, schema.log.delimiter)
         check_robot(file, model.robot)
-        return _tables(file, schema)
+        return _tables(file, feature_columns(path, schema, file.schema.names))
     return _bagged(path, model)
 
 
@@ -78,10 +83,9 @@ def _bagged(path: Path, model: OnnxModel) -> Iterator[StateTable]:
         row += len(times)
 
 
-def _tables(file: TableFile, schema: StateSchema) -> Iterator[StateTable]:
+def _tables(file: TableFile, found: FeatureColumns) -> Iterator[StateTable]:
     """The last of several names of a column counts."""
-    there, where = file.schema.names, str(file.path)
-    found = feature_columns(file.path, schema, there)
+    there, where, schema = file.schema.names, str(file.path), found.schema
     run = next((name for name in ("run", "trajectory") if name in file), None)
     timed = time_columns(there) or candidates(there) or schema.log.time
     clock = Clock(where, there, schema) if timed else None
@@ -128,7 +132,7 @@ class Corrector:
             if isinstance(answer, Correction):
                 errors[row], covariances[row] = answer.error_mm, answer.covariance
                 unfamiliar[row] = answer.unfamiliar
-        sd = np.sqrt(np.trace(covariances, axis1=1, axis2=2))
+        sd = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
         return Corrected(errors, sd, unfamiliar, self.counts)
 
 
@@ -141,7 +145,7 @@ def correct(
     parts = [part for _, part in done]
     whole = Corrected(
         np.concatenate([part.errors_mm for part in parts]),
-        np.concatenate([part.sd_mm for part in parts]),
+        np.concatenate([part.axis_sd_mm for part in parts]),
         np.concatenate([part.unfamiliar for part in parts]),
         corrector.counts,
     )
@@ -153,13 +157,14 @@ def correct_file(
 ) -> dict[str, int]:
     """Correct recorded states, and count what became of them.
 
-    Writes `run, i, t_s, ex, ey, ez, sd_mm, unfamiliar` as Parquet or CSV; errors in mm. The file
-    is there when all of it is.
+    Writes Parquet or CSV: `run, i, t_s`, the errors `ex, ey, ez` in mm with `sd_mm` (3-D) and
+    `unfamiliar`, and the corrected positions `x_mm, y_mm, z_mm` with `x_sd_mm, y_sd_mm, z_sd_mm`.
+    The file is there when all of it is.
 
     Raises:
         EstimatorError: as `read_states`.
     """
-    corrector = Corrector(model, zeroing)
+    corrector, schema = Corrector(model, zeroing), schema_of(model)
     out.parent.mkdir(parents=True, exist_ok=True)
     fresh = out.with_name(f"{out.name}.new")
     fresh.unlink(missing_ok=True)
@@ -167,7 +172,8 @@ def correct_file(
         with ExitStack() as opened:
             writer: Any = None
             for table in read_states(states, model):
-                rows = pa.table(_columns(table, corrector.correct(table)))
+                reported = schema.position_mm(table.states)
+                rows = pa.table(_columns(table, corrector.correct(table), reported))
                 if writer is None:
                     kind = csv.CSVWriter if out.suffix == ".csv" else parquet.ParquetWriter
                     writer = opened.enter_context(kind(fresh, rows.schema))
@@ -178,7 +184,8 @@ def correct_file(
     return corrector.counts
 
 
-def _columns(table: StateTable, corrected: Corrected) -> dict[str, Any]:
+def _columns(table: StateTable, corrected: Corrected, reported_mm: Floats) -> dict[str, Any]:
+    places = reported_mm + corrected.errors_mm
     return {
         "run": table.run,
         "i": table.index,
@@ -186,6 +193,8 @@ def _columns(table: StateTable, corrected: Corrected) -> dict[str, Any]:
         **{f"e{axis}": corrected.errors_mm[:, k] for k, axis in enumerate("xyz")},
         "sd_mm": corrected.sd_mm,
         "unfamiliar": corrected.unfamiliar,
+        **{f"{axis}_mm": places[:, k] for k, axis in enumerate("xyz")},
+        **{f"{axis}_sd_mm": corrected.axis_sd_mm[:, k] for k, axis in enumerate("xyz")},
     }
 
 

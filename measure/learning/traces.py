@@ -29,18 +29,26 @@ class RobotTraces:
 
 
 def robot_traces(
-    track: PoseTrack, log: Path, schema: StateSchema, model: OnnxModel | None = None
+    track: PoseTrack,
+    log: Path,
+    schema: StateSchema,
+    model: OnnxModel | None = None,
+    clock_offset_s: float | None = None,
 ) -> RobotTraces:
     """Reported, measured and corrected positions at the instants of the poses.
 
     The model gets every state of the log in order, as it does online; a correction holds until the
     next one.
 
+    Args:
+        clock_offset_s: robot minus camera time; estimated from the motion if absent.
+
     Raises:
         EstimatorError: the log or the model does not fit, or the clocks cannot be aligned.
     """
-    data, (facts,) = assemble([(track, LogFile(log, schema))], AssemblySettings())
-    offset = facts.clock.offset_s if facts.clock else 0.0
+    settings = AssemblySettings(clock_offset_s)
+    data, (facts,) = assemble([(track, LogFile(log, schema))], settings)
+    offset = facts.clock.offset_s if facts.clock else clock_offset_s or 0.0
     reported = data.reported_mm
     errors, sd = np.full((len(data), 3), np.nan), np.full(len(data), np.nan)
     unfamiliar = np.zeros(len(data), dtype=bool)

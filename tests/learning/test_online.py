@@ -323,6 +323,12 @@ def test_offline_is_online(
         written = Table.read(tmp_path / name)
         assert written.labels("run") == labels["run"].tolist()
         np.testing.assert_array_equal(written.numbers("ex", "ey", "ez"), corrected.errors_mm)
+        places = written.numbers("x_mm", "y_mm", "z_mm")
+        np.testing.assert_allclose(places, data.reported_mm + corrected.errors_mm, atol=1e-3)
+        each = written.numbers("x_sd_mm", "y_sd_mm", "z_sd_mm")
+        wanted = np.sqrt(np.diagonal(estimates.covariances, axis1=1, axis2=2))
+        np.testing.assert_allclose(each, wanted, rtol=1e-3)
+        np.testing.assert_allclose(written.numbers("sd_mm")[:, 0], np.linalg.norm(each, axis=1))
     columns.pop("tau_0")
     parquet.write_table(pa.table(labels | columns), path)
     with pytest.raises(EstimatorError, match="lacks 1 of 118 columns: tau_0"):

@@ -15,7 +15,7 @@ import pytest
 
 from measure.cli import main
 from measure.errors import DivergedError, EstimatorError
-from measure.host import Dataset
+from measure.host import Dataset, Registry
 from measure.learning import files
 from measure.learning.study import read_space
 from tests.dask_cluster import Cluster, wait_for
@@ -59,6 +59,14 @@ def test_a_search_space_that_makes_no_sense(
     space.write_text(SPACE.replace(old, new))
     with pytest.raises(EstimatorError, match=reason):
         read_space(space)
+
+
+def test_the_search_space_of_the_documentation_fits_the_estimator() -> None:
+    space = read_space(Path(__file__).parents[2] / "docs" / "examples" / "space.toml")
+    registry = Registry.discover()
+    for end in (0, -1):
+        drawn = {name: (one.choices or [one.low, one.high])[end] for name, one in space.items()}
+        assert registry.estimator("mlp", drawn).name == "mlp"
 
 
 @pytest.fixture

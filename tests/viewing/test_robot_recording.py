@@ -115,6 +115,18 @@ def test_without_a_model_nothing_is_corrected(folder: Path):
     assert np.isnan(_trace(read_recording(path), entities.robot_error("corrected"))).all()
 
 
+def test_a_given_clock_offset_counts_and_the_shipped_model_has_a_name(folder: Path):
+    log, found = folder / "robot.parquet", []
+    for offset_s in (OFFSET_S, OFFSET_S + 0.3):
+        path = api.robot_recording(
+            folder / "run", "raven", log, Path("shipped"), clock_offset_s=offset_s
+        )
+        stored = read_recording(path)
+        found.append(np.nanmean(_trace(stored, entities.robot_error("reported")) ** 2))
+        assert np.isfinite(_trace(stored, entities.robot_error("corrected"))).mean() > 0.9
+    assert found[1] > 1.5 * found[0]
+
+
 def test_a_missing_log_is_said(folder: Path, capsys: pytest.CaptureFixture[str]):
     with pytest.raises(ConfigError, match="names no robot log"):
         api.robot_recording(folder / "run", "raven")
