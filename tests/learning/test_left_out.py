@@ -13,7 +13,7 @@ from measure.cli import main
 from measure.host import Dataset, Estimator, Registry
 from measure.host.estimator import quiet
 from measure.learning import evaluate, files, split_by_trajectory
-from measure.robots import psm_schema
+from measure.robots import find_schema
 
 pytest.importorskip("sklearn", reason="training needs the extra 'train'")
 
@@ -30,7 +30,7 @@ def _recordings(names: list[str], seed: int, rows: int = 60) -> Dataset:
         joints.append(where + rng.uniform(-0.03, 0.03, (count, 6)) * [1, 1, 0.1, 1, 1, 1])
         errors.append(rng.normal(0, 1.0, 3) + rng.normal(0, 0.2, (count, 3)))
     q = np.concatenate(joints)
-    schema = psm_schema()
+    schema = find_schema("dvrk-psm")
     assert schema.chain is not None
     tip = schema.chain.tip_mm(q * [1, 1, 1e3, 1, 1, 1])
     pieces = tuple(f"{name}/{half}" for name in names for half in range(2))
@@ -109,7 +109,7 @@ def test_one_recording_promises_nothing_and_validation_is_no_test(
 
 
 def test_runs_of_one_restart_are_one_recording(tmp_path: Path) -> None:
-    names = psm_schema().names
+    names = find_schema("dvrk-psm").names
     head = ["run", "restart", "t_s", "ex", "ey", "ez", *names]
     rows = [
         [run, restart, str(t), "1", "2", "3", *["0.1"] * len(names)]
@@ -118,5 +118,5 @@ def test_runs_of_one_restart_are_one_recording(tmp_path: Path) -> None:
     ]
     path = tmp_path / "table.csv"
     path.write_text("\n".join(",".join(row) for row in [head, *rows]) + "\n")
-    data = files.read_labelled(path, psm_schema())
+    data = files.read_labelled(path, find_schema("dvrk-psm"))
     assert data.recordings() == {"mon": ["mon/a", "mon/b"], "tue": ["tue/c"]}
