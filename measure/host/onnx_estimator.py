@@ -15,7 +15,7 @@ from measure.errors import DivergedError, EstimatorError
 from measure.host.dataset import Dataset, recording_of
 from measure.host.estimator import Correction, Estimator, LeftOut, Report
 from measure.host.judging import DOUBTS, UNJUDGED, Judged, Novelty, Travel, Trust
-from measure.host.onnx_facts import FORMAT
+from measure.host.onnx_facts import FORMAT, contract
 from measure.host.onnx_graph import Graph, Value
 from measure.host.onnx_model import OnnxModel
 from measure.host.settings import Settings
@@ -198,6 +198,7 @@ class OnnxEstimator(Estimator):
                 "memory_out": (memory_out, (size,)),
             },
             {"measure": facts, "card": dict(card)},
+            contract(len(self._schema.features), size, self._period_s),
         )
 
     def judge(self, data: Dataset) -> Judged:

@@ -14,6 +14,20 @@ FORMAT = 1
 _MAX_MEMORY = 1_000_000
 
 
+def contract(features: int, memory: int, period_s: float) -> str:
+    """How any ONNX runtime runs a model, for its card and the file itself."""
+    return (
+        f"Inputs, float32: `features` (N, {features}), a raw state of each of N robots; `memory` "
+        f"(N, {memory}), zeros when a trajectory begins, later the last `memory_out`; `tick` "
+        f"(N, 1), 1 for the first state and for each at least {0.75 * period_s:g} s (0.75 x "
+        f"`period_s`, {period_s:g} s) after the last with a 1, else 0. Outputs: `error_mm` (N, 3), "
+        "to be added to the reported tip; `covariance` (N, 9), of that error, row by row, mm^2; "
+        "`strangeness` (N, 1), above 1 or NaN for a state unlike the training; `memory_out` "
+        f"(N, {memory}). Use one thread. Metadata, as JSON: `measure` (robot, features, units) and "
+        "`card`."
+    )
+
+
 class _Facts(BaseModel):
     model_config = ConfigDict(strict=True, extra="allow")
 

@@ -115,6 +115,7 @@ class Graph:
         inputs: Mapping[str, int],
         outputs: Mapping[str, tuple[Value, tuple[int, ...]]],
         metadata: Mapping[str, Any],
+        doc: str = "",
     ) -> bytes:
         """The finished model, checked and sealed.
 
@@ -122,6 +123,7 @@ class Graph:
             inputs: names and widths of inputs (N, width).
             outputs: names, the tensors they come from, and their shapes after N.
             metadata: stored as JSON texts.
+            doc: what the file says of itself.
         """
         helper, kinds = self._onnx.helper, self._onnx.TensorProto
         renamed = [
@@ -139,7 +141,7 @@ class Graph:
         )
         imports = [helper.make_opsetid("", OPSET), helper.make_opsetid("ai.onnx.ml", ML_OPSET)]
         model = helper.make_model(
-            graph, opset_imports=imports, producer_name="triball", ir_version=9
+            graph, opset_imports=imports, producer_name="triball", ir_version=9, doc_string=doc
         )
         helper.set_model_props(model, {key: json.dumps(text) for key, text in metadata.items()})
         self._onnx.checker.check_model(model)

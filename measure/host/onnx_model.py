@@ -1,9 +1,7 @@
 """Running a saved estimator: one ONNX file that holds normalisation, features, nets and state.
 
-The contract of the file. Inputs: `features` (N, F) a raw state; `memory` (N, S), zeros after a
-reset; `tick` (N, 1), one if slow memory shall advance. Outputs: `error_mm` (N, 3), `covariance`
-(N, 9), `strangeness` (N, 1), above one if unlike training; `memory_out` (N, S). Metadata, as JSON:
-`measure` and `card`; last a checksum, as `measure.host.seal` appends it. `measure` holds:
+What goes in and comes out is said by `onnx_facts.contract`. Metadata, as JSON: `measure` and
+`card`; last a checksum, as `measure.host.seal` appends it. `measure` holds:
 
 - `format`: 1; `estimator`: its name; `settings`: as they were;
 - `robot`: its name; `features`: [name, unit] of each, in order;

@@ -16,6 +16,7 @@ from typing import Any
 from measure.errors import EstimatorError
 from measure.host import Dataset, Epoch, Estimates, Estimator, LeftOut, OnnxModel, Report
 from measure.host.failures import named
+from measure.host.onnx_facts import contract
 from measure.learning.fitting import fit
 from measure.learning.scores import EstimatorEvaluation, evaluate, speed_range
 from measure.learning.splits import Split
@@ -86,12 +87,15 @@ def train(
 def _save(estimator: Estimator, split: Split, out: Path, card: dict[str, Any]) -> Trained:
     """Write the network, judge the written file on the test part, add the scores to its card."""
     _write(estimator, out, card)
-    estimates = OnnxModel.load(out).predict(split.test)
+    model = OnnxModel.load(out)
+    estimates = model.predict(split.test)
     evaluation = evaluate(split.test, estimates)
     card |= {"scores": evaluation.to_dict()}
     _write(estimator, out, card)  # the same network, now with its scores inside
     features = [[feature.name, feature.unit] for feature in split.train.schema.features]
-    full = card | {"features": features, "curve": [asdict(line) for line in estimator.curve]}
+    said = contract(len(model.features), model.memory_size, model.period_s)
+    curve = [asdict(line) for line in estimator.curve]
+    full = card | {"features": features, "contract": said, "curve": curve}
     out.with_suffix(".card.json").write_text(json.dumps(full, indent=1) + "\n")
     write_card(out.with_suffix(".card.md"), full)
     return Trained(
@@ -158,6 +162,7 @@ def write_card(path: Path, card: Mapping[str, Any]) -> None:
         _promise(card),
         _scores(card["scores"], card["scored_on"]),
         _state(card["features"]),
+        ("## The file", "", card["contract"]),
         _LIMITS,
     )
     path.write_text("\n\n".join("\n".join(lines) for lines in parts) + "\n", encoding="utf-8")

@@ -15,7 +15,7 @@ from measure.cli import main
 from measure.cli.app import GROUPS
 from tests.docs.pages import PAGES, ROOT, Block, blocks, name_of
 
-LANGUAGES = {"bash", "toml", "python", "pycon", "text"}
+LANGUAGES = {"bash", "toml", "python", "pycon", "text", "cpp", "cmake"}
 DEMO = "measure demo --out triball-demo"
 ELSEWHERE = ("demo-command", "test-command")
 """Blocks with these marks are whole installations: `.ci/run` runs them."""
