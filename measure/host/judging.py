@@ -135,6 +135,7 @@ class Judged:
     residuals_mm: Floats  # (n, 3) after it
     labels: Floats  # (n, 3, 3) covariances of the labels, mm^2
     doubts: Floats  # (n, DOUBTS)
+    offsets_mm: Floats  # (recordings, 3) means of the residuals
 
     @classmethod
     def join(cls, parts: Sequence[Judged]) -> Judged:

@@ -63,6 +63,7 @@ class OnnxEstimator(Estimator):
         self._schema: StateSchema | None = None
         self._period_s = 0.0
         self._trust = UNJUDGED
+        self._offset_sd_mm: float | None = None
         self._model: OnnxModel | None = None
 
     @abstractmethod
@@ -100,6 +101,8 @@ class OnnxEstimator(Estimator):
         self._learn(data, validation, seed=seed, report=_part(report, fits - 1, fits))
         found = Judged.join(judged) if judged else self.judge(validation)
         self._trust = Trust.of(found)
+        if groups:
+            self._offset_sd_mm = float(np.sqrt((found.offsets_mm**2).mean()))
         self.left_out = LeftOut(len(data.recordings()), len(groups), *found.rms_mm())
         self._model = OnnxModel(self._build({}))
 
@@ -128,7 +131,9 @@ class OnnxEstimator(Estimator):
         self._period_s = float(np.median(known)) if len(known) else 0.0
         self._novelty = Novelty.of(data, validation, self.watched(data))
         self._travel = None if self.memoryless else Travel.of(data.schema, data.states)
-        self._trust = UNJUDGED
+        self._trust, self._offset_sd_mm = UNJUDGED, None
+        reading = data.schema.reading_matrix(data.schema.joints or data.schema.position)
+        self._joint_sd = (data.states @ reading).std(axis=0).tolist()
         self.learn(data, validation, seed=seed, report=report)
 
     def save(self, path: Path, card: Mapping[str, Any]) -> None:
@@ -188,6 +193,8 @@ class OnnxEstimator(Estimator):
             "period_s": self._period_s,
             "memory": size,
             "memoryless": self.memoryless,
+            "joint_sd": self._joint_sd,
+            **({} if self._offset_sd_mm is None else {"offset_sd_mm": self._offset_sd_mm}),
         }
         return graph.build(
             {"features": len(self._schema.features), "memory": size, "tick": 1},
@@ -214,7 +221,9 @@ class OnnxEstimator(Estimator):
         errors = data.errors_mm[used]
         doubts = estimates.covariances[used].reshape(-1, 9)[:, :DOUBTS]
         left = errors - estimates.errors_mm[used]
-        return Judged(errors, left, data.covariances[used], doubts)
+        recordings = np.array([recording_of(name) for name in data.names])[data.trajectory[used]]
+        offsets = [left[recordings == one].mean(axis=0) for one in np.unique(recordings)]
+        return Judged(errors, left, data.covariances[used], doubts, np.array(offsets))
 
 
 def _part(report: Report, index: int, count: int, prefix: str = "") -> Report:

@@ -39,6 +39,8 @@ class _Facts(BaseModel):
     period_s: Annotated[FiniteFloat, Field(ge=0)]
     memory: Annotated[int, Field(ge=1, le=_MAX_MEMORY)]
     memoryless: bool
+    offset_sd_mm: FiniteFloat = 0.5
+    joint_sd: list[FiniteFloat] = []
 
     @model_validator(mode="after")
     def _one_row_a_feature(self) -> _Facts:

@@ -8,7 +8,9 @@ What goes in and comes out is said by `onnx_facts.contract`. Metadata, as JSON: 
 - `schema`: `StateSchema.to_dict`, with the joints and how logs name them; older files have none;
 - `position_mm`: a matrix (F, 3): a state times it is the reported position;
 - `period_s`: of the states learnt from; `memory`: S, at least 1; `memoryless`: whether the memory
-  may be left at zeros.
+  may be left at zeros;
+- optional: `joint_sd`: SDs in training of the joints (else of the position); `offset_sd_mm`: per
+  axis, of the mean errors that a fit leaves of recordings it has not seen.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from measure.arrays import Bools, Floats
 from measure.errors import EstimatorError
 from measure.host import Correction, Dataset, OnnxModel
 from measure.learning.guard import DriftMonitor, GuardedModel
-from measure.learning.zeroing import Zeroing, fit_zeroing
+from measure.learning.zeroing import PRIOR_SD_MM, Zeroing, fit_zeroing
 from measure.reading import candidates, time_columns
 from measure.robots import (
     Feature,
@@ -208,12 +208,18 @@ def rezero(
         monitor: one that goes on; a new one if absent.
 
     Raises:
-        EstimatorError: another robot's data, or too few labels.
+        EstimatorError: another robot's data, or labels that tell too little of the offsets.
     """
     estimates = model.predict(stretch)
     used = stretch.usable
     residuals = (stretch.errors_mm - estimates.errors_mm)[used]
-    zeroing = fit_zeroing(stretch.schema, stretch.states[used], residuals)
+    zeroing = fit_zeroing(
+        stretch.schema,
+        stretch.states[used],
+        residuals,
+        prior_sd_mm=model.facts.get("offset_sd_mm", PRIOR_SD_MM),
+        spread_sd=np.array(model.facts.get("joint_sd", [])),
+    )
     monitor = monitor or DriftMonitor()
     stated = estimates.covariances[used] + stretch.covariances[used] + zeroing.covariance
     left = residuals - zeroing.offset_mm(stretch.states[used])

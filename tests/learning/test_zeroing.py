@@ -48,6 +48,25 @@ def test_rezero_without_kinematics_finds_the_offset(split: Split) -> None:
     assert zeroing.sd_mm < 0.3
 
 
+def test_rezero_that_would_harm_is_refused(split: Split) -> None:
+    """Alike errors of one place, poses at one place, and halves that contradict each other."""
+    schema, rng = split.train.schema, np.random.default_rng(1)
+    states = split.train.states
+    order = rng.permutation(len(states))[:200]
+    wandering = np.cumsum(rng.normal(0, 0.2, (200, 3)), axis=0)
+    with pytest.raises(EstimatorError, match=r"tell as much of the zeros as .* independent ones"):
+        fit_zeroing(schema, states[order], wandering)
+    noise = rng.normal(0, 0.3, (200, 3))
+    spread_sd = schema.joint_positions(states).std(axis=0)
+    assert fit_zeroing(schema, states[order], 0.8 + noise, spread_sd=spread_sd).sd_mm < 0.3
+    with pytest.raises(EstimatorError, match=r"spread over 0% .* ten poses or more, spread over"):
+        fit_zeroing(schema, states[np.full(200, 7)], 0.8 + noise, spread_sd=spread_sd)
+    turned = np.where(np.arange(200)[:, None] < 100, 0.8, -0.8) + 3.0 * noise
+    turned -= turned.mean(axis=0)
+    with pytest.raises(EstimatorError, match=r"would do harm: .* leave .* mm RMS of the other"):
+        fit_zeroing(schema, states[order], turned + np.where(np.arange(200) % 2, 3, -3)[:, None])
+
+
 def test_drift_is_seen_and_calm_is_not_drift() -> None:
     rng = np.random.default_rng(2)
     covariance = np.diag([0.1, 0.2, 0.05])
