@@ -78,12 +78,14 @@ class Estimator(Plugin):
         left_out: what its covariance was fitted to, if it tells.
         folds: largest number of groups of recordings that a fit may leave out in turn to judge its
             covariance; 0 leaves none out.
+        findings: what the fit found, in lines for the model card.
         checkpoint: a folder where a fit may keep what it has reached, and find it again.
     """
 
     curve: tuple[Epoch, ...] = ()
     left_out: LeftOut | None = None
     folds: int = 4
+    findings: tuple[str, ...] = ()
     checkpoint: Path | None = None
 
     def __init__(self, config: Settings) -> None:

@@ -2,9 +2,8 @@
 
 Every pose is world_from_base @ base_from_flange @ flange_from_body. Both rotations come in closed
 form (Shah 2013, J. Mech. Robotics 5, 031007), both translations by linear least squares; then all
-is fitted at once, with the clocks. Errors of the links are random effects: normal, with a standard
-deviation for lengths and one for angles that are estimated too (Harville 1977, JASA 72, 320). They
-are fitted, or else only counted: what they may do to the frames is in the covariance.
+is fitted at once, with the clocks and the errors of the links. These are part of the answer, or
+else only counted: what they may do to the frames is in the covariance.
 """
 
 from __future__ import annotations
@@ -18,13 +17,12 @@ from measure.geometry import RigidTransform, chi_square_quantile, propagate, ske
 from measure.geometry.covariance import squared_mahalanobis
 from measure.metrology.poses import PoseTable, SharedErrors, independent_count
 from measure.robots import SerialChain
-from measure.robots.links import TURNS, link_jacobian, with_link_errors
+from measure.robots.links import LinkEffects, link_jacobian, usual_sd, with_link_errors
 
 FRAMES = 12
 """Parameters of both frames: world_from_base, then body_from_flange, each as `perturb` has them."""
-_USUAL_SD = np.array([0.3, 5e-4])  # of links, mm and rad: the least that is counted with
 _OUTLIER_SDS = 6.0
-_STEPS, _SCALE_STEPS = 12, 50
+_STEPS = 12
 _EXACT_S = 1e-7  # SD of a clock that is given
 _UNKNOWN_RAD = 2.0  # SD of a turn that nothing shows
 
@@ -101,8 +99,7 @@ def fit_frames(seen: Sightings, *, kinematics: bool) -> FrameFit:
     Poses that disagree by six standard deviations are left out.
     """
     count, links = len(seen.shared), seen.links
-    sd = np.resize(_USUAL_SD[TURNS.astype(int)], links)
-    fit = FrameFit(*_closed_form(seen), np.zeros(count), np.zeros(links), sd)
+    fit = FrameFit(*_closed_form(seen), np.zeros(count), np.zeros(links), usual_sd(links))
     fit = _with_links(fit, seen)
     seen = seen.take(_agreeing(fit, seen))
     white = _Linear.of(fit, seen).white
@@ -171,25 +168,16 @@ class _Linear:
 
 
 def _with_links(fit: FrameFit, seen: Sightings) -> FrameFit:
-    """Everything at once; the links' standard deviations and the noise by EM."""
-    links = slice(FRAMES + len(seen.shared), None)
+    """Everything at once; the links' standard deviations and the noise as well."""
+    known = _precision(seen, fit.link_sd)[: FRAMES + len(seen.shared)]
+    found = LinkEffects(known, known, fit.link_sd, fit.noise)
     for step in range(_STEPS):
         near = _Linear.of(fit, seen)
         _, N, g = near.normal()
         squares = float(squared_mahalanobis(near.residuals, near.covariances).sum())
-        sd, noise = fit.link_sd, fit.noise
-        for _ in range(_SCALE_STEPS):
-            precision = _precision(seen, sd)
-            C = np.linalg.inv(N * (fit.share / noise) + np.diag(precision))
-            pull = g * (fit.share / noise)
-            pull[links] -= precision[links] * fit.links
-            x = C @ pull
-            second = (fit.links + x[links]) ** 2 + np.diag(C)[links]
-            sd = _pooled(second)
-            left = squares - 2 * x @ g + x @ N @ x + fit.share * np.sum(C * N)
-            noise = float(left) / near.residuals.size
-        fit = replace(_moved(fit, seen, x), link_sd=sd, noise=noise)
-        if step > 1 and np.all(np.abs(x) < 0.01 * np.sqrt(np.diag(C))):
+        found = found.solved((N, g, squares, near.residuals.size), known, fit.links, fit.share)
+        fit = replace(_moved(fit, seen, found.step), link_sd=found.link_sd, noise=found.noise)
+        if step > 1 and np.all(np.abs(found.step) < 0.01 * np.sqrt(np.diag(found.covariance))):
             break
     return fit
 
@@ -246,20 +234,6 @@ def _of_noise(gains: Floats, near: _Linear, seen: Sightings) -> Floats:
             level = max(level - max(scatter, 1.0), 0.0)
         total += level * propagate(gains[rows], poses.covariances).sum(axis=0)
     return total
-
-
-def _pooled(second: Floats) -> Floats:
-    """Standard deviations (links,) of second moments: one of all lengths, one of all angles.
-
-    As large as they are if only the four classical ones of each six (a, alpha, d, theta) are off.
-    """
-    turns = np.resize(TURNS, second.shape)
-    out = np.empty_like(second)
-    for which, usual in zip((~turns, turns), _USUAL_SD, strict=True):
-        out[which] = (
-            max(float(np.sqrt(1.5 * second[which].mean())), usual) if which.any() else usual
-        )
-    return out
 
 
 def _precision(seen: Sightings, link_sd: Floats) -> Floats:

@@ -96,6 +96,7 @@ def _save(estimator: Estimator, split: Split, out: Path, card: dict[str, Any]) -
     said = contract(len(model.features), model.memory_size, model.period_s)
     curve = [asdict(line) for line in estimator.curve]
     full = card | {"features": features, "contract": said, "curve": curve}
+    full |= {"findings": list(estimator.findings)}
     out.with_suffix(".card.json").write_text(json.dumps(full, indent=1) + "\n")
     write_card(out.with_suffix(".card.md"), full)
     return Trained(
@@ -157,15 +158,18 @@ def revision() -> str:
 
 def write_card(path: Path, card: Mapping[str, Any]) -> None:
     """Write a model card as Markdown."""
+    found = [f"- {line}" for line in card.get("findings", ())]
     parts = (
         _origin(card),
         _promise(card),
         _scores(card["scores"], card["scored_on"]),
+        ["## What the fit found", "", *found] if found else [],
         _state(card["features"]),
         ("## The file", "", card["contract"]),
         _LIMITS,
     )
-    path.write_text("\n\n".join("\n".join(lines) for lines in parts) + "\n", encoding="utf-8")
+    text = "\n\n".join("\n".join(lines) for lines in parts if lines)
+    path.write_text(text + "\n", encoding="utf-8")
 
 
 def _state(features: Sequence[tuple[str, str]]) -> list[str]:

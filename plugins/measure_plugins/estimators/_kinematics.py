@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from measure.arrays import Floats
 from measure.host import Graph, Value
 from measure.robots import SerialChain, StateSchema
 
@@ -47,20 +48,33 @@ def tip_error(graph: Graph, schema: StateSchema, features: Value, outputs: Value
 def tip_change(graph: Graph, schema: StateSchema, features: Value, joint_errors: Value) -> Value:
     """FK(q + dq) - FK(q), (N, 3) mm, q read from the raw state."""
     assert schema.chain is not None
-    size = schema.chain.size
     q = graph.op("MatMul", features, schema.reading_matrix(schema.joints))
     pair = graph.op("Concat", graph.op("Add", q, joint_errors), q, axis=1)
-    angle = graph.reshape(pair, -1, size, 1, 1)
-    constant, cosine, sine, linear = schema.chain.parts
+    angle = graph.reshape(pair, -1, schema.chain.size, 1, 1)
+    return _between(graph, schema.chain.parts, angle)
+
+
+def chain_change(graph: Graph, schema: StateSchema, features: Value, bent: SerialChain) -> Value:
+    """Tip of `bent` minus that of the schema's chain, (N, 3) mm, q read from the raw state."""
+    assert schema.chain is not None
+    q = graph.op("MatMul", features, schema.reading_matrix(schema.joints))
+    angle = graph.reshape(q, -1, 1, schema.chain.size, 1, 1)
+    pairs = zip(bent.parts, schema.chain.parts, strict=True)
+    return _between(graph, tuple(np.stack(pair) for pair in pairs), angle)
+
+
+def _between(graph: Graph, parts: tuple[Floats, ...], angle: Value) -> Value:
+    """First minus second tip (N, 3) of pairs of chains, whose angles are (..., joints, 1, 1)."""
+    constant, cosine, sine, linear = parts
     steps = graph.op("Add", graph.op("Mul", graph.op("Cos", angle), cosine), constant)
     steps = graph.op("Add", steps, graph.op("Mul", graph.op("Sin", angle), sine))
     if np.any(linear):
         steps = graph.op("Add", steps, graph.op("Mul", angle, linear))
-    each = graph.ops("Split", size, steps, axis=1)
-    point = graph.op("Slice", each[-1], *(graph.constant([v], np.int64) for v in (3, 4, 3)))
+    each = graph.ops("Split", constant.shape[-3], steps, axis=-3)
+    point = graph.op("Slice", each[-1], *(graph.constant([v], np.int64) for v in (3, 4, -1)))
     for step in reversed(each[:-1]):
         point = graph.op("MatMul", step, point)
-    # (2N, 1, 4, 1) -> (N, 8): x y z 1 of q + dq, then of q
+    # (2N, 1, 4, 1) or (N, 2, 1, 4, 1) -> (N, 8): x y z 1 of both
     return graph.op(
         "MatMul", graph.reshape(point, -1, 8), np.concatenate([np.eye(4, 3), -np.eye(4, 3)])
     )
