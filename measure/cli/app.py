@@ -42,7 +42,7 @@ GROUPS: dict[str, dict[str, str]] = {
     "Use the poses": {
         "rests": "List where the body stood still, with the displacements between.",
         "pivot": "Find a tool's tip from a run in which it is turned about it.",
-        "world": "Put a calibration's world where a body is, or through three touched points.",
+        "world": "Put a calibration's world where a body or a board is, or through three touches.",
         "accept": "Test a rig by known lengths: its errors against what it states.",
         "compare": "Say what differs between two runs, and by how many deviations.",
     },

@@ -25,7 +25,7 @@ def world(
     body: str | None = None,
     json: JsonFlag = False,
 ) -> None:
-    """Put a calibration's world where a body or a board is, or through three touched points.
+    """Put a calibration's world where a body or a board is, or through three touches.
 
     The world becomes the frame of the body at that instant or rest, a frame through three rests of
     a tip, or that of a board, z up from the paper. Covariances of the cameras are carried along.
