@@ -21,7 +21,6 @@ from measure.api.recording import (
     calibrated_cameras,
     check_apart,
     check_seconds,
-    recorder,
     sizes_of,
     sources_of,
     until_stopped,
@@ -29,7 +28,15 @@ from measure.api.recording import (
 from measure.api.run import provenance
 from measure.api.run_log import LogOptions, RunLog
 from measure.api.warming_up import warm_pipeline
-from measure.capture import CameraAddress, CameraCount, Cameras, Gathering, Outage, check_new
+from measure.capture import (
+    CameraAddress,
+    CameraCount,
+    Cameras,
+    Gathering,
+    Outage,
+    Recorder,
+    check_new,
+)
 from measure.errors import ConfigError, RunError
 from measure.host import Registry
 from measure.measuring import Measurement, Profile, burn_in
@@ -145,8 +152,8 @@ def live(
         stop = stack.enter_context(until_stopped())
         sinks = [gathering.add]
         if options.record is not None:
-            kept = recorder(options.record, sources, measured, calibrated, options.reference)
-            sinks.append(stack.enter_context(kept).add)
+            given = rig.addresses, measured, calibrated, options.reference
+            sinks.append(stack.enter_context(Recorder(options.record, *given)).add)
         outputs = _LiveOutputs(stack, out, made_from, measured, calibrated, options)
         rig.begin(sinks)
         frame_sets = _frame_sets(gathering, rig, stop, options.seconds)

@@ -15,7 +15,7 @@ from types import FrameType
 from measure.capture import CameraAddress, CameraCount, Cameras, Outage, Recorder, check_new
 from measure.capture.sources import Source
 from measure.errors import ConfigError
-from measure.model import Body, Camera
+from measure.model import Camera
 from measure.session import check_bodies, read_body, read_calibration
 
 _POLL_S = 0.1
@@ -81,7 +81,7 @@ def record(
         # Nothing is lost yet if this is interrupted.
         Cameras(sources, sizes_of(calibrated), on_outage) as rig,
         until_stopped() as stop,
-        recorder(out, sources, measured, calibrated, reference) as recording,
+        Recorder(out, rig.addresses, measured, calibrated, reference) as recording,
     ):
         rig.begin([recording.add])
         begun = time.monotonic()
@@ -96,18 +96,6 @@ def record(
         rig.wait()  # what is counted is to be in the folder
     rig.check()
     return RecordedSession(out, rig.counts)
-
-
-def recorder(
-    out: Path,
-    sources: Mapping[str, Source],
-    bodies: Sequence[Body],
-    cameras: Sequence[Camera],
-    reference: str,
-) -> Recorder:
-    """A session folder for what these sources deliver."""
-    addresses = {name: source.address for name, source in sources.items()}
-    return Recorder(out, addresses, bodies, cameras, reference)
 
 
 def check_apart(record: Path, out: Path) -> None:

@@ -108,6 +108,11 @@ class Cameras:
         self._go.set()
 
     @property
+    def addresses(self) -> dict[str, str]:
+        """By camera, where its pictures come from, as it may be shown."""
+        return {name: source.address for name, source in self._sources.items()}
+
+    @property
     def counts(self) -> dict[str, CameraCount]:
         """What came of each camera so far."""
         return {

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import io
 import socket
-import ssl
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from http import HTTPStatus
-from http.client import HTTPException, HTTPResponse, IncompleteRead
+from http.client import HTTPConnection, HTTPException, HTTPResponse, HTTPSConnection, IncompleteRead
 from typing import Any, cast
 
 from measure.capture.sources import PATIENCE_S
@@ -87,10 +86,12 @@ def open_stream(address: str) -> Iterator[tuple[HTTPResponse, Stream]]:
         ) from None
     try:
         for _ in range(1 + _MAX_REDIRECTIONS):
-            with closing(_connected(place)) as connection:
-                stream = Stream(connection)
+            kind = HTTPSConnection if place.scheme == "https" else HTTPConnection
+            with closing(kind(place.host, place.port, timeout=PATIENCE_S)) as connection:
+                connection.connect()
+                stream = Stream(connection.sock)
                 login = first.login if place.origin == first.origin else ""
-                answer = _asked(connection, stream, place, login)
+                answer = _asked(connection, stream, place.target, login)
                 if answer.status not in _REDIRECTIONS:
                     _check_status(answer.status, first, place, where)
                     yield answer, stream
@@ -101,24 +102,9 @@ def open_stream(address: str) -> Iterator[tuple[HTTPResponse, Stream]]:
     raise CaptureError(f"{where}: redirects more than {_MAX_REDIRECTIONS} times")
 
 
-def _connected(place: WebAddress) -> socket.socket:
-    connection = socket.create_connection((place.host, place.port), PATIENCE_S)
-    if place.scheme == "http":
-        return connection
-    try:
-        context = ssl.create_default_context()
-        return context.wrap_socket(connection, server_hostname=place.host)
-    except BaseException:
-        connection.close()
-        raise
-
-
-def _asked(
-    connection: socket.socket, stream: Stream, place: WebAddress, login: str
-) -> HTTPResponse:
-    lines = [f"GET {place.target} HTTP/1.1", f"Host: {place.place}", "Accept: */*"]
-    lines += ["Connection: close", *[f"Authorization: {login}"] * bool(login)]
-    connection.sendall("\r\n".join([*lines, "", ""]).encode("ascii"))
+def _asked(connection: HTTPConnection, stream: Stream, target: str, login: str) -> HTTPResponse:
+    headers = {"Accept": "*/*", "Connection": "close"}
+    connection.request("GET", target, headers=headers | ({"Authorization": login} if login else {}))
     answer = HTTPResponse(cast("socket.socket", stream), method="GET")
     answer.begin()
     return answer

@@ -137,13 +137,10 @@ def _headers(stream: BufferedIOBase, address: str) -> Message:
 def _exactly(stream: BufferedIOBase, length: str, address: str) -> bytes:
     if len(length) > _MAX_DIGITS or int(length) > _MAX_BYTES:
         raise CaptureError(f"{address}: announces a picture of {length[:20]} bytes")
-    data = bytearray()
-    while len(data) < int(length):
-        some = stream.read1(int(length) - len(data))
-        if not some:
-            raise CaptureError(f"{address}: the stream broke off inside a picture")
-        data += some
-    return bytes(data)
+    data = stream.read(int(length))
+    if len(data) < int(length):
+        raise CaptureError(f"{address}: the stream broke off inside a picture")
+    return data
 
 
 def _until(stream: BufferedIOBase, boundary: bytes, address: str) -> tuple[bytes, bytes]:

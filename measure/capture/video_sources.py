@@ -7,8 +7,9 @@ import socket
 import ssl
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing, suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import SplitResult, urlsplit
@@ -28,11 +29,7 @@ class AvSource(Source):
     """What a video library opens: motion JPEG is kept as it comes, all else decoded."""
 
     def __init__(
-        self,
-        address: str,
-        opened: str,
-        options: Sequence[Mapping[str, str]],
-        form: str | None = None,
+        self, address: str, opened: str, options: Sequence[dict[str, str]], form: str | None = None
     ) -> None:
         """Make one; nothing is opened yet.
 
@@ -64,16 +61,12 @@ class AvSource(Source):
     def _container(self) -> av.container.InputContainer:
         import av
 
+        open_with = partial(av.open, self._opened, format=self._form, timeout=PATIENCE_S)
         *firsts, last = self._options
         for options in firsts:
             with suppress(av.error.ArgumentError):
-                return self._open(options)
-        return self._open(last)
-
-    def _open(self, options: Mapping[str, str]) -> av.container.InputContainer:
-        import av
-
-        return av.open(self._opened, format=self._form, options=dict(options), timeout=PATIENCE_S)
+                return open_with(options=options)
+        return open_with(options=last)
 
 
 class FileSource(Source):
