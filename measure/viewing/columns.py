@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence, Sized
+from collections.abc import Iterable, Sized
 from itertools import chain
 from typing import Any
 
 import numpy as np
 import rerun as rr
+from numpy.typing import ArrayLike
 
 from measure.arrays import Bools, Floats
-from measure.measuring import Measurement
 from measure.viewing import entities
 
 _SINCE_1970_S = 1e9
@@ -21,12 +21,12 @@ class FrameSetBatch:
     """One batch on both timelines; `suffix` ends every entity, see `entities.suffix`."""
 
     def __init__(
-        self, stream: rr.RecordingStream, sets: Sequence[Measurement], suffix: str = ""
+        self, stream: rr.RecordingStream, frames: ArrayLike, times_s: ArrayLike, suffix: str = ""
     ) -> None:
         self._stream, self._suffix = stream, suffix
-        self._frames = np.array([one.index for one in sets], dtype=np.int64)
-        self.times_s = np.array([one.time_s for one in sets], dtype=np.float64)
-        self._index = self._on_timelines(np.ones(len(sets), dtype=bool))
+        self._frames = np.asarray(frames, dtype=np.int64)
+        self.times_s = np.asarray(times_s, dtype=np.float64)
+        self._index = self._on_timelines(np.ones(len(self._frames), dtype=bool))
 
     def send(self, entity: str, *columns: Iterable[Any], rows: Bools | None = None) -> None:
         """Send one entity's components, for all frame sets or for some rows (n,) of them."""
@@ -38,9 +38,13 @@ class FrameSetBatch:
         self.send(entity, rr.Scalars.columns(scalars=values), rows=rows)
 
     def _on_timelines(self, rows: Bools) -> list[rr.TimeColumn]:
+        times_s = self.times_s[rows]
+        dated = len(times_s) and times_s[0] >= _SINCE_1970_S
         return [
             rr.TimeColumn(entities.TIMELINE_FRAME, sequence=self._frames[rows]),
-            time_column(self.times_s[rows]),
+            rr.TimeColumn(entities.TIMELINE_TIME, timestamp=times_s)
+            if dated
+            else rr.TimeColumn(entities.TIMELINE_TIME, duration=times_s),
         ]
 
 
@@ -57,15 +61,8 @@ def points(rows: Iterable[Any], width: int) -> Floats:
     return np.concatenate(gathered, axis=None).reshape(-1, width)
 
 
-def time_column(times_s: Floats) -> rr.TimeColumn:
-    """Times (n,) of many rows: as dates where they are, else as times since the start."""
-    if len(times_s) and times_s[0] >= _SINCE_1970_S:
-        return rr.TimeColumn(entities.TIMELINE_TIME, timestamp=times_s)
-    return rr.TimeColumn(entities.TIMELINE_TIME, duration=times_s)
-
-
 def set_time(stream: rr.RecordingStream, time_s: float) -> None:
-    """The time of what is logged next, likewise."""
+    """The time of what is logged next: as a date where it is one, else as time since the start."""
     if time_s >= _SINCE_1970_S:
         stream.set_time(entities.TIMELINE_TIME, timestamp=time_s)
     else:

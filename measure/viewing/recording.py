@@ -106,7 +106,8 @@ class RunRecording:
         pictured, cameras = np.array(self._pictured), self._cameras
         for number, (body, end) in enumerate(self._bodies if self._sets else ()):
             sets = [one[number] for one in self._sets]
-            columns = FrameSetBatch(self._stream, sets, end)
+            times_s = [one.time_s for one in sets]
+            columns = FrameSetBatch(self._stream, [one.index for one in sets], times_s, end)
             send_balls(columns, sets, body, cameras)
             send_poses(columns, sets)
             send_views(columns, sets, pictured, body, cameras)

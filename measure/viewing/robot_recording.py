@@ -12,7 +12,7 @@ from measure.arrays import Floats
 from measure.learning.traces import RobotTraces
 from measure.viewing import entities
 from measure.viewing.blueprint import LEGEND, framed, plot, up_to_cursor
-from measure.viewing.columns import time_column
+from measure.viewing.columns import FrameSetBatch
 from measure.viewing.scene import log_lines
 
 KINDS = {"reported": (207, 75, 75), "measured": (61, 139, 212), "corrected": (79, 163, 90)}
@@ -24,19 +24,19 @@ def write_robot_recording(path: Path, name: str, frames: Floats, traces: RobotTr
     stream.set_sinks(rr.FileSink(path), default_blueprint=robot_blueprint())
     stream.send_recording_name(name)
     _log_styles(stream)
-    index = [rr.TimeColumn(entities.TIMELINE_FRAME, sequence=frames), time_column(traces.times_s)]
+    columns = FrameSetBatch(stream, frames, traces.times_s)
     for kind in KINDS:
         places: Floats = getattr(traces, f"{kind}_mm")
         seen = np.isfinite(places).all(axis=1)
         points = rr.Points3D.columns(positions=places[seen]).partition(seen.astype(int))
-        stream.send_columns(entities.robot(kind), indexes=index, columns=points)
+        columns.send(entities.robot(kind), points)
         for axis, values in zip("xyz", places.T, strict=True):
-            _scalars(stream, entities.robot_position(axis, kind), index, values)
+            columns.scalars(entities.robot_position(axis, kind), values)
     for kind in ("reported", "corrected"):
         away = np.linalg.norm(getattr(traces, f"{kind}_mm") - traces.measured_mm, axis=1)
-        _scalars(stream, entities.robot_error(kind), index, away)
-    _scalars(stream, entities.CORRECTED_SD, index, traces.corrected_sd_mm)
-    _scalars(stream, entities.UNFAMILIAR, index, traces.unfamiliar.astype(float))
+        columns.scalars(entities.robot_error(kind), away)
+    columns.scalars(entities.CORRECTED_SD, traces.corrected_sd_mm)
+    columns.scalars(entities.UNFAMILIAR, traces.unfamiliar.astype(float))
     stream.flush()
     stream.disconnect()
 
@@ -77,9 +77,3 @@ def _log_styles(stream: rr.RecordingStream) -> None:
     lines[entities.CORRECTED_SD] = ("SD of the correction", entities.line_color(0))
     lines[entities.UNFAMILIAR] = ("unfamiliar", entities.line_color(1))
     log_lines(stream, lines)
-
-
-def _scalars(
-    stream: rr.RecordingStream, entity: str, index: list[rr.TimeColumn], values: Floats
-) -> None:
-    stream.send_columns(entity, indexes=index, columns=rr.Scalars.columns(scalars=values))
