@@ -77,8 +77,6 @@ def report(
         out: the file; `report.html` in the run's folder if omitted.
         truth: poses over time; those of the run's session if omitted and there are any.
         body: which body, of a run of several; all if omitted.
-        smooth_s: smooth poses over so long on either side; as measured if omitted.
-        velocity: write velocities as well.
 
     Returns:
         Where it was written.
@@ -138,6 +136,8 @@ def export(
         file_format: "csv", "tum", "trc", "c3d" or "mcap".
         out: the file to write; `export.FORMAT` in the run's folder if omitted.
         body: which body, of a run of several; all if omitted.
+        smooth_s: smooth poses over so long on either side; as measured if omitted.
+        velocity: write velocities as well.
 
     Returns:
         The file written.
