@@ -7,14 +7,13 @@ blurred by the lens, on a background with a slope, within a window that the arms
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from measure.arrays import Floats
-from measure.calibration.pattern_fit import BLUR_PX, fit_pattern
-from measure.geometry.covariance import MAD_TO_SD
+from measure.calibration.pattern_fit import BLUR_PX, fit_pattern, patch_about, spots
 
 _MIN_EXTENT_PX, _MAX_EXTENT_PX = 7, 90
 _MAX_FILLED_SHARE = 0.65  # A cross fills less of its box than this; a dot fills more
@@ -37,24 +36,18 @@ def cross_candidates(light: Floats) -> list[Cross]:
     """What may be a cross in linear luminance (h, w): thin, about as wide as high."""
     reach = 2 * _MAX_EXTENT_PX // 2 + 1
     excess = light - cv2.blur(light, (reach, reach))
-    spread = float(np.median(np.abs(excess))) * MAD_TO_SD
-    threshold = max(8 * spread, 0.02)
     found = []
-    for sign in (1, -1):
-        mask = (sign * excess > threshold).astype(np.uint8)
-        _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
-        for label in range(1, len(stats)):
-            x, y, width, height, area = (int(v) for v in stats[label])
-            small, large = min(width, height), max(width, height)
-            if small < _MIN_EXTENT_PX or large > _MAX_EXTENT_PX or large > 4 * small:
-                continue
-            cut = min(x, y) <= 0 or x + width >= light.shape[1] or y + height >= light.shape[0]
-            if not cut and area < _MAX_FILLED_SHARE * width * height:
-                inside = labels[y : y + height, x : x + width] == label
-                cross = _as_cross(inside * np.abs(excess[y : y + height, x : x + width]))
-                if cross is not None:
-                    moved = cross.center_px + np.array([x, y])
-                    found.append(Cross(moved, cross.reach_px, cross.angles))
+    for rows, columns, inside in (*spots(excess), *spots(-excess)):
+        small, large = min(inside.shape), max(inside.shape)
+        if small < _MIN_EXTENT_PX or large > _MAX_EXTENT_PX or large > 4 * small:
+            continue
+        x, y = columns.start, rows.start
+        cut = min(x, y) <= 0 or columns.stop >= light.shape[1] or rows.stop >= light.shape[0]
+        if not cut and inside.mean() < _MAX_FILLED_SHARE:
+            cross = _as_cross(np.where(inside, np.abs(excess[rows, columns]), 0.0))
+            if cross is not None:
+                moved = cross.center_px + np.array([x, y])
+                found.append(replace(cross, center_px=moved))
     return found
 
 
@@ -86,10 +79,10 @@ def _as_cross(weights: Floats) -> Cross | None:
 def refine_cross(light: Floats, cross: Cross) -> Cross | None:
     """Fit both bars; None where that fails, runs away or leaves too much unexplained."""
     half = max(int(_ARM_SHARE * cross.reach_px), 3)
-    u, v = (int(c) for c in np.rint(cross.center_px))
-    patch = light[max(v - half, 0) : v + half + 1, max(u - half, 0) : u + half + 1]
-    if patch.shape != (2 * half + 1, 2 * half + 1):
+    cut = patch_about(light, cross.center_px, half)
+    if cut is None:
         return None
+    middle, patch = cut
     low, high = np.quantile(patch, (0.05, 0.95))
     contrast = max(float(high - low), 1e-6)
     values = (patch.ravel() - low) / contrast
@@ -97,7 +90,7 @@ def refine_cross(light: Floats, cross: Cross) -> Cross | None:
     places = offsets.reshape(2, -1).astype(np.float64)
     root = (np.hypot(*places) <= half).astype(np.float64)
     # Angles in pixels at the arms' ends, half widths in pixels: all unknowns are of one size.
-    start = np.array([*(cross.center_px - [u, v]), *(cross.angles * half), 1.5, 1.5])
+    start = np.array([*(cross.center_px - middle), *(cross.angles * half), 1.5, 1.5])
     least = np.array([-half, -half, -10.0 * half, -10.0 * half, 0.4, 0.4])
     fit = fit_pattern(values, root, start, lambda k: _basis(k, places, half), least)
     unknowns, angles = fit.unknowns, fit.unknowns[2:4] / half
@@ -107,7 +100,7 @@ def refine_cross(light: Floats, cross: Cross) -> Cross | None:
     explained = fit.misfit <= _MAX_MISFIT and fit.unexplained <= _MAX_UNEXPLAINED_SHARE
     if moved > 0.5 * half + 1 or not crossing or not explained:
         return None
-    return Cross(unknowns[:2] + np.array([u, v]), cross.reach_px, angles)
+    return Cross(unknowns[:2] + middle, cross.reach_px, angles)
 
 
 def _basis(unknowns: Floats, places: Floats, half: int) -> Floats:

@@ -16,8 +16,7 @@ import cv2
 import numpy as np
 
 from measure.arrays import Floats
-from measure.calibration.pattern_fit import BLUR_PX, SUPERSAMPLING, fit_pattern
-from measure.geometry.covariance import MAD_TO_SD
+from measure.calibration.pattern_fit import BLUR_PX, SUPERSAMPLING, fit_pattern, patch_about, spots
 from measure.model import Intrinsics
 
 _NOISE_FLOOR = 0.1
@@ -35,22 +34,15 @@ class Dot:
 def dot_candidates(light: Floats) -> list[Dot]:
     """Spots in linear luminance (h, w) that are bright, round, and stand out from around them."""
     reach = 2 * int(2 * _RADII_PX[1]) + 1
-    background = cv2.blur(light, (reach, reach))
-    excess = light - background
-    spread = float(np.median(np.abs(excess))) * MAD_TO_SD
-    mask = (excess > max(8 * spread, 0.02)).astype(np.uint8)
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
     found = []
-    for label in range(1, len(stats)):
-        x, y, width, height, area = (int(v) for v in stats[label])
-        radius = float(np.sqrt(area / np.pi))
-        patch = np.where(labels[y : y + height, x : x + width] == label, 1, 0)
-        peak = float((light[y : y + height, x : x + width] * patch).max())
-        strong = patch * (light[y : y + height, x : x + width] > 0.25 * peak)
-        if not _RADII_PX[0] <= radius <= _RADII_PX[1] or max(width, height) > 3.2 * radius + 2:
+    for rows, columns, inside in spots(light - cv2.blur(light, (reach, reach))):
+        radius = float(np.sqrt(inside.sum() / np.pi))
+        if not _RADII_PX[0] <= radius <= _RADII_PX[1] or max(inside.shape) > 3.2 * radius + 2:
             continue
+        patch = light[rows, columns] * inside
+        strong = inside & (patch > 0.25 * patch.max())
         v, u = np.nonzero(strong)
-        place = np.array([x + u.mean(), y + v.mean()])
+        place = np.array([columns.start + u.mean(), rows.start + v.mean()])
         found.append(Dot(place, float(np.sqrt(strong.sum() / np.pi))))
     return found
 
@@ -71,15 +63,15 @@ def outline_shape(intrinsics: Intrinsics, pixel: Floats) -> Floats:
 def refine_dot(light: Floats, dot: Dot, shape: Floats) -> Dot | None:
     """Fit a shaded ball of outline shape (2, 2) in linear light (h, w); None where that fails."""
     half = int(np.ceil(dot.radius_px + 4))
-    u, v = (int(c) for c in np.rint(dot.center_px))
-    patch = light[max(v - half, 0) : v + half + 1, max(u - half, 0) : u + half + 1]
-    if patch.shape != (2 * half + 1, 2 * half + 1):
+    cut = patch_about(light, dot.center_px, half)
+    if cut is None:
         return None
+    middle, patch = cut
     values = patch.ravel() / patch.max()
     offsets = np.arange(-half, half + 1)
     near = np.hypot(*np.meshgrid(offsets, offsets)).ravel() < dot.radius_px + 3.5
     root = near / np.sqrt(np.maximum(values, 0) + _NOISE_FLOOR)
-    start = np.array([*(dot.center_px - [u, v]), dot.radius_px])
+    start = np.array([*(dot.center_px - middle), dot.radius_px])
     side = 2 * half + 1
     least = np.array([-half, -half, 0.7])
     unknowns = fit_pattern(
@@ -88,7 +80,7 @@ def refine_dot(light: Floats, dot: Dot, shape: Floats) -> Dot | None:
     moved = float(np.linalg.norm(unknowns[:2] - start[:2]))
     if moved > 1.5 * dot.radius_px + 1 or not 0.4 < unknowns[2] / dot.radius_px < 2.5:
         return None
-    return Dot(unknowns[:2] + np.array([u, v]), float(unknowns[2]))
+    return Dot(unknowns[:2] + middle, float(unknowns[2]))
 
 
 def _basis(unknowns: Floats, side: int, shape: Floats) -> Floats:

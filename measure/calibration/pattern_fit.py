@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
-from measure.arrays import Bytes, Floats
+from measure.arrays import Bools, Bytes, Floats, Ints
 from measure.geometry.covariance import MAD_TO_SD
 
 BLUR_PX = 0.8  # Optics and colour mosaic together; the fits of recorded dots are best about here
@@ -26,6 +27,28 @@ def linear_light(bgr: Bytes) -> Floats:
     code = np.arange(256) / 255.0
     curve = np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
     return curve[bgr] @ np.array([0.0722, 0.7152, 0.2126])
+
+
+def spots(excess: Floats) -> Iterator[tuple[slice, slice, Bools]]:
+    """What stands out of linear luminance less its surroundings (h, w): rows, columns, and which.
+
+    A spot's mask (rows, columns) tells it from others within its box.
+    """
+    spread = float(np.median(np.abs(excess))) * MAD_TO_SD
+    mask = (excess > max(8 * spread, 0.02)).astype(np.uint8)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
+    for label in range(1, len(stats)):
+        x, y, width, height, _ = (int(v) for v in stats[label])
+        rows, columns = slice(y, y + height), slice(x, x + width)
+        yield rows, columns, labels[rows, columns] == label
+
+
+def patch_about(light: Floats, center_px: Floats, half: int) -> tuple[Ints, Floats] | None:
+    """The pixel (2,) nearest to a place, and the square about it; None at the picture's edge."""
+    u, v = (int(c) for c in np.rint(center_px))
+    patch = light[max(v - half, 0) : v + half + 1, max(u - half, 0) : u + half + 1]
+    side = 2 * half + 1
+    return (np.array([u, v]), patch) if patch.shape == (side, side) else None
 
 
 @dataclass(frozen=True, eq=False)
