@@ -9,7 +9,14 @@ import cv2
 import numpy as np
 
 from measure.arrays import Bytes, Floats, Ints, rms_length
-from measure.calibration.boards import Board, Corners, refine_by_gradient, sharpness
+from measure.calibration.boards import (
+    Board,
+    Corners,
+    aruco_dictionary,
+    mapped,
+    refine_by_gradient,
+    sharpness,
+)
 
 DICTIONARY = "DICT_APRILTAG_36h11"
 BORDER_BITS = 2  # Width of the tags' black border in cells, as Kalibr prints them; others print one
@@ -58,8 +65,8 @@ class AprilGrid(Board):
         """Numbers (k,) of tags and their corners (k, 4, 2), clockwise."""
         parameters = cv2.aruco.DetectorParameters()
         parameters.markerBorderBits = border
-        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, DICTIONARY))
-        found, ids, _ = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(gray)
+        detector = cv2.aruco.ArucoDetector(aruco_dictionary(DICTIONARY), parameters)
+        found, ids, _ = detector.detectMarkers(gray)
         tags = np.array([] if ids is None else ids, dtype=np.int64).reshape(-1)
         pixels = np.array(found, dtype=np.float64).reshape(-1, 4, 2)
         mine = tags < self.tags[0] * self.tags[1]
@@ -70,6 +77,4 @@ class AprilGrid(Board):
         ids = (4 * tags[:, None] + np.roll(_AROUND, turn)).reshape(-1)
         seen = pixels.reshape(-1, 2)
         flat = self.points[ids, :2]
-        H = np.asarray(cv2.findHomography(flat, seen)[0], np.float64)
-        mapped = np.column_stack([flat, np.ones(len(flat))]) @ H.T
-        return ids, rms_length(mapped[:, :2] / mapped[:, 2:] - seen)
+        return ids, rms_length(mapped(flat, seen, flat) - seen)

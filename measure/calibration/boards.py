@@ -80,6 +80,17 @@ def same_after(board: Board) -> str:
     return f"{name} looks the same after {turn}"
 
 
+def aruco_dictionary(name: str) -> Any:
+    """OpenCV's markers of that name, such as "DICT_4X4_100"."""
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+
+
+def mapped(flat: Floats, seen: Floats, points: Floats) -> Floats:
+    """Where points (m, 2) of a plane appear (m, 2), by the homography of (n, 2) to (n, 2)."""
+    H, _ = cv2.findHomography(flat, seen)
+    return np.asarray(cv2.perspectiveTransform(points[None], H), dtype=np.float64)[0]
+
+
 def _grid(inner_corners: tuple[int, int], square_mm: float) -> Floats:
     columns, rows = inner_corners
     y, x = np.mgrid[:rows, :columns]
@@ -166,13 +177,9 @@ class Charuco(Board):
     @cached_property
     def pattern(self) -> Any:
         """OpenCV's description of this board."""
-        code = getattr(cv2.aruco, self.dictionary)
-        pattern = cv2.aruco.CharucoBoard(
-            self.squares,
-            float(self.square_mm),
-            float(self.marker_mm),
-            cv2.aruco.getPredefinedDictionary(code),
-        )
+        sizes_mm = float(self.square_mm), float(self.marker_mm)
+        markers = aruco_dictionary(self.dictionary)
+        pattern = cv2.aruco.CharucoBoard(self.squares, *sizes_mm, markers)
         pattern.setLegacyPattern(self.legacy)
         return pattern
 

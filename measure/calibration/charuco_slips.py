@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from measure.arrays import Bytes
-from measure.calibration.boards import Board, Charuco, MirroredBoardError
+from measure.calibration.boards import Board, Charuco, MirroredBoardError, aruco_dictionary
 
 _FAMILIES = (
     *("DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_ARUCO_ORIGINAL"),
@@ -63,7 +63,7 @@ def _families_seen(
     grays: Sequence[Bytes], families: Sequence[str], inverted: bool
 ) -> list[tuple[int, str, bool, int]]:
     """How many markers of which family, printed inverted or not, are seen, up to which number."""
-    kinds = [cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)) for name in families]
+    kinds = list(map(aruco_dictionary, families))
     detector = cv2.aruco.ArucoDetector(kinds)
     ids: list[list[int]] = [[] for _ in families]
     for gray in grays:
@@ -81,8 +81,7 @@ def _families_seen(
 
 def _fits(board: Charuco) -> bool:
     columns, rows = board.squares
-    code = getattr(cv2.aruco, board.dictionary)
-    return columns * rows // 2 <= len(cv2.aruco.getPredefinedDictionary(code).bytesList)
+    return columns * rows // 2 <= len(aruco_dictionary(board.dictionary).bytesList)
 
 
 def _is_seen(board: Charuco, gray: Bytes) -> bool:

@@ -7,12 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from measure.arrays import Bytes
 from measure.calibration.aprilgrid import BORDER_BITS, DICTIONARY, AprilGrid
-from measure.calibration.boards import Charuco, Chessboard, same_after
+from measure.calibration.boards import Charuco, Chessboard, aruco_dictionary, same_after
 from measure.calibration.drawing import Disc, Label, Rectangle, Segment, Shape, Sheet, lay_out
 from measure.calibration.targets import (
     MarkerField,
@@ -119,7 +118,7 @@ def aprilgrid_sheet(board: AprilGrid, name: str) -> Sheet:
         for row in range(rows + 1)
         for column in range(columns + 1)
     ]
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, DICTIONARY))
+    dictionary = aruco_dictionary(DICTIONARY)
     cells = dictionary.markerSize + 2 * BORDER_BITS
     for number, (x, y, _) in enumerate(board.points[::4].tolist()):
         tag = dictionary.generateImageMarker(number, cells, borderBits=BORDER_BITS)

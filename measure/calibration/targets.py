@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import cv2
 import numpy as np
@@ -20,7 +21,7 @@ from pydantic import (
 
 from measure.arrays import Floats
 from measure.calibration.aprilgrid import AprilGrid
-from measure.calibration.boards import Board, Charuco, Chessboard
+from measure.calibration.boards import Board, Charuco, Chessboard, aruco_dictionary
 from measure.errors import CalibrationError
 from measure.reading import read_text
 from measure.session import FileModel, Length, Name, Position, load_toml
@@ -40,22 +41,32 @@ Tolerance = Annotated[FiniteFloat, Field(ge=0, le=1e6), AfterValidator(_exact_or
 """A standard deviation in mm or degrees; 0 is exact."""
 
 
-class ChessboardFile(FileModel):
+class BoardFile(FileModel):
+    """A board, and what it is called."""
+
+    made: ClassVar[Callable[..., Board]]
+    kind: str
+    name: str
+
+    def board(self) -> Board:
+        """The board described."""
+        return type(self).made(**self.model_dump(exclude={"kind", "name"}))
+
+
+class ChessboardFile(BoardFile):
     """`kind = "chessboard"`."""
 
+    made = Chessboard
     kind: Literal["chessboard"]
     name: str = "chessboard"
     inner_corners: tuple[Count, Count]
     square_mm: Length
 
-    def board(self) -> Board:
-        """The board described."""
-        return Chessboard(self.inner_corners, self.square_mm)
 
-
-class CharucoFile(FileModel):
+class CharucoFile(BoardFile):
     """`kind = "charuco"`."""
 
+    made = Charuco
     kind: Literal["charuco"]
     name: str = "charuco"
     inner_corners: tuple[Count, Count]
@@ -80,7 +91,7 @@ class CharucoFile(FileModel):
             raise ValueError("marker_mm must be smaller than square_mm")
         columns, rows = self.inner_corners
         needed = (columns + 1) * (rows + 1) // 2
-        held = len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary)).bytesList)
+        held = len(aruco_dictionary(self.dictionary).bytesList)
         if needed > held:
             raise ValueError(
                 f"the board needs {needed} markers, {self.dictionary} holds {held}: take a larger "
@@ -88,14 +99,11 @@ class CharucoFile(FileModel):
             )
         return self
 
-    def board(self) -> Board:
-        """The board described."""
-        return Charuco(**self.model_dump(exclude={"kind", "name"}))
 
-
-class AprilGridFile(FileModel):
+class AprilGridFile(BoardFile):
     """`kind = "aprilgrid"`."""
 
+    made = AprilGrid
     kind: Literal["aprilgrid"]
     name: str = "AprilGrid"
     tags: tuple[Count, Count]
@@ -109,13 +117,8 @@ class AprilGridFile(FileModel):
             raise ValueError(f"{value[0]}x{value[1]} tags: the family 36h11 has {_TAGS_36H11}")
         return value
 
-    def board(self) -> Board:
-        """The board described."""
-        return AprilGrid(self.tags, self.tag_mm, self.tag_spacing)
-
 
 _TAGS_36H11 = 587
-BoardFile = ChessboardFile | CharucoFile | AprilGridFile
 _BOARD_FILES: dict[str, type[BoardFile]] = {
     "chessboard": ChessboardFile,
     "charuco": CharucoFile,

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from measure.arrays import Bytes, Floats, rms_length
-from measure.calibration.boards import Board, Corners, MirroredBoardError
+from measure.calibration.boards import Board, Corners, MirroredBoardError, mapped
 from measure.calibration.charuco_slips import charuco_slip
 from measure.errors import CalibrationError
 
@@ -164,6 +164,4 @@ def _outline(board: Board, view: Corners) -> Floats:
     flat = board.points[:, :2]
     low, high = flat.min(axis=0), flat.max(axis=0)
     rectangle = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
-    H, _ = cv2.findHomography(flat[view.ids], view.pixels)
-    mapped = np.column_stack([rectangle, np.ones(4)]) @ np.asarray(H, dtype=np.float64).T
-    return mapped[:, :2] / mapped[:, 2:]
+    return mapped(flat[view.ids], view.pixels, rectangle)
