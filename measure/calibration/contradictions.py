@@ -10,8 +10,8 @@ import numpy as np
 from measure.calibration.board_views import board_pose
 from measure.calibration.boards import Board, Corners
 from measure.calibration.markers import assign
-from measure.calibration.observations import MarkerObservation
-from measure.calibration.starts import CONTRADICTION_PX, DetectedBoard, mark_rms, mm_per_px
+from measure.calibration.observations import BoardObservation, MarkerObservation
+from measure.calibration.starts import CONTRADICTION_PX, mark_rms, mm_per_px
 from measure.calibration.targets import MarkerField
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
@@ -30,8 +30,7 @@ _MIN_OTHER_MARKS = 3
 
 def check_board_against_marks(
     start: Camera,
-    board: Board,
-    seen: Mapping[str, DetectedBoard],
+    seen: Mapping[str, BoardObservation],
     markers: MarkerField,
     marks: MarkerObservation,
 ) -> float:
@@ -51,7 +50,7 @@ def check_board_against_marks(
     worth = mm_per_px(start, markers.points[marks.ids])
     if not (rms > CONTRADICTION_PX and rms * worth > CONTRADICTION_MM):
         return rms * worth
-    cause = _Contradiction(start, board, seen, markers, marks).cause(rms)
+    cause = _Contradiction(start, seen, markers, marks).cause(rms)
     shown = f"{rms * worth:.1f} mm ({rms:.0f} px)" if np.isfinite(rms) else "beyond measure"
     raise CalibrationError(f"camera {start.name}: board and markers disagree by {shown}: {cause}")
 
@@ -61,8 +60,7 @@ class _Contradiction:
     """One camera whose board and markers contradict each other, and what the others saw."""
 
     start: Camera
-    board: Board
-    seen: Mapping[str, DetectedBoard]
+    seen: Mapping[str, BoardObservation]
     markers: MarkerField
     marks: MarkerObservation
 
@@ -75,8 +73,8 @@ class _Contradiction:
 
     def _causes(self) -> Iterator[tuple[float, str]]:
         """What each usual cause would leave of the misfit, in px, and its name."""
-        name = self.start.name
-        mine, pose = self.seen[name].corners, self.seen[name].world_from_board
+        name, own = self.start.name, self.seen[self.start.name]
+        board, mine, pose = own.board, own.corners, own.world_from_board
         for other, theirs in self.seen.items():
             if other == name:
                 continue
@@ -84,9 +82,9 @@ class _Contradiction:
             yield self._misfit(mine, theirs.world_from_board), text
             text = f"the board picture of {other} fits instead: are the two swapped?"
             yield self._misfit(theirs.corners, pose), text
-        mirrored = _mirrored(self.board, mine, self.start.intrinsics)
+        mirrored = _mirrored(board, mine, self.start.intrinsics)
         yield self._misfit(mirrored, pose), "its board picture is mirrored"
-        half_turned = replace(mine, ids=len(self.board.points) - 1 - mine.ids)
+        half_turned = replace(mine, ids=len(board.points) - 1 - mine.ids)
         text = "the board fits after half a turn: its origin is at the other end"
         yield self._misfit(half_turned, pose), text
         for scale in np.geomspace(0.5, 2.0, 113):
@@ -105,7 +103,7 @@ class _Contradiction:
         self, corners: Corners, world_from_board: RigidTransform, scale: float = 1.0
     ) -> float:
         """RMS px of the camera's marks if the board were seen, stood and measured so."""
-        points = self.board.points[corners.ids] * scale
+        points = self.seen[self.start.name].board.points[corners.ids] * scale
         pose = board_pose(self.start.intrinsics, points, corners.pixels)
         camera = replace(self.start, world_from_camera=world_from_board @ pose.inverse())
         return mark_rms(camera, self.markers.points, self.marks)

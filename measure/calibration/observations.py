@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from measure.arrays import Floats, Ints
+from measure.calibration.boards import Board, Corners
 from measure.geometry import RigidTransform
 
 
@@ -15,9 +16,14 @@ from measure.geometry import RigidTransform
 class BoardObservation:
     """A board of known pose, seen by one camera."""
 
-    points: Floats  # (n, 3) its seen corners in the board frame, mm
-    pixels: Floats  # (n, 2) where they appear
+    board: Board
+    corners: Corners  # those that are seen
     world_from_board: RigidTransform
+
+    @property
+    def points(self) -> Floats:
+        """The seen corners (n, 3) in the board frame, mm."""
+        return self.board.points[self.corners.ids]
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.calibration.boards import Board, CornerRule
-from measure.calibration.capture import CameraCapture, Capture
+from measure.calibration.capture import CameraCapture, Capture, CaptureTable
 from measure.calibration.charuco_slips import charuco_slip
 from measure.calibration.common_views import fit_common_views
 from measure.calibration.contradictions import check_board_against_marks
@@ -30,8 +30,6 @@ from measure.calibration.observations import (
 )
 from measure.calibration.paper import PaperFit, fit_rig_by_paper
 from measure.calibration.starts import (
-    DetectedBoard,
-    board_observation,
     marker_observation,
     marks_of,
     oriented_board,
@@ -143,95 +141,67 @@ def _locate_all(
     lenses: dict[str, LensCalibration],
     known: dict[str, Intrinsics],
 ) -> RigCalibration:
-    board, markers = capture.board, capture.markers
-    seen = _boards_of(capture, lenses, known)
+    markers, seen = capture.markers, _boards_of(capture, lenses, known)
     starts: list[Camera] = []
     marks: dict[str, MarkerObservation] = {}
     found: dict[str, FoundMarkers] = {}
+    disagreement_mm: dict[str, float] = {}
     for camera in capture.cameras:
-        lens, start = known[camera.name], None
-        if camera.name in seen and board is not None:
-            start = start_from_board(camera.name, lens, board, seen[camera.name])
+        name, start = camera.name, None
+        if name in seen:
+            start = start_from_board(name, known[name], seen[name])
             by_hand = marker_observation(camera.marks, markers)
             if by_hand is not None:  # before a search that would begin at a wrong place
-                check_board_against_marks(start, board, seen, markers, by_hand)
-        start, observed, finds = marks_of(camera, lens, start, markers, capture)
+                check_board_against_marks(start, seen, markers, by_hand)
+        start, observed, finds = marks_of(camera, known[name], start, capture)
         starts.append(start)
         if finds is not None:
-            found[camera.name] = finds
+            found[name] = finds
         if observed is not None:
-            marks[camera.name] = observed
-    board_observations = {}
-    if board is not None:
-        board_observations = {name: board_observation(board, s) for name, s in seen.items()}
-    disagreement = _disagreement(board, starts, seen, markers, marks)
-    tolerances = _stated_tolerances(capture, board_observations)
-    observations = RigObservations(markers.points, board_observations, marks, tolerances)
-    base = RigCalibration(
+            marks[name] = observed
+            if name in seen:
+                apart_mm = check_board_against_marks(start, seen, markers, observed)
+                disagreement_mm[name] = apart_mm
+    places = [one.world_from_board.apply(one.points) for one in seen.values()]
+    rough = RigCalibration(
         tuple(starts),
         method,
         lenses,
         None,
-        observations,
+        RigObservations(markers.points, seen, marks, _stated_tolerances(capture, seen)),
         markers,
         cameras_before=tuple(starts),
         found=found,
-        disagreement_mm=disagreement,
-        around=_corners(board_observations),
+        disagreement_mm=disagreement_mm,
+        around=np.concatenate([np.zeros((0, 3)), *places]),
     )
-    if method == "joint":
-        return _joint(base, capture)
-    paper = fit_rig_by_paper(base.cameras, observations, capture.settings.mark_sd_px)
-    return replace(base, cameras=paper.cameras, paper=paper)
-
-
-def _corners(boards: dict[str, BoardObservation]) -> Floats:
-    """The seen corners of all boards where they are stated to be, (n, 3) mm."""
-    places = [board.world_from_board.apply(board.points) for board in boards.values()]
-    return np.concatenate(places) if places else np.zeros((0, 3))
-
-
-def _disagreement(
-    board: Board | None,
-    starts: list[Camera],
-    seen: dict[str, DetectedBoard],
-    markers: MarkerField,
-    marks: dict[str, MarkerObservation],
-) -> dict[str, float]:
-    """Between board and markers at the markers, mm, by camera that saw both."""
-    if board is None:
-        return {}
-    return {
-        start.name: check_board_against_marks(start, board, seen, markers, marks[start.name])
-        for start in starts
-        if start.name in seen and start.name in marks
-    }
+    return _fitted(rough, capture.settings)
 
 
 def _boards_of(
     capture: Capture, lenses: dict[str, LensCalibration], known: dict[str, Intrinsics]
-) -> dict[str, DetectedBoard]:
+) -> dict[str, BoardObservation]:
     """The boards of known pose, by camera, with the corner rule that suits the camera."""
     seen = {}
     for camera in capture.cameras:
         if camera.board_image is not None and capture.board is not None:
-            rule: CornerRule = "pattern"
-            if camera.name in lenses:
-                rule = lenses[camera.name].corner_rule
-            lens, board = known[camera.name], capture.board
-            found = _see_board(camera, lens, board, rule)
-            seen[camera.name] = oriented_board(camera, lens, board, found, capture)
+            calibrated, lens = lenses.get(camera.name), known[camera.name]
+            rule: CornerRule = "pattern" if calibrated is None else calibrated.corner_rule
+            found = _see_board(camera, lens, capture.board, rule)
+            seen[camera.name] = oriented_board(camera, lens, found, capture)
     return seen
 
 
-def _joint(base: RigCalibration, capture: Capture) -> RigCalibration:
-    settings = capture.settings
+def _fitted(rough: RigCalibration, settings: CaptureTable) -> RigCalibration:
+    """The rig by its method, from rough poses."""
+    rig = rough.cameras, rough.observations, settings.mark_sd_px
+    if rough.method == "paper":
+        paper = fit_rig_by_paper(*rig)
+        return replace(rough, cameras=paper.cameras, paper=paper)
     stated = settings.board_tolerance_mm is not None or settings.board_tolerance_deg is not None
-    fit, tolerances = fit_rig_with_boards(
-        base.cameras, base.observations, settings.mark_sd_px, stated
-    )
-    observations = replace(base.observations, tolerances=tolerances)
-    return replace(base, cameras=fit.cameras, fit=fit, observations=observations)
+    fit, tolerances = fit_rig_with_boards(*rig, stated)
+    observations = replace(rough.observations, tolerances=tolerances)
+    return replace(rough, cameras=fit.cameras, fit=fit, observations=observations)
 
 
 def _stated_tolerances(capture: Capture, boards: dict[str, BoardObservation]) -> Tolerances:
@@ -244,7 +214,7 @@ def _stated_tolerances(capture: Capture, boards: dict[str, BoardObservation]) ->
 
 def _see_board(
     camera: CameraCapture, lens: Intrinsics, board: Board, rule: CornerRule
-) -> DetectedBoard:
+) -> BoardObservation:
     assert camera.board_image is not None
     assert camera.world_from_board is not None
     bgr = camera.still(camera.board_image, lens)
@@ -258,4 +228,4 @@ def _see_board(
                 or "all of it must be in view, as board.toml says, sharp"
             )
         )
-    return DetectedBoard(corners.localised(rule), camera.world_from_board)
+    return BoardObservation(board, corners.localised(rule), camera.world_from_board)

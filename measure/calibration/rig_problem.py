@@ -133,7 +133,7 @@ class RigProblem:
             shift = np.broadcast_to(np.eye(3), (len(points), 3, 3))
             turn = -skew(points - pose.translation)
             extra.append((own, seen[1] @ np.concatenate([shift, turn], axis=2)))
-        return self._group(seen, board.pixels, number, extra, CORNERS)
+        return self._group(seen, board.corners.pixels, number, extra, CORNERS)
 
     def _marks(self, here: RigState, number: int, marks: MarkerObservation) -> Group:
         name = here.cameras[number].name

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from measure.arrays import Floats, rms_length
 from measure.calibration.board_views import board_pose
-from measure.calibration.boards import Board, Corners, same_after
+from measure.calibration.boards import same_after
 from measure.calibration.capture import CameraCapture, Capture
 from measure.calibration.extrinsics import located_by_marks
 from measure.calibration.intrinsics import fit_pose_only
@@ -16,7 +16,6 @@ from measure.calibration.markers import FoundMarkers, find_markers
 from measure.calibration.observations import BoardObservation, MarkerObservation
 from measure.calibration.targets import MarkerField
 from measure.errors import CalibrationError
-from measure.geometry import RigidTransform
 from measure.model import Camera, Intrinsics
 
 _MIN_MARKS_ALONE = 6
@@ -29,25 +28,15 @@ _NO_POSE = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class DetectedBoard:
-    """The board of known pose in one camera's picture."""
-
-    corners: Corners
-    world_from_board: RigidTransform
-
-
-def start_from_board(name: str, lens: Intrinsics, board: Board, seen: DetectedBoard) -> Camera:
+def start_from_board(name: str, lens: Intrinsics, seen: BoardObservation) -> Camera:
     """The camera as located by its board; CalibrationError if the corners do not fit it."""
-    points = board.points[seen.corners.ids]
-    rms = fit_pose_only(lens, board.points, seen.corners).rms_px
+    rms = fit_pose_only(lens, seen.board.points, seen.corners).rms_px
     if rms > _MAX_BOARD_RMS_PX:
         raise CalibrationError(
             f"camera {name}: in {seen.corners.source} the board's corners miss by {rms:.1f} "
-            "px under "
-            "this camera's lens: is it this camera's picture, at the same zoom and focus?"
+            "px under this camera's lens: is it this camera's picture, at the same zoom and focus?"
         )
-    camera_from_board = board_pose(lens, points, seen.corners.pixels)
+    camera_from_board = board_pose(lens, seen.points, seen.corners.pixels)
     return Camera(name, lens, seen.world_from_board @ camera_from_board.inverse())
 
 
@@ -85,13 +74,6 @@ def mark_rms(camera: Camera, points: Floats, marks: MarkerObservation) -> float:
     return value if np.isfinite(value) else np.inf
 
 
-def board_observation(board: Board, seen: DetectedBoard) -> BoardObservation:
-    """A seen board as an observation for the joint fit."""
-    return BoardObservation(
-        board.points[seen.corners.ids], seen.corners.pixels, seen.world_from_board
-    )
-
-
 def mm_per_px(camera: Camera, points: Floats) -> float:
     """What a pixel is worth at points (n, 3): their median distance over the focal length."""
     distance = float(np.median(np.linalg.norm(points - camera.center, axis=1)))
@@ -102,8 +84,8 @@ _CLEAR_RATIO = 3.0  # How much worse the marks must fit any other turn
 
 
 def oriented_board(
-    camera: CameraCapture, lens: Intrinsics, board: Board, seen: DetectedBoard, capture: Capture
-) -> DetectedBoard:
+    camera: CameraCapture, lens: Intrinsics, seen: BoardObservation, capture: Capture
+) -> BoardObservation:
     """The board with its corners numbered as they are.
 
     Of the turns after which the board looks the same it is the one whose origin the capture says
@@ -115,7 +97,7 @@ def oriented_board(
     """
     turned = [
         replace(seen, corners=replace(seen.corners, ids=turn[seen.corners.ids]))
-        for turn in board.turns
+        for turn in seen.board.turns
     ]
     if len(turned) == 1:
         return seen
@@ -123,42 +105,39 @@ def oriented_board(
     if camera.board_origin_px is not None:
         apart = np.linalg.norm(origins - camera.board_origin_px, axis=1)
         return turned[int(np.argmin(apart))]
-    misfit = [_misfit_px(camera, lens, board, one, capture) for one in turned]
+    misfit = [_misfit_px(camera, lens, one, capture) for one in turned]
     best, second = np.sort(misfit)[:2]
     if best < second and second > max(CONTRADICTION_PX, _CLEAR_RATIO * best):
         return turned[int(np.argmin(misfit))]
     places = " or ".join(f"[{u:.0f}, {v:.0f}]" for u, v in origins)
     raise CalibrationError(
-        f"camera {camera.name}: {same_after(board)}, and no marks tell which of its corners is the "
-        f"origin in {seen.corners.source}: write board_origin_px = {places} for this camera, or "
-        "take a board with an odd and an even number of inner corners, or a ChArUco board"
+        f"camera {camera.name}: {same_after(seen.board)}, and no marks tell which of its corners "
+        f"is the origin in {seen.corners.source}: write board_origin_px = {places} for this "
+        "camera, or take a board with an odd and an even number of inner corners, or a "
+        "ChArUco board"
     )
 
 
 def _misfit_px(
-    camera: CameraCapture, lens: Intrinsics, board: Board, seen: DetectedBoard, capture: Capture
+    camera: CameraCapture, lens: Intrinsics, seen: BoardObservation, capture: Capture
 ) -> float:
     """By how much a camera's marks miss if its board lies so; 0 without marks.
 
     Infinite if the camera would stand under the floor, or no marks are found.
     """
-    start = start_from_board(camera.name, lens, board, seen)
+    start = start_from_board(camera.name, lens, seen)
     floor = capture.settings.floor_z_mm
     if floor is not None and start.center[2] < floor:
         return np.inf
     try:
-        _, marks, _ = marks_of(camera, lens, start, capture.markers, capture)
+        _, marks, _ = marks_of(camera, lens, start, capture)
     except CalibrationError:
         return np.inf
     return 0.0 if marks is None else mark_rms(start, capture.markers.points, marks)
 
 
 def marks_of(
-    camera: CameraCapture,
-    lens: Intrinsics,
-    start: Camera | None,
-    markers: MarkerField,
-    capture: Capture,
+    camera: CameraCapture, lens: Intrinsics, start: Camera | None, capture: Capture
 ) -> tuple[Camera, MarkerObservation | None, FoundMarkers | None]:
     """The rough camera, its marks by hand and by search (the hand wins), and the search's finds.
 
@@ -167,6 +146,7 @@ def marks_of(
             are found and none is marked.
         SessionError: a picture that cannot be read.
     """
+    markers = capture.markers
     by_hand = marker_observation(camera.marks, markers)
     if start is None:
         if by_hand is None:
@@ -181,18 +161,7 @@ def marks_of(
     names = [name for name, seen in zip(markers.names, visible, strict=True) if seen]
     if all(name in camera.marks for name in names):
         return start, by_hand, None
-    return _searched(camera, start, by_hand, markers, capture)
-
-
-def _searched(
-    camera: CameraCapture,
-    start: Camera,
-    by_hand: MarkerObservation | None,
-    markers: MarkerField,
-    capture: Capture,
-) -> tuple[Camera, MarkerObservation | None, FoundMarkers | None]:
-    assert camera.marker_image is not None
-    picture = camera.still(camera.marker_image, start.intrinsics)
+    picture = camera.still(camera.marker_image, lens)
     try:
         finds = find_markers(picture, start, markers, capture.settings.marker_kind)
     except CalibrationError:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from measure.arrays import Floats
 from measure.calibration.extrinsics import fit_rig
@@ -142,15 +143,13 @@ def _scale(rig: RigCalibration) -> tuple[float, list[Finding]]:
     there, stated = np.stack([seen[i] for i in ids]), rig.observations.markers[ids]
     a, b = there - there.mean(axis=0), stated - stated.mean(axis=0)
     scale = float(np.sqrt(np.sum(a**2) / np.sum(b**2)))
-    turn = np.linalg.svd(a.T @ b)
-    rotation = turn[0] @ turn[2]
-    misfit = a - scale * b @ rotation.T
-    sd = float(np.sqrt(np.sum(misfit**2) / (3 * len(ids) - 7) / np.sum(b**2)))
+    _, misfit = Rotation.align_vectors(a, scale * b)
+    sd = float(misfit / np.sqrt((3 * len(ids) - 7) * np.sum(b**2)))
     if abs(scale - 1) > max(_SCALE_SDS * sd, _MIN_SCALE_ERROR):
         text = (
-            f"boards and markers disagree about size: by the boards the marker field is "
-            f"{scale:.4f} "
-            f"(+- {sd:.4f}) times its stated size; measure a printed square and the posts again"
+            "boards and markers disagree about size: by the boards the marker field is "
+            f"{scale:.4f} (+- {sd:.4f}) times its stated size; measure a printed square and the "
+            "posts again"
         )
         return scale, [Finding(Level.WEAK, "boards", text)]
     return scale, []

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from measure.api import calibrate
+from measure.calibration.boards import Corners
 from measure.calibration.extrinsics import held_within
 from measure.calibration.observations import BoardObservation
 from measure.errors import CalibrationError
@@ -45,7 +46,8 @@ def test_one_camera_is_located_by_a_board_alone(altered) -> None:
     assert np.linalg.norm(result.calibration.cameras[0].center - true.center) < 0.4
 
 
-SIGHTS = {"cam0": BoardObservation(BOARD.points, np.zeros((54, 2)), RigidTransform.identity())}
+CORNERS = Corners(np.arange(54), np.zeros((54, 2)), 0.4)
+SIGHTS = {"cam0": BoardObservation(BOARD, CORNERS, RigidTransform.identity())}
 
 
 def test_unstated_board_tolerance_moves_the_rim_as_much() -> None:

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from measure.calibration import Corners, MarkerField
+from measure.calibration import MarkerField
 from measure.calibration.contradictions import check_board_against_marks
 from measure.calibration.findings import Workspace, plausibility, residual_findings
-from measure.calibration.observations import MarkerObservation
-from measure.calibration.starts import DetectedBoard, start_from_board, start_from_marks
+from measure.calibration.observations import BoardObservation, MarkerObservation
+from measure.calibration.starts import start_from_board, start_from_marks
 from measure.checking import Level
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
@@ -25,22 +25,17 @@ def world() -> Rig:
     return rig(np.random.default_rng(0))
 
 
-def boards(world: Rig) -> dict[str, DetectedBoard]:
-    return {
-        name: DetectedBoard(
-            Corners(np.arange(54), sight.pixels, 0.4, f"{name}.jpg"), sight.world_from_board
-        )
-        for name, sight in world.observations.boards.items()
-    }
+def boards(world: Rig) -> dict[str, BoardObservation]:
+    return dict(world.observations.boards)
 
 
 def check(
-    world: Rig, seen: dict[str, DetectedBoard], marks: MarkerObservation | None = None
+    world: Rig, seen: dict[str, BoardObservation], marks: MarkerObservation | None = None
 ) -> float:
     camera = world.start[0]
-    start = start_from_board("cam0", camera.intrinsics, BOARD, seen["cam0"])
+    start = start_from_board("cam0", camera.intrinsics, seen["cam0"])
     marks = world.observations.marks["cam0"] if marks is None else marks
-    return check_board_against_marks(start, BOARD, seen, FIELD, marks)
+    return check_board_against_marks(start, seen, FIELD, marks)
 
 
 def test_what_agrees_passes_with_its_disagreement_in_mm(world: Rig) -> None:
@@ -79,10 +74,10 @@ def test_a_mirrored_board_picture(world: Rig) -> None:
 def test_wrong_square_size(world: Rig) -> None:
     camera = world.start[0]
     seen = boards(world)
-    small = replace(BOARD, square_mm=20.0)
-    start = start_from_board("cam0", camera.intrinsics, small, seen["cam0"])
+    seen["cam0"] = replace(seen["cam0"], board=replace(BOARD, square_mm=20.0))
+    start = start_from_board("cam0", camera.intrinsics, seen["cam0"])
     with pytest.raises(CalibrationError, match=r"1\.2[0-9] times the stated size: check square_mm"):
-        check_board_against_marks(start, small, seen, FIELD, world.observations.marks["cam0"])
+        check_board_against_marks(start, seen, FIELD, world.observations.marks["cam0"])
 
 
 def test_marker_names_permuted(world: Rig) -> None:
@@ -100,7 +95,7 @@ def test_a_single_marker_at_a_wrong_place_is_named(world: Rig) -> None:
     points[wrong, 0] -= 100.0
     with pytest.raises(CalibrationError, match=f"only {FIELD.names[wrong]} does: its place or its"):
         check_board_against_marks(
-            world.start[0], BOARD, boards(world), replace(FIELD, points=points), marks
+            world.start[0], boards(world), replace(FIELD, points=points), marks
         )
 
 

@@ -15,7 +15,8 @@ from measure.calibration.capture import CameraCapture, CaptureTable
 from measure.calibration.common_views import fit_common_views
 from measure.calibration.intrinsics import LensCalibration
 from measure.calibration.lens import LENS_MODELS
-from measure.calibration.starts import DetectedBoard, oriented_board
+from measure.calibration.observations import BoardObservation
+from measure.calibration.starts import oriented_board
 from measure.calibration.views import ViewSet
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
@@ -96,13 +97,15 @@ def test_a_board_of_known_pose_lies_where_the_marks_agree(corners: tuple[int, in
     said = replace(without, board_origin_px=tuple(origin + 20))
     for turn in board.turns:
         pixels = true.project(pose.apply(board.points))[turn]
-        seen = DetectedBoard(Corners(np.arange(len(pixels)), pixels, 0.4, "board.jpg"), pose)
+        seen = BoardObservation(
+            board, Corners(np.arange(len(pixels)), pixels, 0.4, "board.jpg"), pose
+        )
         for camera in (with_marks, said):
-            lies = oriented_board(camera, true.intrinsics, board, seen, capture).corners
+            lies = oriented_board(camera, true.intrinsics, seen, capture).corners
             assert np.allclose(lies.pixels[np.argmin(lies.ids)], origin)
         place = rf"board_origin_px = .*\[{origin[0]:.0f}, {origin[1]:.0f}\]"
         with pytest.raises(CalibrationError, match=place):
-            oriented_board(without, true.intrinsics, board, seen, capture)
+            oriented_board(without, true.intrinsics, seen, capture)
 
 
 @pytest.mark.parametrize(("corners", "ways"), [((7, 5), 2), ((6, 6), 4), ((5, 5), 2), ((6, 5), 1)])
