@@ -87,7 +87,7 @@ def open_stream(address: str) -> Iterator[tuple[HTTPResponse, Stream]]:
     try:
         for _ in range(1 + _MAX_REDIRECTIONS):
             kind = HTTPSConnection if place.scheme == "https" else HTTPConnection
-            with closing(kind(place.host, place.port, timeout=PATIENCE_S)) as connection:
+            with closing(kind(place.place, timeout=PATIENCE_S)) as connection:
                 connection.connect()
                 stream = Stream(connection.sock)
                 login = first.login if place.origin == first.origin else ""

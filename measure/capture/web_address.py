@@ -35,8 +35,7 @@ class WebAddress:
     """Where to ask for a stream over HTTP."""
 
     scheme: str  # `http` or `https`
-    host: str  # its name or number
-    port: int  # 80 or 443 unless another is given
+    place: str  # host and port, the latter unless it is the scheme's own
     target: str = field(repr=False)  # path and query, escaped
     # what an `Authorization` header says; empty without a user name.
     login: str = field(default="", repr=False)
@@ -54,20 +53,16 @@ class WebAddress:
         if parts.username is not None:
             pair = f"{unquote(parts.username)}:{unquote(parts.password or '')}"
             login = f"Basic {base64.b64encode(pair.encode()).decode()}"
-        port = _PORTS[parts.scheme] if parts.port is None else parts.port
         host = parts.hostname.encode("idna").decode()
-        return cls(parts.scheme, host, port, target, login)
+        place = f"[{host}]" if ":" in host else host
+        if parts.port not in (None, _PORTS[parts.scheme]):
+            place += f":{parts.port}"
+        return cls(parts.scheme, place, target, login)
 
     @property
-    def origin(self) -> tuple[str, str, int]:
+    def origin(self) -> tuple[str, str]:
         """Whom a password given for this address is sent to."""
-        return self.scheme, self.host, self.port
-
-    @property
-    def place(self) -> str:
-        """Host and port, as a `Host` header says it."""
-        host = f"[{self.host}]" if ":" in self.host else self.host
-        return host if self.port == _PORTS[self.scheme] else f"{host}:{self.port}"
+        return self.scheme, self.place
 
     @property
     def url(self) -> str:
