@@ -39,8 +39,10 @@ def load_profile(name: str = DEFAULT_PROFILE) -> Profile:
     Raises:
         ConfigError: no profile of that name; or its file is broken.
     """
+    if Path(name).name == RUN_FILE:
+        return load_toml(name, _ProfileOfRun, ConfigError).profile
     if name.endswith(".toml"):
-        return _profile_file(Path(name))
+        return load_toml(name, Profile, ConfigError)
     if name not in profile_names():
         near = difflib.get_close_matches(name, profile_names(), n=1)
         hint = f"'{near[0]}'" if near else f"one of {', '.join(profile_names())}"
@@ -49,12 +51,6 @@ def load_profile(name: str = DEFAULT_PROFILE) -> Profile:
         )
     with resources.as_file(resources.files("measure") / "profiles" / f"{name}.toml") as path:
         return load_toml(path, Profile, ConfigError)
-
-
-def _profile_file(path: Path) -> Profile:
-    if path.name == RUN_FILE:
-        return load_toml(path, _ProfileOfRun, ConfigError).profile
-    return load_toml(path, Profile, ConfigError)
 
 
 class _ProfileOfRun(BaseModel):

@@ -234,9 +234,9 @@ def refine_by_gradient(gray: Bytes, pixels: Floats) -> Floats:
     return np.asarray(refined, dtype=np.float64).reshape(-1, 2)
 
 
-def sharpness(gray: Bytes, pixels: Floats, half: int = 6) -> float:
+def sharpness(gray: Bytes, pixels: Floats) -> float:
     """Median over corners (n, 2) of the steepest slope as a share of the local contrast, per px."""
-    slopes = []
+    slopes, half = [], 6
     for u, v in np.rint(pixels).astype(int):
         patch = gray[max(v - half, 0) : v + half + 1, max(u - half, 0) : u + half + 1]
         if min(patch.shape) < half:

@@ -37,7 +37,6 @@ from measure.calibration.starts import (
 )
 from measure.calibration.targets import MarkerField
 from measure.calibration.views import ALL_VIEWS, MAX_VIEWS, find_views
-from measure.checking import Finding
 from measure.errors import CalibrationError
 from measure.estimation.lateral_color import lateral_color
 from measure.model import Camera, Intrinsics
@@ -63,7 +62,6 @@ class RigCalibration:
     found: dict[str, FoundMarkers] = field(default_factory=dict)
     # between board and markers at the markers, by camera name.
     disagreement_mm: dict[str, float] = field(default_factory=dict)
-    findings: tuple[Finding, ...] = ()
     # (n, 3) mm, board corners in view, where there are no markers.
     around: Floats = field(default_factory=lambda: np.zeros((0, 3)))
 

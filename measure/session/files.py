@@ -107,22 +107,15 @@ def syntax_message(path: Path, text: str, problem: str) -> str:
 
 
 def validation_message(
-    path: Path,
-    text: str,
-    problem: ValidationError,
-    model: type[BaseModel],
-    values: Any,
-    within: tuple[int | str, ...] = (),
+    path: Path, text: str, problem: ValidationError, model: type[BaseModel], values: Any
 ) -> str:
     """The most telling problem of a pydantic error in one line, with file, line and key.
 
     Args:
         text: its content, to find the line.
-        within: keys of the table that was validated, if it was not the whole file.
     """
     first = max(problem.errors(include_url=False), key=_telling)
-    inner = _real_keys(first["loc"], values, first["type"] == "missing")
-    keys = (*within, *inner)
+    keys = _real_keys(first["loc"], values, first["type"] == "missing")
     line = find_line(text, keys)
     where = f"{path}:{line}" if line else str(path)
     name = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in keys).lstrip(".")

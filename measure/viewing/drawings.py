@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -34,7 +33,10 @@ def draw_mosaic(session: Session, runs: Sequence[Run], index: int) -> Bytes:
         RunError: the run has no such frame set.
         SessionError: a picture that cannot be read.
     """
-    found = [(run.body, _pose(run, index), _views(run, index)) for run in runs]
+    found = [
+        (run.body, _pose(run, index), run.detections.filter(pc.field("index") == index).to_pylist())
+        for run in runs
+    ]
     tiles = []
     for camera in runs[0].cameras:
         seen = [[v for v in views if v["camera"] == camera.name] for _, _, views in found]
@@ -58,11 +60,6 @@ def _pose(run: Run, index: int) -> RigidTransform | None:
     if not run.has_pose[row]:
         return None
     return run.world_from_body[int(np.count_nonzero(run.has_pose[:row]))]
-
-
-def _views(run: Run, index: int) -> list[dict[str, Any]]:
-    table = run.detections
-    return table.filter(pc.equal(table["index"], index)).to_pylist()
 
 
 def jpeg_of(pixels: Bytes) -> bytes:

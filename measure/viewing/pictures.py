@@ -102,11 +102,8 @@ def _detection(view: BallView) -> Detection:
 
 def _colors(views: Sequence[BallView]) -> Colors:
     """Packed RGBA (n,) for the state of each view."""
-    return np.array([_PACKED[_state(view)] for view in views], dtype=np.uint32)
-
-
-def _state(view: BallView) -> Reason | None:
-    return None if view.state is State.EFFECTIVE else view.reason
+    why = [None if view.state is State.EFFECTIVE else view.reason for view in views]
+    return np.array([_PACKED[reason] for reason in why], dtype=np.uint32)
 
 
 def _pack(color: tuple[int, int, int]) -> int:

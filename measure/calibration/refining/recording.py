@@ -16,6 +16,7 @@ from measure.model import BallView, Body, Detection
 from measure.model.observations import Reason
 
 MIN_FRAMES = 10
+_MOST_FRAMES = 1500  # The first ones are kept, because motion needs neighbours
 _MIN_AGREEING_SHARE = 0.2
 """A camera that agrees in a smaller share of the frame sets is not refined but refused."""
 _WINDOW_FRAMES = 9
@@ -73,7 +74,6 @@ def recording_of(
     measurements: Sequence[Measurement],
     body: Body,
     lead_s: Callable[[Detection], float] | None = None,
-    limit: int = 1500,
     doubtful_too: bool = False,
     least_motion_mm: float = _MIN_MOTION_MM,
 ) -> Recording:
@@ -82,7 +82,6 @@ def recording_of(
     Args:
         measurements: of one session; those without a pose are passed over.
         lead_s: what to add to the time of a detection, if the clocks are known to be off.
-        limit: most frame sets to keep: the first ones, because motion needs neighbours.
         doubtful_too: take flagged poses and inconsistent views too, for a first rough refinement
             of cameras too far off to agree.
 
@@ -98,7 +97,7 @@ def recording_of(
             f"{_most_disagreeing(measurements)}"
         )
     _refuse_disagreeing(kept, doubtful_too)
-    kept = kept[:limit]
+    kept = kept[:_MOST_FRAMES]
     poses = stack([m.pose.world_from_body for m in kept if m.pose is not None])
     spread = float(np.linalg.norm(np.ptp(poses.translation, axis=0)))
     if spread < least_motion_mm:
