@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -12,8 +12,7 @@ from measure.arrays import Bools, Floats, Ints
 from measure.simulation import kernels
 from measure.simulation.kernels import NOTHING
 from measure.simulation.light_kernels import LAMP_ROW, Lights, mean_of_pixels, reflect
-from measure.simulation.mirroring import Mirror
-from measure.simulation.shading import Lighting, Texture
+from measure.simulation.shading import Lighting, Mirror, Texture
 from measure.simulation.shapes import Capsule, Cuboid, Shape, Sphere
 from measure.simulation.surface_kernels import REUSE, RayHits, choose_lit, meet, no_points
 
@@ -35,8 +34,10 @@ class Stage:
     velocities: Floats | None = None
     # largest difference between the exposure of a row and the middle row.
     longest_delay_s: float = 0.0
-    # standing shapes that are drawn apart; glossy shapes mirror them.
+    # standing shapes that are drawn apart; a `mirror` shows them too.
     backdrop: tuple[Shape, ...] = ()
+    # (3,) B G R, their mean radiance, which glossy shapes mirror if there is no `mirror`.
+    behind: Floats = field(default_factory=lambda: np.zeros(3))
     # (index, count) of the stages that are averaged over an exposure.
     part: tuple[int, int] = (0, 1)
     fisheye: bool = False
@@ -95,7 +96,9 @@ class Stage:
         lit = lit[: choose_lit(met, len(self.shapes), lit, source)]
         points, light = no_points(len(lit)), np.empty((len(lit), 6))
         meet(met, lit, self.packed, points)
-        mirrored = self._mirror.radiance(points, lit % met.per_pixel // REUSE, met.per_pixel)
+        mirrored = np.tile(self.behind, (len(lit), 1))
+        if self._mirror is not None:
+            mirrored = self._mirror.radiance(points, lit % met.per_pixel // REUSE, met.per_pixel)
         reflect(points, mirrored, self.packed, self._lights, light)
         return light, source
 
@@ -142,8 +145,9 @@ class Stage:
         )
 
     @cached_property
-    def _mirror(self) -> Mirror:
-        return Mirror(self.packed, self._lights, self._albedo_of, self.part)
+    def _mirror(self) -> Mirror | None:
+        of = self.lighting.mirror
+        return of and of(self.packed, self._lights, self._albedo_of, self.part)
 
     def _blockers(self) -> Ints:
         if not self.lighting.shadows:

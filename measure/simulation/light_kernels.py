@@ -4,16 +4,13 @@ Shapes and lamps are rows of numbers, in the camera's frame.
 
 Diffuse light crosses a glossy surface twice, so it fades as (1 - F(in)) (1 - F(out)) towards
 grazing angles (F by Schlick 1994). Mirrored are the discs of the lamps, widened by the roughness,
-and all other shapes: one mirrored ray is followed to the shape that it meets (`mirror_kernels`).
-The fading is why the colour edge of a glossy ball lies inside its outline.
+and the surroundings. The fading is why the colour edge of a glossy ball lies inside its outline.
 """
 
 from __future__ import annotations
 
 import math
 from typing import NamedTuple
-
-import numpy as np
 
 from measure.arrays import Floats, Ints
 from measure.compiling import compiled, inlined
@@ -26,7 +23,6 @@ from measure.simulation.kernels import (
     VELOCITY,
     A,
 )
-from measure.simulation.mirror_kernels import facing, fresnel
 from measure.simulation.surface_kernels import Points, RayHits
 
 LAMP_COLOUR, LAMP_RADIUS, LAMP_ROW = 3, 6, 7
@@ -52,38 +48,14 @@ def reflect(points: Points, mirrored: Floats, shapes: Floats, lights: Lights, ou
 
     Args:
         points: (n,) the points, all on shapes.
-        mirrored: (n, 3) radiance of the mirrored shapes, without lamps, B G R.
+        mirrored: (n, 3) radiance of what is mirrored, without lamps, B G R.
         shapes: (k, ROW).
         out: (n, 6) receives diffuse light per unit of albedo, and mirrored light, B G R each.
     """
     for i in range(len(points.shape)):
         for c in range(3):
             out[i, 3 + c] = mirrored[i, c]
-        _reflect(points, i, shapes, lights, out, i)
-
-
-@compiled
-def shine(hits: Points, albedo: Floats, shapes: Floats, lights: Lights, out: Floats) -> None:
-    """Radiance (n, 3) that mirrored rays bring from the points they meet, B G R.
-
-    Rays are followed over one mirroring: the points met mirror lamps and ambient light only. A ray
-    that meets no shape brings the radiance of the surroundings, black below the horizon.
-    """
-    light = np.empty((1, 6))
-    for i in range(len(hits.shape)):
-        if hits.shape[i] == NOTHING:
-            x, y, z = hits.viewer[i, 0], hits.viewer[i, 1], hits.viewer[i, 2]
-            height = max(-_raised(x, y, z, lights), 0.0)
-            for c in range(3):
-                out[i, c] = height * lights.surround[c]
-            continue
-        x, y, z = _mirror_direction(hits, i)
-        share = _ambient_share(x, y, z, lights)
-        for c in range(3):
-            light[0, 3 + c] = share * lights.ambient[c]
-        _reflect(hits, i, shapes, lights, light, 0)
-        for c in range(3):
-            out[i, c] = albedo[i, c] * light[0, c] + light[0, 3 + c]
+        reflect_point(points, i, shapes, lights, out, i)
 
 
 @compiled
@@ -111,7 +83,22 @@ def mean_of_pixels(
 
 
 @inlined
-def _mirror_direction(points: Points, i: int) -> tuple[float, float, float]:
+def fresnel(cosine: float, f0: float) -> float:
+    """Share of light that is mirrored (Schlick 1994)."""
+    if f0 <= 0:
+        return 0.0
+    return f0 + (1 - f0) * (1 - cosine) ** 5
+
+
+@inlined
+def facing(points: Points, i: int) -> float:
+    """Cosine of the angle between a point's normal and the direction to its viewer."""
+    n, v = points.normal, points.viewer
+    return min(max(n[i, 0] * v[i, 0] + n[i, 1] * v[i, 1] + n[i, 2] * v[i, 2], 0.0), 1.0)
+
+
+@inlined
+def mirror_direction(points: Points, i: int) -> tuple[float, float, float]:
     """The direction that a smooth surface mirrors to its viewer."""
     n, v, cosine = points.normal, points.viewer, facing(points, i)
     return (
@@ -122,25 +109,27 @@ def _mirror_direction(points: Points, i: int) -> tuple[float, float, float]:
 
 
 @inlined
-def _raised(x: float, y: float, z: float, lights: Lights) -> float:
+def raised(x: float, y: float, z: float, lights: Lights) -> float:
     """Sine of the angle of a unit vector above the horizon."""
     up = lights.up_below
     return x * up[0] + y * up[1] + z * up[2]
 
 
 @inlined
-def _ambient_share(x: float, y: float, z: float, lights: Lights) -> float:
+def ambient_share(x: float, y: float, z: float, lights: Lights) -> float:
     """Ambient light from around a direction, as a share of that from straight above."""
     below = lights.up_below[3]
-    return below + (1 - below) * 0.5 * (1 + _raised(x, y, z, lights))
+    return below + (1 - below) * 0.5 * (1 + raised(x, y, z, lights))
 
 
 @inlined
-def _reflect(points: Points, i: int, shapes: Floats, lights: Lights, out: Floats, row: int) -> None:
+def reflect_point(
+    points: Points, i: int, shapes: Floats, lights: Lights, out: Floats, row: int
+) -> None:
     """Reflected light of point i in a row of `out`, whose last half holds the mirrored radiance."""
     n = points.normal
     mirrors = fresnel(facing(points, i), shapes[points.shape[i], REFLECTANCE])
-    sky = _ambient_share(n[i, 0], n[i, 1], n[i, 2], lights)
+    sky = ambient_share(n[i, 0], n[i, 1], n[i, 2], lights)
     sky *= _openness(points, i, shapes, lights.blockers)
     for c in range(3):
         out[row, c] = (1 - mirrors) * sky * lights.ambient[c]
@@ -172,7 +161,7 @@ def _lamp(
     diffuse = power * lit * (1 - fresnel(max(cosine, 0.0), f0)) * (1 - mirrors)
     if f0 <= 0:
         return diffuse, 0.0
-    x, y, z = _mirror_direction(points, i)
+    x, y, z = mirror_direction(points, i)
     variance = size * size / 2 + (2 * shapes[k, ROUGHNESS]) ** 2
     off = 1 - (x * lx + y * ly + z * lz)
     return diffuse, mirrors * power * math.exp(-off / variance) / (2 * variance)

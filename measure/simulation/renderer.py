@@ -78,6 +78,7 @@ class Renderer:
             np.vstack([velocities, np.zeros((len(fixed), 3))]) if rows else None,
             rows / 2,
             self._walls,
+            self._behind,
             (step, steps),
             self._fisheye,
         )
@@ -121,12 +122,22 @@ class Renderer:
         return np.asarray(cv2.resize(drawn, size, interpolation=cv2.INTER_LINEAR), np.float32)
 
     @cached_property
+    def _behind(self) -> Floats:
+        """Mean radiance (3,) of the backdrop, B G R: an outline mirrors what is behind it."""
+        return self._backdrop.mean(axis=(0, 1), dtype=np.float64)
+
+    @cached_property
     def _still_picture(self) -> Linear:
         """The picture of all shapes that do not move."""
         if not self._fixed:
             return self._backdrop
         stage = Stage(
-            self._fixed, self._lighting, self._focal_px, backdrop=self._walls, fisheye=self._fisheye
+            self._fixed,
+            self._lighting,
+            self._focal_px,
+            backdrop=self._walls,
+            behind=self._behind,
+            fisheye=self._fisheye,
         )
         return self._canvas.draw(
             stage, len(self._fixed), self.samples, self._backdrop, self._backdrop

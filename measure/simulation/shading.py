@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
-from measure.arrays import Floats
+from measure.arrays import Floats, Ints
 from measure.geometry import RigidTransform
 
 Rgb = tuple[float, float, float]
@@ -42,6 +42,19 @@ class Lamp:
     radius_mm: float = 80.0  # radius of its disc; it softens shading, highlight and shadow
 
 
+class Mirror(Protocol):
+    """What the glossy shapes of a stage mirror beside the lamps."""
+
+    def radiance(self, points: Any, numbers: Ints, per_pixel: int) -> Floats:
+        """Radiance (n, 3) that surface points (n,) mirror to their viewers, B G R.
+
+        Args:
+            points: the `Points`.
+            numbers: (n,) index of each point in its pixel.
+            per_pixel: rays through a pixel.
+        """
+
+
 @dataclass(frozen=True, eq=False)
 class Lighting:
     """The light of a scene."""
@@ -49,11 +62,14 @@ class Lighting:
     lights: tuple[Lamp, ...]
     # diffuse light from all sides, from above; less comes from below.
     ambient_rgb: Rgb = (0.25, 0.25, 0.25)
-    # radiance from straight above that glossy shapes mirror where no shape is; it falls gradually
-    # to 0 at the horizon.
+    # radiance from straight above that a `mirror` shows where no shape is; it falls gradually to 0
+    # at the horizon.
     surround_rgb: Rgb = (0.12, 0.12, 0.12)
     below: float = 0.3  # share of `ambient_rgb` that comes from below
     shadows: bool = False  # whether balls darken each other and what stands behind them
+    # makes what glossy shapes mirror beside the lamps, of a stage's rows of shapes, lights,
+    # reflectance by shape and place, and part of an exposure; None: what is behind, blurred.
+    mirror: Callable[..., Mirror] | None = None
     # (3,) unit vector, away from the floor.
     up: Floats = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
 

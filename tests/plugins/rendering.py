@@ -7,12 +7,17 @@ from functools import cache, lru_cache
 from measure.simulation import Renderer
 from measure.simulation.catalogue import plain_scene
 from tests.simulated.catalogue import cluttered_scene, relit_scenes, scene_catalogue
+from tests.simulated.mirroring import mirrored
 
 relit = cache(relit_scenes)
 scenes = cache(scene_catalogue)
 plain = cache(plain_scene)
 cluttered = cache(cluttered_scene)
-_renderer = lru_cache(maxsize=4)(Renderer)
+
+
+@lru_cache(maxsize=4)
+def _renderer(scene, camera_name):
+    return Renderer(mirrored(scene), camera_name)
 
 
 @lru_cache(maxsize=32)

@@ -15,6 +15,7 @@ from measure.simulation.scene import BALL_ALBEDO, Scene, painted
 from measure.simulation.shading import Lighting, Material
 from measure.simulation.shapes import Capsule, Cuboid, Shape, Sphere
 from measure.simulation.trajectory import MotionLimits
+from tests.simulated.mirroring import mirrored
 from tests.simulated.rooms import coloured_room
 
 _OTHER_SEEDS = (11, 12, 13, 14)
@@ -149,7 +150,7 @@ def scene_catalogue() -> dict[str, Scene]:
             description="rolling shutter, 30 us a row",
         ),
     )
-    return {scene.name: scene for scene in scenes}
+    return {scene.name: mirrored(scene) for scene in scenes}
 
 
 def relit_scenes() -> dict[str, Scene]:
@@ -170,7 +171,7 @@ def relit_scenes() -> dict[str, Scene]:
             async_scene(seed),
         )
     ]
-    return {scene.name: scene for scene in scenes}
+    return {scene.name: mirrored(scene) for scene in scenes}
 
 
 def clutter(seed: int, colors: tuple[str, ...], radius_mm: float = 20.0) -> tuple[Shape, ...]:

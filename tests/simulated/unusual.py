@@ -19,6 +19,7 @@ from measure.simulation.shading import Lamp, Lighting, Rgb
 from measure.simulation.shapes import Sphere
 from measure.simulation.trajectory import MotionLimits
 from tests.simulated.catalogue import clutter_scene, four_ball_body, rolling
+from tests.simulated.mirroring import mirrored
 
 _BENT = replace(WEBCAM, tone="bent", sharpen=0.7, sharpen_px=1.1)
 
@@ -220,7 +221,7 @@ def unusual_scenes() -> dict[str, Scene]:
         four_matt_bent(),
         four_matt_compressed(),
     )
-    return {scene.name: scene for scene in scenes}
+    return {scene.name: mirrored(scene) for scene in scenes}
 
 
 def _lit(lights: tuple[Lamp, ...], ambient: float, surround: float) -> Lighting:

@@ -6,9 +6,10 @@ import numpy as np
 
 from measure.geometry import RigidTransform
 from measure.simulation import Cuboid, Lighting, Material, Renderer, Scene
+from tests.simulated.mirroring import Mirror, mirrored
 from tests.simulation.test_renderer import white_scene
 
-EVEN = Lighting((), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0), below=1.0)
+EVEN = Lighting((), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0), below=1.0, mirror=Mirror)
 CENTER, RADIUS = np.array([0.0, 0.0, 250.0]), 20.0
 SMOOTH = Material((0.0, 0.0, 0.0), 1.0, 0.0)
 HALF_MM = 700.0
@@ -40,7 +41,8 @@ def closed_room(paint=None, **material):
 
 
 def scene(*fixed, walls=(), light=EVEN, **changes) -> Scene:
-    return white_scene(lighting=light, fixed=fixed, backdrop=walls, backdrop_px=1, **changes)
+    plain = white_scene(lighting=light, fixed=fixed, backdrop=walls, backdrop_px=1, **changes)
+    return mirrored(plain)
 
 
 def seen(scene_, camera="cam0"):

@@ -15,6 +15,15 @@ import numpy as np
 from measure.arrays import Floats, Ints
 from measure.compiling import compiled, inlined
 from measure.simulation.kernels import NOTHING, REACH, REFLECTANCE, ROUGHNESS, enter, offset
+from measure.simulation.light_kernels import (
+    Lights,
+    ambient_share,
+    facing,
+    fresnel,
+    mirror_direction,
+    raised,
+    reflect_point,
+)
 from measure.simulation.surface_kernels import Points, find_normal
 
 _GRAZING = 1e-9
@@ -31,8 +40,8 @@ def _visible_slopes() -> Floats:
     slopes = np.linspace(-8.0, 8.0, 4001)
     shares = (np.arange(_COLUMNS) + 0.5) / _COLUMNS
     rows = []
-    for raised in np.linspace(0, 1, _ROWS):
-        seen = np.maximum((1 - raised) * slopes + raised, 0)
+    for share in np.linspace(0, 1, _ROWS):
+        seen = np.maximum((1 - share) * slopes + share, 0)
         sums = np.cumsum(np.exp(-(slopes**2) / 2) * seen)
         rows.append(np.interp(shares, sums / sums[-1], slopes))
     return np.array(rows)
@@ -41,21 +50,6 @@ def _visible_slopes() -> Floats:
 _SLOPES = _visible_slopes()
 _STEP_1, _STEP_2 = 0.7548776662466927, 0.5698402909980532
 """Additive recurrence of the R2 sequence: it fills the unit square evenly."""
-
-
-@inlined
-def fresnel(cosine: float, f0: float) -> float:
-    """Share of light that is mirrored (Schlick 1994)."""
-    if f0 <= 0:
-        return 0.0
-    return f0 + (1 - f0) * (1 - cosine) ** 5
-
-
-@inlined
-def facing(points: Points, i: int) -> float:
-    """Cosine of the angle between a point's normal and the direction to its viewer."""
-    n, v = points.normal, points.viewer
-    return min(max(n[i, 0] * v[i, 0] + n[i, 1] * v[i, 1] + n[i, 2] * v[i, 2], 0.0), 1.0)
 
 
 @compiled
@@ -100,6 +94,30 @@ def interpolate(grid: Floats, coordinates: Floats, out: Floats) -> None:
             near = (1 - w) * grid[row, column, c] + w * grid[row, column + 1, c]
             far = (1 - w) * grid[row + 1, column, c] + w * grid[row + 1, column + 1, c]
             out[i, c] = (1 - u) * near + u * far
+
+
+@compiled
+def shine(hits: Points, albedo: Floats, shapes: Floats, lights: Lights, out: Floats) -> None:
+    """Radiance (n, 3) that mirrored rays bring from the points they meet, B G R.
+
+    Rays are followed over one mirroring: the points met mirror lamps and ambient light only. A ray
+    that meets no shape brings the radiance of the surroundings, black below the horizon.
+    """
+    light = np.empty((1, 6))
+    for i in range(len(hits.shape)):
+        if hits.shape[i] == NOTHING:
+            x, y, z = hits.viewer[i, 0], hits.viewer[i, 1], hits.viewer[i, 2]
+            height = max(-raised(x, y, z, lights), 0.0)
+            for c in range(3):
+                out[i, c] = height * lights.surround[c]
+            continue
+        x, y, z = mirror_direction(hits, i)
+        share = ambient_share(x, y, z, lights)
+        for c in range(3):
+            light[0, 3 + c] = share * lights.ambient[c]
+        reflect_point(hits, i, shapes, lights, light, 0)
+        for c in range(3):
+            out[i, c] = albedo[i, c] * light[0, c] + light[0, 3 + c]
 
 
 @compiled

@@ -8,23 +8,31 @@ direction to the viewer, at the origin.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
 
 from measure.arrays import Bools, Floats, Ints
 from measure.simulation import kernels
-from measure.simulation.light_kernels import Lights, shine
-from measure.simulation.mirror_kernels import (
+from measure.simulation.light_kernels import Lights
+from measure.simulation.scene import Scene
+from measure.simulation.surface_kernels import REUSE, Points, no_points
+from tests.simulated.mirror_kernels import (
     count_facets,
     interpolate,
     mean_of_facets,
+    shine,
     trace_mirrored,
 )
-from measure.simulation.surface_kernels import REUSE, Points, no_points
 
 _RINGS, _SPOKES = 32, 64
 _STRIPS, _STEP_MM = 24, 4.0
+
+
+def mirrored(scene: Scene) -> Scene:
+    """The scene with glossy shapes that mirror all others, as real ones do."""
+    return replace(scene, lighting=replace(scene.lighting, mirror=Mirror))
 
 
 class Grid(Protocol):
