@@ -10,7 +10,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import MeasureError
 from measure.host import Detector, PoseSolver, Triangulator
-from measure.measuring import plugin_calls, pose_spline, time_alignment
+from measure.measuring import plugin_calls, time_alignment
 from measure.measuring.backtracking import ProcessedFrameSet, backtracked
 from measure.measuring.body_scale import ScaleMonitor
 from measure.measuring.duplicate_images import DuplicateImages
@@ -78,8 +78,6 @@ class Pipeline:
         plugin_calls.warm_up("solver", self.stages.solver)
         for camera in self.cameras[:1]:
             time_alignment.warm_up(self.body, camera)
-        if self.stages.smoothing:
-            pose_spline.warm_up()
 
     def measure(self, frame_sets: Iterable[FrameSet]) -> Generator[Measurement]:
         """Measure frame sets in order of time; yields one measurement for each, in order.
