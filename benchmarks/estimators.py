@@ -72,7 +72,6 @@ ROWS = (
     Row("gp", "--estimator gp"),
     Row("forest", FOREST),
     Row("forest, random rows", f"{FOREST} --split-rows"),
-    Row("ukf", "--estimator ukf"),
     Row("ridge, pose", "--estimator ridge --set features=pose"),
     Row("ridge, window of 6", "--estimator ridge --set features=window --set window=6"),
     Row("ridge, play", "--estimator ridge"),

@@ -45,7 +45,7 @@ class _FitOptions:
     """What is trained, and from where; fields of `measure.api.TrainOptions` but for `set_`.
 
     Attributes:
-        estimator: a plugin: stream (default), mlp (the paper's), ridge, gp, forest, ukf, offset.
+        estimator: a plugin: stream (default), mlp (the paper's), ridge, gp, forest, offset.
         set_: one of its settings as NAME=VALUE, such as grus=2; may be repeated.
         seed: of everything random in training.
         resume: go on with an interrupted training.

@@ -33,7 +33,6 @@ QUICK = {
         "perceptrons": 1, "perceptron_units": 16, "perceptron_epochs": 12, "grus": 1,
         "gru_units": 12, "gru_epochs": 40, "window": 32, "play_widths": 3,
     },
-    "ukf": {"play_widths": 4},
 }  # fmt: skip
 """Settings with which estimators learn the kit's little data set in seconds."""
 
