@@ -21,6 +21,7 @@ from measure.simulation.presets import stems
 from measure.simulation.renderer import Renderer
 from measure.simulation.scene import Actor, ball_shapes
 from measure.simulation.sensor import encode
+from tests.simulated.mirroring import mirrored
 
 FRAMES, GONE = 8, 2
 """In the last frame sets the reference is out of view."""
@@ -40,7 +41,7 @@ def session(tmp_path_factory):
     """Both at rest, before black cloth."""
     folder = tmp_path_factory.mktemp("two")
     tool, base = body("tool", TOOL), body("base", BASE)
-    scene = webcam_scene()
+    scene = mirrored(webcam_scene())
     scene = replace(
         scene,
         body=tool,

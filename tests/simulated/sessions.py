@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from measure.simulation import write_session
-from tests.simulated.catalogue import webcam_scene
+from tests.simulated.catalogue import scene_catalogue
 
 STILL_SETS, STILL_HZ = 12, 30.0
 
@@ -22,7 +22,7 @@ def still_session(cache: Path) -> Path:
     with (cache / "still.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not (folder / "truth.csv").exists():
-            write_session(webcam_scene(), np.arange(STILL_SETS) / STILL_HZ, folder)
+            write_session(scene_catalogue()["still"], np.arange(STILL_SETS) / STILL_HZ, folder)
     return folder
 
 

@@ -12,6 +12,7 @@ from measure.simulation.renderer import Renderer
 from measure_plugins._outline.self_calibration import schedule as calibration
 from measure_plugins.detectors.outline import OutlineConfig, OutlineDetector
 from tests.plugins.detectors.drawing import expect, image_of
+from tests.simulated.mirroring import mirrored
 
 FIRST_ESTIMATE = 2
 """The picture with which the first one begins."""
@@ -20,7 +21,7 @@ FIRST_ESTIMATE = 2
 @pytest.fixture(scope="module")
 def shown():
     """A camera, and its pictures with where the balls are in them."""
-    scene = webcam_scene()
+    scene = mirrored(webcam_scene())
     camera = scene.cameras[0]
     renderer, out = Renderer(scene, camera.name), []
     for k in range(4):
