@@ -99,16 +99,13 @@ def _serve(
             )
         console.note(_counted(counts))
 
-    def started(server: Any) -> None:
-        console.note("listening on udp://{}:{}".format(*server.address))
-
     served = api.estimate_online(
         model,
         address,
         zeroing=zeroing,
         seconds=seconds,
         realtime=realtime,
-        on_start=started,
+        on_start=lambda server: console.note("listening on udp://{}:{}".format(*server.address)),
         on_state=line,
         on_refusal=console.note,
     )

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -69,3 +71,14 @@ def test_the_wrist_shows_backlash() -> None:
 def test_impossible_wear_is_refused() -> None:
     with pytest.raises(ConfigError, match="wear 0: expected a factor"):
         Cables(wear=0.0)
+
+
+@pytest.mark.parametrize(("arm", "sign"), [("left", -1.0), ("right", 1.0)])
+def test_torques_are_those_of_the_robots_own_software(arm: Any, sign: float) -> None:
+    """Behind the gearbox: 49/4 and RE40 at the base, 26/7 and RE30 in the tool."""
+    schema = raven_schema(arm)
+    states = simulate(1.0, 4, arm=arm, log_hz=50.0).states
+    for place, amps, per_amp in ((1, 1 / 2730, 0.0603 * 49 / 4), (6, 1 / 5461, 0.0538 * 26 / 7)):
+        tau, dac = states[:, schema.index([f"tau_{place}", f"dac_val_{place}"])].T
+        assert np.abs(dac).max() > 100
+        np.testing.assert_allclose(tau, sign * per_amp * amps * dac, atol=0.51 * per_amp * amps)

@@ -180,7 +180,7 @@ def _messages(logged: Floats, encoder_offset: Floats, arm: Arm) -> Floats:
         "pos_d": np.round(1e3 * goal.translation),
         "encVals": _eight(counts + encoder_offset),
         "dac_val": _eight(np.round(dac)),
-        "tau": _eight(dac / k.COUNTS_PER_TORQUE),
+        "tau": _eight(k.TORQUE_SIGN[arm] * k.GEARBOX * dac / k.COUNTS_PER_TORQUE),
         "mpos": _eight(degrees(motor)),
         "jpos": _eight(degrees(drives)),
         "mvel": _eight(degrees(motor_speed)),
