@@ -28,11 +28,16 @@ def estimate_file(
     zeroing: Zeroing | None = None,
     *,
     stretch: Path | None = None,
+    true_positions: Path | None = None,
+    on_drift: Callable[[str], None] | None = None,
 ) -> dict[str, int]:
     """Correct recorded states of any number; `measure.learning.correct_file` says what is written.
 
     Args:
         out: `.parquet` or `.csv`.
+        true_positions: a table of measured tip positions (`measure.learning.files.read_poses`) on
+            the clock of the states: each corrects what follows it.
+        on_drift: gets a line that says whether they fit.
 
     Returns:
         How many were corrected, how many refused and why.
@@ -44,12 +49,19 @@ def estimate_file(
     """
     from measure import learning
 
-    _check_output(out, [states, model_path, *([stretch] if stretch else [])])
-    return learning.correct_file(states, OnnxModel.load(model_path), out, zeroing)
+    check_estimates(out, [states, model_path, stretch, true_positions])
+    model = OnnxModel.load(model_path)
+    true = None if true_positions is None else learning.files.read_poses(true_positions)
+    follower = None if true is None else learning.follower_of(model)
+    counts = learning.correct_file(states, model, out, zeroing, follower, true)
+    if follower is not None and on_drift is not None:
+        on_drift(follower.monitor.sentence())
+    return counts
 
 
-def _check_output(out: Path, read: Sequence[Path]) -> None:
-    if is_one_of(out, read):
+def check_estimates(out: Path, read: Sequence[Path | None]) -> None:
+    """Refuse a file of errors that is one of those to be read, or cannot be written."""
+    if is_one_of(out, [path for path in read if path is not None]):
         raise EstimatorError(f"{out}: is one of the files to be read: choose another --output")
     if out.suffix not in (".parquet", ".csv"):
         raise EstimatorError(f"{out}: the name of a file of errors must end with .parquet or .csv")

@@ -24,6 +24,7 @@ def estimate(
     input_: Annotated[Path | None, Parameter(name="--input")] = None,
     output: Path | None = None,
     rezero: Path | None = None,
+    true_positions: Path | None = None,
     host: str = "127.0.0.1",
     port: int = 47118,
     seconds: float | None = None,
@@ -42,6 +43,8 @@ def estimate(
             .csv).
         rezero: a short measured data set of today: finds how the joints were homed, and says
             whether the cables have changed.
+        true_positions: a table of tip positions measured now and then (time_s on the states' clock,
+            x_mm, y_mm, z_mm): the offsets of the joints follow them. Live, they come by UDP.
         host: address to listen on; other machines can reach it only if it is not the loopback.
         port: to listen on; 0 takes a free one.
         seconds: stop after this long.
@@ -54,10 +57,16 @@ def estimate(
         raise ConfigError("--output needs --input: live estimates go back by UDP")
     if input_ is not None and output is None:
         raise ConfigError("--input needs --output: where shall the errors go?")
+    if input_ is None and true_positions is not None:
+        raise ConfigError("--true-positions needs --input: live ones come by UDP")
     path = api.model_file(model)
+    if output is not None:
+        api.check_estimates(output, [input_, path, rezero, true_positions])
     zeroing = None if rezero is None else _zeroing(path, rezero)
     if input_ is not None and output is not None:
-        counts = api.estimate_file(path, input_, output, zeroing, stretch=rezero)
+        counts = api.estimate_file(
+            path, input_, output, zeroing, true_positions=true_positions, on_drift=console.note
+        )
         _conclude(counts, json, f"written to {output}")
     else:
         _serve(path, (host, port), zeroing, seconds, json=json, realtime=realtime)
@@ -97,7 +106,7 @@ def _serve(
             console.note(
                 "too many senders: new ones are refused until one has been silent for a minute"
             )
-        console.note(_counted(counts))
+        console.note(_counted(counts) + (f"; {drift}" if (drift := server.drift()) else ""))
 
     served = api.estimate_online(
         model,

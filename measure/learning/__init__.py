@@ -4,9 +4,10 @@ from measure.learning import files, sweeping
 from measure.learning.ablation import Importance, ablate, field_groups, single_fields
 from measure.learning.assemble import AssemblySettings, PoseTrack, TrajectoryFacts, assemble
 from measure.learning.clock import estimate_offset
-from measure.learning.guard import Counters, DriftMonitor, GuardedModel, Refusal
-from measure.learning.offline import correct, correct_file, read_states, rezero
-from measure.learning.packets import AnswerPacket, StatePacket
+from measure.learning.following import DriftMonitor, OffsetFollower
+from measure.learning.guard import Counters, GuardedModel, Refusal
+from measure.learning.offline import correct, correct_file, follower_of, read_states, rezero
+from measure.learning.packets import AnswerPacket, StatePacket, TruePacket
 from measure.learning.scores import EstimatorEvaluation, Score, evaluate
 from measure.learning.server import EstimateClient, EstimateServer
 from measure.learning.simulated import PAPER_MINUTES, PAPER_PAIRS, simulated_dataset
@@ -25,9 +26,10 @@ from measure.learning.zeroing import Zeroing, fit_zeroing
 __all__ = [
     "PAPER_MINUTES", "PAPER_PAIRS", "AnswerPacket", "AssemblySettings", "Counters", "DriftMonitor",
     "EstimateClient", "EstimateServer", "EstimatorEvaluation", "GuardedModel", "Importance",
-    "PoseTrack", "Refusal", "Score", "Split", "StatePacket", "SweepState", "Trained",
-    "TrajectoryFacts", "Zeroing", "ablate", "assemble", "correct", "correct_file",
-    "estimate_offset", "evaluate", "field_groups", "files", "fit_zeroing", "join", "read_states",
-    "rezero", "same_robot", "simulated_dataset", "single_fields", "split_as_trained",
-    "split_by_rows", "split_by_trajectory", "sweeping", "train",
+    "OffsetFollower", "PoseTrack", "Refusal", "Score", "Split", "StatePacket", "SweepState",
+    "Trained", "TrajectoryFacts", "TruePacket", "Zeroing", "ablate", "assemble", "correct",
+    "correct_file", "estimate_offset", "evaluate", "field_groups", "files", "fit_zeroing",
+    "follower_of", "join", "read_states", "rezero", "same_robot", "simulated_dataset",
+    "single_fields", "split_as_trained", "split_by_rows", "split_by_trajectory", "sweeping",
+    "train",
 ]  # fmt: skip

@@ -1,8 +1,8 @@
-"""Guards of a model online: checks of the states, a re-zero, a drift monitor."""
+"""Guards of a model online: checks of the states, a re-zero, offsets that are followed."""
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, OrderedDict
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.host import Correction, OnnxModel
+from measure.learning.following import OffsetFollower
 from measure.learning.zeroing import Zeroing
 
 _MAX_REORDERED = 100  # Largest number of packets by which a network brings one late
@@ -18,6 +19,7 @@ _MAX_LOST_IN_A_ROW = 1_000_000
 _JITTER_S = 1.0  # Largest step back of a stamp that is jitter, not a clock that was set
 _MAX_FLOAT32 = float(np.finfo(np.float32).max)
 """Largest value of a feature: networks compute in float32."""
+_REMEMBERED = 4096  # Corrected states whose true positions may still come
 _MAX_PAUSE_S = 1000.0
 """Largest step ahead of a stamp; a longer one needs a second stamp that confirms it."""
 
@@ -42,6 +44,7 @@ class Counters:
     unfamiliar: int = 0  # of these, flagged as unlike training
     lost: int = 0  # sequence numbers that never came
     unsent: int = 0
+    measured: int = 0  # true positions that came in
     unanswered: int = 0  # refusals that were not sent, for strangers sent too much
     refused: Counter[Refusal] = field(default_factory=Counter)
 
@@ -52,7 +55,7 @@ class Counters:
 
     def values(self) -> dict[str, int]:
         """Plain names and numbers."""
-        names = ("corrected", "unfamiliar", "lost", "unsent", "unanswered")
+        names = ("corrected", "unfamiliar", "lost", "unsent", "unanswered", "measured")
         out = {name: getattr(self, name) for name in names}
         return out | {reason.value: self.refused[reason] for reason in Refusal}
 
@@ -70,9 +73,14 @@ class GuardedModel:
     """A model that corrects valid states, and refuses and counts all others."""
 
     def __init__(
-        self, model: OnnxModel, zeroing: Zeroing | None = None, counters: Counters | None = None
+        self,
+        model: OnnxModel,
+        zeroing: Zeroing | None = None,
+        counters: Counters | None = None,
+        follower: OffsetFollower | None = None,
     ) -> None:
-        self.model = model
+        self.model, self.follower = model, follower
+        self._recent: OrderedDict[int, tuple[Floats, float, Correction]] = OrderedDict()
         self.counters = Counters() if counters is None else counters
         self.zeroing = zeroing
         self._last_sequence: int | None = None
@@ -106,17 +114,46 @@ class GuardedModel:
         correction = self.model.update(state, time_s)
         self.counters.corrected += 1
         self.counters.unfamiliar += correction.unfamiliar
-        if self.zeroing is None:
+        if self.zeroing is not None:
+            correction = Correction(
+                correction.error_mm + self.zeroing.offset_mm(state),
+                correction.covariance + self.zeroing.covariance,
+                correction.unfamiliar,
+            )
+        if self.follower is None:
             return correction
-        return Correction(
-            correction.error_mm + self.zeroing.offset_mm(state),
-            correction.covariance + self.zeroing.covariance,
-            correction.unfamiliar,
+        self._recent[self.counters.corrected if sequence is None else sequence] = (
+            state,
+            time_s,
+            correction,
         )
+        if len(self._recent) > _REMEMBERED:
+            self._recent.popitem(last=False)
+        return self.follower.corrected(correction, state, time_s)
+
+    def measured(
+        self, true_mm: Floats, covariance: Floats, sequence: int | None = None
+    ) -> Correction | Refusal:
+        """Take the true tip position (3,) at a corrected state; that state's correction by now.
+
+        Args:
+            covariance: (3, 3) of the position, mm^2.
+            sequence: the state's number; the last state if absent.
+        """
+        number = next(reversed(self._recent), None) if sequence is None else sequence
+        if self.follower is None or number is None or number not in self._recent:
+            return self.counters.refuse(Refusal.REPEATED)
+        state, time_s, correction = self._recent[number]
+        self.follower.add(correction, state, time_s, true_mm, covariance)
+        self.counters.measured += 1
+        return self.follower.corrected(correction, state, time_s)
 
     def reset(self) -> None:
         """A new trajectory begins; counters go on."""
         self.model.reset()
+        self._recent.clear()
+        if self.follower is not None:
+            self.follower.forget()
         self._last_sequence = self._stray_sequence = None
         self._last_time_s = self._stray_time_s = np.nan
 
@@ -151,43 +188,3 @@ class GuardedModel:
         if time_s - self._last_time_s > _MAX_PAUSE_S:
             return Refusal.LEAP
         return None
-
-
-@dataclass
-class DriftMonitor:
-    """Detects changed cables: measured residuals that no longer fit the stated covariance.
-
-    The squared Mahalanobis length of a residual per axis is 1 on average if they fit. Its
-    exponential average is compared with a limit.
-    """
-
-    # of the average, beyond which retraining is due; 2 means residuals 1.4 times as large as
-    # stated.
-    limit: float = 2.0
-    memory: float = 500.0  # labels over which to average
-    ratio: float = 1.0
-    count: int = 0
-
-    def add(self, residual_mm: Floats, covariance: Floats) -> None:
-        """Add one measured residual and its stated covariance."""
-        squared = float(residual_mm @ np.linalg.solve(covariance, residual_mm)) / 3.0
-        self.count += 1
-        share = max(1.0 / self.count, 1.0 / self.memory)
-        self.ratio += share * (min(squared, 50.0) - self.ratio)
-
-    @property
-    def due(self) -> bool:
-        """Whether retraining is due."""
-        return self.count >= min(100.0, self.memory) and self.ratio > self.limit
-
-    def sentence(self) -> str:
-        """For people."""
-        size = self.ratio**0.5
-        if self.count < 100:
-            return f"drift: only {self.count} measured states, too few to judge"
-        if self.due:
-            return (
-                f"drift: residuals are {size:.2f} times as large as promised: "
-                "the cables have changed, train again"
-            )
-        return f"drift: none, residuals are {size:.2f} times as large as promised"

@@ -15,8 +15,10 @@ from pyarrow import csv, parquet
 from measure.arrays import Bools, Floats
 from measure.errors import EstimatorError
 from measure.host import Correction, Dataset, OnnxModel
-from measure.learning.guard import DriftMonitor, GuardedModel
-from measure.learning.zeroing import PRIOR_SD_MM, Zeroing, fit_zeroing
+from measure.learning.assemble import PoseTrack
+from measure.learning.following import DriftMonitor, OffsetFollower
+from measure.learning.guard import GuardedModel
+from measure.learning.zeroing import PRIOR_LIMITS_MM, PRIOR_SD_MM, Zeroing, fit_zeroing
 from measure.reading import candidates, time_columns
 from measure.robots import (
     Feature,
@@ -29,6 +31,8 @@ from measure.robots import (
 )
 from measure.robots.columns import Clock, FeatureColumns
 from measure.robots.pieces import TableFile
+
+_NEAR_S = 0.05  # a true position is that of the first state after it, if no later than this
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,9 +114,17 @@ def _tables(file: TableFile, found: FeatureColumns) -> Iterator[StateTable]:
 class Corrector:
     """Streams runs through a model, from a reset each; a run may come in several tables."""
 
-    def __init__(self, model: OnnxModel, zeroing: Zeroing | None = None) -> None:
-        self._guarded = GuardedModel(model, zeroing)
+    def __init__(
+        self,
+        model: OnnxModel,
+        zeroing: Zeroing | None = None,
+        follower: OffsetFollower | None = None,
+        true: PoseTrack | None = None,
+    ) -> None:
+        """A table of `true` positions, on the states' clock, moves the offsets of `follower`."""
+        self._guarded = GuardedModel(model, zeroing, follower=follower)
         self._run: object = None
+        self._true, self._next = true, 0
 
     @property
     def counts(self) -> dict[str, int]:
@@ -126,14 +138,32 @@ class Corrector:
         unfamiliar = np.zeros(count, dtype=bool)
         for row, label in enumerate(table.run.tolist()):
             if label != self._run:
+                if self._true is not None and self._run is not None:
+                    raise EstimatorError(
+                        f"true positions belong to one run, and the states are of '{self._run}' "
+                        f"and '{label}': give one run at a time"
+                    )
                 self._guarded.reset()
                 self._run = label
             answer = self._guarded.update(table.states[row], float(table.times_s[row]))
             if isinstance(answer, Correction):
                 errors[row], covariances[row] = answer.error_mm, answer.covariance
                 unfamiliar[row] = answer.unfamiliar
+                self._take(float(table.times_s[row]))
         sd = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
         return Corrected(errors, sd, unfamiliar, self.counts)
+
+    def _take(self, time_s: float) -> None:
+        """The true positions measured since the state before, where it was near in time."""
+        while (
+            self._true is not None
+            and self._next < len(self._true.times_s)
+            and self._true.times_s[self._next] <= time_s
+        ):
+            at, self._next = self._next, self._next + 1
+            position = self._true.positions_mm[at]
+            if np.isfinite(position).all() and time_s - self._true.times_s[at] <= _NEAR_S:
+                self._guarded.measured(position, self._true.covariances[at])
 
 
 def correct(
@@ -153,7 +183,12 @@ def correct(
 
 
 def correct_file(
-    states: Path, model: OnnxModel, out: Path, zeroing: Zeroing | None = None
+    states: Path,
+    model: OnnxModel,
+    out: Path,
+    zeroing: Zeroing | None = None,
+    follower: OffsetFollower | None = None,
+    true: PoseTrack | None = None,
 ) -> dict[str, int]:
     """Correct recorded states, and count what became of them.
 
@@ -164,7 +199,7 @@ def correct_file(
     Raises:
         EstimatorError: as `read_states`.
     """
-    corrector, schema = Corrector(model, zeroing), schema_of(model)
+    corrector, schema = Corrector(model, zeroing, follower, true), schema_of(model)
     out.parent.mkdir(parents=True, exist_ok=True)
     fresh = out.with_name(f"{out.name}.new")
     fresh.unlink(missing_ok=True)
@@ -198,6 +233,16 @@ def _columns(table: StateTable, corrected: Corrected, reported_mm: Floats) -> di
     }
 
 
+def follower_of(model: OnnxModel) -> OffsetFollower:
+    """What follows the offsets by true positions, as large as they were in training."""
+    return OffsetFollower(schema_of(model), _prior_sd_mm(model))
+
+
+def _prior_sd_mm(model: OnnxModel) -> float:
+    """Size of the offsets, learnt from the recordings of the training if there were several."""
+    return float(np.clip(model.facts.get("offset_sd_mm", PRIOR_SD_MM), *PRIOR_LIMITS_MM))
+
+
 def rezero(
     model: OnnxModel, stretch: Dataset, monitor: DriftMonitor | None = None
 ) -> tuple[Zeroing, DriftMonitor]:
@@ -217,7 +262,7 @@ def rezero(
         stretch.schema,
         stretch.states[used],
         residuals,
-        prior_sd_mm=model.facts.get("offset_sd_mm", PRIOR_SD_MM),
+        prior_sd_mm=_prior_sd_mm(model),
         spread_sd=np.array(model.facts.get("joint_sd", [])),
     )
     monitor = monitor or DriftMonitor()

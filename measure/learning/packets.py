@@ -5,6 +5,11 @@ A state: magic `TBs1`, sequence number (uint64; zero begins a trajectory, withou
 sequence number and stamp, status (uint8: 0 corrected, 1 corrected but unfamiliar, 2 and above
 refused, see `STATUS`; 8 means that the server has no room for a new sender's history), error x y z
 (float32, mm; NaN if refused) and the upper triangle of its covariance (6 float32, mm^2).
+
+A true position, from cameras that see the tip now and then: magic `TBp1`, the sequence number of
+the state at which it was measured (uint64), x y z in the robot's frame and its SD per axis (4
+float32, mm). The answer is that of the state as it would be now; status 5 where no such state was
+corrected lately.
 """
 
 from __future__ import annotations
@@ -21,7 +26,8 @@ from measure.learning.guard import Refusal
 
 _STATE = struct.Struct("<4sQdH")
 _ANSWER = struct.Struct("<4sQdB9f")
-_STATE_MAGIC, _ANSWER_MAGIC = b"TBs1", b"TBe1"
+_TRUE = struct.Struct("<4sQ4f")
+_STATE_MAGIC, _ANSWER_MAGIC, _TRUE_MAGIC = b"TBs1", b"TBe1", b"TBp1"
 _UPPER = np.triu_indices(3)
 STATUS = {reason: code for code, reason in enumerate(Refusal, start=2)}
 _REASON = {code: reason for reason, code in STATUS.items()}
@@ -51,6 +57,29 @@ class StatePacket:
             return None
         state = np.frombuffer(data, dtype="<f4", offset=_STATE.size).astype(np.float64)
         return cls(sequence, time_s, state)
+
+
+@dataclass(frozen=True, eq=False)
+class TruePacket:
+    """A measured tip position on its way to the estimator."""
+
+    sequence: int  # of the state at which it was measured
+    position_mm: Floats
+    sd_mm: float  # per axis
+
+    def pack(self) -> bytes:
+        """As bytes."""
+        return _TRUE.pack(_TRUE_MAGIC, self.sequence, *self.position_mm, self.sd_mm)
+
+    @classmethod
+    def unpack(cls, data: bytes) -> TruePacket | None:
+        """From bytes; None if they are no such packet, or not numbers."""
+        if len(data) != _TRUE.size or data[:4] != _TRUE_MAGIC:
+            return None
+        _, sequence, *numbers = _TRUE.unpack(data)
+        if not np.isfinite(numbers).all() or numbers[3] < 0:
+            return None
+        return cls(sequence, np.array(numbers[:3]), numbers[3])
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,8 @@ from measure.arrays import Floats
 from measure.host import Correction, OnnxModel
 from measure.learning.guard import Counters, GuardedModel, Refusal, unfit
 from measure.learning.lanes import Lanes, Sender
-from measure.learning.packets import LARGEST, AnswerPacket, StatePacket
+from measure.learning.offline import follower_of
+from measure.learning.packets import LARGEST, AnswerPacket, StatePacket, TruePacket
 from measure.learning.zeroing import Zeroing
 
 DEFAULT_ADDRESS = ("127.0.0.1", 47_118)
@@ -120,6 +121,8 @@ class EstimateServer:
         return self._strangers <= _MAX_STRANGERS_HZ
 
     def _judged(self, data: bytes, sender: Sender) -> AnswerPacket:
+        if (true := TruePacket.unpack(data)) is not None:
+            return self._measured(true, sender)
         packet = StatePacket.unpack(data)
         if packet is None:
             return AnswerPacket(0, float("nan"), self.counters.refuse(Refusal.MALFORMED))
@@ -130,6 +133,22 @@ class EstimateServer:
         if reason is not None:
             return AnswerPacket(packet.sequence, packet.time_s, self.counters.refuse(reason))
         return AnswerPacket(packet.sequence, packet.time_s, self._corrected(packet, sender))
+
+    def _measured(self, true: TruePacket, sender: Sender) -> AnswerPacket:
+        """A true position moves the offsets of its sender."""
+        history = self._histories.get(sender)
+        if history is None:
+            answer: Correction | Refusal = self.counters.refuse(Refusal.REPEATED)
+        else:
+            spread = true.sd_mm**2 * np.eye(3)
+            answer = history.guarded.measured(true.position_mm, spread, true.sequence)
+        return AnswerPacket(true.sequence, float("nan"), answer)
+
+    def drift(self) -> str | None:
+        """What the innovations of the true positions say of the cables, if any came."""
+        followers = (one.guarded.follower for one in self._histories.values())
+        monitors = [one.monitor for one in followers if one is not None and one.monitor.count]
+        return max(monitors, key=lambda one: one.ratio).sentence() if monitors else None
 
     def _corrected(self, packet: StatePacket, sender: Sender) -> Correction | Refusal:
         """The correction of a whole and valid state."""
@@ -147,7 +166,8 @@ class EstimateServer:
                 return None
             del self._histories[silent]
             self._lanes.close_lane(silent)
-        guarded = GuardedModel(self._model.another(), self._zeroing, self.counters)
+        follower = follower_of(self._model)
+        guarded = GuardedModel(self._model.another(), self._zeroing, self.counters, follower)
         history = self._histories[sender] = _History(guarded, self._clock())
         self._lanes.open(sender)
         return history

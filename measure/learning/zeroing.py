@@ -12,7 +12,7 @@ from measure.robots import SerialChain, StateSchema
 
 _MIN_STATES = 10
 PRIOR_SD_MM = 0.5  # of the tip's offset by each joint's zero and by the base, where not learnt
-_PRIOR_LIMITS_MM = 0.1, 2.0
+PRIOR_LIMITS_MM = 0.1, 2.0
 _MIN_INDEPENDENT = 8.0  # observations, as their autocorrelation counts them
 _CONVINCING = 0.15  # share of one half's squares left by the other's zeros that is proof enough
 _APART = 0.6  # independent ones among them from which on poses are far apart in time
@@ -83,7 +83,6 @@ def fit_zeroing(
         raise EstimatorError(
             f"re-zeroing needs at least {_MIN_STATES} measured states, got {len(states)}"
         )
-    prior = float(np.clip(prior_sd_mm, *_PRIOR_LIMITS_MM))
     independent = _independent(residuals_mm)
     apart = independent > _APART * len(states)
     if spread_sd is not None and len(spread_sd):
@@ -95,13 +94,13 @@ def fit_zeroing(
                 f"they did in training, {_MIN_SPREAD:.0%} are needed: {_CURE}"
             )
     design, lever = _design(schema, states)
-    left = _check_halves(design, residuals_mm, prior)
+    left = _check_halves(design, residuals_mm, prior_sd_mm)
     if independent < _MIN_INDEPENDENT and not apart and left > _CONVINCING:
         raise EstimatorError(
             f"the {len(states)} measured states tell as much of the zeros as {independent:.1f} "
             f"independent ones, their errors being alike, {_MIN_INDEPENDENT:g} are needed: {_CURE}"
         )
-    found, scatter = _regression(design, residuals_mm, prior)
+    found, scatter = _regression(design, residuals_mm, prior_sd_mm)
     within = np.einsum("nij,jk,nlk->il", design, scatter, design) / len(design)
     return Zeroing(
         shift_mm=found[-3:],
