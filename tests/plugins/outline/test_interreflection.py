@@ -145,7 +145,7 @@ def _mean_error(view, known):
     shares = ball_reflection_shares(balls_behind(rows[green], rows), frame, half_angle, middles)
     lit = shade_by_lights(tables.diffuse, tables.fresnel_loss[0], middles, appearance.point_lights)
     used = shares if known else shares[:, :0].copy()
-    ambient = Ambient(lit, np.zeros((3, 0, len(middles))), used)
+    ambient = Ambient(lit, used)
     inputs = PredictionInputs(pixels, appearance.table, appearance.sensor, rays, tables, ambient)
     found = find_edge_pairs(inputs)
     edges = corrected_edges(found, DEFAULT_CORRECTION_WEIGHT)

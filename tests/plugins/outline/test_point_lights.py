@@ -221,7 +221,7 @@ def _mean_errors(scene, appearance):
         light = shade_by_lights(
             tables.diffuse, tables.fresnel_loss[0], middle_angles(rays.around), point_lights
         )
-        ambient = Ambient(light, np.zeros((3, 0, 36)), np.zeros((8, 0)))
+        ambient = Ambient(light, np.zeros((8, 0)))
         found = find_edge_pairs(
             PredictionInputs(pixels, table, appearance.sensor, rays, tables, ambient)
         )
