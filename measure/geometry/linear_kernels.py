@@ -43,27 +43,6 @@ def solve_factored(factor: Floats, right: Floats, out: Floats) -> None:
 
 
 @compiled
-def add_product(matrix: Floats, rows: Floats, out: Floats) -> None:
-    """Add the product of a small matrix (p, q) with q rows (q, n) to `out` (p, n).
-
-    Eight rows at once, so that their sum stays in registers.
-    """
-    q, last = len(rows), len(rows) - 1
-    weights = np.zeros(8)
-    for j in range(0, q, 8):
-        j1, j2, j3, j4 = min(j + 1, last), min(j + 2, last), min(j + 3, last), min(j + 4, last)
-        j5, j6, j7 = min(j + 5, last), min(j + 6, last), min(j + 7, last)
-        for k in range(len(out)):
-            for b in range(8):
-                weights[b] = matrix[k, j + b] if j + b < q else 0.0
-            w0, w1, w2, w3, w4, w5, w6, w7 = weights
-            for i in range(rows.shape[1]):
-                first = (w0 * rows[j, i] + w1 * rows[j1, i]) + (w2 * rows[j2, i] + w3 * rows[j3, i])
-                then = (w4 * rows[j4, i] + w5 * rows[j5, i]) + (w6 * rows[j6, i] + w7 * rows[j7, i])
-                out[k, i] += first + then
-
-
-@compiled
 def invert_factored(factor: Floats, out: Floats) -> None:
     """The inverse (k, k) of the matrix whose lower factor `cholesky` found, into `out`."""
     k = len(factor)

@@ -16,7 +16,6 @@ from measure.arrays import Floats, Ints
 from measure.compiling import compiled
 from measure.model import Camera
 from measure.model.lens import RAY, fill_rays
-from measure_plugins._kernels.selection import median
 
 _MIN_POINTS = 3  # Outline points that determine a cone
 _MAX_RELATIVE_VARIANCE = 2.0
@@ -138,7 +137,7 @@ def _relative_variances(covariances: Floats) -> Floats:
     (docs/explanation/joint_fit.md, formula 6).
     """
     out = (covariances[:, 0, 0] + covariances[:, 1, 1]) / 2
-    typical = max(median(out.copy(), len(out)), _MIN_VARIANCE_PX2)
+    typical = max(np.median(out), _MIN_VARIANCE_PX2)
     for i in range(len(out)):
         relative = np.sqrt(out[i] / typical)
         out[i] = min(max(relative, 1 / _MAX_RELATIVE_VARIANCE), _MAX_RELATIVE_VARIANCE)

@@ -10,7 +10,6 @@ from measure.arrays import Floats
 from measure.compiling import compiled
 from measure_plugins._joint_fit.elimination import EFFECTS, ReducedEquations
 from measure_plugins._joint_fit.problem import PackedOutlines
-from measure_plugins._kernels.selection import median
 
 _INITIAL_SD_PX = 3.0
 """Wide enough for any outline: with less, Tukey's weights would reject all points of one that is
@@ -92,7 +91,7 @@ def update_effect_variance(
         square[k] = (effects[k, 0] ** 2 + effects[k, 1] ** 2) / outlines.relative_variance[k]
     variance[:2] = max(center / known_center, _MIN_SD_PX**2)
     variance[2] = max(radius / known_radius, _MIN_RADIUS_SD_PX**2)
-    typical = max(median(square.copy(), len(square)) / _CHI_SQUARE_MEDIAN, _MIN_TYPICAL_SD_PX**2)
+    typical = max(np.median(square) / _CHI_SQUARE_MEDIAN, _MIN_TYPICAL_SD_PX**2)
     for k in range(len(inverse_weight)):
         gross = (square[k] / (_MAX_TYPICAL_SDS**2 * typical)) ** 2
         inverse_weight[k] = max(

@@ -22,7 +22,6 @@ from measure.compiling import compiled, inlined
 from measure.geometry.covariance import MAD_TO_SD, TUKEY_SIGMAS
 from measure.geometry.rotation_kernels import turned
 from measure_plugins._joint_fit.problem import PackedOutlines
-from measure_plugins._kernels.selection import median
 
 COLUMNS = 10
 """The pose's six, the view's offset, the outline's normal axial x and y, and the residual."""
@@ -185,7 +184,7 @@ def _weights(columns: Floats, outlines: PackedOutlines, k: int, effect: Floats) 
         out[i] = left * sharpness[first + i]
     for i in range(n):
         size[i] = abs(out[i])
-    unit = 1 / max(MAD_TO_SD * median(size, len(size)), 0.3)
+    unit = 1 / max(MAD_TO_SD * np.median(size), 0.3)
     for i in range(n):
         t, sharp = out[i] * (unit / TUKEY_SIGMAS), sharpness[first + i] * unit
         robust = (1 - t * t) * (1 - t * t) if t * t < 1 else 1e-6

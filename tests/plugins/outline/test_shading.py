@@ -41,7 +41,7 @@ def test_shading_shows_its_terms() -> None:
 
 
 def test_the_fit_is_that_of_least_squares_where_nothing_is_off() -> None:
-    """On any number of rays, as many as fill the machine's vectors or not."""
+    """On any number of rays."""
     rng = np.random.default_rng(2)
     for rays in (24, 25, 66):
         angles = np.sort(rng.uniform(0, 2 * np.pi, rays))

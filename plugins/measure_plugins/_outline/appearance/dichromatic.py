@@ -12,8 +12,6 @@ import numpy as np
 
 from measure.arrays import Floats, Ints
 from measure.compiling import compiled
-from measure.geometry.linear_kernels import add_product
-from measure_plugins._kernels.selection import DOUBLES, nearly_kth, whole_vectors
 from measure_plugins._outline.sampling.rays import CLEAR, Statuses
 
 GREY = 1 / np.sqrt(3.0)
@@ -27,7 +25,10 @@ _NEIGHBOURS = tuple(float(w) for w in np.exp(-0.5 * (np.arange(5) / 1.5) ** 2))
 
 @compiled
 def body_color(profiles: Floats, status: Statuses, steps: Floats) -> Floats:
-    """Unit colour (3,) of the body reflection: the mean of the least grey well-lit pixels."""
+    """Unit colour (3,) of the body reflection: the mean of the least grey well-lit pixels.
+
+    NaN if no pixel is clear and lit.
+    """
     m, n = profiles.shape[1:]
     every = max(n // _COLOR_RAYS, 1)
     colors = np.empty((3, n * m))
@@ -43,17 +44,16 @@ def body_color(profiles: Floats, status: Statuses, steps: Floats) -> Floats:
                 brightest[count] = max(b, g, r)
                 greyness[count] = (b + g + r) * GREY / np.sqrt(b * b + g * g + r * r + 1e-12)
                 count += 1
-    lit = 0.25 * nearly_kth(brightest[:count], int(0.9 * (count - 1)))
-    kept = 0
-    lit_greyness = np.empty(count)
-    for k in range(count):
-        if brightest[k] > lit:
-            lit_greyness[kept] = greyness[k]
-            kept += 1
-    limit = nearly_kth(lit_greyness[:kept], int(0.15 * (kept - 1)))
+    brightest, greyness = brightest[:count], greyness[:count]
+    if count == 0 or np.max(brightest) <= 0:
+        return np.full(3, np.nan)
+    high = int(0.9 * (count - 1))
+    lit = brightest > 0.25 * np.partition(brightest, high)[high]
+    low = int(0.15 * (np.count_nonzero(lit) - 1))
+    chosen = lit & (greyness <= np.partition(greyness[lit], low)[low])
     out = np.zeros(3)
     for k in range(count):
-        if brightest[k] > lit and greyness[k] <= limit:
+        if chosen[k]:
             for c in range(3):
                 out[c] += colors[c, k]
     return out / np.sqrt(np.sum(out**2))
@@ -79,16 +79,8 @@ def split(
 
 @compiled
 def every_second(values: Floats, used: int, rays: Ints) -> Floats:
-    """Every second of the first `used` rows of (m, n), on the rays (k,).
-
-    Returns:
-        (p, k or more): filled with columns of zeros up to a whole number of vectors.
-    """
-    out = np.zeros(((used + 1) // 2, whole_vectors(len(rays), DOUBLES)))
-    for j in range(len(out)):
-        for k in range(len(rays)):
-            out[j, k] = values[2 * j, rays[k]]
-    return out
+    """Every second of the first `used` rows of (m, n), on the rays (k,): (p, k)."""
+    return values[:used:2][:, rays]
 
 
 @compiled
@@ -108,7 +100,8 @@ def reflected_light(grey: Floats, status: Statuses, solve: Floats) -> Floats:
     single, shares = np.zeros((knots + 1, n)), np.zeros((knots + 1, n))
     if len(seen) > 0:  # else the surface reflects nothing
         first, last = seen[0], seen[-1] + 1
-        add_product(solve[:, first:last], grey[first:last], single[:knots])
+        seen_by = np.ascontiguousarray(solve[:, first:last])
+        single[:knots] = np.dot(seen_by, grey[first:last])
     single[knots] = 1.0
     _sum_of_neighbours(single, status, shares)
     out = shares[:knots]

@@ -15,7 +15,6 @@ from measure.arrays import Floats, Ints, Singles
 from measure.compiling import compiled, inlined
 from measure.geometry.covariance import MAD_TO_SD
 from measure.geometry.linear_kernels import cholesky, solve_factored
-from measure_plugins._kernels.selection import SINGLES, nearly_kth, whole_vectors
 from measure_plugins._outline.appearance.dichromatic import every_second
 from measure_plugins._outline.sampling.rays import CLEAR, Statuses
 
@@ -75,9 +74,9 @@ def shade_by_lights(
         if diffuse[j, UNIFORM] > _MIN_UNIFORM:
             rows = j + 1
     # The places of all steps in one row, for one long vectorised loop per light.
-    lanes = whole_vectors(rows * n, SINGLES)
-    ahead, right = np.zeros(lanes, np.float32), np.zeros(lanes, np.float32)
-    down, total = np.zeros(lanes, np.float32), np.zeros(lanes, np.float32)
+    places = rows * n
+    ahead, right = np.zeros(places, np.float32), np.zeros(places, np.float32)
+    down, total = np.zeros(places, np.float32), np.zeros(places, np.float32)
     for j in range(rows):
         uniform = diffuse[j, UNIFORM]
         if uniform > _MIN_UNIFORM:
@@ -137,6 +136,8 @@ def fit_light_shading(
         Factors of uniform light, of axial light, of that along the other axes, and of `lighted`.
     """
     clear = some_clear(status)
+    if len(clear) == 0:
+        return np.zeros(_COLUMNS)
     factors, angles = _factors(diffuse[:used:2]), around[clear]
     seen, bright = every_second(amounts, used, clear), every_second(lighted, used, clear)
     coefficients, right = np.zeros(_COLUMNS), np.empty(_COLUMNS)
@@ -183,7 +184,7 @@ def _median_residual(
             sideways = x * angles[i, 0] + y * angles[i, 1]
             sizes[count] = abs(seen[j, i] - (common + radial * sideways + power * bright[j, i]))
             count += 1
-    return nearly_kth(sizes, len(sizes) // 2)
+    return float(np.partition(sizes, len(sizes) // 2)[len(sizes) // 2])
 
 
 @compiled

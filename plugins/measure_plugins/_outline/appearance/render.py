@@ -13,7 +13,6 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.compiling import compiled
-from measure.geometry.linear_kernels import add_product
 from measure_plugins._outline.appearance.dichromatic import GREY, body_color, reflected_light, split
 from measure_plugins._outline.appearance.interreflection import add_ball_reflection
 from measure_plugins._outline.appearance.point_lights import fit_light_shading, shaded_body
@@ -139,8 +138,7 @@ def _compose(
 ) -> Floats:
     """Light (3, m, n) of body (m, n), reflection (k, n) and background (3, n)."""
     m, n = body.shape
-    out, grey = np.empty((3, m, n)), np.zeros((m, n))
-    add_product(tables.grey[first:], reflected, grey)
+    out, grey = np.empty((3, m, n)), np.dot(tables.grey[first:], reflected)
     for j in range(m):
         near, through = (
             tables.grazing_reflection[first + j],

@@ -11,8 +11,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.compiling import compiled
 from measure.geometry.covariance import MAD_TO_SD
-from measure.geometry.linear_kernels import add_product, cholesky, solve_factored
-from measure_plugins._kernels.selection import nearly_kth
+from measure.geometry.linear_kernels import cholesky, solve_factored
 from measure_plugins._outline.appearance.dichromatic import every_second
 from measure_plugins._outline.sampling.rays import CLEAR, Statuses
 
@@ -24,7 +23,6 @@ _PAIR = np.array(
     [LOBE[a] * (LOBE[a] + 1) // 2 + LOBE[b] for a in range(_TERMS) for b in range(a + 1)]
 )
 """Which product of two radial functions, see `_pairs`, each entry of the normal matrix has."""
-_PRODUCTS = _LOBES * (_LOBES + 1) // 2
 _ITERATIONS = 4
 
 
@@ -54,9 +52,7 @@ def radial_amounts(coefficients: Floats, angular: Floats) -> Floats:
 @compiled
 def shaded(coefficients: Floats, angular: Floats, lobes: Floats) -> Floats:
     """Diffuse light (m, n) at angular functions (9, n) and radial ones (m, 6)."""
-    out = np.zeros((len(lobes), angular.shape[1]))
-    add_product(lobes, radial_amounts(coefficients, angular), out)
-    return out
+    return np.dot(lobes, radial_amounts(coefficients, angular))
 
 
 @compiled
@@ -73,24 +69,24 @@ def fit_shading(
         used: number of steps, of which every second one is used.
     """
     clear = np.nonzero(status == CLEAR)[0]
+    if len(clear) == 0:
+        return np.zeros(_TERMS)
     seen, radial = every_second(amounts, used, clear), lobes[:used:2].copy()
-    around = np.zeros((_TERMS, seen.shape[1]))
-    around[:, : len(clear)] = angular[:, clear]
+    around = angular[:, clear]
     products, angular_products = _pairs(radial.T), _pairs(around)
     coefficients, right = np.zeros(_TERMS), np.empty(_TERMS)
     factor, normal = np.empty((_TERMS, _TERMS)), np.empty((_TERMS, _TERMS))
     shown, per_limit = np.zeros(seen.shape), 0.0
     for turn in range(_ITERATIONS):
         weights, weighted = _weighted(seen, shown, per_limit)
-        sums, sides = np.zeros((_PRODUCTS, seen.shape[1])), np.zeros((_LOBES, seen.shape[1]))
-        add_product(products, weights, sums)
-        add_product(radial.T, weighted, sides)
+        sums, sides = np.dot(products, weights), np.dot(radial.T, weighted)
         _equations(sums, sides, around, angular_products, normal, right)
         cholesky(normal, factor)
         solve_factored(factor, right, coefficients)
         if turn < _ITERATIONS - 1:
             shown = shaded(coefficients, around, radial)
-            off = _median_residual(seen, shown, len(clear))
+            sizes = np.abs(seen[::3] - shown[::3]).reshape(-1)
+            off = np.partition(sizes, len(sizes) // 2)[len(sizes) // 2]
             per_limit = 1 / (5 * MAD_TO_SD * off + 5e-4)
     return coefficients
 
@@ -138,37 +134,15 @@ def _equations(
     Args:
         sums: (21, n) along each ray, weights times products of radial functions.
         sides: (6, n) along each ray, weighted amounts times radial functions.
-        around: (9, n) angular functions, zero where a ray does not count.
+        around: (9, n) angular functions.
         angular_products: (45, n) of them.
         normal: filled.
         right: filled.
     """
     at = 0
     for a in range(_TERMS):
-        right[a] = _total(sides[LOBE[a]], around[a])
+        right[a] = np.dot(sides[LOBE[a]], around[a])
         for b in range(a + 1):
-            normal[a, b] = _total(sums[_PAIR[at]], angular_products[at])
+            normal[a, b] = np.dot(sums[_PAIR[at]], angular_products[at])
             at += 1
         normal[a, a] += 1e-3
-
-
-@compiled
-def _total(values: Floats, weights: Floats) -> float:
-    """Sum of products of n values, a multiple of four, in four partial sums."""
-    p, q, r, s = 0.0, 0.0, 0.0, 0.0
-    for i in range(0, len(values), 4):
-        p += values[i] * weights[i]
-        q += values[i + 1] * weights[i + 1]
-        r += values[i + 2] * weights[i + 2]
-        s += values[i + 3] * weights[i + 3]
-    return (p + q) + (r + s)
-
-
-@compiled
-def _median_residual(seen: Floats, shown: Floats, rays: int) -> float:
-    """Median absolute residual at every third step of the first rays."""
-    sizes = np.empty((-(-len(seen) // 3), rays))
-    for j in range(len(sizes)):
-        for i in range(rays):
-            sizes[j, i] = abs(seen[3 * j, i] - shown[3 * j, i])
-    return nearly_kth(sizes.reshape(-1), sizes.size // 2)

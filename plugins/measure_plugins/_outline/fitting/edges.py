@@ -11,7 +11,6 @@ import numpy as np
 
 from measure.arrays import Bytes, Floats, Reals, Singles
 from measure.compiling import compiled, folded
-from measure_plugins._kernels.selection import median
 from measure_plugins._outline.appearance.radial_basis import RadialTables
 from measure_plugins._outline.appearance.render import FIT_LAST_PX, Ambient, predict_light
 from measure_plugins._outline.appearance.sensor import CHROMA_REACH, Sensor, encode, read_off
@@ -102,7 +101,7 @@ def corrected_edges(found: EdgePairs, correction_weight: float) -> Edges:
     n = found.at.shape[1]
     shifts, variances = np.empty((2, n)), np.empty((2, n))
     for k in range(2):
-        common = _middle(found.predicted[k])
+        common = np.nanmedian(found.predicted[k])
         for i in range(n):
             own = found.predicted[k, i // TOGETHER] - common
             sd = found.sd[k, i]
@@ -167,17 +166,6 @@ def inside_window(points: Floats) -> tuple[float, float]:
         across += (np.max(points[:, k]) - np.min(points[:, k])) / 4
     share = min(max(_MAX_DEPTH_RADII * across / -INSIDE_PX[0], _MIN_DEPTH_SHARE), 1.0)
     return share * INSIDE_PX[0], share * INSIDE_PX[1]
-
-
-@compiled
-def _middle(values: Reals) -> float:
-    """Median of those values that are numbers; NaN if none is."""
-    some, count = np.empty(len(values)), 0
-    for value in values:
-        if not np.isnan(value):
-            some[count] = value
-            count += 1
-    return median(some, count) if count else np.nan
 
 
 @compiled

@@ -13,7 +13,6 @@ from measure.arrays import Floats
 from measure.compiling import compiled
 from measure.geometry.covariance import MAD_TO_SD, TUKEY_SIGMAS
 from measure.geometry.linear_kernels import cholesky, solve_factored
-from measure_plugins._kernels.selection import DOUBLES, nearly_kth, whole_vectors
 
 _ITERATIONS, _CONVERGED_PX = 6, 1e-3
 _MIN_POINTS = 4
@@ -57,12 +56,8 @@ def consensus(shifts: Floats, around: Floats, use: Floats, gate_px: float, trial
 def _three_point_solutions(
     at: Floats, cosine: Floats, sine: Floats, trials: int
 ) -> tuple[Floats, Floats]:
-    """Solutions (3, k) through triples of points (n,); scores (k,), -inf for those without one.
-
-    k is the number of trials, filled up to a whole number of vectors.
-    """
-    columns = whole_vectors(trials, DOUBLES)
-    found, score = np.zeros((3, columns)), np.full(columns, -np.inf)
+    """Solutions (3, k) through k triples of points (n,); scores (k,), -inf without a solution."""
+    found, score = np.zeros((3, trials)), np.full(trials, -np.inf)
     state, n = np.uint64(12345), np.uint32(len(at))
     pick = np.zeros(3, np.uint64)
     for t in range(trials):
@@ -116,7 +111,7 @@ def refine(
         for i in range(len(shifts)):
             off[i] = shifts[i] - (around[i, 0] * d1 + around[i, 1] * d2 + growing)
         trusted, gate = (use, gate_px) if turn == 0 else (weights, np.inf)
-        scale = _scatter(off, sd, trusted, gate, scratch)
+        scale = _scatter(off, sd, trusted, gate)
         if not np.isfinite(scale):
             return solution, normal, nothing, np.inf
         _weigh(off, sd, use, scale, weights)
@@ -137,20 +132,13 @@ def refine(
 
 
 @compiled
-def _scatter(off: Floats, sd: Floats, use: Floats, gate_px: float, standard: Floats) -> float:
-    """Robust scale of the residuals in use, in units of `sd`; infinite if there are too few.
-
-    `standard` (n,) is scratch memory.
-    """
-    unused = 0
-    for i in range(len(off)):  # without branches: points not in use sort before all others
-        used = (use[i] > 0) & (abs(off[i]) < gate_px)
-        standard[i] = abs(off[i]) / sd[i] if used else -1.0
-        unused += int(not used)
-    count = len(off) - unused
+def _scatter(off: Floats, sd: Floats, use: Floats, gate_px: float) -> float:
+    """Robust scale of the residuals in use, in units of `sd`; infinite if there are too few."""
+    used = (use > 0) & (np.abs(off) < gate_px)
+    count = np.count_nonzero(used)
     if count < _MIN_POINTS:
         return np.inf
-    return max(MAD_TO_SD * nearly_kth(standard, unused + count // 2), 0.3)
+    return max(MAD_TO_SD * np.partition(np.abs(off[used]) / sd[used], count // 2)[count // 2], 0.3)
 
 
 @compiled

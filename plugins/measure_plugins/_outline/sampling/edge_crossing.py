@@ -11,7 +11,6 @@ import numpy as np
 from measure.arrays import Bools, Bytes, Floats, Reals
 from measure.compiling import compiled
 from measure.model.frames import FULL
-from measure_plugins._kernels.selection import NINE, median, median_rows
 from measure_plugins._outline.sampling.rays import CLEAR, Statuses
 
 _MIN_SD_PX = 0.03
@@ -20,6 +19,9 @@ _SLOPE_PX = 4.0
 """Standard deviation in px of a crossing, per slope of the shading inside (share of contrast per
 px): the slope over the 5 px to the window shifts the level, half of that the half level, which
 costs 3 px per share of contrast on a blurred edge; half of the whole is taken."""
+NINE = 9
+"""Most rows of `median_rows`."""
+_THREE, _FOUR = 3, 4
 
 
 @compiled
@@ -45,6 +47,73 @@ def levels(profiles: Reals, steps: Floats, window: tuple[float, float]) -> Reals
             for i in range(n):
                 within[j, c * n + i] = profiles[c, first + j, i]
     return median_rows(within, last - first).reshape(3, n)
+
+
+@compiled
+def median_rows(rows: Reals, count: int) -> Reals:
+    """Medians (n,) over the first `count` of rows (9, n); the others are overwritten."""
+    n = rows.shape[1]
+    out = np.empty(n, rows.dtype)
+    if count == _THREE:
+        for i in range(n):
+            out[i] = _sorted(rows[0, i], rows[1, i], rows[2, i])[1]
+        return out
+    if count == _FOUR:
+        _middle_of_four(rows, out)
+        return out
+    for j in range(count, NINE):
+        rows[j] = np.inf if j % 2 == 0 else -np.inf
+    _middle_of_nine(rows, out)
+    if count % 2 == 0:
+        lower = np.empty(n, rows.dtype)
+        rows[NINE - 1] = -np.inf
+        _middle_of_nine(rows, lower)
+        for i in range(n):
+            out[i] = 0.5 * (lower[i] + out[i])
+    return out
+
+
+@compiled
+def _middle_of_four(rows: Reals, out: Reals) -> None:
+    """Mean (n,) of the middle two of rows (4, n): the greater low and the lesser high of pairs."""
+    half = rows.dtype.type(0.5)
+    for i in range(len(out)):
+        a, b, c, d = rows[0, i], rows[1, i], rows[2, i], rows[3, i]
+        low, high = _greater(_less(a, b), _less(c, d)), _less(_greater(a, b), _greater(c, d))
+        out[i] = half * (low + high)
+
+
+@compiled
+def _middle_of_nine(rows: Reals, out: Reals) -> None:
+    """Middle (n,) of rows (9, n).
+
+    Without branches, so that the loop is vectorised: each triple is sorted, and the middle is that
+    of the greatest low, the middle middle and the least high (Paeth 1990).
+    """
+    for i in range(len(out)):
+        low, middle, high = _sorted(rows[0, i], rows[1, i], rows[2, i])
+        low2, middle2, high2 = _sorted(rows[3, i], rows[4, i], rows[5, i])
+        low3, middle3, high3 = _sorted(rows[6, i], rows[7, i], rows[8, i])
+        greatest_low = _greater(_greater(low, low2), low3)
+        least_high = _less(_less(high, high2), high3)
+        out[i] = _sorted(greatest_low, _sorted(middle, middle2, middle3)[1], least_high)[1]
+
+
+@compiled
+def _sorted(a: float, b: float, c: float) -> tuple[float, float, float]:
+    a, b = _less(a, b), _greater(a, b)
+    b, c = _less(b, c), _greater(b, c)
+    return _less(a, b), _greater(a, b), c
+
+
+@compiled
+def _less(a: float, b: float) -> float:
+    return a if a < b else b
+
+
+@compiled
+def _greater(a: float, b: float) -> float:
+    return b if a < b else a
 
 
 @compiled
@@ -232,6 +301,6 @@ def in_highlights(inside: Reals, status: Statuses) -> Bools:
         if status[i] == CLEAR:
             clear[count] = white
             count += 1
-    if count == 0 or median(clear, count) >= _PALE:
+    if count == 0 or np.median(clear[:count]) >= _PALE:
         out[:] = False
     return out

@@ -9,7 +9,6 @@ import numpy as np
 
 from measure.arrays import Floats, Ints
 from measure.compiling import compiled
-from measure_plugins._kernels.selection import median
 from measure_plugins._outline.sampling.rays import CLEAR, Statuses
 
 _ITERATIONS = 3
@@ -55,7 +54,7 @@ def aligned_residuals(
             for j in range(left.shape[1]):
                 total += moved[i, j] * moved[i, j]
             power[i] = total / left.shape[1]
-        typical = _TYPICAL * median(power.copy(), len(power)) + 1e-9
+        typical = _TYPICAL * np.median(power) + 1e-9
         robust = 1 / (1 + power / typical) ** 2
     return moved, robust
 

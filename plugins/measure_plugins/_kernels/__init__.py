@@ -1,1 +1,0 @@
-"""Compiled helpers that the outline wings and the joint fit share."""
