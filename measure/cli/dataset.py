@@ -103,9 +103,6 @@ def dataset(
             runs, source.robot_log, source.robot, out, settings, topic=source.topic, frame=frame
         )
     labels = LabelFacts.of(data)
-    for fact in facts:
-        for doubt in fact.doubts:
-            console.note(f"warning: {fact.name}: {doubt}")
     if json:
         values = {"data": str(out), "rows": len(data), "labels": labels, "recordings": facts}
         console.print_json(values)

@@ -166,26 +166,18 @@ def _assemble_one(
     marks = _Marks(measured, near, outlier, measured & (sd > settings.largest_sd_mm))
     used = marks.usable
     check_frames(track.name, positions[used], reported[used])
-    velocity = np.gradient(reported, times, axis=0)[used] if clock is None else None
+    given = clock is None and bool(np.all(np.diff(times) > 0))
+    velocity = np.gradient(reported, times, axis=0)[used] if given else None
     doubts = label_doubts(log.schema, states[used], errors[used], velocity)
-    doubts = check_labels(track.name, doubts, as_it_is=settings.as_it_is)
+    check_labels(track.name, doubts, as_it_is=settings.as_it_is)
     kept = marks.kept
     trajectory, names = _cut(track.name, times[kept], settings.cut_s)
-    part = Dataset(
-        log.schema,
-        states[kept],
-        times[kept],
-        trajectory,
-        names,
-        errors[kept],
-        covariances[kept],
-        marks.usable[kept],
-    )
+    labels = errors[kept], covariances[kept], used[kept]
+    part = Dataset(log.schema, states[kept], times[kept], trajectory, names, *labels)
     during = (log.times_s >= times[0]) & (log.times_s <= times[-1])
     bad = int((~log.complete[during]).sum())
-    return part, replace(
-        _facts(track, marks, bad, float(times[-1] - times[0]), clock), doubts=doubts
-    )
+    facts = _facts(track, marks, bad, float(times[-1] - times[0]), clock)
+    return part, replace(facts, doubts=doubts)
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -12,6 +13,8 @@ from measure.errors import EstimatorError
 from measure.geometry import RigidTransform, align_points, skew
 from measure.host import Dataset
 from measure.robots import SerialChain, StateSchema
+
+_log = logging.getLogger(__name__)
 
 _LEAST_ROWS, _LEAST_SPREAD_MM = 20, 10.0
 """Fewer labels, or labels nearer to one line, do not determine a frame."""
@@ -96,11 +99,12 @@ def not_the_robot(pairs: Paired) -> str | None:
     return f"labels of {size:.1f} mm RMS are no errors of the robot: {_words(name, best)}"
 
 
-def check_labels(name: str, doubts: Sequence[str], *, as_it_is: bool) -> tuple[str, ...]:
-    """The doubts of a recording, for a warning; EstimatorError with the first of them otherwise."""
-    if doubts and not as_it_is:
-        raise EstimatorError(f"{name}: {doubts[0]}; or keep them with --as-it-is")
-    return tuple(doubts)
+def check_labels(name: str, doubts: Sequence[str], *, as_it_is: bool) -> None:
+    """Refuse labels in doubt (EstimatorError), or warn if they are to be kept as they are."""
+    for doubt in doubts:
+        if not as_it_is:
+            raise EstimatorError(f"{name}: {doubt}; or keep them with --as-it-is")
+        _log.warning("%s: %s", name, doubt)
 
 
 def label_doubts(

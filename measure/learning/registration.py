@@ -68,17 +68,7 @@ def register(recordings: Sequence[Recording], options: RegisterOptions) -> Robot
     """
     clock_offset_s, kinematics = options.clock_offset_s, options.kinematics
     schema, given = recordings[0].log.schema, clock_offset_s is not None
-    if kinematics and schema.chain is None:
-        raise EstimatorError(
-            f"--kinematics: those of {schema.robot} are not known: describe its joints with "
-            "alpha_deg in robot.toml"
-        )
-    for one in recordings:
-        if one.track.rotations is None:
-            raise EstimatorError(
-                f"{one.track.name}: holds positions alone; registering needs poses: give a run, or "
-                "a table with qw, qx, qy, qz"
-            )
+    _refuse_unfit(recordings, kinematics)
     clocks = np.array(
         [
             _clock(r, options.largest_offset_s) if clock_offset_s is None else clock_offset_s
@@ -106,6 +96,21 @@ def register(recordings: Sequence[Recording], options: RegisterOptions) -> Robot
         _judgement(fit, seen, kinematics),
         _kinematics(fit, schema.chain) if kinematics and schema.chain else None,
     )
+
+
+def _refuse_unfit(recordings: Sequence[Recording], kinematics: bool) -> None:
+    schema = recordings[0].log.schema
+    if kinematics and schema.chain is None:
+        raise EstimatorError(
+            f"--kinematics: those of {schema.robot} are not known: describe its joints with "
+            "alpha_deg in robot.toml"
+        )
+    for one in recordings:
+        if one.track.rotations is None:
+            raise EstimatorError(
+                f"{one.track.name}: holds positions alone; registering needs poses: give a run, or "
+                "a table with qw, qx, qy, qz"
+            )
 
 
 def _clock(one: Recording, largest_s: float) -> float:

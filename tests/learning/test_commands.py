@@ -31,7 +31,7 @@ def test_train_estimate_and_ablate(
         assert f"<h2>{heading}</h2>" in page
     assert "# ridge for raven2-left" in card
     assert "measure" in card
-    listed = card.split("## A state")[1].split("## Limits")[0]
+    listed = card.split("## A state")[1].split("## The file")[0]
     assert re.findall(r"`(\w+)`", listed.split("order:")[1]) == list(OnnxModel.load(model).features)
     assert main(["estimate", str(model), "--input", str(data), "--output", str(out)]) == 0
     assert "720 corrected" in capsys.readouterr().out
