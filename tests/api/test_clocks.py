@@ -14,10 +14,9 @@ from measure.geometry import RigidTransform
 from measure.model import Camera, Intrinsics
 from measure.session import read_calibration
 from measure.simulation import write_session
-from measure.simulation.catalogue import WEBCAM
+from measure.simulation.catalogue import WEBCAM, webcam_scene
 from measure.simulation.presets import WORKSPACE_MM
 from measure.simulation.trajectory import Sines
-from tests.simulated.catalogue import scene_catalogue
 
 LATE_S = {"cam0": 0.0, "cam1": 0.006, "cam2": -0.004, "cam3": 0.0}
 """How much later than their stamps the cameras expose."""
@@ -39,7 +38,7 @@ def halved(camera: Camera) -> Camera:
 @pytest.fixture(scope="module")
 def rolling(tmp_path_factory) -> Path:
     """A body in quick motion, before cameras out of step whose rows are exposed one by one."""
-    scene = scene_catalogue()["rolling"]
+    scene = webcam_scene()
     middle = RigidTransform(np.eye(3), WORKSPACE_MM)
     reach = np.array([[30.0, 25.0, 25.0, 0.2, 0.2, 0.2]])
     hertz = np.array([[1.1, 1.3, 1.2, 0.9, 1.0, 1.1]])
