@@ -70,6 +70,25 @@ def test_the_covariance_is_that_of_new_recordings() -> None:
     assert proud.left_out.groups == 0
 
 
+def test_ridge_goes_through_the_kinematics() -> None:
+    """Joint errors that are linear in the joints are not linear at the tip."""
+    rng, schema = np.random.default_rng(5), find_schema("dvrk-psm")
+    assert schema.chain is not None
+    data = _recordings([f"day{index}" for index in range(8)], 5)
+    q = data.joints
+    scaled = (q - q.mean(axis=0)) / q.std(axis=0)
+    wrong = scaled @ rng.normal(0, 1, (6, 6)) * [0.003, 0.003, 0.3, 0.03, 0.03, 0.03]
+    errors = schema.chain.tip_mm(q + wrong) - data.reported_mm + rng.normal(0, 0.02, (len(q), 3))
+    left = []
+    for known in (schema, replace(schema, chain=None)):
+        part = replace(data, errors_mm=errors, schema=known)
+        train, other = part.select(part.names[:12]), part.select(part.names[12:])
+        ridge = Registry.discover().estimator("ridge", {"features": "pose", "penalty": 1e-5})
+        ridge.fit(train, other, seed=0, report=quiet)
+        left.append(evaluate(other, ridge.model.predict(other)).after.rms_mm)  # type: ignore[attr-defined]
+    assert left[0] < 0.5 * left[1]
+
+
 def test_whole_recordings_are_kept_for_validation_and_test() -> None:
     split = split_by_trajectory(_recordings(["a", "b", "c", "d"], 1), seed=2)
     parts = [set(part.recordings()) for part in (split.train, split.validation, split.test)]
