@@ -65,24 +65,23 @@ def leftovers(out: Path) -> list[str]:
 
 
 @pytest.mark.slow
-def test_processes_give_identical_results(sessions, one_by_one, tmp_path):
-    seen = []
-    outcomes = measure(sessions, tmp_path, workers=2, progress=lambda *args: seen.append(args))
-    assert [o.session.name for o in outcomes] == ["a", "b", "c"]
-    assert poses(tmp_path) == one_by_one
-    assert seen == [(1, 3), (2, 3), (3, 3)]
-    assert leftovers(tmp_path) == []
-    assert read_run(tmp_path / "b").summary.frame_sets == FRAMES
-
-
-@pytest.mark.slow
-def test_a_broken_recording_does_not_stop_the_others(sessions, tmp_path):
-    broken = tmp_path / "broken"
+def test_processes_give_identical_results_and_a_broken_recording_stops_none(
+    sessions, one_by_one, tmp_path
+):
+    first, *others = sessions
+    seen, out, broken = [], tmp_path / "runs", tmp_path / "broken"
     broken.mkdir()
-    outcomes = measure([sessions[0], broken, sessions[1]], tmp_path / "runs", workers=2)
-    assert [bool(o.error) for o in outcomes] == [False, True, False]
+    outcomes = measure(
+        [first, broken, *others], out, workers=2, progress=lambda *args: seen.append(args)
+    )
+    assert [o.session.name for o in outcomes] == ["a", "broken", "b", "c"]
+    assert [bool(o.error) for o in outcomes] == [False, True, False, False]
     assert "session.toml" in outcomes[1].error
     assert outcomes[1].defect == ""
+    assert poses(out) == one_by_one
+    assert seen == [(1, 4), (2, 4), (3, 4), (4, 4)]
+    assert leftovers(out) == []
+    assert read_run(out / "b").summary.frame_sets == FRAMES
 
 
 def test_two_recordings_of_one_name_are_refused(tmp_path):
