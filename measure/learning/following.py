@@ -12,6 +12,7 @@ from measure.learning.zeroing import PRIOR_SD_MM
 from measure.robots import StateSchema
 
 MEMORY_S = 24.0  # offsets fade with this time constant: hysteresis lasts as long
+_HOLD_S = 0.02  # the offset at the tip is computed anew after this time: at 1 kHz it hardly changes
 _LEAST_LEVER_MM = 5.0  # of a joint at the first pose, which scales its offset
 
 
@@ -31,14 +32,16 @@ class OffsetFollower:
     def forget(self) -> None:
         """The robot was started again: its offsets are others."""
         self._mean: Floats | None = None
-        self._time_s = np.nan
+        self._time_s = self._held_s = np.nan
 
     def corrected(self, correction: Correction, state: Floats, time_s: float) -> Correction:
         """A model's correction with the offset at a state (features,)."""
         if self._mean is None:
             return correction
-        self._fade(time_s)
-        error = correction.error_mm + self._design(state) @ self._mean
+        if not 0 <= time_s - self._held_s < _HOLD_S:
+            self._fade(time_s)
+            self._offset_mm, self._held_s = self._design(state) @ self._mean, time_s
+        error = correction.error_mm + self._offset_mm
         return Correction(error, correction.covariance, correction.unfamiliar)
 
     def add(
@@ -50,7 +53,7 @@ class OffsetFollower:
         covariance: Floats,
     ) -> None:
         """Take the true position (3,) at a state that the model corrected so."""
-        design = self._design(state)
+        design, self._held_s = self._design(state), np.nan
         if self._mean is None:
             self._mean, self._spread = (
                 np.zeros(design.shape[1]),
