@@ -182,20 +182,7 @@ class OnnxEstimator(Estimator):
         parts = [part for part in (own, core.memory) if part is not None]
         memory_out = graph.op("Concat", *parts, axis=1) if parts else nothing
         size = max(core.memory_size + (0 if self._travel is None else self._travel.size), 1)
-        facts = {
-            "format": FORMAT,
-            "estimator": self.name,
-            "settings": self.config.model_dump(mode="json"),
-            "robot": self._schema.robot,
-            "schema": self._schema.to_dict(),
-            "features": [[f.name, f.unit] for f in self._schema.features],
-            "position_mm": self._schema.reading_matrix(self._schema.position).tolist(),
-            "period_s": self._period_s,
-            "memory": size,
-            "memoryless": self.memoryless,
-            "joint_sd": self._joint_sd,
-            **({} if self._offset_sd_mm is None else {"offset_sd_mm": self._offset_sd_mm}),
-        }
+        facts = self._facts(size)
         return graph.build(
             {"features": len(self._schema.features), "memory": size, "tick": 1},
             {
@@ -207,6 +194,24 @@ class OnnxEstimator(Estimator):
             {"measure": facts, "card": dict(card)},
             contract(len(self._schema.features), size, self._period_s),
         )
+
+    def _facts(self, memory: int) -> dict[str, Any]:
+        """The metadata `measure`, see `measure.host.onnx_model`."""
+        assert self._schema is not None
+        return {
+            "format": FORMAT,
+            "estimator": self.name,
+            "settings": self.config.model_dump(mode="json"),
+            "robot": self._schema.robot,
+            "schema": self._schema.to_dict(),
+            "features": [[f.name, f.unit] for f in self._schema.features],
+            "position_mm": self._schema.reading_matrix(self._schema.position).tolist(),
+            "period_s": self._period_s,
+            "memory": memory,
+            "memoryless": self.memoryless,
+            "joint_sd": self._joint_sd,
+            **({} if self._offset_sd_mm is None else {"offset_sd_mm": self._offset_sd_mm}),
+        }
 
     def judge(self, data: Dataset) -> Judged:
         """What is left of the errors of other trajectories."""
