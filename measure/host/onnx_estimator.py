@@ -99,7 +99,7 @@ class OnnxEstimator(Estimator):
             for index, held in enumerate(groups)
         ]
         self._learn(data, validation, seed=seed, report=_part(report, fits - 1, fits))
-        found = Judged.join(judged) if judged else self.judge(validation)
+        found = Judged.join(judged) if judged else self._judge(validation)
         self._trust = Trust.of(found)
         if groups:
             self._offset_sd_mm = float(np.sqrt((found.offsets_mm**2).mean()))
@@ -122,7 +122,7 @@ class OnnxEstimator(Estimator):
         left = data.select(held)
         too_few = other.usable.sum() < _MIN_LABELS
         twin.fit(rest, left if too_few else other, seed=seed, report=report)
-        return twin.judge(left)
+        return twin._judge(left)  # noqa: SLF001 - of its own class
 
     def _learn(self, data: Dataset, validation: Dataset, *, seed: int, report: Report) -> None:
         self._schema = data.schema
@@ -213,7 +213,7 @@ class OnnxEstimator(Estimator):
             **({} if self._offset_sd_mm is None else {"offset_sd_mm": self._offset_sd_mm}),
         }
 
-    def judge(self, data: Dataset) -> Judged:
+    def _judge(self, data: Dataset) -> Judged:
         """What is left of the errors of other trajectories."""
         with np.errstate(over="ignore"):  # what is too large for float32 is found here
             estimates = OnnxModel(self._build({}, judging=True)).predict(data)
