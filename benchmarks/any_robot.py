@@ -35,7 +35,7 @@ SWING_DEG = np.array([1.5, 1.2, 1.5, 18, 18, 25])
 FLANGE_FROM_BODY = RigidTransform.from_rotvec([0.3, -0.2, 0.5], [12.0, -8.0, 60.0])
 CLOCK_OFFSET_S = 0.8
 _LOG_HZ = 125.0
-_GEAR_DEG, _GEAR_TURNS = 0.06, 9.0
+GEAR_DEG, _GEAR_TURNS = 0.06, 9.0
 """A harmonic drive's error: so large, so often in a turn of the joint."""
 _LINK_MM, _LINK_DEG = 0.5, 0.05
 
@@ -46,14 +46,15 @@ class Arm:
 
     chain: SerialChain
     phases: Floats  # (6,) rad, of the gears
+    gear_deg: float  # how much they err
 
     def pose(self, q: Floats) -> RigidTransform:
         """base_from_flange at joints (n, 6) as reported."""
-        gear = np.deg2rad(_GEAR_DEG) * np.sin(_GEAR_TURNS * q + self.phases)
+        gear = np.deg2rad(self.gear_deg) * np.sin(_GEAR_TURNS * q + self.phases)
         return self.chain.pose(q + gear)
 
 
-def make_arm(seed: int = 5) -> Arm:
+def make_arm(seed: int = 5, gear_deg: float = GEAR_DEG) -> Arm:
     """An arm whose links and gears are drawn."""
     rng = np.random.default_rng(seed)
     chain = find_schema("ur5e").chain
@@ -64,16 +65,22 @@ def make_arm(seed: int = 5) -> Arm:
             np.deg2rad(_LINK_DEG) * rng.normal(size=3), _LINK_MM * rng.normal(size=3)
         )
         joints.append(replace(joint, link=joint.link @ slip.matrix))
-    return Arm(replace(chain, joints=tuple(joints)), rng.uniform(0, 2 * np.pi, 6))
+    return Arm(replace(chain, joints=tuple(joints)), rng.uniform(0, 2 * np.pi, 6), gear_deg)
 
 
-def render(folder: Path, arm: Arm, seconds: float, frame_hz: float, seed: int) -> Path:
-    """A session folder with the robot's log `robot.csv`, as RTDE writes it, and the truth."""
+def render(
+    folder: Path, arm: Arm, seconds: float, frame_hz: float, seed: int, slow: float = 1.0
+) -> Path:
+    """A session folder with the robot's log `robot.csv`, as RTDE writes it, and the truth.
+
+    Args:
+        slow: factor on the periods of the motion.
+    """
     rng = np.random.default_rng(seed)
     times = np.arange(-1.0, seconds + 1.0, 1 / _LOG_HZ)
     q = np.tile(np.deg2rad(HOME_DEG), (len(times), 1))
     for _ in range(3):
-        turn, phase = rng.uniform(0.5, 2.2, 6), rng.uniform(0, 2 * np.pi, 6)
+        turn, phase = rng.uniform(0.5, 2.2, 6) / slow, rng.uniform(0, 2 * np.pi, 6)
         size = np.deg2rad(SWING_DEG) * rng.uniform(0.4, 0.7, 6)
         q += size * np.sin(turn * times[:, None] + phase)
     flange = arm.pose(q)

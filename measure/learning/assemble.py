@@ -136,7 +136,16 @@ class _Marks:
     @property
     def usable(self) -> Bools:
         """Rows whose label is used for training."""
-        return self.measured & self.near & ~self.outlier & ~self.uncertain
+        return self.measured & self.near & ~self.uncertain & ~self.outlier
+
+    @property
+    def judged(self) -> Bools:
+        """Rows that tell whether labels are errors: not outliers, unless most are.
+
+        In a wrong frame labels jump as outliers do.
+        """
+        sure = self.measured & self.near & ~self.uncertain
+        return sure if 2 * np.sum(sure & ~self.outlier) < np.sum(sure) else sure & ~self.outlier
 
     @property
     def kept(self) -> Bools:
@@ -164,15 +173,15 @@ def _assemble_one(
     outlier[row_of_pose] = _outliers(errors[row_of_pose], settings.outlier_sds)
     sd = np.sqrt(np.trace(covariances, axis1=1, axis2=2))
     marks = _Marks(measured, near, outlier, measured & (sd > settings.largest_sd_mm))
-    used = marks.usable
-    check_frames(track.name, positions[used], reported[used])
+    judged = marks.judged
+    check_frames(track.name, positions[judged], reported[judged])
     given = clock is None and bool(np.all(np.diff(times) > 0))
-    velocity = np.gradient(reported, times, axis=0)[used] if given else None
-    doubts = label_doubts(log.schema, states[used], errors[used], velocity)
+    velocity = np.gradient(reported, times, axis=0)[judged] if given else None
+    doubts = label_doubts(log.schema, states[judged], errors[judged], velocity)
     check_labels(track.name, doubts, as_it_is=settings.as_it_is)
     kept = marks.kept
     trajectory, names = _cut(track.name, times[kept], settings.cut_s)
-    labels = errors[kept], covariances[kept], used[kept]
+    labels = errors[kept], covariances[kept], marks.usable[kept]
     part = Dataset(log.schema, states[kept], times[kept], trajectory, names, *labels)
     during = (log.times_s >= times[0]) & (log.times_s <= times[-1])
     bad = int((~log.complete[during]).sum())

@@ -19,6 +19,7 @@ _log = logging.getLogger(__name__)
 _LEAST_ROWS, _LEAST_SPREAD_MM = 20, 10.0
 """Fewer labels, or labels nearer to one line, do not determine a frame."""
 _LEAST_RMS_MM = 3.0  # Of labels, from which they are called something else than errors
+_FAR_MM = 100.0  # RMS of labels by which no robot errs
 _MOST = 0.5  # Share of their RMS that may be left where most of them is explained
 _OWN_TURN_RAD, _OWN_SLIDE_MM, _OWN_SHIFT_MM = np.deg2rad(5.0), 10.0, 20.0
 """Joints homed wrongly by so much are a robot's own error, and so is what they do to its frame."""
@@ -82,8 +83,10 @@ def not_the_robot(pairs: Paired) -> str | None:
     """What explains most of the labels and is no error of the robot, with the figure; or None."""
     errors = pairs.measured_mm - pairs.reported_mm
     size = rms_length(errors)
+    said = f"labels of {size:.1f} mm RMS are no errors of the robot"
+    unexplained = f"{said}: none errs by so much" if size > _FAR_MM else None
     if size < _LEAST_RMS_MM or not pairs.enough():
-        return None
+        return unexplained
     groups = {"frame": range(6)}
     if pairs.chain is not None:
         groups["tool"] = range(6, 9)
@@ -91,12 +94,12 @@ def not_the_robot(pairs: Paired) -> str | None:
         groups["clock"] = range(9, 10)
     every = _explain(pairs, [c for columns in groups.values() for c in columns])
     if every.left_mm > _MOST * size or _own(pairs, every):
-        return None
+        return unexplained
     single = {name: _explain(pairs, list(columns)) for name, columns in groups.items()}
     name, best = min(single.items(), key=lambda item: item[1].left_mm)
     if best.left_mm > max(_MOST * size, 2 * every.left_mm):
         name, best = "all", every
-    return f"labels of {size:.1f} mm RMS are no errors of the robot: {_words(name, best)}"
+    return f"{said}: {_words(name, best)}"
 
 
 def check_labels(name: str, doubts: Sequence[str], *, as_it_is: bool) -> None:
