@@ -24,6 +24,8 @@ PARAMETERS = ("x_mm", "y_mm", "z_mm", "x_deg", "y_deg", "z_deg")
 TURNS = np.array([False] * 3 + [True] * 3)
 """Which of these are angles."""
 _USUAL_SD = np.array([0.3, 5e-4])  # mm and rad: the least that is counted with
+_LEAST_NOISE = 1e-2
+"""Variance of what is left over what is stated, at least: few residuals may be met exactly."""
 _STEPS = 50
 
 
@@ -98,7 +100,8 @@ class LinkEffects:
             pull[len(pull) - size :] -= precision[len(pull) - size :] * links
             x = C @ pull
             sd = _pooled((links + x[len(x) - size :]) ** 2 + np.diag(C)[len(x) - size :])
-            noise = float(squares - 2 * x @ g + x @ N @ x + share * np.sum(C * N)) / count
+            left = float(squares - 2 * x @ g + x @ N @ x + share * np.sum(C * N)) / count
+            noise = max(left, _LEAST_NOISE)
         return LinkEffects(x, np.asarray(C, dtype=np.float64), sd, noise)
 
 

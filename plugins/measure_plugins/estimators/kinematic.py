@@ -58,10 +58,15 @@ class KinematicEstimator(WithinTrajectoryEstimator):
                 f"'kinematic' needs the robot's kinematics, and those of {data.schema.robot} are "
                 "not known: describe its joints with alpha_deg in robot.toml, or give a .urdf"
             )
-        used = data.usable
+        used, size = data.usable, 6 * chain.size
+        if (least := 2 * (3 + size) // 3) > used.sum():
+            raise EstimatorError(
+                f"'kinematic' fits {3 + size} numbers to {used.sum()} labels: at least {least} are "
+                "needed, better a minute of motion"
+            )
         q, labels, P = data.joints[used], data.errors_mm[used], data.covariances[used]
         roots = np.linalg.cholesky(P)
-        x, size = np.zeros(3 + 6 * chain.size), 6 * chain.size
+        x = np.zeros(3 + size)
         found = LinkEffects(x, x, usual_sd(size), 1.0)
         for step in range(_STEPS):
             bent = _bent(chain, x)
