@@ -71,6 +71,9 @@ def find_circles(
     again = again[: MAX_COLORS - count]
     for bit, (_, some) in enumerate(again, count):
         table, with_dark = table | some << np.uint8(bit), with_dark | some << np.uint8(bit)
+    # As those of the cache are: else the loops would be compiled once more.
+    table.setflags(write=False)
+    with_dark.setflags(write=False)
     bits, shaded = _bits_of(pixels, table, with_dark, step, count)
     dark = np.nonzero(shaded)[0].tolist()
     found = _circles(bits, range(count + len(again)), step, pixels.shape[0], config)
