@@ -126,20 +126,11 @@ def live(
     check_unit(Calibration(tuple(calibrated)), measured[0], str(calibration), cure)
     profile = profile.model_copy(update={"smoothing": False})
     sources = sources_of(cameras, calibrated, options.request)
-    if options.record is not None:
-        check_apart(options.record, out)
-        check_new(options.record, [one.name for one in cameras])
-    refuse_other_writer(out)
-    if (out / RUN_FILE).exists() and not options.overwrite:
-        raise RunError(f"{out} holds a run already: --overwrite throws it away")
-    options.check_viewer()
+    _check_outputs(out, options, [one.name for one in cameras])
     warm = [warm_pipeline(profile, registry, body, calibrated) for body in measured]
     record = None if options.record is None else options.record.resolve()
     made_from = provenance(
-        calibration,
-        measured,
-        profile,
-        registry,
+        *(calibration, measured, profile, registry),
         session="" if record is None else str(record / "session.toml"),
         session_digest="",  # of pictures that are yet to come
         session_name="live" if record is None else record.name,
@@ -170,6 +161,17 @@ def live(
                 on_state(state)
         rig.check()
         return LiveEnd(outputs.finish(), state)
+
+
+def _check_outputs(out: Path, options: LiveOptions, names: Sequence[str]) -> None:
+    """Refuse what must not be overwritten or cannot be shown, before anything is slow."""
+    if options.record is not None:
+        check_apart(options.record, out)
+        check_new(options.record, names)
+    refuse_other_writer(out)
+    if (out / RUN_FILE).exists() and not options.overwrite:
+        raise RunError(f"{out} holds a run already: --overwrite throws it away")
+    options.check_viewer()
 
 
 def _with_away(measured: Measurement, away: Sequence[str]) -> Measurement:

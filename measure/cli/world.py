@@ -54,18 +54,12 @@ def world(
     else:
         raise ConfigError("say where the world is: --run RUN, or --board FILE --pictures FOLDER")
     write_calibration(output, found)
-    sd = np.sqrt(np.diag(place.covariance))
+    pose, sd = place.transform, np.sqrt(np.diag(place.covariance))
     if json:
-        console.print_json(
-            {
-                "output": output,
-                "quat_wxyz": place.transform.quat_wxyz,
-                "translation_mm": place.transform.translation,
-                "covariance": place.covariance,
-            }
-        )
+        where = {"quat_wxyz": pose.quat_wxyz, "translation_mm": pose.translation}
+        console.print_json({"output": output, **where, "covariance": place.covariance})
         return
-    at_mm = ", ".join(f"{value:.3f}" for value in place.transform.translation)
+    at_mm = ", ".join(f"{value:.3f}" for value in pose.translation)
     console.print_text(
         f"wrote {output}: its origin is at ({at_mm}) mm of the old world, known to "
         f"{np.linalg.norm(sd[:3]):.3f} mm and {np.degrees(np.linalg.norm(sd[3:])):.3f} deg (3-D)"
