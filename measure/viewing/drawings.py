@@ -40,7 +40,7 @@ def draw_mosaic(session: Session, runs: Sequence[Run], index: int) -> Bytes:
     tiles = []
     for camera in runs[0].cameras:
         seen = [[v for v in views if v["camera"] == camera.name] for _, _, views in found]
-        frames = [v["frame"] for views in seen for v in views if v["frame"] >= 0]
+        frames = [v["frame"] for views in seen for v in views if v["frame"] is not None]
         picture = _picture(session, camera, frames[0] if frames else None)
         for (body, pose, _), views in zip(found, seen, strict=True):
             used = {v["ball"] for v in views if v["state"] == "effective"}

@@ -179,7 +179,7 @@ def test_a_camera_beside_its_place_is_flagged(session, tmp_path, capsys):
         out = tmp_path / "run"
         assert main([*words("live", session, addresses, out, "--seconds", "8"), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert told["frame_sets"] > 5
+    assert told["frame_sets"] > 3
     wrong = read_run(out)
     believed = [row for row in wrong.poses.to_pylist() if row["status"] == "ok"]
     assert believed == []

@@ -29,7 +29,7 @@ def test_pictures_to_correction_of_a_ur5e(
     def do(words: str, code: int = 0) -> str:
         assert main(shlex.split(words)) == code
         told = capsys.readouterr()
-        return told.err if code else told.out
+        return f"{told.out}{'' if '--json' in words else told.err}"
 
     do("run first --out first-run --no-recording")
     # Without a frame its labels are none.

@@ -15,6 +15,7 @@ from measure.session import open_session, read_trajectory
 from measure.simulation import write_session
 from measure.simulation.catalogue import plain_scene
 from measure.simulation.presets import ring
+from tests.simulated.mirroring import mirrored
 
 FOCAL = 640 / np.radians(120)
 LENS = Intrinsics(
@@ -33,7 +34,7 @@ def _turned(camera: Camera, deg: float) -> Camera:
 def test_a_body_35_degrees_off_the_axes_is_measured(tmp_path) -> None:
     """Taken for a pinhole's, an outline there is off by many pixels, in place and in shape."""
     rig = tuple(map(_turned, ring(4, distance_mm=250.0), cycle((35.0, -35.0))))
-    write_session(replace(plain_scene(), cameras=rig), np.arange(3) / 30, tmp_path)
+    write_session(replace(mirrored(plain_scene()), cameras=rig), np.arange(3) / 30, tmp_path)
     truth = read_trajectory(tmp_path / "truth.csv")
     with open_session(tmp_path) as session:
         assert {camera.intrinsics.model for camera in session.cameras} == {"fisheye"}

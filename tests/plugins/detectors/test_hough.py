@@ -17,8 +17,9 @@ from measure.simulation.catalogue import plain_scene
 from measure_plugins.detectors.hough import HoughDetector, HoughSettings
 from tests.simulated.catalogue import four_ball_body
 from tests.simulated.degraded import with_balls
+from tests.simulated.mirroring import mirrored
 
-SCENE = plain_scene("grey")
+SCENE = mirrored(plain_scene("grey"))
 TIMES_S = (0.0, 0.7)
 
 
