@@ -83,7 +83,7 @@ class OnnxEstimator(Estimator):
         return self.config
 
     def fit(self, data: Dataset, validation: Dataset, *, seed: int, report: Report) -> None:
-        """Learn with groups of recordings left out, then from all, and fit the covariance.
+        """Learn from all, then with groups of recordings left out, and fit the covariance.
 
         Raises:
             EstimatorError: the data cannot be learnt from.
@@ -92,13 +92,13 @@ class OnnxEstimator(Estimator):
         _check_data(data, validation)
         groups = data.recording_groups(self.folds, _MIN_LABELS)
         fits = len(groups) + 1
+        self._learn(data, validation, seed=seed, report=_part(report, 0, fits))
         judged = [
             self._left_out(
                 held, data, validation, seed=seed, report=_part(report, index, fits, "left out, ")
             )
-            for index, held in enumerate(groups)
+            for index, held in enumerate(groups, 1)
         ]
-        self._learn(data, validation, seed=seed, report=_part(report, fits - 1, fits))
         found = Judged.join(judged) if judged else self._judge(validation)
         self._trust = Trust.of(found)
         if groups:
