@@ -17,9 +17,10 @@ from measure.errors import DegenerateGeometryError, RunError
 from measure.metrology.lengths import Acceptance, MeasuredLengths, between_rests, judge
 from measure.metrology.rests import Rests
 from measure.reading import read_text
-from measure.results import Run, read_run, read_runs
+from measure.results import Run, read_runs
 from measure.results.distances import BallDistance, origin_distance
 from measure.results.pose_table import rests_of
+from measure.results.run import one_of
 from measure.session.number_table import NumberTable, read_number_table
 
 
@@ -53,7 +54,7 @@ def accept(
     ends = [*zip(table.words["from"], table.words["to"], strict=True)]
     bodies = frozenset(one.body.name for one in runs if one.several)
     only_bodies = all({*pair} <= bodies for pair in ends)
-    opened = runs[0] if only_bodies and body is None else read_run(Path(run), body)
+    opened = runs[0] if only_bodies and body is None else one_of(runs, Path(run), body)
     if page is not None:
         check_page_writable(page)
     rests = rests_of(opened)

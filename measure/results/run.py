@@ -107,7 +107,11 @@ def read_run(folder: Path, body: str | None = None) -> Run:
     Raises:
         RunError: the folder is no run, a file of it is damaged, or it is not said which body.
     """
-    runs = read_runs(folder)
+    return one_of(read_runs(folder), folder, body)
+
+
+def one_of(runs: Sequence[Run], folder: Path, body: str | None) -> Run:
+    """The run of a body, by its name where there are several; RunError as `read_run`."""
     named = [run for run in runs if body in (None, run.body.name)]
     if len(named) == 1:
         return named[0]
