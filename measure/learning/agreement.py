@@ -54,12 +54,9 @@ def check_frames(name: str, measured_mm: Floats, reported_mm: Floats) -> None:
     Raises:
         EstimatorError: they do not go together, or one is mirrored.
     """
-    if len(reported_mm) < _MIN_ROWS:
+    if not determine_frame(reported_mm):
         return
     ours, theirs = (p - p.mean(axis=0) for p in (measured_mm, reported_mm))
-    spread = np.linalg.svd(theirs, compute_uv=False) / np.sqrt(len(theirs))
-    if spread[1] < _MIN_PLANE_SPREAD_MM:
-        return
     u, values, v = np.linalg.svd(ours.T @ theirs)
     handed = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ v))])
     size = float(np.sqrt((ours**2).sum() * (theirs**2).sum()))
@@ -70,10 +67,26 @@ def check_frames(name: str, measured_mm: Floats, reported_mm: Floats) -> None:
             f"do not go together (correlation {mirrored:.2f}): is the clock offset right? A tool "
             "far from the body's origin, or another frame, is found by `measure register`."
         )
-    elif 1 - turned**2 > _MIN_MIRROR_RATIO * (1 - mirrored**2) and spread[2] > _MIN_PLANE_SPREAD_MM:
+    elif (
+        1 - turned**2 > _MIN_MIRROR_RATIO * (1 - mirrored**2)
+        and _spread(reported_mm)[2] > _MIN_PLANE_SPREAD_MM
+    ):
         wrong = "are mirror images of each other: are two axes exchanged, or one reversed?"
     if wrong:
         raise EstimatorError(
             f"{name}: the measured and the reported positions {wrong} Their difference would be "
             "learnt as the robot's error"
         )
+
+
+def determine_frame(positions_mm: Floats) -> bool:
+    """Whether positions (n, 3) are enough, and far enough from one line, to determine a frame."""
+    if len(positions_mm) < _MIN_ROWS:
+        return False
+    return bool(_spread(positions_mm)[1] >= _MIN_PLANE_SPREAD_MM)
+
+
+def _spread(positions_mm: Floats) -> Floats:
+    """Standard deviations (3,) along the principal axes, the largest first."""
+    centred = positions_mm - positions_mm.mean(axis=0)
+    return np.asarray(np.linalg.svd(centred, compute_uv=False) / np.sqrt(len(centred)))

@@ -12,12 +12,12 @@ from measure.arrays import Floats, rms_length
 from measure.errors import EstimatorError
 from measure.geometry import RigidTransform, align_points, skew
 from measure.host import Dataset
+from measure.learning.agreement import determine_frame
 from measure.robots import SerialChain, StateSchema
 
 _log = logging.getLogger(__name__)
 
-_LEAST_ROWS, _LEAST_SPREAD_MM = 20, 10.0
-"""Fewer labels, or labels nearer to one line, do not determine a frame."""
+_LEAST_ROWS = 20  # Fewer do not tell what kinematics are off by
 _LEAST_RMS_MM = 3.0  # Of labels, from which they are called something else than errors
 _FAR_MM = 100.0  # RMS of labels by which no robot errs
 _MOST = 0.5  # Share of their RMS that may be left where most of them is explained
@@ -60,14 +60,6 @@ class Paired:
     joints: Floats  # (n, joints), of the chain
     chain: SerialChain | None
 
-    def enough(self) -> bool:
-        """Whether they determine a frame."""
-        if len(self.reported_mm) < _LEAST_ROWS:
-            return False
-        centred = self.reported_mm - self.reported_mm.mean(axis=0)
-        spread = np.linalg.svd(centred, compute_uv=False) / np.sqrt(len(centred))
-        return bool(spread[1] >= _LEAST_SPREAD_MM)
-
 
 @dataclass(frozen=True, eq=False)
 class _Cause:
@@ -85,7 +77,7 @@ def not_the_robot(pairs: Paired) -> str | None:
     size = rms_length(errors)
     said = f"labels of {size:.1f} mm RMS are no errors of the robot"
     unexplained = f"{said}: none errs by so much" if size > _FAR_MM else None
-    if size < _LEAST_RMS_MM or not pairs.enough():
+    if size < _LEAST_RMS_MM or not determine_frame(pairs.reported_mm):
         return unexplained
     groups = {"frame": range(6)}
     if pairs.chain is not None:
