@@ -57,7 +57,7 @@ class Stream(io.RawIOBase):
         if left_s > 0:
             self._connection.settimeout(min(left_s, PATIENCE_S))
             with suppress(TimeoutError):
-                count = self._connection.recv_into(buffer)
+                count = self._connection.recv_into(buffer, min(len(buffer), self._left))
                 self._left -= count
                 return count
         if left_s > PATIENCE_S:

@@ -48,7 +48,9 @@ def _says(data: bytes) -> Callable[[Wire, HostileCamera], None]:
 
 
 def _huge_head(wire: Wire, camera: HostileCamera) -> None:
+    """The first of it alone, so that what is read ahead ends between two reads of 8 KiB."""
     wire.send(OK, b"X-Long: ")
+    time.sleep(0.02)
     wire.repeat(b"x" * 65_536, 0.001)
 
 
