@@ -6,6 +6,7 @@ What learns and what draws loads when an action is called, not with this package
 from measure.api.accepting import Accepted, accept
 from measure.api.body_finding import FoundBody, find_body
 from measure.api.calibrating import CalibrationResult, calibrate, draw_target, shipped_targets
+from measure.api.cameras import cameras
 from measure.api.check import SessionCheck, check
 from measure.api.correcting import (
     check_estimates,
@@ -29,9 +30,11 @@ from measure.api.recording import (
     CaptureRequest,
     RecordedSession,
     camera_names,
+    parse_controls,
     parse_receiver,
     parse_size,
     record,
+    usb_notes,
 )
 from measure.api.refining import RefineResult, refine
 from measure.api.registering import register
@@ -41,19 +44,23 @@ from measure.api.sampling import check_new_body, parse_click, write_sampled_body
 from measure.api.synchronising import SyncedClock, sync
 from measure.api.training import SweepOptions, TrainOptions, ablate, parse_settings, sweep, train
 from measure.api.watch import robot_recording
-from measure.capture import parse_cameras
+from measure.capture import Control, DeviceControls, FoundCamera, Mode, parse_cameras
 from measure.results.evaluation_table import evaluation_tables
 
 __all__ = [
     "Accepted",
     "CalibrationResult",
     "CaptureRequest",
+    "Control",
     "Demo",
+    "DeviceControls",
     "FoundBody",
+    "FoundCamera",
     "Lens",
     "LiveEnd",
     "LiveOptions",
     "LiveState",
+    "Mode",
     "Outcome",
     "RecordedSession",
     "RefineResult",
@@ -70,6 +77,7 @@ __all__ = [
     "build_pipeline",
     "calibrate",
     "camera_names",
+    "cameras",
     "check",
     "check_estimates",
     "check_new_body",
@@ -93,6 +101,7 @@ __all__ = [
     "model_file",
     "parse_cameras",
     "parse_click",
+    "parse_controls",
     "parse_expectation",
     "parse_images",
     "parse_receiver",
@@ -116,6 +125,7 @@ __all__ = [
     "sweep",
     "sync",
     "train",
+    "usb_notes",
     "world",
     "world_by_board",
     "write_sampled_body",

@@ -37,6 +37,7 @@ from measure.capture import (
     Recorder,
     check_new,
 )
+from measure.capture.controls import watched
 from measure.errors import ConfigError, RunError
 from measure.host import Registry
 from measure.measuring import Measurement, Profile, burn_in
@@ -81,6 +82,7 @@ class LiveEnd:
 
     summary: Summary  # of the run
     state: LiveState | None  # at the end; None if there was no frame set
+    changes: tuple[str, ...] = ()  # a sentence for each control of a camera that changed meanwhile
 
 
 def live(
@@ -140,10 +142,12 @@ def live(
     gathering = Gathering([camera.name for camera in calibrated], on_read=rig.note_read)
     with ExitStack() as stack:
         stack.enter_context(rig)
+        lock = options.request is not None and options.request.lock
+        controls = stack.enter_context(watched(rig.controls, lock))
         stop = stack.enter_context(until_stopped())
         sinks = [gathering.add]
         if options.record is not None:
-            given = rig.addresses, measured, calibrated, options.reference
+            given = rig.addresses, measured, calibrated, options.reference, controls.settings
             sinks.append(stack.enter_context(Recorder(options.record, *given)).add)
         outputs = _LiveOutputs(stack, out, made_from, measured, calibrated, options)
         rig.begin(sinks)
@@ -160,7 +164,7 @@ def live(
             if on_state is not None:
                 on_state(state)
         rig.check()
-        return LiveEnd(outputs.finish(), state)
+        return LiveEnd(outputs.finish(), state, tuple(controls.changed.values()))
 
 
 def _check_outputs(out: Path, options: LiveOptions, names: Sequence[str]) -> None:

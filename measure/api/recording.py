@@ -6,13 +6,23 @@ import math
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
 
-from measure.capture import CameraAddress, CameraCount, Cameras, Outage, Recorder, check_new
+from measure.capture import (
+    CameraAddress,
+    CameraCount,
+    Cameras,
+    Outage,
+    Recorder,
+    bus_notes,
+    check_new,
+    find_devices,
+)
+from measure.capture.controls import watched
 from measure.capture.sources import Source
 from measure.errors import ConfigError
 from measure.model import Camera
@@ -24,11 +34,19 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 @dataclass(frozen=True)
 class CaptureRequest:
-    """Size and rate requested of cameras of this machine."""
+    """What is requested of cameras of this machine."""
 
     # of the pictures; that of the calibration if None and there is one.
     size_wh: tuple[int, int] | None = None
     rate_hz: float | None = None  # pictures a second; the camera's own if None
+    # by camera ("" for all) and control (exposure, focus, white_balance, gain, power_line, or the
+    # driver's name) a number, a menu's text or `auto`.
+    controls: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    lock: bool = False  # whether what automatic control has found is kept from the start on
+
+    def controls_of(self, camera: str) -> dict[str, str]:
+        """What a camera's controls are set to."""
+        return {**self.controls.get("", {}), **self.controls.get(camera, {})}
 
 
 @dataclass(frozen=True)
@@ -37,6 +55,7 @@ class RecordedSession:
 
     session: Path
     cameras: Mapping[str, CameraCount]
+    changes: tuple[str, ...] = ()  # a sentence for each control of a camera that changed meanwhile
 
 
 def record(
@@ -64,8 +83,8 @@ def record(
         on_outage: called, from another thread, when a camera is away, and when it is back.
 
     Raises:
-        CaptureError: a camera cannot be reached or is of another size than calibrated; the folder
-            cannot be written, or a camera's name cannot be a folder's.
+        CaptureError: a camera cannot be reached, does not take a control, or is of another size
+            than calibrated; the folder cannot be written, or a camera's name cannot be a folder's.
         CalibrationError: the calibration is broken, or has not all the cameras.
         SessionError: the body file is broken.
         ConfigError: no camera, or a time that is none.
@@ -76,12 +95,13 @@ def record(
     measured = [read_body(body) for body in bodies]
     if measured:
         check_bodies(measured, reference, "--body")
-    sources = sources_of(cameras, calibrated, request)
+    sources, about = sources_of(cameras, calibrated, request), (measured, calibrated, reference)
     with (
         # Nothing is lost yet if this is interrupted.
         Cameras(sources, sizes_of(calibrated), on_outage) as rig,
+        watched(rig.controls, request is not None and request.lock) as controls,
         until_stopped() as stop,
-        Recorder(out, rig.addresses, measured, calibrated, reference) as recording,
+        Recorder(out, rig.addresses, *about, controls.settings) as recording,
     ):
         rig.begin([recording.add])
         begun = time.monotonic()
@@ -95,7 +115,7 @@ def record(
         rig.stop()
         rig.wait()  # what is counted is to be in the folder
     rig.check()
-    return RecordedSession(out, rig.counts)
+    return RecordedSession(out, rig.counts, tuple(controls.changed.values()))
 
 
 def check_apart(record: Path, out: Path) -> None:
@@ -146,12 +166,47 @@ def sources_of(
     request, sizes = request or CaptureRequest(), sizes_of(calibrated)
     if request.rate_hz is not None and not (math.isfinite(request.rate_hz) and request.rate_hz > 0):
         raise ConfigError(f"--rate {request.rate_hz:g}: expected pictures a second, above 0")
-    if request != CaptureRequest() and not any(one.is_device for one in cameras):
-        raise ConfigError("--size and --rate are for cameras of this machine, and none is given")
+    devices = [one.name for one in cameras if one.is_device]
+    if request != CaptureRequest() and not devices:
+        raise ConfigError(
+            "--size, --rate, --control and --lock are for cameras of this machine: none is given"
+        )
+    for name in request.controls:
+        if name and name not in devices:
+            first = next(iter(request.controls[name]))
+            raise ConfigError(f"--control {name}.{first}: {name} is no camera of this machine")
     return {
-        one.name: one.source(request.size_wh or sizes.get(one.name), request.rate_hz)
+        one.name: one.source(
+            request.size_wh or sizes.get(one.name), request.rate_hz, request.controls_of(one.name)
+        )
         for one in cameras
     }
+
+
+def usb_notes(
+    cameras: Sequence[CameraAddress], calibration: Path | None, request: CaptureRequest
+) -> list[str]:
+    """What a USB bus cannot carry of what is asked of cameras on it, with what would fit."""
+    places = {one.name: Path(one.device).resolve() for one in cameras if one.is_device}
+    if not places:
+        return []
+    there = {Path(one.path): one for one in find_devices()}
+    known = {name: there[place] for name, place in places.items() if place in there}
+    sizes = sizes_of(calibrated_cameras(cameras, calibration))
+    asked = {name: request.size_wh or sizes.get(name) for name in known}
+    return bus_notes(known, {name: size for name, size in asked.items() if size}, request.rate_hz)
+
+
+def parse_controls(texts: Iterable[str]) -> dict[str, dict[str, str]]:
+    """Read NAME=VALUE and CAMERA.NAME=VALUE, several with commas; ConfigError for all else."""
+    found: dict[str, dict[str, str]] = {}
+    for text in (part.strip() for several in texts for part in several.split(",")):
+        key, _, value = text.partition("=")
+        camera, _, name = key.rpartition(".")
+        if not (name and value):
+            raise ConfigError(f"--control {text}: expected NAME=VALUE, such as exposure=150")
+        found.setdefault(camera, {})[name] = value
+    return found
 
 
 def camera_names(calibration: Path) -> tuple[str, ...]:

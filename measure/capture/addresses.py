@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -28,16 +28,25 @@ class CameraAddress:
     @property
     def is_device(self) -> bool:
         """Whether it is a camera of this machine."""
-        return self.address.isdecimal() or self.address.startswith("/dev/")
+        return self.device.startswith(("/dev/", "camera:"))
+
+    @property
+    def device(self) -> str:
+        """The address, where a number stands for a device of Linux."""
+        return f"/dev/video{self.address}" if self.address.isdecimal() else self.address
 
     def source(
-        self, size_wh: tuple[int, int] | None = None, rate_hz: float | None = None
+        self,
+        size_wh: tuple[int, int] | None = None,
+        rate_hz: float | None = None,
+        controls: Mapping[str, str] | None = None,
     ) -> Source:
         """What delivers its pictures; nothing is opened yet.
 
         Args:
             size_wh: of the pictures to ask a camera of this machine for.
             rate_hz: pictures a second, likewise.
+            controls: what it is to be set to, by name (`controls.DeviceControls`), likewise.
 
         Raises:
             CaptureError: no such file or camera, or no address.
@@ -52,7 +61,7 @@ class CameraAddress:
         if scheme in ("rtsp", "rtsps"):
             return rtsp_source(self.address)
         if self.is_device:
-            return device_source(self.address, size_wh, rate_hz)
+            return device_source(self.device, size_wh, rate_hz, controls)
         if not Path(self.address).is_file():
             raise CaptureError(
                 f"camera '{self.name}': {shown(self.address)} is no video file, no number of a "

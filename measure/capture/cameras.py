@@ -12,6 +12,7 @@ from typing import Self
 
 import numpy as np
 
+from measure.capture.controls import DeviceControls
 from measure.capture.device_clock import DeviceClock
 from measure.capture.outages import Outage, OutageWatch
 from measure.capture.sources import PATIENCE_S, Shot, Source, image_of, is_whole, size_wh
@@ -111,6 +112,11 @@ class Cameras:
     def addresses(self) -> dict[str, str]:
         """By camera, where its pictures come from, as it may be shown."""
         return {name: source.address for name, source in self._sources.items()}
+
+    @property
+    def controls(self) -> dict[str, DeviceControls]:
+        """Those of each camera that has some here."""
+        return {name: one.controls for name, one in self._sources.items() if one.controls}
 
     @property
     def counts(self) -> dict[str, CameraCount]:

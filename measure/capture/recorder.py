@@ -36,6 +36,7 @@ class Recorder:
         bodies: Sequence[Body] = (),
         cameras: Sequence[Camera] = (),
         reference: str = "",
+        controls: Mapping[str, Mapping[str, int | str]] | None = None,
     ) -> None:
         """Make the folder and all that does not grow.
 
@@ -44,6 +45,7 @@ class Recorder:
             bodies: what is measured, if it is known already.
             cameras: calibrated, if they are already.
             reference: name of the body that others are measured relative to; empty without one.
+            controls: by camera what its controls are set to, where that is known.
 
         Raises:
             CaptureError: the folder holds something, or cannot be written; a camera's name cannot
@@ -61,7 +63,9 @@ class Recorder:
                 write_body(folder / name, body)
             if cameras:
                 write_calibration(folder / "calibration.toml", Calibration(tuple(cameras)))
-            text = dump_toml(_session(folder, addresses, list(files), reference, bool(cameras)))
+            about = _session(folder, addresses, list(files), reference, bool(cameras))
+            tables = [_camera_table(name, (controls or {}).get(name)) for name in addresses]
+            text = dump_toml({"session": about, "cameras": tables})
             (folder / "session.toml").write_text(text, "utf-8")
             for name in addresses:
                 self._stamps[name] = _new_stamps(folder / f"{name}.csv")
@@ -151,22 +155,22 @@ def _session(
     reference: str,
     calibrated: bool,
 ) -> dict[str, object]:
-    """What `session.toml` holds."""
+    """The `[session]` table."""
     sources = ", ".join(f"{name}: {address}" for name, address in addresses.items())
     return {
-        "session": {
-            "name": folder.resolve().name,
-            "description": f"recorded from {sources}",
-            "body": bodies[0] if len(bodies) == 1 else None,
-            "bodies": bodies if len(bodies) > 1 else None,
-            "reference": reference or None,
-            "calibration": "calibration.toml" if calibrated else None,
-        },
-        "cameras": [
-            {"name": name, "images": f"{glob.escape(name)}/*.jpg", "timestamps": f"{name}.csv"}
-            for name in addresses
-        ],
+        "name": folder.resolve().name,
+        "description": f"recorded from {sources}",
+        "body": bodies[0] if len(bodies) == 1 else None,
+        "bodies": bodies if len(bodies) > 1 else None,
+        "reference": reference or None,
+        "calibration": "calibration.toml" if calibrated else None,
     }
+
+
+def _camera_table(name: str, controls: Mapping[str, int | str] | None) -> dict[str, object]:
+    """A camera's `[[cameras]]` table."""
+    files = {"images": f"{glob.escape(name)}/*.jpg", "timestamps": f"{name}.csv"}
+    return {"name": name, **files, "controls": controls}
 
 
 def _encoded(image: Image) -> bytes:

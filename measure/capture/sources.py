@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from measure.arrays import Bytes
+from measure.capture.controls import DeviceControls
 from measure.model import Image
 from measure.session import decode_picture, is_complete_jpeg
 from measure.session.pictures import jpeg_size_wh
@@ -36,11 +37,13 @@ class Source(ABC):
         settles: whether its first pictures are of no use: they come in bursts, their exposure and
             the camera's clock are not settled.
         keeps_time: whether pictures arrive when they were taken.
+        controls: of a camera whose exposure and the like can be set here; None of others.
     """
 
     lasting = True
     settles = True
     keeps_time = False
+    controls: DeviceControls | None = None
 
     def __init__(self, address: str) -> None:
         self.address = address

@@ -7,7 +7,7 @@ import socket
 import ssl
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from functools import partial
 from pathlib import Path
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import SplitResult, urlsplit
 
 from measure.arrays import Bytes
+from measure.capture.controls import DeviceControls
 from measure.capture.sources import PATIENCE_S, Shot, Source
 from measure.capture.web_address import shown
 from measure.errors import CaptureError, SessionError
@@ -51,6 +52,8 @@ class AvSource(Source):
             with self._container() as container:
                 if not container.streams.video:
                     raise CaptureError(f"{self.address}: shows no picture")
+                if self.controls is not None:
+                    self.controls.apply()  # each time: what was unplugged has forgotten them
                 for device_s, jpeg, pixels in _pictures(container):
                     yield Shot(time.monotonic(), device_s, jpeg, pixels)
         except (av.error.FFmpegError, OSError) as problem:
@@ -96,33 +99,45 @@ class FileSource(Source):
                 yield Shot(due, None, image.encoded, pixels)
 
 
-def device_source(address: str, size_wh: tuple[int, int] | None, rate_hz: float | None) -> AvSource:
-    """A camera of this machine (Video4Linux), as motion JPEG if it can do that.
+def device_source(
+    address: str,
+    size_wh: tuple[int, int] | None,
+    rate_hz: float | None,
+    controls: Mapping[str, str] | None = None,
+) -> AvSource:
+    """A camera of this machine, on Linux as motion JPEG if it can do that.
 
     Args:
-        address: its number, or its path.
+        address: its path; `camera:` and its name on Windows and macOS.
         size_wh: of the pictures to ask for; the camera's own if None.
         rate_hz: pictures a second to ask for; the camera's own if None.
+        controls: what `DeviceControls` sets.
 
     Raises:
-        CaptureError: there is none.
+        CaptureError: there is none, or its controls cannot be set here.
     """
-    if not sys.platform.startswith("linux"):
-        raise CaptureError(
-            f"camera {address}: cameras are opened by number on Linux only; elsewhere serve it "
-            "over HTTP or RTSP and give that address"
-        )
-    path = Path(f"/dev/video{address}" if address.isdecimal() else address)
-    if not path.exists():
-        there = sorted(str(one) for one in Path("/dev").glob("video*"))
-        raise CaptureError(f"there is no camera {path}; there is {', '.join(there) or 'none'}")
     options = {}
     if size_wh is not None:
         options["video_size"] = f"{size_wh[0]}x{size_wh[1]}"
     if rate_hz is not None:
         options["framerate"] = f"{rate_hz:g}"
+    if not sys.platform.startswith("linux"):
+        if controls or not address.startswith("camera:"):
+            raise CaptureError(
+                f"camera {address}: on this system cameras are called as `measure cameras` lists "
+                "them, and their controls cannot be set"
+            )
+        title, windows = address.removeprefix("camera:"), sys.platform == "win32"
+        opened, form = (f"video={title}", "dshow") if windows else (title, "avfoundation")
+        return AvSource(address, opened, [options], form)
+    path = Path(address)
+    if not path.exists():
+        there = sorted(str(one) for one in Path("/dev").glob("video*"))
+        raise CaptureError(f"there is no camera {path}; there is {', '.join(there) or 'none'}")
     ways = [{**options, "input_format": "mjpeg"}, options]
-    return AvSource(str(path), str(path), ways, "v4l2")
+    source = AvSource(str(path), str(path), ways, "v4l2")
+    source.controls = DeviceControls(path, controls)
+    return source
 
 
 def rtsp_source(address: str) -> AvSource:

@@ -76,7 +76,7 @@ def live(
         record=to.record,
         send=None if to.send is None else api.parse_receiver(to.send),
         seconds=capture.seconds,
-        request=capture.request(),
+        request=(request := capture.request()),
         image_every=api.parse_images(viewer.images),
         recording=viewer.recording,
         viewer=viewer.address(),
@@ -86,6 +86,8 @@ def live(
     if not bodies.body:
         raise ConfigError("what is to be measured? give --body FILE")
     given = api.parse_cameras(cameras, api.camera_names(calibration))
+    for line in api.usb_notes(given, calibration, request):
+        console.note(line)
     lines = _StateLines()
     end = api.live(
         given, to.out, calibration, bodies.body, chosen, registry, options, lines, note_outage
@@ -125,14 +127,15 @@ def _pace(state: LiveState) -> str:
 
 def _numbers(end: LiveEnd) -> dict[str, object]:
     names = ("rate_hz", "age_s", "overtaken", "unreadable", "cameras")
-    return {} if end.state is None else {name: getattr(end.state, name) for name in names}
+    known = {} if end.state is None else {name: getattr(end.state, name) for name in names}
+    return {**known, "changes": end.changes}
 
 
 def _print(end: LiveEnd, out: Path) -> None:
     print_summary(end.summary)
     if end.state is not None:
         console.print_text(_pace(end.state))
-        print_cameras(end.state.cameras)
+        print_cameras(end.state.cameras, end.changes)
         if end.state.overtaken:
             console.print_text(
                 f"note: {end.state.overtaken} frame sets were left out for newer ones"

@@ -97,19 +97,23 @@ class CaptureOptions:
         seconds: stop after this long.
         size: WIDTHxHEIGHT to ask cameras of this machine for; that of the calibration if omitted.
         rate: pictures a second to ask cameras of this machine for.
+        control: exposure=150,focus=auto or cam1.gain=0: what cameras of this machine are set to, as
+            `measure cameras` lists it; may be repeated.
+        lock: keep what their automatic control has found from the start on.
     """
 
     seconds: float | None = None
     size: str | None = None
     rate: float | None = None
+    control: tuple[str, ...] = ()
+    lock: bool = False
 
     def request(self) -> api.CaptureRequest:
-        """Size and rate requested of the cameras."""
+        """What is requested of the cameras."""
         from measure import api
 
-        return api.CaptureRequest(
-            None if self.size is None else api.parse_size(self.size), self.rate
-        )
+        size = None if self.size is None else api.parse_size(self.size)
+        return api.CaptureRequest(size, self.rate, api.parse_controls(self.control), self.lock)
 
 
 @Parameter(name="*")

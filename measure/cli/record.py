@@ -42,14 +42,17 @@ def record(
     from measure import api
 
     names = () if calibration is None else api.camera_names(calibration)
+    given, request = api.parse_cameras(cameras, names), capture.request()
+    for line in api.usb_notes(given, calibration, request):
+        console.note(line)
     with console.progress("recording", "pictures") as report:
         recorded = api.record(
-            api.parse_cameras(cameras, names),
+            given,
             out,
             calibration=calibration,
             bodies=bodies.body,
             reference=bodies.reference or "",
-            request=capture.request(),
+            request=request,
             seconds=capture.seconds,
             on_state=lambda counts: report(sum(c.pictures for c in counts.values()), None),
             on_outage=note_outage,
@@ -57,7 +60,7 @@ def record(
     if json:
         console.print_json(recorded)
         return
-    print_cameras(recorded.cameras)
+    print_cameras(recorded.cameras, recorded.changes)
     console.print_text(f"written to {out}; what is weak in it: measure check {out}")
 
 
@@ -66,8 +69,8 @@ def note_outage(outage: Outage) -> None:
     console.note(outage.sentence())
 
 
-def print_cameras(cameras: Mapping[str, CameraCount]) -> None:
-    """Print the pictures of each camera, and notes on interruptions and times."""
+def print_cameras(cameras: Mapping[str, CameraCount], changes: Sequence[str]) -> None:
+    """Print the pictures of each camera, and notes on interruptions, times and controls."""
     console.print_table(
         ("camera", "pictures", "per s", "times are", "uneven ms"),
         [
@@ -91,6 +94,8 @@ def print_cameras(cameras: Mapping[str, CameraCount]) -> None:
             )
         if one.refused:
             console.print_text(f"note: {one.refused} pictures of {name} were torn or out of order")
+    for line in changes:
+        console.print_text(f"note: {line}")
 
 
 def _outage_lines(name: str, outages: Sequence[Outage]) -> Iterator[str]:

@@ -35,6 +35,7 @@ class CameraTable(FileModel):
     time_column: Name | None = None
     time_offset_s: Annotated[FiniteFloat, Field(ge=-LATEST_S, le=LATEST_S)] = 0.0
     bit_depth: Annotated[int, Field(ge=8, le=16)] | None = None
+    controls: dict[str, int | str] = Field(default_factory=dict)  # kept for people to read
 
     @model_validator(mode="after")
     def _one_source(self) -> CameraTable:

@@ -229,7 +229,7 @@ def test_refused_recordings_print_one_line_and_leave_nothing(
         (("--seconds", "0"), "--seconds 0: expected a time above 0"),
         (("--size", "big"), "--size big: expected WIDTHxHEIGHT"),
         (("--rate", "0"), "--rate 0: expected pictures a second, above 0"),
-        (("--rate", "30"), "--size and --rate are for cameras of this machine, and none is given"),
+        (("--rate", "30"), "--control and --lock are for cameras of this machine: none is given"),
     ],
 )
 def test_settings_that_are_none(session, tmp_path, capsys, more, told):

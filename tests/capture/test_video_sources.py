@@ -9,7 +9,7 @@ import av
 import numpy as np
 import pytest
 
-from measure.capture import CameraAddress, Cameras
+from measure.capture import CameraAddress, Cameras, DeviceControls
 from measure.capture.video_sources import FileSource, device_source, rtsp_source
 from measure.errors import CaptureError
 
@@ -93,3 +93,39 @@ def test_a_device_is_asked_for_motion_jpeg_first(tmp_path, monkeypatch, knows_mj
     plain = {"video_size": "1280x720", "framerate": "30"}
     first = (str(path), "v4l2", {**plain, "input_format": "mjpeg"})
     assert asked == [first] if knows_mjpeg else [first, (str(path), "v4l2", plain)]
+
+
+@pytest.mark.parametrize(
+    ("platform", "opened", "form"),
+    [("win32", "video=HD Webcam", "dshow"), ("darwin", "HD Webcam", "avfoundation")],
+)
+def test_other_systems_open_cameras_by_name(monkeypatch, platform, opened, form):
+    """What is asked, not what such a system answers."""
+    asked = []
+
+    def open_nothing(name, **how):
+        asked.append((name, how["format"], how["options"]))
+        raise av.error.OSError(5, "Input/output error")
+
+    monkeypatch.setattr("sys.platform", platform)
+    monkeypatch.setattr(av, "open", open_nothing)
+    camera = CameraAddress("cam0", "camera:HD Webcam")
+    with pytest.raises(CaptureError, match="camera:HD Webcam: Input/output error"):
+        list(camera.source((640, 480)).shots())
+    assert asked == [(opened, form, {"video_size": "640x480"})]
+    with pytest.raises(CaptureError, match="their controls cannot be set"):
+        camera.source(controls={"gain": "3"})
+    with pytest.raises(CaptureError, match="cameras are called as `measure cameras` lists them"):
+        CameraAddress("cam0", "0").source()
+
+
+def test_controls_are_set_each_time_a_device_is_opened(tmp_path, monkeypatch):
+    path, applied = tmp_path / "video0", []
+    path.touch()
+    really, shown = av.open, video(tmp_path / "a.mp4", count=3)
+    monkeypatch.setattr(av, "open", lambda name, **_: really(str(shown)))
+    monkeypatch.setattr(DeviceControls, "apply", lambda self: applied.append(self))
+    source = device_source(str(path), None, None, {"gain": "3"})
+    for times in (1, 2):
+        assert len(list(source.shots())) == 3
+        assert applied == times * [source.controls]
