@@ -6,7 +6,6 @@ from measure.calibration.drawing import Sheet, write_sheet
 from measure.calibration.extrinsics import fit_rig
 from measure.calibration.intrinsics import calibrate_lens
 from measure.calibration.markers import find_markers
-from measure.calibration.observations import RigObservations, Tolerances
 from measure.calibration.paper import fit_rig_by_paper
 from measure.calibration.printing import target_sheet
 from measure.calibration.procedure import Method, RigCalibration, calibrate_capture
@@ -18,6 +17,7 @@ from measure.calibration.refining import (
     refine_rig,
     rough_cameras,
 )
+from measure.calibration.rig_problem import RigObservations, Tolerances
 from measure.calibration.targets import MarkerField, read_board
 from measure.calibration.verdict import Verdict, camera_rows, judge, judgement_lines, provenance
 from measure.calibration.views import choose_views, find_views

@@ -17,13 +17,17 @@ import numpy as np
 from measure.arrays import Floats, Ints, rms_length
 from measure.calibration.least_squares import Huber, LeastSquaresSolution, solve
 from measure.calibration.lens import with_covariance
-from measure.calibration.observations import (
+from measure.calibration.rig_problem import (
+    CORNERS,
+    MARKS,
     BoardObservation,
     MarkerObservation,
     RigObservations,
+    RigProblem,
+    RigState,
     Tolerances,
+    lay_out,
 )
-from measure.calibration.rig_problem import CORNERS, MARKS, RigProblem, RigState, lay_out
 from measure.model import Camera
 
 _HUBER = Huber(3.0)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from measure.arrays import Floats
-from measure.calibration.observations import MarkerObservation
 from measure.calibration.procedure import RigCalibration
+from measure.calibration.rig_problem import MarkerObservation
 from measure.calibration.starts import mm_per_px
 from measure.checking import Finding, Level
 from measure.errors import DegenerateGeometryError

@@ -9,11 +9,18 @@ from typing import Literal
 import numpy as np
 
 from measure.arrays import Bytes, Floats, Ints
-from measure.calibration.crosses import Cross, cross_candidates, refine_cross
-from measure.calibration.dots import Dot, dot_candidates, outline_shape, refine_dot
 from measure.calibration.extrinsics import located_by_marks
-from measure.calibration.observations import MarkerObservation
-from measure.calibration.pattern_fit import linear_light
+from measure.calibration.patterns import (
+    Cross,
+    Dot,
+    cross_candidates,
+    dot_candidates,
+    linear_light,
+    outline_shape,
+    refine_cross,
+    refine_dot,
+)
+from measure.calibration.rig_problem import MarkerObservation
 from measure.calibration.targets import MarkerField
 from measure.errors import CalibrationError
 from measure.model import Camera

@@ -22,7 +22,7 @@ from measure.arrays import Floats, Ints, rms_length
 from measure.calibration.extrinsics import MIN_MARK_SD_PX, START_MARK_SD_PX
 from measure.calibration.least_squares import Columns
 from measure.calibration.lens import free_parameters, with_covariance
-from measure.calibration.observations import RigObservations
+from measure.calibration.rig_problem import RigObservations
 from measure.errors import CalibrationError
 from measure.geometry import skew
 from measure.model import Camera

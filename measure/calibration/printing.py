@@ -10,8 +10,15 @@ from typing import Any
 import numpy as np
 
 from measure.arrays import Bytes
-from measure.calibration.aprilgrid import BORDER_BITS, DICTIONARY, AprilGrid
-from measure.calibration.boards import Charuco, Chessboard, aruco_dictionary, same_after
+from measure.calibration.boards import (
+    BORDER_BITS,
+    DICTIONARY,
+    AprilGrid,
+    Charuco,
+    Chessboard,
+    aruco_dictionary,
+    same_after,
+)
 from measure.calibration.drawing import Disc, Label, Rectangle, Segment, Shape, Sheet, lay_out
 from measure.calibration.targets import (
     MarkerField,

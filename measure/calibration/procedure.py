@@ -11,9 +11,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.calibration.boards import Board, CornerRule
 from measure.calibration.capture import CameraCapture, Capture, CaptureTable
-from measure.calibration.charuco_slips import charuco_slip
 from measure.calibration.common_views import fit_common_views
-from measure.calibration.contradictions import check_board_against_marks
 from measure.calibration.extrinsics import (
     DEFAULT_COMMON_PX,
     RigFit,
@@ -22,21 +20,22 @@ from measure.calibration.extrinsics import (
 )
 from measure.calibration.intrinsics import LensCalibration, calibrate_lens
 from measure.calibration.markers import FoundMarkers
-from measure.calibration.observations import (
+from measure.calibration.paper import PaperFit, fit_rig_by_paper
+from measure.calibration.rig_problem import (
     BoardObservation,
     MarkerObservation,
     RigObservations,
     Tolerances,
 )
-from measure.calibration.paper import PaperFit, fit_rig_by_paper
 from measure.calibration.starts import (
+    check_board_against_marks,
     marker_observation,
     marks_of,
     oriented_board,
     start_from_board,
 )
 from measure.calibration.targets import MarkerField
-from measure.calibration.views import ALL_VIEWS, MAX_VIEWS, find_views
+from measure.calibration.views import ALL_VIEWS, MAX_VIEWS, charuco_slip, find_views
 from measure.errors import CalibrationError
 from measure.estimation.lateral_color import lateral_color
 from measure.model import Camera, Intrinsics

@@ -20,8 +20,7 @@ from pydantic import (
 )
 
 from measure.arrays import Floats
-from measure.calibration.aprilgrid import AprilGrid
-from measure.calibration.boards import Board, Charuco, Chessboard, aruco_dictionary
+from measure.calibration.boards import AprilGrid, Board, Charuco, Chessboard, aruco_dictionary
 from measure.errors import CalibrationError
 from measure.reading import read_text
 from measure.session import FileModel, Length, Name, Position, load_toml

@@ -20,8 +20,8 @@ from measure.calibration.findings import (
     plausibility,
     workspace_of,
 )
-from measure.calibration.observations import MarkerObservation, RigObservations
 from measure.calibration.procedure import RigCalibration
+from measure.calibration.rig_problem import MarkerObservation, RigObservations
 from measure.checking import Finding, Level, worst_first
 from measure.errors import CalibrationError
 from measure.estimation.expected_accuracy import body_pose_sd

@@ -10,7 +10,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.calibration import Chessboard, Corners, RigObservations, Tolerances
 from measure.calibration.board_views import board_pose
-from measure.calibration.observations import BoardObservation, MarkerObservation
+from measure.calibration.rig_problem import BoardObservation, MarkerObservation
 from measure.geometry import RigidTransform
 from measure.model import Camera, Intrinsics
 

@@ -12,7 +12,7 @@ import pytest
 from measure.api import calibrate
 from measure.calibration.boards import Corners
 from measure.calibration.extrinsics import held_within
-from measure.calibration.observations import BoardObservation
+from measure.calibration.rig_problem import BoardObservation
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
 from measure.session import read_calibration

@@ -11,7 +11,7 @@ import pytest
 
 from measure.arrays import Bytes
 from measure.calibration import Charuco, calibrate_lens, find_views, read_board
-from measure.calibration.aprilgrid import AprilGrid
+from measure.calibration.boards import AprilGrid
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
 from tests.calibration.rigs import SIZE, lens

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from measure.calibration import MarkerField
-from measure.calibration.contradictions import check_board_against_marks
 from measure.calibration.findings import Workspace, plausibility, residual_findings
-from measure.calibration.observations import BoardObservation, MarkerObservation
-from measure.calibration.starts import start_from_board, start_from_marks
+from measure.calibration.rig_problem import BoardObservation, MarkerObservation
+from measure.calibration.starts import check_board_against_marks, start_from_board, start_from_marks
 from measure.checking import Level
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform

@@ -8,7 +8,7 @@ import pytest
 from benchmarks.errors import body_cost
 from measure.calibration import Tolerances, fit_rig, fit_rig_by_paper
 from measure.calibration.extrinsics import START_MARK_SD_PX, fit_rig_with_boards
-from measure.calibration.observations import MarkerObservation
+from measure.calibration.rig_problem import MarkerObservation
 from measure.estimation.expected_accuracy import body_pose_sd
 from measure.geometry import RigidTransform
 from measure.model import Camera, paper_body

@@ -15,7 +15,7 @@ from measure.calibration.capture import CameraCapture, CaptureTable
 from measure.calibration.common_views import fit_common_views
 from measure.calibration.intrinsics import LensCalibration
 from measure.calibration.lens import LENS_MODELS
-from measure.calibration.observations import BoardObservation
+from measure.calibration.rig_problem import BoardObservation
 from measure.calibration.starts import oriented_board
 from measure.calibration.views import ViewSet
 from measure.errors import CalibrationError

@@ -1,7 +1,12 @@
 """Refinement of a calibration from the moving body."""
 
-from measure.calibration.refining.judgement import RefineVerdict, judge_refinement
-from measure.calibration.refining.procedure import RefinedRig, refine_measured, rough_cameras
+from measure.calibration.refining.procedure import (
+    RefinedRig,
+    RefineVerdict,
+    judge_refinement,
+    refine_measured,
+    rough_cameras,
+)
 from measure.calibration.refining.recording import Recording, Track
 from measure.calibration.refining.refine import Refinement, RefineSettings, refine_rig
 

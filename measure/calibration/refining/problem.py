@@ -15,8 +15,7 @@ import numpy as np
 from measure.arrays import Floats, Ints
 from measure.calibration import least_squares
 from measure.calibration.lens import changed, free_parameters
-from measure.calibration.refining.noise_model import NoiseModel
-from measure.calibration.refining.priors import CameraPrior
+from measure.calibration.refining.priors import CameraPrior, NoiseModel
 from measure.calibration.refining.recording import BallMotion, Recording
 from measure.geometry import RigidTransform, skew
 from measure.model import Body, Camera

@@ -1,7 +1,15 @@
-"""From a measured session to a refined calibration: cameras, clocks, and the verdict on both.
+"""From a measured session to a refined calibration, and whether it deserves to replace the first.
 
-Clocks are compared by `measure.checking.clocks`. An offset that is not significant is not applied:
-it would move the cameras by noise.
+Residuals do not show whether it does: constant errors of a recording are in its held-out frame sets
+too. Checked are the size of the change against the first calibration's covariance, the residuals of
+held-out frame sets before and after, and how much the covariance of the cameras shrinks.
+
+The two halves of a recording are refined each by itself and tried on the other. Errors that drift
+slowly with the body's pose (light, occlusion) are neither white noise nor a constant shift. They
+make the two refinements differ by more than their covariances: the variance of every view is
+widened by the ratio.
+
+Clock offsets that are not significant are not applied: they would move the cameras by noise.
 """
 
 from __future__ import annotations
@@ -12,12 +20,243 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from measure.arrays import Floats
-from measure.calibration.refining import judgement
-from measure.calibration.refining.recording import Recording, calibration_disagrees, recording_of
-from measure.calibration.refining.refine import Refinement, RefineSettings, refine_rig
+from measure.calibration.refining.recording import (
+    MIN_FRAMES,
+    Recording,
+    calibration_disagrees,
+    recording_of,
+)
+from measure.calibration.refining.refine import Refinement, RefineSettings, misfits_px, refine_rig
 from measure.checking.clocks import CameraClock, estimate_clocks
+from measure.errors import CalibrationError
+from measure.estimation.expected_accuracy import body_pose_sd
+from measure.geometry import chi_square_quantile
 from measure.measuring import Measurement
 from measure.model import Body, Camera, Detection
+
+_UNTRIED_VARIANCE_FACTOR = 4.0
+"""Variance factor without halves to compare: they often differ by two standard deviations."""
+_MIN_EIGENVALUE_RATIO = 1e-3
+
+
+@dataclass(frozen=True)
+class Halves:
+    """Result of the comparison."""
+
+    # variance of the views' errors over that estimated from residuals.
+    variance_factor: float = _UNTRIED_VARIANCE_FACTOR
+    # median residual of each half's views, with the first cameras and with those refined on the
+    # other half; NaN if they could not be compared.
+    held_out_px: tuple[float, float] = (float("nan"), float("nan"))
+
+
+def compare_halves(
+    first: tuple[Camera, ...],
+    body: Body,
+    recording: Recording,
+    settings: RefineSettings | None = None,
+    joint_covariance: Floats | None = None,
+) -> Halves:
+    """Refine each half by itself; the arguments are those of `refine_rig`."""
+    count = len(recording.times_s)
+    if count // 2 < MIN_FRAMES:
+        return Halves()
+    parts = (recording.part(0, count // 2), recording.part(count // 2, count))
+    try:
+        one, other = (refine_rig(first, body, p, settings, joint_covariance) for p in parts)
+    except CalibrationError:
+        return Halves()
+    before = np.concatenate([misfits_px(first, body, part) for part in parts])
+    after = np.concatenate(
+        [misfits_px(r.cameras, body, p) for r, p in zip((other, one), parts, strict=True)]
+    )
+    held_out = (float(np.median(before)), float(np.median(after)))
+    return Halves(max(1.0, _disagreement((one, other))), held_out)
+
+
+def _disagreement(both: tuple[Refinement, Refinement]) -> float:
+    """Mean squared difference of two refinements over its predicted variance.
+
+    Both share the first calibration's error, so only what the recordings add counts: a refinement
+    with the covariance P from a prior L^-1 has the variance P (P^-1 - L) P = P - P L P from its own
+    recording.
+    """
+    owned = [r.covariance - r.covariance @ np.linalg.solve(r.prior, r.covariance) for r in both]
+    spread: Floats = owned[0] + owned[1]
+    scale = 1 / np.sqrt(np.diag(spread))
+    shares, axes = np.linalg.eigh((spread + spread.T) / 2 * scale[:, None] * scale)
+    apart = axes.T @ ((both[0].change - both[1].change) * scale)
+    determined = shares > _MIN_EIGENVALUE_RATIO * shares[-1]
+    return float(np.mean(apart[determined] ** 2 / shares[determined]))
+
+
+_MAX_HELD_OUT_RATIO = 1.2
+_REFUSED_SURPRISE_RATIO = 3.0
+_LITTLE_GAIN_RATIO = 0.9
+_MIN_DETERMINED_SHARE = 0.02
+"""Directions whose prior variance the recording lowers by a smaller share are not tested."""
+SUSPICIOUS_PX = 0.4
+_MAX_MISFIT_PX = 1.5  # Light shifts the edges of glossy balls by about a pixel at most
+_SURPRISE_CONFIDENCE = 0.999
+_JUDGED_POSES = 20
+
+
+@dataclass(frozen=True)
+class RefineVerdict:
+    """How good a refinement is."""
+
+    # of the cameras' places (3-D RMS), before and after, from the covariances.
+    camera_sd_mm: tuple[float, float]
+    # of the body's position from the calibration alone (3-D RMS over the recorded poses), before
+    # and after, from the covariances.
+    body_sd_mm: tuple[float, float]
+    # median residual of frame sets that played no part, before and after; NaN where there are too
+    # few.
+    held_out_px: tuple[float, float]
+    # the size of the cameras' change against what the first calibration allows: about one where it
+    # is right; NaN where the recording determines nothing.
+    surprise: float
+    notes: tuple[str, ...]
+
+
+def judge_refinement(
+    first: tuple[Camera, ...],
+    body: Body,
+    recording: Recording,
+    refinement: Refinement,
+    halves: Halves,
+) -> RefineVerdict:
+    """Judge a refinement.
+
+    Raises:
+        CalibrationError: the recording contradicts the first calibration, or frame sets that played
+            no part fit worse than before.
+    """
+    surprise, limit = _surprise(refinement)
+    if surprise > _REFUSED_SURPRISE_RATIO * limit:
+        raise CalibrationError(_contradiction(refinement, surprise))
+    _refuse_worse(halves)
+    camera_sd = (
+        _camera_sd(refinement, refinement.prior),
+        _camera_sd(refinement, refinement.covariance),
+    )
+    body_sd = _body_sd(first, body, recording, refinement)
+    notes = [_contradiction(refinement, surprise)] if surprise > limit else []
+    notes += _notes(body, refinement, halves, camera_sd, body_sd)
+    return RefineVerdict(camera_sd, body_sd, halves.held_out_px, surprise, tuple(notes))
+
+
+def _refuse_worse(halves: Halves) -> None:
+    before, after = halves.held_out_px
+    if after > _MAX_HELD_OUT_RATIO * before:
+        raise CalibrationError(
+            f"frame sets that played no part in the refinement fit worse after it "
+            f"({after:.2f} px) than before ({before:.2f} px): keep the first "
+            "calibration, or record a longer motion through the whole workspace"
+        )
+
+
+def _notes(
+    body: Body,
+    refinement: Refinement,
+    halves: Halves,
+    camera_sd: tuple[float, float],
+    body_sd: tuple[float, float],
+) -> list[str]:
+    notes = []
+    if max(camera_sd[1] / camera_sd[0], body_sd[1] / body_sd[0]) > _LITTLE_GAIN_RATIO:
+        notes.append(
+            f"this recording adds little to the first calibration: camera positions known to "
+            f"{camera_sd[0]:.3f} mm before and {camera_sd[1]:.3f} mm after, body positions to "
+            f"{body_sd[0]:.3f} and {body_sd[1]:.3f} mm"
+        )
+    what, far = worst_misfit(refinement, body)
+    if far > SUSPICIOUS_PX:
+        notes.append(
+            f"{what}: half hidden, lit from one side, or the camera was moved a little since it "
+            "was calibrated"
+        )
+    if not np.isfinite(halves.held_out_px[0]):
+        notes.append(f"{refinement.frames} frame sets are too few to hold some out and try them")
+    return notes
+
+
+def _body_sd(
+    first: tuple[Camera, ...], body: Body, recording: Recording, refinement: Refinement
+) -> tuple[float, float]:
+    picked = np.unique(np.linspace(0, len(recording.times_s) - 1, _JUDGED_POSES).astype(int))
+    poses = [recording.world_from_body[int(i)] for i in picked]
+    before, after = (
+        body_pose_sd(cameras, body, poses, covariance, refinement.columns)[0]
+        for cameras, covariance in (
+            (first, refinement.prior),
+            (refinement.cameras, refinement.covariance),
+        )
+    )
+    return float(np.sqrt(np.mean(before**2))), float(np.sqrt(np.mean(after**2)))
+
+
+def _camera_sd(refinement: Refinement, covariance: Floats) -> float:
+    places = [np.diag(covariance)[columns[:3]].sum() for columns in refinement.columns.values()]
+    return float(np.sqrt(np.mean(places)))
+
+
+def _surprise(refinement: Refinement) -> tuple[float, float]:
+    """Root mean squared change in its own standard deviations, and what it seldom exceeds.
+
+    If the prior is right, the change is normal with the covariance prior - posterior.
+    """
+    P = refinement.prior
+    scale = 1 / np.sqrt(np.diag(P))
+    lower = np.linalg.cholesky(P * scale[:, None] * scale + 1e-12 * np.eye(len(P)))
+    back = np.linalg.solve(lower, np.diag(scale))
+    determined, axes = np.linalg.eigh(np.eye(len(P)) - back @ refinement.covariance @ back.T)
+    moved = axes.T @ back @ refinement.change
+    use = determined > _MIN_DETERMINED_SHARE
+    if not np.any(use):
+        return float("nan"), float("inf")
+    count = int(np.count_nonzero(use))
+    limit = np.sqrt(chi_square_quantile(_SURPRISE_CONFIDENCE, count) / count)
+    return float(np.sqrt(np.mean(moved[use] ** 2 / determined[use]))), float(limit)
+
+
+def _contradiction(refinement: Refinement, surprise: float) -> str:
+    """Which camera's change is the least to be expected, in words."""
+    worst, most = "", -1.0
+    for name, columns in refinement.columns.items():
+        change = refinement.change[columns]
+        size = float(change @ np.linalg.solve(refinement.prior[np.ix_(columns, columns)], change))
+        if size > most:
+            worst, most = name, size
+    change = refinement.change[refinement.columns[worst]]
+    return (
+        f"the recording contradicts the first calibration {surprise:.1f} times beyond its stated "
+        f"errors, most of all camera {worst} (by {np.linalg.norm(change[:3]):.2f} mm and "
+        f"{np.degrees(np.linalg.norm(change[3:6])):.2f} deg): if it was moved since, calibrate "
+        "again"
+    )
+
+
+def worst_misfit(refinement: Refinement, body: Body) -> tuple[str, float]:
+    """What neither the cameras' stated errors nor the motion explain: in words, and in px."""
+    far = np.linalg.norm(refinement.shifts_px, axis=2)
+    camera, ball = np.unravel_index(int(np.argmax(far)), far.shape)
+    shift, name = float(far[camera, ball]), list(refinement.columns)[int(camera)]
+    missing, miss = max(refinement.misfit_px.items(), key=lambda item: item[1])
+    if miss > shift:
+        return f"camera {missing} misses by {miss:.2f} px", miss
+    return f"ball {body.balls[ball].name} sits {shift:.2f} px off in {name} all the time", shift
+
+
+def refuse_misfit(refinement: Refinement, body: Body) -> None:
+    """Refuse (CalibrationError) a recording in which a ball sits too far off or a camera misses."""
+    what, far = worst_misfit(refinement, body)
+    if far > _MAX_MISFIT_PX:
+        raise CalibrationError(
+            f"the first calibration does not fit the recording: {what}; if a camera was moved "
+            "since, calibrate again; else check the body file"
+        )
+
 
 _MAX_STEP_S = 0.1  # Frame sets further apart do not determine velocities, nor clocks
 _CLOCK_FRAME_SETS = 400
@@ -32,7 +271,7 @@ class RefinedRig:
     # one a camera, in order; empty if the frame sets are too far apart.
     clocks: tuple[CameraClock, ...]
     clocks_applied: bool  # whether their offsets were beyond doubt, and were used
-    verdict: judgement.RefineVerdict
+    verdict: RefineVerdict
 
 
 def refine_measured(
@@ -55,12 +294,12 @@ def refine_measured(
     applied = trusted and any(clock.offset_visible or clock.rolling for clock in clocks)
     if applied:
         recording = recording_of(measurements, body, _lead(clocks, cameras))
-    halves = judgement.compare_halves(cameras, body, recording, settings, joint_covariance)
+    halves = compare_halves(cameras, body, recording, settings, joint_covariance)
     refinement = refine_rig(
         cameras, body, recording, settings, joint_covariance, halves.variance_factor
     )
-    judgement.refuse_misfit(refinement, body)
-    verdict = judgement.judge_refinement(cameras, body, recording, refinement, halves)
+    refuse_misfit(refinement, body)
+    verdict = judge_refinement(cameras, body, recording, refinement, halves)
     if applied:
         refinement = replace(refinement, cameras=_with_readout(refinement.cameras, clocks))
     return RefinedRig(recording, refinement, clocks, applied, verdict)
@@ -104,8 +343,8 @@ def _clocks(
         return (), False
     part = recording.part(0, _CLOCK_FRAME_SETS)
     free = refine_rig(cameras, body, part, settings, joint, clocks_are_exact=False)
-    judgement.refuse_misfit(free, body)
-    trusted = judgement.worst_misfit(free, body)[1] < judgement.SUSPICIOUS_PX
+    refuse_misfit(free, body)
+    trusted = worst_misfit(free, body)[1] < SUSPICIOUS_PX
     return estimate_clocks(measurements[:_CLOCK_FRAME_SETS], body, free.cameras), trusted
 
 

@@ -15,8 +15,14 @@ import numpy as np
 from measure.arrays import Floats, Ints, rms_length
 from measure.calibration.least_squares import LeastSquaresSolution
 from measure.calibration.lens import with_covariance
-from measure.calibration.refining.noise_model import NoiseModel, shrunken_variance, with_view_noise
-from measure.calibration.refining.priors import USUAL_POSITION_MM, CameraPrior, workspace_grid
+from measure.calibration.refining.priors import (
+    USUAL_POSITION_MM,
+    CameraPrior,
+    NoiseModel,
+    shrunken_variance,
+    with_view_noise,
+    workspace_grid,
+)
 from measure.calibration.refining.problem import RefinedState, RefineLayout, RefineProblem
 from measure.calibration.refining.recording import MIN_FRAMES, Recording, ball_places
 from measure.errors import CalibrationError

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from measure.calibration.refining.noise_model import NoiseModel, shrunken_variance, with_view_noise
+from measure.calibration.refining.priors import NoiseModel, shrunken_variance, with_view_noise
 from measure.calibration.refining.recording import Track
 
 
