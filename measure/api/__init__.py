@@ -4,7 +4,6 @@ What learns and what draws loads when an action is called, not with this package
 """
 
 from measure.api.accepting import Accepted, accept
-from measure.api.body_finding import FoundBody, find_body
 from measure.api.calibrating import CalibrationResult, calibrate, draw_target, shipped_targets
 from measure.api.cameras import cameras
 from measure.api.check import SessionCheck, check
@@ -15,16 +14,24 @@ from measure.api.correcting import (
     estimate_online,
     model_file,
     rezero,
+    robot_recording,
     shipped_model,
 )
 from measure.api.demo import Demo, demo, render_demo
-from measure.api.detecting import Lens, SeenPicture, detect, parse_expectation
-from measure.api.framing import world, world_by_board
+from measure.api.detecting import (
+    Lens,
+    SeenPicture,
+    check_new_body,
+    detect,
+    parse_click,
+    parse_expectation,
+    write_sampled_body,
+)
 from measure.api.live import LiveEnd, LiveOptions, LiveState, live
 from measure.api.many import Outcome, run_many
 from measure.api.measuring import measure_bodies, measure_session
-from measure.api.metrology import TipResult, pivot, rests
-from measure.api.pairing import make_dataset, simulate_dataset, simulate_recording
+from measure.api.metrology import TipResult, pivot, rests, world, world_by_board
+from measure.api.pairing import make_dataset, register, simulate_dataset, simulate_recording
 from measure.api.profiles import build_pipeline, choose, load_profile
 from measure.api.recording import (
     CaptureRequest,
@@ -36,97 +43,26 @@ from measure.api.recording import (
     record,
     usb_notes,
 )
-from measure.api.refining import RefineResult, refine
-from measure.api.registering import register
+from measure.api.refining import FoundBody, RefineResult, find_body, refine
 from measure.api.results import body_names, compare, evaluate, export, report
 from measure.api.run import RunOptions, parse_images, run
-from measure.api.sampling import check_new_body, parse_click, write_sampled_body
 from measure.api.synchronising import SyncedClock, sync
 from measure.api.training import SweepOptions, TrainOptions, ablate, parse_settings, sweep, train
-from measure.api.watch import robot_recording
 from measure.capture import Control, DeviceControls, FoundCamera, Mode, parse_cameras
-from measure.results.evaluation_table import evaluation_tables
+from measure.results.evaluation import evaluation_tables
 
 __all__ = [
-    "Accepted",
-    "CalibrationResult",
-    "CaptureRequest",
-    "Control",
-    "Demo",
-    "DeviceControls",
-    "FoundBody",
-    "FoundCamera",
-    "Lens",
-    "LiveEnd",
-    "LiveOptions",
-    "LiveState",
-    "Mode",
-    "Outcome",
-    "RecordedSession",
-    "RefineResult",
-    "RunOptions",
-    "SeenPicture",
-    "SessionCheck",
-    "SweepOptions",
-    "SyncedClock",
-    "TipResult",
-    "TrainOptions",
-    "ablate",
-    "accept",
-    "body_names",
-    "build_pipeline",
-    "calibrate",
-    "camera_names",
-    "cameras",
-    "check",
-    "check_estimates",
-    "check_new_body",
-    "choose",
-    "compare",
-    "correct_simulated_robot",
-    "demo",
-    "detect",
-    "draw_target",
-    "estimate_file",
-    "estimate_online",
-    "evaluate",
-    "evaluation_tables",
-    "export",
-    "find_body",
-    "live",
-    "load_profile",
-    "make_dataset",
-    "measure_bodies",
-    "measure_session",
-    "model_file",
-    "parse_cameras",
-    "parse_click",
-    "parse_controls",
-    "parse_expectation",
-    "parse_images",
-    "parse_receiver",
-    "parse_settings",
-    "parse_size",
-    "pivot",
-    "record",
-    "refine",
-    "register",
-    "render_demo",
-    "report",
-    "rests",
-    "rezero",
-    "robot_recording",
-    "run",
-    "run_many",
-    "shipped_model",
-    "shipped_targets",
-    "simulate_dataset",
-    "simulate_recording",
-    "sweep",
-    "sync",
-    "train",
-    "usb_notes",
-    "world",
-    "world_by_board",
-    "write_sampled_body",
+    "Accepted", "CalibrationResult", "CaptureRequest", "Control", "Demo", "DeviceControls",
+    "FoundBody", "FoundCamera", "Lens", "LiveEnd", "LiveOptions", "LiveState", "Mode", "Outcome",
+    "RecordedSession", "RefineResult", "RunOptions", "SeenPicture", "SessionCheck",
+    "SweepOptions", "SyncedClock", "TipResult", "TrainOptions", "ablate", "accept", "body_names",
+    "build_pipeline", "calibrate", "camera_names", "cameras", "check", "check_estimates",
+    "check_new_body", "choose", "compare", "correct_simulated_robot", "demo", "detect",
+    "draw_target", "estimate_file", "estimate_online", "evaluate", "evaluation_tables", "export",
+    "find_body", "live", "load_profile", "make_dataset", "measure_bodies", "measure_session",
+    "model_file", "parse_cameras", "parse_click", "parse_controls", "parse_expectation",
+    "parse_images", "parse_receiver", "parse_settings", "parse_size", "pivot", "record", "refine",
+    "register", "render_demo", "report", "rests", "rezero", "robot_recording", "run", "run_many",
+    "shipped_model", "shipped_targets", "simulate_dataset", "simulate_recording", "sweep", "sync",
+    "train", "usb_notes", "world", "world_by_board", "write_sampled_body",
 ]  # fmt: skip

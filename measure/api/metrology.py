@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from measure.api.calibrating import find_target
 from measure.arrays import Floats
-from measure.errors import ConfigError, DegenerateGeometryError, RunError
+from measure.errors import CalibrationError, ConfigError, DegenerateGeometryError, RunError
+from measure.geometry import RigidTransform, UncertainTransform
 from measure.metrology.pivot import Pivot, SpinAxis, find_spin_axis, find_tip
 from measure.metrology.rests import SHORTEST_S, Rests
-from measure.model import Body
-from measure.results import read_run
+from measure.model import Body, Camera
+from measure.results import Run, read_run
 from measure.results.pose_table import poses_of, rests_of, shared_errors
+from measure.session import Calibration, matching_files, read_calibration, read_picture
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,3 +77,166 @@ def _turn_to_z(axis: SpinAxis) -> Floats:
     x = x - (x @ z) * z
     x /= np.linalg.norm(x)
     return np.stack([x, np.cross(z, x), z])
+
+
+_SAME_MM = 1e-3  # Cameras further apart than this are not those of the same calibration
+_LEAST_SINE = 0.05  # Of the angle between the two edges that three touched points span
+
+
+def world(
+    calibration: Path | str,
+    run: Path | str,
+    at_s: float | None = None,
+    rest: int | None = None,
+    points: Sequence[int] | None = None,
+    body: str | None = None,
+) -> tuple[Calibration, UncertainTransform]:
+    """A calibration whose world is the body's frame at an instant or a rest of a run.
+
+    Args:
+        calibration: that the run was measured with.
+        run: the run's folder.
+        at_s: time of a pose.
+        rest: number of a rest; the longest, if nothing is given.
+        points: numbers of three rests of a tip instead: at the origin, on the x axis, and on the
+            side of the xy plane where y is positive.
+        body: its name, in a run of several.
+
+    Returns:
+        The calibration, and the new world's pose in the old one.
+
+    Raises:
+        ConfigError: more than one place is given.
+        RunError: no such pose or rest, or points on one line.
+        CalibrationError: the run was measured with another calibration.
+    """
+    if sum(given is not None for given in (at_s, rest, points)) > 1:
+        raise ConfigError("--at, --rest and --points name different places: give one of them")
+    opened, given = read_run(Path(run), body), read_calibration(calibration)
+    _refuse_others(given, opened, run)
+    with told_of(run):
+        if at_s is not None:
+            place = _pose_at(opened, at_s)
+        else:
+            place = _of_rests(rests_of(opened), rest, points)
+    return _moved(given, place, str(run)), place
+
+
+def world_by_board(
+    calibration: Path | str, board: Path | str, pictures: Path | str
+) -> tuple[Calibration, UncertainTransform]:
+    """A calibration whose world is the frame of a board, its z axis towards the cameras.
+
+    Args:
+        calibration: of the cameras, in the world as it is.
+        board: its target file, or the name of one that comes with the program.
+        pictures: a folder with a picture of the board by each camera that sees it, named like the
+            camera (cam0.png).
+
+    Raises:
+        CalibrationError: no board in the pictures, or pictures that contradict each other.
+        SessionError: a picture that cannot be read.
+    """
+    from measure.calibration import read_board
+    from measure.calibration.board_frame import board_frame
+
+    given, folder = read_calibration(calibration), Path(pictures)
+    found = {}
+    for camera in given.cameras:
+        if files := matching_files(folder, f"{camera.name}.*", CalibrationError):
+            found[camera.name] = read_picture(files[0])
+    if not found:
+        names = ", ".join(c.name for c in given.cameras)
+        raise CalibrationError(f"{folder} holds no picture named like a camera: {names}")
+    place = board_frame(read_board(find_target(Path(board))), given.cameras, found)
+    return _moved(given, place, str(folder)), place
+
+
+def _refuse_others(given: Calibration, run: Run, folder: Path | str) -> None:
+    for used in run.cameras:
+        off = given.camera(used.name).world_from_camera.difference(used.world_from_camera)
+        if np.linalg.norm(off[:3]) > _SAME_MM or np.linalg.norm(off[3:]) > 1e-6:
+            raise CalibrationError(
+                f"{folder} was measured with another calibration: its camera {used.name} stands "
+                "elsewhere; measure the recording with this one, and take that run"
+            )
+
+
+def _pose_at(run: Run, at_s: float) -> UncertainTransform:
+    poses = poses_of(run)
+    if len(poses):
+        near = int(np.argmin(np.abs(poses.times_s - at_s)))
+        step = float(np.median(np.diff(run.times_s))) if len(run.times_s) > 1 else np.inf
+        if abs(poses.times_s[near] - at_s) <= step:
+            return UncertainTransform(poses.world_from_body[near], poses.covariances[near])
+    between = f"{run.times_s[0]:.3f} to {run.times_s[-1]:.3f} s" if len(run.times_s) else "nothing"
+    raise RunError(f"{run.path} holds no unflagged pose at {at_s:.3f} s: it spans {between}")
+
+
+def _of_rests(found: Rests, number: int | None, points: Sequence[int] | None) -> UncertainTransform:
+    if points is not None:
+        return _through(found, points)
+    lengths = [rest.end_s - rest.start_s for rest in found.rests]
+    chosen = int(np.argmax(lengths)) if number is None and lengths else number or 0
+    return UncertainTransform(found.rest(chosen).world_from_body, found.block(chosen, chosen))
+
+
+def _through(found: Rests, points: Sequence[int]) -> UncertainTransform:
+    """The frame of three touched points, and its covariance by numerical derivatives."""
+    touched = np.stack([found.rest(n).world_from_body.translation for n in points])
+    frame = _frame(touched)
+    rows = [6 * n + k for n in points for k in range(3)]
+    steps = 1e-4 * np.eye(9).reshape(9, 3, 3)
+    J = np.stack([_frame(touched + step).difference(frame) for step in steps], axis=1) / 1e-4
+    return UncertainTransform(frame, J @ found.covariance[np.ix_(rows, rows)] @ J.T)
+
+
+def _frame(points: Floats) -> RigidTransform:
+    along, aside = points[1] - points[0], points[2] - points[0]
+    normal = np.cross(along, aside)
+    sides = float(np.linalg.norm(along) * np.linalg.norm(aside))
+    sine = float(np.linalg.norm(normal)) / max(sides, 1e-12)
+    if sine < _LEAST_SINE:
+        raise DegenerateGeometryError(
+            f"the three points lie on one line ({np.degrees(np.arcsin(sine)):.1f} deg): touch the "
+            "third well beside it"
+        )
+    x, z = along / np.linalg.norm(along), normal / np.linalg.norm(normal)
+    return RigidTransform(np.stack([x, np.cross(z, x), z], axis=1), points[0])
+
+
+def _moved(given: Calibration, place: UncertainTransform, origin: str) -> Calibration:
+    """The calibration with its world at `place`.
+
+    The frame is that of the pose as measured, an exact change of coordinates: covariances turn with
+    it. How well the body itself is known there stands in the provenance.
+    """
+    new_from_old = place.transform.inverse()
+    notes = dict(given.provenance)
+    joint = notes.pop("joint_covariance", None)
+    lenses = [c.intrinsics.covariance for c in given.cameras]
+    sizes = [6 + (0 if P is None else np.count_nonzero(np.diag(P) > 0)) for P in lenses]
+    if joint is not None and len(joint) == sum(sizes):
+        turn = np.eye(len(joint))
+        for start in np.cumsum([0, *sizes[:-1]]):
+            for at in (start, start + 3):
+                turn[at : at + 3, at : at + 3] = new_from_old.rotation
+        notes["joint_covariance"] = turn @ np.asarray(joint) @ turn.T
+    notes["world"] = {
+        "from": origin,
+        "quat_wxyz": place.transform.quat_wxyz,
+        "translation_mm": place.transform.translation,
+        "covariance": place.covariance,
+    }
+    return Calibration(tuple(_moved_camera(c, new_from_old) for c in given.cameras), notes)
+
+
+def _moved_camera(camera: Camera, new_from_old: RigidTransform) -> Camera:
+    turn = np.kron(np.eye(2), new_from_old.rotation)
+    own, both = camera.pose_covariance, camera.pose_intrinsics_covariance
+    return replace(
+        camera,
+        world_from_camera=new_from_old @ camera.world_from_camera,
+        pose_covariance=None if own is None else turn @ own @ turn.T,
+        pose_intrinsics_covariance=None if both is None else turn @ both,
+    )

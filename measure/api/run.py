@@ -213,7 +213,7 @@ def resolved(profile: Profile, registry: Registry) -> Mapping[str, Any]:
 
 def _log(session: Session, out: Path, options: RunOptions, kept: int) -> RunLog:
     """The recording of a run of this session, its truth and its videos in it."""
-    from measure.viewing.videos import passed_videos
+    from measure.viewing.recording import passed_videos
 
     return RunLog(
         session.name,

@@ -12,11 +12,11 @@ from measure.errors import RunError
 from measure.measuring import Measurement
 from measure.model import Body, Camera, FrameSet
 from measure.results import digest
-from measure.results.files import unfinished
+from measure.results.journal import unfinished
 from measure.session import Trajectory
 
 if TYPE_CHECKING:
-    from measure.viewing.videos import PassedVideo
+    from measure.viewing.recording import PassedVideo
 
 RESERVED_BYTES = 32_000_000
 """Least free space on the disk to go on: more than the recording buffers at a time."""

@@ -10,7 +10,7 @@ from measure.arrays import Floats, Ints
 from measure.checking.finding import Finding, Level
 from measure.measuring.duplicate_images import DuplicateImages
 from measure.model import FrameSet
-from measure.session.stamp_errors import StampErrors
+from measure.session.timestamps import StampErrors
 
 _NOTE_SHARE, _WEAK_SHARE = 0.02, 0.5
 """Largest shares of duplicates that are only noted, and that only weaken the results."""

@@ -14,8 +14,7 @@ from measure.arrays import Floats
 from measure.errors import EstimatorError
 from measure.geometry import RigidTransform, propagate, skew
 from measure.learning.assemble import PoseTrack
-from measure.session.files import FileModel, Position, load_toml
-from measure.session.toml_text import dump_toml
+from measure.session.files import FileModel, Position, dump_toml, load_toml
 
 
 @dataclass(frozen=True, eq=False)

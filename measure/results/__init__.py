@@ -1,11 +1,11 @@
 """The run folder: written row by row, read back, evaluated, exported."""
 
 from measure.results.evaluation import RunEvaluation, evaluate
-from measure.results.lock import refuse_other_writer
-from measure.results.marks import Marks, read_marks
+from measure.results.folder import refuse_other_writer
 from measure.results.provenance import Provenance, digest, versions
 from measure.results.run import Run, read_run, read_runs
 from measure.results.sending import PoseSender
+from measure.results.single_errors import Marks, read_marks
 from measure.results.summary import Summary
 from measure.results.writer import RunWriter
 

@@ -11,11 +11,10 @@ from measure.arrays import Bools, Floats
 from measure.errors import RunError
 from measure.geometry import RigidTransform
 from measure.metrology.poses import independent_count
-from measure.results.columns import numbers, texts
 from measure.results.pose_table import poses_of
 from measure.results.provenance import flat
 from measure.results.run import Run
-from measure.results.tables import QUALITY
+from measure.results.tables import QUALITY, numbers, texts
 
 _POSE = ("x_mm", "y_mm", "z_mm", "turn_x_deg", "turn_y_deg", "turn_z_deg")
 _UNITS = np.array([1.0] * 3 + [180 / np.pi] * 3)

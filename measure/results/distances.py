@@ -21,8 +21,7 @@ from measure.checking.finding import Level
 from measure.geometry import RigidTransform
 from measure.measuring.ball_radii import outline_growth
 from measure.model import Body, Camera, Detection
-from measure.results.columns import matrices, numbers
-from measure.results.tables import PLACE
+from measure.results.tables import PLACE, matrices, numbers
 
 MIN_FRAME_SETS = 5  # Of fewer frame sets the scatter is not known well enough
 _MOST_VIEWS = 1500  # Ball-views, evenly spread: their errors are alike, so that more say no more

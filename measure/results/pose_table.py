@@ -15,9 +15,8 @@ from measure.metrology.noise import Noise, noise_of
 from measure.metrology.poses import PoseTable, SharedErrors
 from measure.metrology.rests import SHORTEST_S, Rests, find_rests
 from measure.metrology.smoothing import SmoothMotion, smooth_motion
-from measure.results.columns import matrices, numbers
 from measure.results.run import Run
-from measure.results.tables import PLACE
+from measure.results.tables import PLACE, matrices, numbers
 
 _log = logging.getLogger(__name__)
 

@@ -17,7 +17,7 @@ from pydantic import BaseModel, ValidationError, field_validator
 from measure.errors import RunError
 from measure.host.settings import explain_validation
 from measure.reading import parse_toml, read_toml_text
-from measure.results.files import MEND
+from measure.results.journal import MEND
 
 _LIBRARIES = ("triball", "numpy", "scipy", "opencv-python-headless", "numba", "av")
 

@@ -15,13 +15,12 @@ from measure.arrays import Bools, Floats
 from measure.errors import RunError
 from measure.geometry import RigidTransform
 from measure.model import Body, Camera
-from measure.results.columns import matrices, numbers, texts
 from measure.results.distances import BallDistance, ball_distances, body_notes, contradictions
 from measure.results.journal import is_missing, read_table
 from measure.results.provenance import read_provenance
 from measure.results.stored import read_tables, rows_of_body
 from measure.results.summary import Summary, summarise
-from measure.results.tables import PLACE, RELATIVE_SCHEMA, SCHEMAS
+from measure.results.tables import PLACE, RELATIVE_SCHEMA, SCHEMAS, matrices, numbers, texts
 from measure.session import read_bodies, read_body, read_calibration
 
 

@@ -15,13 +15,19 @@ import pyarrow as pa
 from measure.errors import RunError
 from measure.measuring import Measurement, relative_measurement
 from measure.model import Body, Camera
-from measure.results.files import GrowingFile, replacing, unfinished, writing
-from measure.results.folder import clear, own_files, refuse_folder
-from measure.results.journal import Journal, finish, read_table
-from measure.results.kept import csv_rows, nothing_kept, read_kept, refuse_other_run
-from measure.results.lock import FolderLock, refuse_other_writer
+from measure.results.folder import FolderLock, clear, own_files, refuse_folder, refuse_other_writer
+from measure.results.journal import (
+    GrowingFile,
+    Journal,
+    finish,
+    read_table,
+    replacing,
+    unfinished,
+    writing,
+)
 from measure.results.provenance import Provenance
 from measure.results.run import runs_of
+from measure.results.stored import csv_rows, nothing_kept, read_kept, refuse_other_run
 from measure.results.summary import Summary, together
 from measure.results.tables import (
     BODY,

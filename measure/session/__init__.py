@@ -3,19 +3,29 @@
 from measure.session.body_file import read_bodies, read_body, write_bodies, write_body
 from measure.session.calibration_file import Calibration
 from measure.session.calibrations import read_calibration, read_intrinsics, write_calibration
-from measure.session.clock_shifts import clock_values
+from measure.session.consistency import check_bodies, check_unit
 from measure.session.damage import damaged_frames, holds_jpeg
-from measure.session.files import FileModel, Length, Name, Position, load_toml, matching_files
-from measure.session.opening import check_overlap, open_session, session_file, session_truth
-from measure.session.pairing import pair_nearest
+from measure.session.files import (
+    FileModel,
+    Length,
+    Name,
+    Position,
+    dump_toml,
+    load_toml,
+    matching_files,
+)
+from measure.session.opening import (
+    check_overlap,
+    clock_values,
+    open_session,
+    session_file,
+    session_truth,
+)
 from measure.session.pictures import decode_picture, is_complete_jpeg, read_picture
-from measure.session.rig_scale import check_unit
-from measure.session.session import Session
-from measure.session.several_bodies import check_bodies
+from measure.session.session import Session, pair_nearest
 from measure.session.streams import Stream
-from measure.session.toml_text import dump_toml
 from measure.session.trajectory import Trajectory, read_trajectory
-from measure.session.video_stream import open_video_stream
+from measure.session.video_file import open_video_stream
 
 __all__ = [
     "Calibration", "FileModel", "Length", "Name", "Position", "Session", "Stream", "Trajectory",

@@ -22,8 +22,7 @@ from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
 from measure.model import Camera, Intrinsics, Projection
 from measure.model.camera import check_coefficients
-from measure.session.files import FileModel, Name, load_toml
-from measure.session.toml_text import dump_toml
+from measure.session.files import FileModel, Name, dump_toml, load_toml
 
 Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Row = list[FiniteFloat]

@@ -21,11 +21,10 @@ from measure.session.calibration_file import (
     read_own_calibration,
     write_own_calibration,
 )
+from measure.session.files import dump_toml
 from measure.session.interchange_tables import is_foreign_toml, read_tables
 from measure.session.interchange_xml import read_xml
-from measure.session.plain_values import plain_values
-from measure.session.stated_rig import MM_PER, Sizes, StatedRig, Unit
-from measure.session.toml_text import dump_toml
+from measure.session.stated_rig import MM_PER, Sizes, StatedRig, Unit, plain_values
 
 _log = logging.getLogger(__name__)
 

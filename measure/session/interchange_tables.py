@@ -12,8 +12,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import CalibrationError
 from measure.reading import read_text
-from measure.session.plain_values import READ, plain_values
-from measure.session.stated_rig import StatedCamera, StatedRig, stated_model
+from measure.session.stated_rig import READ, StatedCamera, StatedRig, plain_values, stated_model
 
 Table = Mapping[str, Any]
 

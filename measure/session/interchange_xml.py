@@ -10,8 +10,7 @@ import numpy as np
 from measure.arrays import Floats
 from measure.errors import CalibrationError
 from measure.geometry import RigidTransform
-from measure.session.plain_values import READ
-from measure.session.stated_rig import StatedCamera, StatedRig
+from measure.session.stated_rig import READ, StatedCamera, StatedRig
 
 _SUBPIXELS = 64.0  # Qualisys' units in a pixel
 _FLIPPED = np.diag([1.0, -1.0, -1.0])  # From axes with y up and z to the back to ours

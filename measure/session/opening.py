@@ -2,29 +2,148 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import hashlib
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field, FiniteFloat, model_validator
 
 from measure.errors import CalibrationError, SessionError
 from measure.model import Body, Camera
 from measure.reading import missing_message
-from measure.session.body_file import read_body
+from measure.session.body_file import BodyModel, read_body
 from measure.session.calibration_file import Calibration
 from measure.session.calibrations import read_calibration
-from measure.session.clock_shifts import clock_digest, shift_clocks, shift_notes
-from measure.session.files import load_toml
-from measure.session.image_stream import open_image_stream
-from measure.session.rig_scale import check_unit
+from measure.session.consistency import check_bodies, check_unit
+from measure.session.files import FileModel, Name, load_toml
 from measure.session.session import Session
-from measure.session.settings import CameraTable, SessionModel
-from measure.session.several_bodies import check_bodies
-from measure.session.stamp_errors import check_time_units
-from measure.session.streams import Stream
-from measure.session.timestamps import read_stamps
-from measure.session.video_stream import open_video_stream
+from measure.session.stated_rig import Unit
+from measure.session.streams import Stream, open_image_stream
+from measure.session.timestamps import LATEST_S, check_time_units, read_stamps
+from measure.session.video_file import open_video_stream
+
+
+class SessionTable(FileModel):
+    """The `[session]` table; every path is relative to the file."""
+
+    name: str = ""
+    description: str = ""
+    body: Name | None = None
+    bodies: Annotated[list[Name], Field(default_factory=list)]
+    reference: str = ""
+    calibration: Name | None = None
+    calibration_unit: Unit | None = None
+    truth: Name | None = None
+
+
+class CameraTable(FileModel):
+    """One `[[cameras]]` table."""
+
+    name: Name
+    images: Name | None = None
+    video: Name | None = None
+    timestamps: Name | None = None
+    time_column: Name | None = None
+    time_offset_s: Annotated[FiniteFloat, Field(ge=-LATEST_S, le=LATEST_S)] = 0.0
+    bit_depth: Annotated[int, Field(ge=8, le=16)] | None = None
+    controls: dict[str, int | str] = Field(default_factory=dict)  # kept for people to read
+
+    @model_validator(mode="after")
+    def _one_source(self) -> CameraTable:
+        if (self.images is None) == (self.video is None):
+            raise ValueError(f"camera '{self.name}' needs either images or video")
+        if self.images is not None and self.timestamps is None:
+            raise ValueError(
+                f"camera '{self.name}': images carry no time; give timestamps = \"....csv\""
+            )
+        return self
+
+
+class RobotTable(FileModel):
+    """The `[robot]` table."""
+
+    log: Name
+
+
+class SessionModel(FileModel):
+    """A whole `session.toml`."""
+
+    session: SessionTable
+    cameras: Annotated[list[CameraTable], Field(default_factory=list)]
+    body: BodyModel | None = None
+    robot: RobotTable | None = None
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> SessionModel:
+        given = (self.body is not None, self.session.body is not None, bool(self.session.bodies))
+        if sum(given) > 1:
+            raise ValueError(
+                'give the body once: body = "body.toml" or bodies = ["tool.toml", "base.toml"] in '
+                "[session], or [body]"
+            )
+        names = [camera.name for camera in self.cameras]
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"two cameras are called '{name}'")
+        if len(names) < 2:
+            raise ValueError(
+                f"a measurement needs at least two cameras, the session has {len(names)}"
+            )
+        return self
+
+
+def clock_digest(streams: Iterable[Stream]) -> str:
+    """A fingerprint of all cameras' stamps."""
+    found = hashlib.sha256()
+    for stream in streams:
+        found.update(stream.name.encode() + stream.frames.tobytes() + stream.times_s.tobytes())
+    return found.hexdigest()
+
+
+def clock_values(digest: str, shifts_s: Mapping[str, float]) -> dict[str, object]:
+    """The entries on clocks in a calibration's provenance; `shift_clocks` reads them."""
+    return {"clock_digest": digest, "clock_shifts_s": dict(shifts_s)} if shifts_s else {}
+
+
+def shift_clocks(
+    streams: Mapping[str, Stream], digest: str, provenance: Mapping[str, Any], path: Path
+) -> dict[str, float]:
+    """Add the clock offsets of a calibration to the stamps.
+
+    Args:
+        streams: by camera; their times are changed.
+
+    Returns:
+        What was added, by camera; empty if the calibration is not from these stamps.
+
+    Raises:
+        CalibrationError: an offset is no number.
+    """
+    if provenance.get("clock_digest") != digest:
+        return {}
+    try:
+        offsets = {str(n): float(s) for n, s in dict(provenance["clock_shifts_s"]).items()}
+    except (KeyError, TypeError, ValueError):
+        raise CalibrationError(
+            f"{path}: provenance.clock_shifts_s must name cameras and seconds; refine again, or "
+            "remove clock_digest"
+        ) from None
+    shifts = {name: seconds for name, seconds in offsets.items() if name in streams}
+    for name, seconds in shifts.items():
+        streams[name].times_s = streams[name].times_s + seconds
+    return shifts
+
+
+def shift_notes(shifts_s: Mapping[str, float]) -> tuple[str, ...]:
+    """A line for the user, if anything was added."""
+    if not shifts_s:
+        return ()
+    offsets = ", ".join(f"{name} {1e3 * seconds:+.1f} ms" for name, seconds in shifts_s.items())
+    return (f"clocks set right as the calibration found them: {offsets}",)
+
 
 _FILE = "session.toml, the file that names each camera's video or folder of pictures"
 

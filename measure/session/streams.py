@@ -1,9 +1,10 @@
-"""One camera's recording, whatever it is kept in."""
+"""One camera's recording, whatever it is kept in; and numbered picture files."""
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,10 @@ import numpy as np
 from measure.arrays import Bytes, Floats, Ints
 from measure.errors import SessionError
 from measure.model import Image
-from measure.session.stamp_errors import StampErrors
+from measure.reading import missing_message
+from measure.session import pictures
+from measure.session.files import matching_files
+from measure.session.timestamps import StampErrors, Stamps
 
 
 class Stream(ABC):
@@ -88,3 +92,172 @@ def turned_notes(name: str, turned: bool) -> tuple[str, ...]:
         "stored: calibrate stored ones (measure calibrate does; OpenCV turns what it reads)"
     )
     return (text,) if turned else ()
+
+
+_PROBED = 8
+"""Pictures of 16 bits, spread over a recording, whose largest value tells the camera's bits."""
+
+
+class ImageStream(Stream):
+    """Picture files, one a frame."""
+
+    def __init__(
+        self,
+        name: str,
+        source: str,
+        files: list[Path],
+        frames: Ints,
+        times_s: Floats,
+        notes: tuple[str, ...] = (),
+        bits: int | None = None,
+    ) -> None:
+        size_wh, largest = _form(name, files[0])
+        notes = (*notes, *turned_notes(name, pictures.is_turned(pictures.picture_bytes(files[0]))))
+        if largest is not None and bits is None:
+            some = files[:: -(-len(files) // _PROBED)]
+            largest = max(_form(name, file)[1] or 0 for file in some)
+            bits = pictures.held_bits(largest)
+            held = f"camera '{name}': its pictures of 16 bits hold {bits} (values up to {largest})"
+            notes = (*notes, f"{held}; if not, state bit_depth for it in session.toml")
+        self._bits = bits
+        super().__init__(name, source, size_wh, frames, times_s, files, notes)
+
+    def read(self, index: int) -> Image:
+        """The frame at position `index`: the file is read now, the pixels decode on first use."""
+        self.check_index(index)
+        where = f"{self.place(index)}: "
+        data = self._content(index)
+
+        def decode() -> Bytes:
+            pixels = pictures.decode_picture(data, f"{where}{self.files[index]}", self._bits)
+            if pixels.shape[1::-1] != self.size_wh:
+                raise SessionError(
+                    f"{where}{self.files[index]} is {pixels.shape[1]}x{pixels.shape[0]} px, "
+                    f"the first image {self.size_wh[0]}x{self.size_wh[1]}"
+                )
+            return pixels
+
+        return self._image(index, decode, data if data.startswith(pictures.JPEG_START) else None)
+
+    def repeated(self) -> Ints | None:
+        """Positions of files with the content of the one before; most differ in size already."""
+        sizes = [file.stat().st_size for file in self.files]
+        alike = [k for k in range(1, len(sizes)) if sizes[k] == sizes[k - 1]]
+        return np.array([k for k in alike if self._content(k) == self._content(k - 1)], np.int64)
+
+    def _content(self, index: int) -> bytes:
+        return pictures.picture_bytes(self.files[index], f"{self.place(index)}: ")
+
+
+def open_image_stream(
+    name: str,
+    folder: Path,
+    pattern: str,
+    stamps: Stamps,
+    stamps_path: Path,
+    offset_s: float,
+    bits: int | None = None,
+) -> ImageStream:
+    """The files that fit `pattern` in `folder`, matched with their stamps.
+
+    The last number in a file's name is its frame number; if that is not unique (the camera's comes
+    last), one that is and that the stamps have. Where names carry no such number,
+    files and rows are matched in order, 2 before 10, and must be equally many.
+
+    Raises:
+        SessionError: no file fits, a file is empty, or files and rows do not belong together.
+    """
+    files = _find(name, folder, pattern)
+    source = str(folder / pattern)
+    for file in files:
+        if file.stat().st_size == 0:
+            raise SessionError(f"camera '{name}': {file}: the file is empty (0 bytes)")
+    numbers = _numbers(files, stamps)
+    if None in numbers or len(set(numbers)) != len(files):
+        if len(files) != len(stamps.frames):
+            odd = next((f.name for f, n in zip(files, numbers, strict=True) if n is None), "")
+            raise SessionError(_count_message(name, source, len(files), stamps_path, stamps, odd))
+        times_s = stamps.times_s + offset_s
+        return ImageStream(name, source, files, stamps.frames, times_s, bits=bits)
+    by_number = dict(zip(numbers, files, strict=True))
+    _refuse_unstamped(name, source, by_number, stamps_path, stamps)
+    present = np.array([int(frame) in by_number for frame in stamps.frames])
+    gone = stamps.frames[~present]
+    lost = f"camera '{name}': {len(gone)} of {len(present)} frames have no image in {source}"
+    notes = (f"{lost} (frame {_some(gone)})",) if len(gone) else ()
+    frames = stamps.frames[present]
+    ordered = [by_number[int(frame)] for frame in frames]
+    times_s = stamps.times_s[present] + offset_s
+    return ImageStream(name, source, ordered, frames, times_s, notes, bits)
+
+
+def _form(name: str, file: Path) -> tuple[tuple[int, int], int | None]:
+    where = f"camera '{name}': "
+    return pictures.picture_form(pictures.picture_bytes(file, where), f"{where}{file}")
+
+
+def _find(name: str, folder: Path, pattern: str) -> list[Path]:
+    files = matching_files(folder, pattern, SessionError)
+    if files:
+        return files
+    place = (folder / pattern).parent
+    if any(sign in str(place) for sign in "*?["):
+        raise SessionError(f"camera '{name}': no image fits {folder / pattern}")
+    if not place.is_dir():
+        raise SessionError(f"camera '{name}': {missing_message(place)}")
+    try:
+        here = [file for file in place.iterdir() if file.is_file()]
+    except OSError as problem:
+        raise SessionError(
+            f"camera '{name}': {place}: cannot be read: {problem.strerror}"
+        ) from None
+    kinds = sorted({f"*{file.suffix}" for file in here})
+    hint = f": try {' or '.join(kinds)}" if kinds else ""
+    raise SessionError(
+        f"camera '{name}': no image fits {folder / pattern}; the folder has {len(here)} files{hint}"
+    )
+
+
+def _numbers(files: Sequence[Path], stamps: Stamps) -> list[int | None]:
+    """The frame number in each file's name; else its last number, if it has any."""
+    found = [[int(number) for number in re.findall(r"[0-9]+", file.stem)] for file in files]
+    last = [numbers[-1] if numbers else None for numbers in found]
+    if len(set(last)) == len(last) or len(set(map(len, found))) > 1:
+        return last
+    known = set(stamps.frames.tolist())
+    for numbers in reversed(list(zip(*found, strict=True))):
+        if len(set(numbers)) == len(numbers) and known.issuperset(numbers):
+            return list(numbers)
+    return last
+
+
+def _refuse_unstamped(
+    name: str, source: str, by_number: dict[int | None, Path], path: Path, stamps: Stamps
+) -> None:
+    known = set(stamps.frames.tolist())
+    unstamped = [number for number in by_number if number not in known]
+    if not unstamped:
+        return
+    if len(unstamped) == len(by_number) or len(by_number) == len(known):
+        raise SessionError(
+            f"camera '{name}': the numbers of the files {source} ({_some(list(by_number))}) are "
+            f"not the frame numbers of {path} ({_some(stamps.frames)}); renumber one of them"
+        )
+    raise SessionError(
+        f"camera '{name}': {len(unstamped)} of {len(by_number)} images have no row in {path} "
+        f"(frame {_some(unstamped)}): without a time they cannot be used; "
+        "add the rows or remove the files"
+    )
+
+
+def _count_message(name: str, source: str, count: int, path: Path, stamps: Stamps, odd: str) -> str:
+    why = f"{odd} has no frame number in its name" if odd else "names repeat frame numbers"
+    return (
+        f"camera '{name}': {source} has {count} images but {path} has {len(stamps.frames)} rows; "
+        f"which belong together cannot be told, because {why}"
+    )
+
+
+def _some(numbers: Iterable[object]) -> str:
+    values = [str(n) for n in numbers]
+    return ", ".join(values[:4]) + (f", ... {values[-1]}" if len(values) > 4 else "")

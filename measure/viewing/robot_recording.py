@@ -12,7 +12,7 @@ from measure.arrays import Floats
 from measure.learning.traces import RobotTraces
 from measure.viewing import entities
 from measure.viewing.blueprint import LEGEND, framed, plot, up_to_cursor
-from measure.viewing.columns import FrameSetBatch
+from measure.viewing.entities import FrameSetBatch
 from measure.viewing.scene import log_lines
 
 KINDS = {"reported": (207, 75, 75), "measured": (61, 139, 212), "corrected": (79, 163, 90)}

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from measure.results.files import GrowingFile
+from measure.results.journal import GrowingFile
 
 _FILE_EVENTS = {"open", "os.rename", "os.remove", "os.mkdir", "os.truncate"}
 _AT_MOST_S = 300.0

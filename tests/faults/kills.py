@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from measure.cli import main
-from measure.results.kept import csv_rows
+from measure.results.stored import csv_rows
 from measure.simulation import write_session
 from tests.faults.killed import Ended, Moment, Process
 from tests.simulated.catalogue import occluded_scene, webcam_scene

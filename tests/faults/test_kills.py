@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from measure.results.files import GrowingFile
-from measure.results.kept import csv_rows
+from measure.results.journal import GrowingFile
+from measure.results.stored import csv_rows
 from tests.faults.killed import Moment
 from tests.faults.kills import Case, Uninterrupted, killed_and_resumed, second_writers
 from tests.results.conftest import measurement, open_writer

@@ -50,7 +50,7 @@ class _Flushing(RunWriter):
     """Writes everything at once, so that the test knows what must be there."""
 
     def _flush_all(self) -> None:
-        from measure.results.files import writing
+        from measure.results.journal import writing
 
         with writing(self._folder):
             self._flush()

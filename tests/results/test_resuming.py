@@ -18,7 +18,7 @@ import pytest
 from measure.errors import RunError
 from measure.measuring import Measurement
 from measure.results import journal, read_run
-from measure.results.lock import FolderLock, refuse_other_writer
+from measure.results.folder import FolderLock, refuse_other_writer
 from measure.results.tables import SCHEMAS
 from tests.results.conftest import check_whole, frames_of, go_on, measurement, open_writer
 
@@ -152,7 +152,7 @@ def test_parquet_does_not_tell_when_rows_were_flushed(tmp_path: Path) -> None:
 _HOLDER = """
     import sys, time
     from pathlib import Path
-    from measure.results.lock import FolderLock
+    from measure.results.folder import FolderLock
     lock = FolderLock(Path(sys.argv[1]))
     print("held", flush=True)
     time.sleep(60)
@@ -211,7 +211,7 @@ def test_a_file_system_without_locks_is_refused(
     def unsupported(*_: object, **__: object) -> bool:
         raise OSError(37, os.strerror(37))
 
-    monkeypatch.setattr("measure.results.lock.lock_descriptor", unsupported)
+    monkeypatch.setattr("measure.results.folder.lock_descriptor", unsupported)
     with pytest.raises(RunError, match="its file system cannot lock files"):
         begun(folder, 1)
     assert not (folder / "run.toml").exists()

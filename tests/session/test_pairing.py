@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from measure.session import pair_nearest
-from measure.session.pairing import seldom_paired
+from measure.session.session import seldom_paired
 
 PERIOD = 1 / 30
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from measure.errors import SessionError
-from measure.session.stamp_errors import StampErrors, check_time_units
+from measure.session.timestamps import StampErrors, check_time_units
 
 TRUE_S = np.arange(300) / 30
 

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from measure.errors import ConfigError
 from measure.session import FileModel, dump_toml, load_toml
-from measure.session.toml_text import find_line
+from measure.session.files import find_line
 
 SCALARS = (
     st.text(st.characters(exclude_categories=["Cs"]))

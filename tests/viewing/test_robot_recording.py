@@ -11,7 +11,7 @@ from measurements import BODY, CAMERAS, measurement
 from rerun.chunk import RrdReader
 
 from measure import api
-from measure.api.watch import _nearest
+from measure.api.correcting import _nearest
 from measure.cli import main
 from measure.errors import ConfigError, EstimatorError
 from measure.geometry import RigidTransform

@@ -10,9 +10,8 @@ from measurements import BODY, CAMERAS, measurement
 
 from measure.model import FrameSet, Image
 from measure.session import Stream, open_video_stream
-from measure.viewing import entities, videos
-from measure.viewing.recording import RunRecording, open_recording
-from measure.viewing.videos import passed_videos
+from measure.viewing import entities, recording
+from measure.viewing.recording import RunRecording, open_recording, passed_videos
 from tests.session.videos import SIZE_WH, write_video
 from tests.viewing.reading import column, read_recording
 
@@ -85,5 +84,5 @@ def test_other_videos_become_pictures(tmp_path, name, codec):
 def test_a_video_too_large_for_one_message_becomes_pictures(tmp_path, monkeypatch):
     session = _session(tmp_path / "cam0.mp4", codec="libx264", ticks=TICKS)
     assert set(passed_videos(session)) == {"cam0"}
-    monkeypatch.setattr(videos, "LARGEST_BYTES", 100)
+    monkeypatch.setattr(recording, "LARGEST_BYTES", 100)
     assert passed_videos(session) == {}

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from measure.errors import ConfigError, RunError
-from measure.results.exports import markers, mcap, poses
+from measure.results.exports import mcap, tables
 from measure.results.folder import own_files
 from measure.results.pose_table import Velocities, smooth_run
 from measure.results.run import Run
@@ -25,10 +25,10 @@ class Format:
 
 
 FORMATS = {
-    "csv": Format(poses.write_csv, velocity=True),
-    "tum": Format(poses.write_tum),
-    "trc": Format(markers.write_trc, smooth=False),
-    "c3d": Format(markers.write_c3d, extra="c3d", smooth=False),
+    "csv": Format(tables.write_csv, velocity=True),
+    "tum": Format(tables.write_tum),
+    "trc": Format(tables.write_trc, smooth=False),
+    "c3d": Format(tables.write_c3d, extra="c3d", smooth=False),
     "mcap": Format(mcap.write, extra="ros", velocity=True),
 }
 

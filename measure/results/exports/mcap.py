@@ -11,9 +11,9 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.errors import RunError
-from measure.results.columns import numbers, texts
 from measure.results.pose_table import Velocities
 from measure.results.run import Run
+from measure.results.tables import numbers, texts
 
 WORLD, BODY = "world", "body"
 BALL_TOPIC, TF_TOPIC = "/balls", "/tf"

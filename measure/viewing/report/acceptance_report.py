@@ -10,7 +10,7 @@ import plotly.graph_objects as go
 
 from measure.metrology.lengths import Acceptance
 from measure.results import Run
-from measure.viewing.report import places, style
+from measure.viewing.report import figures, places
 from measure.viewing.report.page import Page
 
 _HOW = (
@@ -78,14 +78,14 @@ def _facts(run: Run, judged: Acceptance) -> list[tuple[str, str]]:
 
 def _errors(judged: Acceptance, at: np.ndarray, label: str) -> go.Figure:
     """Errors with their uncertainties, against one coordinate."""
-    figure = style.figure(300, showlegend=False)
+    figure = figures.blank(300, showlegend=False)
     zero = np.zeros(len(at))
-    bars = {"type": "data", "array": judged.expanded_mm, "color": style.INK, "thickness": 1}
+    bars = {"type": "data", "array": judged.expanded_mm, "color": figures.INK, "thickness": 1}
     figure.add_trace(
         go.Scatter(x=at, y=zero, mode="markers", error_y=bars, hoverinfo="skip",
-                   marker={"color": style.INK, "size": 3})
+                   marker={"color": figures.INK, "size": 3})
     )  # fmt: skip
-    colors = [style.GOOD if abs(r) <= 1 else style.BAD for r in judged.ratios]
+    colors = [figures.GOOD if abs(r) <= 1 else figures.BAD for r in judged.ratios]
     figure.add_trace(
         go.Scatter(x=at, y=judged.length_errors_mm, mode="markers", text=list(judged.names),
                    marker={"color": colors, "size": 8})

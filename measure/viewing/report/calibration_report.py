@@ -9,7 +9,7 @@ from measure.arrays import Floats
 from measure.calibration import RigCalibration, Verdict
 from measure.calibration.findings import SUB_MM_SD_MM
 from measure.checking import Level
-from measure.viewing.report import figures, places, style
+from measure.viewing.report import figures, places
 from measure.viewing.report.page import Page
 
 _PLANES = ((0, 1), (0, 2))
@@ -135,7 +135,7 @@ def _add_lenses(page: Page, rig: RigCalibration, verdict: Verdict) -> None:
 
 def _coverage(counts: Floats, size_wh: tuple[int, int], name: str) -> go.Figure:
     rows, columns = counts.shape
-    figure = style.image(280, name, size_wh)
+    figure = figures.blank_image(280, name, size_wh)
     figure.add_trace(
         go.Heatmap(
             x=(np.arange(columns) + 0.5) * size_wh[0] / columns,

@@ -12,7 +12,7 @@ import plotly.graph_objects as go
 from measure.host.dataset import recording_of
 from measure.learning import Trained
 from measure.learning.scores import EstimatorEvaluation, Score, speed_range
-from measure.viewing.report import figures, style
+from measure.viewing.report import figures
 from measure.viewing.report.page import Page
 
 _TOO_SURE = 1.5
@@ -128,9 +128,9 @@ def _add_provenance(page: Page, card: Mapping[str, Any]) -> None:
 
 
 def _bars(before: Score, after: Score, kind: str) -> go.Figure:
-    figure = style.figure(barmode="group")
+    figure = figures.blank(barmode="group")
     for name, score, color in (
-        ("reported", before, style.BAD), ("corrected", after, style.GOOD)
+        ("reported", before, figures.BAD), ("corrected", after, figures.GOOD)
     ):  # fmt: skip
         axes = score.axis_rms_mm if kind == "rms" else score.axis_sd_mm
         total = score.rms_mm if kind == "rms" else score.sd_mm
@@ -152,7 +152,7 @@ def _over_time(trained: Trained) -> list[go.Figure]:
         "reported": reported,
         "corrected": reported + trained.estimates.errors_mm[rows][shown],
     }  # fmt: skip
-    colors = {"measured": style.ACCENT, "reported": style.BAD, "corrected": style.GOOD}
+    colors = {"measured": figures.ACCENT, "reported": figures.BAD, "corrected": figures.GOOD}
     axes = [
         figures.over_time(
             times[shown], {name: values[:, axis] for name, values in curves.items()},
@@ -168,7 +168,7 @@ def _over_time(trained: Trained) -> list[go.Figure]:
 
 
 def _curve(trained: Trained) -> go.Figure:
-    figure = style.figure()
+    figure = figures.blank()
     epochs = [line.epoch for line in trained.curve]
     for name, values in (
         ("validation RMS", [line.validation_mm for line in trained.curve]),

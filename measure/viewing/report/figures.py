@@ -1,15 +1,50 @@
-"""The figures of a run's report: arrays in, plotly figures out."""
+"""The figures of a report: arrays in, plotly figures out, legible in light and dark."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
 
 from measure.arrays import Floats, Ints
-from measure.viewing.report import style
 from measure.viewing.state_colors import css
+
+AXIS_COLORS = {"x": "#d95f5f", "y": "#4fa35a", "z": "#4f7fd9", "3d": "#b8902e"}
+INK = "#808a96"
+GRID = "rgba(128,138,150,0.22)"
+ACCENT = "#3d8bd4"
+GOOD, DOUBTFUL, BAD = "#4fa35a", "#d99a2b", "#cf4b4b"
+PALETTE = ("#3d8bd4", "#d9822b", "#4fa35a", "#b05fc4", "#c94f6d", "#2ba3a3", "#8a7a3d", "#7a86d9")
+
+
+def blank(height: int = 340, **layout: Any) -> go.Figure:
+    """An empty figure on a transparent ground, legible on light and dark pages."""
+    axis = {"gridcolor": GRID, "zerolinecolor": GRID, "linecolor": GRID, "automargin": True}
+    settings: dict[str, Any] = {
+        "height": height,
+        "margin": {"l": 10, "r": 10, "t": 28, "b": 10},
+        "paper_bgcolor": "rgba(0,0,0,0)",
+        "plot_bgcolor": "rgba(0,0,0,0)",
+        "font": {"color": INK, "size": 12},
+        "xaxis": axis,
+        "yaxis": axis,
+        "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0},
+        "hovermode": "closest",
+    }
+    settings.update(layout)
+    return go.Figure(layout=settings)
+
+
+def blank_image(height: int, name: str, size_wh: tuple[int, int]) -> go.Figure:
+    """An empty figure of a camera's image, with its name and its pixels as axes."""
+    title = {"text": name, "font": {"size": 13}, "x": 0.02, "y": 0.98, "yref": "container"}
+    made = blank(height, title=title, showlegend=False)
+    made.update_xaxes(range=[0, size_wh[0]], title="u [px]", constrain="domain")
+    made.update_yaxes(range=[size_wh[1], 0], title="v [px]", scaleanchor="x", constrain="domain")
+    return made
+
 
 MAX_POINTS = 2000
 """Longer curves are thinned for drawing; extremes and gaps survive. They are drawn without WebGL,
@@ -32,9 +67,9 @@ def over_time(
         label: of the vertical axis, with its unit.
         colors: by curve name; a palette serves the others.
     """
-    figure = style.figure()
+    figure = blank()
     for index, (name, values) in enumerate(curves.items()):
-        color = (colors or {}).get(name, style.PALETTE[index % len(style.PALETTE)])
+        color = (colors or {}).get(name, PALETTE[index % len(PALETTE)])
         keep = thinned(len(values), values)
         figure.add_trace(
             go.Scatter(
@@ -50,8 +85,8 @@ def log_log(
     across: Floats, curves: Mapping[str, Floats], label: str, other_label: str
 ) -> go.Figure:
     """Curves (n,) by name over positive values (n,), both axes logarithmic."""
-    figure = style.figure()
-    for (name, values), color in zip(curves.items(), style.PALETTE, strict=False):
+    figure = blank()
+    for (name, values), color in zip(curves.items(), PALETTE, strict=False):
         line = {"color": color}
         figure.add_trace(go.Scatter(x=across, y=values, name=name, mode="lines", line=line))
     figure.update_xaxes(title=label, type="log")
@@ -63,13 +98,13 @@ def histograms(
     values: Floats, names: Sequence[str], label: str, counted: str = "frame sets"
 ) -> go.Figure:
     """One histogram per column of values (n, k), overlaid; `counted` names the rows."""
-    figure = style.figure(barmode="overlay")
+    figure = blank(barmode="overlay")
     known = values[np.isfinite(values)]
     # Few values in narrow bins look like a comb.
     bins = int(np.clip(2 * np.sqrt(len(known) / max(len(names), 1)), 8, 40))
     edges = np.histogram_bin_edges(known, bins)
     for index, (column, name) in enumerate(zip(values.T, names, strict=True)):
-        color = style.AXIS_COLORS.get(name, style.PALETTE[index % len(style.PALETTE)])
+        color = AXIS_COLORS.get(name, PALETTE[index % len(PALETTE)])
         counts, _ = np.histogram(column[np.isfinite(column)], edges)
         figure.add_trace(
             go.Bar(
@@ -93,13 +128,13 @@ def residual_map(
     keep = thinned(len(centers_px), np.linalg.norm(residuals_px, axis=1))
     start, arrows = centers_px[keep], residuals_px[keep] * ARROW_SCALE
     gaps = np.full(len(start), np.nan)
-    figure = style.image(330, name, size_wh)
+    figure = blank_image(330, name, size_wh)
     figure.add_trace(
         go.Scatter(
             x=np.column_stack([start[:, 0], start[:, 0] + arrows[:, 0], gaps]).ravel(),
             y=np.column_stack([start[:, 1], start[:, 1] + arrows[:, 1], gaps]).ravel(),
             mode="lines",
-            line={"color": style.INK, "width": 1},
+            line={"color": INK, "width": 1},
             hoverinfo="skip",
         )
     )
@@ -139,7 +174,7 @@ def state_timeline(
     for code in range(len(reasons)):
         color = colors[code]
         scale += [(code / (top + 1), color), ((code + 1) / (top + 1), color)]
-    figure = style.figure(90 + 22 * len(views))
+    figure = blank(90 + 22 * len(views))
     figure.add_trace(
         go.Heatmap(
             x=times_s[ends[:-1]],

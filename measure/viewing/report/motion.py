@@ -10,7 +10,7 @@ from measure.geometry import RigidTransform
 from measure.metrology.noise import Noise
 from measure.results import Run
 from measure.results.pose_table import noise_about, noise_at_rest, poses_of
-from measure.viewing.report import figures, style
+from measure.viewing.report import figures
 from measure.viewing.report.page import Page
 
 
@@ -22,7 +22,7 @@ def add_motion(page: Page, run: Run, since_start_s: Floats) -> None:
         "Rotation and speed",
         "Rotation from the first unflagged pose, as a rotation vector along the world's axes; "
         "speeds from the pose before to the pose after. Gaps are as in the position.",
-        figures.over_time(since_start_s, dict(drawn), "rotation [deg]", style.AXIS_COLORS),
+        figures.over_time(since_start_s, dict(drawn), "rotation [deg]", figures.AXIS_COLORS),
         figures.over_time(since_start_s, {"speed": speed}, "speed [mm/s]"),
         figures.over_time(since_start_s, {"rotation": spin}, "angular speed [deg/s]"),
     )

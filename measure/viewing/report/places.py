@@ -9,8 +9,7 @@ import plotly.graph_objects as go
 from measure.arrays import Floats
 from measure.calibration import camera_rows
 from measure.model import Camera
-from measure.viewing.report import style
-from measure.viewing.report.figures import thinned
+from measure.viewing.report import figures
 from measure.viewing.report.page import Page
 
 _LINES = "#808a96"
@@ -50,7 +49,7 @@ def trajectory(
         camera_names: m names.
         doubtful: (k, 3) in mm, drawn as loose points.
     """
-    keep = thinned(len(positions), *positions.T)
+    keep = figures.thinned(len(positions), *positions.T)
     colors = {
         "color": sd_mm[keep],
         "colorscale": "Viridis",
@@ -63,7 +62,7 @@ def trajectory(
         z=positions[keep, 2],
         mode="markers+lines",
         marker=colors,
-        line={"color": style.INK, "width": 1},
+        line={"color": figures.INK, "width": 1},
         name="body",
     )
     rig = go.Scatter3d(
@@ -71,19 +70,19 @@ def trajectory(
         y=camera_centers[:, 1],
         z=camera_centers[:, 2],
         mode="markers+text",
-        marker={"size": 5, "symbol": "diamond", "color": style.DOUBTFUL},
+        marker={"size": 5, "symbol": "diamond", "color": figures.DOUBTFUL},
         text=list(camera_names),
         name="cameras",
     )
     axis = {"showbackground": False, "gridcolor": _LINES, "zerolinecolor": _LINES, "nticks": 5}
     scene = {f"{name}axis": {**axis, "title": f"{name} [mm]"} for name in "xyz"}
     eye = {"eye": {"x": 1.9, "y": -2.3, "z": 1.3}}
-    figure = style.figure(460, scene={**scene, "aspectmode": "data", "camera": eye})
+    figure = figures.blank(460, scene={**scene, "aspectmode": "data", "camera": eye})
     figure.update_layout(showlegend=False, margin={"t": 0, "b": 40})
     figure.add_traces([path, rig])
     if doubtful is not None and len(doubtful):
         x, y, z = doubtful.T
-        loose = {"size": 3, "symbol": "x", "color": style.BAD}
+        loose = {"size": 3, "symbol": "x", "color": figures.BAD}
         figure.add_trace(go.Scatter3d(x=x, y=y, z=z, mode="markers", marker=loose, name="flagged"))
     return figure
 
@@ -93,11 +92,11 @@ def plan(positions: Floats, axes: tuple[int, int], doubtful: Floats) -> go.Figur
 
     NaN leaves a gap; `doubtful` (k, 3) are loose points.
     """
-    figure = style.figure(300, showlegend=False)
-    figure.add_trace(_path(positions, axes, style.ACCENT))
+    figure = figures.blank(300, showlegend=False)
+    figure.add_trace(_path(positions, axes, figures.ACCENT))
     if len(doubtful):
         x, y = doubtful[:, axes[0]], doubtful[:, axes[1]]
-        loose = {"size": 5, "symbol": "x", "color": style.BAD}
+        loose = {"size": 5, "symbol": "x", "color": figures.BAD}
         figure.add_trace(go.Scatter(x=x, y=y, mode="markers", marker=loose, name="flagged"))
     _name_axes(figure, axes, "range")
     return figure
@@ -115,7 +114,7 @@ def accuracy(
         axes: which two world axes these are.
         places: (k, 3) drawn over it: where the body was, or markers; possibly none.
     """
-    figure = style.figure(400, showlegend=False)
+    figure = figures.blank(400, showlegend=False)
     figure.add_trace(
         go.Heatmap(
             x=across_mm,
@@ -133,7 +132,7 @@ def accuracy(
 
 
 def _path(positions: Floats, axes: tuple[int, int], color: str) -> go.Scatter:
-    keep = thinned(len(positions), *positions[:, axes].T)
+    keep = figures.thinned(len(positions), *positions[:, axes].T)
     return go.Scatter(
         x=positions[keep, axes[0]],
         y=positions[keep, axes[1]],

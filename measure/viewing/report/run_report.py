@@ -16,10 +16,10 @@ import pyarrow.compute as pc
 from measure.arrays import Floats, Ints
 from measure.results import Run, Summary
 from measure.results.accuracy import accuracy_map
-from measure.results.columns import texts
 from measure.results.summary import WHICH_ACCURACY
+from measure.results.tables import texts
 from measure.session import dump_toml
-from measure.viewing.report import figures, motion, places, style
+from measure.viewing.report import figures, motion, places
 from measure.viewing.report.page import Page
 from measure.viewing.report.verdict import verdict
 
@@ -113,7 +113,7 @@ def _add_errors(page: Page, run: Run, errors: Floats) -> None:
     page.figures(
         "Error against truth",
         "Measured minus true position, in world axes; gaps are frame sets without a pose.",
-        figures.over_time(since_start(run), curves, "error [mm]", style.AXIS_COLORS),
+        figures.over_time(since_start(run), curves, "error [mm]", figures.AXIS_COLORS),
         figures.over_time(since_start(run), {"rotation": turn}, "error [deg]"),
         figures.histograms(errors[:, :3], ("x", "y", "z"), "error [mm]"),
         figures.histograms(turn[:, None], ("rotation",), "error [deg]"),
@@ -142,14 +142,14 @@ def _add_poses(page: Page, run: Run) -> None:
         "Uncertainty",
         "Reported standard deviations; a gap is a frame set without a pose. In numbers, "
         f"{WHICH_ACCURACY['stated']}.",
-        figures.over_time(since_start(run), curves, "SD [mm]", style.AXIS_COLORS),
+        figures.over_time(since_start(run), curves, "SD [mm]", figures.AXIS_COLORS),
         figures.over_time(since_start(run), {"rotation": turn}, "SD [deg]"),
     )
     middle = np.nanmedian(sure, axis=0) if np.isfinite(sure).any() else np.zeros(3)
     page.figures(
         "Position",
         "In world axes; the curves have gaps where there is no pose, and where one is flagged.",
-        figures.over_time(since_start(run), _by_axis(sure), "position [mm]", style.AXIS_COLORS),
+        figures.over_time(since_start(run), _by_axis(sure), "position [mm]", figures.AXIS_COLORS),
         figures.histograms(sure - middle, ("x", "y", "z"), "about the median [mm]"),
     )
 
