@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import welch
 
 from measure.arrays import Floats, Ints
 from measure.metrology.poses import independent_count
@@ -117,6 +116,8 @@ def _drift(times_s: Floats, x: Floats, groups: Ints) -> tuple[Floats, Floats]:
 
 
 def _spectrum(run: Floats, step: float) -> tuple[Floats, Floats]:
+    from scipy.signal import welch  # takes long to load, and every command imports this file
+
     if len(run) < _FEWEST_SPECTRUM:
         return np.zeros(0), np.zeros((0, 2))
     hz, power = welch(run, 1 / step, nperseg=min(len(run), _SEGMENT), axis=0)
