@@ -27,7 +27,7 @@ from measure import api
 from measure.arrays import Floats
 from measure.host import Correction, OnnxModel
 from measure.learning import EstimateClient, EstimateServer, StatePacket
-from measure.learning.realtime import claim_realtime
+from measure.learning.datagrams import claim_realtime
 from measure.robots.simulator import simulate
 
 BLOCKS, BLOCK = 10, 1000

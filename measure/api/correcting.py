@@ -97,7 +97,7 @@ def estimate_online(
         EstimatorError: the model cannot be read, or the address not be listened on.
     """
     from measure import learning
-    from measure.learning.realtime import claim_realtime
+    from measure.learning.datagrams import claim_realtime
 
     if seconds is not None and not seconds >= 0:
         raise ConfigError(f"--seconds {seconds:g}: expected a number that is not negative")
@@ -158,7 +158,7 @@ def robot_recording(
         ConfigError: there is no log.
         EstimatorError: log, model and poses do not fit together.
     """
-    from measure.learning.traces import robot_traces
+    from measure.learning.offline import robot_traces
     from measure.viewing.robot_recording import write_robot_recording
 
     check_writable(run / "robot.rrd")

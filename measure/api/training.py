@@ -136,7 +136,7 @@ def sweep(
         EstimatorError: data or a journal that cannot be used, or trials that fail.
     """
     from measure.learning import files, sweeping
-    from measure.learning.study import read_space
+    from measure.learning.sweeping import read_space
 
     if options.trials < 1:
         raise ConfigError(f"--trials {options.trials}: expected a positive number")

@@ -1,7 +1,6 @@
 """All a plugin author needs to read: interfaces, the four hooks, and how plugins are found."""
 
 from measure.host.dataset import Dataset
-from measure.host.discovery import Broken, Distribution, Loaded, discover
 from measure.host.estimator import Correction, Epoch, Estimator, LeftOut, Report
 from measure.host.hooks import ENTRY_POINT_GROUP, hookimpl
 from measure.host.interfaces import (
@@ -15,7 +14,7 @@ from measure.host.judging import Scaling
 from measure.host.onnx_estimator import Core, OnnxEstimator
 from measure.host.onnx_graph import Graph, Value, seal
 from measure.host.onnx_model import Estimates, OnnxModel
-from measure.host.registry import Registry
+from measure.host.registry import Broken, Distribution, Loaded, Registry, discover
 from measure.host.settings import Setting, Settings, describe_settings, setting
 
 __all__ = [

@@ -15,9 +15,8 @@ from measure.errors import DivergedError, EstimatorError
 from measure.host.dataset import Dataset, recording_of
 from measure.host.estimator import Correction, Estimator, LeftOut, Report
 from measure.host.judging import DOUBTS, UNJUDGED, Judged, Novelty, Travel, Trust
-from measure.host.onnx_facts import FORMAT, contract
 from measure.host.onnx_graph import Graph, Value
-from measure.host.onnx_model import OnnxModel
+from measure.host.onnx_model import FORMAT, OnnxModel, contract
 from measure.host.settings import Settings
 from measure.robots import StateSchema
 

@@ -1,18 +1,208 @@
-"""The registry: plugins by kind and name, refusing what is unknown, broken or ambiguous."""
+"""Finding plugins, one entry point at a time; the registry refuses what it cannot give."""
 
 from __future__ import annotations
 
+import difflib
+import inspect
+import re
 import sys
-from collections.abc import Collection, Mapping, Sequence
-from contextlib import redirect_stdout
+import traceback
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stdout
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
 from typing import Any, cast
 
+import pluggy
+
 from measure.errors import MeasureError, PluginError
-from measure.host.discovery import Broken, Loaded, discover, suggestion
+from measure.host import hooks
 from measure.host.estimator import Estimator
-from measure.host.interfaces import Detector, Plugin, PoseSolver, Triangulator
-from measure.host.settings import read_settings
+from measure.host.interfaces import NAME, Detector, Plugin, PoseSolver, Triangulator
+from measure.host.settings import Settings, read_settings
 from measure.model import Body, Camera
+
+
+@dataclass(frozen=True)
+class Distribution:
+    """What a user installed.
+
+    Attributes:
+        name: as pip knows it.
+        version: as pip knows it.
+    """
+
+    name: str
+    version: str
+
+    def __str__(self) -> str:
+        return f"{self.name} {self.version}"
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """A plugin that can be used.
+
+    Attributes:
+        kind: "detector", "triangulator", "solver" or "estimator".
+        name: the class's `name`.
+        distribution: the installed distribution that it came in.
+        plugin: the class.
+    """
+
+    kind: str
+    name: str
+    distribution: Distribution
+    plugin: type[Plugin]
+
+
+@dataclass(frozen=True)
+class Broken:
+    """An entry point that cannot be used.
+
+    Attributes:
+        name: of the entry point.
+        distribution: the installed distribution that declares it.
+        error: why, in one line.
+    """
+
+    name: str
+    distribution: Distribution
+    error: str
+
+
+def discover(disabled: Collection[str] = ()) -> list[Loaded | Broken]:
+    """Load every entry point of the group "measure".
+
+    Args:
+        disabled: what to leave out: names of entry points or distributions, which are then not even
+            imported, or of single plugins. Case, "-", "_" and "." make no difference.
+
+    Raises:
+        PluginError: a name in `disabled` is nobody's (with near names).
+    """
+    left_out = {_canonical(name): name for name in disabled}
+    known: set[str] = set()
+    manager = pluggy.PluginManager("measure")
+    manager.add_hookspecs(hooks)
+    found: list[Loaded | Broken] = []
+    for distribution, entry_point in _entry_points():
+        names = {_canonical(entry_point.name), _canonical(distribution.name)}
+        known |= names
+        if names & left_out.keys():
+            continue
+        try:
+            # What is printed meanwhile is no result of the command's.
+            with redirect_stdout(sys.stderr):
+                found += _load(manager, distribution, entry_point)
+        except (Exception, SystemExit) as error:
+            reason = " ".join(f"{type(error).__name__}: {error}".split())
+            found.append(Broken(entry_point.name, distribution, reason))
+    known |= {_canonical(item.name) for item in found}
+    for name in left_out.keys() - known:
+        hint = suggestion(name, known, "plugin")
+        raise PluginError(f"cannot disable '{left_out[name]}': there is no such plugin; {hint}")
+    return [item for item in found if _canonical(item.name) not in left_out]
+
+
+def origin(plugin: type[Plugin]) -> Distribution | None:
+    """The distribution that a plugin's package belongs to; None if that is not plain."""
+    package = plugin.__module__.partition(".")[0]
+    owners = {
+        distribution
+        for distribution, entry_point in _entry_points()
+        if re.split(r"[.:]", entry_point.value.strip(), maxsplit=1)[0] == package
+    }
+    return owners.pop() if len(owners) == 1 else None
+
+
+def suggestion(name: str, known: Collection[str], what: str) -> str:
+    """Half a sentence for who mistyped `name`: near names, or all there are."""
+    if near := difflib.get_close_matches(name, known, n=3):
+        return f"did you mean {' or '.join(repr(n) for n in near)}?"
+    return f"there is {', '.join(sorted(known))}" if known else f"no {what} is installed"
+
+
+def _canonical(name: str) -> str:
+    """Names as the packaging tools compare them."""
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def _entry_points() -> Iterator[tuple[Distribution, metadata.EntryPoint]]:
+    seen: set[str] = set()
+    for installed in metadata.distributions():
+        # A name found again further down the path is shadowed: the first one is imported.
+        name = _name(installed)
+        if not name or _canonical(name) in seen:
+            continue
+        seen.add(_canonical(name))
+        for entry_point in installed.entry_points:
+            if entry_point.group == hooks.ENTRY_POINT_GROUP:
+                yield Distribution(name, installed.version), entry_point
+
+
+def _name(installed: metadata.Distribution) -> str:
+    """The name of a distribution; the remains of an interrupted installation have none."""
+    try:
+        found = installed.metadata  # None, or an error once anybody has loaded importlib_metadata
+    except FileNotFoundError:
+        return ""
+    return str(found["Name"] or "") if found else ""
+
+
+def _load(
+    manager: pluggy.PluginManager, distribution: Distribution, entry_point: metadata.EntryPoint
+) -> Iterable[Loaded]:
+    module = entry_point.load()
+    identity = f"{distribution.name}:{entry_point.name}"
+    try:
+        manager.register(module, identity)
+        manager.check_pending()
+        loaded = [
+            Loaded(kind.name, plugin.name, distribution, plugin)
+            for kind in hooks.KINDS
+            for plugin in _registered(manager, kind, module)
+        ]
+        if not loaded:
+            raise TypeError(
+                f"implements none of the hooks {', '.join(kind.hook for kind in hooks.KINDS)} "
+                "(a hook is a function of that name, decorated with measure.host.hookimpl)"
+            )
+    except BaseException:
+        if manager.has_plugin(identity):
+            manager.unregister(name=identity)
+        raise
+    return loaded
+
+
+def _registered(
+    manager: pluggy.PluginManager, kind: hooks.PluginKind, module: object
+) -> Iterator[type[Plugin]]:
+    others = [plugin for plugin in manager.get_plugins() if plugin is not module]
+    for classes in manager.subset_hook_caller(kind.hook, others)():
+        if not isinstance(classes, list):
+            raise TypeError(f"{kind.hook}() must return a list of classes, got {classes!r}")
+        for plugin in classes:
+            _check_class(kind, plugin)
+            yield plugin
+
+
+def _check_class(kind: hooks.PluginKind, plugin: object) -> None:
+    if not (inspect.isclass(plugin) and issubclass(plugin, kind.interface)):
+        raise TypeError(
+            f"{kind.hook}() returned {plugin!r}, which is not a {kind.interface.__name__} class"
+        )
+    if missing := sorted(getattr(plugin, "__abstractmethods__", ())):
+        raise TypeError(f"{plugin.__name__} lacks {', '.join(missing)}")
+    if not isinstance(getattr(plugin, "name", None), str) or not plugin.name:
+        raise TypeError(f"{plugin.__name__} has no name")
+    if not NAME.fullmatch(plugin.name):
+        raise TypeError(
+            f"{plugin.__name__} is called {plugin.name!r}: lower case, words joined by -"
+        )
+    if not (inspect.isclass(plugin.Config) and issubclass(plugin.Config, Settings)):
+        raise TypeError(f"{plugin.__name__}.Config is not a subclass of measure.host.Settings")
 
 
 class Registry:
@@ -110,3 +300,48 @@ class Registry:
                 f"{kind} '{name}' of {loaded.distribution} cannot be built: "
                 f"{type(error).__name__}: {error}"
             ) from error
+
+
+def failure(kind: str, plugin: Plugin, place: str, error: Exception) -> PluginError:
+    """The error to raise from a plugin's own.
+
+    Args:
+        kind: of the plugin.
+        plugin: that failed.
+        place: what it was doing, or where.
+        error: its own, which no plugin should let out.
+    """
+    distribution = origin(type(plugin))
+    owner = "" if distribution is None else f" of {distribution}"
+    reason = " ".join(f"{type(error).__name__}: {error}".split())
+    return PluginError(
+        f"{kind} '{plugin.name}'{owner} fails ({place}): {reason} ({_line(plugin, error)})"
+    )
+
+
+@contextmanager
+def named(kind: str, plugin: Plugin, place: str) -> Iterator[None]:
+    """Name a plugin that fails in here.
+
+    Raises:
+        PluginError: it fails.
+    """
+    try:
+        yield
+    except MeasureError:
+        raise
+    except Exception as error:
+        raise failure(kind, plugin, place, error) from error
+
+
+def _line(plugin: Plugin, error: Exception) -> str:
+    """The plugin's own line that led to an error; the last of all, if none is its own."""
+    stack = list(traceback.walk_tb(error.__traceback__))
+    package = _package(type(plugin).__module__)
+    own = [step for step in stack if _package(step[0].f_globals.get("__name__", "")) == package]
+    frame, line = (own or stack)[-1]
+    return f"{Path(frame.f_code.co_filename).name}, line {line}"
+
+
+def _package(module: str) -> str:
+    return module.partition(".")[0]

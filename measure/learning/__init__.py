@@ -4,10 +4,10 @@ from measure.learning import files, sweeping
 from measure.learning.ablation import Importance, ablate, field_groups, single_fields
 from measure.learning.assemble import AssemblySettings, PoseTrack, TrajectoryFacts, assemble
 from measure.learning.clock import estimate_offset
-from measure.learning.following import DriftMonitor, OffsetFollower
+from measure.learning.datagrams import AnswerPacket, StatePacket, TruePacket
 from measure.learning.guard import Counters, GuardedModel, Refusal
 from measure.learning.offline import correct, correct_file, follower_of, read_states, rezero
-from measure.learning.packets import AnswerPacket, StatePacket, TruePacket
+from measure.learning.offsets import DriftMonitor, OffsetFollower, Zeroing, fit_zeroing
 from measure.learning.scores import EstimatorEvaluation, Score, evaluate
 from measure.learning.server import EstimateClient, EstimateServer
 from measure.learning.simulated import PAPER_MINUTES, PAPER_PAIRS, simulated_dataset
@@ -19,9 +19,8 @@ from measure.learning.splits import (
     split_by_rows,
     split_by_trajectory,
 )
-from measure.learning.study import SweepState
+from measure.learning.sweeping import SweepState
 from measure.learning.training import Trained, train
-from measure.learning.zeroing import Zeroing, fit_zeroing
 
 __all__ = [
     "PAPER_MINUTES", "PAPER_PAIRS", "AnswerPacket", "AssemblySettings", "Counters", "DriftMonitor",

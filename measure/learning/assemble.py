@@ -12,9 +12,8 @@ from measure.errors import EstimatorError
 from measure.geometry import RigidTransform
 from measure.geometry.covariance import MAD_TO_SD
 from measure.host import Dataset
-from measure.learning.agreement import check_frames, check_units
 from measure.learning.clock import ClockOffset, estimate_offset
-from measure.learning.labels import check_labels, label_doubts
+from measure.learning.labels import check_frames, check_labels, check_units, label_doubts
 from measure.learning.splits import join
 from measure.metrology.poses import PoseTable
 from measure.robots import StateLog

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from measure.errors import FitError, MeasureError
 from measure.host import Dataset, Estimator, Report
-from measure.host.failures import failure
+from measure.host.registry import failure
 
 
 def fit(

@@ -10,8 +10,7 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.host import Correction, OnnxModel
-from measure.learning.following import OffsetFollower
-from measure.learning.zeroing import Zeroing
+from measure.learning.offsets import OffsetFollower, Zeroing
 
 _MAX_REORDERED = 100  # Largest number of packets by which a network brings one late
 _MAX_LOST_IN_A_ROW = 1_000_000

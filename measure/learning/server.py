@@ -13,11 +13,10 @@ import numpy as np
 
 from measure.arrays import Floats
 from measure.host import Correction, OnnxModel
+from measure.learning.datagrams import LARGEST, AnswerPacket, Lanes, Sender, StatePacket, TruePacket
 from measure.learning.guard import Counters, GuardedModel, Refusal, unfit
-from measure.learning.lanes import Lanes, Sender
 from measure.learning.offline import follower_of
-from measure.learning.packets import LARGEST, AnswerPacket, StatePacket, TruePacket
-from measure.learning.zeroing import Zeroing
+from measure.learning.offsets import Zeroing
 
 DEFAULT_ADDRESS = ("127.0.0.1", 47_118)
 MOST_SENDERS = 16  # Largest number of senders whose histories are kept

@@ -3,20 +3,245 @@
 from __future__ import annotations
 
 import json
+import os
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from measure.errors import EstimatorError
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, RootModel, model_validator
+
+from measure.errors import DivergedError, EstimatorError, FitError
 from measure.host import Registry, Report
 from measure.host.cluster import connected
-from measure.learning import study as studies
 from measure.learning.files import read_dataset
 from measure.learning.fitting import fit
 from measure.learning.scores import corrected_rms_mm
 from measure.learning.splits import split_by_trajectory
+from measure.reading import MAX_TEXT_BYTES, read_bytes
+from measure.session import load_toml
+
+_MIN_PATIENCE_S = 600.0
+
+
+class Range(BaseModel):
+    """Search range of a setting: a list of choices, or numbers between two limits."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    choices: Annotated[list[Any], Field(min_length=1)] | None = None
+    low: FiniteFloat | None = None
+    high: FiniteFloat | None = None
+    log: bool = False
+    integer: bool = False
+
+    @model_validator(mode="after")
+    def _is_complete(self) -> Range:
+        if self.choices is not None:
+            return self
+        if self.low is None or self.high is None:
+            raise ValueError("give choices, or low and high")
+        if self.low > self.high:
+            raise ValueError(f"low ({self.low:g}) must not be above high ({self.high:g})")
+        if self.log and self.low <= 0:
+            raise ValueError(f"low is {self.low:g}: log needs more than 0")
+        if self.integer and (self.low % 1 or self.high % 1):
+            raise ValueError("low and high must be whole numbers, as integer says")
+        return self
+
+
+class _Space(RootModel[dict[str, Range]]):
+    """By setting."""
+
+
+@dataclass(frozen=True)
+class SweepState:
+    """Numbers of finished, failed and running trials, and the best as (mm, settings)."""
+
+    finished: int
+    failed: int
+    running: int
+    best: tuple[tuple[float, dict[str, Any]], ...]
+
+
+def read_space(path: Path) -> dict[str, Range]:
+    """Read a search space: a TOML table per setting; EstimatorError with its line."""
+    return load_toml(path, _Space, EstimatorError).root
+
+
+def sweep_state(study: Any) -> SweepState:
+    """Counts and the ten best trials."""
+    import optuna
+
+    states = optuna.trial.TrialState
+    trials = study.get_trials(deepcopy=False)
+    done = [t for t in trials if t.state == states.COMPLETE]
+    best = sorted(done, key=lambda t: t.value)[:10]
+    return SweepState(
+        len(done),
+        sum(t.state == states.FAIL for t in trials),
+        sum(t.state == states.RUNNING for t in trials),
+        tuple((float(t.value), _chosen(t.params)) for t in best),
+    )
+
+
+def _chosen(params: Mapping[str, Any]) -> dict[str, Any]:
+    """Parameters as settings: a choice is kept as JSON, for a list cannot be one of optuna's."""
+    return {k: json.loads(v) if isinstance(v, str) else v for k, v in params.items()}
+
+
+def open_study(journal: Path, identity: str) -> Any:
+    """The study in a journal, started if absent; EstimatorError if it is not this sweep's."""
+    try:
+        import optuna
+        from optuna.storages import JournalStorage
+        from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
+    except ImportError:
+        raise EstimatorError(
+            "a sweep needs the extra 'sweep': pip install 'triball[sweep]'"
+        ) from None
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    journal.parent.mkdir(parents=True, exist_ok=True)
+    lock = JournalFileOpenLock(str(journal))
+    lock.acquire()
+    try:
+        _check_lines(journal)
+    finally:
+        lock.release()
+    try:
+        study = optuna.create_study(
+            study_name="sweep",
+            storage=JournalStorage(JournalFileBackend(str(journal), lock_obj=lock)),
+            load_if_exists=True,
+            sampler=optuna.samplers.TPESampler(constant_liar=True),
+        )
+    except (AssertionError, LookupError, TypeError, ValueError) as error:
+        raise EstimatorError(f"{journal}: damaged ({error!r}): use another file") from None
+    written = study.user_attrs.get("job")
+    if written is None:
+        study.set_user_attr("job", identity)
+    elif written != identity:
+        raise EstimatorError(
+            f"{journal}: belongs to another sweep, or the data have changed since ({written} then, "
+            f"{identity} now): use another file"
+        )
+    return study
+
+
+def _check_lines(journal: Path) -> None:
+    """Refuse a file that is no journal, or whose last line is torn: optuna would append to it."""
+    if not journal.exists():
+        return
+    content = read_bytes(journal, EstimatorError, MAX_TEXT_BYTES)
+    for number, line in enumerate(content.splitlines(keepends=True), 1):
+        try:
+            good = line.endswith(b"\n") and "op_code" in json.loads(line)
+        except (TypeError, ValueError):
+            good = False
+        if not good:
+            raise EstimatorError(
+                f"{journal}:{number}: damaged, or not a sweep's journal: use another file"
+            )
+
+
+def ask(study: Any, space: Mapping[str, Range]) -> tuple[Any, dict[str, Any]]:
+    """The next trial, marked as this process's; EstimatorError if trials had other choices."""
+    trial = study.ask()
+    trial.set_user_attr("worker", f"{os.uname().nodename}:{os.getpid()}")
+    try:
+        return trial, _suggest(trial, space)
+    except ValueError as error:
+        raise EstimatorError(
+            f"the space does not go with the journal's trials ({error}): use another journal"
+        ) from None
+
+
+def _suggest(trial: Any, space: Mapping[str, Range]) -> dict[str, Any]:
+    out: dict[str, Any] = {}
+    for name, range_ in space.items():
+        if range_.choices is not None:
+            text = trial.suggest_categorical(name, [json.dumps(c) for c in range_.choices])
+            out[name] = json.loads(text)
+            continue
+        assert range_.low is not None
+        assert range_.high is not None
+        if range_.integer:
+            out[name] = trial.suggest_int(name, int(range_.low), int(range_.high), log=range_.log)
+        else:
+            out[name] = trial.suggest_float(name, range_.low, range_.high, log=range_.log)
+    return out
+
+
+def finish(study: Any, trial: Any, work: Callable[[], float]) -> None:
+    """Do a trial's work and store its score; settings that cannot be fitted fail."""
+    try:
+        value = work()
+    except (DivergedError, FitError, ArithmeticError, ValueError, RuntimeError) as error:
+        fail(study, trial, str(error))
+        return
+    if np.isfinite(value):
+        study.tell(trial, value)
+    else:
+        fail(study, trial, "the score is not a number")
+
+
+def fail(study: Any, trial: Any, reason: str) -> None:
+    """Close a trial without a score; it is not tried again."""
+    import optuna
+
+    trial.set_user_attr("error", reason[:1000])
+    study.tell(trial, state=optuna.trial.TrialState.FAIL)
+
+
+def failures(study: Any) -> list[str]:
+    """Reasons of the failed trials, in order, without those of dead workers."""
+    trials = study.get_trials(deepcopy=False)
+    return [trial.user_attrs["error"] for trial in trials if "error" in trial.user_attrs]
+
+
+def requeue_dead(study: Any) -> None:
+    """Queue the settings of dead workers for the next worker."""
+    import optuna
+
+    trials = study.get_trials(deepcopy=False)
+    took = [t.duration.total_seconds() for t in trials if t.duration is not None]
+    patience_s = max(_MIN_PATIENCE_S, 10.0 * max(took, default=0.0))
+    for trial in trials:
+        if trial.state != optuna.trial.TrialState.RUNNING or not _abandoned(trial, patience_s):
+            continue
+        try:
+            study.tell(trial.number, state=optuna.trial.TrialState.FAIL)
+        except (ValueError, RuntimeError):
+            continue  # another worker was faster
+        study.enqueue_trial(trial.params)
+
+
+def _abandoned(trial: Any, patience_s: float) -> bool:
+    """A worker of this machine is known to be gone; one of another is given up after a while."""
+    host, _, pid = trial.user_attrs.get("worker", "").rpartition(":")
+    if host == os.uname().nodename:
+        return not _alive(int(pid))
+    return bool((datetime.now() - trial.datetime_start).total_seconds() > patience_s)
+
+
+def queued(study: Any) -> bool:
+    """Whether settings wait to be tried again."""
+    import optuna
+
+    return any(t.state == optuna.trial.TrialState.WAITING for t in study.get_trials(deepcopy=False))
+
+
+def _alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True
 
 
 @dataclass(frozen=True)
@@ -60,13 +285,13 @@ def run_trial(job: SweepJob, settings: Mapping[str, Any]) -> float:
 
 def sweep(
     job: SweepJob,
-    space: Mapping[str, studies.Range],
+    space: Mapping[str, Range],
     journal: Path,
     trials: int,
     *,
     scheduler: str | None = None,
     report: Report,
-) -> studies.SweepState:
+) -> SweepState:
     """Work on a sweep until it has `trials` finished trials; every process that calls this helps.
 
     The journal is a file that any number of processes and machines append to. The settings of a
@@ -82,19 +307,19 @@ def sweep(
         EstimatorError: an extra is missing, the journal is damaged or of another sweep, or as many
             trials failed as were wanted.
     """
-    study = studies.open_study(journal, job.identity)
+    study = open_study(journal, job.identity)
     while True:
-        studies.requeue_dead(study)
-        state = studies.sweep_state(study)
+        requeue_dead(study)
+        state = sweep_state(study)
         report(min(1.0, state.finished / trials), f"{state.finished} of {trials} trials")
         if state.finished >= trials:
             return state
-        if len(failed := studies.failures(study)) >= trials:
+        if len(failed := failures(study)) >= trials:
             raise EstimatorError(
                 f"{len(failed)} trials failed and {state.finished} finished; the last failure: "
                 f"{failed[-1]}: mend the space and use another journal, or want more trials"
             )
-        if state.finished + state.running >= trials and not studies.queued(study):
+        if state.finished + state.running >= trials and not queued(study):
             time.sleep(0.5)
             continue
         if scheduler:
@@ -103,24 +328,24 @@ def sweep(
             _one(study, job, space)
 
 
-def _one(study: Any, job: SweepJob, space: Mapping[str, studies.Range]) -> None:
-    trial, settings = studies.ask(study, space)
-    studies.finish(study, trial, lambda: run_trial(job, settings))
+def _one(study: Any, job: SweepJob, space: Mapping[str, Range]) -> None:
+    trial, settings = ask(study, space)
+    finish(study, trial, lambda: run_trial(job, settings))
 
 
 def _on_cluster(
-    study: Any, job: SweepJob, space: Mapping[str, studies.Range], scheduler: str, wanted: int
+    study: Any, job: SweepJob, space: Mapping[str, Range], scheduler: str, wanted: int
 ) -> None:
     """Hand a batch to dask's workers; dask itself repeats what a dead worker was doing."""
     with connected(scheduler, "--scheduler") as (client, distributed):
         workers = len(client.scheduler_info()["workers"])
         asked: dict[Any, Any] = {}
         for _ in range(min(wanted, 2 * workers)):
-            trial, settings = studies.ask(study, space)
+            trial, settings = ask(study, space)
             asked[client.submit(run_trial, job, settings, pure=False)] = trial
         for future in distributed.as_completed(list(asked), loop=client.loop):
             error = future.exception()
             if isinstance(error, distributed.KilledWorker):
-                studies.fail(study, asked[future], f"every worker that tried it died: {error}")
+                fail(study, asked[future], f"every worker that tried it died: {error}")
             else:
-                studies.finish(study, asked[future], future.result)
+                finish(study, asked[future], future.result)

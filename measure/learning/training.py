@@ -15,8 +15,8 @@ from typing import Any
 
 from measure.errors import EstimatorError
 from measure.host import Dataset, Epoch, Estimates, Estimator, LeftOut, OnnxModel, Report
-from measure.host.failures import named
-from measure.host.onnx_facts import contract
+from measure.host.onnx_model import contract
+from measure.host.registry import named
 from measure.learning.fitting import fit
 from measure.learning.scores import EstimatorEvaluation, evaluate, speed_range
 from measure.learning.splits import Split

@@ -11,7 +11,7 @@ from math import isfinite
 from measure.arrays import Floats
 from measure.errors import MeasureError, PluginError
 from measure.host import Detector, Plugin, PoseSolver, Triangulator
-from measure.host.failures import failure, named
+from measure.host.registry import failure, named
 from measure.model import BallPosition, Body, Camera, Detection, Expectation, Image, Motion, Pose
 
 

@@ -1,15 +1,16 @@
 """Robots: what their states mean, their kinematics, and a simulated cable-driven arm."""
 
 from measure.robots.chain import Joint, SerialChain, dh_link
-from measure.robots.library import find_schema, robot_names
 from measure.robots.logs import (
     ROBOT_KEY,
     LogFile,
     check_robot,
     feature_columns,
+    find_schema,
     is_table,
     log_pieces,
     read_log,
+    robot_names,
     write_log,
 )
 from measure.robots.raven import raven_chain, raven_schema

@@ -9,7 +9,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from measure.arrays import Floats
-from measure.learning.traces import RobotTraces
+from measure.learning.offline import RobotTraces
 from measure.viewing import entities
 from measure.viewing.blueprint import LEGEND, framed, plot, up_to_cursor
 from measure.viewing.entities import FrameSetBatch

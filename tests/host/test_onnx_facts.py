@@ -11,8 +11,8 @@ import pytest
 from measure.api import shipped_model
 from measure.errors import EstimatorError
 from measure.host import OnnxModel
-from measure.host.onnx_facts import read_card, read_facts
 from measure.host.onnx_graph import seal
+from measure.host.onnx_model import read_card, read_facts
 
 FACTS = OnnxModel.load(shipped_model()).facts
 

@@ -11,7 +11,7 @@ from measure.cli import main
 from measure.host import Correction, OnnxModel, Registry
 from measure.host.estimator import quiet
 from measure.learning import EstimateServer, OffsetFollower, Refusal, Split, TruePacket
-from measure.learning.packets import AnswerPacket, StatePacket
+from measure.learning.datagrams import AnswerPacket, StatePacket
 from measure.robots import find_schema
 from measure.robots.tables import Table
 

@@ -28,7 +28,7 @@ from measure.learning import (
 )
 from measure.learning.offline import schema_of
 from measure.learning.server import SILENT_S
-from measure.robots import pieces
+from measure.robots import tables
 from measure.robots.tables import Table
 
 pytest.importorskip("onnx", reason="fitting needs the extra 'train'")
@@ -317,7 +317,7 @@ def test_offline_is_online(
     np.testing.assert_array_equal(times, data.times_s)
     np.testing.assert_allclose(corrected.errors_mm, estimates.errors_mm, atol=1e-4)
     assert corrected.counts["corrected"] == len(data)
-    monkeypatch.setattr(pieces, "PIECE_ROWS", len(data) // 3)
+    monkeypatch.setattr(tables, "PIECE_ROWS", len(data) // 3)
     for name in ("errors.parquet", "errors.csv"):
         assert correct_file(path, model, tmp_path / name) == corrected.counts
         written = Table.read(tmp_path / name)

@@ -12,13 +12,13 @@ import pytest
 
 from benchmarks import online
 from measure import api
-from measure.learning import realtime
+from measure.learning import datagrams
 from measure.robots.simulator import simulate
 
 
 def test_real_time_is_had_or_refused_in_one_line() -> None:
     """In a process of its own: what it asks for stays."""
-    words = "import os; from measure.learning.realtime import claim_realtime as claim; "
+    words = "import os; from measure.learning.datagrams import claim_realtime as claim; "
     words += "print(claim()); print(os.sched_getscheduler(0) == os.SCHED_FIFO)"
     done = subprocess.run(
         [sys.executable, "-c", words], capture_output=True, text=True, check=True, timeout=120
@@ -39,8 +39,8 @@ def test_missing_rights_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
             return -1
 
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
-    monkeypatch.setattr(realtime.ctypes, "CDLL", Libc)
-    line = realtime.claim_realtime()
+    monkeypatch.setattr(datagrams.ctypes, "CDLL", Libc)
+    line = datagrams.claim_realtime()
     assert "refuses priority (Operation not permitted) and locked memory (" in line
     assert "rtprio 10 and memlock unlimited" in line
 

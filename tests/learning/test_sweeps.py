@@ -17,7 +17,7 @@ from measure.cli import main
 from measure.errors import DivergedError, EstimatorError
 from measure.host import Dataset, Registry
 from measure.learning import files
-from measure.learning.study import read_space
+from measure.learning.sweeping import read_space
 from tests.dask_cluster import Cluster, wait_for
 
 pytest.importorskip("torch", reason="training needs the extra 'train'")

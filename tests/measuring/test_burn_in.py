@@ -11,7 +11,7 @@ from measure.api import load_profile, measure_session, measuring
 from measure.errors import SessionError
 from measure.geometry import RigidTransform
 from measure.host import Loaded, Registry, SelfCalibratingDetector
-from measure.host.discovery import Distribution
+from measure.host.registry import Distribution
 from measure.measuring import Pipeline, Stages, burn_in
 from measure.measuring.tracking.predictive import PredictiveConfig, PredictiveTracker
 from measure.session import open_session

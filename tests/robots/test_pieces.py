@@ -9,8 +9,8 @@ import pytest
 
 from measure.errors import EstimatorError
 from measure.robots import LogFile, RobotLog, find_schema, log_pieces, read_log, write_log
-from measure.robots import pieces as module
-from measure.robots.pieces import TableFile
+from measure.robots import tables as module
+from measure.robots.tables import TableFile
 
 SCHEMA = find_schema("dvrk-psm")
 
