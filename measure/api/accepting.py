@@ -38,7 +38,6 @@ def accept(
     """Compare lengths of a run with known ones.
 
     Args:
-        run: the run's folder.
         lengths: a table `from,to,length_mm` and perhaps `sd_mm`, between rests by their numbers,
             between two balls of the body by their names, or between the origins of two bodies by
             theirs, one of which is the run's reference.
@@ -47,7 +46,6 @@ def accept(
 
     Raises:
         RunError: no run, or a row that names no rest and no ball.
-        ConfigError: the page cannot be written.
     """
     path = Path(lengths)
     table, runs = _read(path), read_runs(Path(run))

@@ -47,8 +47,6 @@ def calibrate(
 
     Raises:
         CalibrationError: what cannot give a trustworthy calibration, with its cause.
-        SessionError: a picture, video or body file that cannot be read.
-        ConfigError: an unknown method.
     """
     if method not in ("joint", "paper"):
         raise ConfigError(f"no calibration method is called '{method}'; there is joint and paper")
@@ -63,19 +61,12 @@ def calibrate(
 
 
 def draw_target(target: Path | str, output: Path | str | None = None) -> tuple[Sheet, Path]:
-    """Draw a target file as a printable sheet.
+    """Draw a target file as a printable sheet; gives the sheet and the file written.
 
     Args:
         target: TOML of a chessboard, ChArUco board, marker field or body: its path, or the name of
             one that comes with the program (see `shipped_targets`).
         output: .pdf or .svg; the target's name with .pdf in the current folder if omitted.
-
-    Returns:
-        The sheet and the file written.
-
-    Raises:
-        CalibrationError: the target file cannot be used.
-        ConfigError: no such target; or an output of another kind.
     """
     path = find_target(Path(target))
     written = Path(f"{path.stem}.pdf") if output is None else Path(output)

@@ -97,14 +97,9 @@ def check(
 
     Args:
         profile: whose detector searches the pictures, and whose stages measure the motion.
-        calibration: a calibration file to use instead of the session's own.
-        body: a body file to use instead of the session's own.
         samples: frame sets, spread over the recording, in which all is searched.
         clock_samples: frame sets from the start that are measured to compare the clocks; 0: none.
         progress: called with how many frame sets are done, and of how many.
-
-    Raises:
-        MeasureError: the recording cannot be opened or read at all, or no samples.
     """
     if samples < 1 or clock_samples < 0:
         raise ConfigError(
@@ -235,10 +230,8 @@ class _Looking:
         """Look, and where clocks are far off again with them set right.
 
         Where cameras disagree by much, their own motion is asked for their clocks. Its answer is
-        kept if the cameras then agree; else the stamps stay as they are.
-
-        Raises:
-            SessionError: the stamps are of two clocks, and the motion does not tell which.
+        kept if the cameras then agree; else the stamps stay as they are. SessionError: the stamps
+        are of two clocks, and the motion does not tell which.
         """
         apart = _apart(self.session)
         look = None if apart else self.look()

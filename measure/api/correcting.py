@@ -48,11 +48,6 @@ def estimate_file(
 
     Returns:
         How many were corrected, how many refused and why.
-
-    Raises:
-        EstimatorError: the model or the states do not fit, or `out` is one of their files, or is
-            called otherwise.
-        ConfigError: `out` cannot be written.
     """
     from measure import learning
 
@@ -88,13 +83,8 @@ def estimate_online(
 ) -> EstimateServer:
     """Answer states by UDP until the time is over or the process is interrupted.
 
-    Args:
-        realtime: before other processes, with memory that is not swapped; `on_refusal` gets one
-            line if the system does not allow it.
-
-    Raises:
-        ConfigError: a time that is none.
-        EstimatorError: the model cannot be read, or the address not be listened on.
+    In `realtime` before other processes, with memory that is not swapped; `on_refusal` gets one
+    line if the system does not allow it.
     """
     from measure import learning
     from measure.learning.datagrams import claim_realtime
@@ -149,14 +139,6 @@ def robot_recording(
         model: an estimator (.onnx), or `shipped`, that corrects the reported positions.
         frame: where the robot is, by `register`; its base is the cameras' world if omitted.
         clock_offset_s: robot minus camera time; estimated from the motion if absent.
-
-    Returns:
-        The recording.
-
-    Raises:
-        RunError: the folder is no run.
-        ConfigError: there is no log.
-        EstimatorError: log, model and poses do not fit together.
     """
     from measure.learning.offline import robot_traces
     from measure.viewing.robot_recording import write_robot_recording

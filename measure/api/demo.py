@@ -51,14 +51,7 @@ def demo(
     """Render a short session of four cameras, measure it, and compare it with the exact truth.
 
     Then the second half of the way: correct a simulated robot's position with the shipped network.
-
-    Args:
-        folder: where the session and the run are written; an earlier demonstration is replaced.
-        progress: called with how many pictures and frame sets are done.
-
-    Raises:
-        ConfigError: the folder holds something else, or there are no frames.
-        MeasureError: what `run` raises.
+    An earlier demonstration in the folder is replaced; ConfigError if it holds something else.
     """
     from measure.simulation.catalogue import webcam_scene
     from measure.viewing.drawings import write_mosaic
@@ -90,11 +83,7 @@ def demo(
 
 
 def render_demo(folder: Path, frames: int = DEMO_FRAMES, progress: Progress | None = None) -> Path:
-    """Render the demonstration's session, without measuring it; returns the session's folder.
-
-    Raises:
-        ConfigError: the folder holds something else, or there are no frames.
-    """
+    """Render the demonstration's session, without measuring it; returns the session's folder."""
     from measure.simulation import write_session
     from measure.simulation.catalogue import webcam_scene
 

@@ -95,10 +95,6 @@ def detect(
             picture is searched for all balls.
         out: a folder for copies of the pictures with the outlines drawn in.
         progress: called with how many pictures are done, and of how many.
-
-    Raises:
-        MeasureError: a picture that cannot be read or is not of the calibration's size; a ball that
-            the body has not; a folder that cannot be written.
     """
     asked = dict(expected)
     if unknown := [ball for ball in asked if ball not in body.names]:
@@ -241,13 +237,8 @@ def write_sampled_body(
 ) -> None:
     """Write a body with the colours that balls have in a picture, as `samples_bgr`.
 
-    Args:
-        seen: what was seen in the picture.
-        clicks: pixels on balls: what is connected to them and of their colour is sampled.
-        outlined: other balls that are sampled inside their outlines.
-
-    Raises:
-        ConfigError: a ball that the body has not, or that is not seen; a file that is there.
+    Sampled is what is connected to clicked pixels and of their colour, and the inside of outlines.
+    ConfigError: a ball that the body has not, or that is not seen; a file that is there.
     """
     check_new_body(to)
     if unknown := [ball for ball in clicks if ball not in body.names]:

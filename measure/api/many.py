@@ -60,21 +60,16 @@ def run_many(
 ) -> list[Outcome]:
     """Measure recordings independently of each other, each into a folder of its own in `out`.
 
-    Results are those of measuring them one by one. A worker that is killed loses no recording: what
-    it was at is measured again from the start. A recording that fails does not stop the others.
+    Results, one a recording in their order, are those of measuring them one by one. A worker that
+    is killed loses no recording: what it was at is measured again from the start. A recording that
+    fails does not stop the others.
 
     Args:
         sessions: their folders; the last part of each path names its run.
-        registry: where the plugins come from; a cluster's workers need them installed.
         workers: how many processes on this machine; as many as it has cores if omitted.
-        cluster: address of a dask scheduler ("tcp://host:8786"), whose workers see the same paths.
+        cluster: address of a dask scheduler ("tcp://host:8786"), whose workers see the same paths
+            and have the plugins installed.
         progress: called with how many recordings are finished, and of how many.
-
-    Returns:
-        One outcome per recording, in their order.
-
-    Raises:
-        ConfigError: two recordings of one name, no process, or a cluster that cannot be used.
     """
     if workers is not None and workers < 1:
         raise ConfigError(f"--workers {workers}: expected at least 1")

@@ -19,22 +19,10 @@ from measure.session import Session
 def measure_session(
     session: Session, profile: Profile, registry: Registry
 ) -> Iterator[tuple[FrameSet, Measurement]]:
-    """Measure a session's frame sets in order, after a burn-in if detectors calibrate themselves.
+    """Each frame set of an open session with its measurement, in order, as soon as that is final.
 
-    Of a session with several bodies this measures the first: see `measure_bodies`.
-
-    Args:
-        session: an open session.
-        profile: the stages and their settings.
-        registry: where the plugins come from.
-
-    Yields:
-        Each frame set with its measurement, as soon as that is final.
-
-    Raises:
-        PluginError: a plugin that is unknown, broken or ambiguous, or refuses the body.
-        ConfigError: settings that do not fit.
-        SessionError: an image that cannot be read.
+    Measured after a burn-in if detectors calibrate themselves; of several bodies the first: see
+    `measure_bodies`.
     """
     pipeline = calibrated_pipeline(session, profile, registry)
     for frame_set, (measured,) in measure_frame_sets([pipeline], session.frame_sets()):
@@ -44,11 +32,7 @@ def measure_session(
 def measure_bodies(
     session: Session, profile: Profile, registry: Registry
 ) -> Iterator[tuple[FrameSet, tuple[Measurement, ...]]]:
-    """`measure_session` for all bodies of a session, each with a pipeline of its own.
-
-    Yields:
-        Each frame set with a measurement for every one of `session.bodies`, in that order.
-    """
+    """`measure_session` for all of `session.bodies`, in order, each with its own pipeline."""
     pipelines = [calibrated_pipeline(session, profile, registry, body) for body in session.bodies]
     yield from measure_frame_sets(pipelines, session.frame_sets())
 
@@ -73,12 +57,8 @@ def calibrated_pipeline(
 ) -> Pipeline:
     """A warm pipeline whose detectors have calibrated themselves on the frame sets from `start`.
 
-    It measures the session's body, or another one.
-
-    Raises:
-        PluginError: a plugin that is unknown, broken or ambiguous, or refuses the body.
-        ConfigError: settings that do not fit.
-        SessionError: no two cameras have images close enough in time.
+    It measures the session's body, or another one. Raises as `build_pipeline`; SessionError: no two
+    cameras have images close enough in time.
     """
     pipeline = warm_pipeline(profile, registry, body or session.body, session.cameras)
     build = partial(build_pipeline, profile, registry)
@@ -90,11 +70,7 @@ def search_frame_sets(
 ) -> Iterator[tuple[FrameSet, list[dict[str, list[Detection]]]]]:
     """Search whole pictures of some frame sets, the cameras side by side.
 
-    Args:
-        searches: a detector for each camera, by name; perhaps several of each.
-
-    Yields:
-        Each frame set with what each of the searches found, by camera.
+    Each comes with what each of the searches, a detector for each camera by name, found by camera.
     """
     with ThreadPoolExecutor(len(session.cameras)) as pool:
         for index in chosen:

@@ -44,9 +44,6 @@ def pivot(run: Path | str, spin: Path | str | None = None, body: str | None = No
         run: the run's folder: the tool pivots about its tip and does nothing else.
         spin: another run, of the tool spun about its own axis.
         body: the tool's name, in a run of several bodies.
-
-    Raises:
-        RunError: no run, or its motion cannot show the tip or the axis.
     """
     opened = read_run(Path(run), body)
     with told_of(run):
@@ -95,7 +92,6 @@ def world(
 
     Args:
         calibration: that the run was measured with.
-        run: the run's folder.
         at_s: time of a pose.
         rest: number of a rest; the longest, if nothing is given.
         points: numbers of three rests of a tip instead: at the origin, on the x axis, and on the
@@ -104,11 +100,6 @@ def world(
 
     Returns:
         The calibration, and the new world's pose in the old one.
-
-    Raises:
-        ConfigError: more than one place is given.
-        RunError: no such pose or rest, or points on one line.
-        CalibrationError: the run was measured with another calibration.
     """
     if sum(given is not None for given in (at_s, rest, points)) > 1:
         raise ConfigError("--at, --rest and --points name different places: give one of them")
@@ -128,14 +119,9 @@ def world_by_board(
     """A calibration whose world is the frame of a board, its z axis towards the cameras.
 
     Args:
-        calibration: of the cameras, in the world as it is.
         board: its target file, or the name of one that comes with the program.
         pictures: a folder with a picture of the board by each camera that sees it, named like the
             camera (cam0.png).
-
-    Raises:
-        CalibrationError: no board in the pictures, or pictures that contradict each other.
-        SessionError: a picture that cannot be read.
     """
     from measure.calibration import read_board
     from measure.calibration.board_frame import board_frame

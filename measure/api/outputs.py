@@ -22,14 +22,10 @@ def check_apart(*outs: Path) -> None:
 
 
 def check_writable(out: Path, *, folder_is_made: bool = False) -> None:
-    """Refuse a file that cannot be written, before long work is done for it.
+    """Refuse (ConfigError) a file that cannot be written, before long work is done for it.
 
-    Args:
-        folder_is_made: whether its folder will be made if it is not there.
-
-    Raises:
-        ConfigError: it is a folder, its folder is not there, or it must not be written; or it is a
-            link, through which whoever made it could have any file written over.
+    It is a folder, its folder is not there (unless that is made), or it must not be written; or it
+    is a link, through which whoever made it could have any file written over.
     """
     folder = out.parent
     if out.is_symlink():
@@ -47,14 +43,7 @@ def check_writable(out: Path, *, folder_is_made: bool = False) -> None:
 
 
 def check_replaceable(out: Path, read: Callable[[Path], object], what: str) -> None:
-    """Refuse a file as `check_writable` does, or one that is there and holds something else.
-
-    Args:
-        read: reads files of its kind, and refuses others.
-
-    Raises:
-        ConfigError: as said.
-    """
+    """Refuse a file as `check_writable` does, or one that is there and that `read` refuses."""
     check_writable(out)
     if out.exists() and out.stat().st_size:
         try:

@@ -41,11 +41,6 @@ def make_dataset(
         out: the Parquet file; its data card goes beside it.
         topic: of the state messages, if a log is a bag.
         frame: where the robot is, by `register`; its base is the cameras' world if omitted.
-
-    Raises:
-        EstimatorError: files that do not fit, the message says which; labels that a frame, a tool
-            or a clock explains, unless `settings` keep them.
-        ConfigError: `out` cannot be written.
     """
     from measure.learning import assemble, files
 
@@ -67,11 +62,8 @@ def make_dataset(
 def read_tracks(runs: Sequence[Path], frame: Path | None, robot: str) -> list[PoseTrack]:
     """Measured positions of runs or files of poses: of the reported point in the robot's base.
 
-    Args:
-        frame: where these are; the body's origin in the cameras' world if omitted.
-
-    Raises:
-        EstimatorError: no poses, or a frame of another robot.
+    Without a frame of where these are, of the body's origin in the cameras' world. EstimatorError:
+    no poses, or a frame of another robot.
     """
     from measure.learning import files
     from measure.learning.frames import read_frame
@@ -177,11 +169,7 @@ def simulate_recording(
     wear: float,
     progress: Progress,
 ) -> None:
-    """Render the simulated RAVEN-II with its balls into a session folder, with its log.
-
-    Raises:
-        ConfigError: a length, a rate, an offset, a seed or a wear that makes no recording.
-    """
+    """Render the simulated RAVEN-II with its balls into a session folder, with its log."""
     from measure.learning.rendering import render_recording
 
     if not (0 < seconds < math.inf and 0 < frame_hz < math.inf and seconds * frame_hz >= 1):
@@ -218,10 +206,6 @@ def register(
         logs: robot logs, one for each run or one for all.
         robot: name of a state schema, or a robot.toml.
         topic: of the state messages, if a log is a bag.
-
-    Raises:
-        ConfigError: no runs, or no logs.
-        EstimatorError: files that do not fit, or a motion that does not show it.
     """
     from measure.learning import files
     from measure.learning.registration import Recording, register

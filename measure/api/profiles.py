@@ -35,9 +35,6 @@ def load_profile(name: str = DEFAULT_PROFILE) -> Profile:
     """A profile that comes with the program, by name, or any by the path of its TOML file.
 
     A run's `run.toml` serves as well: it holds the profile the run was made with.
-
-    Raises:
-        ConfigError: no profile of that name; or its file is broken.
     """
     if Path(name).name == RUN_FILE:
         return load_toml(name, _ProfileOfRun, ConfigError).profile
@@ -62,15 +59,7 @@ class _ProfileOfRun(BaseModel):
 def choose(
     profile: Profile, stages: Mapping[Stage, str | None], settings: Iterable[str] = ()
 ) -> Profile:
-    """Apply a user's choices.
-
-    Args:
-        stages: plugin names by stage; None keeps the profile's.
-        settings: "STAGE.NAME=VALUE" each, VALUE in TOML's notation or bare text.
-
-    Raises:
-        ConfigError: a setting that is not of that form, or of an unknown stage.
-    """
+    """Apply a user's choices: plugins by stage, and "STAGE.NAME=VALUE", VALUE in TOML or bare."""
     for stage, name in stages.items():
         if name is not None and name != getattr(profile, stage):
             profile = profile.with_stage(stage, name)
@@ -119,9 +108,8 @@ def build_pipeline(
 ) -> Pipeline:
     """Build every stage of a profile for a body and its cameras.
 
-    Raises:
-        PluginError: a plugin that is unknown, broken or ambiguous, or refuses the body.
-        ConfigError: settings that do not fit, or a solver of outlines with a detector of none.
+    PluginError: a plugin that is unknown, broken or ambiguous, or refuses the body. ConfigError:
+    settings that do not fit, or a solver of outlines with a detector of none.
     """
     settings = profile.settings
     tracker = find_tracker(profile.tracking)

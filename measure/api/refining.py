@@ -75,10 +75,6 @@ def refine(
         settings: what may change, and how far.
         calibration: first calibration, if not the session's own.
         progress: called with how many frame sets are measured, and of how many.
-
-    Raises:
-        CalibrationError: too little motion, or a result that is worse than the first calibration.
-        SessionError, PluginError, ConfigError: as when measuring.
     """
     chosen = lenient(load_profile(profile))
     with open_session(session, calibration=calibration) as opened:
@@ -197,13 +193,10 @@ def find_body(
             only to tell balls of one colour apart.
         origin: name of the ball to put the origin at; the centroid, or that of `like`, if omitted.
         profile: how to measure, by name or TOML file.
-        calibration: a calibration file to use instead of the session's own.
         progress: called with how many frame sets are done, and of how many.
 
     Raises:
         SessionError: fewer than three balls, two of one colour, or balls of another size.
-        CalibrationError: too few frame sets in which they are measured.
-        MeasureError: the recording cannot be opened.
     """
     if not 0 < radius_mm < np.inf:
         raise ConfigError(f"--radius-mm {radius_mm:g}: expected a length in mm above 0")

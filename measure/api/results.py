@@ -44,9 +44,6 @@ def evaluate(
         truth_body: which rigid body of a tracker's file, or of a table of several bodies; of a run
             of several bodies that of the body's own name if omitted.
         body: which body, of a run of several.
-
-    Raises:
-        RunError: no run, no truth, or a truth of another time or unit.
     """
     opened = read_run(Path(run), body)
     truth_body = truth_body or _own_name(opened)
@@ -71,19 +68,12 @@ def body_names(run: Path | str) -> list[str]:
 def report(
     run_path: Path, out: Path | None = None, truth: Path | None = None, body: str | None = None
 ) -> Path:
-    """Write the report of a run as one self-contained HTML file.
+    """Write the report of a run as one self-contained HTML file; gives the file.
 
     Args:
         out: the file; `report.html` in the run's folder if omitted.
         truth: poses over time; those of the run's session if omitted and there are any.
         body: which body, of a run of several; all if omitted.
-
-    Returns:
-        Where it was written.
-
-    Raises:
-        RunError: the folder is no run, or the truth cannot be read or is not the run's.
-        ConfigError: the file cannot be written, or is there and no page.
     """
     from measure.viewing.report.run_report import run_report
 
@@ -130,7 +120,7 @@ def export(
     smooth_s: float | None = None,
     velocity: bool = False,
 ) -> Path:
-    """Write a run in another program's format.
+    """Write a run in another program's format; gives the file.
 
     Args:
         file_format: "csv", "tum", "trc", "c3d" or "mcap".
@@ -138,13 +128,6 @@ def export(
         body: which body, of a run of several; all if omitted.
         smooth_s: smooth poses over so long on either side; as measured if omitted.
         velocity: write velocities as well.
-
-    Returns:
-        The file written.
-
-    Raises:
-        ConfigError: no such format, or its library is not installed.
-        RunError: no run, no pose in it, or the file cannot be written.
     """
     path = Path(run) / f"export.{file_format}" if out is None else Path(out)
     runs = _chosen(Path(run), body)
@@ -152,14 +135,7 @@ def export(
 
 
 def compare(first: Path | str, second: Path | str, body: str | None = None) -> Comparison:
-    """What differs between two runs, and by how many standard deviations.
-
-    Args:
-        body: which body, of runs of several.
-
-    Raises:
-        RunError: no run, or one without an unflagged pose.
-    """
+    """What differs between two runs, or one body of them, and by how many standard deviations."""
     return compare_runs(read_run(Path(first), body), read_run(Path(second), body))
 
 

@@ -71,10 +71,6 @@ def run(
 
     Args:
         session_path: the session's folder, which is only read.
-        out: the run's folder.
-        profile: the stages and their settings.
-        registry: where the plugins come from.
-        options: how the run is written.
         progress: called with how many frame sets are done, and of how many.
         on_note: called with a line that says what resuming the run costs.
 

@@ -39,15 +39,10 @@ class LogOptions:
 
 
 class RunLog:
-    """The recording of a run, with the error against truth where there is one.
+    """The recording of a run in its folder, with the error against truth where there is one.
 
-    Args:
-        bodies: what is measured.
-        out: the run's folder, with its `run.toml`.
-        kept: how many frame sets are kept of an interrupted run: its recording is replaced by this
-            one as soon as this one holds as much.
-        truths: by body the true poses, where they are known.
-        videos: by camera, recorded videos that go in as they are.
+    That of an interrupted run is replaced by this one as soon as this one holds as many frame sets
+    as are `kept` of it.
     """
 
     def __init__(

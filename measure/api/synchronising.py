@@ -41,15 +41,10 @@ def find_offsets(
     seconds: float,
     progress: Progress | None = None,
 ) -> dict[str, float]:
-    """Search every camera's pictures for the balls, and find the clocks from their paths.
+    """Search every camera's pictures for the balls, and `synchronise` the clocks by their paths.
 
-    Args:
-        session: opened; `clocks_apart` if its cameras have no time in common.
-        seconds: how much of each camera's recording is looked at, from its start.
-        progress: called with how many pictures are done, and of how many.
-
-    Returns:
-        See `synchronise`.
+    So many seconds from the start of each camera are looked at; the session is opened
+    `clocks_apart` if its cameras have no time in common.
     """
     warm_pipeline(profile, registry, session.body, session.cameras)
     chosen = {name: _spaced(s.times_s, seconds) for name, s in session.streams.items()}
@@ -112,10 +107,6 @@ def sync(
         overwrite: replace offsets, or an output, that are there.
         seconds: how much of each recording is looked at, from its start.
         progress: called with how many pictures are done, and of how many.
-
-    Raises:
-        SessionError: the motion does not tell the clock of some camera, or offsets are there.
-        ConfigError: `output` is there, or cannot be written; or no seconds.
     """
     if not seconds > 0:
         raise ConfigError(f"{seconds:g} seconds: must be more than 0")

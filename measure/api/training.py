@@ -40,12 +40,7 @@ class TrainOptions:
 def train(
     data: Sequence[Path], out: Path, options: TrainOptions, registry: Registry, report: Report
 ) -> Trained:
-    """Fit an estimator and write `out` (ONNX), its card and its report.
-
-    Raises:
-        EstimatorError: data that cannot be learnt from.
-        PluginError, ConfigError: the estimator or its settings, a seed, or `out`.
-    """
+    """Fit an estimator and write `out` (ONNX), its card and its report."""
     from measure import learning
     from measure.viewing.report.estimator_report import estimator_report
 
@@ -129,12 +124,7 @@ class SweepOptions:
 def sweep(
     data: Path, space: Path, journal: Path, options: SweepOptions, report: Report
 ) -> SweepState:
-    """Run trials until the sweep has enough, together with other processes of the same journal.
-
-    Raises:
-        ConfigError: no trials are wanted, a seed or journal that cannot be used.
-        EstimatorError: data or a journal that cannot be used, or trials that fail.
-    """
+    """Run trials until the sweep has enough, together with other processes of the same journal."""
     from measure.learning import files, sweeping
     from measure.learning.sweeping import read_space
 
@@ -171,10 +161,6 @@ def ablate(
         single: every feature on its own instead of the robot's groups.
         remove: also fit without each.
         split_seed: split the data anew instead of as in training.
-
-    Raises:
-        EstimatorError: the data are another robot's, or not those the model was trained on.
-        ConfigError: a seed that cannot be used.
     """
     from measure import learning
 
@@ -198,11 +184,7 @@ _LARGEST = 2**32 - 1
 
 
 def check_seeds(**seeds: int) -> None:
-    """Refuse seeds that not every generator takes, by the names of their options.
-
-    Raises:
-        ConfigError: one is negative, or has more than 32 bits.
-    """
+    """Refuse (ConfigError) seeds, by the names of their options, that not every generator takes."""
     for name, seed in seeds.items():
         if not 0 <= seed <= _LARGEST:
             option = "--" + name.replace("_", "-")

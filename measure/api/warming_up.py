@@ -24,12 +24,7 @@ _log = logging.getLogger(__name__)
 def warm_pipeline(
     profile: Profile, registry: Registry, body: Body, cameras: Sequence[Camera]
 ) -> Pipeline:
-    """Build the stages of a profile and compile them, with a notice where that takes long.
-
-    Raises:
-        PluginError: a plugin that is unknown, broken or ambiguous, or refuses the body.
-        ConfigError: settings that do not fit.
-    """
+    """`build_pipeline`, and compile its stages, with a notice where that takes long."""
     with compilation_notice():
         return compile_pipeline(profile, registry, body, cameras)
 

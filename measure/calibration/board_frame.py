@@ -28,17 +28,10 @@ def board_frame(
     """The frame world_from_board of a board that lies still, its z axis towards the viewer.
 
     Its origin is the board's and its x axis is printed; y runs against the board's own, so that z
-    comes out of the paper. Least squares over the corners in all pictures; the covariance holds the
-    corners' scatter and what the cameras' own uncertainties do to it.
-
-    Args:
-        board: whose corners have numbers: it looks the same after no turn.
-        cameras: in the world as it is.
-        pictures: BGR by camera name, of one instant or of a board at rest.
-
-    Raises:
-        CalibrationError: the board is in no picture, looks the same after a turn, or the pictures
-            contradict each other.
+    comes out of the paper. Least squares over the corners in all pictures (BGR by camera name, of
+    one instant); the covariance holds the corners' scatter and what the cameras' own uncertainties
+    do to it. CalibrationError: the board is in no picture, looks the same after a turn, or the
+    pictures contradict each other.
     """
     if len(board.turns) > 1:
         raise CalibrationError(

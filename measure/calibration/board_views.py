@@ -28,10 +28,8 @@ _START_VIEWS = 8  # Most views that they are tried on
 def board_pose(intrinsics: Intrinsics, points: Floats, pixels: Floats) -> RigidTransform:
     """Pose camera_from_board from points (n, 3), n >= 4, and their pixels (n, 2).
 
-    Of the two poses a flat board allows, the one that reprojects better.
-
-    Raises:
-        CalibrationError: no pose puts the board in front of the camera.
+    Of the two poses a flat board allows, the one that reprojects better; CalibrationError if none
+    puts the board in front of the camera.
     """
     bearings = intrinsics.unproject(pixels)
     if not np.isfinite(bearings).all():
@@ -231,13 +229,7 @@ def fit_lens(
     model: LensModel,
     huber: float = np.inf,
 ) -> SingleCameraFit:
-    """Fit the free lens parameters and all board poses by least squares.
-
-    Args:
-        start: where to begin; parameters that are not free keep its values.
-        points: (k, 3) the board's corners, mm.
-        huber: reach of the robust loss in px; squares if infinite.
-    """
+    """Fit the free lens parameters and all board poses to corners (k, 3) mm, from a start."""
     poses = stack([board_pose(start, points[v.ids], v.pixels) for v in views])
     seen = CameraViews.of(views, range(len(views)), 1.0, model.free)
     camera = Camera("", start, RigidTransform.identity())

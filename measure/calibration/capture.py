@@ -100,12 +100,7 @@ class CameraCapture:
     model: Projection | None = None  # the kind of lens to be calibrated, if that is stated
 
     def views(self) -> Iterator[tuple[str, Bytes]]:
-        """The pictures of the board for the lens: name and BGR pixels.
-
-        Raises:
-            CalibrationError: there are none.
-            SessionError: one cannot be read.
-        """
+        """Name and BGR pixels of the board's pictures; CalibrationError if there are none."""
         assert self.pictures is not None
         if Path(self.pictures).suffix.lower() in _VIDEO_ENDINGS:
             yield from self._video(self.folder / self.pictures)
@@ -119,12 +114,7 @@ class CameraCapture:
             yield file.name, session.read_picture(file)
 
     def still(self, path: Path, lens: Intrinsics) -> Bytes:
-        """A picture (h, w, 3) BGR by which the camera is located.
-
-        Raises:
-            CalibrationError: it is of another size than the lens's pictures.
-            SessionError: it cannot be read.
-        """
+        """A BGR picture by which the camera is located; CalibrationError if of another size."""
         bgr = session.read_picture(path)
         width, height = lens.size_wh
         if bgr.shape[:2] != (height, width):

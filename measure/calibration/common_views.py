@@ -33,15 +33,10 @@ def fit_common_views(
 ) -> tuple[tuple[Camera, ...], Floats]:
     """Fit all cameras, lenses included, with the first camera as the world.
 
-    Pictures of one instant carry the same number in their names, or are frames of that number.
-
-    Returns:
-        The cameras, and the board's corners in the world at all instants (n, 3) mm.
-
-    Raises:
-        CalibrationError: a camera shares fewer than three views with those already placed, its
-            pictures contradict the others', or the board looks the same after a turn and the views
-            do not tell which it is.
+    Pictures of one instant carry the same number in their names, or are frames of that number. Also
+    gives the board's corners in the world at all instants (n, 3) mm. CalibrationError: a camera
+    shares fewer than three views with those already placed, its pictures contradict the others', or
+    the views do not tell how a board was turned that looks the same after a turn.
     """
     views = {
         name: {_instant(v.source): v for v in lens.views.views} for name, lens in lenses.items()

@@ -80,12 +80,7 @@ class Sheet:
 def lay_out(
     shapes: list[Shape], size_mm: tuple[float, float], origin_mm: tuple[float, float], text: str
 ) -> Sheet:
-    """Put a drawing of a size in the middle of the smallest paper, with title and scale bar.
-
-    Args:
-        shapes: in the drawing's own mm, from its top left corner.
-        origin_mm: the target's origin in the drawing.
-    """
+    """Put a drawing, in mm from its top left corner, on the smallest paper, with a scale bar."""
     wanted = (size_mm[0] + 2 * MARGIN_MM, size_mm[1] + MARGIN_MM + FOOTER_MM)
     paper, page = "", wanted
     for name, (short, long) in _PAPERS_MM.items():

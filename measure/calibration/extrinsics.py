@@ -64,16 +64,10 @@ def fit_rig(
     corner_sd_px: float | None = None,
     mark_sd_px: float | None = None,
 ) -> RigFit:
-    """Fit all cameras jointly.
+    """Fit all cameras jointly; CalibrationError if a camera's pose stays undetermined.
 
-    Args:
-        start: cameras with rough poses; a lens with a covariance is refined within it, one without
-            stays as it is.
-        corner_sd_px: known standard deviation of a corner coordinate; estimated if omitted.
-        mark_sd_px: known standard deviation of a mark coordinate; estimated if omitted.
-
-    Raises:
-        CalibrationError: the observations leave a camera's pose undetermined.
+    A lens with a covariance is refined within it, one without stays as it is. Standard deviations
+    of corners and marks are estimated where they are not given.
     """
     layout = lay_out(start, observations)
     boards = {name: board.world_from_board for name, board in observations.boards.items()}
@@ -180,10 +174,7 @@ def fit_rig_with_boards(
     Restricted maximum likelihood (Patterson and Thompson 1971) over a fixed list of board
     tolerances, where none is stated, and over one of common offsets of found marks, where there are
     any. Without at least two cameras that see both there is nothing to learn from: the stated poses
-    are taken as exact and the offset as it stands.
-
-    Raises:
-        CalibrationError: the observations leave a camera's pose undetermined.
+    are taken as exact and the offset as it stands. Raises as `fit_rig`.
     """
     both = [
         n

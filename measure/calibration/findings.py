@@ -35,10 +35,8 @@ class Workspace:
 def workspace_of(cameras: tuple[Camera, ...], points: Floats) -> Workspace:
     """The inner half of the marker field (or of the board corners (n, 3) in view).
 
-    Without points: 100 mm around where the cameras' axes meet.
-
-    Raises:
-        DegenerateGeometryError: no points, and all cameras look the same way.
+    Without points: 100 mm around where the cameras' axes meet; DegenerateGeometryError if they do
+    not.
     """
     if len(points) >= 4 and np.all(np.ptp(points[:, :2], axis=0) > 0):
         low, high = points.min(axis=0), points.max(axis=0)

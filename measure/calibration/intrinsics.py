@@ -49,14 +49,10 @@ class LensCalibration:
 def calibrate_lens(
     board: Board, views: ViewSet, camera: str, projection: Projection | None = None
 ) -> LensCalibration:
-    """Calibrate a lens.
+    """Calibrate a lens; of no stated kind a pinhole, with advice where a fisheye fits better.
 
-    Args:
-        projection: the kind of lens. If omitted a pinhole, with advice where a fisheye fits better.
-
-    Raises:
-        CalibrationError: the views do not fit the board, are too few after bad ones went, or leave
-            the focal length undetermined.
+    CalibrationError: the views do not fit the board, are too few after bad ones went, or leave the
+    focal length undetermined.
     """
     if projection is not None:
         return _calibrate(board, views, camera, projection)

@@ -120,14 +120,9 @@ def solve(
 ) -> LeastSquaresSolution[State]:
     """Minimise the sum of losses of the whitened residuals plus the squared priors.
 
-    Args:
-        linearise: residuals and derivatives at a state.
-        step: the state after shared (n_shared,) and block (n_blocks, b) increments.
-        loss: robust loss on the length of each residual; squares if omitted.
-
-    Raises:
-        CalibrationError: the start has no finite cost, the data leave parameters undetermined, or
-            the limit was reached.
+    `step` gives the state after shared (n_shared,) and block (n_blocks, b) increments.
+    CalibrationError: the start has no finite cost, the data leave parameters undetermined, or the
+    limit was reached.
     """
     loss, limits = loss or Huber(), limits or StoppingRule()
     state, here = start, linearise(start)

@@ -47,18 +47,11 @@ class FoundMarkers:
 def find_markers(
     bgr: Bytes, camera: Camera, markers: MarkerField, kind: MarkerKind = "dot"
 ) -> FoundMarkers:
-    """Find the markers of a field in a picture.
+    """Find the markers of a field in a picture (h, w, 3), from a camera with a rough pose.
 
     Candidates are assigned to predicted places all at once (the least sum of squared distances,
-    nobody twice), the pose is refined from that, and so on with a shrinking reach.
-
-    Args:
-        bgr: the picture (h, w, 3).
-        camera: with a rough pose.
-        kind: dots (or small balls), or crosses.
-
-    Raises:
-        CalibrationError: too few markers fit the pose.
+    nobody twice), the pose is refined from that, and so on with a shrinking reach. CalibrationError
+    if too few fit the pose.
     """
     light, plural = linear_light(bgr), _PLURALS[kind]
     candidates: list[Dot] | list[Cross]
@@ -85,12 +78,8 @@ def find_markers(
 def assign(predicted: Floats, found: Floats, reach_px: float) -> tuple[Ints, Ints]:
     """Pair predictions (k, 2) with finds (n, 2), nobody twice, at the least total squared distance.
 
-    Args:
-        predicted: NaN where a marker cannot be seen.
-        reach_px: pairs farther apart are none.
-
-    Returns:
-        Numbers of the paired predictions and of their finds.
+    Gives the numbers of both; none are farther apart than `reach_px`. NaN is predicted of what
+    cannot be seen.
     """
     from scipy.optimize import linear_sum_assignment
 

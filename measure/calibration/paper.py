@@ -45,13 +45,8 @@ def fit_rig_by_paper(
 ) -> PaperFit:
     """Every camera by itself, from its markers, beginning at its rough pose.
 
-    Args:
-        start: cameras at their rough poses; lenses with covariances.
-        observations: markers with their tolerance, and marks.
-        mark_sd_px: standard deviation of a mark coordinate; from the residuals if omitted.
-
-    Raises:
-        CalibrationError: a camera with fewer than three marks, or no optimum found.
+    The standard deviation of marks is that of the residuals if omitted. CalibrationError: a camera
+    with fewer than three marks, or no optimum found.
     """
     cameras, squares, freedom = [], 0.0, 0.0
     for camera in start:

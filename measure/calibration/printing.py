@@ -35,12 +35,7 @@ _CROSS_MM = 6.0
 
 
 def target_sheet(path: Path) -> Sheet:
-    """The sheet of a target file: a chessboard, ChArUco board, marker field or body.
-
-    Raises:
-        CalibrationError: the file cannot be used.
-        SessionError: a body file that cannot be used.
-    """
+    """The sheet of a target file: a board, marker field or body; raises if it cannot be used."""
     kind = "aprilgrid" if path.suffix.lower() in (".yaml", ".yml") else kind_of(path)
     if kind in _SHEETS:
         given = read_board_file(path)

@@ -73,15 +73,10 @@ class RigCalibration:
 def calibrate_capture(
     capture: Capture, method: Method = "joint", progress: Progress | None = None
 ) -> RigCalibration:
-    """Calibrate all cameras of a capture.
+    """Calibrate all cameras of a capture: all at once ("joint"), or by equation 3 ("paper").
 
-    Args:
-        method: "joint" (all cameras, boards and markers at once) or "paper" (equation 3).
-        progress: called with how many cameras are done, and of how many.
-
-    Raises:
-        CalibrationError: anything that cannot give a trustworthy calibration, with its cause.
-        SessionError: a picture or video that cannot be read.
+    CalibrationError, with its cause: what cannot give a trustworthy calibration. SessionError: a
+    picture or video that cannot be read.
     """
     lenses: dict[str, LensCalibration] = {}
     known: dict[str, Intrinsics] = {}

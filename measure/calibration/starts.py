@@ -88,14 +88,11 @@ _CLEAR_RATIO = 3.0  # How much worse the marks must fit any other turn
 def oriented_board(
     camera: CameraCapture, lens: Intrinsics, seen: BoardObservation, capture: Capture
 ) -> BoardObservation:
-    """The board with its corners numbered as they are.
+    """The board with its corners numbered as they are; CalibrationError if nothing tells how.
 
-    Of the turns after which the board looks the same it is the one whose origin the capture says
-    is near `board_origin_px`; or else the one that puts the camera where its marks agree, and
-    above the floor.
-
-    Raises:
-        CalibrationError: nothing tells which.
+    Of the turns after which the board looks the same it is the one whose origin the capture says is
+    near `board_origin_px`; or else the one that puts the camera where its marks agree, and above
+    the floor.
     """
     turned = [
         replace(seen, corners=replace(seen.corners, ids=turn[seen.corners.ids]))
@@ -143,10 +140,8 @@ def marks_of(
 ) -> tuple[Camera, MarkerObservation | None, FoundMarkers | None]:
     """The rough camera, its marks by hand and by search (the hand wins), and the search's finds.
 
-    Raises:
-        CalibrationError: neither board nor marks locate the camera, or too few markers
-            are found and none is marked.
-        SessionError: a picture that cannot be read.
+    CalibrationError: neither board nor marks locate it, or too few markers are found and none
+    marked.
     """
     markers = capture.markers
     by_hand = marker_observation(camera.marks, markers)
@@ -202,17 +197,10 @@ def check_board_against_marks(
     markers: MarkerField,
     marks: MarkerObservation,
 ) -> float:
-    """How far board and markers disagree in one camera.
+    """How far, in mm at the markers, they disagree with the board by which a camera was located.
 
-    Args:
-        start: the camera as located by its board.
-
-    Returns:
-        Disagreement in mm at the markers.
-
-    Raises:
-        CalibrationError: they contradict each other; the message names the cause if one of the
-            usual ones explains it.
+    CalibrationError if they contradict each other; the message names the cause if one of the usual
+    ones explains it.
     """
     rms = mark_rms(start, markers.points, marks)
     worth = mm_per_px(start, markers.points[marks.ids])

@@ -154,13 +154,9 @@ class ViewSet:
 def find_views(
     board: Board, pictures: Iterable[tuple[str, Bytes]], camera: str, limit: int = MAX_VIEWS
 ) -> ViewSet:
-    """Find the board in pictures and choose views.
+    """Find the board in pictures (name and BGR pixels) and choose views.
 
-    Args:
-        pictures: name and BGR pixels, in order.
-
-    Raises:
-        CalibrationError: pictures of different sizes, no board in any, or too few different views.
+    CalibrationError: pictures of different sizes, no board in any, or too few different views.
     """
     seen: list[Corners] = []
     left_out: dict[str, str] = {}

@@ -36,16 +36,10 @@ def ablate(
     seed: int = 0,
     report: Report,
 ) -> tuple[float, list[Importance]]:
-    """Test every group of features.
+    """RMS in mm with all inputs, and the importance of every group of features, the largest first.
 
-    Args:
-        model: fitted with all features.
-        split: the one it was fitted with; only its test part is scored.
-        refit: makes an unfitted estimator; given, every group is also removed and refitted. A
-            removed feature is held at its mean, so that files and schemas stay alike.
-
-    Returns:
-        The RMS with all inputs, in mm, and the importances, the largest first.
+    `refit` makes an unfitted estimator; given, every group is also removed and refitted. A removed
+    feature is held at its mean, so that files and schemas stay alike.
     """
     base = corrected_rms_mm(model, split.test)
     found = []

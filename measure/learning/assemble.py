@@ -106,11 +106,9 @@ def assemble(
 ) -> tuple[Dataset, list[TrajectoryFacts]]:
     """Pair every measured pose with the robot's state of that instant.
 
-    States of a log that are not all numbers count as not recorded.
-
-    Raises:
-        EstimatorError: no recordings, clocks that do not match, positions in other units than mm
-            or in another frame than the robot's, a log without numbers.
+    States of a log that are not all numbers count as not recorded. EstimatorError: no recordings,
+    clocks that do not match, positions in other units than mm or in another frame than the robot's,
+    a log without numbers.
     """
     settings = settings or AssemblySettings()
     if not pairs:

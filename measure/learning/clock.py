@@ -48,22 +48,13 @@ def estimate_offset(
     *,
     largest_s: float = 5.0,
 ) -> ClockOffset:
-    """Align measured and reported velocities.
+    """Align measured (n, 3) and reported (m, 3) velocities, by positions in mm on either clock.
 
     At every offset the reported velocities are rotated onto the measured ones (least squares); the
     offset of the largest correlation is refined. Velocities are compared because hysteresis shifts
-    positions along the motion as a delay does, but hardly changes velocities.
-
-    Args:
-        camera_times_s: (n,) and
-        measured_mm: (n, 3) positions on the cameras' clock.
-        robot_times_s: (m,) and
-        reported_mm: (m, 3) positions on the robot's clock.
-        largest_s: search within plus and minus this around equal clocks.
-
-    Raises:
-        EstimatorError: too little motion in common, no offset makes the velocities agree, or
-            several do (motion that repeats itself).
+    positions along the motion as a delay does, but hardly changes velocities. EstimatorError: too
+    little motion in common, no offset within `largest_s` makes the velocities agree, or several do
+    (motion that repeats itself).
     """
     robot = _PositionTrack(robot_times_s, reported_mm)
     cameras = _without_outliers(_PositionTrack(camera_times_s, measured_mm), robot)
@@ -167,13 +158,9 @@ def _agreements(
 ) -> tuple[Floats, Floats]:
     """Correlation of the velocities at every offset of the search range, after a rotation.
 
-    Returns:
-        Offsets (n,) in s and correlations (n,), 0 where too little motion is in common: the sum of
-        the singular values of the velocities' cross products, the last one with the sign of a
-        rotation, over the root of both sums of squares (Kabsch 1976).
-
-    Raises:
-        EstimatorError: too little is in common at any offset.
+    Offsets (n,) in s and correlations (n,), 0 where too little motion is in common: the sum of the
+    singular values of the velocities' cross products, the last one with the sign of a rotation,
+    over the root of both sums of squares (Kabsch 1976).
     """
     reach = round(largest_s * _GRID_HZ)
     lags = np.arange(-reach, reach + 1) / _GRID_HZ

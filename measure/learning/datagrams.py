@@ -127,10 +127,9 @@ _CURRENT_AND_FUTURE = 3  # MCL_CURRENT | MCL_FUTURE of mlockall(2)
 
 
 def claim_realtime() -> str:
-    """Schedule this process before all ordinary ones, and keep its memory from being swapped.
+    """Schedule this process before all ordinary ones, with memory that is not swapped.
 
-    Returns:
-        What the system refused, in one line; empty if nothing.
+    Gives what the system refused, in one line; empty if nothing.
     """
     refused = []
     try:

@@ -101,9 +101,6 @@ def read_labelled(path: Path, schema: StateSchema, *, label_sd_mm: float = 0.1) 
     hold them (`find_columns`); rows whose `quality`, if there is such a column, is not "ok" belong
     to the history only. Runs with one `restart` (or else `day`), where that column is there, count
     as one recording.
-
-    Raises:
-        EstimatorError: columns are missing, or the labels look like metres.
     """
     table = Table.read(path)
     table.require(("run", "t_s", *_LABELS))
@@ -173,10 +170,6 @@ def read_poses(path: Path) -> PoseTrack:
     A file needs `time_s`, `x_mm`, `y_mm`, `z_mm`, and may give `qw`, `qx`, `qy`, `qz`, and
     `position_sd_mm` and `rotation_sd_deg` (3-D), else 0.1 mm and 0.3 deg per axis are assumed.
     Poses whose `status`, which runs have and files may have, is not "ok" count as not measured.
-
-    Raises:
-        EstimatorError: there is no such file, or columns are missing.
-        RunError: the folder is not a run.
     """
     if path.is_dir():
         return _run_poses(path)

@@ -10,14 +10,10 @@ from measure.host.registry import failure
 def fit(
     estimator: Estimator, data: Dataset, validation: Dataset, *, seed: int, report: Report
 ) -> None:
-    """Fit an estimator.
+    """Fit an estimator; FitError if it fails.
 
     An exception raised by `report` (to end a fit, say) is raised unchanged, also where the
     estimator raises another one from it.
-
-    Raises:
-        EstimatorError: the data cannot be learnt from.
-        FitError: the estimator fails.
     """
     tracked = _TrackedReport(report)
     try:

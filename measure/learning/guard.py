@@ -133,11 +133,9 @@ class GuardedModel:
     def measured(
         self, true_mm: Floats, covariance: Floats, sequence: int | None = None
     ) -> Correction | Refusal:
-        """Take the true tip position (3,) at a corrected state; that state's correction by now.
+        """Take the true tip position (3,) at a corrected state, the last or one by its number.
 
-        Args:
-            covariance: (3, 3) of the position, mm^2.
-            sequence: the state's number; the last state if absent.
+        Gives that state's correction by now.
         """
         number = next(reversed(self._recent), None) if sequence is None else sequence
         if self.follower is None or number is None or number not in self._recent:

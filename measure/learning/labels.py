@@ -53,13 +53,10 @@ def check_units(name: str, measured_mm: Floats, reported_mm: Floats) -> None:
 
 
 def check_frames(name: str, measured_mm: Floats, reported_mm: Floats) -> None:
-    """Refuse positions (n, 3) of the same instants that no rigid motion brings together.
+    """Refuse (EstimatorError) positions (n, 3) of one time that no rigid motion brings together.
 
     Compared by the rotation that brings the reported positions nearest to the measured ones (Kabsch
     1976), where the positions spread enough.
-
-    Raises:
-        EstimatorError: they do not go together, or one is mirrored.
     """
     if not determine_frame(reported_mm):
         return
@@ -191,8 +188,7 @@ def label_doubts(
 ) -> tuple[str, ...]:
     """Why labels (n, 3) of states (n, features) may be no errors of the robot, and what to do.
 
-    Args:
-        velocity_mm_s: (n, 3) of the reported position, if the clock is in question.
+    With the reported velocity (n, 3) if the clock is in question.
     """
     joints, reported = schema.joint_positions(states), schema.position_mm(states)
     pairs = Paired(reported + errors_mm, reported, velocity_mm_s, joints, schema.chain)
@@ -265,12 +261,7 @@ def _own(pairs: Paired, cause: _Cause) -> bool:
 
 
 def chain_doubt(chain: SerialChain | None, joints: Floats, reported_mm: Floats) -> str | None:
-    """How far the chain is from what the robot reports, and what would mend it; None if it fits.
-
-    Args:
-        joints: (n, joints) and
-        reported_mm: (n, 3) of the same instants.
-    """
+    """How far the chain is from what the robot reports, and what would mend it; None if it fits."""
     if chain is None or len(joints) < _LEAST_ROWS:
         return None
     tip = chain.tip_mm(joints)

@@ -70,11 +70,8 @@ class Corrected:
 def read_states(path: Path, model: OnnxModel) -> Iterator[StateTable]:
     """States from Parquet or CSV (columns `run`, `i` and `t_s` or `time_s` optional) or a bag.
 
-    They come in order, piece by piece: files may be of any length.
-
-    Raises:
-        EstimatorError: features are missing (they are named), the states are of another robot, or
-            the file cannot be read.
+    They come in order, piece by piece: files may be of any length. EstimatorError: features are
+    missing (they are named), the states are of another robot, or the file cannot be read.
     """
     if not path.exists():
         raise EstimatorError(f"{path}: no such file of states")
@@ -197,14 +194,11 @@ def correct_file(
     follower: OffsetFollower | None = None,
     true: PoseTrack | None = None,
 ) -> dict[str, int]:
-    """Correct recorded states, and count what became of them.
+    """Correct recorded states (see `read_states`), and count what became of them.
 
     Writes Parquet or CSV: `run, i, t_s`, the errors `ex, ey, ez` in mm with `sd_mm` (3-D) and
     `unfamiliar`, and the corrected positions `x_mm, y_mm, z_mm` with `x_sd_mm, y_sd_mm, z_sd_mm`.
     The file is there when all of it is.
-
-    Raises:
-        EstimatorError: as `read_states`.
     """
     corrector, schema = Corrector(model, zeroing, follower, true), schema_of(model)
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -253,15 +247,7 @@ def _prior_sd_mm(model: OnnxModel) -> float:
 def rezero(
     model: OnnxModel, stretch: Dataset, monitor: DriftMonitor | None = None
 ) -> tuple[Zeroing, DriftMonitor]:
-    """The offsets after a restart, from a measured stretch, and drift from its residuals.
-
-    Args:
-        stretch: measured after the restart.
-        monitor: one that goes on; a new one if absent.
-
-    Raises:
-        EstimatorError: another robot's data, or labels that tell too little of the offsets.
-    """
+    """The offsets after a restart, from a stretch measured then, and drift from its residuals."""
     estimates = model.predict(stretch)
     used = stretch.usable
     residuals = (stretch.errors_mm - estimates.errors_mm)[used]
@@ -281,11 +267,7 @@ def rezero(
 
 
 def schema_of(model: OnnxModel) -> StateSchema:
-    """The schema that a model file holds; of an older one enough to read its features from a log.
-
-    Raises:
-        EstimatorError: the file holds another thing in its place.
-    """
+    """The schema that a model file holds; of an older one enough to read its features in a log."""
     if "schema" in model.facts:
         try:
             schema = StateSchema.from_dict(model.facts["schema"])
@@ -329,13 +311,7 @@ def robot_traces(
     """Reported, measured and corrected positions at the instants of the poses.
 
     The model gets every state of the log in order, as it does online; a correction holds until the
-    next one.
-
-    Args:
-        clock_offset_s: robot minus camera time; estimated from the motion if absent.
-
-    Raises:
-        EstimatorError: the log or the model does not fit, or the clocks cannot be aligned.
+    next one. The clock offset is estimated from the motion if absent.
     """
     settings = AssemblySettings(clock_offset_s)
     data, (facts,) = assemble([(track, LogFile(log, schema))], settings)

@@ -61,23 +61,13 @@ def fit_zeroing(
     prior_sd_mm: float = PRIOR_SD_MM,
     spread_sd: Floats | None = None,
 ) -> Zeroing:
-    """The zeros that explain a stretch's residuals.
+    """The zeros that explain a stretch's residuals (n, 3), measured minus corrected position.
 
     Bayesian linear regression with Huber's weights on the Jacobian's columns and three constants;
     the prior has zero mean. Observations count as many as are independent, by the autocorrelation
-    of what is left.
-
-    Args:
-        states: (n, features), in order of time.
-        residuals_mm: (n, 3) measured minus corrected position.
-        prior_sd_mm: what each joint's zero, and the base, may move the tip by.
-        spread_sd: (k,) of the joints (else the position) in training, if known: poses at one place
-            tell that place's error.
-
-    Raises:
-        EstimatorError: fewer than 10 measured states, all at one place, the zeros of one half
-            predict the other worse than none, or not clearly better from fewer than 8 independent
-            ones.
+    of what is left. Poses at one place, by the SDs in training if known, tell that place's error.
+    EstimatorError: fewer than 10 measured states, all at one place, the zeros of one half predict
+    the other worse than none, or not clearly better from fewer than 8 independent ones.
     """
     floats("residuals_mm", residuals_mm, len(states), 3)
     if len(states) < _MIN_STATES:

@@ -36,14 +36,7 @@ def render_recording(
     cables: Cables | None = None,
     progress: Progress | None = None,
 ) -> None:
-    """Write a session folder with the robot's log `robot.parquet` in it.
-
-    Args:
-        folder: made if missing.
-        seed: of motion, restart and pictures.
-        clock_offset_s: how far the robot's clock is ahead of the cameras'.
-        progress: called with pictures done and in all.
-    """
+    """Write a session folder with the robot's log `robot.parquet`, its clock so far ahead."""
     run = simulate(seconds, seed, log_hz=_LOG_HZ, cables=cables, style=_STYLE)
     times = np.arange(0.1, seconds - 0.1, 1.0 / frame_hz)
     write_session(_scene(run, seed), times, folder, progress=progress)

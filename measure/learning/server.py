@@ -50,16 +50,7 @@ class EstimateServer:
         zeroing: Zeroing | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Listen.
-
-        Args:
-            address: host and port; port 0 takes a free one.
-            zeroing: what a restart left.
-            clock: tells, in s, how long senders are silent.
-
-        Raises:
-            EstimatorError: it cannot listen there.
-        """
+        """Listen at host and port (0 takes a free one); EstimatorError if that cannot be."""
         self.counters = Counters()
         self._model, self._zeroing, self._clock = model, zeroing, clock
         self._histories: dict[Sender, _History] = {}

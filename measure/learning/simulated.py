@@ -26,14 +26,7 @@ def recording(
     clock_offset_s: float = 1.5,
     pairs: int | None = None,
 ) -> tuple[PoseTrack, RobotLog]:
-    """Poses and robot log that a simulated run would give.
-
-    Args:
-        run: the robot's true motion and its log.
-        seed: of the measurement noise.
-        clock_offset_s: how far the robot's clock is ahead of the cameras'.
-        pairs: exact number of poses; else as many as fit.
-    """
+    """Poses, so many or as many as fit, and robot log that a simulated run would give."""
     rng = np.random.default_rng(seed)
     span = run.times_s[-1] - 0.2
     times = 0.1 + (np.arange(pairs) if pairs else np.arange(int(span * frame_hz))) / frame_hz
@@ -60,11 +53,6 @@ def simulated_dataset(
     """Teleoperate the simulated robot in so many sessions, each after a restart.
 
     As in the paper, there are few sessions, and each is cut into trajectories.
-
-    Args:
-        pairs: of state and pose in all.
-        restarts: sessions.
-        seed: of motions, homing errors and measurement noise.
     """
     seconds = 60.0 * minutes / restarts
     counts = np.diff(np.round(np.linspace(0, pairs, restarts + 1)).astype(int))

@@ -35,14 +35,9 @@ def split_by_trajectory(
 
     Neighbouring rows of a trajectory are almost the same: a random split puts one of them into
     training and the other into the test, which then measures memory, not prediction. Trajectories
-    of one recording share what changes at a restart. So whole recordings are chosen where there
-    are three, and whole trajectories else.
-
-    Args:
-        test: its share, or a data set of its own.
-
-    Raises:
-        EstimatorError: fewer than three trajectories with labels, or shares that leave nothing.
+    of one recording share what changes at a restart. So whole recordings are chosen where there are
+    three, and whole trajectories else. EstimatorError: fewer than three trajectories with labels,
+    or shares that leave nothing.
     """
     shares = [validation] if isinstance(test, Dataset) else [test, validation]
     _check_shares(*([0.1, validation] if isinstance(test, Dataset) else shares))
@@ -98,9 +93,6 @@ def split_by_rows(
 
     Every part keeps all trajectories' rows (history stays whole); they differ in what is usable.
     Trajectories are renamed, or fitting would refuse such a split.
-
-    Raises:
-        EstimatorError: shares that leave nothing.
     """
     _check_shares(test, validation)
     dice = np.random.default_rng(seed).random(len(data))

@@ -261,12 +261,7 @@ class SweepJob:
 
 
 def run_trial(job: SweepJob, settings: Mapping[str, Any]) -> float:
-    """Fit with some settings; RMS in mm on the validation recordings.
-
-    Raises:
-        EstimatorError: the data have changed, or the estimator cannot be judged.
-        FitError: the estimator fails.
-    """
+    """Fit with some settings; RMS in mm on the validation recordings."""
     from measure.host.estimator import quiet
 
     data = read_dataset(Path(job.data))
@@ -296,16 +291,9 @@ def sweep(
 
     The journal is a file that any number of processes and machines append to. The settings of a
     worker that was killed are tried again by another: at once on the same machine, elsewhere after
-    ten times the longest trial so far, and ten minutes at least.
-
-    Args:
-        journal: the sweep's file; started if absent.
-        trials: finished trials wanted in all, by all workers.
-        scheduler: address of a dask scheduler whose workers run the trials; None runs them here.
-
-    Raises:
-        EstimatorError: an extra is missing, the journal is damaged or of another sweep, or as many
-            trials failed as were wanted.
+    ten times the longest trial so far, and ten minutes at least. The workers of a dask scheduler
+    run the trials, or without one this process. EstimatorError: an extra is missing, the journal is
+    damaged or of another sweep, or as many trials failed as were wanted.
     """
     study = open_study(journal, job.identity)
     while True:

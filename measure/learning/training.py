@@ -54,16 +54,11 @@ def train(
     """Fit, evaluate and save.
 
     Args:
-        estimator: not yet fitted.
         split: training, validation (chooses and stops) and test trajectories (judged only here).
         out: the ONNX file to write; `OUT.card.md` and `OUT.card.json` go beside it.
         resume: go on from where an interrupted fit to the same `out` got to.
         folds: groups of recordings left out in turn to judge the covariance; 0 leaves none out.
         notes: further lines of the card.
-
-    Raises:
-        EstimatorError: the data cannot be learnt from, or `out` has no suffix `.onnx`.
-        PluginError: the estimator fails.
     """
     if out.suffix != ".onnx":
         raise EstimatorError(f"{out}: a model's file name must end with .onnx")

@@ -58,13 +58,10 @@ class Noise:
 
 
 def noise_of(times_s: Floats, deviations: Floats, groups: Ints, about: str) -> Noise | None:
-    """Noise of poses by their deviations; None if they are too few.
+    """Noise of poses by their deviations (n, 6), in the `perturb` chart; None if they are too few.
 
-    Args:
-        times_s: (n,) in order.
-        deviations: (n, 6) in mm and rad, in the `perturb` chart.
-        groups: (n,) of each the stretch whose mean it deviates from; a drift is common to all.
-        about: what they deviate from, in words.
+    Each deviates from the mean of its stretch, by the groups (n,); a drift is common to all.
+    `about` says from what, in words.
     """
     if len(times_s) < _FEWEST:
         return None

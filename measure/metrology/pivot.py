@@ -59,8 +59,7 @@ class SpinAxis:
 def find_tip(poses: PoseTable, shared: SharedErrors) -> Pivot:
     """The point of the body that stays where it is while the body turns.
 
-    Raises:
-        DegenerateGeometryError: too few poses, turned too little, or no point stays.
+    DegenerateGeometryError: too few poses, turned too little, or no point stays.
     """
     _refuse_few(poses)
     swing = _full_cone_deg(np.linalg.eigvalsh(_turning(poses.world_from_body.rotation))[0])
@@ -92,8 +91,7 @@ def find_tip(poses: PoseTable, shared: SharedErrors) -> Pivot:
 def find_spin_axis(poses: PoseTable, shared: SharedErrors, tip_mm: Floats) -> SpinAxis:
     """The direction in the body that stays while the body is spun about it, away from its tip.
 
-    Raises:
-        DegenerateGeometryError: too few poses, or turned too little or about other axes as well.
+    DegenerateGeometryError: too few poses, or turned too little or about other axes as well.
     """
     _refuse_few(poses)
     values, axes = np.linalg.eigh(_turning(poses.world_from_body.rotation))

@@ -95,15 +95,11 @@ class SharedErrors:
         return np.asarray(np.exp(-cdist(mine, theirs) / ALIKE_OVER_MM))
 
     def of_sum(self, gains: Floats, poses: PoseTable, scatter: float) -> Floats:
-        """Covariance (m, m) of a linear combination of the errors of n poses.
+        """Covariance (m, m) of a linear combination, by gains (n, m, 6), of the errors of n poses.
 
         How far errors by light stay alike differs from room to room, so that they are counted in
-        both ways: as `alike` says, and the same throughout.
-
-        Args:
-            gains: (n, m, 6) of the combination.
-            poses: n of them.
-            scatter: half the mean square by which neighbours differ, over the stated variance.
+        both ways: as `alike` says, and the same throughout. `scatter` is half the mean square by
+        which neighbours differ, over the stated variance.
         """
         factors = self.factors(poses)
         known = np.einsum("nma,nak->mk", gains, factors)
@@ -148,10 +144,7 @@ def unexplained(stated: Floats, known: Floats) -> Floats:
 def scatter_share(deviations: Floats, covariance: Floats, spent: float = 1.0) -> Floats:
     """Variance of deviations (..., n, 6) over that of covariances (..., 6, 6), mean of directions.
 
-    Args:
-        deviations: from their mean or from a curve.
-        covariance: what is stated of them.
-        spent: how many of the n went into the mean or the curve.
+    `spent` of the n went into the mean or the curve that they deviate from.
     """
     whole = _mean_ratio(np.swapaxes(deviations, -1, -2) @ deviations, covariance)
     return np.asarray(whole / max(deviations.shape[-2] - spent, 1.0))
@@ -160,10 +153,8 @@ def scatter_share(deviations: Floats, covariance: Floats, spent: float = 1.0) ->
 def alike_part(scatter: float, stated: Floats, known: Floats) -> Floats:
     """The part of stated covariances (..., 6, 6) that light makes.
 
-    Args:
-        scatter: variance by which neighbours scatter, over the stated variance.
-        stated: of the poses.
-        known: what cameras and body contribute to it.
+    By the variance by which neighbours scatter, over the stated one, and what cameras and body are
+    known to contribute.
     """
     left = unexplained(stated, known)
     share = float(np.mean(_mean_ratio(left, stated)))

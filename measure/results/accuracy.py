@@ -31,13 +31,10 @@ class AccuracyMap:
 def accuracy_map(run: Run, axes: tuple[int, int]) -> AccuracyMap:
     """What one may expect elsewhere in the workspace, with every ball in sight.
 
-    The geometry of cameras and body says how errors grow from place to place; how large they are
-    is what the run reported along its path, and the calibration's part (camera by camera) is kept
-    apart from that of the pictures. The body keeps the turn it had in the middle of the run.
-
-    Args:
-        run: with at least one pose.
-        axes: the plane, as in `AccuracyMap`.
+    The geometry of cameras and body says how errors grow from place to place; how large they are is
+    what the run, with at least one pose, reported along its path, and the calibration's part
+    (camera by camera) is kept apart from that of the pictures. The body keeps the turn it had in
+    the middle of the run.
     """
     place = run.world_from_body.translation
     low, high = place.min(axis=0), place.max(axis=0)

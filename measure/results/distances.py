@@ -104,15 +104,7 @@ def body_notes(
     detections: pa.Table,
     poses: pa.Table,
 ) -> tuple[str, ...]:
-    """What is wrong or weak about the body file, a line each, with its level.
-
-    Args:
-        body: by the file.
-        cameras: of the run.
-        distances: of its balls, over the run.
-        detections: a row per frame set, camera and ball.
-        poses: a row per frame set.
-    """
+    """What is wrong or weak about the body file, a line each, with its level; by a run's tables."""
     sizes = outline_growth(_seen(detections, poses), body, cameras)
     weak = (*size_findings(body, sizes), *twin_findings(body))
     return (*contradictions(body, distances), *map(str, weak))

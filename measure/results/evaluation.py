@@ -89,17 +89,11 @@ def evaluate(
 ) -> RunEvaluation:
     """Compare a run with the truth; each pose at its own time, the truth interpolated.
 
-    Args:
-        run: finished or not.
-        truth: world_from_body.
-        true_cameras: where the cameras really are, if that is known better than by the run's own
-            calibration; separates errors of detection from errors of localisation.
-        marks: ball centres marked by hand (see `read_marks`): detection is compared with these.
-        find_offset: find the truth's clock by motion, and fit its frames if they are others.
-
-    Raises:
-        RunError: the truth is of another time or in another unit, the motion does not tell its
-            clock, or the true cameras lack one.
+    True cameras, if these are known better than by the run's own calibration, separate errors of
+    detection from errors of localisation; with marks (see `read_marks`) detection is compared with
+    these. `find_offset` finds the truth's clock by motion, and fits its frames if they are others.
+    RunError: the truth is of another time or in another unit, the motion does not tell its clock,
+    or the true cameras lack one.
     """
     truth, offset = align_truth(run, truth) if find_offset else (truth, None)
     covered = _covered(run, truth)
@@ -157,10 +151,8 @@ def _covered(run: Run, truth: Trajectory) -> Bools:
 def pose_errors(run: Run, truth: Trajectory) -> Floats:
     """Measured against true poses of all frame sets (n, 6) in the `perturb` chart.
 
-    NaN where a frame set has no pose or lies outside the truth's time.
-
-    Raises:
-        RunError: the truth is of another time or in another unit.
+    NaN where a frame set has no pose or lies outside the truth's time. RunError: the truth is of
+    another time or unit.
     """
     here = _covered(run, truth) & run.has_pose
     measured, true = _pairs(run, truth, here)

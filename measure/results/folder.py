@@ -31,15 +31,9 @@ class FolderLock:
     """
 
     def __init__(self, folder: Path) -> None:
-        """Take it.
+        """Take it; RunError if another process, or another writer of this one, holds it.
 
-        Args:
-            folder: is there.
-
-        Raises:
-            RunError: another process, or another writer of this one, holds it; or there are no
-                locks on this file system.
-            OSError: the folder cannot be written.
+        RunError, too, where the file system has no locks; OSError: the folder cannot be written.
         """
         self._path = folder / LOCK_FILE
         self._descriptor = self._locked()
@@ -93,11 +87,7 @@ class FolderLock:
 
 
 def refuse_other_writer(folder: Path) -> None:
-    """Refuse a folder that another process is writing a run into.
-
-    Raises:
-        RunError: one is, or the folder cannot be written.
-    """
+    """Refuse (RunError) a folder that another process is writing a run into."""
     with writing(folder):
         if (folder / LOCK_FILE).exists():
             FolderLock(folder).release()

@@ -43,11 +43,7 @@ def unfinished(path: Path) -> Path:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Write a file beside its place, which it takes in one step; if writing fails, not at all.
-
-    Yields:
-        Where to write.
-    """
+    """Yield a file beside a place, which it takes in one step; if writing fails, not at all."""
     fresh = unfinished(path)
     try:
         yield fresh
@@ -70,11 +66,7 @@ class GrowingFile:
         self._file: Any = unfinished(path).open("wb", buffering=0)
 
     def append(self, data: bytes) -> None:
-        """Hand bytes to the operating system, where a kill of this process no longer matters.
-
-        Raises:
-            OSError: they cannot be written; the file is as before.
-        """
+        """Hand bytes to the operating system; after an OSError the file is as before."""
         start = self._file.tell()
         try:
             done = 0
@@ -128,9 +120,8 @@ class Journal:
     def flush(self) -> None:
         """Hand all rows to the operating system, as one batch.
 
-        Raises:
-            OSError: they cannot be written; they are kept for another try.
-            RunError: they are not the rows that are kept of the interrupted run.
+        OSError: they cannot be written, and are kept for another try. RunError: they are not the
+        rows that are kept of the interrupted run.
         """
         if self._rows:
             batch = pa.RecordBatch.from_pylist(self._rows, self._schema)
@@ -162,8 +153,7 @@ class Journal:
 def read_table(folder: Path, name: str, schema: pa.Schema) -> pa.Table:
     """A table of a run, finished or not: whole batches of the stream, a torn last one left out.
 
-    Raises:
-        RunError: neither the table nor its stream is there, or the file is not what it should be.
+    RunError: neither the table nor its stream is there, or it is not what it should be.
     """
     finished, stream = folder / f"{name}.parquet", folder / f"{name}.arrows"
     where = stream if stream.exists() else finished
@@ -217,11 +207,7 @@ def _whole_batches(path: Path, schema: pa.Schema) -> pa.Table:
 
 
 def finish(folder: Path, name: str, table: pa.Table) -> None:
-    """Write a table as Parquet in one step, and drop its stream.
-
-    Raises:
-        OSError: it cannot be written; the stream is still there.
-    """
+    """Write a table as Parquet in one step, and drop its stream, unless that raises OSError."""
     # Of one piece: the bytes must not tell when rows were flushed.
     whole = table.combine_chunks()
     with replacing(folder / f"{name}.parquet") as fresh, fresh.open("wb") as out:

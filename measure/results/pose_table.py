@@ -79,10 +79,8 @@ def shared_errors(run: Run) -> SharedErrors:
 def smooth_run(run: Run, smooth_s: float | None) -> tuple[Run, Velocities]:
     """A run with its unflagged poses smoothed over `smooth_s` on either side, and velocities.
 
-    With None poses stay as they are, and velocities are those of the nearest poses.
-
-    Raises:
-        ConfigError: `smooth_s` is not positive.
+    With None poses stay as they are, and velocities are those of the nearest poses. ConfigError:
+    `smooth_s` is not positive.
     """
     if smooth_s is not None and not 0 < smooth_s < np.inf:
         raise ConfigError(f"--smooth {smooth_s:g}: give the seconds on either side of a pose")

@@ -97,14 +97,9 @@ class Run:
 
 
 def read_run(folder: Path, body: str | None = None) -> Run:
-    """Read a run folder; of an unfinished run, what was measured so far.
+    """Read a run folder, of several bodies the named one; of an unfinished run, what was measured.
 
-    Args:
-        folder: of the run.
-        body: the name of the body, of a run of several.
-
-    Raises:
-        RunError: the folder is no run, a file of it is damaged, or it is not said which body.
+    RunError: the folder is no run, a file of it is damaged, or it is not said which body.
     """
     return one_of(read_runs(folder), folder, body)
 
@@ -121,11 +116,7 @@ def one_of(runs: Sequence[Run], folder: Path, body: str | None) -> Run:
 
 
 def read_runs(folder: Path) -> list[Run]:
-    """Read a run folder: one run for each body that was measured.
-
-    Raises:
-        RunError: the folder is no run, or a file of it is damaged.
-    """
+    """A run for each body that a folder's run measured; RunError: no run, or a damaged file."""
     file = folder / "run.toml"
     if not file.exists():
         what = "no such folder" if not folder.exists() else "it has no run.toml"

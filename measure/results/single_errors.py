@@ -27,12 +27,9 @@ Marks: TypeAlias = dict[tuple[str, int, str], Floats]
 def read_marks(path: Path | str, run: Run) -> Marks:
     """Read ball centres marked by hand in the images of a run.
 
-    The columns are `camera,frame,ball,u_px,v_px`, with frame numbers per camera.
-
-    Frames that a run lacks because it was stopped early or skipped them may be marked.
-
-    Raises:
-        RunError: with file and line where it cannot be used; also for what is not in the run.
+    The columns are `camera,frame,ball,u_px,v_px`, with frame numbers per camera. Frames that a run
+    lacks because it was stopped early or skipped them may be marked. RunError, with file and line:
+    it cannot be used, or marks what is not in the run.
     """
     table = read_number_table(
         Path(path), ("frame", "u_px", "v_px"), "", RunError, words=("camera", "ball")
@@ -159,13 +156,7 @@ def effective_detections(run: Run) -> BallObservations:
 def detection_errors_by_truth(
     run: Run, truth: Trajectory, cameras: Sequence[Camera]
 ) -> SingleErrors:
-    """Errors of detection alone: detected centres through cameras taken as exact.
-
-    Args:
-        run: whose detections.
-        truth: true poses.
-        cameras: the true cameras.
-    """
+    """Errors of detection alone: detected centres through the true cameras, taken as exact."""
     seen = effective_detections(run)
     seen = seen.rows(truth.covers(seen.time_s) & truth.covers(run.times_s[seen.index]))
     if not len(seen.index):
@@ -181,13 +172,7 @@ def detection_errors_by_truth(
 def localisation_errors_by_truth(
     run: Run, truth: Trajectory, cameras: Sequence[Camera]
 ) -> SingleErrors:
-    """Errors of camera localisation alone: exact centres through the run's cameras.
-
-    Args:
-        run: whose cameras, and which balls it saw in which.
-        truth: true poses.
-        cameras: the true cameras.
-    """
+    """Errors of camera localisation alone: exact centres through the run's cameras."""
     seen = effective_detections(run)
     seen = seen.rows(truth.covers(run.times_s[seen.index]))
     if not len(seen.index):
@@ -201,10 +186,6 @@ def detection_errors_by_marks(run: Run, marks: Marks) -> SingleErrors:
     """Errors of detection alone against centres marked by hand, as the paper did.
 
     Both are triangulated with the run's cameras; the difference is the error.
-
-    Args:
-        run: whose detections.
-        marks: (2,) px by camera, camera's frame number and ball.
     """
     seen = effective_detections(run)
     keys = zip(seen.camera.tolist(), seen.frame.tolist(), seen.ball.tolist(), strict=True)

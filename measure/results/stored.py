@@ -33,15 +33,8 @@ def read_tables(
 ) -> dict[str, pa.Table]:
     """The rows of all frame sets whose pose was written; a kill may leave some of one more.
 
-    Args:
-        folder: of the run.
-        bodies: that were measured.
-        cameras: that saw it.
-        begun_only: whether tables may be missing: those of a run that was only begun.
-        relative: whether relative poses are wanted as well.
-
-    Raises:
-        RunError: a table is missing or cannot be read, or holds what no run of these writes.
+    Tables of a run that was only begun may be missing. RunError: one is missing or cannot be read,
+    or holds what no run of these bodies and cameras writes.
     """
     # Poses first: of a run that is being written, what they were made from is there already.
     tables = {
@@ -174,18 +167,7 @@ def read_kept(
     cameras: Sequence[Camera],
     relative: bool = False,
 ) -> Kept:
-    """Read what is kept in a run's folder.
-
-    Args:
-        folder: of the run, with its `run.toml`.
-        provenance: of the run that goes on with it.
-        bodies: that are measured.
-        cameras: that see them.
-        relative: whether their poses relative to one of them are written.
-
-    Raises:
-        RunError: the run is one of something else, or damaged.
-    """
+    """Read what a run's folder keeps; RunError if it is one of something else, or damaged."""
     written = refuse_other_run(folder, provenance)
     closing = (folder / "summary.json").exists()
     tables = read_tables(folder, bodies, cameras, not closing, relative)
@@ -194,11 +176,7 @@ def read_kept(
 
 
 def refuse_other_run(folder: Path, provenance: Provenance) -> dict[str, object]:
-    """The values of a folder's `run.toml`, if its run was made from the same.
-
-    Raises:
-        RunError: it was not, or the file is damaged.
-    """
+    """The values of a folder's `run.toml`; RunError if its run was made from something else."""
     written = read_provenance(folder / "run.toml")
     if changed := provenance.differences(written):
         raise RunError(

@@ -93,14 +93,7 @@ class Summary:
 def summarise(
     detections: pa.Table, poses: pa.Table, notes: Sequence[str] = (), body_notes: Sequence[str] = ()
 ) -> Summary:
-    """Count and average the tables of a run.
-
-    Args:
-        detections: a row per frame set, camera and ball.
-        poses: a row per frame set.
-        notes: what the session left to be known.
-        body_notes: what is wrong or weak about the body file, each with its level.
-    """
+    """Count and average the tables of a run; notes are the session's, and on the body file."""
     statuses = Counter(poses["status"].to_pylist())
     # A row's reasons count without their numbers, each once.
     given = [text.split("; ") for text in poses["reason"].to_pylist() if text]
@@ -133,12 +126,7 @@ def summarise(
 
 
 def together(bodies: Mapping[str, Summary], poses: pa.Table) -> Summary:
-    """The summary of a run of several bodies.
-
-    Args:
-        bodies: of each body.
-        poses: of all bodies, a row for each body and frame set.
-    """
+    """The summary of a run of several bodies, by those of each and the table of all poses."""
     ranks = {"ok": 0, "flagged": 1, "skipped": 2, "lost": 3}
     worst = dict[int, str]()
     for index, status in zip(poses["index"].to_pylist(), poses["status"].to_pylist(), strict=True):

@@ -54,8 +54,7 @@ class TruthOffset:
 def align_truth(run: Run, truth: Trajectory) -> tuple[Trajectory, TruthOffset]:
     """The truth on the run's clock and in its frames, and how it came there.
 
-    Raises:
-        RunError: too little motion in common, none that agrees, or motion that repeats itself.
+    RunError: too little motion in common, none that agrees, or motion that repeats itself.
     """
     times = run.times_s[run.has_pose]
     few = np.unique(np.linspace(0, len(times) - 1, min(len(times), _FEW_POSES)).astype(int))

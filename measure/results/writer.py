@@ -150,9 +150,8 @@ class RunWriter:
     def append(self, *measured: Measurement) -> None:
         """Write a frame set's measurements, one of each body; it must be the next.
 
-        Raises:
-            RunError: it cannot be written (disk full), what was written before is kept; or it is
-                not the one that is kept of the run that is resumed.
+        RunError: it cannot be written (disk full), what was written before is kept; or it is not
+        the one that is kept of the run that is resumed.
         """
         self.begin()
         with writing(self._folder):

@@ -57,11 +57,7 @@ def described(connections: Sequence[Any]) -> str:
 def joint_rows(
     path: Path, reader: Any, schema: StateSchema, topic: str | None
 ) -> Iterator[tuple[float, Floats]]:
-    """Stamps in s and states (features,) of a topic of joint states.
-
-    Raises:
-        EstimatorError: none, or several, fit; the message says what the bag holds.
-    """
+    """Stamps in s and states (features,) of the only topic of joint states that fits the schema."""
     joints = _choose(path, reader, schema, topic)
     found = joints.fit(schema)
     assert not isinstance(found, list)
@@ -251,14 +247,9 @@ def _types() -> Any:
 def bag_pieces(
     path: Path, schema: StateSchema, topic: str | None = None
 ) -> Iterator[tuple[Floats, Floats]]:
-    """States of one arm from a bag, piece by piece.
+    """Stamps (n,) in s and states (n, features) of one arm from a bag, piece by piece.
 
-    Yields:
-        Stamps (n,) from the message headers, in s, and states (n, features).
-
-    Raises:
-        EstimatorError: no or several topics hold the states, fields are missing, or a file that
-            cannot be read.
+    EstimatorError: no or several topics hold the states, fields are missing, or it cannot be read.
     """
     if not path.is_dir():
         check_ordinary(path, EstimatorError)

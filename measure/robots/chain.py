@@ -61,14 +61,7 @@ class SerialChain:
         return constant, cosine, sine, linear
 
     def frames(self, q: ArrayLike) -> Floats:
-        """Base-from-joint transforms after each joint, the last with the tool.
-
-        Args:
-            q: (..., joints).
-
-        Returns:
-            (..., joints, 4, 4).
-        """
+        """Transforms (..., joints, 4, 4) from the base after each joint, the last with the tool."""
         angles = floats("q", q, "...", self.size)[..., None, None]
         constant, cosine, sine, linear = self.parts
         steps = constant + cosine * np.cos(angles) + sine * np.sin(angles) + linear * angles
@@ -114,17 +107,11 @@ class SerialChain:
         *,
         tolerance_mm: float = 1e-6,
     ) -> Floats:
-        """Joint positions that put the tip at `tip_mm`, moving only three `free` joints.
+        """Joint positions that put the tip (..., 3) at `tip_mm`, moving only three `free` joints.
 
-        Args:
-            tip_mm: (..., 3) in the base frame.
-            start: (..., joints) where the search begins; joints that are not free keep this value.
-            free: three indices.
-            tolerance_mm: how near the tip must come.
-
-        Raises:
-            DegenerateGeometryError: some point is out of reach; the message says how many and how
-                far the nearest approach of the worst stays.
+        From a start (..., joints), whose value the others keep. DegenerateGeometryError: some point
+        is out of reach; the message says how many and how far the nearest approach of the worst
+        stays.
         """
         target = floats("tip_mm", tip_mm, "...", 3)
         q = np.array(np.broadcast_to(start, (*target.shape[:-1], self.size)), dtype=np.float64)

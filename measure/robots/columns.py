@@ -30,11 +30,7 @@ class FeatureColumns:
     computed: bool  # whether the position is computed from the joints
 
     def states(self, where: str, values: Floats) -> Floats:
-        """States (n, features) from the columns' numbers (n, k).
-
-        Raises:
-            EstimatorError: joints that must be degrees; the message begins with `where`.
-        """
+        """States (n, features) from the columns' numbers (n, k); EstimatorError: joints in deg."""
         schema = self.schema
         out = np.full((len(values), len(schema.features)), np.nan)
         with np.errstate(invalid="ignore", over="ignore"):

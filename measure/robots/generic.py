@@ -36,13 +36,9 @@ def read_urdf(
 ) -> tuple[tuple[str, ...], SerialChain]:
     """Names of the moving joints from the base link to the tip, and their chain.
 
-    Args:
-        base: a link; the root if absent.
-        tip: a link; the only one without a child if absent.
-
-    Raises:
-        EstimatorError: no URDF, no such links, several tips, or a joint of another kind than
-            revolute, continuous, prismatic and fixed, or coupled to another one.
+    The base is the root if absent, the tip the only link without a child. EstimatorError: no URDF,
+    no such links, several tips, or a joint of another kind than revolute, continuous, prismatic and
+    fixed, or coupled to another one.
     """
     names, joints = [], list[Joint]()
     link = np.eye(4)
@@ -217,10 +213,8 @@ def read_schema(path: Path) -> StateSchema:
     """Read a `robot.toml`, or a `.urdf` whose joints a log holds by their names.
 
     Joints that carry `alpha_deg` make a kinematic chain, and so does a URDF; otherwise the chain is
-    unknown. `like` takes what is not said from a known robot.
-
-    Raises:
-        EstimatorError: the file is missing or does not fit; the message says where.
+    unknown. `like` takes what is not said from a known robot. EstimatorError says where it does not
+    fit.
     """
     try:
         file = _Robot.model_validate(_values(path))

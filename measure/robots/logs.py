@@ -55,15 +55,11 @@ ROBOT_KEY = b"measure.robot"  # Under which a Parquet file of states names its r
 
 
 def read_log(path: Path, schema: StateSchema, *, topic: str | None = None) -> RobotLog:
-    """Read a log into memory; `open_log` reads one of any length.
+    """Read a log into memory; `LogFile` reads one of any length.
 
-    Args:
-        path: Parquet, text, a bag of ROS 1, MCAP, or the folder of a ROS 2 bag.
-        topic: of the state messages in a bag; found if absent.
-
-    Raises:
-        EstimatorError: the file is missing or unreadable, lacks features (they are named), or its
-            clock runs backwards.
+    Parquet, text, a bag of ROS 1, MCAP, or the folder of a ROS 2 bag, whose topic is found if
+    absent. EstimatorError: missing or unreadable, lacks features (they are named), or its clock
+    runs backwards.
     """
     times, states = zip(*log_pieces(path, schema, topic), strict=True)
     return RobotLog(schema, np.concatenate(times), np.concatenate(states))

@@ -206,11 +206,7 @@ class TableFile(Columns):
 
     @classmethod
     def open(cls, path: Path, delimiter: str | None = None) -> Self:
-        """Read names and types of the columns, of Parquet or text; EstimatorError if neither.
-
-        Args:
-            delimiter: between the cells of text; found if absent.
-        """
+        """Read names and types of the columns, of Parquet or text; EstimatorError if neither."""
         text = kind_of(path) == ".csv"
         with reading(path):
             if not text:
@@ -220,14 +216,7 @@ class TableFile(Columns):
                 return cls(path, reader.schema, dialect)
 
     def pieces(self, numbers: Sequence[str], labels: Sequence[str] = ()) -> Iterator[Table]:
-        """The rows of some columns, in order.
-
-        Args:
-            labels: columns that name something; of one type in all pieces.
-
-        Raises:
-            EstimatorError: a column is missing or there twice, or the file cannot be read.
-        """
+        """The rows of some columns, in order; labels name something, of one type in all pieces."""
         names = list(dict.fromkeys((*numbers, *labels)))
         self.require(names)
         if self._dialect is not None:

@@ -168,11 +168,7 @@ def read_body(path: Path | str) -> Body:
 
 
 def read_bodies(path: Path | str) -> tuple[Body, ...]:
-    """Read several bodies from one file, as `write_bodies` writes it.
-
-    Raises:
-        SessionError: as of `read_body`.
-    """
+    """Read several bodies from one file, as `write_bodies` writes it; raises as `read_body`."""
     return tuple(one.body(Path(path)) for one in load_toml(path, _BodiesModel).bodies)
 
 

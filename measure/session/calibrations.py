@@ -46,14 +46,10 @@ def read_calibration(
 ) -> Calibration:
     """Read a calibration: ours or another program's, told apart by content.
 
-    Args:
-        unit: of the translations in a file of another program that states none; ours are mm.
-        pictures: names of the cameras that are wanted, with the sizes of their pictures, for files
-            of other programs that number their cameras or state no sizes.
-
-    Raises:
-        CalibrationError: the file cannot be used, two cameras share a name, or the translations
-            cannot be in the unit taken.
+    For files of other programs: the unit of their translations, if they state none; and names of
+    the cameras that are wanted, with the sizes of their pictures, if they number their cameras or
+    state no sizes. CalibrationError: the file cannot be used, two cameras share a name, or the
+    translations cannot be in the unit taken.
     """
     path = Path(path)
     text = read_text(path, CalibrationError)
@@ -94,9 +90,7 @@ def write_calibration(
 ) -> None:
     """Write a calibration; only our own format holds covariances, shutters and provenance.
 
-    Args:
-        path: the file; for "opencv" its ending chooses YAML, XML or JSON.
-        file_format: "triball", "anipose" (mm), "caliscope" (m) or "opencv" (mm).
+    Translations are in mm, of "caliscope" in m; for "opencv" the ending chooses YAML, XML or JSON.
     """
     cameras = calibration.cameras
     lost = {
@@ -122,11 +116,10 @@ def write_calibration(
 
 
 def check_calibration(calibration: Calibration, source: str) -> None:
-    """Refuse what cannot be right.
+    """Refuse (CalibrationError) what cannot be right.
 
-    Raises:
-        CalibrationError: no camera, two of one name, a lens that there cannot be, or all so close
-            together that their translations must be metres, or so far apart that they cannot be mm.
+    No camera, two of one name, a lens that there cannot be, or all so close together that their
+    translations must be metres, or so far apart that they cannot be mm.
     """
     names = calibration.names
     if not names:

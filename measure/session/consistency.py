@@ -21,15 +21,9 @@ _HUES = 180
 
 
 def check_bodies(bodies: Sequence[Body], reference: str, source: str) -> None:
-    """Refuse bodies that cannot be measured together.
+    """Refuse (SessionError) bodies, named in `source`, that cannot be measured together.
 
-    Args:
-        bodies: all that are measured.
-        reference: the name of the one that others are measured relative to; empty without one.
-        source: where they are named, for the message.
-
-    Raises:
-        SessionError: two have one name or cannot be told apart, or the reference is none of them.
+    Two have one name or cannot be told apart, or the reference is none of them.
     """
     names = [body.name for body in bodies]
     if len(names) > _MOST_BODIES:
@@ -106,13 +100,8 @@ _SIGHTS, _STEPS = np.array([0.25, 0.5, 0.75]), 40
 def check_unit(calibration: Calibration, body: Body, source: str, cure: str = "") -> None:
     """Refuse translations of the cameras that cannot be in the unit of the body's lengths.
 
-    Args:
-        source: where the calibration comes from, for the message.
-        cure: what to do, for the message; what to write into the file if omitted.
-
-    Raises:
-        CalibrationError: wherever two cameras look, the body is larger than their pictures or too
-            small to be seen.
+    CalibrationError: wherever two cameras look, the body is larger than their pictures or too small
+    to be seen. `cure` says what to do; what to write into the file if omitted.
     """
     distance = _common_distances(calibration.cameras)
     if not len(distance):

@@ -31,15 +31,7 @@ def is_damaged(jpeg: bytes) -> bool:
 
 
 def damaged_frames(streams: Sequence[Stream], step: Callable[[], None]) -> dict[str, list[int]]:
-    """Numbers of the damaged frames of each stream of JPEG pictures.
-
-    Args:
-        streams: those of a session that hold JPEGs.
-        step: called after every position in the streams.
-
-    Raises:
-        SessionError: a picture cannot be read.
-    """
+    """Numbers of the damaged frames of streams of JPEGs; `step` is called after every position."""
     found: dict[str, list[int]] = {stream.name: [] for stream in streams}
     with ThreadPoolExecutor(max(len(streams), 1)) as pool:
         for index in range(max(map(len, streams), default=0)):
@@ -82,16 +74,7 @@ _EBML_HEADER, _MATROSKA_SEGMENT = 0x1A45DFA3, 0x18538067
 def refuse_truncated(
     container: Any, stream: Any, packets: list[Any], counted: bool, path: Path, where: str
 ) -> None:
-    """Refuse a video that ends before the end its container states.
-
-    Args:
-        container: open, of PyAV.
-        packets: presentation time, decoding time, and more, of each packet read.
-        counted: the container has no presentation times.
-
-    Raises:
-        SessionError: as said.
-    """
+    """Refuse (SessionError) a video that ends before the end its container (PyAV's) states."""
     promised, there = int(stream.frames or 0), len(packets)
     if counted and promised > there:
         there = _count_chunks(path, stream.index)

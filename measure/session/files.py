@@ -45,9 +45,8 @@ class FileModel(BaseModel):
 def load_toml(path: Path | str, model: type[M], error: type[MeasureError] = SessionError) -> M:
     """Read and validate a TOML file.
 
-    Raises:
-        error: the file is missing (the message says which similar ones there are) or unreadable,
-            is not TOML (file and line), or does not fit the model (file, line and key).
+    `error`: the file is missing (the message says which similar ones there are) or unreadable, is
+    not TOML (file and line), or does not fit the model (file, line and key).
     """
     text = read_toml_text(path, error)
     try:
@@ -64,10 +63,8 @@ def matching_files(folder: Path, pattern: str, error: type[MeasureError]) -> lis
     """Ordinary files that fit a shell's pattern, from `folder` on if it is relative; 2 before 10.
 
     None that is hidden; `**` stands for folders at any depth, links to folders not followed.
-
-    Raises:
-        error: the pattern searches all folders beyond `folder`, which may not end, or a pipe,
-            device or socket fits it.
+    `error`: it searches all folders beyond `folder`, which may not end, or a pipe, device or socket
+    fits it.
     """
     place = Path(pattern)
     beyond = place.is_absolute() or ".." in place.parts
@@ -111,11 +108,7 @@ def syntax_message(path: Path, text: str, problem: str) -> str:
 def validation_message(
     path: Path, text: str, problem: ValidationError, model: type[BaseModel], values: Any
 ) -> str:
-    """The most telling problem of a pydantic error in one line, with file, line and key.
-
-    Args:
-        text: its content, to find the line.
-    """
+    """The most telling problem of a pydantic error in one line, with file, line and key."""
     first = max(problem.errors(include_url=False), key=_telling)
     keys = _real_keys(first["loc"], values, first["type"] == "missing")
     line = find_line(text, keys)

@@ -37,14 +37,10 @@ _STEREO_MATRIX = ("m", *_MATRIX)
 
 
 def read_tables(path: Path, values: object) -> StatedRig:
-    """The cameras of a file of another program.
+    """The cameras of a file of another program; CalibrationError if it is none, or broken.
 
-    Args:
-        path: of the file; one that holds lenses alone or poses alone is read with its companion,
-            such as `extri.yml` beside `intri.yml`.
-
-    Raises:
-        CalibrationError: it is none of these, or a camera in it is broken or of another lens model.
+    One that holds lenses alone or poses alone is read with its companion, such as `extri.yml`
+    beside `intri.yml`.
     """
     if isinstance(values, Mapping):
         for read in (_anipose, _kalibr, _mc_calib, _multical, _easymocap, _stereo, _opencv):

@@ -18,11 +18,7 @@ _SAME_PX, _MARGIN, _LEAST_FOCAL = 0.1, 1.1, 0.1
 
 
 def read_xml(path: Path, text: str) -> StatedRig:
-    """The calibrated cameras of a file; lengths are in mm.
-
-    Raises:
-        CalibrationError: it is neither program's, or a camera lacks a value or cannot be read.
-    """
+    """The calibrated cameras of a file, lengths in mm; CalibrationError if they cannot be read."""
     try:
         if "<!DOCTYPE" in text:  # entities may be of any size
             raise ET.ParseError("it has a DOCTYPE")

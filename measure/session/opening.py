@@ -111,16 +111,9 @@ def clock_values(digest: str, shifts_s: Mapping[str, float]) -> dict[str, object
 def shift_clocks(
     streams: Mapping[str, Stream], digest: str, provenance: Mapping[str, Any], path: Path
 ) -> dict[str, float]:
-    """Add the clock offsets of a calibration to the stamps.
+    """Add the clock offsets of a calibration, if it is from these stamps, to the streams' times.
 
-    Args:
-        streams: by camera; their times are changed.
-
-    Returns:
-        What was added, by camera; empty if the calibration is not from these stamps.
-
-    Raises:
-        CalibrationError: an offset is no number.
+    Gives what was added, by camera; CalibrationError if an offset is no number.
     """
     if provenance.get("clock_digest") != digest:
         return {}

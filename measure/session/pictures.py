@@ -51,13 +51,10 @@ _ORIENTATION, _UPRIGHT = 0x0112, (0, 1)
 
 
 def read_picture(path: Path | str) -> Bytes:
-    """The BGR pixels (h, w, 3) of a picture file.
+    """The BGR pixels (h, w, 3) of a picture file; SessionError if they cannot be read.
 
     Pixels are taken as the sensor gave them: an orientation tag is not applied, because the camera
     model belongs to the sensor.
-
-    Raises:
-        SessionError: missing, unreadable, empty, truncated or no picture.
     """
     return decode_picture(picture_bytes(Path(path)), str(path))
 
@@ -71,13 +68,9 @@ def picture_bytes(path: Path, where: str = "") -> bytes:
 
 
 def refuse_huge(size_wh: tuple[int, int], where: str) -> None:
-    """Refuse a picture before it takes the memory that its header asks for.
+    """Refuse (SessionError) a picture before it takes the memory that its header asks for.
 
-    Args:
-        size_wh: width and height in px that the header states.
-
-    Raises:
-        SessionError: more megapixels than the environment's MEASURE_MAX_MEGAPIXELS, else 100.
+    More megapixels than the environment's MEASURE_MAX_MEGAPIXELS, else 100.
     """
     most = most_pixels()
     if size_wh[0] * size_wh[1] > most:
@@ -161,12 +154,9 @@ def is_complete_jpeg(data: bytes | bytearray) -> bool:
 def decode_picture(data: bytes, where: str, bits: int | None = None) -> Bytes:
     """BGR pixels (h, w, 3) of an encoded picture.
 
-    Args:
-        bits: how many a picture of 16 bits really holds; found from its largest value if omitted.
-
-    Raises:
-        SessionError: truncated, not a picture, of larger values than `bits` hold, or larger than
-            `refuse_huge` lets pass.
+    How many bits one of 16 really holds is found from its largest value if omitted. SessionError:
+    truncated, not a picture, of larger values than `bits` hold, or larger than `refuse_huge` lets
+    pass.
     """
     pixels = _decoded(data, where, cv2.IMREAD_COLOR)
     if pixels.dtype == np.uint8:

@@ -42,12 +42,8 @@ def pair_nearest(
     camera thins the others out nor a fast one makes sets of its own. Instants it missed (gaps, and
     the time before it started or after it ended) are filled in at its period where at least two
     other cameras have an image. Each image goes to the instant nearest to it, each instant takes
-    the nearest of a camera's images, and no image is used twice.
-
-    Args:
-        times_s: per camera, (n,) increasing.
-        tolerance_s: half the reference camera's median period if omitted.
-        reference: index of the reference camera, to overrule the choice.
+    the nearest of a camera's images, and no image is used twice. The tolerance is half the
+    reference camera's median period if omitted.
     """
     periods = [float(np.median(np.diff(t))) if len(t) > 1 else np.inf for t in times_s]
     if reference is None:
@@ -218,18 +214,10 @@ class Session:
         start: int = 0,
         reference: str | None = None,
     ) -> Iterator[FrameSet]:
-        """Stream the frame sets in order of time, decoded ahead, in bounded memory.
+        """Stream the frame sets (see `pair_nearest`) in order of time, decoded ahead.
 
-        Args:
-            pairing: "nearest" (see `pair_nearest`).
-            tolerance_s: largest distance of an image from the instant; half the reference camera's
-                median period if omitted.
-            prefetch: sets decoded ahead.
-            reference: the camera whose clock sets the instants, to overrule the choice.
-
-        Raises:
-            SessionError: no two cameras have images close enough in time, or an image cannot be
-                read (when its set is due).
+        In bounded memory. SessionError: no two cameras have images close enough in time, or an
+        image cannot be read (when its set is due).
         """
         if pairing != "nearest":
             raise SessionError(f"no pairing is called '{pairing}'; there is nearest")
@@ -249,12 +237,9 @@ def stream_frame_sets(
 ) -> Iterator[FrameSet]:
     """Yield frame sets in order; at most `prefetch` + 1 sets are held here at any time.
 
-    Each camera has a thread that reads its frames one after the other, as suits a video best.
-    A picture that cannot be read raises when its own frame set is due, not earlier.
-
-    Args:
-        streams: in the order of the pairing's columns.
-        prefetch: sets decoded ahead; 0 decodes nothing ahead and leaves pixels lazy.
+    Each camera has a thread that reads its frames one after the other, as suits a video best. A
+    picture that cannot be read raises when its own frame set is due, not earlier. With a `prefetch`
+    of 0 nothing is decoded ahead, and pixels stay lazy.
     """
     if prefetch <= 0:
         for index in range(start, len(pairing.times_s)):

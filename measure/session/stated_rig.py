@@ -129,15 +129,10 @@ class StatedRig:
     numbered: bool = False  # whether its cameras have no names but numbers
 
     def calibration(self, path: Path, unit: Unit | None, pictures: Sizes) -> Calibration:
-        """As our calibration.
+        """As our calibration; CalibrationError if a camera cannot be used, or has no pose.
 
-        Args:
-            unit: goes before the file's.
-            pictures: by camera name, size of the pictures that will be measured: where the file
-                has no sizes, and names for numbered cameras, in order.
-
-        Raises:
-            CalibrationError: a camera cannot be used, or has no pose.
+        `unit` goes before the file's. `pictures`, by camera name in order, are the sizes where the
+        file has none, and the names for numbered cameras.
         """
         scale = _mm_per(path, self.unit, unit)
         cameras = []

@@ -29,11 +29,10 @@ class Stamps:
 
 
 def read_stamps(path: Path, camera: str, time_column: str | None = None) -> Stamps:
-    """Read a file of `frame,time_s`, or with another heading of the time (see `time_columns`).
+    """Read `frame,time_s`, or with another heading of the time (see `time_columns`).
 
-    Raises:
-        SessionError: with camera, file and line where a value is missing, is no number, is NaN, or
-            goes backwards.
+    SessionError, with camera, file and line: a value is missing, is no number, is NaN, or goes
+    backwards.
     """
     table = read_number_table(
         path, ("frame", "time_s"), f"camera '{camera}': ", time_column=time_column
@@ -78,12 +77,8 @@ _OFFSET = re.compile(r"\s*time_offset_s\s*=[^#]*?(?=\s*(?:#|$))")
 def add_time_offsets(path: Path, offsets_s: Mapping[str, float], overwrite: bool = False) -> str:
     """The text of a session file in which so much more is added to its cameras' times.
 
-    Args:
-        overwrite: replace offsets that are there by their sum with these.
-
-    Raises:
-        SessionError: an offset is there and is not to be replaced, or the file's cameras are not
-            written as `[[cameras]]` tables.
+    Offsets that are there are replaced by their sum with these, if `overwrite` says so; else
+    SessionError, as where cameras are not written as `[[cameras]]` tables.
     """
     lines = read_text(path, SessionError).splitlines()
     given = tomllib.loads("\n".join(lines))["cameras"]

@@ -58,9 +58,7 @@ class TrackedBody:
         """Rows (n, 8) of time in s, position in mm, quaternion w x y z; and their lines.
 
         Rows in which a cell is empty, or that say so, are passed over: the body was not seen.
-
-        Raises:
-            error: a cell is no number.
+        `error`: a cell is no number.
         """
         out, lines = [], list[int]()
         columns = [*self.times, *self.places, *self.turns]

@@ -51,10 +51,8 @@ class Trajectory:
         """The poses at times (m,), as a batch of m; or the one pose at a time.
 
         Positions run along a cubic through the samples (slopes by second-order differences),
-        rotations along the great arc between two.
-
-        Raises:
-            SessionError: a time lies outside the samples or in a gap between them.
+        rotations along the great arc between two. SessionError: a time lies outside the samples or
+        in a gap.
         """
         wanted = np.atleast_1d(np.asarray(times_s, dtype=np.float64))
         if not np.all(self.covers(wanted)):
@@ -102,18 +100,12 @@ class Trajectory:
 def read_trajectory(
     path: Path | str, error: type[MeasureError] = SessionError, body: str | None = None
 ) -> Trajectory:
-    """Read poses over time.
+    """Read poses over time; `body` chooses one of several.
 
     Our CSV (`time_s,x_mm,y_mm,z_mm,qw,qx,qy,qz`: truth.csv, poses.csv; rows without a pose are
     passed over; with a column `body` it holds several bodies), TUM (`time_s x y z qx qy qz qw`,
-    metres), or a tracker's file (see `tracker_files`), told apart by content.
-
-    Args:
-        body: which of the rigid bodies of a tracker's file, or of several in a CSV.
-
-    Raises:
-        error: the file cannot be used; with file and line where a value is wrong or the time does
-            not increase.
+    metres), or a tracker's file (see `tracker_files`), told apart by content. `error`: the file
+    cannot be used; with file and line where a value is wrong or the time does not increase.
     """
     path = Path(path)
     text = read_text(path, error)

@@ -60,12 +60,7 @@ class VideoIndex:
 
 
 def index_video(path: Path, where: str) -> VideoIndex:
-    """Read a video's packets, not its pictures.
-
-    Raises:
-        SessionError: missing, empty, truncated, without pictures or without times; the message
-            starts with `where`.
-    """
+    """Read a video's packets, not its pictures; SessionError, from `where` on, if it is none."""
     if not check_ordinary(path, SessionError, where):
         raise SessionError(f"{where}{path}: the video is empty (0 bytes)")
     with _open(path, where) as container:
@@ -287,13 +282,8 @@ def open_video_stream(
 ) -> VideoStream:
     """Open a video (mp4, mkv, avi, ...; H.264, motion JPEG, ...).
 
-    Args:
-        stamps: times of the frames in order; if omitted the container's own, after the first frame.
-        stamps_path: the file they come from, for messages.
-        offset_s: is added to every time.
-
-    Raises:
-        SessionError: missing, empty, truncated or damaged, or `stamps` has not one row a frame.
+    Without `stamps`, from the file `stamps_path`, times are the container's own after the first
+    frame. SessionError: missing, empty, truncated or damaged, or `stamps` has not one row a frame.
     """
     index = index_video(path, f"camera '{name}': ")
     count = len(index.stamps)

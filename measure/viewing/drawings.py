@@ -26,12 +26,8 @@ _FOUND, _NOT_FOUND, _DARK = (255, 255, 255), (150, 150, 150), (0, 0, 0)
 def draw_mosaic(session: Session, runs: Sequence[Run], index: int) -> Bytes:
     """The views of one frame set with all bodies measured, two a row, as BGR pixels.
 
-    White: the outline of each ball that was used, as the measured pose puts it; grey and dashed:
-    a ball that was not used in that view. The axes are the body's, x red, y green, z blue.
-
-    Raises:
-        RunError: the run has no such frame set.
-        SessionError: a picture that cannot be read.
+    White: the outline of each ball that was used, as the measured pose puts it; grey and dashed: a
+    ball that was not used in that view. The axes are the body's, x red, y green, z blue.
     """
     found = [
         (run.body, _pose(run, index), run.detections.filter(pc.field("index") == index).to_pylist())
@@ -75,15 +71,7 @@ def write_mosaic(session: Session, runs: Sequence[Run], index: int, path: Path) 
 
 
 def write_outlines(pixels: Bytes, detections: Sequence[Detection], path: Path) -> None:
-    """Write a picture with the circle, centre, name and score of every detection.
-
-    Args:
-        pixels: BGR (h, w, 3).
-        path: a file that cv2 can write; PNG keeps the pixels as they are.
-
-    Raises:
-        ConfigError: it cannot be written.
-    """
+    """Write a BGR picture (h, w, 3) with circle, centre, name and score of every detection."""
     picture = pixels.copy()
     for detection in reversed(detections):  # the best on top
         _draw_outline(picture, detection)

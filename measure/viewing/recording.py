@@ -205,15 +205,9 @@ def open_recording(
 ) -> rr.RecordingStream:
     """A recording that is written as it goes: to a file, to a viewer that runs, or to both.
 
-    Args:
-        cameras: for the layout that travels inside.
-        path: the .rrd file, overwritten; no viewer is needed for it.
-        address: of a viewer, as `rerun+http://127.0.0.1:9876/proxy`.
-        part_of: recordings of one such name are shown as one; a name of its own if omitted.
-        bodies: their names.
-
-    Raises:
-        ConfigError: no viewer listens at the address.
+    The cameras make the layout that travels inside; recordings that are `part_of` one name are
+    shown as one. ConfigError: no viewer listens at the address (as
+    `rerun+http://127.0.0.1:9876/proxy`).
     """
     stream = rr.RecordingStream("triball", recording_id=part_of)
     if address is not None:
@@ -226,13 +220,7 @@ def open_recording(
 
 
 def check_listening(address: str) -> None:
-    """Refuse an address where no viewer is.
-
-    Rerun itself would drop everything it cannot send, and only log that.
-
-    Raises:
-        ConfigError: as said.
-    """
+    """Refuse (ConfigError) an address where no viewer is: Rerun itself would only log that."""
     host, port = _host_and_port(address)
     deadline = time.monotonic() + CONNECT_WITHIN_S
     while True:

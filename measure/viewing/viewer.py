@@ -32,19 +32,12 @@ def recording_of(run: Path) -> Path:
 
 
 def open_viewer(recordings: Sequence[Path], web: bool = False, bind: str = LOOPBACK) -> Viewer:
-    """Start the viewer on .rrd files.
+    """Start the viewer on .rrd files, in a window or served over HTTP.
 
     Rerun hands a recording to whatever viewer listens on its default port and quits without a word;
-    therefore each viewer gets free ports of its own.
-
-    Args:
-        recordings: the files; none for a viewer that waits to be sent something.
-        web: serve the viewer over HTTP instead of opening a window.
-        bind: address to listen on; loopback unless told otherwise.
-
-    Raises:
-        RunError: a file is missing or no recording, or the viewer's program is missing.
-        ConfigError: `bind` is no address of this machine.
+    therefore each viewer gets free ports of its own, at `bind`. Without files it waits to be sent
+    something. RunError: a file is missing or no recording, or the viewer's program is missing.
+    ConfigError: `bind` is no address of this machine.
     """
     for path in recordings:
         _refuse_what_is_no_recording(path)

@@ -198,13 +198,9 @@ class CameraPrior:
         )
 
     def estimate(self, noise: NoiseModel, change: Floats, posterior: Floats) -> NoiseModel:
-        """The noise model with the variances of the cameras' errors, from their change.
+        """The noise model with the variances of cameras' errors, unless stated jointly.
 
-        Of a joint covariance none is unknown.
-
-        Args:
-            change: (p,) of the cameras.
-            posterior: (p, p) their covariance.
+        From the cameras' change (p,) and its posterior covariance (p, p).
         """
         if self.joint is not None:
             return noise

@@ -126,12 +126,7 @@ def judge_refinement(
     refinement: Refinement,
     halves: Halves,
 ) -> RefineVerdict:
-    """Judge a refinement.
-
-    Raises:
-        CalibrationError: the recording contradicts the first calibration, or frame sets that played
-            no part fit worse than before.
-    """
+    """Judge a refinement; CalibrationError if the recording contradicts the first calibration."""
     surprise, limit = _surprise(refinement)
     if surprise > _REFUSED_SURPRISE_RATIO * limit:
         raise CalibrationError(_contradiction(refinement, surprise))
@@ -283,11 +278,7 @@ def refine_measured(
 ) -> RefinedRig:
     """Refine cameras over a measured session.
 
-    Args:
-        joint_covariance: of all cameras together, if the first calibration states it.
-
-    Raises:
-        CalibrationError: too little seen, too little motion, or an implausible result.
+    CalibrationError: too little seen, too little motion, or an implausible result.
     """
     recording = recording_of(measurements, body)
     clocks, trusted = _clocks(cameras, body, measurements, recording, settings, joint_covariance)
@@ -312,14 +303,7 @@ def rough_cameras(
     settings: RefineSettings | None = None,
     joint_covariance: Floats | None = None,
 ) -> tuple[Camera, ...] | None:
-    """Cameras good enough to measure with, where the first ones disagree too much for that.
-
-    Returns:
-        The cameras; None if the first ones will do.
-
-    Raises:
-        CalibrationError: too little seen, or too little motion.
-    """
+    """Cameras good enough to measure with, where the first disagree too much for that, or None."""
     if not calibration_disagrees(measurements):
         return None
     recording = recording_of(measurements, body, doubtful_too=True)

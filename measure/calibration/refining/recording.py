@@ -79,15 +79,10 @@ def recording_of(
 ) -> Recording:
     """Collect the poses and effective detections of measured frame sets.
 
-    Args:
-        measurements: of one session; those without a pose are passed over.
-        lead_s: what to add to the time of a detection, if the clocks are known to be off.
-        doubtful_too: take flagged poses and inconsistent views too, for a first rough refinement
-            of cameras too far off to agree.
-
-    Raises:
-        CalibrationError: too few frame sets with a pose, the body hardly moved, or a camera sees
-            the balls where the others do not.
+    `lead_s` is added to the time of a detection, if the clocks are known to be off; `doubtful_too`
+    takes flagged poses and inconsistent views too, for a first rough refinement. CalibrationError:
+    too few frame sets with a pose, the body hardly moved, or a camera sees the balls where the
+    others do not.
     """
     kept = [m for m in measurements if m.pose is not None and (doubtful_too or not m.pose.flags)]
     if len(kept) < MIN_FRAMES:

@@ -86,15 +86,10 @@ def refine_rig(
 ) -> Refinement:
     """Refine cameras by bundle adjustment.
 
-    Args:
-        joint_covariance: of all cameras' poses and free lens parameters together, camera after
-            camera: the prior. Without it, the variances of the cameras are estimated.
-        variance_factor: variance of the views' errors over that estimated from residuals (see
-            `compare_halves`).
-        clocks_are_exact: whether time stamps are exact; if not, clock offsets are refined too.
-
-    Raises:
-        CalibrationError: a camera saw next to nothing, or the motion leaves something undetermined.
+    The joint covariance of all cameras' poses and free lens parameters, camera after camera, is the
+    prior; without it their variances are estimated. `variance_factor` widens the views' variance
+    (see `compare_halves`). CalibrationError: a camera saw next to nothing, or the motion leaves
+    something undetermined.
     """
     settings = settings or RefineSettings()
     _check_seen(cameras, recording)

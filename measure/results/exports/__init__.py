@@ -41,23 +41,11 @@ def export_run(
     smooth_s: float | None = None,
     velocity: bool = False,
 ) -> Path:
-    """Write a run in another program's format.
+    """Write a run, of each body or of one, in one of `FORMATS`; gives the file written.
 
-    Args:
-        runs: of each body of a run, finished or not.
-        file_format: one of `FORMATS`.
-        path: the file to write.
-        overwrite: replace a file that is there.
-        smooth_s: smooth poses over so long on either side; as measured if omitted.
-        velocity: write velocities as well.
-
-    Returns:
-        The file written.
-
-    Raises:
-        ConfigError: no such format, it cannot hold what is asked, or its library is missing.
-        RunError: the file is there already or one of the run's own, cannot be written, or the run
-            holds no pose.
+    Poses are smoothed over `smooth_s` on either side; as measured if omitted. ConfigError: no such
+    format, it cannot hold what is asked, or its library is missing. RunError: the file is there
+    already or one of the run's own, cannot be written, or the run holds no pose.
     """
     if file_format not in FORMATS:
         near = difflib.get_close_matches(file_format, FORMATS, n=1)

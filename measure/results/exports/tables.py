@@ -75,11 +75,7 @@ def _rows(run: Run, named: list[str], moving: Velocities | None) -> Iterator[lis
 
 
 def write_tum(runs: Sequence[Run], path: Path) -> None:
-    """Write a line for every pose, in metres; the format cannot say that one is missing.
-
-    Raises:
-        RunError: there are several bodies, for whose names the format has no place.
-    """
+    """Write a line for every pose, in metres; RunError: several bodies have no place in it."""
     if len(runs) > 1:
         names = ", ".join(run.body.name for run in runs)
         raise RunError(f"a TUM file holds one body: choose one with --body ({names})")

@@ -59,14 +59,7 @@ def over_time(
     label: str,
     colors: Mapping[str, str] | None = None,
 ) -> go.Figure:
-    """Curves over time; NaN leaves a gap.
-
-    Args:
-        times_s: (n,).
-        curves: (n,) each, by name.
-        label: of the vertical axis, with its unit.
-        colors: by curve name; a palette serves the others.
-    """
+    """Curves (n,) by name over times (n,), in a palette unless colored; NaN leaves a gap."""
     figure = blank()
     for index, (name, values) in enumerate(curves.items()):
         color = (colors or {}).get(name, PALETTE[index % len(PALETTE)])
@@ -159,11 +152,8 @@ def state_timeline(
 ) -> go.Figure:
     """Who saw what when; where time is short, the commonest reason against a view is shown.
 
-    Args:
-        times_s: (n,).
-        codes: (views, n) index into `reasons`, 0 meaning effective.
-        views: one name per row ("red in cam0").
-        reasons: what each code says.
+    By codes (views, n), index into `reasons`, 0 meaning effective; a row for each view ("red in
+    cam0").
     """
     count = len(times_s)
     ends = np.linspace(0, count, min(count, MAX_POINTS) + 1).astype(np.int64)

@@ -40,14 +40,9 @@ def trajectory(
     camera_names: Sequence[str],
     doubtful: Floats | None = None,
 ) -> go.Figure:
-    """Where the body went, coloured by its uncertainty, among the cameras.
+    """Where the body went (n, 3) mm, coloured by its uncertainty (n,), among the cameras (m, 3).
 
-    Args:
-        positions: (n, 3) in mm; NaN leaves a gap.
-        sd_mm: (n,) standard deviation of each position.
-        camera_centers: (m, 3) in mm.
-        camera_names: m names.
-        doubtful: (k, 3) in mm, drawn as loose points.
+    NaN leaves a gap; `doubtful` (k, 3) are loose points.
     """
     keep = figures.thinned(len(positions), *positions.T)
     colors = {
@@ -105,14 +100,10 @@ def plan(positions: Floats, axes: tuple[int, int], doubtful: Floats) -> go.Figur
 def accuracy(
     across_mm: Floats, up_mm: Floats, sd_mm: Floats, axes: tuple[int, int], places: Floats
 ) -> go.Figure:
-    """Expected position error over a plane, with what lies in it.
+    """Expected position error (m, n) over a plane of two world axes, with what lies in it.
 
-    Args:
-        across_mm: (n,) coordinates along the first axis.
-        up_mm: (m,) along the second.
-        sd_mm: (m, n) standard deviation, NaN where nothing can be measured.
-        axes: which two world axes these are.
-        places: (k, 3) drawn over it: where the body was, or markers; possibly none.
+    NaN where nothing can be measured; `places` (k, 3) are drawn over it, where the body was, or
+    markers.
     """
     figure = figures.blank(400, showlegend=False)
     figure.add_trace(

@@ -29,12 +29,10 @@ def run_report(
     errors: Sequence[Floats | None] = (),
     picture: tuple[int, bytes] | None = None,
 ) -> str:
-    """The report as HTML.
+    """The report as HTML, of each body's run, finished or not, also without any pose.
 
-    Args:
-        runs: of each body, finished or not; one without any pose has a report too.
-        errors: of each (n, 6) of the poses against truth in the `perturb` chart, NaN where unknown.
-        picture: a frame set, and a JPEG file of its views with what was found drawn in.
+    With the errors (n, 6) of the poses against truth in the `perturb` chart, NaN where unknown; and
+    a frame set with a JPEG file of its views with what was found drawn in.
     """
     errors = errors or [None] * len(runs)
     verdicts = [verdict(run, off) for run, off in zip(runs, errors, strict=True)]
