@@ -104,6 +104,7 @@ _FAR_MM = 100.0  # RMS of labels by which no robot errs
 _MOST = 0.5  # Share of their RMS that may be left where most of them is explained
 _OWN_TURN_RAD, _OWN_SLIDE_MM, _OWN_SHIFT_MM = np.deg2rad(5.0), 10.0, 20.0
 """Joints homed wrongly by so much are a robot's own error, and so is what they do to its frame."""
+_OWN_GAIN = 0.35  # So much less than its motors a joint of a cable-driven wrist turns, at most
 _OWN_RATIO = 1.5  # Of what these leave to what a frame leaves, up to which they explain as much
 _CHAIN_MM = 5.0  # RMS by which a calibrated controller differs from published kinematics, at most
 _STEPS = 8
@@ -140,6 +141,7 @@ class Paired:
     velocity_mm_s: Floats | None  # (n, 3) as reported; None if the clock is not in question
     joints: Floats  # (n, joints), of the chain
     chain: SerialChain | None
+    coupled: tuple[int, ...] = ()  # joints of a cable-driven wrist
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,13 +193,13 @@ def label_doubts(
     With the reported velocity (n, 3) if the clock is in question.
     """
     joints, reported = schema.joint_positions(states), schema.position_mm(states)
-    pairs = Paired(reported + errors_mm, reported, velocity_mm_s, joints, schema.chain)
-    cause, chain = not_the_robot(pairs), chain_doubt(schema.chain, joints, reported)
-    return tuple(
-        f"{doubt}: {cure}"
-        for doubt, cure in ((chain, "describe the robot as it is"), (cause, _CURE))
-        if doubt is not None
+    measured, chain = reported + errors_mm, schema.chain
+    pairs = Paired(measured, reported, velocity_mm_s, joints, chain, schema.coupled)
+    causes = (
+        (chain_doubt(chain, joints, reported), "describe the robot as it is"),
+        (not_the_robot(pairs), _CURE),
     )
+    return tuple(f"{doubt}: {cure}" for doubt, cure in causes if doubt is not None)
 
 
 def _words(name: str, cause: _Cause) -> str:
@@ -244,7 +246,7 @@ def _explain(pairs: Paired, columns: list[int]) -> _Cause:
 
 
 def _own(pairs: Paired, cause: _Cause) -> bool:
-    """Whether wrongly homed joints explain as much: that is a robot's own error."""
+    """Whether joints homed wrongly, and a wrist's gains, explain as much: a robot's own errors."""
     from scipy.optimize import lsq_linear  # slow to load
 
     errors = pairs.measured_mm - pairs.reported_mm
@@ -253,9 +255,11 @@ def _own(pairs: Paired, cause: _Cause) -> bool:
         shift = np.linalg.norm(cause.frame.apply(middle) - middle)
         turned = np.linalg.norm(cause.frame.rotvec) > _OWN_TURN_RAD
         return not (turned or shift > _OWN_SHIFT_MM)
-    slopes = pairs.chain.jacobian(pairs.joints)[:, :3].reshape(errors.size, -1)
+    slopes, wrist = pairs.chain.jacobian(pairs.joints)[:, :3], list(pairs.coupled)
     most = np.array([_OWN_SLIDE_MM if j.prismatic else _OWN_TURN_RAD for j in pairs.chain.joints])
-    found = lsq_linear(slopes * most, errors.ravel(), (-1, 1))
+    gains = slopes[:, :, wrist] * (_OWN_GAIN * pairs.joints[:, None, wrist])
+    slopes = np.concatenate([slopes * most, gains], axis=2)
+    found = lsq_linear(slopes.reshape(errors.size, -1), errors.ravel(), (-1, 1))
     left = float(np.sqrt(2 * found.cost / len(errors)))
     return left < max(_OWN_RATIO * cause.left_mm, _LEAST_RMS_MM)
 
