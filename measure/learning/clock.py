@@ -25,6 +25,8 @@ _MIN_RESIDUAL_RATIO = 3.0  # of the residual motion at a rival offset to that at
 _MAX_CORRELATION_S = 2.0  # residuals closer in time than this may be correlated
 _MEDIAN_SAMPLES = 5  # window of the median filter that finds outliers
 _MIN_KEPT_SHARE = 0.8  # of the positions; more outliers than the rest mean another cause
+# of what the fit leaves, as a delay, that a robot's cables made of it: RMS, `benchmarks.clock`.
+_DELAY_SHARE = 0.5
 _PIECE = 1 << 16  # instants compared at a time
 _SPARSE_POSES_S = 0.4  # poses farther apart in time miss most of the motion
 
@@ -34,8 +36,8 @@ class ClockOffset:
     """`robot time = camera time + offset_s`."""
 
     offset_s: float
-    # its standard deviation, from the curvature of the fit and the autocorrelation of its
-    # residuals.
+    # its standard deviation: chance, from the curvature of the fit and the autocorrelation of its
+    # residuals, and the robot's own delay, which looks like an offset, from the residuals' size.
     sd_s: float
     correlation: float  # of the two velocities at that offset, rotated into one frame; at most 1
 
@@ -208,7 +210,18 @@ def _refine(
         lag += float(np.clip(step, -0.02, 0.02))
         if abs(step) < 1e-6:
             break
-    return ClockOffset(lag, float(np.sqrt(_variance_of_sum(pull)) / curvature), score)
+    variance = _variance_of_sum(pull) / curvature**2 + _own_delay_s(residual, curvature) ** 2
+    return ClockOffset(lag, float(np.sqrt(variance)), score)
+
+
+def _own_delay_s(residual: Floats, curvature: float) -> float:
+    """SD of the delay of slack or soft cables: motion that no map explains (n, 3) shows how much.
+
+    Residuals half a span apart share no noise of the positions, but what the robot does.
+    """
+    apart = round(_HALF_SPAN_S * _GRID_HZ)
+    common = float((residual[apart:] * residual[:-apart]).sum())
+    return _DELAY_SHARE * float(np.sqrt(max(common, 0.0) / curvature))
 
 
 def _variance_of_sum(pull: Floats) -> float:
